@@ -36,7 +36,7 @@ else
 	@$(PYTHON) -m venv $(VENV)
 	@$(PIP_INSTALL) --upgrade pip
 endif
-	@$(PIP_INSTALL) -e '.[render,parquet,vegas,docs,dev]'
+	@$(PIP_INSTALL) -e '.[render,parquet,vegas,frames,docs,dev]'
 	@$(PIP_INSTALL) -e '.[qmcpy]' >$(VENV)/qmcpy.log 2>&1 || \
 		echo "QMCPy cannot be built, for want of a C compiler or Python's headers; its tests will be skipped."
 	@$(BIN)/python -m compileall -q src

@@ -57,6 +57,7 @@ from .variance.chains import chain_error as chain_error
 from .variance.convergence import convergence as convergence
 from .variance.convergence import realizations_needed as realizations_needed
 from .variance.exact import exact_variance as exact_variance
+from .variance.image_errors import image_error_spectrum as image_error_spectrum
 from .variance.integrate import integrate as integrate
 from .variance.modes import covariance_modes as covariance_modes
 from .variance.prediction.plan import plan as plan
@@ -115,6 +116,7 @@ __all__ = [
     "exact_variance",
     "fitted_decay",
     "gain_coefficients",
+    "image_error_spectrum",
     "integrand",
     "integrand_decay",
     "integrands",

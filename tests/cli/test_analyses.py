@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
+from mcspectra.core.analysis import ANALYSES
 
 
 def test_exact_variance_of_a_line(run, run_json):
@@ -208,3 +209,73 @@ def test_shares_of_rounding_are_0(run):
     shares = {line.split()[0]: line.split()[3] for line in out.splitlines()[3:9]}
     assert shares["x1"] == shares["x2"] == shares["x1x2"] == "0"
     assert shares["x0"] == "1"
+
+
+SEVERAL = {
+    "converge": ("--counts", "4,16", "-m", 20),
+    "predict": ("--counts", "4,16"),
+    "plan": ("--target-error", 0.1),
+}
+
+
+def test_several_samplers_wherever_the_analysis_takes_them(run, run_json):
+    """The doors follow from the declaration: two samplers are a dim, one is none."""
+    verbs = {
+        cls.verb
+        for name in ANALYSES
+        if "sampler" in (cls := ANALYSES.load(name)).several and cls.verb
+    }
+    assert verbs == set(SEVERAL)
+    two = ("--sampler", "jittered", "--sampler", "random")
+    for verb, options in SEVERAL.items():
+        code, out, _ = run(verb, "linear", "-d", 1, *two, *options)
+        assert code == 0
+        assert "jittered" in out
+        assert "random" in out
+        assert "nan" not in out
+        assert run_json(verb, "linear", "-d", 1, *two, *options)["sampler"] == [
+            "jittered",
+            "random",
+        ]
+        one = run_json(verb, "linear", "-d", 1, *two[:2], *options)
+        assert one["sampler"] == "jittered"
+        twice = run(verb, "linear", "-d", 1, *two, *two[:2], *options)
+        assert twice[0] == 2
+        assert "The sampler jittered is listed twice; list each once." in twice[2]
+    code, _, err = run("exact", "linear", "-d", 1, *two, "-n", 4)
+    assert code == 2
+    assert "--sampler is given twice; give it once" in err
+
+
+def test_several_predictions_are_those_of_each(run_json):
+    two = ("--sampler", "jittered", "--sampler", "random")
+    data = run_json("predict", "gaussian", *two, "--counts", "16,64")
+    expected = mcs.predict("gaussian", ["jittered", "random"], [16, 64])
+    assert data["predicted_variance"] == expected["predicted_variance"].values.tolist()
+    assert data["route"] == expected["route"].values.tolist()
+
+
+def test_a_plan_without_an_answer_says_why(run):
+    sampler = ("--sampler", "sobol", "--target-error")
+    code, out, _ = run("plan", "gaussian", *sampler, 0.1)
+    assert code == 0
+    assert (
+        "sobol: a deterministic sampler has no variance: add owen or shift, or look at |bias|"
+        in out
+    )
+    assert "predicted RMSE" not in out
+    _, out, _ = run("plan", "gaussian", *sampler, 0.1, "--sampler", "random")
+    assert "n = 7 with random" in out.splitlines()[0]
+    assert out.splitlines()[-1].startswith("sobol: a deterministic sampler has no variance")
+
+
+def test_variance_prints_what_is_beyond_its_half_width(run, run_json):
+    arguments = ("variance", "disk", "--sampler", "random", "-n", 16, "--half-width", 4, "-m", 50)
+    data = run_json(*arguments)
+    _, out, _ = run(*arguments)
+    rows = {line.split("  ")[0]: line.split()[-1] for line in out.splitlines()}
+    assert rows["energy share"] == f"{data['energy_share']:.6g}"
+    assert rows["tail term"] == f"{data['tail_term']:.6g}"
+    _, out, _ = run("variance", "gaussian", "--sampler", "sobol", "-n", 16, "-m", 20)
+    assert "e-3" not in out
+    assert "sobol has no variance: add owen or shift, or look at |bias|" in out

@@ -182,6 +182,27 @@ def test_the_quick_start_is_the_readme_word_for_word():
         assert command in page
 
 
+def test_the_readme_says_what_its_first_terms_captured():
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    words = re.sub(r"\s+", " ", readme.partition("## On the command line")[0])
+    (fourier,) = re.findall(r"([\d.]+) times the measured variance", words)
+    (wide,) = re.findall(r"([\d.]+) times with `half_width=512`", words)
+    (cosine,) = re.findall(r"([\d.]+) with `basis=\"cosine\"`", words)
+    code = re.findall(r"^(estimator|terms) = (.*)$", readme, re.MULTILINE)
+    names = {"mcs": mcs}
+    for name, expression in code:
+        names[name] = eval(expression, names)
+    further = [
+        mcs.variance_terms(names["estimator"], "jittered", 16, **options)
+        for options in ({"half_width": 512}, {"half_width": 64, "basis": "cosine"})
+    ]
+    for said, terms in zip((fourier, wide, cosine), (names["terms"], *further), strict=True):
+        assert f"{float(terms['captured']):.2f}" == said
+    excess = float(names["terms"]["power_term"] / names["terms"]["measured_variance"])
+    assert "fourteen times the variance" in words
+    assert round(excess) == 14
+
+
 def test_the_variance_of_the_readme_is_predicted(capsys):
     """In the Fourier basis the sum had not converged: 2.88 times the measured variance, unexplained."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")

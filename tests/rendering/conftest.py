@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from mcspectra.rendering import scenes
+from mcspectra.rendering.paths import dimensions_of
 from mcspectra.rendering.skies import _sky
 from mcspectra.rendering.techniques import hits_of
 
@@ -59,7 +60,8 @@ _TEXTS = {
 def forget_scenes() -> Iterator[None]:
     """Drop a module's scenes: Dr.Jit traces the BSDFs of all that are alive at every call."""
     yield
-    for cache in (scenes._from_name, scenes._from_file, scenes._from_dict, hits_of, _sky):
+    kept = (scenes._from_name, scenes._from_file, scenes._from_dict, hits_of, dimensions_of, _sky)
+    for cache in kept:
         cache.cache_clear()
     gc.collect()
 

@@ -210,3 +210,39 @@ def test_candidates_name_each_file_once(monkeypatch: pytest.MonkeyPatch, tmp_pat
     monkeypatch.setattr(backend, "_wheel_library", lambda: [library])
     monkeypatch.setattr(backend, "_system_libraries", lambda: [library])
     assert list(backend._candidates()) == [library]
+
+
+_AFTER_OURS = """
+import mitsuba
+mitsuba.set_variant("llvm_ad_rgb")
+import mcspectra as mcs
+try:
+    mcs.rendering.named_pixels("figure1")
+except mcs.McspectraError as error:
+    print(type(error).__name__, error)
+else:
+    print("works")
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux says what is loaded")
+def test_mitsuba_with_a_broken_llvm_before_us_is_refused_in_a_sentence(
+    own_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    best, _ = find_library()
+    assert best is not None
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", best.library)
+
+    def printed() -> str:
+        run = subprocess.run(
+            [sys.executable, "-c", _AFTER_OURS], capture_output=True, text=True, check=True
+        )
+        return run.stdout
+
+    assert printed() == "works\n"
+    # The same library, said to be broken: what is loaded counts, not who set the variant
+    (verdict,) = own_cache.iterdir()
+    verdict.write_text(json.dumps({"works": False, "reason": "signal 6", "version": ""}))
+    refusal = printed()
+    assert refusal.startswith("MissingDependency Mitsuba was imported before mcspectra")
+    assert f"{os.path.realpath(best.library)}: signal 6" in refusal

@@ -245,3 +245,35 @@ def test_sobol_indices_of_test_functions_are_their_variances():
     assert first == pytest.approx(part / whole, rel=1e-14)
     held = [sum(v for u, v in sizes.items() if i in u) / whole for i in range(5)]
     assert total == pytest.approx(held, rel=1e-13)
+
+
+def test_few_realisations_have_no_intervals_rather_than_points():
+    """Two products of deviations are equal: intervals of no width were printed."""
+    f = mcs.Estimator("gaussian", dims=2)
+    intervals = ("anova_share", "total_share", "mean_dimension", "effective_dimension_truncation")
+    for realizations in (2, 3, 4):
+        found = mcs.anova_variances(f, realizations=realizations)
+        known = realizations == 4
+        assert (np.isfinite(found["anova_variance_se"]) == known).all()
+        for name in intervals:
+            assert (np.isfinite(found[f"{name}_ci"]) == known).all()
+        assert (found["anova_share_ci"][:, 1] > found["anova_share_ci"][:, 0]).all() == known
+        assert known or f"{realizations} realisations show no error" in found.attrs["note"]
+
+
+def test_groups_of_axes_are_split_as_axes_are():
+    f, part = _product([1.0, 0.8, 0.5, 0.3, 0.1])
+    groups = [1, 0, 1, 2, 0]
+    found = mcs.anova_variances(mcs.Estimator(f), groups=groups, realizations=20_000, rng=3)
+    of_group = np.array([np.prod(1 + part[np.array(groups) == g]) - 1 for g in range(3)])
+    assert found.sizes["axis"] == 3
+    _check(found, np.array([np.prod(of_group[_axes(u)]) for u in found["subset_label"].values]))
+    variance = np.prod(1 + part) - 1
+    _check(found, of_group / (1 + of_group) * (1 + variance), name="total_variance")
+
+
+@pytest.mark.parametrize("groups", [[0, 1], [0, 0, 2], [1, 1, 1]])
+def test_groups_are_numbered_without_gaps(groups):
+    f, _ = _product([1.0, 0.8, 0.5])
+    with pytest.raises(mcs.McspectraError, match="for each of the 3 axes, numbered from 0"):
+        mcs.anova_variances(mcs.Estimator(f), groups=groups)

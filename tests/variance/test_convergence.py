@@ -228,7 +228,7 @@ def test_heavy_tails_are_named_at_every_smaller_count(sampler):
 
 def test_a_share_is_that_of_normal_estimates_at_few_realisations():
     """Of 1000 samples of 12 normal values, one in a thousand has a larger square: 1 ± 3."""
-    from mcspectra.variance.convergence import _large_share
+    from mcspectra.variance.blindness import _large_share
 
     values = np.random.default_rng(3).normal(size=(12, 20_000))
     share = Moments.of(values, tails=True).largest_share > _large_share(np.array(12))

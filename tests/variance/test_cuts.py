@@ -10,7 +10,7 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core import parallel
-from mcspectra.core.analysis import Reduction, compute, compute_chunk, steps_of
+from mcspectra.core.analysis import Reduction, compute, compute_chunk, needed, steps_of
 from mcspectra.core.errors import InfiniteWeightVarianceWarning, McspectraError, ParameterError
 from mcspectra.core.options import checked
 from mcspectra.core.records import merged, pack, unpack
@@ -317,7 +317,7 @@ NAN = float("nan")
 )
 def test_what_cannot_be_is_refused_before_anything_runs(analysis, subject):
     with pytest.raises(McspectraError):
-        checked(analysis).need(subject)
+        needed(checked(analysis), subject)
 
 
 @pytest.mark.parametrize("given", [([], "random"), (PLAIN, []), (PLAIN, ["random", 3])])

@@ -252,3 +252,28 @@ def test_variables_carry_units_and_meaning():
     assert d.attrs["seed"] == 9
     assert d.attrs["estimator"].startswith("gaussian")
     assert d.attrs["coefficients"] == "exact"
+
+
+@pytest.mark.parametrize(
+    ("f", "sampler", "words", "upper"),
+    [
+        ("gaussian", "sobol", "sobol has no variance: add owen or shift, or look at |bias|", 0.0),
+        ("constant", "jittered", "constant with jittered: the variance vanishes to rounding", 0.0),
+        (
+            "disk(center=0.4, radius=0.0006)",
+            "random",
+            "none of the estimates varies at n = 16",
+            np.inf,
+        ),
+    ],
+)
+def test_measurements_of_0_say_why_in_words(f, sampler, words, upper):
+    """And a rare disk that was never hit has no upper bound."""
+    d = mcs.variance_terms(mcs.Estimator(f, dims=2), sampler, 16, half_width=4, realizations=50)
+    assert words in d.attrs["note"]
+    assert float(d["measured_variance"]) == 0.0
+    np.testing.assert_array_equal(d["measured_variance_ci"], [0.0, upper])
+    assert np.isnan(d["captured"])
+    if sampler == "sobol":
+        terms = ("dc_term", "power_term", "cross_term", "predicted_variance", "contribution")
+        assert not any(d[name].any() for name in terms)

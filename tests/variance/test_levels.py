@@ -37,15 +37,10 @@ def function(name, dims):
         ("halton | owen", 2, 36),
         ("halton(scramble='owen')", 2, 36),
         ("faure | owen", 3, 27),
-        ("sobol | digital-shift", 2, 32),
         ("jittered", 2, 25),
         ("jittered | strata-shift(offset=0.3)", 2, 25),
         ("antithetic-jittered", 2, 50),
-        ("jittered | mirror(mode='uniform')", 2, 64),
-        ("sobol | owen | mirror(mode='fold')", 2, 16),
-        ("jittered | mirror", 2, 16),
         ("latin-hypercube", 1, 9),
-        ("random", 2, 7),
     ],
 )
 def test_exact_values_of_smooth_functions(sampler, dims, n):
@@ -61,15 +56,13 @@ def test_exact_values_of_smooth_functions(sampler, dims, n):
     assert abs(found.variance[0] - exact) <= found.error[0] + 1e-6 * exact  # of exact_variance
 
 
-@pytest.mark.parametrize(("dims", "n"), [(2, 64), (3, 64)])
-def test_latin_hypercubes(dims, n):
-    f = mcs.integrand("gaussian", dims=dims)
-    found = predicted(f, "latin-hypercube", n)
-    if dims == 2:
-        exact = mcs.exact_variance(mcs.Estimator(f), mcs.sampler("latin-hypercube", dims), n)
-        assert abs(found.variance[0] - exact) <= found.error[0]
-        assert found.variance == pytest.approx(exact, rel=1e-3)
-    measured(found, f, "latin-hypercube", n)
+@pytest.mark.parametrize("n", [16, 64, 256])
+def test_digital_shifts_of_smooth_functions(n):
+    """One shift of our own after the other: the interval covers, and is narrow."""
+    f = function("product", 2)
+    exact = mcs.exact_variance(mcs.Estimator(f), mcs.sampler("sobol | digital-shift", 2), n)
+    found = predicted(f, "sobol | digital-shift", n)
+    assert abs(found.variance[0] - exact) <= found.error[0] < 0.05 * exact
 
 
 @pytest.mark.parametrize("dims", [1, 2, 3])
@@ -113,7 +106,6 @@ KNOWN_DISK = Known(function("disk", 2))
         ("disk", "sobol | owen", 3, 512),
         ("disk", "jittered", 3, 512),
         ("disk", "antithetic-jittered", 2, 512),
-        ("disk", "jittered | mirror(mode='fold')", 2, 256),
         ("product", "sobol | digital-shift", 2, 1024),
     ],
 )
@@ -146,11 +138,9 @@ def test_channels_are_predicted_each():
         assert both[0] == pytest.approx(first[0], rel=1e-6)
 
 
-def test_what_cells_do_not_resolve_is_measured_at_our_own_shifts():
-    """Walsh functions of a jump along a diagonal have all their power in few levels, weighed at random."""
+def test_digital_shifts_of_a_jump_along_a_diagonal():
     f = mcs.integrand("christensen-triangle", dims=2)
     found = predicted(f, "sobol | digital-shift", 4096)
-    assert found.route == "digital shifts of the net"
     assert found.error[0] < 0.1 * found.variance[0]
     measured(found, f, "sobol | digital-shift", 4096)
     with pytest.raises(NoClosedForm, match="too many"):

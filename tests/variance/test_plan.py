@@ -24,6 +24,7 @@ def test_random_points_need_the_variance_over_the_squared_error():
 def test_strata_reach_it_at_the_first_count_that_they_can_do():
     """The variance of f = x is 1/(12 n³)."""
     f = mcs.integrand("linear", dims=1)
+    assert float(mcs.plan(f, "jittered", target_error=0.5)["planned_n"]) == 1
     found = mcs.plan(f, "jittered", target_error=1e-4)
     assert float(found["planned_n"]) == math.ceil((1 / (12 * 1e-8)) ** (1 / 3))
     half = mcs.plan(f, "jittered", target_error=2e-4, relative=True)  # of 1/2
@@ -55,6 +56,26 @@ def test_what_never_varies_has_no_plan():
     found = mcs.plan("gaussian", ["sobol", "random"], target_error=1e-2)
     assert np.isnan(found["planned_n"].sel(sampler="sobol"))
     assert "sobol: a deterministic sampler has no variance" in found.attrs["note"]
+
+
+def test_plans_go_down_to_the_least_count_that_there_is():
+    """One point of any unbiased sampler has σ²; an orthogonal array has 4 at least."""
+    f = mcs.integrand("disk", dims=2)
+    samplers = ["random", "jittered | shift", "sobol | owen", "pmj02"]
+    plan = mcs.plan(f, samplers, target_error=0.5)
+    of_one = math.sqrt(math.pi / 16 * (1 - math.pi / 16))
+    np.testing.assert_allclose(plan["planned_error"], of_one, rtol=1e-9)
+    assert (plan["planned_n"] == 1).all()
+    assert float(mcs.plan(f, "orthogonal-array", target_error=0.5)["planned_n"]) == 4
+
+
+def test_what_vanishes_reaches_every_error():
+    """A constant does at one point; a wave where a grid resolves it."""
+    assert float(mcs.plan("constant", "random", target_error=1e-9)["planned_n"]) == 1
+    wave = mcs.integrand("cosine(frequency=1)", dims=1)
+    found = mcs.plan(wave, "regular | shift", target_error=0.1)
+    assert (float(found["planned_n"]), float(found["planned_error"])) == (2, 0)
+    assert "note" not in found.attrs
 
 
 @pytest.mark.parametrize("target", [0.0, -1.0, math.nan, math.inf, "small", None])

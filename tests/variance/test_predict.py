@@ -137,6 +137,26 @@ def test_what_no_theory_predicts_is_extrapolated_and_named():
     assert float(found["energy_share"][0]) == 0.0
 
 
+@pytest.mark.parametrize(
+    ("sampler", "n"),
+    [
+        ("multi-jittered", 64),
+        ("pmj02 | shuffle", 256),
+        ("pmj", 128),
+        ("latin-hypercube(strength=2)", 49),
+        ("orthogonal-array", 121),
+    ],
+)
+@pytest.mark.parametrize("f", [DISK, "gaussian(width=0.1)"])
+def test_sets_that_are_scrambles_of_one_set_have_the_variance_of_a_scrambled_net(f, sampler, n):
+    found = mcs.predict(f, sampler, [n])
+    assert "extrapolated" not in str(found["route"].values[0])
+    measured, error = _measured(f, sampler, n, 4000)
+    low, high = found["predicted_variance_ci"].values[0]
+    assert low - 4 * error < measured < high + 4 * error
+    assert high < 1.1 * float(found["predicted_variance"][0])
+
+
 def test_same_seed_same_bits_whatever_the_threads():
     one, two = (mcs.predict(DISK, "poisson-disk", [16, 32], workers=w) for w in (1, 2))
     np.testing.assert_array_equal(one["predicted_variance_ci"], two["predicted_variance_ci"])

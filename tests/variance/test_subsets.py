@@ -85,6 +85,19 @@ class TestExact:
         found = predicted(known, "latin-hypercube", n)
         assert abs(found.variance[0] - exact) <= found.error[0] < 0.03 * exact
 
+    @pytest.mark.parametrize("n", [16, 1024])
+    def test_latin_hypercubes_keep_the_energy_of_poles(self, n):
+        """(x y)^-0.25: nets see a part of ∫f² alone, and nearly all of it is of single axes."""
+        f = known_of(lambda x: np.prod(np.maximum(x, 1e-300) ** -0.25, axis=-1), 2)
+        ends = np.arange(n + 1) / n
+        between = (16 / 9) * (n * np.diff(ends**0.75) * 4 / 3) ** 2
+        pairs = 1.0 / (n - 1.0)  # of what both axes vary with from stratum to stratum
+        main = between.mean() - (16 / 9) ** 2
+        both = ((n * np.diff(ends**0.75) * 4 / 3) ** 2).mean() - 16 / 9
+        exact = (4.0 - (16 / 9) ** 2 - 2 * main + pairs * both**2) / n
+        found = predicted(f, "latin-hypercube", n)
+        assert abs(found.variance[0] - exact) <= found.error[0] < 0.1 * exact
+
     def test_random_points(self):
         a = 1.0 / (1.0 + np.arange(5.0))
         exact = (np.prod(1.0 + a**2 / 12.0) - 1.0) / 64

@@ -94,7 +94,7 @@ def analysis_verb(name: str) -> Verb:
     all_sets = False
     declarations: list[Declaration]
     if analysis.about == "estimator":
-        several = name == "convergence"  # which compares samplers
+        several = "sampler" in analysis.several
         about = f"sampler spec{'; repeatable' if several else ''}"
         about += f" (default {default_sampler})" if default_sampler else ""
         repeated, required = "all" if several else "once", default_sampler is None
@@ -216,11 +216,10 @@ def _subject(
         estimator = Mirrored(estimator, as_choice("--mirror", options.mirror, MIRRORINGS))
 
     # Let it meet its samplers
-    texts = options.sampler or default_sampler or ""
-    if isinstance(texts, list):
-        samplers = [read_sampler(text, estimator.dims) for text in texts]
-        return as_subject(estimator, samplers, lists=True)
-    return as_subject(estimator, read_sampler(texts, estimator.dims))
+    given = default_sampler if options.sampler is None else options.sampler
+    texts = given if isinstance(given, list) else [str(given)]
+    samplers = [read_sampler(text, estimator.dims) for text in texts]
+    return as_subject(estimator, samplers if len(samplers) > 1 else samplers[0], lists=True)
 
 
 def declared(given: Option, default_note: str = "") -> Declaration:

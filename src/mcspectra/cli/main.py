@@ -46,7 +46,7 @@ _MODULES = {
         "techniques": "variance, terms and rate of each technique by itself, and the bottleneck",
         "remedies": "what would lower the noise at a budget, measured, ranked and explained",
         "exact": "exact variance, where there is a closed form",
-        "predict": "variance and rate at every n, predicted without samples of f",
+        "predict": "variance and rate at every n, predicted from what is known of f and of the sampler",
         "plan": "the least number of points for an error, predicted",
         "profile": "what the noise is, why, and what to do, within a budget",
         "anova": "which axes the variance comes from, effective dimension",
@@ -55,6 +55,9 @@ _MODULES = {
     },
     "chains": {
         "chains": "error of the means of Markov chains, its frequencies, and what is wrong",
+    },
+    "frames": {
+        "frames": "noise of frames of any renderer: variance, rate, fireflies, bias, error spectrum",
     },
     "scenes": {
         "render": "render a scene's direct illumination: image, variance, EXR and PNG",
@@ -205,7 +208,7 @@ def _as_typed(sentence: str, parser: argparse.ArgumentParser, *, analyses: bool)
         if flag:
             sentence = re.sub(rf"^{name}(?= (?:is|has)\b)", flag, sentence)
         if flag and analyses:
-            outside = r"(?<![\w(])(?<!, )"  # of the brackets of a spec
+            outside = r"(?<![\w(])(?<!, )(?<!says )"  # of the brackets of a spec
             sentence = re.sub(rf"{outside}{name}=(['\"]?)([\w.-]+)\1", rf"{flag} \2", sentence)
             sentence = re.sub(rf"(?<![\w-]){name}\b", flag, sentence) if "_" in name else sentence
     if not (analyses and re.search(r"[a-z]_[a-z]|use convergence", sentence)):

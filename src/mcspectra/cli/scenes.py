@@ -197,9 +197,16 @@ def _compare(
     option("scene", "scene, e.g. veach, or a Mitsuba XML file"),
     option("X", "column of the pixel, or the name of a pixel"),
     option("Y", "row of the pixel", whole(0), nargs="?"),
+    option(
+        "--integrator SPEC",
+        "whole paths by this integrator, e.g. 'path(max_depth=5)', or scene for the scene's own; "
+        "without it the pixel's direct light",
+    ),
     option("--light NAME", "the one light that counts; all by default", index_or_name),
     option("--channel CHANNEL", "luminance (default), 0, 1 or 2", index_or_name),
-    option("-d, --dims D", "2, or 3 to select lobes", whole()),
+    option(
+        "-d, --dims D", "2, or 3 to select lobes; of paths: coordinates with good points", whole()
+    ),
     option(
         "--samplers SPEC",
         "samplers to compare; random, jittered, 'jittered | shift' and 'sobol | owen'. The first "
@@ -220,7 +227,8 @@ def _compare(
 def pixel_(options: argparse.Namespace) -> Answer:
     """Everything about one pixel of a scene: what it sees, rates, terms, bottleneck, remedies.
 
-    The pixel is X Y, counted from the left and from the top, or the name of one (figure1 has P and Q). With
+    This is about direct light; with --integrator, about whole paths: rates of samplers, the parts of the
+    variance by bounce and decision, and how many coordinates deserve good points. The pixel is X Y, counted from the left and from the top, or the name of one (figure1 has P and Q). With
     --out DIR, DIR/report.html, DIR/pixel.json and DIR/figures/ are written.
     """
     from mcspectra.report.pixel_page import pixel_summary, write_pixel
@@ -235,18 +243,63 @@ def pixel_(options: argparse.Namespace) -> Answer:
     # Options that are not given are left to the function
     passed = ("light", "channel", "dims", "samplers", "counts", "realizations", "budget")
     given = {name: getattr(options, name) for name in passed}
+    given = {name: value for name, value in given.items() if value is not None}
+    effort = "full" if options.full else "quick"
+    if options.integrator is not None:
+        return _path(options, x, effort, given)
     tree = analyse_pixel(
         options.scene,
         x,
         options.y,
         remedies=not options.no_remedies,
-        effort="full" if options.full else "quick",
+        effort=effort,
         rng=options.seed or 0,
-        **{name: value for name, value in given.items() if value is not None},
+        **given,
     )
     text, data = _pixel_text(tree), pixel_summary(tree)
     if options.out is not None:
         data["report"] = page = write_pixel(tree, options.out)
+        text += f"\n\nreport: {page}"
+    return Answer(text, data)
+
+
+def _path(options: argparse.Namespace, x: int | str, effort: str, given: dict[str, Any]) -> Answer:
+    """The noise of whole paths at a pixel."""
+    from mcspectra.report.path_page import (
+        PATH_TABLES,
+        path_rows,
+        path_sentences,
+        path_summary,
+        write_path,
+    )
+    from mcspectra.studies.path import analyse_path
+
+    refused = [f"--{name}" for name in ("light", "budget") if name in given]
+    refused += ["--no-remedies"] * options.no_remedies
+    if refused:
+        raise ParameterError(f"{refused[0]} is for direct light; leave it out with --integrator.")
+    tree = analyse_path(
+        options.scene,
+        x,
+        options.y,
+        integrator=options.integrator,
+        effort=effort,
+        rng=options.seed or 0,
+        **given,
+    )
+    known = tree.attrs
+    head = (
+        f"pixel ({known['x']}, {known['y']}) of {known['scene']}, integrator {known['integrator']}: "
+        f"{known['dims']} random numbers a path"
+    )
+    tables = [text_table(list(PATH_TABLES[name]), rows) for name, rows in path_rows(tree).items()]
+    said = [
+        textwrap.fill(f"{name}: {text}", _WIDTH, subsequent_indent="  ")
+        for name, text in path_sentences(tree)
+    ]
+    text, data = "\n\n".join([head, *tables, "\n".join(said)]), path_summary(tree)
+    if options.out is not None:
+        data["report"] = page = write_path(tree, options.out)
         text += f"\n\nreport: {page}"
     return Answer(text, data)
 
@@ -311,14 +364,14 @@ def _map_options(parser: argparse.ArgumentParser) -> None:
     option("scene", "scene, e.g. veach, or a Mitsuba XML file"),
     option("--out DIR", "output folder", default="out/map"),
     option("--resume", "go on with the tiles of DIR"),
-    option("--sampler SPEC", "default jittered", default="jittered"),
+    option("--sampler SPEC", "default jittered; with --integrator 'sobol | owen'"),
     option("--workers N", "threads; all processors by default", whole()),
     _map_options,
 )
 def map_(options: argparse.Namespace) -> Answer:
     """Map variance, its rate and what decides it over an image of a scene.
 
-    Writes DIR/maps.exr (all layers), DIR/*.png, *.pdf, DIR/map.json and DIR/report.html;
+    This is about direct light by several strategies; with --integrator, about whole paths. Writes DIR/maps.exr (all layers), DIR/*.png, *.pdf, DIR/map.json and DIR/report.html;
     DIR/study.sqlite keeps what is finished, and --resume goes on from there.
     """
     from mcspectra.cli.analysis import given_options
@@ -333,12 +386,13 @@ def map_(options: argparse.Namespace) -> Answer:
 
     # Refuse what cannot be before there is a folder
     analysis = checked(Map(**given_options(options, Map)))
-    subject = Subject(None, read_sampler(options.sampler, analysis.dims))
+    sampler = analysis.default_sampler if options.sampler is None else options.sampler
+    subject = Subject(None, read_sampler(sampler, analysis.points_dims))
     analysis.need(subject)
     analysis.reduction(subject, Stream.from_rng(0))
 
     # Measure as a study of one map, and write
-    entry = SceneConfig(name="map", samplers=(options.sampler,), kind="map", analysis=analysis)
+    entry = SceneConfig(name="map", samplers=(sampler,), kind="map", analysis=analysis)
     study = StudyConfig(title=f"Map of {options.scene}", seed=options.seed or 0, scenes=(entry,))
     trust = Trust((), (Path(options.scene).parent,))
     run_study(study, options.out, resume=options.resume, workers=options.workers, trust=trust)

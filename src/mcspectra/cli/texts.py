@@ -55,6 +55,15 @@ def _columns(result: xr.Dataset, *names: str) -> Iterator[tuple[Any, ...]]:
     return zip(*(result[name].values.ravel() for name in names), strict=True)
 
 
+def _by_sampler(result: xr.Dataset) -> Iterator[tuple[str, xr.Dataset]]:
+    """The sampler and its part of a result, one by one."""
+    if "sampler" not in result.dims:
+        yield str(result.attrs.get("sampler", "")), result
+    else:
+        for sampler in result["sampler"].values:
+            yield str(sampler), result.sel(sampler=sampler)
+
+
 def data_of(result: xr.Dataset) -> dict[str, Any]:
     """All attributes, and all variables of a size that one reads."""
     small = {str(name): v.values for name, v in result.variables.items() if v.size <= _MANY}
@@ -142,8 +151,7 @@ def convergence(result: xr.Dataset) -> Answer:
     """Prints the variance at each n, the rate ± half its interval, and how well a line fits."""
     header = ["sampler", "", *(f"n = {n}" for n in result["n"].values), "rate", "±"]
     rows, curves, notes, unresolved = [], [], [], ""
-    for sampler in result["sampler"].values:
-        picked = result.sel(sampler=sampler)
+    for sampler, picked in _by_sampler(result):
         channels = picked.sizes.get("channel", 0)
         for channel in range(max(channels, 1)):
             curve = picked.isel(channel=channel) if channels else picked
@@ -165,7 +173,7 @@ def convergence(result: xr.Dataset) -> Answer:
                     curve["variance"].values, curve["variance_ci"].values, strict=True
                 )
             ]
-            rows.append([str(sampler), label, *variances, *fit])
+            rows.append([sampler, label, *variances, *fit])
         missed = result["n"].values[picked["reached"].values == 0] if "reached" in result else []
         if len(missed):
             goal, most = result.attrs["relative_error"], result.attrs["realizations"]
@@ -174,7 +182,7 @@ def convergence(result: xr.Dataset) -> Answer:
                 f"at n = {', '.join(map(str, missed))}"
             )
         values = {str(name): variable.values for name, variable in picked.data_vars.items()}
-        curves.append({"sampler": str(sampler), "n": result["n"].values, **values})
+        curves.append({"sampler": sampler, "n": result["n"].values, **values})
     table = text_table([*header, "fit from n", "χ²/dof"], rows)
     title = f"variance of {result.attrs['estimator']}"
     return _shown(title, table, *notes, unresolved, _note(result), curves=curves)
@@ -182,7 +190,11 @@ def convergence(result: xr.Dataset) -> Answer:
 
 @_view("terms")
 def terms(result: xr.Dataset) -> Answer:
-    """Prints the terms, their sum, the measured variance, and the share that was captured."""
+    """Prints the terms, their sum, the measured variance, the share that was captured, and the rest.
+
+    The energy share is the part of ∫f² within the half width, the tail term the variance of what is
+    beyond if points are random to it.
+    """
     known = result.attrs
     about = (
         f"coefficients: {known['coefficients']}; {known['realizations']} realisations; "
@@ -190,10 +202,11 @@ def terms(result: xr.Dataset) -> Answer:
     )
     rows = []
     sums = ("predicted_variance", "measured_variance", "captured")
-    for name in ("dc_term", "power_term", "cross_term", *sums):
+    for name in ("dc_term", "power_term", "cross_term", *sums, "energy_share", "tail_term"):
         values = np.atleast_1d(result[name].values)
         shown = ", ".join(_number(v, 6, "undefined") for v in values)
-        interval = _interval(np.atleast_2d(result[f"{name}_ci"].values)[0])
+        ends = np.atleast_2d(result[f"{name}_ci"].values)[0] if f"{name}_ci" in result else None
+        interval = "" if ends is None else _interval(ends)
         rows.append([name.replace("_", " "), "", shown, interval])
     table = text_table(["", "", "value", "95 % interval"], rows)
     labels = result["band"].attrs["labels"].split(", ")
@@ -330,7 +343,7 @@ def anova(result: xr.Dataset) -> Answer:
             ends = _error(one, name, ())
             ends = f", 95 % interval {ends}" if ends else ""
             lines.append(f"{name.replace('_', ' ')}: {_number(float(one[name]), 6, missing)}{ends}")
-    return _shown(*lines, subset=labels)
+    return _shown(*lines, _note(result), subset=labels)
 
 
 @_view("exact")
@@ -360,55 +373,60 @@ def profiled(result: xr.Dataset) -> Answer:
 @_view("plan")
 def planned(result: xr.Dataset) -> Answer:
     """Prints the least n for the error, and the predicted errors at other n."""
-    variance = (
-        result["predicted_variance"].max("channel")
-        if "channel" in result.dims
-        else result["predicted_variance"]
-    )
+    variances = [one["predicted_variance"] for _, one in _by_sampler(result)]
+    columns = [np.sqrt(v.values.reshape(result.sizes["n"], -1).max(axis=1)) for v in variances]
     rows = [
-        [f"{int(n)}", f"{float(v) ** 0.5:.4e}"]
-        for n, v in zip(result["n"].values, variance.values, strict=True)
-        if np.isfinite(v)
+        [str(n), "", *(_number(float(error), 5) for error in row)]
+        for n, *row in zip(result["n"].values, *columns, strict=True)
+        if np.isfinite(row).any()
     ]
+    named = "sampler" in result.dims
+    header = ["n", "", *(map(str, result["sampler"].values) if named else ["predicted RMSE"])]
+    known = result.attrs
+    goal = f"RMSE {known['target_error']:g}{' of the integral' if known['relative'] else ''}"
     return _shown(
-        f"RMSE {result.attrs['target_error']:g}"
-        f"{' of the integral' if result.attrs['relative'] else ''} of {_title(result)}: "
-        f"{result.attrs['recommendation']}",
-        text_table(["n", "predicted RMSE"], rows),
+        f"{goal} of {_title(result)}: {known['recommendation']}",
+        "predicted RMSE" if named and rows else "",
+        text_table(header, rows) if rows else "",
+        "" if _note(result) in known["recommendation"] else _note(result),
     )
 
 
 @_view("predict")
 def prediction(result: xr.Dataset) -> Answer:
     """Prints the predicted variance at each n with its interval, its local rate and its route."""
-    counts, rows = result["n"].values, []
-    names = ("predicted_variance", "local_rate", "energy_share")
-    value, rate, share = (result[name].values.reshape(len(counts), -1) for name in names)
-    ends = result["predicted_variance_ci"].values.reshape(*value.shape, 2)
-    if np.isnan(value).all():
+    if np.isnan(result["predicted_variance"]).all():
         raise NoClosedForm(f"{_note(result)[:1].upper()}{_note(result)[1:]}.")
-    for k, n in enumerate(counts):
-        for channel in range(value.shape[1]):
+    parts = [f"predicted variance of {_title(result)}"]
+    names = ("predicted_variance", "local_rate", "energy_share")
+    header = ["n", "", "variance", "95 %", "local rate", "share", "route"]
+    for sampler, one in _by_sampler(result):
+        counts, rows = one["n"].values, []
+        value, rate, share = (one[name].values.reshape(len(counts), -1) for name in names)
+        ends = one["predicted_variance_ci"].values.reshape(*value.shape, 2)
+        for k, channel in np.ndindex(value.shape):
+            slope = rate[k, channel]
             numbers = (
-                f"{value[k, channel]:.4g}",
+                _number(float(value[k, channel]), 4),
                 _interval(ends[k, channel]),
-                f"{rate[k, channel]:+.2f}",
+                f"{slope:+.2f}" if np.isfinite(slope) else "–",
+                f"{share[k, channel]:.4f}" if np.isfinite(share[k, channel]) else "–",
             )
             label = f"[{channel}]" if value.shape[1] > 1 else ""
-            route = str(result["route"].values[k])
-            rows.append([str(n), label, *numbers, f"{share[k, channel]:.4f}", route])
-    header = ["n", "", "variance", "95 %", "local rate", "share", "route"]
-    rates = "; ".join(
-        f"rate: {rate:+.3f}"
-        + (f", tends to {limit:+.3f}" if np.isfinite(limit) else "")
-        + (f", bends at n = {bend:.3g}" if np.isfinite(bend) else "")
-        for rate, limit, bend in zip(
-            *(result[v].values.reshape(-1) for v in ("predicted_rate", "limit_rate", "bend_n")),
-            strict=True,
+            rows.append([str(counts[k]), label, *numbers, str(one["route"].values[k])])
+        rates = "; ".join(
+            f"rate: {rate:+.3f}"
+            + (f", tends to {limit:+.3f}" if np.isfinite(limit) else "")
+            + (f", bends at n = {bend:.3g}" if np.isfinite(bend) else "")
+            for rate, limit, bend in _columns(one, "predicted_rate", "limit_rate", "bend_n")
+            if np.isfinite(rate)
         )
-    )
-    title = f"predicted variance of {_title(result)}"
-    return _shown(title, text_table(header, rows), rates, _note(result))
+        parts += [
+            f"\n{sampler}" if "sampler" in result.dims else "",
+            text_table(header, rows),
+            rates,
+        ]
+    return _shown(*parts, _note(result))
 
 
 @_view("remedies")

@@ -103,10 +103,10 @@ class Subject:
     Attributes
     ----------
     estimator
-        An estimator; None where an analysis is about point sets or a scene alone. `convergence` also
-        takes a list.
+        An estimator; None where an analysis is about point sets or a scene alone. A list where the
+        analysis takes `several`.
     sampler
-        A sampler; `convergence` also takes a list.
+        A sampler; a list where the analysis takes `several`.
     density
         Importance density of the points, for analyses of point sets; by default the estimator's,
         if it has a single one.
@@ -115,6 +115,16 @@ class Subject:
     estimator: Any
     sampler: Any
     density: Any = None
+
+    @property
+    def estimators(self) -> list[Any]:
+        """The estimators, one or more."""
+        return _listed(self.estimator)
+
+    @property
+    def samplers(self) -> list[Any]:
+        """The samplers, one or more."""
+        return _listed(self.sampler)
 
 
 @final
@@ -150,6 +160,8 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         Its verb on the command line; empty if it has none.
     about
         What it takes: an estimator with a sampler, a sampler with a density at most, or a scene.
+    several
+        What it takes lists of, too: ``"estimator"``, ``"sampler"``, or both.
     variables
         Names of its variables in `mcspectra.core.results.VARIABLES`, and `Variable`s of its own.
     provenance
@@ -162,6 +174,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     function: ClassVar[str] = ""
     verb: ClassVar[str] = ""
     about: ClassVar[Literal["estimator", "sampler", "scene"]] = "estimator"
+    several: ClassVar[tuple[Literal["estimator", "sampler"], ...]] = ()
     variables: ClassVar[tuple[str | Variable, ...]] = ()
     provenance: ClassVar[tuple[str, ...]] = ()
     companions: ClassVar[tuple[str, ...]] = ()
@@ -333,9 +346,20 @@ def needed(analysis: Analysis, subject: Subject) -> Need:
     ------
     AnalysisError
         That is no `Need`.
+    ParameterError
+        A list of what the analysis takes one of, or one sampler twice.
     McspectraError
         As of its `need`.
     """
+    for what in ("estimator", "sampler"):
+        if isinstance(getattr(subject, what), list | tuple) and what not in analysis.several:
+            raise ParameterError(
+                f"{_name(analysis)} takes one {what} at a time; ask it for each of the list."
+            )
+    names = [getattr(each, "spec", None) for each in subject.samplers]
+    for name in names:
+        if names.count(name) > 1:
+            raise ParameterError(f"The sampler {name} is listed twice; list each once.")
     need: Any = analysis.need(subject)
     if not isinstance(need, Need):
         raise AnalysisError(
@@ -345,6 +369,10 @@ def needed(analysis: Analysis, subject: Subject) -> Need:
     if most is not None and need.evaluations > most:
         Tally(_name(analysis), most, refused=need.evaluations).check()
     return need
+
+
+def _listed(given: Any) -> list[Any]:
+    return list(given) if isinstance(given, list | tuple) else [given]
 
 
 def _most(analysis: Analysis) -> int | None:

@@ -23,9 +23,9 @@ from mcspectra.core.checks import Array, as_real_array
 from mcspectra.core.decoding import check_decoded_size, opened, read_npy, read_npz
 from mcspectra.core.errors import FileFormatError, ParameterError
 
-__all__ = ["IMAGE_EXTENSIONS", "REC709", "luminance", "read_image"]
+__all__ = ["IMAGE_EXTENSIONS", "REC709", "exr_attributes", "luminance", "read_image"]
 
-IMAGE_EXTENSIONS = (".png", ".jpg", ".jpeg", ".exr", ".npy", ".npz")
+IMAGE_EXTENSIONS = (".png", ".jpg", ".jpeg", ".exr", ".pfm", ".npy", ".npz")
 """Names that `read_image` knows."""
 
 REC709 = np.array([0.2126, 0.7152, 0.0722])
@@ -33,7 +33,13 @@ REC709 = np.array([0.2126, 0.7152, 0.0722])
 _ENTRIES = 2**20  # of a picture that are looked up at a time
 
 
-def read_image(path: str | PathLike[str], *, linear: bool = False) -> Array:
+def read_image(
+    path: str | PathLike[str],
+    *,
+    linear: bool = False,
+    layer: str | None = None,
+    finite: bool = True,
+) -> Array:
     """Read a picture or an array as float64 (height, width, channels).
 
     Parameters
@@ -45,16 +51,21 @@ def read_image(path: str | PathLike[str], *, linear: bool = False) -> Array:
           from 0 to 1. Pillow reads color PNG of 16 bits with 8 (gray keeps its 16).
         * EXR: the R, G, B of the first layer that has them (the nameless layer first), else the
           first Y, in the data window.
+        * PFM: 1 or 3 channels, as they are.
         * ``.npy``, ``.npz``: shape (height, width) or (height, width, channels), values as they
           are; in ``.npz`` the array called ``image``, or the only one.
     linear
         Take the values of PNG and JPEG as they are, without undoing the sRGB transfer function.
+    layer
+        Of an EXR file: take the R, G, B, the Y, or the only channel of this layer.
+    finite
+        Refuse pixels that are NaN or infinite.
 
     Raises
     ------
     FileFormatError
-        No such file, a folder, an unknown name, broken or truncated, no pixels, pixels that are NaN
-        or infinite, or more of them than `mcspectra.core.decoding` lets a file of its size have.
+        No such file, a folder, an unknown name, broken or truncated, no pixels or layer, pixels that are
+        NaN or infinite, or more of them than `mcspectra.core.decoding` lets a file of its size have.
 
     Notes
     -----
@@ -63,7 +74,9 @@ def read_image(path: str | PathLike[str], *, linear: bool = False) -> Array:
     with opened(path, "an image", IMAGE_EXTENSIONS) as (stream, size, file, extension):
         match extension:
             case ".exr":
-                pixels = _read_exr(file, size)
+                pixels = _read_exr(file, size, layer)
+            case ".pfm":
+                pixels = _read_pfm(stream, size, file)
             case ".npy":
                 pixels = read_npy(stream, size, file)
             case ".npz":
@@ -78,7 +91,7 @@ def read_image(path: str | PathLike[str], *, linear: bool = False) -> Array:
             "(height, width, channels), none of them 0."
         )
     image = np.asarray(pixels if pixels.ndim == 3 else pixels[..., None], np.float64)
-    bad = image.size - int(np.count_nonzero(np.isfinite(image)))
+    bad = image.size - int(np.count_nonzero(np.isfinite(image))) if finite else 0
     if bad:
         raise FileFormatError(
             f"{file} has {bad} NaN or infinite values; repair those pixels first."
@@ -138,7 +151,34 @@ def _read_pillow(stream: IO[bytes], size: int, name: str, linear: bool) -> Array
     return pixels
 
 
-def _read_exr(name: str, size: int) -> Array:
+def _read_pfm(stream: IO[bytes], size: int, name: str) -> Array:
+    """Values of a portable float map (height, width, 1 or 3), whose rows run from the bottom up."""
+    kind, width, height, scale = b" ".join(stream.readline(99) for _ in range(3)).split()
+    shape = int(height), int(width), {b"Pf": 1, b"PF": 3}[kind]
+    count = math.prod(shape)
+    if min(shape) < 1 or 4 * count > size:
+        raise EOFError
+    check_decoded_size(name, size, 12 * count)
+    values = np.frombuffer(stream.read(4 * count), "<f4" if float(scale) < 0 else ">f4", count)
+    return values.reshape(shape)[::-1].astype(np.float64)
+
+
+def exr_attributes(path: str | PathLike[str]) -> dict[str, object]:
+    """Return what an EXR file's headers say, by name; the first part's word counts.
+
+    Raises
+    ------
+    FileFormatError
+        No such file, or broken.
+    """
+    import OpenEXR
+
+    with opened(path, "an image", (".exr",)) as (_, _, file, _):
+        parts = OpenEXR.File(file, separate_channels=True, header_only=True).parts
+        return {key: part.header[key] for part in reversed(parts) for key in part.header}
+
+
+def _read_exr(name: str, size: int, layer: str | None) -> Array:
     import OpenEXR
 
     head = OpenEXR.File(name, separate_channels=True, header_only=True)
@@ -157,9 +197,18 @@ def _read_exr(name: str, size: int) -> Array:
 
     # Take R, G, B, else Y, of the first layer that has them; the nameless layer comes first
     layers = sorted({channel.rpartition(".")[0] for channel in listed})
-    offers = (
-        [f"{layer}.{c}" if layer else c for c in cs] for cs in ("RGB", "Y") for layer in layers
-    )
+    if layer is not None and layer not in (*layers, *listed):
+        raise FileFormatError(
+            f"{name} has no layer {layer!r}, but {', '.join(map(repr, (*layers, *sorted(listed))))}."
+        )
+    offers = [
+        [f"{each}.{c}" if each else c for c in cs]
+        for cs in ("RGB", "Y")
+        for each in (layers if layer is None else [layer])
+    ]
+    if layer is not None:  # a channel of that name, else the only one of the layer
+        own = [c for c in listed if c.rpartition(".")[0] == layer]
+        offers += [[layer], own[:1] if len(own) == 1 else [""]]
     names = next((offer for offer in offers if listed.issuperset(offer)), None)
     if names is None:
         raise FileFormatError(

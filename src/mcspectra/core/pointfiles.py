@@ -126,7 +126,9 @@ def write_points(
     try:
         file.write_bytes(content)
     except OSError as error:
-        raise FileFormatError(f"{file} cannot be written: {error.strerror or error}.") from None
+        raise FileFormatError(
+            f"{str(file)!r} cannot be written: {error.strerror or error}."
+        ) from None
 
 
 def parse_dat(text: str, name: str) -> list[Array]:

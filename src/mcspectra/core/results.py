@@ -203,6 +203,21 @@ dominant_technique | f | 1 | y x | technique of the larger variance; −1: undec
 mis_gain | f | 1 | y x | variance of the better single strategy / variance of MIS
 predicted_ratio | f | 1 | strategy y x | predicted / measured variance at the largest n
 wraparound_discrepancy | f | 1 | any | wrap-around L2 discrepancy
+relative_rmse | f | 1 | n y x | σ / mean of one frame
+largest_share | f | 1 | n y x | share of the frame that is farthest from the mean in the sum of squares
+picture_variance | f | f² | n | mean over the pixels of the variance of one frame
+picture_rate | f | 1 | | exponent of the mean variance in samples a pixel
+needed_spp | f | 1 | y x | samples a pixel at which the wanted σ / mean is reached
+error_spectrum | f | 1 | n radius | power of the standardised errors of a frame; white noise: 1
+error_correlation | f | 1 | n lag_y lag_x | correlation of the errors of pixels at a distance
+flip | f | 1 | n y x | FLIP of one frame against the mean
+predicted_power | f | f² | radius | power of an image of errors, from spectra; white noise: the variance
+measured_power | f | f² | radius | power of an image of errors
+low_share | f | 1 | | power of errors at low frequencies between pixels / its mean; white noise: 1
+difference | f | f | y x | mean minus that of the other frames
+difference_z | f | 1 | y x | that difference over its standard error, as a normal deviate (Welch)
+picture_ratio | f | 1 | | mean variance / that of the other frames
+equal_time_ratio | f | 1 | | mean variance × time / that of the other frames
 value | f | f | | integral, mean over the replicates
 interval | f | f | bound | 95 % interval: integral
 replicates | i | 1 | | independent point sets

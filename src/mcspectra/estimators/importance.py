@@ -152,8 +152,11 @@ def as_subject(estimator: Any, sampler: Any, *, lists: bool = False) -> Subject:
     several, many = (lists and isinstance(given, list | tuple) for given in (estimator, sampler))
     if (several and not estimator) or (many and not sampler):
         raise ParameterError("A list is empty; give at least one estimator and one sampler.")
-    dims = getattr(sampler, "dims", None)
-    estimators = [as_estimator(e, dims) for e in (estimator if several else [estimator])]
+    dims = getattr(sampler, "dims", None)  # of specs that leave them open
+    estimators = [
+        as_estimator(e, dims if isinstance(e, str) else None)
+        for e in (estimator if several else [estimator])
+    ]
     samplers = [as_sampler(s, estimators[0].dims) for s in (sampler if many else [sampler])]
     return Subject(estimators if several else estimators[0], samplers if many else samplers[0])
 

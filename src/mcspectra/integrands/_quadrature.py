@@ -35,6 +35,7 @@ __all__ = [
     "AxisRule",
     "Estimate",
     "adaptive_integral",
+    "found_breaks",
     "gauss_rule",
     "grid_coefficients",
     "lattice_integral",
@@ -60,9 +61,22 @@ PROBE = 2**17
 """Points of `probe`, each of which stands for this part of the volume."""
 _SIGMAS = 3.0
 _INSET = (1e-10, 1e-6)  # of corners in 1-D and beyond, of the size of a box: slivers may be as thin
-_LEAST_INSET = 2.0**-51
+_LEAST_INSET = 2.0**-51  # of the place
 _SMOOTH = 100.0  # times the last coefficients, which smooth functions do not exceed at a corner
 _LEAST_SEEN = 30  # points of a probe whose spread is an error bar
+_LOOKS = 2  # times as many points, that look at what the first ones led to
+_SMALLEST, _TINIEST = 2.0**-44, 2.0**-500  # sizes of a box, relative to its place and at 0
+_SLOW, _LEVELS = 0.99, 4  # largest ratio of successive differences, and levels that show it
+_HALVES, _UNSETTLED = 0.55, 1.5
+
+_LINE, _END = 2**14, 2.0**-40  # steps of a line, and where it begins
+_CANDIDATES = 16  # of a line: its largest steps
+_CUTS, _CUT = 34, 0.4871  # of a step, down to 2^-46, at no dyadic part of it
+_PEAKS, _CLIMBS, _GROWN = 4, 24, 4.0  # of a line, halvings about a pole, and what these lead to
+_STAYS = 0.5  # part of a step that is left of a jump
+_ASIDE, _ABOUT = 2.0**-20, 2.0**-30  # to a second line, and distance from the jump there
+_SAME_BREAK = 2.0**-40
+_FOUND = 2.0**-46  # width within which they lie
 
 
 @functools.lru_cache(maxsize=32)
@@ -214,28 +228,33 @@ def _columns(function: Integrand, x: Array) -> Array:
 def adaptive_integral(function: Integrand) -> Estimate:
     """∫ f in up to 5 dims by boxes that split until their halves agree: value (C,), C ≥ 1 channels.
 
-    Gauss-Legendre tensor rules on cells cut at the breaks; a cell is replaced by its 2^d parts, while
+    Gauss-Legendre tensor rules on cells cut at `found_breaks`; a cell is replaced by its 2^d parts, while
     2^21 evaluations last, if they differ from it by more than its share of 1e-12 of ∫|f|, or if
     the polynomial through their nodes is not what f is at a point of `probe`, each of which stands
-    for 2^-17 of the volume. The error is the sum of the last differences, or, if that is less, three
-    standard errors of the mean of f minus polynomials over the probe, which is then added to the
-    value; and, where evaluations do not last, what only the probe saw.
+    for 2^-17 of the volume. The error is the sum of the last differences and of those that they would
+    lead to, or, if that is less, three standard errors of the mean of f minus polynomials over the
+    probe, which is then added to the value. Boxes that split for the probe alone are those that it hit,
+    not all that it might have hit: 2^18 other points then correct the value and give its error.
     """
-    dims = function.dims
+    dims, method = function.dims, "adaptive Gauss-Legendre quadrature with a probe"
     order = _CELL_ORDER[dims]
 
     # Cut the first cells at the breaks: lower corners and sizes (N, d)
-    uniform = np.linspace(0.0, 1.0, _CELLS[dims] + 1)
-    edges = [np.union1d(uniform, [b for b in axis if 0 < b < 1]) for axis in function.breaks]
+    breaks = found_breaks(function)
+    edges = [np.union1d(_uniform(dims), axis) for axis in breaks]
     low = _tensor([e[:-1] for e in edges]).reshape(-1, dims)
     size = _tensor([np.diff(e) for e in edges]).reshape(-1, dims)
 
+    def cells_of(x: Array) -> Array:
+        found = [np.searchsorted(e, t, side="right") - 1 for e, t in zip(edges, x.T, strict=True)]
+        return np.asarray(np.ravel_multi_index(tuple(found), tuple(len(e) - 1 for e in edges)))
+
     # Values at the points of the probe, and the cell of each
     points = probe(dims)
-    steps = range(0, len(points), _BLOCK)
-    seen = np.concatenate([_columns(function, points[i : i + _BLOCK]) for i in steps])
-    places = [np.searchsorted(e, x, side="right") - 1 for e, x in zip(edges, points.T, strict=True)]
-    cell = np.ravel_multi_index(tuple(places), tuple(len(e) - 1 for e in edges))
+    cell = cells_of(points)
+    seen = probed = function.__dict__.pop("_probed", None)
+    if seen is None:
+        seen = probed = _at_points(function, points)
 
     weights = _tensor([gauss_rule(order)[1]] * dims).reshape(-1, dims).prod(axis=-1)
     coarse = weights @ _cell_values(function, low, size, order)[0] * size.prod(axis=-1)[:, None]
@@ -245,6 +264,9 @@ def adaptive_integral(function: Integrand) -> Estimate:
     halves = _tensor([np.array([0.0, 0.5])] * dims).reshape(-1, dims)
     digits = 2 ** np.arange(dims)[::-1]
     fresh, surprises = np.full(len(points), True), np.zeros(coarse.shape[1])
+    alone = np.zeros(coarse.shape[1])  # what boxes that did not change are wrong by, for the probe
+    levels: list[tuple[Array, Array, Array, Array, Array]] = []
+    left: list[Array] = []  # differences of each level, in cells that changed
     while True:
         # Halve the boxes along every axis, the parts of a box side by side
         budget -= len(low) * (2 * order) ** dims
@@ -265,48 +287,202 @@ def adaptive_integral(function: Integrand) -> Estimate:
         missed[np.abs(missed) * share <= _INTEGRAL_TOLERANCE * scale] = 0.0
         bad = changed | (np.bincount(cell, missed.any(axis=1), len(coarse)) > 0)
         surprise = fresh & ~changed[cell] & missed.any(axis=1)
-        surprises += (missed[surprise] ** 2).sum(axis=0)
+        alone += missed[surprise].sum(axis=0) / PROBE
+        surprises = np.maximum(surprises, np.abs(missed[surprise]).max(axis=0, initial=0.0))
         slivers = (_slivers(values, corners) * volume[:, None]).reshape(fine.shape).sum(axis=1)
         slivers[slivers <= _INTEGRAL_TOLERANCE * scale / len(coarse)] = 0.0
         bad |= slivers.any(axis=1)
+        bad &= (size > _SMALLEST * (low + size) + _TINIEST).all(axis=-1)[:: 2**dims]
         done = np.count_nonzero(bad) * (4 * order) ** dims > budget or not bad.any()
         settled = np.full(len(bad), True) if done else ~bad
         total += better[settled].sum(axis=0)
-        error += (difference + slivers * ~changed[:, None])[settled].sum(axis=0)
+        left.append(difference[changed].sum(axis=0))
+        after = np.where((settled & changed)[:, None], _after(left[-_LEVELS:]), 1.0)
+        error += (difference * after + slivers * ~changed[:, None])[settled].sum(axis=0)
+        keep = np.repeat(bad & (not done), 2**dims)
+        levels.append((low, size, values, keep, np.repeat(changed, 2**dims)))
         if done:
             break
-        keep = np.repeat(bad, 2**dims)
         low, size, coarse = low[keep], size[keep], fine[bad].reshape(-1, fine.shape[-1])
         inside = keep[part]
         cell = (np.cumsum(keep) - 1)[part[inside]]
         points, seen, fresh = points[inside], seen[inside], (fresh & ~surprise)[inside]
 
-    # Let the probe correct what is not resolved, or say that its cells missed something
-    unresolved = changed[cell]
-    rest, hidden = missed[unresolved] / PROBE, (missed * share)[~unresolved]
+    # Let the probe correct what is not resolved
+    rest = missed[changed[cell]] / PROBE
     shift, spread = rest.sum(axis=0), _SIGMAS * np.sqrt((rest**2).sum(axis=0))
     better_known = (np.count_nonzero(rest, axis=0) >= _LEAST_SEEN) & (spread < error)
     biased = ~better_known & (_SIGMAS * np.abs(shift) > 2.0 * spread)
     total = np.where(better_known, total + shift, total)
     error = np.where(better_known, spread, np.where(biased, error + np.abs(shift) + spread, error))
     error += _SIGMAS * _INTEGRAL_TOLERANCE * scale  # of jumps in cells of no weight
-    error += np.abs(hidden.sum(axis=0)) + _SIGMAS * np.sqrt((hidden**2).sum(axis=0))
-    if bad.any():  # what only the probe had seen may go on where it was not hit
-        error += _SIGMAS / PROBE * np.sqrt(surprises)
-    return Estimate(total, float(error.max()), "adaptive Gauss-Legendre quadrature with a probe")
+    error += _FOUND * sum(map(len, breaks)) * np.ptp(probed, axis=0)
+    if not surprises.any():
+        return Estimate(total, float(error.max()), method)
+
+    # Look again, at other points, at cells that did not change: in 1-D the probe hits all that is as
+    # wide as what it saw, in more dims what nobody hit may be one of 2^18 points with 5 %
+    again = probe(dims, _LOOKS)
+    rest = _hidden(levels, again, cells_of(again), _at_points(function, again)) / len(again)
+    rest[np.abs(rest) * len(again) <= _INTEGRAL_TOLERANCE * scale] = 0.0
+    largest = np.maximum(np.abs(rest).max(axis=0), surprises / len(again))
+    unseen = largest if dims > 1 else np.where(rest.any(axis=0), largest, 0.0)
+    unseen = _SIGMAS * np.sqrt((rest**2).sum(axis=0) + unseen**2)
+    function.__dict__["_unseen"] = np.maximum(np.abs(alone), np.abs(rest.sum(axis=0))) + unseen
+    error += unseen
+    total += rest.sum(axis=0)
+    return Estimate(total, float(error.max()), method)
+
+
+def found_breaks(function: Integrand) -> tuple[Array, ...]:
+    """For each axis the breaks that f declares, and jumps and poles across it that lines see.
+
+    Lines along each axis go through two points of the probe, and through those with the least and
+    the greatest value. Their largest steps are cut down to 2^-46: what stays is a jump, or a
+    pole, and it lies across the axis if it is at the same place on a line beside. Boxes whose nodes
+    and tables whose cells would miss a thin slab are then cut at its faces. Of breaks that would make
+    too many boxes the highest are kept. Found once for each f.
+    """
+    if "_found_breaks" in function.__dict__:
+        known: tuple[Array, ...] = function.__dict__["_found_breaks"]
+        return known
+    dims, points = function.dims, probe(function.dims)
+    breaks = [np.array([b for b in axis if 0.0 < b < 1.0]) for axis in function.breaks]
+    seen = function.__dict__["_probed"] = _at_points(function, points)
+    spread = np.where(seen.std(axis=0) > 0.0, seen.std(axis=0), np.inf)
+    lines = points[np.unique([0, 1, *seen.argmin(axis=0), *seen.argmax(axis=0)])]
+    rows, steps = np.arange(len(lines))[:, None], (np.arange(_LINE) + math.sqrt(0.5)) / _LINE
+    found: list[tuple[bool, float, int, float]] = []  # whether a peak, less its height, where
+    for axis in range(dims):
+
+        def at(t: Array, aside: float = 0.0, axis: int = axis) -> Array:
+            """Values (L, M, C) at places (L, M) on the lines, or beside them."""
+            x = np.repeat((lines[:, None] + aside) % 1.0, t.shape[1], axis=1)
+            x[..., axis] = np.clip(t, _END, 1.0 - _END)
+            return _at_points(function, x.reshape(-1, dims)).reshape(*t.shape, -1) / spread
+
+        def apart(one: Array, other: Array) -> Array:
+            return np.asarray(np.abs(one - other).max(axis=-1))
+
+        # The largest steps of each line
+        t = np.tile([_END, *steps, 1.0 - _END], (len(lines), 1))
+        t = np.sort(np.concatenate([t, lines[:, axis, None]], axis=1), axis=1)
+        y = y_line = at(t)
+        step = apart(y[:, 1:], y[:, :-1])
+        chosen = np.argpartition(step, -_CANDIDATES, axis=1)[:, -_CANDIDATES:]
+        low, high, first = t[rows, chosen], t[rows, chosen + 1], step[rows, chosen]
+        y_low, y_high = y[rows, chosen], y[rows, chosen + 1]
+
+        # Cut them down to what is left
+        for _ in range(_CUTS):
+            middle = low + _CUT * (high - low)
+            y = at(middle)
+            left = apart(y, y_low) >= apart(y_high, y)
+            low, high = np.where(left, low, middle), np.where(left, middle, high)
+            y_low, y_high = (
+                np.where(left[..., None], y_low, y),
+                np.where(left[..., None], y, y_high),
+            )
+        stays = apart(y_high, y_low) > np.maximum(_STAYS * first, _INTEGRAL_TOLERANCE)
+        if dims > 1:
+            here, beside = (
+                np.maximum(apart(at(high + _ABOUT, far), y), apart(y, at(low - _ABOUT, far)))
+                for far, y in ((0.0, y_low), (_ASIDE, at(low, _ASIDE)))
+            )
+            stays &= beside > _STAYS * here
+        places = 0.5 * (low + high)
+
+        # The highest peaks of each line, which grow at a pole
+        size = np.abs(y_line).max(axis=-1)
+        peaks = (size[:, 1:-1] >= size[:, :-2]) & (size[:, 1:-1] >= size[:, 2:])
+        top = 1 + np.argpartition(peaks * size[:, 1:-1], -_PEAKS, axis=1)[:, -_PEAKS:]
+        window, values = (a[rows[..., None], top[..., None] + (-1, 0, 1)] for a in (t, size))
+        for _ in range(_CLIMBS):
+            between = 0.5 * (window[..., 1:] + window[..., :-1])
+            new = np.abs(at(between.reshape(len(lines), -1))).max(axis=-1).reshape(between.shape)
+            five, of_five = (
+                np.stack([a[..., 0], b[..., 0], a[..., 1], b[..., 1], a[..., 2]], axis=-1)
+                for a, b in ((window, between), (values, new))
+            )
+            pick = 1 + of_five[..., 1:4].argmax(axis=-1)[..., None] + (-1, 0, 1)
+            window, values = (np.take_along_axis(a, pick, axis=-1) for a in (five, of_five))
+        grown = values[..., 1] > _GROWN * size[rows, top]
+        for peak, heights, at_places in (
+            (False, first[stays], places[stays]),
+            (True, values[..., 1][grown], window[..., 1][grown]),
+        ):
+            found += [(peak, -h, axis, b) for h, b in zip(heights, at_places, strict=True)]
+
+    # Jumps before peaks, the highest first, as long as there is room for more boxes
+    for peak, _, axis, place in sorted(found):
+        if (np.abs(breaks[axis] - place) > (_ABOUT if peak else _SAME_BREAK)).all():
+            more = [np.append(b, [place] * (i == axis)) for i, b in enumerate(breaks)]
+            boxes = math.prod(len(np.union1d(_uniform(dims), b)) - 1 for b in more)
+            if boxes * (2 * _CELL_ORDER[dims]) ** dims <= 2 * _INTEGRAL_BUDGET:
+                breaks = more
+    found_now = tuple(np.sort(b) for b in breaks)
+    function.__dict__["_found_breaks"] = found_now
+    return found_now
+
+
+def _uniform(dims: int) -> Array:
+    """Edges of the first boxes along an axis."""
+    return np.linspace(0.0, 1.0, _CELLS[dims] + 1)
+
+
+def _at_points(function: Integrand, points: Array) -> Array:
+    """Values (K, C) at points (K, d)."""
+    steps = range(0, len(points), _BLOCK)
+    return np.concatenate([_columns(function, points[i : i + _BLOCK]) for i in steps])
+
+
+def _after(left: list[Array]) -> Array:
+    """Sum of all later differences, relative to the last: a geometric series, 1 where they halve.
+
+    Where they hardly shrink, next to a pole, half as much again: the ratio is still on its way.
+    """
+    first, last = np.maximum(left[0], 1e-300), left[-1]
+    ratio = np.minimum((last / first) ** (1.0 / max(1, len(left) - 1)), _SLOW)
+    return np.asarray(np.where(ratio > _HALVES, _UNSETTLED * ratio / (1.0 - ratio), 1.0))
+
+
+def _hidden(
+    levels: list[tuple[Array, Array, Array, Array, Array]],
+    points: Array,
+    cell: Array,
+    seen: Array,
+) -> Array:
+    """Values `seen` minus the polynomials of the last boxes that hold the points: (K, C).
+
+    `levels` are lower corners, sizes, values at nodes, which boxes were split again, and which changed;
+    `cell` is where the points (K, d) are in the first boxes. 0 in boxes that changed last.
+    """
+    dims, found, number = points.shape[1], np.zeros(seen.shape), np.arange(len(points))
+    digits = 2 ** np.arange(dims)[::-1]
+    for low, size, values, keep, changed in levels:
+        of = cell * 2**dims
+        part = of + (points[number] >= low[of + 2**dims - 1]) @ digits
+        out = ~keep[part] & ~changed[part]
+        last = number[out]
+        found[last] = _residuals(values, seen[last], points[last], low, size, part[out])
+        inside = keep[part]
+        number, cell = number[inside], (np.cumsum(keep) - 1)[part[inside]]
+    return found
 
 
 @functools.lru_cache(maxsize=8)
-def probe(dims: int) -> Array:
-    """Points (2^17, d) that no cell, node or dyadic number knows of, the same at every call.
+def probe(dims: int, times: int = 1) -> Array:
+    """Points (2^17 or so many times more, d) that no cell, node or dyadic number knows of.
+
+    The same at every call.
 
     A Latin hypercube: a permutation of a regular grid along each axis, with an irrational offset. A
     slab across an axis of a width of 2^-17 or more is always hit; any other region of volume v with
     probability 1 − exp(−2^17 v), which is 1 − 5e-5 for v = 8e-5.
     """
-    keys = Stream(0).uniforms(0, dims, PROBE)
+    keys = Stream(times - 1).uniforms(0, dims, times * PROBE)
     offsets = np.sqrt(np.arange(2, 2 + dims) + 0.5)[:, None] % 1.0
-    points = np.ascontiguousarray(((np.argsort(keys, axis=1) + offsets) / PROBE).T)
+    points = np.ascontiguousarray(((np.argsort(keys, axis=1) + offsets) / (times * PROBE)).T)
     points.flags.writeable = False
     return points
 
@@ -340,7 +516,8 @@ def _cell_values(function: Integrand, low: Array, size: Array, order: int) -> tu
     found = []
     for i in range(0, len(low), step):
         first, edge = low[i : i + step, None], size[i : i + step, None]
-        inset = np.maximum(_INSET[dims > 1] * edge, np.minimum(_LEAST_INSET, 0.25 * edge))
+        least = np.minimum(_LEAST_INSET * (first + edge), 0.25 * edge)
+        inset = np.maximum(_INSET[dims > 1] * edge, least)
         inset = inset * (1.0 - 2.0 * ends)
         points = np.concatenate([nodes * edge, ends * edge + inset], axis=1)
         found.append(_columns(function, np.clip(first + points, 0.0, 1.0)))

@@ -27,7 +27,7 @@ from mcspectra.core.checks import (
     as_reals,
     in_unit_cube,
 )
-from mcspectra.core.errors import DomainError, ParameterError, point_in_words
+from mcspectra.core.errors import DomainError, McspectraError, ParameterError, point_in_words
 from mcspectra.core.fields import checked
 from mcspectra.core.images import REC709
 from mcspectra.core.registry import DEFAULT_DIMS
@@ -440,7 +440,14 @@ class FunctionIntegrand(Integrand):
     def checked_values(self, x: Array) -> Array:
         """Values at points of the unit cube, finite and of the right shape; not counted."""
         shape = (*x.shape[:-1], self.channels) if self.channels else x.shape[:-1]
-        values = _real_values(self.function, x)
+        try:
+            values = _real_values(self.function, x)
+        except McspectraError:
+            raise
+        except Exception as error:
+            raise ParameterError(
+                f"{self.spec} failed on points of shape {x.shape}: {type(error).__name__}: {error}"
+            ) from error
         if values.shape != shape:
             raise ParameterError(
                 f"{self.spec} gave values of shape {values.shape} at points of shape {x.shape}; "

@@ -41,6 +41,7 @@ INTEGRANDS = Registry(
         "ishigami": "mcspectra.integrands.sensitivity:Ishigami",
         "keister": "mcspectra.integrands.physics:Keister",
         "linear": "mcspectra.integrands.analytic:Linear",
+        "path-pixel": "mcspectra.rendering.paths:PathPixel",
         "pixel": "mcspectra.rendering.pixel:Pixel",
         "polynomial": "mcspectra.integrands.analytic:Polynomial",
         "ratio-tracking": "mcspectra.integrands.physics:RatioTracking",

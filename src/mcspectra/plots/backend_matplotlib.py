@@ -168,7 +168,9 @@ def write(plot: Plot, path: str | PathLike[str], *, captioned: bool = False) -> 
         with mpl.rc_context({"svg.hashsalt": "mcspectra", "pdf.fonttype": 42}):
             figure.savefig(file, format=extension[1:], dpi=_PDF_DPI, metadata=stamps[extension])
     except OSError as error:
-        raise FileFormatError(f"{file} cannot be written: {error.strerror or error}.") from None
+        raise FileFormatError(
+            f"{str(file)!r} cannot be written: {error.strerror or error}."
+        ) from None
 
 
 def _given(axes: Any, count: int) -> tuple[Figure, list[Axes]]:

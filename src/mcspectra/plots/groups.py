@@ -102,7 +102,7 @@ def variant_dims(data: xr.Dataset) -> list[str]:
     """Return the dims along which one sampler has several curves, as those of `mirror_study`."""
     if not set(map(str, data.variables)) >= _CURVE:
         return []
-    known = ("estimator", "sampler", "channel")
+    known = ("estimator", "sampler", "channel", "y", "x")
     return [str(dim) for dim in data["rate"].dims if dim not in known]
 
 

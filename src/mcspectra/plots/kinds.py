@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, final
 
 from mcspectra.core.checks import as_choice
 from mcspectra.core.errors import ParameterError
-from mcspectra.plots import chains, maps, points, spectra, variance, warps
+from mcspectra.plots import chains, frames, maps, points, spectra, variance, warps
 from mcspectra.plots.anything import anything, shown_variables
 from mcspectra.plots.description import Plot
 from mcspectra.plots.groups import Data, Group, Styles, as_group, frequency_dims
@@ -33,14 +33,19 @@ class Kind:
         What a result must have.
     dims
         How many frequency dims it must have; None: any number.
+    pixels
+        Whether it shows results over the pixels of a picture.
     """
 
     describe: Callable[[Group, Styles], Plot]
     variables: tuple[str, ...]
     dims: int | None = None
+    pixels: bool = False
 
     def fits(self, data: xr.Dataset) -> bool:
         """Return whether a result has what is shown."""
+        if {"y", "x"} <= set(data.dims) and not self.pixels:
+            return False
         return not self.lacks(data) and self.dims in (None, len(frequency_dims(data)))
 
     def lacks(self, data: xr.Dataset) -> list[str]:
@@ -74,8 +79,11 @@ KINDS: Mapping[str, Kind] = {
     "chains": Kind(chains.chains, ("error_share", "chain_spectrum", "fitted_spectrum")),
     "warp": Kind(warps.warp, ("warped", "stretch", "jump")),
     "primary": Kind(warps.primary, ("primary_value", "primary_jump", "face_jump")),
-    **{kind: Kind(describe, variables) for kind, (variables, describe) in maps.MAPS.items()},
-    "anything": Kind(anything, ()),
+    **{
+        kind: Kind(describe, variables, pixels=True)
+        for kind, (variables, describe) in {**frames.FRAMES, **maps.MAPS}.items()
+    },
+    "anything": Kind(anything, (), pixels=True),
 }  # fmt: skip
 """The first kind that fits a result is the one that its accessor's ``plot`` draws."""
 

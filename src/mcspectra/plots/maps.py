@@ -20,7 +20,16 @@ from mcspectra.plots.text import number, percent
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["MAPS", "incident_maps", "rms_error", "strategy_images"]
+__all__ = [
+    "MAPS",
+    "image_map",
+    "incident_maps",
+    "logarithmic",
+    "rates",
+    "ratios",
+    "rms_error",
+    "strategy_images",
+]
 
 _NAMES = {
     "reference": "reference",
@@ -37,7 +46,7 @@ _RATIOS = (0.125, 0.25, 0.5, 0.8, 1.0, 1.25, 2.0, 4.0, 8.0)
 _MOST_STOPS = 64.0
 
 
-def _map(
+def image_map(
     group: Group,
     styles: Styles,
     *,
@@ -93,7 +102,9 @@ def _map_words(values: Array, scale: Scale) -> str:
     return f"median {middle}, from {low} to {high}"
 
 
-def _logarithmic(label: str) -> Callable[[Array], Scale]:
+def logarithmic(label: str) -> Callable[[Array], Scale]:
+    """Make a logarithmic scale of the positive values, but for single pixels far off."""
+
     def scale(values: Array) -> Scale:
         found = values[np.isfinite(values) & (values > 0)]
         low, high = (float(v) for v in np.percentile(found, _SPREAD)) if found.size else (0.1, 1.0)
@@ -103,7 +114,8 @@ def _logarithmic(label: str) -> Callable[[Array], Scale]:
     return scale
 
 
-def _rates(values: Array) -> Scale:
+def rates(values: Array) -> Scale:
+    """Return the scale of exponents."""
     found = values[np.isfinite(values)]
     low, high = np.percentile(found, _SPREAD) if found.size else (-2.0, -1.0)
     # Never narrower than −2 … −1, smooth and random: noise would look like structure. Not much
@@ -112,7 +124,9 @@ def _rates(values: Array) -> Scale:
     return Scale(label="exponent of variance", low=float(low), high=float(high))
 
 
-def _ratios(label: str) -> Callable[[Array], Scale]:
+def ratios(label: str) -> Callable[[Array], Scale]:
+    """Make a scale of ratios, symmetric about 1."""
+
     def scale(values: Array) -> Scale:
         sizes = np.abs(np.log(values[np.isfinite(values) & (values > 0)]))
         reach = float(np.exp(np.percentile(sizes, _SPREAD[1]))) if sizes.size else 2.0
@@ -135,17 +149,17 @@ def _which(values: Array) -> Scale:
 MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
     f"map-{kind}": (
         ("x", "y", "rate", variable),
-        partial(_map, kind=f"map-{kind}", variable=variable, scale=scale, caption=caption),
+        partial(image_map, kind=f"map-{kind}", variable=variable, scale=scale, caption=caption),
     )
     for kind, variable, scale, caption in (
-        ("mean", "mean", _logarithmic("mean estimate"), "Mean estimate at the largest number of samples."),
-        ("variance", "variance", _logarithmic("variance"), "Variance of the estimate at the largest number of samples."),
-        ("rate", "rate", _rates, "Fitted exponent of variance in the number of samples; random sampling is −1."),
-        ("rate-se", "rate_se", _logarithmic("standard error of the rate"), "Standard error of the exponent."),
+        ("mean", "mean", logarithmic("mean estimate"), "Mean estimate at the largest number of samples."),
+        ("variance", "variance", logarithmic("variance"), "Variance of the estimate at the largest number of samples."),
+        ("rate", "rate", rates, "Fitted exponent of variance in the number of samples; random sampling is −1."),
+        ("rate-se", "rate_se", logarithmic("standard error of the rate"), "Standard error of the exponent."),
         ("bottleneck", "bottleneck", _which, "Technique whose share of MIS has the slower rate, by the 95 % interval of their difference."),
         ("dominant", "dominant_technique", _which, "Technique whose share of MIS has the larger variance, at the largest number of samples."),
-        ("gain", "mis_gain", _ratios("variance of the better strategy / of MIS"), "Variance of the better single strategy over that of MIS, at the same total of samples. Above 1, MIS is better."),
-        ("predicted", "predicted_ratio", _ratios("predicted / measured variance"), "Predicted over measured variance, at the largest number of samples."),
+        ("gain", "mis_gain", ratios("variance of the better strategy / of MIS"), "Variance of the better single strategy over that of MIS, at the same total of samples. Above 1, MIS is better."),
+        ("predicted", "predicted_ratio", ratios("predicted / measured variance"), "Predicted over measured variance, at the largest number of samples."),
     )
 }  # fmt: skip
 """Kinds of maps: the variables of each, and what describes it."""

@@ -143,6 +143,11 @@ def prediction(group: Group, styles: Styles) -> Plot:
         "Predicted variance against the number of points, with 95 % intervals, the rate over these "
         "counts and its limit at large n; dashed, where it bends."
     )
+    if all("planned_n" in each for each in group.values()):
+        caption = (
+            "Predicted variance against the number of points, with 95 % intervals, and the least n "
+            "that is predicted to reach the error."
+        )
     return _known_curves(group, styles, "prediction", "predicted variance", caption)
 
 
@@ -172,6 +177,7 @@ def _known_curves(group: Group, styles: Styles, kind: str, what: str, caption: s
             least = variance[there] * _LEAST_SHOWN
             bands[name] = {"low": np.maximum(low, least), "high": np.maximum(high, least)}
     notes = {name: "" if n.size else f": no {what}" for name, (n, _) in curves.items()}
+    notes |= {name: ": infinite" for name, each in group.items() if np.isinf(each[variable]).any()}
     marks: list[Mark] = []
     for name, each in group.items():
         if "limit_rate" in each and np.isfinite(each["predicted_rate"]):
@@ -183,6 +189,8 @@ def _known_curves(group: Group, styles: Styles, kind: str, what: str, caption: s
             )
             if np.isfinite(bend):
                 marks.append(Rule(at=bend, axis="x", color=styles[name].color, dashes="--"))
+        if "planned_n" in each and np.isfinite(each["planned_n"]):
+            notes[name] = f": n = {int(each['planned_n']):,}"
     for name, line in zip(curves, lines_of(curves, styles, ("n", what), notes=notes), strict=True):
         marker = styles[name].marker
         dots = Dots(x=line.x, y=line.y, color=line.color, marker=marker, label=line.label)
@@ -197,7 +205,7 @@ def _known_curves(group: Group, styles: Styles, kind: str, what: str, caption: s
                 x=count_axis("number of points n", counts),
                 y=log_axis(what, *_ends(values)),
                 grid=True,
-                note="" if values.size else f"no {what} is known",
+                note="" if values.size else f"no finite {what} is known",
             ),
         ),
         caption=caption,

@@ -5,10 +5,13 @@ from .files import write_comparison as write_comparison
 from .files import write_exr as write_exr
 from .files import write_png as write_png
 from .files import write_render as write_render
+from .frame_statistics import frames as frames
 from .image import compare_strategies as compare_strategies
 from .image import reference as reference
 from .image import render as render
 from .maps import variance_map as variance_map
+from .paths import PathPixel as PathPixel
+from .paths import path_pixel as path_pixel
 from .pixel import Pixel as Pixel
 from .pixel import describe_pixel as describe_pixel
 from .pixel import pixel_strategies as pixel_strategies
@@ -29,6 +32,7 @@ from .wavefront import Wavefront as Wavefront
 __all__ = [
     "SCENES",
     "MitsubaSampler",
+    "PathPixel",
     "Pixel",
     "PixelMIS",
     "Wavefront",
@@ -36,10 +40,12 @@ __all__ = [
     "compare_strategies",
     "describe",
     "describe_pixel",
+    "frames",
     "from_mitsuba",
     "load_mitsuba",
     "load_scene",
     "named_pixels",
+    "path_pixel",
     "pixel_mis",
     "pixel_strategies",
     "project",

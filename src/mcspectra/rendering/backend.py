@@ -215,8 +215,37 @@ def _start() -> Any:
             raise MissingDependency(_no_library(refused))
         os.environ[_LIBRARY_VARIABLE] = best.library
     mitsuba = _imported()
+    _check_mapped()
     mitsuba.set_variant(VARIANT)
     return mitsuba
+
+
+def _check_mapped() -> None:
+    """Refuse what Dr.Jit has loaded, by the caller's own import of it, if that ends the process later."""
+    verdicts = [_verdict(library, fresh=False) for library in _mapped_libraries()]
+    if not verdicts or any(verdict.works for verdict in verdicts):
+        return
+    best, _ = find_library()
+    order = "call mcspectra.rendering.load_mitsuba() before you import mitsuba or drjit"
+    raise MissingDependency(
+        f"Mitsuba was imported before mcspectra could choose a libLLVM, and has loaded one that does not "
+        f"work ({_reasons(verdicts)}); "
+        + (
+            f"{order}, or set {_LIBRARY_VARIABLE}={best.library}."
+            if best
+            else f"{_INSTALL}, and {order}."
+        )
+    )
+
+
+def _mapped_libraries() -> list[str]:
+    """Return the libLLVM that this process has loaded; none where the system does not say (Linux does)."""
+    try:
+        lines = Path("/proc/self/maps").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return []
+    paths = {line.split(maxsplit=5)[5] for line in lines if "/libLLVM" in line}
+    return sorted(path for path in paths if Path(path).is_file())
 
 
 def _imported() -> Any:

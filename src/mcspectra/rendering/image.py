@@ -26,6 +26,7 @@ from mcspectra.rendering.kernel_nets import NetPoints, net_of, scramble_key
 from mcspectra.rendering.scene_checks import (
     camera_rays,
     check_environment,
+    warn_integrator,
     warn_lens,
     warn_missed,
 )
@@ -120,6 +121,7 @@ def render(
         stream=Stream.from_rng(rng),
     )
     warn_lens(scene)
+    warn_integrator(scene)
     warn_missed(scene, strategy, light)
     moments = _moments(plan, available_workers(workers))
     return _as_dataset(

@@ -48,6 +48,7 @@ from mcspectra.estimators import Moments
 from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.estimators.sets import draw_sets
 from mcspectra.rendering.backend import LOCK, load_mitsuba
+from mcspectra.rendering.paths import Tracer
 from mcspectra.rendering.scenes import Scene, find_emitter, load_scene, scene_name
 from mcspectra.rendering.techniques import (
     POWERS,
@@ -119,6 +120,8 @@ class Maps:
 class Measurement:
     """The measurement made at every pixel; most attributes are those of `Map`.
 
+    With a `tracer` it is one of whole paths, by the only strategy ``path``.
+
     Realisation r of n points is that of ``stream.child(n)``, as in `convergence`; with points of
     their `own`, pixels have number (y·width + x)·realizations + r.
     """
@@ -131,6 +134,7 @@ class Measurement:
     stream: Stream
     own: bool
     predict_every: int
+    tracer: Tracer | None = None
     _tables: dict[tuple[int, Block], list[Array]] = field(default_factory=dict, repr=False)
 
     @property
@@ -156,21 +160,27 @@ class Measurement:
 
     def prediction(self) -> Prediction | None:
         """How variances at the largest count are predicted."""
-        if not self.predict_every:
+        if not self.predict_every or self.tracer is not None:
             return None
         return prediction_for(self.sampler, self.counts[-1], self.stream.child(_PREDICTION))
 
     def tile(self, pixels: Array, prediction: Prediction | None) -> Maps:
         """Measure pixels (P, 2), x and y of each."""
-        receivers = Receivers(self.lighting, pixels)
+        receivers = Receivers(self.lighting, pixels) if self.tracer is None else None
+        status = np.zeros(len(pixels), np.int8) if receivers is None else receivers.status
         shape = (len(self.strategies), len(self.counts), len(pixels))
         mean, variance, relative_se = (np.full(shape, np.nan) for _ in range(3))
         predicted, predicted_se = (np.full((shape[0], shape[2]), np.nan) for _ in range(2))
-        found = Maps(receivers.status, mean, variance, relative_se, predicted, predicted_se)
-        seen = np.flatnonzero(receivers.status == 0)
+        found = Maps(status, mean, variance, relative_se, predicted, predicted_se)
+        seen = np.flatnonzero(status == RECEIVER)
         if not len(seen):
             return found
-        if "bsdf" in self.techniques and self.sampler.dims == 2 and receivers.chooses_lobe():
+        if (
+            receivers
+            and "bsdf" in self.techniques
+            and self.sampler.dims == 2
+            and receivers.chooses_lobe()
+        ):
             raise ParameterError(
                 f"A visible BSDF of {scene_name(self.lighting.scene)} selects a lobe by an extra random "
                 "number; give dims=3, the third coordinate is that number."
@@ -181,9 +191,13 @@ class Measurement:
             total: list[Moments] = []
             for first in range(0, self.realizations, self.block):
                 block = first, min(self.block, self.realizations - first)
-                drawn = zip(TECHNIQUES, self._points(receivers, n, block), strict=True)
-                both = {t: receivers.estimates(t, u) for t, u in drawn if t in self.techniques}
-                own = [Moments.of(combined(strategy, both)) for strategy in self.strategies]
+                if receivers is None:
+                    made = [self._paths(pixels, n, block)]
+                else:
+                    drawn = zip(TECHNIQUES, self._points(receivers.pixels, n, block), strict=True)
+                    both = {t: receivers.estimates(t, u) for t, u in drawn if t in self.techniques}
+                    made = [combined(strategy, both) for strategy in self.strategies]
+                own = [Moments.of(each) for each in made]
                 total = [x.merge(y) for x, y in zip(total, own, strict=True)] if total else own
             for s, moments in enumerate(total):
                 for name in ("mean", "variance", "relative_se"):
@@ -204,15 +218,26 @@ class Measurement:
                 found.predicted_se[s, part] = se[: len(part)]
         return found
 
-    def _points(self, receivers: Receivers, n: int, block: Block) -> list[Array]:
+    def _paths(self, pixels: Array, n: int, block: Block) -> Array:
+        """Estimates (R, P) by whole paths; a single pixel stands twice, as among receivers."""
+        assert self.tracer is not None
+        (u,) = self._points(pixels, n, block)
+        twice = np.repeat(pixels, 2, axis=0) if len(pixels) == 1 else pixels
+        if u.ndim == 4 and len(twice) > u.shape[1]:
+            u = np.repeat(u, 2, axis=1)
+        return self.tracer.means(u, twice)
+
+    def _points(self, pixels: Array, n: int, block: Block) -> list[Array]:
         """Points of each technique, (R, n, d), or (R, P, n, d) where pixels have their own."""
 
         def draw(own: Block) -> list[Array]:
+            if self.tracer is not None:
+                return [self.sampler.draw_stream(n, self.stream.child(n), *own)]
             return draw_sets("independent", (1, 1), self.sampler, n, self.stream.child(n), *own)
 
         if self.own:
             width = self.lighting.size[0]
-            numbers = (receivers.pixels @ [1, width]) * self.realizations + block[0]
+            numbers = (pixels @ [1, width]) * self.realizations + block[0]
             drawn = [draw((int(first), block[1])) for first in numbers]
             return [np.stack(each, axis=1) for each in zip(*drawn, strict=True)]
         tables = self._tables.get((n, block)) or draw(block)

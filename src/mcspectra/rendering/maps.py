@@ -17,10 +17,11 @@ import numpy as np
 from msgspec import Meta
 
 from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute
-from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.checks import MAX_DIMS, Array, as_integer
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.memory import memory_of
-from mcspectra.core.options import COUNTS, REALIZATIONS, Counts
+from mcspectra.core.options import COUNTS, REALIZATIONS, Counts, Text
+from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.rendering import map_statistics as statistics
@@ -33,10 +34,18 @@ from mcspectra.rendering.map_tiles import (
     Measurement,
     Prediction,
 )
+from mcspectra.rendering.paths import Tracer, path_dims
 from mcspectra.rendering.pixel import check_channel
-from mcspectra.rendering.scene_checks import camera_rays, check_lights, check_scene, warn_lens
+from mcspectra.rendering.scene_checks import (
+    camera_rays,
+    check_lights,
+    check_scene,
+    integrator_note,
+    warn_integrator,
+    warn_lens,
+)
 from mcspectra.rendering.scenes import Scene, as_scene, film_size, scene_name, sensor_of
-from mcspectra.samplers import as_sampler
+from mcspectra.samplers import Sampler, as_sampler
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -64,6 +73,8 @@ _DIMS = {
     "predicted_ratio_ci": ("strategy", "y", "x", "bound"),
 }
 
+_DIRECT_COUNTS, _PATH_COUNTS = (4, 9, 16, 36, 64), (4, 16, 64)
+_Dims = Annotated[int, Meta(ge=2, le=MAX_DIMS)]
 _Side = Annotated[int, Meta(ge=1, le=_LONGEST_SIDE)]
 _Strategy = Literal["light", "bsdf", "mis-light", "mis-bsdf", "mis"]
 _Window = tuple[int, int, int, int]
@@ -88,7 +99,7 @@ class Map(Analysis, frozen=True, kw_only=True):
             extra={"metavar": "NAME,…"},
         ),
     ] = MAP_STRATEGIES
-    counts: Annotated[Counts, COUNTS] = (4, 9, 16, 36, 64)
+    counts: Annotated[Counts | None, COUNTS] = None
     realizations: Annotated[int, REALIZATIONS] = 64
     crop: Annotated[
         tuple[int, int, int, int] | None,
@@ -112,14 +123,19 @@ class Map(Analysis, frozen=True, kw_only=True):
         int | str, Meta(description="Channel: luminance, 0, 1 or 2.", extra={"python": True})
     ] = "luminance"
     dims: Annotated[
-        int,
+        _Dims | None,
         Meta(
-            ge=2,
-            le=3,
-            description="2, or 3: the third coordinate selects lights and lobes.",
+            description="2, or 3: the third coordinate selects lights and lobes; of paths all they take.",
             extra={"flag": "-d", "metavar": "D"},
         ),
-    ] = 2
+    ] = None
+    integrator: Annotated[
+        Text | None,
+        Meta(
+            description="Whole paths by this integrator, or by the scene's own: scene.",
+            extra={"metavar": "SPEC"},
+        ),
+    ] = None
     points: Annotated[
         Literal["shared", "own"],
         Meta(description="shared: the same points at all pixels; own: independent ones."),
@@ -134,22 +150,22 @@ class Map(Analysis, frozen=True, kw_only=True):
     def need(self, subject: Subject) -> Need:
         """The need as far as it is known without the scene."""
         check_channel(self.channel, ("luminance",))
-        if len(self.counts) < 2:
-            raise ParameterError(
-                f"counts is {list(self.counts)}; give two or more ascending numbers of samples."
-            )
+        if self.integrator is None:
+            as_integer("dims", self.points_dims, least=2, most=3)
+        elif self.light is not None or self.strategies != MAP_STRATEGIES:
+            given = "light" if self.light is not None else "strategies"
+            raise ParameterError(f"{given} is for direct light; leave it out with an integrator.")
+        counts = self._counts(subject.sampler)
         if self.smoothing % 2 == 0:
             raise ParameterError(f"smoothing is {self.smoothing}; give an odd number of pixels.")
-        for n in self.counts:
-            subject.sampler.check_count(n)
         grid = self.size or _FILM
         width, height = grid if self.crop is None else self.crop[2:]
         if self.size is not None:
             _, _, width, height = self._window(self.size)
         pixels = max(width, 1) * max(height, 1)
         return Need(
-            cost=float(pixels * sum(self.counts) * self.realizations * 4),
-            memory=memory_of(self.counts[-1], self.dims, 2, pixels),
+            cost=float(pixels * sum(counts) * self.realizations * 4),
+            memory=memory_of(counts[-1], subject.sampler.dims, 2, pixels),
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[Maps]:
@@ -158,9 +174,17 @@ class Map(Analysis, frozen=True, kw_only=True):
         with LOCK:
             sensor_of(scene)
             grid = film_size(scene) if self.size is None else self.size
-            check_lights(scene, self.light)
-            warn_lens(scene)
+            if self.integrator is None:
+                check_lights(scene, self.light)
+                warn_lens(scene)
+                warn_integrator(scene)
         window = x0, y0, width, height = self._window(grid)
+        sampler, tracer = subject.sampler, None
+        if self.integrator is not None:
+            tracer = Tracer(scene, self.integrator, self.channel, grid)
+            dims = self.dims or path_dims(tracer, window)
+            sampler = sampler if sampler.dims == dims else as_sampler(sampler.spec, dims)
+        counts = self._counts(sampler)
         measurement = Measurement(
             lighting=Lighting(
                 scene=scene,
@@ -170,12 +194,13 @@ class Map(Analysis, frozen=True, kw_only=True):
                 size=grid,
             ),
             strategies=self._strategies,
-            sampler=subject.sampler,
-            counts=self.counts,
+            sampler=sampler,
+            counts=counts,
             realizations=self.realizations,
             stream=stream,
             own=self.points == "own",
             predict_every=self.predict_every,
+            tracer=tracer,
         )
         pixels, step = width * height, measurement.tile_pixels
         prediction = measurement.prediction()
@@ -200,13 +225,39 @@ class Map(Analysis, frozen=True, kw_only=True):
             kind=Maps,
             block=tile,
             blocks=-(-pixels // step),
-            cost=float(pixels * sum(self.counts) * self.realizations * 4),
+            cost=float(pixels * sum(counts) * self.realizations * 4),
             result=result,
         )
 
     @property
+    def points_dims(self) -> int:
+        """Dims of the points of direct light."""
+        return DEFAULT_DIMS if self.dims is None else self.dims
+
+    @property
+    def default_sampler(self) -> str:
+        """What samples if no sampler is named."""
+        return "jittered" if self.integrator is None else "sobol | owen"
+
+    def _counts(self, sampler: Sampler) -> tuple[int, ...]:
+        """Those given, which are checked; by default the usual ones, or the nearest in these dims."""
+        usual = _DIRECT_COUNTS if self.integrator is None else _PATH_COUNTS
+        near = tuple(sorted({sampler.nearest_count(n) for n in usual}))
+        counts = near if self.counts is None else self.counts
+        if len(counts) < 2:
+            raise ParameterError(
+                f"counts is {list(counts)}; give two or more ascending numbers of samples that "
+                f"{sampler.spec} can make in {sampler.dims} dims."
+            )
+        for n in counts:
+            sampler.check_count(n)
+        return counts
+
+    @property
     def _strategies(self) -> tuple[str, ...]:
         """In their usual order, with the shares of MIS where that is one of them."""
+        if self.integrator is not None:
+            return ("path",)
         given = (self.strategies,) if isinstance(self.strategies, str) else self.strategies
         chosen = {*given, *(("mis-light", "mis-bsdf") if "mis" in given else ())}
         return tuple(s for s in MAP_STRATEGIES if s in chosen)
@@ -225,7 +276,7 @@ class Map(Analysis, frozen=True, kw_only=True):
                 f"crop is {[*window]}, which reaches outside the grid of {grid[0]} × {grid[1]} "
                 "pixels; give x0, y0, width and height within it."
             )
-        strategies, counts = len(self._strategies), len(self.counts)
+        strategies, counts = len(self._strategies), len(self.counts or _DIRECT_COUNTS)
         numbers = 3 * width * height * strategies * counts
         if numbers > _MOST_NUMBERS:
             raise ParameterError(
@@ -238,8 +289,8 @@ class Map(Analysis, frozen=True, kw_only=True):
 def variance_map(
     scene: Scene,
     strategies: Sequence[str] = MAP_STRATEGIES,
-    sampler: Any = "jittered",
-    counts: Sequence[int] = (4, 9, 16, 36, 64),
+    sampler: Any = None,
+    counts: Sequence[int] | None = None,
     realizations: int = 64,
     *,
     crop: Sequence[int] | None = None,
@@ -247,7 +298,8 @@ def variance_map(
     light: int | str | None = None,
     heuristic: str = "balance",
     channel: str | int = "luminance",
-    dims: int = 2,
+    dims: int | None = None,
+    integrator: str | None = None,
     points: str = "shared",
     smoothing: int = 1,
     predict_every: int = 1,
@@ -265,9 +317,11 @@ def variance_map(
         and ``"mis-bsdf"``, and ``"mis"``, their sum, with n samples of each technique, which brings
         its shares along.
     sampler
-        Sampler or its spec string; each technique has points of its own.
+        Sampler or its spec string, by default ``"jittered"``, with an integrator ``"sobol | owen"``;
+        each technique has points of its own.
     counts
-        Numbers of samples n of a technique, ascending, at least two.
+        Numbers of samples n of a technique, ascending, at least two; by default (4, 9, 16, 36, 64), with
+        an integrator (4, 16, 64), or the nearest that the sampler can do in its dims.
     realizations
         Independent realisations for each n, at least 2.
     crop
@@ -279,7 +333,11 @@ def variance_map(
     light, heuristic, channel
         As those of `Pixel`; one channel at a time.
     dims
-        2, or 3 to leave the choice of a light, or of a lobe of the BSDF, to a third coordinate.
+        2, the default, or 3 to leave the choice of a light, or of a lobe of the BSDF, to a third
+        coordinate; with an integrator as of `PathPixel`: all that paths through 256 of the pixels ask for.
+    integrator
+        Measure whole paths, as `PathPixel` does, by the one strategy ``"path"``; the scene's own
+        with ``"scene"``. By default direct light by `strategies`.
     points
         ``"shared"``: all pixels have the same points in the same realisation. Each pixel's numbers
         are as good as with its own, faster to make, and give smooth maps; but the errors of
@@ -343,12 +401,16 @@ def variance_map(
         heuristic=heuristic,  # type: ignore[arg-type]
         channel=channel,
         dims=dims,
+        integrator=integrator,
         points=points,  # type: ignore[arg-type]
         smoothing=smoothing,
         predict_every=predict_every,
     )
     with _threads(workers):
-        return compute(analysis, Subject(None, as_sampler(sampler, dims)), rng, workers=1)
+        given = analysis.default_sampler if sampler is None else sampler
+        whole = integrator is not None and not isinstance(given, str)  # dims are seen later
+        source = as_sampler(given, None if whole else analysis.points_dims)
+        return compute(analysis, Subject(None, source), rng, workers=1)
 
 
 @contextmanager
@@ -383,7 +445,7 @@ def labelled(
 ) -> xr.Dataset:
     """Make the dataset of a map from the arrays (…, y, x) of all tiles."""
     x0, y0, width, height = window
-    lighting = measurement.lighting
+    lighting, tracer = measurement.lighting, measurement.tracer
     found = _variables(measurement, maps, smoothing)
     return dataset(
         {name: (_DIMS[name], values) for name, values in found.items()},
@@ -402,7 +464,10 @@ def labelled(
         channel=lighting.channel,
         points="own" if measurement.own else "shared",
         smoothing=smoothing,
-        camera=camera_rays(lighting.scene),
+        scene_note=integrator_note(lighting.scene) if tracer is None else "",
+        integrator="direct light" if tracer is None else tracer.integrator,
+        dims=measurement.sampler.dims,
+        camera=camera_rays(lighting.scene) if tracer is None else "sampled",
         size=list(lighting.size),
         crop=list(window),
         prediction=None if prediction is None else prediction.method,

@@ -17,6 +17,8 @@ __all__ = [
     "check_scene",
     "delta_bsdf",
     "delta_light",
+    "integrator_note",
+    "warn_integrator",
     "warn_lens",
     "warn_missed",
 ]
@@ -36,7 +38,7 @@ def check_scene(scene: Scene, *, light: int | str | None = None) -> list[str]:
     -------
     list of str
         A sentence for each: no camera, a camera with a lens or a shutter, no lights, participating
-        media, lights that are delta functions (point, spot, directional, …), an environment that
+        media, an integrator of more than direct light, lights that are delta functions (point, spot, directional, …), an environment that
         is scaled or has pixels that are no radiance, shapes whose BSDF has a delta function
         (dielectric, smooth conductor, mask, …). Empty if everything is supported. Shapes inside
         instances are not listed; a pixel that sees one reports it.
@@ -58,6 +60,7 @@ def check_scene(scene: Scene, *, light: int | str | None = None) -> list[str]:
             *_without_camera(scene, loaded),
             *_lens(scene, loaded),
             *_media(scene, loaded),
+            *_integrator(scene, loaded),
             *_lights(scene, light),
             *_environment(scene, light),
             *_delta_bsdfs(loaded),
@@ -97,6 +100,18 @@ def warn_lens(scene: Scene) -> None:
         sentences = _lens(scene, load_scene(scene))
     for sentence in sentences:
         warn(sentence, IncompleteImageWarning)
+
+
+def integrator_note(scene: Scene) -> str:
+    """Say that a scene's own integrator is not what is analysed; empty if it is, or there is none."""
+    with LOCK:
+        return "".join(_integrator(scene, load_scene(scene)))
+
+
+def warn_integrator(scene: Scene) -> None:
+    """Warn of `integrator_note`."""
+    if note := integrator_note(scene):
+        warn(note, IncompleteImageWarning)
 
 
 def camera_rays(scene: Scene) -> str:
@@ -197,6 +212,18 @@ def _media(scene: Scene, loaded: Any) -> list[str]:
     holders += [_called("camera", s.id()) for s in loaded.sensors() if s.get_medium()]
     where = f"The scene {scene_name(scene)} has participating media ({', '.join(holders)})"
     return [f"{where}, which are not supported; remove them."] if holders else []
+
+
+def _integrator(scene: Scene, loaded: Any) -> list[str]:
+    found = loaded.integrator()
+    if found is None or found.class_name() == "DirectIntegrator":
+        return []
+    note = (
+        f"The integrator of {scene_name(scene)} ({found.class_name()}) is not what is measured, which is "
+        "direct light alone; pixel and map measure its whole paths by integrator='scene' (--integrator "
+        "scene)."
+    )
+    return [note]
 
 
 def _has_medium(shape: Any) -> bool:

@@ -51,6 +51,7 @@ _STRATEGIES = {
     "mis-light": "MIS, light share",
     "mis-bsdf": "MIS, BSDF share",
     "mis": "MIS",
+    "path": "whole paths",
 }
 """As the maps call them."""
 
@@ -65,6 +66,8 @@ _ROUTES = {
 
 _PROVENANCE = {
     "scene": "Scene",
+    "integrator": "Integrator",
+    "dims": "Dims",
     "sampler": "Sampler",
     "seed": "Seed",
     "realizations": "Realisations",
@@ -297,7 +300,9 @@ def _share(values: Array, label: int) -> float:
 
 
 def _sentences(summary: Mapping[str, Any]) -> Iterator[str]:
-    """Say what the shares of pixels mean."""
+    """Say what is not measured, and what the shares of pixels mean."""
+    if summary.get("scene_note"):
+        yield summary["scene_note"]
     if math.isfinite(summary.get("bottleneck", {}).get("bsdf", math.nan)):
         share = summary["bottleneck"]
         yield (

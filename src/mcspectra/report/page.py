@@ -261,7 +261,7 @@ def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:
             partial.unlink(missing_ok=True)
     except OSError as error:
         raise (StoreError if isinstance(error, _WRONG_PLACE) else StorageError)(
-            f"The page cannot be written to {str(file)!r}: {error.strerror}."
+            f"{str(file)!r} cannot be written: {error.strerror}."
         ) from None
     return file
 

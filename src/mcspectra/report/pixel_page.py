@@ -77,7 +77,7 @@ _MOST_LIGHTS = 8  # named one by one
 _ABOUT_RATES = (
     "Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval, unresolved beyond 0.5. MIS takes "
     "n samples of each technique. Predicted / measured ± half its 95 % interval, at the largest n, says in "
-    "brackets how the variance was predicted without samples of g."
+    "brackets how the variance was predicted."
 )
 _ABOUT_TERMS = (
     "Terms in primary space, where all points have the same weight, so the dc term is 0. A basis that "
@@ -217,6 +217,7 @@ def about_pixel(tree: xr.DataTree) -> list[tuple[str, str]]:
         ("lights", f"{shown}{more}"),
         ("lit by", "all of them" if known["light"] == "all" else f"{known['light']} alone"),
         ("value", f"{number(known['value'], 5)} (direct illumination, {channel})"),
+        *([("not shown", known["scene_note"])] if known.get("scene_note") else []),
         *([] if camera == _PINHOLE else [("camera", f"its ray starts at the {camera}")]),
     ]
 

@@ -6,8 +6,10 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from mcspectra.plots import kinds
-from mcspectra.plots.text import interval, number
+from mcspectra.plots.text import MISSING, interval, number
 from mcspectra.report.page import (
     Block,
     Cell,
@@ -24,6 +26,7 @@ from mcspectra.report.page import (
     versions_of,
     write_page,
 )
+from mcspectra.variance.fit import is_resolved
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -70,9 +73,11 @@ def write_result(result: xr.Dataset, out: str | Path, title: str = "Result") -> 
         sections.append(
             Section(title="Figures", anchor="figures", blocks=(Figures(figures=figures),))
         )
-    numbers = _numbers(result)
-    if numbers.rows:
-        sections.append(Section(title="Numbers", anchor="numbers", blocks=(numbers,)))
+    by = (("sampler",), ("n",), ("sampler", "n"))
+    tables = [_numbers(result), *(_curves(result, dims) for dims in by)]
+    tables = [table for table in tables if table.rows]
+    if tables:
+        sections.append(Section(title="Numbers", anchor="numbers", blocks=tuple(tables)))
     facts = tuple(
         (name, str(value))
         for name, value in attributes.items()
@@ -91,17 +96,55 @@ def write_result(result: xr.Dataset, out: str | Path, title: str = "Result") -> 
 
 def _numbers(result: xr.Dataset) -> Table:
     """Single numbers, with their intervals and meanings."""
-    rows = []
-    for name, values in result.data_vars.items():
-        if values.ndim or str(name).endswith(("_ci", "_se")):
-            continue
-        ends = f"{name}_ci"
-        between = interval(*result[ends].values.tolist()) if ends in result else ""
-        meaning = str(values.attrs.get("long_name", ""))
-        cells = (Cell(text=number(float(values))), Cell(text=between), *text_cells(meaning))
-        rows.append((*text_cells(str(name)), *cells))
+    rows = [
+        (
+            *text_cells(str(name)),
+            *(Cell(text=text) for text in _value(result, str(name))),
+            *text_cells(str(values.attrs.get("long_name", ""))),
+        )
+        for name, values in result.data_vars.items()
+        if not values.ndim and not str(name).endswith(("_ci", "_se"))
+    ]
     return Table(
         caption="Numbers with their 95 % intervals",
         columns=("number", "value", "95 %", "meaning"),
         rows=tuple(rows),
+    )
+
+
+def _value(result: xr.Dataset, name: str) -> tuple[str, str]:
+    """A single number and its interval, empty if it has none; no rate that is no finding."""
+    value, ends = float(result[name]), f"{name}_ci"
+    if ends not in result:
+        return number(value), ""
+    low, high = result[ends].values.tolist()
+    resolved = not name.endswith("rate") or not low < high or is_resolved(low, high)
+    return number(value) if resolved else "unresolved", interval(low, high)
+
+
+def _curves(result: xr.Dataset, dims: tuple[str, ...]) -> Table:
+    """Values by sampler, by n or by both, where they are known, and the route; of the first channel."""
+    first = result.isel(channel=0) if "channel" in result.dims else result
+    names = [
+        str(name)
+        for name, values in first.data_vars.items()
+        if values.dims == dims and not str(name).endswith(("_ci", "_se"))
+    ]
+    routes = ["route"] if "route" in first.coords and first["route"].dims == dims else []
+    rows = []
+    for place in np.ndindex(*(first.sizes.get(dim, 0) for dim in dims)):
+        one = first.isel(dict(zip(dims, place, strict=True)))
+        found = [_value(one, name) for name in names]
+        if any(text != MISSING for text, _ in found):
+            shown = [
+                text if ends in ("", MISSING, f"{text} … {text}") else f"{text} ({ends})"
+                for text, ends in found
+            ]
+            places, how = ([str(one[name].item()) for name in given] for given in (dims, routes))
+            rows.append(text_cells(*places, *shown, *how))
+    return Table(
+        caption="Values, with 95 % intervals in brackets where they are wider",
+        columns=(*dims, *(name.replace("_", " ") for name in (*names, *routes))),
+        rows=tuple(rows),
+        heads=len(dims),
     )

@@ -355,11 +355,19 @@ def _displaced(sampler: Any, n: int, m: Array) -> Array:
 def _determinantal(sampler: Any, n: int, m: Array) -> Array:
     """Power by the share of waves that m moves to others."""
     waves = sampler.frequencies(n)
-    known = {tuple(wave) for wave in waves.tolist()}
     flat = np.rint(m).reshape(-1, sampler.dims).astype(np.int64)
     rows, back = np.unique(flat, axis=0, return_inverse=True)
-    pairs = [sum(tuple(w) in known for w in (waves + row).tolist()) for row in rows]
-    share = np.asarray(pairs, float)[back.reshape(-1)].reshape(m.shape[:-1]) / n
+
+    # Each frequency has a number, the sum of those of its coordinates; no two have the same
+    factors = np.random.default_rng(n).integers(2**63, size=sampler.dims)
+    numbers = np.sort(waves @ factors)
+    pairs = np.zeros(len(rows))
+    near = np.flatnonzero((np.abs(rows) <= 2 * np.abs(waves).max(axis=0)).all(axis=1))
+    for some in np.array_split(near, len(near) * n // _BLOCK + 1):
+        moved = numbers + (rows[some] @ factors)[:, None]
+        found = numbers[np.minimum(np.searchsorted(numbers, moved), n - 1)]
+        pairs[some] = (found == moved).sum(axis=1)
+    share = pairs[back.reshape(-1)].reshape(m.shape[:-1]) / n
     return np.asarray((1.0 - share) / n + _is_zero(m))
 
 

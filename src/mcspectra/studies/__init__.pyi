@@ -4,6 +4,7 @@ from .files import StudyConfig as StudyConfig
 from .files import decode_study as decode_study
 from .files import read_study as read_study
 from .files import study_file as study_file
+from .path import analyse_path as analyse_path
 from .pixel import analyse_pixel as analyse_pixel
 from .plan import make_plan as make_plan
 from .results import StudyStatus as StudyStatus
@@ -24,6 +25,7 @@ __all__ = [
     "StudyStatus",
     "SummaryRow",
     "Trust",
+    "analyse_path",
     "analyse_pixel",
     "decode_study",
     "estimate_study",

@@ -1,7 +1,7 @@
 """Everything about one pixel: what it sees, how fast each strategy converges there, and why.
 
 Strategies are light sampling, BSDF sampling, and both combined by the balance and by the power
-heuristic, with n samples of each technique. Variances are measured and predicted, without samples of g,
+heuristic, with n samples of each technique. Variances are measured and predicted,
 for all of them with several samplers.
 Terms, the bottleneck and remedies are those of one sampler, the first that is not ``random``.
 """
@@ -25,7 +25,7 @@ from mcspectra.quality.jumps import curve_length
 from mcspectra.rendering.backend import LOCK
 from mcspectra.rendering.pixel import Pixel, View, check_view, describe_pixel, incident_light
 from mcspectra.rendering.pixel_mis import pixel_mis
-from mcspectra.rendering.scene_checks import camera_rays
+from mcspectra.rendering.scene_checks import camera_rays, integrator_note, warn_integrator
 from mcspectra.rendering.scenes import (
     Scene,
     as_scene,
@@ -46,7 +46,14 @@ from mcspectra.variance.terms import variance_terms
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["EFFORTS", "PIXEL_SAMPLERS", "PIXEL_STRATEGIES", "Effort", "analyse_pixel"]
+__all__ = [
+    "EFFORTS",
+    "PIXEL_SAMPLERS",
+    "PIXEL_STRATEGIES",
+    "Effort",
+    "analyse_pixel",
+    "find_pixel",
+]
 
 PIXEL_STRATEGIES = ("light", "bsdf", "balance", "power")
 """Light and BSDF sampling, and multiple importance sampling of both by two heuristics."""
@@ -175,12 +182,13 @@ def analyse_pixel(
     import xarray as xr
 
     # Find the pixel, and check the plan before any work
-    x, y = _find(scene, x, y)
+    x, y = find_pixel(scene, x, y)
     request = as_scene(scene)
     as_integer("dims", dims, least=2, most=3)
     if channel == "rgb":
         raise ParameterError("channel is 'rgb'; give 'luminance', 0, 1 or 2, one at a time.")
     view = check_view(View(request, x, y, light, channel, dims), bsdf=True)
+    warn_integrator(request)
     chosen = EFFORTS[as_choice("effort", effort, tuple(EFFORTS))]
     if isinstance(samplers, str) or not samplers:
         raise ParameterError(f"samplers is {samplers!r}; give a list of samplers.")
@@ -275,6 +283,7 @@ def analyse_pixel(
         "y": view.y,
         **describe_pixel(request, view.x, view.y),
         "camera": camera_rays(request),
+        "scene_note": integrator_note(request),
         "light": "all" if light is None else light,
         "lights": lights,
         "channel": view.channel,
@@ -298,8 +307,8 @@ def analyse_pixel(
     return tree
 
 
-def _find(scene: Scene, x: int | str, y: int | None) -> tuple[int, int]:
-    """The pixel (x, y), or that of this name."""
+def find_pixel(scene: Scene, x: int | str, y: int | None) -> tuple[int, int]:
+    """Return the pixel (x, y), or that of this name; a ParameterError if there is none."""
     if y is not None and not isinstance(x, str):
         return x, y  # checked against the film by whatever uses it
     if y is not None or not isinstance(x, str):

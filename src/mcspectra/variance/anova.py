@@ -14,6 +14,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, final
 
@@ -51,7 +52,9 @@ EFFECTIVE_SHARE = 0.99
 _MAX_DIMS = 64
 _MAX_VALUES = 2**26  # estimates kept: 0.5 GiB
 _MAX_FREQUENCIES = 2**24  # in all
+_LEAST = 4  # realisations that show an error, as of `variance_terms`
 _BATCHES = 16  # of frequencies, independent of each other: their spread is the error
+_Group = Annotated[int, Meta(ge=0, lt=_MAX_DIMS)]
 _PARTNER, _ORDER, _UNIFORM = 0x616E6F, 0x616E70, 0x616E71  # stream labels
 
 
@@ -74,13 +77,19 @@ class Anova(Counted, frozen=True, kw_only=True):
     n: Annotated[int, COUNT] = 1
     order: Annotated[int, Meta(ge=1, le=2, description="1: single axes; 2: pairs too.")] = 2
     realizations: Annotated[int, REALIZATIONS] = 10_000
+    groups: Annotated[
+        tuple[_Group, ...] | None,
+        Meta(
+            description="Group of each axis, numbered from 0, to be split as one; each its own by default.",
+            extra={"metavar": "G,G,…"},
+        ),
+    ] = None
 
     def need(self, subject: Subject) -> Need:
         """The estimates of all subsets of the axes fit in memory."""
         estimator = subject.estimator
         estimator.check_sampler(subject.sampler, self.n)
-        dims = as_integer("dims", estimator.dims, least=1, most=_MAX_DIMS)
-        subsets = len(_frozen(dims, self.order))
+        subsets = len(_frozen(max(self._group_of_axes(estimator.dims)) + 1, self.order))
         values = subsets * max(1, estimator.channels) * self.realizations
         if values > _MAX_VALUES:
             raise ParameterError(
@@ -100,7 +109,8 @@ class Anova(Counted, frozen=True, kw_only=True):
         """The estimates of every realisation: covariances need the means of all."""
         e, sampler, n = subject.estimator, subject.sampler, self.n
         partner = stream.child(_PARTNER)
-        masks = np.array([[a in u for a in range(e.dims)] for u in _frozen(e.dims, self.order)])
+        groups = self._group_of_axes(e.dims)
+        masks = np.array([[g in u for g in groups] for u in _frozen(max(groups) + 1, self.order)])
         evaluations = n * sum(e.counts)
         blocks = realization_blocks(self.realizations, 4 * e.dims * evaluations)
 
@@ -137,13 +147,28 @@ class Anova(Counted, frozen=True, kw_only=True):
             result=lambda found: self._labelled(found.values, subject),
         )
 
+    def _group_of_axes(self, dims: int) -> tuple[int, ...]:
+        """The group of each axis: what the analysis takes for an axis."""
+        given = tuple(range(dims)) if self.groups is None else self.groups
+        if len(given) != dims or {*given} != {*range(max(given) + 1)}:
+            raise ParameterError(
+                f"groups is {list(given)!r:.80}; give one for each of the {dims} axes, numbered from 0 "
+                "without gaps."
+            )
+        as_integer(
+            "dims" if self.groups is None else "groups", max(given) + 1, least=1, most=_MAX_DIMS
+        )
+        return given
+
     def _labelled(self, estimates: Array, subject: Subject) -> xr.Dataset:
         """Linear combinations of the covariances of all subsets with the first, as a dataset."""
         moments, count = Moments.of(estimates[0], tails=True), estimates.shape[1]
         # Products of deviations, whose means over realisations are covariances: (S, R, channels)
         deviation = estimates - estimates.mean(axis=1, keepdims=True)
         products = deviation * (deviation[0] * (count / (count - 1)))
-        dims = subject.estimator.dims
+        # Both of two products are equal, of deviations from a mean of their own
+        per_root = count**-0.5 if count >= _LEAST else math.nan
+        dims = max(self._group_of_axes(subject.estimator.dims)) + 1
         frozen, listed, axes = _frozen(dims, self.order), _subsets(dims, self.order), range(dims)
         weight = dict(zip(frozen, np.eye(len(frozen)), strict=True))
 
@@ -155,7 +180,7 @@ class Anova(Counted, frozen=True, kw_only=True):
             """Combinations (U, S) of the covariances, and their standard errors: (U, channels)."""
             each = [weighted_sum(row, products) for row in weights]
             means = np.stack([q.mean(axis=0) for q in each])
-            return means, np.stack([q.std(axis=0, ddof=1) for q in each]) / np.sqrt(count)
+            return means, np.stack([q.std(axis=0, ddof=1) for q in each]) * per_root
 
         parts = [
             below(*u) - sum((below(a) for a in u if len(u) > 1), np.zeros(len(frozen)))
@@ -171,7 +196,7 @@ class Anova(Counted, frozen=True, kw_only=True):
             each = [weighted_sum(row, products) for row in weights]
             share = np.stack([q.mean(axis=0) for q in each]) / whole
             off = [(q - s * every).std(axis=0, ddof=1) for q, s in zip(each, share, strict=True)]
-            half = student_t(count) * np.stack(off) / np.abs(whole) / np.sqrt(count)
+            half = student_t(count) * per_root * np.stack(off) / np.abs(whole)
             return share, np.stack([share - half, share + half], axis=-1)
 
         sizes = np.array([len(u) for u in listed])
@@ -192,6 +217,9 @@ class Anova(Counted, frozen=True, kw_only=True):
         by_size, by_size_ci = ratios(up_to)
         mean_size, mean_size_ci = ratios([np.sum(totals, axis=0)])
         alone = ("channel",)
+        few = (
+            f"{count} realisations show no error; {_LEAST} are the least" if count < _LEAST else ""
+        )
         return dataset(
             {
                 "anova_variance": (("subset", "channel"), own),
@@ -227,7 +255,7 @@ class Anova(Counted, frozen=True, kw_only=True):
             },
             drop=() if subject.estimator.channels else alone,
             effective_share=EFFECTIVE_SHARE,
-            note=tail_note(moments),
+            note="; ".join(filter(None, (few, tail_note(moments)))) or None,
         )
 
 
@@ -346,6 +374,7 @@ def anova_variances(
     *,
     order: int = 2,
     realizations: int = 10_000,
+    groups: Sequence[int] | None = None,
     rng: RngLike = 0,
     max_evaluations: int | None = None,
     workers: int | None = None,
@@ -355,12 +384,15 @@ def anova_variances(
     Parameters
     ----------
     estimator, sampler, n
-        What is analysed, in up to 64 dims. Random sampling with n = 1, the default, gives the ANOVA
+        What is analysed, in up to 64 dims or groups. Random sampling with n = 1, the default, gives the ANOVA
         variances σ²_u of the integrand itself.
     order
         1 or 2: list subsets of up to so many axes.
     realizations
         Independent pairs of point sets, at least 2.
+    groups
+        Group of each axis, numbered from 0 without gaps: subsets, ``axis`` and ``axes`` are then of
+        groups, as of the bounces of a path. By default every axis is one.
     rng
         Seed (SPEC 7). Realisation r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
     workers
@@ -381,7 +413,8 @@ def anova_variances(
         and ``mean_dimension``, the mean of |u| weighted by c_u; ``variance``. Shares and dimensions
         have 95 % intervals ``_ci``, not cut at 0 and 1: of ratios of means (delta method, Student's
         t); of effective dimensions, where the ends of the shares cross 99 %, inf where the lower
-        one does not. A dim channel where f has several.
+        one does not. Errors and intervals are NaN of fewer than 4 realisations. A dim channel where f
+        has several.
 
     Raises
     ------

@@ -39,6 +39,7 @@ _TWO_LEVELS = 0.85  # share of the variance between the two sides of the mean; n
 _SWITCHES = 20
 _HEAVY = 0.6  # tail index, known to ±0.1 from 2000 draws; beyond ½ the variance is infinite
 _LEAST_TAIL = 20  # draws in a tail that is looked at
+_SMALLEST = 1e-100  # size of the draws whose squares have squares
 _FEW_DEGREES = 6.0  # the error is known to ±30 %
 
 _VARIABLES: dict[str, tuple[str, ...]] = {
@@ -80,7 +81,7 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
     ------
     ParameterError, DomainError
         Fewer than 10 draws, other dims, values that are no finite numbers, weights that are negative
-        or all zero in a chain.
+        or all zero in a chain; draws whose squares are beyond the range of numbers.
 
     Notes
     -----
@@ -112,6 +113,13 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
                 "0, such as multiplicities or importance weights."
             )
         w = w / w.mean()
+
+    sizes = np.abs(values).max(axis=(1, 2))
+    if ((sizes > 1 / _SMALLEST) | ((sizes > 0) & (sizes < _SMALLEST))).any():
+        raise DomainError(
+            f"draws are as large as {sizes.max():.3g} and as small as {sizes.min():.3g}; scale each "
+            f"quantity to a size between {_SMALLEST:g} and {1 / _SMALLEST:g}."
+        )
 
     found = [_error(each, w) for each in values]
     note = None

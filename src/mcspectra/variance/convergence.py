@@ -8,7 +8,7 @@ be a moment at which its kurtosis is underestimated; and estimates that have sho
 are no evidence of none: 10 000 are tried, then the error is NaN, and the goal not reached.
 
 Where the estimates show that they missed what makes the variance, its interval has no finite upper
-end, the rate none at all, and the attribute ``note`` says why (`_blindness`).
+end, the rate none at all, and the attribute ``note`` says why (`mcspectra.variance.blindness`).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from mcspectra.core.analysis import (
     in_step,
 )
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import McspectraError, ParameterError
+from mcspectra.core.errors import ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNT, COUNTS, FIT_LAST, REALIZATIONS, Counts, Window
 from mcspectra.core.parallel import (
@@ -46,11 +46,11 @@ from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, Moments
 from mcspectra.estimators.moments import rounding_floor
-from mcspectra.estimators.tails import tail_note, unsampled_note
-from mcspectra.samplers import Random, Sampler
+from mcspectra.estimators.tails import tail_note
+from mcspectra.samplers import Sampler
+from mcspectra.variance.blindness import blindness, is_fixed
 from mcspectra.variance.doors import answer, counted
 from mcspectra.variance.fit import check_window, fit_rates
-from mcspectra.variance.quadrature import square_integral
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -71,10 +71,6 @@ _LEAST = 100  # realisations of the first stage: κ of fewer says little
 _STEP = 1.25  # a stage makes the sample longer by a quarter at least,
 _LEAP = 4.0  # and at most fourfold: κ is known better then
 _BLANK = 10_000  # realisations without spread after which the search is given up
-_LARGE_SHARE = 0.2  # of Σ (estimate − mean)², in one square: the tail is not resolved
-_RARELY = 1e-3  # normal estimates have a larger square this often; of few, one is always large
-_PEAKED = 9.0  # κ − 1 of estimates whose variance may be infinite: it is worth a quadrature
-_FAR = 5.0  # standard errors from the integral that are no chance
 _TAIL = ("largest_share", "resolved", "tail_index")  # of `Moments`: what they tell of it
 _PARTS = 2  # a block is half the usual: a thousand realisations of a thousand points are two
 
@@ -101,6 +97,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
 
     function = "convergence"
     verb = "converge"
+    several = ("estimator", "sampler")
     variables = tuple(_DIMS)
 
     counts: Annotated[Counts, COUNTS]
@@ -117,7 +114,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
 
     def need(self, subject: Subject) -> Need:
         """Every sampler can do every count, and all fit in one dataset."""
-        estimators, samplers = _several(subject.estimator), _several(subject.sampler)
+        estimators, samplers = subject.estimators, subject.samplers
         check_window(self.fit_last, len(self.counts))
         channels = sorted({e.channels for e in estimators})
         if len(channels) > 1:
@@ -125,10 +122,6 @@ class Convergence(Counted, frozen=True, kw_only=True):
                 f"The estimators have {' and '.join(map(str, channels))} channels; compare those of "
                 "equal numbers."
             )
-        names = [s.spec for s in samplers]
-        for name in names:
-            if names.count(name) > 1:
-                raise ParameterError(f"The sampler {name} is listed twice; list each once.")
         for estimator, sampler, n in itertools.product(estimators, samplers, self.counts):
             estimator.check_sampler(sampler, n)
         evaluations = [sum(e.counts) for e in estimators]
@@ -151,7 +144,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
         ])  # fmt: skip
 
         # Moments of every estimator, sampler and count; estimators that share realisations come last
-        estimators, samplers = _several(subject.estimator), _several(subject.sampler)
+        estimators, samplers = subject.estimators, subject.samplers
         flat = [each for cell in found for each in cell]
         joint = len(cells[0].estimators) > 1
         shape = (len(estimators), len(samplers), len(self.counts))
@@ -172,7 +165,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
         floor = rounding_floor(np.fmax(np.abs(mean), np.abs(integral)))
 
         # A set that is the same every time has no variance, but rounding noise
-        fixed = np.array([[_is_fixed(e, s) for s in samplers] for e in estimators])
+        fixed = np.array([[is_fixed(e, s) for s in samplers] for e in estimators])
         variance[fixed], interval[fixed], mean_se[fixed] = 0.0, 0.0, 0.0
         v, r, f = (np.moveaxis(a, 2, 0) for a in (variance, relative, floor))
         fits = fit_rates(np.array(self.counts), v, r, f, self.fit_last)
@@ -188,7 +181,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
             "floor": floor,
         }
         ns = np.array(self.counts)
-        blind, notes = _blindness(estimators, samplers, ns, self.realizations, measured)
+        blind, notes = blindness(estimators, samplers, ns, self.realizations, measured)
         if np.isnan(integral).any():
             notes.append("the integral is unknown, so that no bias is measured; give integral=…")
         interval[blind, 1] = np.inf
@@ -259,14 +252,14 @@ class Convergence(Counted, frozen=True, kw_only=True):
         One technique that has no `draw` of its own gets the sampler's points: all such share them.
         A wanted precision takes as many realisations as each estimator needs by itself.
         """
-        estimators = tuple(_several(subject.estimator))
+        estimators = tuple(subject.estimators)
         draws = AbstractEstimator.draw
         plain = all(e.counts == (1,) and type(e).draw is draws for e in estimators)
         joint = plain and self.relative_error is None
         return [
             MomentsCell(group, sampler, n, count_stream(stream, n))
             for group in ([estimators] if joint else [(e,) for e in estimators])
-            for sampler in _several(subject.sampler)
+            for sampler in subject.samplers
             for n in self.counts
         ]
 
@@ -400,7 +393,7 @@ def convergence(
     >>> round(float(curve["rate"]), 1)
     -3.0
     """
-    return answer(Convergence, locals(), lists=True)
+    return answer(Convergence, locals())
 
 
 def realizations_needed(
@@ -541,138 +534,3 @@ def count_moments(
     for state in map_in_order(run.block, range(run.blocks), workers):
         tree.add(state)
     return tree.total()[0]
-
-
-def _several(given: Any) -> list[Any]:
-    """A list of what may be one."""
-    return list(given) if isinstance(given, list | tuple) else [given]
-
-
-def _is_fixed(estimator: AbstractEstimator, sampler: Sampler) -> bool:
-    """Whether all estimates are of the same points."""
-    dealt = estimator.sets == "joint" and len(estimator.counts) > 1 and not sampler.sequence
-    return estimator.randomized(sampler).fixed and not dealt
-
-
-def _random_variance(estimator: AbstractEstimator, *, by_quadrature: bool) -> Array:
-    """n times the variance of random points, Σ_t (∫g_t² − (∫g_t)²)/counts[t]: (channels or 1,).
-
-    NaN where no closed form is known; `by_quadrature` tries further, which tells whether it is infinite.
-    """
-    total = np.zeros(max(1, estimator.channels))
-    for t, count in enumerate(estimator.counts):
-        g = estimator.primary_integrand(t)
-        found = g.box_moments(np.zeros((1, g.dims)), np.ones((1, g.dims)))
-        if found is not None:
-            mean, square = (np.asarray(each, float).reshape(-1) for each in found)
-        elif by_quadrature and g.dims <= 2 and not g.is_black_box:
-            mean = np.full(total.shape, np.nan)
-            try:
-                square = square_integral(g)[0]
-                mean = np.where(np.isinf(square), 0.0, np.atleast_1d(g.integral))
-            except McspectraError:
-                square = mean
-        else:
-            return np.full(total.shape, np.nan)
-        total += (square - mean**2) / count
-    return total
-
-
-def _large_share(realizations: Array) -> Array:
-    """Share of the variance in one square, above which the tail of the estimates is not resolved.
-
-    A fifth; of few realisations more, which normal ones exceed once in a thousand times [Grubbs 1950].
-    """
-    from scipy.special import stdtrit
-
-    r = np.maximum(realizations, 3)
-    t2 = stdtrit(r - 2, _RARELY / (2 * r)) ** 2
-    normal = (r - 1) / r * t2 / (r - 2 + t2)
-    return np.where(realizations > 2, np.maximum(normal, _LARGE_SHARE), 1.0)
-
-
-def _blindness(
-    estimators: Sequence[AbstractEstimator],
-    samplers: Sequence[Sampler],
-    counts: Array,
-    realizations: int,
-    measured: dict[str, Array],
-) -> tuple[Array, list[str]]:
-    """Where estimates missed what makes their variance, and sentences that say why.
-
-    Parameters
-    ----------
-    measured
-        By name, each (estimator, sampler, n, channel): ``realizations``, ``variance``, its
-        ``relative_se``, the ``largest_share`` of a square in it, whether it is ``resolved`` and the
-        ``tail_index``, ``bias``, ``bias_se`` and the ``floor`` of rounding.
-
-    Returns
-    -------
-    tuple
-        Which variances have no finite upper end, in the shape of ``variance``; the sentences.
-    """
-    from scipy.special import gammainc, ndtr, stdtrit
-
-    r = measured["realizations"]
-    # More points lighten tails: those that are heavy at n are so at smaller counts, seen there or not
-    heavy, unresolved = (
-        np.logical_or.accumulate(found[:, :, ::-1], axis=2)[:, :, ::-1]
-        for found in (measured["largest_share"] > _large_share(r), ~measured["resolved"])
-    )
-    suspect = heavy | unresolved | (r * measured["relative_se"] ** 2 > _PEAKED)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        pull = measured["bias"] / measured["bias_se"]
-    noise = 4 * np.sqrt(measured["floor"])
-    missed = np.abs(measured["bias"]) > noise + _FAR * measured["bias_se"]
-    rare = float(ndtr(-_FAR))
-    far = missed & (np.abs(pull) > -stdtrit(r - 1, rare))
-    varies = measured["variance"] > measured["floor"]
-
-    blind, notes, fixed = np.zeros(varies.shape, bool), dict[str, None](), dict[str, None]()
-    for i, e in enumerate(estimators):
-        unsampled = unsampled_note(e, int(counts[-1]) * realizations)
-        if unsampled is not None:
-            notes[f"{e.spec}: {unsampled}"] = None
-        of_random = _random_variance(e, by_quadrature=bool((suspect & varies)[i].any()))
-        for j, sampler in enumerate(samplers):
-            source, at = e.randomized(sampler), (i, j)
-            if _is_fixed(e, sampler):
-                said = "has no variance: add owen or shift, or look at |bias|"
-                fixed[f"{sampler.spec} {said}"] = None
-                continue
-            of = {name: values[at] for name, values in measured.items()}
-            known = isinstance(source, Random) & np.isfinite(of_random) & (of_random > 0)
-            true = np.where(known, of_random, 1.0) / counts[:, None]
-            half = of["relative_se"] ** -2.0
-            low = gammainc(half, half * of["variance"] / true) < rare
-            agrees = ~missed[at] & (varies[at].any(axis=0) | (e.integral_source == "exact"))
-            excess = true / np.where(varies[at], of["variance"], np.nan)
-
-            # A count has the first of these that holds, and the sentence its worst value
-            everywhere = np.ones_like(low)
-            for text, where, size in (
-                ("∫g² diverges, the variance is infinite", everywhere & np.isinf(of_random), excess),
-                ("none of the estimates varies{at}: what makes their variance was not met",
-                 ~varies[at] & ~agrees, excess),
-                ("∫g² makes the variance {worst:.3g} times the measured one{at}: what is rare was not met",
-                 varies[at] & known & low, excess),
-                ("the mean is {worst:+.3g} standard errors off the integral{at}: what is rare was not met",
-                 far[at] & source.unbiased, pull[at]),
-                ("tails not resolved{at}: a single estimate makes {worst:.3g} % of the variance",
-                 heavy[at] & varies[at], 100 * of["largest_share"]),
-                ("tails not resolved{at}: few estimates make the variance, tail index k̂ = {worst:.2f}",
-                 unresolved[at] & varies[at] & np.isfinite(of["tail_index"]), of["tail_index"]),
-                ("tails not resolved{at}: few estimates make the variance",
-                 unresolved[at] & varies[at], excess),
-            ):  # fmt: skip
-                new = where & ~blind[at]
-                blind[at] |= new
-                if new.any():
-                    place = f" at n = {', '.join(map(str, counts[new.any(axis=1)]))}"
-                    said = text.format(at=place, worst=max(size[new].tolist(), key=abs))
-                    notes[f"{e.spec} with {sampler.spec}: {said}"] = None
-            blind[at] |= unsampled is not None
-    if blind.any():
-        notes["none of these variances has a finite upper bound"] = None
-    return blind, [*notes, *fixed]

@@ -1,4 +1,4 @@
-"""What analyses share: the body of their public functions, and coordinates of their results."""
+"""What analyses share: the body of their public functions, coordinates of results, words."""
 
 from __future__ import annotations
 
@@ -11,12 +11,16 @@ from mcspectra.estimators import as_subject
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["answer", "counted"]
+__all__ = ["NO_VARIANCE", "VANISHES", "answer", "counted"]
+
+NO_VARIANCE = "has no variance: add owen or shift, or look at |bias|"
+"""What is said of a sampler whose set is the same every time."""
+
+VANISHES = "the variance vanishes to rounding"
+"""What is said where the estimates are the integral."""
 
 
-def answer(
-    analysis: type[Analysis], arguments: Mapping[str, Any], *, lists: bool = False
-) -> xr.Dataset:
+def answer(analysis: type[Analysis], arguments: Mapping[str, Any]) -> xr.Dataset:
     """Compute an analysis for its public function, whose arguments (`locals()`) are named as its options.
 
     Parameters
@@ -24,11 +28,11 @@ def answer(
     analysis
         Its class.
     arguments
-        ``estimator``, ``sampler``, ``rng``, ``workers`` if it has threads, and every option.
-    lists
-        Whether there may be lists of estimators and samplers.
+        ``estimator``, ``sampler`` or ``samplers``, ``rng``, ``workers`` if it has threads, and every
+        option.
     """
-    subject = as_subject(arguments["estimator"], arguments["sampler"], lists=lists)
+    sampler = arguments.get("sampler", arguments.get("samplers"))
+    subject = as_subject(arguments["estimator"], sampler, lists=bool(analysis.several))
     return compute(analysis.of(arguments), subject, arguments["rng"], arguments.get("workers"))
 
 

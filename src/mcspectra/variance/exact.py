@@ -45,7 +45,7 @@ from mcspectra.core.streams import Stream
 from mcspectra.core.tally import counting
 from mcspectra.estimators import AbstractEstimator, as_subject
 from mcspectra.estimators.reflected import FoldedIntegrand, SymmetrizedIntegrand
-from mcspectra.integrands import Integrand
+from mcspectra.integrands import Integrand, integral_accuracy
 from mcspectra.samplers import (
     Jittered,
     LatinHypercube,
@@ -66,12 +66,14 @@ from mcspectra.variance.quadrature import (
     Pointwise,
     Rule,
     blindness,
+    constant,
     grid_values,
     in_closed_form,
-    mean_square,
+    looked_at,
     moments,
     offset_rule,
     orders_of,
+    square_integral,
     strata,
     stratum_moments,
 )
@@ -244,14 +246,25 @@ def of_integrand(
         As `exact_variance`, the error is more than `tolerance` times the variance, or a rule would
         take more than about `most` evaluations.
     """
+    g = looked_at(g)
     base, steps = parts_of(sampler)
     names = {step.name for step in steps}
+    square = square_error = np.full(max(1, g.channels), np.nan)
+    if sampler.unbiased and not (in_closed_form(g) or g.costly):
+        square, square_error = square_integral(g)
+        if np.isinf(square).all():  # one point next to the pole outweighs all others
+            return square, np.zeros(len(square))
     if isinstance(base, Random) and names <= {"shift", "strata-shift"}:
         middle, first, second, error = moments(g)
         value = second - first**2
         # Three standard errors of the integrals become 4.5: of 1,000 functions none is to be beyond
         error = 1.5 * error * (1.0 + 2.0 * np.abs(first)) + 4e-15 * (second + middle**2)
-        if (error <= tolerance * value).all() and np.isfinite(mean_square(g)).all():
+        if (error > tolerance * value).any() and np.isfinite(square).all():
+            mean, off = np.atleast_1d(g.integral), integral_accuracy(g)[1]
+            by_square = square_error + 2.0 * np.abs(mean) * off + 4e-15 * square
+            value = np.where(by_square < error, square - mean**2, value)
+            error = np.minimum(by_square, error)
+        if (error <= tolerance * value).all() and (value > 0.0).all():
             return value / n, error / n
 
     cells = names <= {"owen", "permute", "shuffle", "strata-shift"} and (
@@ -274,7 +287,7 @@ def of_integrand(
             break
     if agree.all() and error.all():
         return high, error
-    square = mean_square(g)
+    square, _ = square_integral(g)
     agree |= error <= _NEGLIGIBLE * np.max(square) / n
     if sampler.unbiased:  # one point next to the pole outweighs all others
         high = np.where(np.isinf(square), np.inf, high)
@@ -291,6 +304,8 @@ def of_integrand(
             f"convergence or variance_terms{larger}."
         )
     vanishes = np.isfinite(high) & (np.maximum(low, high) <= rounding)
+    if vanishes.all() and (said := constant(g)):
+        raise NoClosedForm(f"{said}.")
     return np.where(vanishes, 0.0, high), np.where(np.isinf(high), 0.0, error)
 
 

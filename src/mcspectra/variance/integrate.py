@@ -23,6 +23,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.memory import check_memory, memory_of
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, Estimator, Moments, as_estimator
@@ -86,6 +87,8 @@ def integrate(
     ParameterError
         A value is out of range, the sampler is not random, f has channels or several techniques, the
         budget is too small for eight replicates; as of `mcspectra.integrands.Calls`.
+    ConfigError
+        The budget's points and values are more than this machine's memory.
 
     Examples
     --------
@@ -106,7 +109,9 @@ def integrate(
             )
         inner, known = estimator.primary_integrand(0), estimator.dims
     if known is None:
-        raise ParameterError("The number of dims of f is not known; give dims=.")
+        raise ParameterError(
+            "dims is missing; give dims=, the number of dims of the function's points."
+        )
     source = as_sampler("sobol | owen" if sampler is None else sampler, known)
     calls = Calls(
         inner,  # type: ignore[arg-type]
@@ -126,6 +131,7 @@ def integrate(
         raise ParameterError(
             f"budget is {calls.budget}, too small for {_LEAST} replicates of {source.spec}; give more."
         )
+    check_memory(memory_of(calls.budget, known), "integrate")
     stream = Stream.from_rng(rng)
 
     with calls:

@@ -18,8 +18,10 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import NoClosedForm
 from mcspectra.densities.adaptive import positive_integral
+from mcspectra.estimators import Estimator
+from mcspectra.estimators.base import PrimaryIntegrand
 from mcspectra.integrands import Integrand
-from mcspectra.integrands._quadrature import gauss_rule, probe
+from mcspectra.integrands._quadrature import PROBE, found_breaks, gauss_rule, probe
 from mcspectra.integrands.base import Breaks, Derived, integral_accuracy, numeric_integral
 
 __all__ = [
@@ -27,8 +29,10 @@ __all__ = [
     "Pointwise",
     "Rule",
     "blindness",
+    "constant",
     "grid_values",
     "in_closed_form",
+    "looked_at",
     "mean_square",
     "mesh",
     "moments",
@@ -37,6 +41,7 @@ __all__ = [
     "square_integral",
     "strata",
     "stratum_moments",
+    "unseen",
 ]
 
 MOST_EVALUATIONS = 2.0**26
@@ -52,6 +57,10 @@ _RESOLVED = 1e-10  # relative error of ∫g² above which g has jumps that boxes
 _CENTER = 2**10  # points whose mean is subtracted before g is squared
 _POLE = 2.0  # times the largest value at the probe, which g² exceeds next to a pole
 _SUSPECT = 0.01  # relative error, beyond which there may be a pole, and all levels are worth it
+_LOOKED_DIMS = 5
+_GROWTH_LINES, _STEADY = 4, 0.02  # lines, and difference of two slopes of one exponent
+_FAR, _NEAR, _INSIDE = (30, 60, 90, 120), (20, 30, 40, 50), (8, 14, 20, 26)  # log2 of 1/distance
+_DIVERGES = 0.4995  # exponent of g, less what slopes are off by
 
 # √u near 0 is integrated to 1e-6 with panels down to 2^-20; in 2-D every panel costs a row of them.
 _GRADED = {
@@ -81,6 +90,43 @@ class Pointwise(Derived):
 
     def _integral(self) -> None:
         return None
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class _Cut(Derived):
+    """An integrand with the breaks that were found as well."""
+
+    name: ClassVar[str] = "cut"
+    text = "{0.integrand.spec}"
+    integrand: Integrand
+
+    @property
+    def breaks(self) -> Breaks:
+        return tuple(tuple(axis.tolist()) for axis in found_breaks(self.integrand))
+
+    def _evaluate(self, x: Array) -> Array:
+        return self.integrand(x)
+
+    def _fourier(self, m: Array) -> Array | None:
+        return self.integrand._fourier(m)
+
+
+def looked_at(g: Integrand) -> Integrand:
+    """g, cut also where lines see jumps across an axis (`found_breaks`), if they see any.
+
+    Integrands of costly calls, in closed form, with a rule of their own or in over 5 dims are taken
+    as they are.
+    """
+    if "_looked_at" not in g.__dict__:
+        as_it_is = isinstance(g, _Cut) or g.costly or g.dims > _LOOKED_DIMS or in_closed_form(g)
+        found = g
+        if not as_it_is and g._estimated_integral() is None:
+            more = sum(map(len, found_breaks(g))) - sum(map(len, g.breaks))
+            found = _Cut(g) if more > 0 else g
+        g.__dict__["_looked_at"] = found
+    cut: Integrand = g.__dict__["_looked_at"]
+    return cut
 
 
 @final
@@ -135,8 +181,9 @@ def blindness(g: Integrand, means: Array, squares: Array) -> Array:
     square_off = np.abs(square - 2.0 * middle * mean + middle**2 - second) - error - rounding
     largest = np.abs(means - middle).max(axis=0)
     missed = np.maximum(square_off, 0.0) + 2.0 * largest * np.maximum(off, 0.0)
-    # Integrals that are not resolved can hide as much as their error
-    return np.asarray(missed + np.where(error > _RESOLVED * second, error, 0.0))
+    # Integrals that are not resolved can hide as much as their error, jumps are where they were found
+    hides = (error > _RESOLVED * second) | isinstance(g, _Cut)
+    return np.asarray(missed + np.where(hides, error, 0.0))
 
 
 def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
@@ -150,8 +197,11 @@ def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
         if exact is None:
             middle = g(probe(g.dims)[:_CENTER]).reshape(_CENTER, -1).mean(axis=0)
             both = _Moments(g, middle)
+            both.__dict__["_found_breaks"] = found_breaks(g)
             first, second = np.split(numeric_integral(both), 2)
             error = np.full(middle.shape, integral_accuracy(both)[1])
+            if "_unseen" in both.__dict__:
+                g.__dict__["_unseen_square"] = both.__dict__["_unseen"][len(middle) :]
         else:
             middle, square = (np.asarray(moment, float).reshape(-1) for moment in exact)
             first, second, error = 0.0 * middle, square - middle**2, 0.0 * middle
@@ -185,6 +235,27 @@ class Rule:
 def orders_of(cells: int, dims: int) -> tuple[int, int]:
     """Orders of two rules to compare; in 2-D and up lower, and for many cells lower still."""
     return _ORDERS[0] if dims == 1 else _ORDERS[1] if cells < _MANY else _ORDERS[2]
+
+
+def unseen(g: Integrand) -> Array:
+    """What ∫g² may be off by for regions that nodes do not see, (channels or 1,): `moments`."""
+    if g.costly or g.dims > _LOOKED_DIMS or in_closed_form(g):
+        return np.zeros(max(1, g.channels))
+    moments(g)
+    return np.asarray(g.__dict__.get("_unseen_square", np.zeros(max(1, g.channels))))
+
+
+def constant(g: Integrand) -> str:
+    """What is to be said of an integrand that is the same at all points of the probe; else ''."""
+    if g.costly or in_closed_form(g) or g._integral() is not None:
+        return ""
+    if np.ptp(g(probe(g.dims)), axis=0).any():
+        return ""
+    return (
+        f"{g.spec} is the same at all {PROBE} points of a probe: its variance is 0 to rounding, or "
+        f"lies in a region of less than about {10 / PROBE:.0e} of the volume; use convergence, or give "
+        "its integral (integral=) to say that it is constant"
+    )
 
 
 def in_closed_form(g: Integrand) -> bool:
@@ -312,41 +383,92 @@ def mean_square(g: Integrand) -> Array:
 def square_integral(g: Integrand) -> tuple[Array, Array]:
     """∫g² and an estimate of its absolute error, both (channels or 1,).
 
-    By `moments`; in 1-D and 2-D also by quadrature that records how much each level leaves unresolved
-    (`mcspectra.densities.adaptive`): the integral is infinite where that does not shrink, else the
-    smaller error counts. `moments` do not see a divergence: rounding of T(u) stops it somewhere. In
-    more dims it shows as a large error at best.
+    Infinite where g grows too fast across an axis (`_growth`). Else by `moments`; in 1-D and 2-D also by
+    quadrature that records how much each level leaves unresolved (`mcspectra.densities.adaptive`), for f/p
+    over the domain, ∫ f²/p: points next to 1 are few in double precision, those of the domain are not.
+    The integral is infinite where that does not shrink, but for poles across an axis; else the smaller
+    error counts. In more dims other poles show as a large error at best.
     """
     kept: dict[str, tuple[Array, Array]] = g.__dict__
     if "_square" in kept:
         return kept["_square"]
+    width = max(1, g.channels)
+    by_levels, level_errors = np.full(width, np.nan), np.full(width, np.inf)
+    inside = g.integrand if isinstance(g, _Cut) else g
+    warped = isinstance(inside, PrimaryIntegrand) and isinstance(inside.estimator, Estimator)
+    grows = np.zeros(width)
+    if not (warped or in_closed_form(g) or g.costly):
+        grows = _growth(g)
+        by_levels[grows >= _DIVERGES] = np.inf
+    over_domain = warped and inside.density.dims == g.dims  # type: ignore[attr-defined]
+
+    def square(x: Array) -> Array:
+        """g² at points (..., d), with channels; over the domain f²/p."""
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # next to a pole
+            if not over_domain:
+                return np.asarray(g(x)).reshape(*x.shape[:-1], -1) ** 2
+            f = np.asarray(inside.integrand(x)).reshape(*x.shape[:-1], -1)  # type: ignore[attr-defined]
+            p = inside.density.pdf(x)[..., None]  # type: ignore[attr-defined]
+            return np.where(f == 0.0, 0.0, f**2 / p)
+
     # By quadrature that records what each level leaves unresolved
-    by_levels = np.full(max(1, g.channels), np.nan)
-    level_errors = np.full(by_levels.shape, np.inf)
-    for c in range(0 if in_closed_form(g) or g.dims > 2 else len(by_levels)):
+    for c in np.flatnonzero(np.isnan(by_levels)) if not in_closed_form(g) and g.dims <= 2 else ():
         seen = [0.0]
 
-        def square(x: Array, c: int = c, seen: list[float] = seen) -> Array:
-            with np.errstate(over="ignore"):  # next to a pole
-                found = np.asarray(np.asarray(g(x)).reshape(*x.shape[:-1], -1)[..., c] ** 2)
+        def of_channel(x: Array, c: int = int(c), seen: list[float] = seen) -> Array:
+            found = square(x)[..., c]
             seen.append(float(found.max(initial=0.0)))
             return found
 
-        level = positive_integral(square, g.dims, most_cells=_FEW_CELLS)
+        level = positive_integral(of_channel, g.dims, most_cells=_FEW_CELLS)
         if level[1] > _SUSPECT * level[0]:
-            level = positive_integral(square, g.dims)
-        # Narrow ridges grow from level to level like poles, but not beyond what the probe sees
+            level = positive_integral(of_channel, g.dims)
+        # Narrow ridges grow from level to level like poles, but not beyond what the probe sees; where
+        # the exponent of a pole is known, it decides
         largest = max(seen)
-        if math.isfinite(level[0]) or largest > _POLE * square(probe(g.dims)).max():
+        pole = largest > _POLE * float(of_channel(probe(g.dims)).max())
+        if math.isfinite(level[0]) or (pole and not grows[c] > 0.0):
             by_levels[c], level_errors[c] = level
     if np.isinf(by_levels).all():
-        return kept.setdefault("_square", (by_levels, level_errors))
+        return kept.setdefault("_square", (by_levels, np.zeros(width)))
 
     # By the rule that looks for what nodes miss
     middle, first, second, error = moments(g)
     value = second + 2.0 * middle * first + middle**2
     error = error * (1.0 + 2.0 * np.abs(middle))
-    full = by_levels >= value - level_errors - error  # levels miss slabs, boxes the ends of poles
-    better = (level_errors < error) & full | np.isinf(by_levels)
+    with np.errstate(invalid="ignore"):
+        more = (
+            by_levels - value - level_errors - error
+        )  # levels miss slabs, and boxes ends of poles
+        alike = np.abs(by_levels - value) <= level_errors + error
+    better = (
+        alike & (level_errors < error) & ~unseen(g).any()
+        | np.isinf(by_levels)
+        | over_domain & (more > 0.0)
+    )
+    if not isinstance(g, _Cut):
+        error = np.where((more > 0.0) & ~better, error + more, error)
     value, error = np.where(better, by_levels, value), np.where(better, level_errors, error)
     return kept.setdefault("_square", (value, error))
+
+
+def _growth(g: Integrand) -> Array:
+    """Largest exponent a of g ~ t^-a at distance t from the ends of an axis or a break; 0 without one.
+
+    Per channel, (channels or 1,), along some lines: slopes of log |g| over the last distances, which must
+    agree. ∫g² diverges from a = ½ on.
+    """
+    lines = probe(g.dims)[:_GROWTH_LINES]
+    found = np.zeros(max(1, g.channels))
+    for axis in range(g.dims):
+        ends = [(0.0, 1.0, _FAR), (1.0, -1.0, _NEAR)]
+        ends += [(b, way, _INSIDE) for b in looked_at(g).breaks[axis] for way in (1.0, -1.0)]
+        for place, way, distances in ends:
+            room = 1.0 - place if way > 0.0 else place
+            x = np.repeat(lines[:, None], len(distances), axis=1)
+            x[..., axis] = place + way * room * 0.5 ** np.array(distances)
+            size = np.log2(np.maximum(np.abs(g(x)).reshape(*x.shape[:-1], -1), 1e-300))
+            slope = np.diff(size, axis=1) / np.diff(distances)[:, None]
+            steady = (np.ptp(slope[:, -2:], axis=1) < _STEADY) & (slope[:, -1] > _STEADY)
+            found = np.maximum(found, np.where(steady, slope[:, -1], 0.0).max(axis=0))
+    return found

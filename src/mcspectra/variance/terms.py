@@ -21,10 +21,10 @@ from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator
 from mcspectra.estimators.moments import rounding_floor
-from mcspectra.estimators.tails import tail_note, unsampled_note
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler
 from mcspectra.variance.bands import check_bands, make_bands
+from mcspectra.variance.blindness import blindness_of, is_fixed
 from mcspectra.variance.doors import answer
 from mcspectra.variance.sums import BATCHES, Partition, TermSums, Variables, student_t
 from mcspectra.variance.views import Frequencies, View
@@ -114,7 +114,16 @@ class Terms(Counted, frozen=True, kw_only=True):
             variables = _variables(total, view, partition)
             share, tail = view.energy(n)
             variables |= {"energy_share": (("channel",), share), "tail_term": (("channel",), tail)}
-            notes = [unsampled_note(estimator, n * self.realizations), tail_note(total.measured)]
+            blind, notes = blindness_of(estimator, subject.sampler, n, total.measured)
+            variables["measured_variance_ci"][1][blind, 1] = np.inf
+            captured = variables["captured_ci"][1]
+            captured[blind, 0] = np.minimum(captured[blind, 0], 0.0)
+            if is_fixed(estimator, subject.sampler):  # what is left is rounding
+                known = ("mean", "energy_share", "captured")
+                variables = {
+                    name: (dims, v if name.startswith(known) else np.zeros_like(v))
+                    for name, (dims, v) in variables.items()
+                }
             if frequencies.diverge:
                 notes.insert(0, "spectral terms are infinite: ∫1/p diverges")
                 variables = frequencies.undefined(
@@ -161,7 +170,7 @@ class Terms(Counted, frozen=True, kw_only=True):
                 space=view.space,
                 coefficients=view.source,
                 engine=view.engine,
-                note="; ".join(filter(None, notes)) or None,
+                note="; ".join(notes) or None,
             )
 
         return Reduction(
@@ -236,7 +245,9 @@ def variance_terms(
         ``band_covariance`` and both matrices, and ``_ci`` of the terms, by batch means (from 4
         realisations on): their number is the attribute ``batches``, and 95 % is Student's t with one
         degree of freedom less; that of ``captured`` is of its logarithm, wider where few batches
-        hold most of the error.
+        hold most of the error. A set that is the same every time has no variance; the attribute ``note``
+        says so, and, as that of `convergence`, where the estimates missed what makes theirs: the upper
+        end of ``measured_variance_ci`` is then infinite, and the lower one of ``captured_ci`` 0.
 
     Raises
     ------

@@ -14,7 +14,7 @@ from typing import TypeVar, cast, final
 
 from mcspectra.core.checks import Array
 from mcspectra.integrands import Integrand
-from mcspectra.variance.quadrature import square_integral
+from mcspectra.variance.quadrature import constant, looked_at, square_integral, unseen
 
 __all__ = ["Known", "Predicted"]
 
@@ -49,10 +49,13 @@ class Predicted:
 
 @final
 class Known:
-    """An integrand in primary space, and what routes found out about it, for all counts and samplers."""
+    """An integrand in primary space, and what routes found out about it, for all counts and samplers.
+
+    All of them cut it at the jumps that lines see across an axis (`looked_at`).
+    """
 
     def __init__(self, g: Integrand) -> None:
-        self.g = g
+        self.g = looked_at(g)
         self._made: dict[Hashable, object] = {}
         self._lock = threading.RLock()
 
@@ -60,6 +63,16 @@ class Known:
     def square(self) -> tuple[Array, Array]:
         """∫g² and its absolute error, both (channels or 1,)."""
         return square_integral(self.g)
+
+    @cached_property
+    def constant(self) -> str:
+        """What is to be said where g is the same wherever it was looked at; else empty."""
+        return constant(self.g)
+
+    @cached_property
+    def unseen(self) -> Array:
+        """What ∫g² may be off by for regions that nodes do not see, (channels or 1,)."""
+        return unseen(self.g)
 
     def once(self, key: Hashable, make: Callable[[], Made]) -> Made:
         """Return what `make` returns, made at the first call with this key."""

@@ -7,8 +7,8 @@ levels, about those of at most n cells: of Σ l_j near log n, not of all l_j nea
     n Var = Σ_{l ≤ T} Γ_l σ²_l + ω²_T − Σ_{l ≰ T} (1 − Γ_l) σ²_l
 
 with ω²_T the mean variance within the cells of one table T and σ²_l from some tables of as many cells
-that are longer along some axes. A digital shift has weights that depend on g, n Σ_m ĝ_m² ŝ_m² over
-the Walsh functions of a level; of the levels that no table holds they are 1 in the mean.
+that are longer along some axes. A digital shift has weights that depend on g: it is one of our own
+shifts at a time (`moved_variance`).
 
 Cells are integrated in closed form where g knows its moments over boxes, else by Gauss-Legendre, cut
 at the breaks of g, and once more by a composite rule where g varies most from cell to cell: there
@@ -17,7 +17,7 @@ curves of jumps are. Both are done twice, by a fine and a coarse rule; the error
 
 from __future__ import annotations
 
-import contextlib
+import functools
 import itertools
 import math
 from collections.abc import Iterator, Sequence
@@ -29,18 +29,11 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.streams import Stream
-from mcspectra.estimators.reflected import FoldedIntegrand, SymmetrizedIntegrand
 from mcspectra.integrands import Integrand
-from mcspectra.samplers import (
-    Jittered,
-    Mirror,
-    Random,
-    Randomized,
-    Sampler,
-    StrataShift,
-)
-from mcspectra.spectra.bases import hadamard, parts_of
+from mcspectra.samplers import Jittered, Sampler, StrataShift
+from mcspectra.spectra.bases import parts_of
 from mcspectra.spectra.gain import gain_coefficients
+from mcspectra.variance.doors import NO_VARIANCE
 from mcspectra.variance.exact import level_variances
 from mcspectra.variance.prediction.known import Known, Predicted
 from mcspectra.variance.prediction.torus import moved_variance
@@ -52,11 +45,8 @@ Levels = tuple[int, ...]
 
 _MOST_DIMS = 3
 _EXACT_CELLS = 2**18  # of a table
-_SHIFTED_CELLS = {1: 4, 2: 4, 3: 1}  # times as many, for a shift of digits
 _CELLS = {1: 2**16, 2: 2**18, 3: 2**18}  # where g is integrated by quadrature
-_FINER = {1: 3, 2: 3, 3: 1}  # levels counted beyond those where gains are not 1
 _MORE = 3
-_RINGS = 4  # of finest levels, that show which weights finer ones may have
 _ORDERS = {1: (6, 10), 2: (2, 3), 3: (2, 3)}  # coarse and fine
 _PARTS = {1: 16, 2: 4, 3: 2}  # per axis, of a cell with a jump
 _MOST_ROUGH = {1: 2**8, 2: 2**14, 3: 2**15}
@@ -65,20 +55,19 @@ _BLOCK = 2**20  # evaluations at a time
 _BITS = 2.0**53
 _ROUNDING = 4e-15  # of ∫g², absolute
 _CLEAR, _DOUBT = 2.0, 0.5  # what tables miss of ∫g²: errors it must exceed, and doubt of its weight
-_COARSE = 0.05  # error relative to the variance, from where on sets are moved instead
 _MOST_ERROR, _NOISE = 0.2, 1e-12  # of the variance, from where on it is refused, and of ∫g²
 _KEEP_LAW = frozenset({"digital-shift", "permute"})
 _LATIN = ("latin-hypercube", "n-rooks")
 
 
-def of_levels(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
+def of_levels(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
     """Predict the variance of scrambled nets and of strata from means of g over cells.
 
     Parameters
     ----------
     sampler, n
-        In 1 to 3 dims: fixed sets with owen or lms; in base 2 also with digital-shift; jittered,
-        antithetic-jittered, latin-hypercube and random, unshifted; each with mirror.
+        In 1 to 3 dims: fixed sets with owen or lms; in base 2 also with digital-shift; jittered
+        and antithetic-jittered, unshifted; latin-hypercube in 1-D.
     known
         g, and the tables made for other counts and samplers.
     stream
@@ -96,45 +85,28 @@ def of_levels(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predict
     """
     chain = sampler.as_chain(n)
     if chain.fixed:
-        raise NoClosedForm(
-            f"{sampler.spec} has no variance: its points are the same every time; add owen or "
-            "shift, or look at the bias."
-        )
+        raise NoClosedForm(f"{sampler.spec} {NO_VARIANCE}.")
     if known.g.dims > _MOST_DIMS:
         raise NoClosedForm(
             f"Tables of cells are for at most {_MOST_DIMS} dims; {known.g.spec} has {known.g.dims}."
         )
     base, steps = parts_of(chain)
-    names = {step.name for step in steps}
-    if steps and isinstance(steps[-1], Mirror):
-        inner = Randomized(base=base, steps=steps[:-1]) if steps[:-1] else base
-        return _mirrored(steps[-1].mode, inner, n, known, stream)
+    names, dims = {step.name for step in steps}, known.g.dims
     if base.fixed and steps:
         nested = "owen" in names or ("lms" in names and any(s.debiases for s in steps))
         if nested and names <= _KEEP_LAW | {"owen", "lms"}:
             return _scrambled(base, n, known)
         if names <= _KEEP_LAW and set(base.digit_bases) == {2}:
-            try:
-                found = _scrambled(base, n, known, shifted=True)
-            except NoClosedForm:  # weights of the levels of jumps differ from function to function
-                return _of_shifts(base, n, known)
-            if (found.error > _COARSE * found.variance).any():
-                with contextlib.suppress(NoClosedForm):
-                    return _of_shifts(base, n, known)
-            return found
+            return _of_shifts(base, n, known)
     if base.name == "antithetic-jittered" and not steps:
         return _antithetic(n, known)
-    if base.name in _LATIN and getattr(base, "strength", 1) == 1 and names <= {"shuffle"}:
-        if known.g.dims > 1:
-            return _latin(n, known)
+    if base.name in _LATIN and dims == 1 and names <= {"shuffle"}:
         return _strata((n,), np.zeros(1), n, known, "strata")
-    if isinstance(base, Random) and names <= {"shift", "strata-shift"}:
-        return _strata((1,) * known.g.dims, np.zeros(known.g.dims), n, known, "independent points")
     if isinstance(base, Jittered) and all(isinstance(step, StrataShift) for step in steps):
-        offset: Any = np.zeros(known.g.dims)
+        offset: Any = np.zeros(dims)
         for step in steps:
             offset = offset + np.asarray(getattr(step, "offset", 0.0), float)
-        offset = offset % 1.0 * n ** (-1.0 / known.g.dims)
+        offset = offset % 1.0 * n ** (-1.0 / dims)
         return _strata(base.sides(n), offset, n, known, "strata")
     raise NoClosedForm(f"No gains by level and no strata are known for {sampler.spec}.")
 
@@ -144,20 +116,16 @@ class _Table:
     """Parts of g over cells, by a coarse and a fine rule (Q = 2) or exactly (Q = 1).
 
     `parts` are σ²_l, (Q, levels + 1 of each axis, channels), that of level 0 the square of the mean;
-    `within` is the mean variance within cells, (Q, channels), `error` twice its standard error; `walsh`
-    the squares ĝ_m², (Q, cells of each axis, channels), m in the order of the butterflies, if they
-    were asked for.
+    `within` is the mean variance within cells, (Q, channels), `error` twice its standard error.
     """
 
     parts: Array
     within: Array
     error: Array
-    walsh: Array | None
 
 
-def _scrambled(net: Sampler, n: int, known: Known, *, shifted: bool = False) -> Predicted:
-    """Nested scrambling of a fixed set, or a digital shift of one in base 2."""
-    points = net.draw_stream(n, Stream.from_rng(0), 0, 1)[0]
+def _scrambled(net: Sampler, n: int, known: Known) -> Predicted:
+    """Nested scrambling of a fixed set."""
     bases, dims = net.digit_bases, net.dims
     origin: Any = (0,) * dims
 
@@ -168,72 +136,39 @@ def _scrambled(net: Sampler, n: int, known: Known, *, shifted: bool = False) -> 
     except ParameterError as error:
         raise NoClosedForm(f"{error} Or use convergence or variance_terms.") from None
     wanted = np.abs(gains - 1.0) > 1e-9
-    if shifted:  # weights are not 1 at once beyond them
-        digits = np.indices(gains.shape).sum(axis=0)
-        wanted |= digits <= digits[wanted].max() + _FINER[dims]
     wanted[origin] = False
 
     # Σ Γ_l σ²_l and Σ σ²_l over the levels of the tables
-    most = _EXACT_CELLS if in_closed_form(known.g) else _CELLS[dims]
-    held = list(_tables(wanted, bases, most * (_SHIFTED_CELLS[dims] if shifted else 1)))
+    held = list(_tables(wanted, bases, _most_cells(known.g)))
     counted = np.zeros(np.max(held, axis=0) + 1, bool)
-    plain: Any = 0.0
+    first, plain, weighed = None, 0.0, 0.0
     for cells in held:
+        whole = first is None
         table = known.once(
-            ("levels", bases, cells, shifted, cells is held[0]),
-            lambda cells=cells: _table(  # type: ignore[misc]
-                known.g, bases, cells, walsh=shifted, whole=cells is held[0]
-            ),
+            ("levels", bases, cells, whole),
+            functools.partial(_table, known.g, bases, cells, whole=whole),
         )
+        first = first or table
         at = tuple(np.indices([level + 1 for level in cells]))
-        if cells is held[0]:
-            total = table.within + table.parts.reshape(
-                len(table.within), -1, table.within.shape[1]
-            ).sum(axis=1)
-            plain = np.zeros((len(total), *counted.shape, total.shape[1]))
-            weighed = np.zeros(plain.shape)
-            missed = _missed(known, total[-1])
-            square, sampled, total = (
-                total[-1] + missed,
-                table.error + _DOUBT * missed,
-                total + missed,
-            )
-            total = total - table.parts[(slice(None), *origin)]
-        new: Any = (slice(None), *(axis[~counted[at]] for axis in at))
-        plain[new] = table.parts[new]
-        if shifted:
-            weighed[new] = n * _dual_parts(table, points)[new]
-        else:
-            ends = tuple(np.minimum(axis, gains.shape[i] - 1) for i, axis in enumerate(at))
-            weighed[new] = (gains[ends][..., None] * table.parts)[new]
+        new = ~counted[at]
+        new[origin] = False  # the mean, which has no gain
+        ends = tuple(np.minimum(axis, side - 1) for axis, side in zip(at, gains.shape, strict=True))
+        plain = plain + table.parts[:, new].sum(axis=1)
+        weighed = weighed + (gains[ends][..., None] * table.parts)[:, new].sum(axis=1)
         counted[at] = True
-    plain[(slice(None), *origin)] = weighed[(slice(None), *origin)] = 0.0
 
-    # The rest has weight 1 where no level is missing, else one as the finest levels show
-    axes = tuple(range(1, dims + 1))
-    rest = np.maximum(total - plain.sum(axis=axes), 0.0)
-    weight, doubt = np.ones(rest.shape[1]), np.zeros(rest.shape[1])
-    if shifted:
-        shown, left = [], counted
-        for _ in range(_RINGS):
-            inner = _eroded(left)
-            ring = left & ~inner
-            power, parts = weighed[-1][ring].sum(axis=0), plain[-1][ring].sum(axis=0)
-            shown.append(power / np.maximum(parts, 1e-300))
-            left = inner
-        weight, doubt = shown[0], np.ptp(shown, axis=0)
-    else:
-        missing = wanted.copy()
-        inside = tuple(map(slice, counted.shape))
-        missing[inside] &= ~counted[tuple(map(slice, wanted.shape))]
-        missing |= wanted & (np.indices(wanted.shape).max(axis=0) == levels)
-        if missing.any():
-            doubt = doubt + np.abs(gains[missing] - 1.0).max()
-    route = "Walsh functions of the dual net" if shifted else "gains by level"
-    value = weighed.sum(axis=axes) + weight * rest
-    return _predicted(
-        value, n, square, route, rest=weight * rest[-1], doubt=sampled + doubt * rest[-1]
-    )
+    # The rest has weight 1 where no level is missing
+    assert first is not None
+    inside = first.parts.reshape(len(first.within), -1, first.within.shape[1]).sum(axis=1)
+    missed = _missed(known, (first.within + inside)[-1])
+    square = first.within + inside + missed
+    rest = np.maximum(square - first.parts[(slice(None), *origin)] - plain, 0.0)
+    missing = wanted.copy()
+    missing[tuple(map(slice, counted.shape))] &= ~counted[tuple(map(slice, wanted.shape))]
+    missing |= wanted & (np.indices(wanted.shape).max(axis=0) == levels)
+    doubt = np.abs(gains[missing] - 1.0).max(initial=0.0) * rest[-1]
+    doubt = first.error + _DOUBT * missed + doubt
+    return _predicted(weighed + rest, n, square[-1], "gains by level", rest=rest[-1], doubt=doubt)
 
 
 def _of_shifts(net: Sampler, n: int, known: Known) -> Predicted:
@@ -246,14 +181,6 @@ def _of_shifts(net: Sampler, n: int, known: Known) -> Predicted:
     value, error = moved_variance(known.g, n, shifted)
     ones = np.ones(len(value))
     return Predicted(value, error, ones, 0.0 * ones, "digital shifts of the net")
-
-
-def _eroded(counted: Array) -> Array:
-    """Levels of which the next along every axis are counted, too; those before them always are."""
-    from scipy.ndimage import binary_erosion
-
-    wide = np.pad(counted, [(1, 0)] * counted.ndim, mode="edge")
-    return np.asarray(binary_erosion(wide)[(slice(1, None),) * counted.ndim])
 
 
 def _tables(wanted: Array, bases: Sequence[int], most: int) -> Iterator[Levels]:
@@ -278,9 +205,7 @@ def _tables(wanted: Array, bases: Sequence[int], most: int) -> Iterator[Levels]:
         yield found[-1]
 
 
-def _table(
-    g: Integrand, bases: Sequence[int], levels: Levels, *, walsh: bool, whole: bool
-) -> _Table:
+def _table(g: Integrand, bases: Sequence[int], levels: Levels, *, whole: bool) -> _Table:
     sides = tuple(map(pow, bases, levels))
     means, squares = _cell_moments(g, sides, np.zeros(g.dims))
 
@@ -292,11 +217,7 @@ def _table(
     sums, differences = (
         np.stack([level_variances(h, tuple(bases)) for h in halves[k::2]]) for k in (0, 1)
     )
-    products = None
-    if walsh:
-        found = _hadamard(means, g.dims) / math.prod(sides)
-        products = np.stack([found[a] * found[b] for a, b in pairs])
-    return _Table(sums - differences, *_spread(means, squares), products)
+    return _Table(sums - differences, *_spread(means, squares))
 
 
 def _spread(means: Array, squares: Array) -> tuple[Array, Array]:
@@ -307,29 +228,6 @@ def _spread(means: Array, squares: Array) -> tuple[Array, Array]:
     within = np.maximum(squares - means**2, 0.0).reshape(len(means), -1, means.shape[-1])
     error = 2.0 * np.sqrt(((within[-1] - within[0]) ** 2).sum(axis=0)) / within.shape[1]
     return within.mean(axis=1), error
-
-
-def _dual_parts(table: _Table, points: Array) -> Array:
-    """Σ_m ĝ_m² ŝ_m² over the Walsh functions of each level, shaped like `parts` of a table."""
-    found: Any = table.walsh
-    sides = found.shape[1:-1]
-    counts = np.zeros((1, *sides, 1))
-    np.add.at(counts, (0, *np.floor(points * sides).astype(np.int64).T, 0), 1.0 / len(points))
-    found = found * _hadamard(counts, len(sides)) ** 2
-    for axis, side in enumerate(sides, start=1):
-        # In the order of the butterflies the lowest bit of a function's number tells its level
-        lowest = [side >> k for k in range(1, side.bit_length())]
-        starts = [slice(0, 1), *(slice(low, None, 2 * low) for low in lowest)]
-        along = np.moveaxis(found, axis, 0)
-        found = np.stack([along[some].sum(axis=0) for some in starts], axis=axis)
-    return np.asarray(found)
-
-
-def _hadamard(values: Array, dims: int) -> Array:
-    """`hadamard` along axes 1 to `dims`."""
-    for axis in range(1, dims + 1):
-        values = np.moveaxis(hadamard(np.moveaxis(values, axis, -1)), -1, axis)
-    return values
 
 
 def _cell_moments(g: Integrand, sides: tuple[int, ...], offset: Array) -> tuple[Array, Array]:
@@ -389,7 +287,7 @@ def _strata(
 
     `whole` where g is the same for all n, so that ∫g² is worth to be known by itself.
     """
-    grid = sides if in_closed_form(known.g) else _refined(sides, _CELLS[known.g.dims])
+    grid = sides if in_closed_form(known.g) else _refined(sides, _most_cells(known.g))
     means, squares = known.once(
         ("moments", grid, *offset), lambda: _cell_moments(known.g, grid, offset)
     )
@@ -397,6 +295,11 @@ def _strata(
     value, error = _spread(_merged(means, sides), _merged(squares, sides))
     missed = _missed(known, square) if whole else 0.0 * square
     return _predicted(value + missed, n, square + missed, route, doubt=error + _DOUBT * missed)
+
+
+def _most_cells(g: Integrand) -> int:
+    """Cells of one table."""
+    return _EXACT_CELLS if in_closed_form(g) else _CELLS[g.dims]
 
 
 def _missed(known: Known, square: Array) -> Array:
@@ -443,65 +346,6 @@ def _antithetic(n: int, known: Known) -> Predicted:
     return _strata(
         (side,) * g.dims, offset, n // 2, Known(mean), "strata, pairs of points", whole=False
     )
-
-
-def _latin(n: int, known: Known) -> Predicted:
-    """Without what varies along single axes from stratum to stratum, and with the weights of Stein."""
-    dims = known.g.dims
-    most = _EXACT_CELLS if in_closed_form(known.g) else _CELLS[dims]
-
-    def moments(sides: tuple[int, ...]) -> tuple[Array, Array]:
-        return known.once(
-            ("moments", sides, *(0.0,) * dims),
-            lambda: _cell_moments(known.g, sides, np.zeros(dims)),
-        )
-
-    # All variance, in parts of the axes that it varies with
-    sides = _refined((1,) * dims, most)
-    means, squares = moments(sides)
-    missed = _missed(known, squares[-1].reshape(-1, squares.shape[-1]).mean(axis=0))
-    parts = np.stack([level_variances(m, sides) for m in means])  # one digit for each axis
-    square = squares[-1].reshape(-1, squares.shape[-1]).mean(axis=0)
-    varying = np.indices((2,) * dims).sum(axis=0)
-    others = max(n - 1.0, 1e-300)
-    gains = np.where(varying < 2, varying, 1.0 + others * (-1.0 / others) ** varying)
-    if n == 1:
-        gains = np.minimum(varying, 1)
-    weighed = (gains[..., None] * parts).reshape(len(parts), -1, parts.shape[-1])
-    within, error = _spread(means, squares)
-    value, error = within + missed + weighed.sum(axis=1), error + _DOUBT * missed
-
-    # Less that between the strata of each axis
-    for axis in range(dims):
-        thin = _refined(tuple(n if i == axis else 1 for i in range(dims)), max(most, n))
-        means, _ = moments(thin)
-        along = _merged(means, tuple(n if i == axis else 1 for i in range(dims)))
-        along = along.reshape(len(along), n, -1)
-        value = value - along.var(axis=1)
-    # Interactions within the strata, which have weight 1
-    doubt = error + value[-1] / max(n - 1, 1)
-    return _predicted(value, n, square, "parts of a Latin hypercube", doubt=doubt)
-
-
-def _mirrored(mode: str, inner: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
-    """The variance of the sampler inside with another integrand."""
-    if mode == "fold":
-        folded = known.once("folded", lambda: Known(FoldedIntegrand(known.g)))
-        return of_levels(inner, n, folded, stream)
-    average = known.once("symmetrised", lambda: Known(SymmetrizedIntegrand(known.g)))
-    if mode == "uniform":
-        return of_levels(inner, n >> known.g.dims, average, stream)
-    if not inner.unbiased:
-        raise NoClosedForm(
-            f"No variance is known for random reflections of {inner.spec}, whose points are not "
-            "uniform; use convergence or variance_terms."
-        )
-    one = Random(dims=known.g.dims)
-    all_, even = (of_levels(one, 1, k, stream) for k in (known, average))
-    found = of_levels(inner, n, average, stream)
-    coins = np.maximum(all_.variance - even.variance, 0.0) / n
-    error = found.error + (all_.error + even.error) / n
-    return Predicted(found.variance + coins, error, found.share, found.tail, found.route)
 
 
 def _predicted(

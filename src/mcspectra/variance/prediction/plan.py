@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, final
 
 import numpy as np
 from msgspec import Meta
 
-from mcspectra.core.analysis import Counted, Need, Reduction, Subject, compute, whole
+from mcspectra.core.analysis import Counted, Need, Reduction, Subject, whole
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import CountError, ParameterError
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, as_subject
+from mcspectra.estimators import AbstractEstimator
 from mcspectra.samplers import Sampler
 from mcspectra.spectra.bases import parts_of
+from mcspectra.variance.doors import VANISHES, answer
 from mcspectra.variance.prediction.predict import Cells, Prediction, Predictor
 
 if TYPE_CHECKING:
@@ -23,21 +25,23 @@ if TYPE_CHECKING:
 
 __all__ = ["Plan", "plan"]
 
-_CURVE = tuple(2**k for k in range(4, 17))
+_CURVE = tuple(2**k for k in range(17))
 """Counts that variances are predicted at; beyond the last one the curve goes on with its rate."""
 
 _MARGIN = 4.0  # by which the curve goes below the wanted variance
 
 _MOST = 2**62  # points, that a plan still names
 _STEPS = 4  # of the search between two counts
+_TINY = 1e-300  # in place of a variance of 0, for logarithms
 
 
 @final
 class Plan(Counted, frozen=True, kw_only=True):
-    """Least number of points for an error, predicted without samples of f."""
+    """Least number of points for an error, by predicted variances."""
 
     function = "plan"
     verb = "plan"
+    several = ("sampler",)
     variables = ("planned_n", "planned_error", "predicted_variance", "predicted_variance_ci")
 
     target_error: Annotated[
@@ -48,9 +52,8 @@ class Plan(Counted, frozen=True, kw_only=True):
 
     def need(self, subject: Subject) -> Need:
         """What the predictions of one count need; an integral that errors can be relative to."""
-        estimator, samplers = subject.estimator, subject.sampler
-        several = samplers if isinstance(samplers, list | tuple) else [samplers]
-        for sampler in several:
+        estimator, samplers = subject.estimator, subject.samplers
+        for sampler in samplers:
             least = sampler.nearest_count(_CURVE[0])
             need = Prediction(counts=(least,)).need(Subject(estimator, sampler))
         if self.relative and not np.all(np.abs(estimator.integral) > 0):
@@ -58,15 +61,14 @@ class Plan(Counted, frozen=True, kw_only=True):
                 f"The integral of {estimator.spec} is {estimator.integral}, so that no error is a "
                 "share of it; give target_error without relative."
             )
-        return Need(cost=need.cost * len(_CURVE) * len(several), memory=need.memory)
+        return Need(cost=need.cost * len(_CURVE) * len(samplers), memory=need.memory)
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[xr.Dataset]:
         """One sampler after the other; where the search goes depends on what it finds."""
         return whole(lambda: self._planned(subject, stream), self.need(subject).cost)
 
     def _planned(self, subject: Subject, stream: Stream) -> xr.Dataset:
-        estimator, given = subject.estimator, subject.sampler
-        samplers = list(given) if isinstance(given, list | tuple) else [given]
+        estimator, samplers = subject.estimator, subject.samplers
         scale = np.ones(max(1, estimator.channels))
         if self.relative:
             scale = np.atleast_1d(np.abs(np.asarray(estimator.integral, float)))
@@ -81,7 +83,7 @@ class Plan(Counted, frozen=True, kw_only=True):
                 nearest = sampler.nearest_count(n)
                 if nearest in counts or not _can(estimator, sampler, nearest):
                     continue
-                each = predictor.at(sampler, nearest)
+                each = _cells(predictor, sampler, nearest)
                 counts.append(nearest)
                 found.append(each)
                 if nearest == n:
@@ -93,7 +95,8 @@ class Plan(Counted, frozen=True, kw_only=True):
             planned.append(n)
             errors.append(np.sqrt(variance))
             routes.append(how)
-            notes += [f"{sampler.spec}: {e.notes[0]}" for e in found[:1] if e.notes[0]]
+            said = dict.fromkeys(str(each.notes[0]) for each in found)
+            notes += [f"{sampler.spec}: {note}" for note in said if note not in ("", VANISHES)]
 
         # In words: the sampler that takes the fewest points, and the others beside it
         evaluations = sum(estimator.counts)
@@ -103,7 +106,7 @@ class Plan(Counted, frozen=True, kw_only=True):
         told = f"n = {' or '.join(sizes)}" if sizes else none
         if evaluations > 1 and sizes:
             told += f"; each is {evaluations} evaluations"
-        alone = given is samplers[0]
+        alone = subject.sampler is samplers[0]
         about = {"long_name": "how the variance was predicted"}
         return dataset(
             {
@@ -155,26 +158,29 @@ class Plan(Counted, frozen=True, kw_only=True):
         if first is None:
             return self._beyond(sampler, counts, found, known, target)
         best = counts[first], variances[first], str(found[first].routes[0])
-        if first == 0:
+        before = [k for k in known if k < first]
+        if not before:
             return float(best[0]), best[1], best[2]
 
         # Between the last count that misses the target and the first that reaches it: along the line
         # through both; sequences in base 2 are balanced at powers of two alone
         base, _ = parts_of(sampler)
         balanced = base.fixed and set(sampler.digit_bases) == {2}
-        low, high = (counts[first - 1], variances[first - 1]), (counts[first], variances[first])
+        low, high = ((counts[k], np.maximum(variances[k], _TINY)) for k in (before[-1], first))
         for _ in range(0 if balanced else _STEPS):
             slope = np.log(high[1] / low[1]) / math.log(high[0] / low[0])
             line = np.log(target / low[1]) / np.where(slope < 0.0, slope, -math.inf)
             between = sampler.nearest_count(math.ceil(low[0] * math.exp(float(line.max()))))
             if not low[0] < between < high[0] or not _can(predictor.estimator, sampler, between):
                 break
-            each = predictor.at(sampler, between)
+            each = _cells(predictor, sampler, between)
+            if not np.isfinite(each.variance[0]).all():
+                break
             if (each.variance[0] <= target).all():
-                high = between, each.variance[0]
+                high = between, np.maximum(each.variance[0], _TINY)
                 best = between, each.variance[0], str(each.routes[0])
             else:
-                low = between, each.variance[0]
+                low = between, np.maximum(each.variance[0], _TINY)
         return float(best[0]), best[1], best[2]
 
     def _beyond(
@@ -203,6 +209,13 @@ class Plan(Counted, frozen=True, kw_only=True):
             more = sampler.nearest_count(2 * n)
             n, variance = more, ends[0] * (more / counts[last]) ** rate
         return float(n), variance, f"extrapolated from n = {counts[last]}"
+
+
+def _cells(predictor: Predictor, sampler: Sampler, n: int) -> Cells:
+    """The prediction of one count; 0 where the variance is known to be that of rounding."""
+    found = predictor.at(sampler, n)
+    vanishes = found.notes[0] == VANISHES
+    return replace(found, variance=np.nan_to_num(found.variance)) if vanishes else found
 
 
 def _can(estimator: AbstractEstimator, sampler: Sampler, n: int) -> bool:
@@ -260,8 +273,4 @@ def plan(
     >>> found.attrs["recommendation"]
     'n = 256 with sobol | owen or 66,514 with random'
     """
-    if isinstance(estimator, list | tuple):
-        raise ParameterError("plan takes one estimator at a time; give samplers as a list.")
-    subject = as_subject(estimator, samplers, lists=True)
-    asked = Plan(target_error=target_error, relative=relative, max_evaluations=max_evaluations)
-    return compute(asked, subject, rng, workers)
+    return answer(Plan, locals())

@@ -1,4 +1,4 @@
-"""Predictions: the variance at every n without samples of f, by the route that is trusted most.
+"""Predictions: the variance at every n, without measuring it, by the route that is trusted most.
 
 Everything happens in primary space: each technique has its own integrand on the unit cube, and
 independent techniques add up. `ROUTES` are tried in their order; what comes last measures small sets of
@@ -9,26 +9,37 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, final
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeAlias, final
 
 import numpy as np
 
-from mcspectra.core.analysis import Counted, Need, Reduction, Subject, compute
+from mcspectra.core.analysis import Counted, Need, Reduction, Subject
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import CountError, NoClosedForm, ParameterError
+from mcspectra.core.errors import CountError, NoClosedForm
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNTS, Counts
 from mcspectra.core.records import JOIN
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Estimator, as_subject
+from mcspectra.estimators import AbstractEstimator, Estimator
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.estimators.reflected import FoldedIntegrand, SymmetrizedIntegrand
-from mcspectra.samplers import Jittered, Mirror, Randomized, Sampler, Shift, StrataShift
+from mcspectra.samplers import (
+    Jittered,
+    Mirror,
+    Owen,
+    Random,
+    Randomized,
+    Sampler,
+    Shift,
+    StrataShift,
+)
+from mcspectra.samplers.base import FixedSet, Structure
+from mcspectra.samplers.stratified import root
 from mcspectra.spectra.bases import parts_of
 from mcspectra.variance.convergence import count_moments, count_stream
-from mcspectra.variance.doors import counted
+from mcspectra.variance.doors import NO_VARIANCE, VANISHES, answer, counted
 from mcspectra.variance.exact import of_integrand
 from mcspectra.variance.prediction.known import Known, Predicted
 from mcspectra.variance.prediction.levels import of_levels
@@ -53,6 +64,8 @@ _MOST_AHEAD = 2**16
 _OFFSET = (
     0.5 - 0.5 / 3**0.5
 )  # where c(1 − c), the part of jumps at faces, has its mean over all shifts
+
+_SETS, _T_SETS = 16, 2.13  # of pmj, that are scrambled; Student's t of their mean
 
 # Measured extrapolation
 _SMALL = tuple(2**k for k in range(3, 9))
@@ -80,11 +93,15 @@ def of_measurements(sampler: Sampler, n: int, known: Known, stream: Stream) -> P
 
 def of_limits(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
     """Many points at little cost: no sets are drawn, and shifted strata have one offset, not all."""
+    if np.isinf(known.square[0]).any():
+        raise NoClosedForm("∫g² diverges.")
     base, steps = parts_of(sampler)
     if base.name == "random" or (base.fixed and len(steps) == 1 and steps[0].stationary):
         return of_torus(sampler, n, known, stream)
     if isinstance(base, Jittered) and any(isinstance(step, Shift) for step in steps):
         sampler = base.then(StrataShift(offset=_OFFSET))
+    if base.name == "latin-hypercube" and sampler.dims > 1:
+        return of_subsets(sampler, n, known, stream)
     return of_levels(sampler, n, known, stream)
 
 
@@ -99,10 +116,11 @@ _OF_COSTLY = (of_torus, of_levels, of_quadrature, of_subsets, of_measurements)
 
 @final
 class Prediction(Counted, frozen=True, kw_only=True):
-    """Variance and rate at every n, predicted without samples of f."""
+    """Variance and rate at every n, predicted from what is known of f and of the sampler."""
 
     function = "predict"
     verb = "predict"
+    several = ("sampler",)
     variables = (
         *("predicted_variance", "predicted_variance_ci", "energy_share", "tail_variance"),
         *("local_rate", "predicted_rate", "limit_rate", "bend_n"),
@@ -112,13 +130,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
 
     def need(self, subject: Subject) -> Need:
         """Every sampler can do every count."""
-        estimator, samplers = subject.estimator, _several(subject.sampler)
-        if not isinstance(estimator, AbstractEstimator):
-            raise ParameterError("predict takes one estimator at a time; give samplers as a list.")
-        names = [s.spec for s in samplers]
-        for name in names:
-            if names.count(name) > 1:
-                raise ParameterError(f"The sampler {name} is listed twice; list each once.")
+        estimator, samplers = subject.estimator, subject.samplers
         for sampler in samplers:
             for n in self.counts:
                 estimator.check_sampler(sampler, n)
@@ -128,7 +140,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[Cells]:
         """One sampler after the other, one count after the other."""
-        estimator, samplers = subject.estimator, _several(subject.sampler)
+        estimator, samplers = subject.estimator, subject.samplers
         predictor = Predictor(estimator, stream)
         places = [(s, n) for s in samplers for n in _places(s, self.counts)]
 
@@ -223,7 +235,8 @@ class Cells:
 
     def ends(self) -> tuple[Array, Array]:
         """Ends of the 95 % intervals."""
-        low = np.maximum(self.variance - self.error, 0.0)
+        with np.errstate(invalid="ignore"):  # both infinite
+            low = np.maximum(self.variance - self.error, 0.0)
         return np.where(np.isinf(self.variance), np.inf, low), self.variance + self.error
 
 
@@ -274,8 +287,8 @@ def predict(
 
     Notes
     -----
-    f is never evaluated at the points of the samplers, but for the last route, *extrapolated from
-    measurements*: 2,000 realisations each of small counts other than n.
+    f is evaluated at nodes and on grids of our own, and at points of the samplers by the last route alone,
+    *extrapolated from measurements*: 2,000 realisations each of small counts other than n.
 
     Limits are looked for at 4 times the last count, of strata up to n = 2^16, where that needs no drawn
     sets (1 to 3 dims): jumps that count at larger n alone are not seen. The slope of the last octaves
@@ -289,11 +302,7 @@ def predict(
     >>> [round(float(rate), 1) for rate in found["predicted_rate"]]
     [-1.0, -1.5]
     """
-    if isinstance(estimator, list | tuple):
-        raise ParameterError("predict takes one estimator at a time; give samplers as a list.")
-    subject = as_subject(estimator, samplers, lists=True)
-    asked = Prediction(counts=counts, max_evaluations=max_evaluations)  # type: ignore[arg-type]
-    return compute(asked, subject, rng, workers)
+    return answer(Prediction, locals())
 
 
 @final
@@ -316,9 +325,7 @@ class Predictor:
             if not n:
                 raise NoClosedForm("there is no such count")
             if source.as_chain(n).fixed:
-                raise NoClosedForm(
-                    "a deterministic sampler has no variance: add owen or shift, or look at |bias|"
-                )
+                raise NoClosedForm(f"a deterministic sampler {NO_VARIANCE}")
             parts, squares = self._parts(source, n, routes)
             route = "; ".join(dict.fromkeys(part.route for part in parts))
             variance = sum((p.variance for p in parts), np.zeros(width))
@@ -335,11 +342,14 @@ class Predictor:
             note = str(reason).rstrip(".")
 
         # A variance of rounding size is none
-        size = np.atleast_1d(np.asarray(estimator.integral, float))
-        vanishes = variance <= rounding_floor(size)
-        if vanishes.any():
-            note = "the variance vanishes to rounding"
-            variance, error, tail = (np.where(vanishes, np.nan, v) for v in (variance, error, tail))
+        if np.isfinite(variance).any():
+            size = np.atleast_1d(np.asarray(estimator.integral, float))
+            vanishes = variance <= rounding_floor(size)
+            if vanishes.any():
+                note = VANISHES
+                variance, error, tail = (
+                    np.where(vanishes, np.nan, v) for v in (variance, error, tail)
+                )
         variance, error, share, tail = (
             np.reshape(v, (1, -1)) for v in (variance, error, share, tail)
         )
@@ -370,12 +380,26 @@ def _by_routes(
     sampler: Sampler, n: int, known: Known, stream: Stream, routes: tuple[Route, ...]
 ) -> Predicted:
     """The first route that leads somewhere; points that are mirrored last see another integrand."""
+    if n == 1 and sampler.unbiased:  # one point, which is as at random
+        sampler = Random(dims=sampler.dims)
+    if sets := _scrambled_sets(sampler, n):
+        parts = [_by_routes(one.then(Owen()), n, known, stream, routes) for one in sets]
+        values = np.array([part.variance for part in parts])
+        spread = _T_SETS * values.std(axis=0, ddof=len(sets) > 1) / math.sqrt(len(sets))
+        error = np.hypot(np.mean([part.error for part in parts], axis=0), spread)
+        return replace(parts[0], variance=values.mean(axis=0), error=error)
     base, steps = parts_of(sampler)
     if routes is ROUTES and known.g.costly:
         routes = _OF_COSTLY
+    if known.constant:
+        raise NoClosedForm(known.constant)
     for route in routes:
         try:
-            return route(sampler, n, known, stream)
+            found = route(sampler, n, known, stream)
+            # One route may see what others do not: none knows more than the probe
+            if np.isfinite(found.variance).all():
+                found = replace(found, error=np.maximum(found.error, known.unseen / n))
+            return found
         except NoClosedForm as error:
             reason = error
         if route is routes[0]:
@@ -386,6 +410,49 @@ def _by_routes(
                 inner = Randomized(base=base, steps=steps[:-1]) if steps[:-1] else base
                 return _mirrored(steps[-1].mode, inner, n, known, stream, routes)
     raise reason
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class _OneSet(FixedSet):
+    """One set of a sampler, all sets of which are scrambles of it in a base."""
+
+    name: ClassVar[str] = "one-set"
+    structure: ClassVar[Structure] = Structure.DIGITS
+    sampler: Sampler
+    base: int
+    dims: int
+    seed: int
+
+    @property
+    def digit_bases(self) -> tuple[int, ...]:
+        """The base, along each axis."""
+        return (self.base,) * self.dims
+
+    def _set(self, n: int) -> Array:
+        return np.asarray(self.sampler.draw_stream(n, Stream.from_rng(self.seed), 0, 1)[0])
+
+
+def _scrambled_sets(sampler: Sampler, n: int) -> list[Sampler]:
+    """Sets that have the law of the sampler's once they are scrambled with owen, as many as it takes.
+
+    Arrays of strength 2 whose s-ths are shared out at random [Tang1993]_, as multi-jittered is for
+    n = s², are nets in base s: the second digits are permuted within each first one. pmj and pmj02 are
+    scrambled by their making [Helmer2021]_; of pmj which digits agree is random.
+    """
+    inner, steps = parts_of(sampler)
+    name, jitter = inner.name, getattr(inner, "jitter", "multi-jittered")
+    strong = getattr(inner, "strength", 1) == 2 and jitter == "multi-jittered"
+    side = root(n, 2)
+    if any(step.name != "shuffle" for step in steps):
+        return []
+    if (strong or name == "multi-jittered") and side**2 == n > 1:
+        count, base = 1, side
+    elif name == "pmj" or (name == "pmj02" and n & (n - 1) == 0):
+        count, base = _SETS if name == "pmj" else 1, 2
+    else:
+        return []
+    return [_OneSet(sampler=sampler, base=base, dims=sampler.dims, seed=k) for k in range(count)]
 
 
 def _mirrored(
@@ -423,13 +490,14 @@ def _extrapolated(
                 estimator, sampler, c, _REALIZATIONS, count_stream(stream, c)
             ),
         )
-        if count != n and (moments.variance > rounding_floor(moments.mean)).all():
+        varies = moments.variance > rounding_floor(moments.mean)
+        if count != n and (varies & moments.resolved).all():
             counts.append(count)
             variances.append(moments.variance)
             errors.append(moments.relative_se)
     if len(counts) < _FITTED - 1:
         raise NoClosedForm(
-            f"No route predicts {sampler.spec}, and its small sets do not vary or are too few."
+            f"No route predicts {sampler.spec}, and its small sets show no variance or are too few."
         )
 
     # Fit the counts next to n; the scatter about the line is at least that of the measurements
@@ -462,8 +530,3 @@ def _places(sampler: Sampler, counts: Sequence[int]) -> list[int]:
     beyond = [sampler.nearest_count(n) for n in ahead if n <= _MOST_AHEAD]
     beyond = [n if n > last else 0 for n in beyond]
     return [half if half < last else 0, *counts, *beyond, *[0] * (2 - len(beyond))]
-
-
-def _several(given: Any) -> list[Any]:
-    """A list of what may be one."""
-    return list(given) if isinstance(given, list | tuple) else [given]

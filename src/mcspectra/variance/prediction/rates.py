@@ -33,6 +33,7 @@ _WIDTH = 64
 _LATE = 4  # octaves at the end of a curve, whose slope is its limit
 _AGREE = 0.2  # slopes within them
 _LEAVES = 0.05  # by which a slope that moves away from an exponent shows that this is no limit
+_STILL = 0.01  # change of slopes that have reached their limit: −1 − (1 − 2a)/d next to a pole t^-a
 _CHANGE = 0.3  # of slopes, that is a bend
 _MOST_CHANGE = 4.0
 _BENDS = 101  # places and changes that are tried
@@ -128,6 +129,7 @@ def rates_of(n: Array, variance: Array, asked: int, dims: int) -> tuple[float, f
         near = min(exponents, key=lambda each: abs(end - sum(each)))
         away = np.abs(steps[-3:] - sum(near))
         leaves = len(away) == 3 and (np.diff(away) > 0.0).all() and away[-1] > _LEAVES
+        leaves |= len(away) == 3 and bool(np.ptp(away) <= _STILL and away.min() > _LEAVES)
         if dims <= 3 and abs(end - sum(near)) <= min(0.2, 0.4 / dims) and not leaves:
             limit = near[0]
         elif len(steps) >= 3 and np.ptp(steps[-max(3, late) :]) <= _LEAVES:

@@ -41,14 +41,14 @@ from mcspectra.core.errors import NoClosedForm
 from mcspectra.core.jit import kernel
 from mcspectra.core.streams import Stream
 from mcspectra.integrands import Integrand
-from mcspectra.samplers import Jittered, LatinHypercube, Random, Randomized, Sampler, as_sampler
+from mcspectra.samplers import Jittered, Random, Randomized, Sampler, as_sampler
 from mcspectra.samplers.base import Structure
 from mcspectra.spectra.bases import hadamard, parts_of
 from mcspectra.variance.prediction.known import Known, Predicted
 
 __all__ = ["of_subsets"]
 
-_LEAST_DIMS = 2
+_LEAST_DIMS, _FEW_DIMS = 2, 3
 _OWN = Stream.from_rng(0x5B5E75)  # of our own points, which no sampler shares
 _REPLICATES, _REPLICATE = 16, 1 << 13  # scrambled nets for ∫g², and their points
 _STRATA = 1 << 13  # pairs within strata, of each replicate
@@ -58,6 +58,7 @@ _GROUPS = 4  # of profiles, independent of each other: their spread is the error
 _FITTED = 2  # of the replicates, for the fit; one more tests it
 _BASIS, _NEGLIGIBLE = 8, 1e-8  # functions of an axis at most, and energy that is left out
 _RANK, _SWEEPS, _SETTLED = 6, 30, 0.98  # products at most; sweeps of a fit, and when it has settled
+_FEW_RANK = 3  # in few dims, where jumps across axes come here, which more would not follow either
 _RIDGE = 1e-8
 _GOOD = 1e-7  # residual energy that is good enough
 _STANDS_OUT, _HALVINGS = 4.0, 40  # a jump: a change so many times those beside it
@@ -70,6 +71,7 @@ _START = 0.3  # spread of what a new product begins with
 _RESOLVED = 0.01  # relative error of curves between their nodes
 _MOST_WORK = 2.0**34  # pairs of points times axes times groups
 _DRAWS = 8  # of a set that is random before its shift or scramble
+_LATIN = ("latin-hypercube", "n-rooks")
 _KEEP_LAW = frozenset({"owen", "digital-shift", "permute"})  # of nested scrambling
 _DIGITS = 1 << 13  # cells of an axis that digits tell apart, or more where there are more points
 
@@ -105,7 +107,7 @@ def of_subsets(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predic
     names = {step.name for step in steps}
     if isinstance(base, Jittered) and not steps:
         return known.once(f"subsets: strata {n}", lambda: _of_strata(base, n, g))
-    parts = known.once("subsets: parts", lambda: _all_parts(g))
+    parts = known.once("subsets: parts", lambda: _all_parts(known))
     if isinstance(base, Random) and names <= _KEEP_LAW | {"shift", "shuffle", "lms"}:
         variance, half = np.array([[p.variance, p.half] for p in parts]).T / n
         return Predicted(variance, half, np.ones(len(parts)), np.zeros(len(parts)), "energy of g")
@@ -132,8 +134,10 @@ def of_subsets(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predic
         tail = p.residual / n
         half = tail + math.sqrt(max(ones[0] + more, 0.0) * tail)
         if law.latin and p.half < p.residual:  # the energy of several axes is all that counts
-            joint = p.variance - float(np.sum(first[:, -1, 0]))
-            tail, half = max(joint, 0.0) / max(n - 1.0, 1.0) - more, p.half / n
+            joint = max(p.variance - float(np.sum(first[:, -1, 0])), 0.0) / n
+            # Its weight is 1 within strata and n/(n − 1) between them
+            either = 0.5 * joint / max(n - 1.0, 1.0)
+            tail, half = joint + either - more, p.half / n + either
         value = ones[0] + more + tail
         drawn = _half(sets) if len(sets) > 1 else 0.0
         seen = p.half / p.variance if p.variance > 0.0 else 0.0  # of peaks, that few points meet
@@ -168,8 +172,20 @@ class _Curves:
         return out
 
     def cells(self, values: Array, count: int) -> Array:
-        """Values at the centres of equal cells."""
-        return self.at(values, (np.arange(count) + 0.5) / count)
+        """Means over equal cells."""
+        from scipy.interpolate import PchipInterpolator
+
+        ends = np.arange(count + 1) / count
+        total = np.zeros((*values.shape[:-1], count + 1))
+        for low, high in itertools.pairwise(self.knots):
+            own, up_to = (self.nodes > low) & (self.nodes < high), np.clip(ends, low, high)
+            if own.sum() > 1:
+                line = PchipInterpolator(self.nodes[own], values[..., own], -1)
+                total += line.antiderivative()(up_to)
+            else:
+                nearest = int(np.abs(self.nodes - 0.5 * (low + high)).argmin())
+                total += values[..., nearest, None] * up_to
+        return np.diff(total) * count
 
 
 @final
@@ -299,13 +315,19 @@ def _of_strata(base: Jittered, n: int, g: Integrand) -> Predicted:
     )
 
 
-def _all_parts(g: Integrand) -> list[_Parts]:
+def _all_parts(known: Known) -> list[_Parts]:
     """Energies, and profiles along all axes through the same points, of each channel."""
-    d = g.dims
+    g, d = known.g, known.g.dims
     x = _net(d, _REPLICATE, _REPLICATES, 0)
     values = _values(g, x)
     mean = values.mean(axis=(0, 1))
     squares = ((values - mean) ** 2).mean(axis=1)
+    energy, half = squares.mean(axis=0), _half(squares)
+    if d <= _FEW_DIMS:  # a quadrature knows more of poles
+        square, error = known.square
+        error = np.hypot(error, 2.0 * np.abs(mean) * _half(values.mean(axis=1)))
+        better = error < half
+        energy, half = np.where(better, (square - mean**2, error), (energy, half))
     count = max(4, 1 << round(math.log2(_PROFILE_WORK / (_GROUPS * _NODES * d))))
     through = _net(d, count, _GROUPS, 2)
 
@@ -369,8 +391,8 @@ def _all_parts(g: Integrand) -> list[_Parts]:
         found.append(along)
     return [
         _fitted(
-            float(squares[:, c].mean()),
-            float(_half(squares)[c]),
+            float(energy[c]),
+            float(half[c]),
             axes,
             [along[..., c] for along in found],
             through,
@@ -395,12 +417,12 @@ def _fitted(
     bases = []
     for given in profiles:
         flat = given.reshape(-1, given.shape[-1])
-        _, size, vectors = np.linalg.svd(
-            flat - flat.mean(axis=1, keepdims=True), full_matrices=False
-        )
-        keep = int((size[:_BASIS] ** 2 > _NEGLIGIBLE * (size**2).sum()).sum())
+        flat = flat - flat.mean(axis=1, keepdims=True)
+        size, vectors = np.linalg.eigh(flat.T @ flat)
+        keep = int((size[-_BASIS:] > _NEGLIGIBLE * size.sum()).sum())
         one = np.ones((1, flat.shape[1]))
-        bases.append(np.concatenate([one, vectors[:keep] * math.sqrt(flat.shape[1])]))
+        vectors = vectors.T[::-1][:keep] * math.sqrt(flat.shape[1])
+        bases.append(np.concatenate([one, vectors]))
     known = [
         axis.at(basis, x[..., i].ravel()).reshape(len(basis), len(x), -1)
         for i, (axis, basis) in enumerate(zip(axes, bases, strict=True))
@@ -414,7 +436,8 @@ def _fitted(
     rng = np.random.default_rng(_OWN.child(4).key)
     best, residual = [np.zeros((1, len(basis))) for basis in bases], variance
     fits = {False: best, True: best}
-    for rank, additive in itertools.product(range(_RANK + 1), (False, True)):
+    most = _RANK if len(axes) > _FEW_DIMS else _FEW_RANK
+    for rank, additive in itertools.product(range(most + 1), (False, True)):
         if residual <= _GOOD * variance or not (rank or additive):
             continue
         weights = fits[additive]
@@ -433,7 +456,7 @@ def _fitted(
         energy = scale**2 * _energy([w @ c for w, c in zip(weights, cells, strict=True)])
         untested = energy - scale**2 * float(sums.var())
         chance = variance - float(values[-1].var())
-        missed += max(abs(untested - chance) - 2.0 * half, 0.0)
+        missed += max(abs(untested - chance) - 2.0 * half - energy / _CELLS, 0.0)
         if missed < residual:
             best, residual = weights, missed
 
@@ -516,7 +539,8 @@ def _law_of(source: Sampler, n: int, stream: Stream) -> tuple[_Law, Array, Array
     base, steps = parts_of(source)
     names, d = {step.name for step in steps}, source.dims
     every, one = np.arange(n), np.arange(1)
-    if isinstance(base, LatinHypercube) and base.strength == 1 and names <= {"shuffle"}:
+    latin = base.name in _LATIN and getattr(base, "strength", 1) == 1
+    if latin and names <= {"shuffle"}:
         codes = np.arange(n)[None, :, None, None].repeat(d, axis=2)
         return _Law("digits", (n,) * d, (1,) * d, latin=True), codes, one
     last = steps[-1].name if steps else ""

@@ -570,7 +570,9 @@ def _as_integrand(f: Any, dims: int | None, budget: int, **calling: Any) -> Any:
     if isinstance(f, AbstractEstimator | Integrand | str):
         return f
     if dims is None:
-        raise ParameterError("dims is missing; give the number of dims of the function's points.")
+        raise ParameterError(
+            "dims is missing; give dims=, the number of dims of the function's points."
+        )
     calls = Calls(f, dims=dims, budget=budget, **calling)
     return FunctionIntegrand(function=calls, dims=calls.dims)
 

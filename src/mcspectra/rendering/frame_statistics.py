@@ -1,0 +1,644 @@
+"""Frames of any renderer: variance of the pixels, its rate, and how pixels and frames err together.
+
+Frames are independent renders of one view, as files. Each is read twice, one at a time: for the moments
+of every pixel, then for what the deviations from the mean have in common. Deviations are divided by
+their pixel's standard deviation, so that bright corners do not drown the rest: white noise has the
+power 1 at all frequencies.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from glob import glob
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_integer, as_real, is_path
+from mcspectra.core.errors import FileFormatError, ParameterError
+from mcspectra.core.images import exr_attributes, luminance, read_image
+from mcspectra.core.progress import report
+from mcspectra.core.results import dataset
+from mcspectra.core.rings import Rings
+from mcspectra.estimators.moments import CONFIDENCE_Z, Moments
+from mcspectra.rendering.map_statistics import fit_lines, interval, ratio, smooth
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["Frames", "frames"]
+
+Frames = str | PathLike[str] | Sequence[str | PathLike[str]]
+"""A folder, a pattern, or files."""
+
+_LINEAR = (".exr", ".pfm", ".npy")
+_ENCODED = (".png", ".jpg", ".jpeg")
+_MOST_SPP = 2**40
+_REACH = 8  # pixels to either side for which correlations are listed
+_SAMPLE = 2**14  # pixels by which frames are held against one another
+_TAIL = 64  # extreme deviations of a frame that are kept, as many as `Moments` looks at
+_TABLE = 4001  # correlations that are looked up
+_SIGNIFICANCE = 0.05  # of all pixels, frames or lags together
+_OUTLIER = 1e-3  # significance of Grubbs' test at each pixel
+_RELATED = 0.1  # correlation of two frames that matters, whatever its significance
+_REPEATED = 0.05  # correlation of far pixels that matters
+_LEAST_GRUBBS = 5  # frames
+_ONE_SQUARE = (
+    0.05  # share of one frame's error at one pixel in all squares, above which nothing is bounded
+)
+_WIDEST, _KNOWN_RATE = 15, 0.1  # pixels over which rates are averaged until their error is this
+_SLOWEST = -0.5  # rate by which a target is extrapolated
+_SPP = re.compile(r"(?<![a-z0-9])(?:spp[_-]?(\d+)|(\d+)[_-]?spp)(?![a-z0-9])", re.IGNORECASE)
+
+
+def frames(
+    paths: Frames,
+    *,
+    spp: int | None = None,
+    against: Frames | None = None,
+    target: float | None = None,
+    seconds: float | None = None,
+    seconds_against: float | None = None,
+    layer: str | None = None,
+    tone_mapped: bool = False,
+) -> xr.Dataset:
+    """Measure the noise of independent renders of one view, by any renderer.
+
+    Parameters
+    ----------
+    paths
+        A folder (its images, and those of the folders in it), a pattern such as ``out/*_64spp.exr``, or
+        files: EXR, PFM or .npy of one size, linear values; two or more for each number of samples.
+    spp
+        Samples a pixel of all frames. By default from names (``spp64``, ``64spp``, of the file or its
+        folder), else from EXR headers (pbrt's ``samplesPerPixel``, Blender's ``cycles.*.samples``).
+    against
+        Frames of another renderer, integrator or setting, of the same view.
+    target
+        Relative root mean square error (σ / mean) that pixels should reach.
+    seconds, seconds_against
+        Time of a frame; by default from EXR headers (pbrt's ``renderTimeSeconds``, Blender's
+        ``RenderTime``).
+    layer
+        Of EXR files: the layer or channel to measure; by default the first picture.
+    tone_mapped
+        Take PNG and JPEG too, undoing the sRGB transfer function; clipped values have lost their noise.
+
+    Returns
+    -------
+    xarray.Dataset
+        On the dims n (samples a pixel; 1 where they are unknown), y, x: ``mean``, ``variance`` of one
+        frame's luminance, ``variance_ci`` (bound), ``relative_rmse``, and ``largest_share``, that of one
+        frame in the sum of squares. With several n: ``rate``, ``rate_ci`` of the variance,
+        averaged over the attribute ``smoothing`` of pixels in x and y.
+        On n: ``picture_variance``, the mean over the pixels, with ``picture_variance_ci``;
+        ``picture_rate`` with its interval. ``needed_spp`` with a target.
+        ``error_spectrum(n, radius)`` with ``error_spectrum_ci``: power of the standardised errors over
+        radial frequency in cycles a pixel, white noise 1; ``error_correlation(n, lag_y, lag_x)``.
+        ``image(y, x, band)``: mean of the frames of most samples; ``flip(n, y, x)``, FLIP
+        [Andersson2021]_ of the first frame against it, if the package flip-evaluator is installed.
+        With `against`, at the largest n that both have: ``difference`` of the means,
+        ``difference_z`` by Welch's test, and ``variance_ratio``, ours over the other's; ``picture_ratio``
+        of the mean variances, and ``equal_time_ratio`` of variance × time; below 1 ours is better.
+        Attributes tell what `mcspectra.report.frames_page.frame_findings` says in words.
+
+    Raises
+    ------
+    FileFormatError
+        A file is missing, broken, of another kind, or tone-mapped.
+    ParameterError
+        Fewer than two frames of a number of samples, sizes that differ, no spread at all, or an option
+        out of range.
+
+    Notes
+    -----
+    Memory is that of some 45 planes of float64 with the result (3 GB at 3840 × 2160), whatever the number
+    of frames.
+    """
+    spp = None if spp is None else as_integer("spp", spp, least=1, most=_MOST_SPP)
+    given = {"target": target, "seconds": seconds, "seconds_against": seconds_against}
+    for name, value in given.items():
+        given[name] = None if value is None else as_real(name, value, above=0.0)
+    read = _Reader(layer=layer, tone_mapped=tone_mapped, spp=spp)
+    found = _measured(paths, read)
+    best, ns = found[-1], np.array([each.spp for each in found])
+
+    # Pixels and the picture at every number of samples
+    stacked: dict[str, tuple[tuple[str, ...], list[Any]]] = {
+        "mean": (("y", "x"), [each.moments.mean for each in found]),
+        "variance": (("y", "x"), [each.moments.variance for each in found]),
+        "variance_ci": (("y", "x", "bound"), [each.moments.variance_ci for each in found]),
+        "relative_rmse": (("y", "x"), [each.relative_rmse for each in found]),
+        "largest_share": (("y", "x"), [each.largest_share for each in found]),
+        "picture_variance": ((), [each.picture_variance for each in found]),
+        "picture_variance_ci": (("bound",), [each.picture_variance_ci for each in found]),
+        "error_spectrum": (("radius",), [each.spectrum for each in found]),
+        "error_spectrum_ci": (("radius", "bound"), [each.spectrum_ci for each in found]),
+        "error_correlation": (("lag_y", "lag_x"), [each.correlation for each in found]),
+    }
+    variables: dict[str, tuple[tuple[str, ...], Any]] = {
+        name: (("n", *dims), np.stack(of)) for name, (dims, of) in stacked.items()
+    }
+    variables["image"] = (("y", "x", "band"), best.image)
+    shown = [_flip(best.image, read.color(each.files[0])) for each in found]
+    flips = [each for each in shown if each is not None]
+    if flips:
+        variables["flip"] = (("n", "y", "x"), np.stack(flips))
+
+    # Rates, over windows of pixels that make them known, and with them the samples that the target needs
+    rate, window = np.full(best.moments.mean.shape, np.nan), None
+    if len(found) > 1:
+        relative, level = np.stack([_log_variance(each.moments) for each in found], axis=1)
+        line = fit_lines(
+            ns, np.exp(level)[None], relative[None], variables["mean"][1][None], np.inf
+        )
+        for window in range(1, _WIDEST + 1, 2):
+            rates, errors = smooth(line.rate, line.rate_se, window, independent=True)
+            errors *= 1.0 if window == 1 else math.sqrt(best.alike)
+            if np.nanmedian(errors) <= _KNOWN_RATE:
+                break
+        rate = rates[0]
+        variables["rate"] = (("y", "x"), rate)
+        variables["rate_ci"] = (("y", "x", "bound"), interval(rate, errors[0]))
+        whole, apart = (np.array([[getattr(each, name) for each in found]]) for name in _PICTURE)
+        line = fit_lines(ns, whole, apart, np.zeros_like(whole), largest_se=np.inf)
+        variables["picture_rate"] = ((), line.rate[0])
+        variables["picture_rate_ci"] = (("bound",), interval(line.rate[0], line.rate_se[0]))
+    if given["target"] is not None:
+        slope = np.where(np.isfinite(rate), np.minimum(rate, _SLOWEST), -1.0)
+        with np.errstate(over="ignore", invalid="ignore"):
+            need = best.spp * (best.relative_rmse / given["target"]) ** (-2.0 / slope)
+        variables["needed_spp"] = (("y", "x"), need)
+
+    told: dict[str, Any] = {name: [each.told[name] for each in found] for name in best.told}
+    told["seconds"] = [given["seconds"] or each.seconds for each in found]
+    if against is not None:
+        other = _measured(against, read)
+        times = given["seconds"], given["seconds_against"]
+        compared, said = _compared(found, other, times)
+        variables |= compared
+        told |= {**said, "against": _said(against)}
+    lags = {
+        f"lag_{a}": np.arange(k) - k // 2 for a, k in zip("yx", best.correlation.shape, strict=True)
+    }
+    return dataset(
+        variables,
+        {
+            "n": ns,
+            **{
+                dim: np.arange(size)
+                for dim, size in zip("yx", best.moments.mean.shape, strict=True)
+            },
+            "bound": ["low", "high"],
+            "radius": best.radius,
+            **lags,
+        },
+        frames=_said(paths),
+        target=given["target"],
+        layer=layer,
+        smoothing=window,
+        **told,
+    )
+
+
+_PICTURE = ("picture_variance", "picture_relative_se")
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class _Reader:
+    """Reads frames as the options say."""
+
+    layer: str | None
+    tone_mapped: bool
+    spp: int | None
+
+    def color(self, file: Path) -> Array:
+        """Values (y, x, 1 or 3); NaN where they are not finite."""
+        if file.suffix.lower() in _ENCODED and not self.tone_mapped:
+            raise FileFormatError(
+                f"{file} is a tone-mapped picture, whose noise is not the renderer's; give EXR, PFM or "
+                ".npy, or say tone_mapped=True (--tone-mapped) to undo the sRGB curve."
+            )
+        image = read_image(file, layer=self.layer, finite=False)
+        image[~np.isfinite(image)] = np.nan
+        return image[..., :3] if image.shape[2] > 2 else image[..., :1]
+
+    def plane(self, file: Path, shape: tuple[int, ...] | None) -> tuple[Array, Array]:
+        """Luminance (y, x) and color of a frame, which must have that shape, if any."""
+        image = self.color(file)
+        if shape is not None and image.shape != shape:
+            raise ParameterError(
+                f"{file} has the shape {image.shape}, the frames before it {shape}; give frames of one view."
+            )
+        return luminance(image), image
+
+    def about(self, file: Path) -> tuple[int | None, float | None]:
+        """Samples a pixel and seconds of a frame, as far as names and headers tell."""
+        named = _SPP.search(file.stem) or _SPP.search(file.parent.name)
+        spp, seconds = self.spp or (int(named[1] or named[2]) if named else None), None
+        header = exr_attributes(file) if file.suffix.lower() == ".exr" else {}
+        try:
+            for key, value in header.items():
+                if key == "samplesPerPixel" or re.fullmatch(r"cycles\..*\.samples", key):
+                    spp = spp or int(str(value))
+                elif key == "renderTimeSeconds":
+                    seconds = float(str(value))
+                elif key == "RenderTime":  # of Blender, [hours:]minutes:seconds
+                    parts = reversed(str(value).split(":"))
+                    seconds = sum(float(part) * 60.0**k for k, part in enumerate(parts))
+        except ValueError:
+            raise FileFormatError(
+                f"{file} says {key} = {value!r}; give spp= and seconds=."
+            ) from None
+        if spp is not None and not 1 <= spp <= _MOST_SPP:
+            raise ParameterError(
+                f"{file} has {spp} samples a pixel by its name or header; give spp=."
+            )
+        return spp, seconds if seconds and seconds > 0 else None
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class _Group:
+    """What is known of the frames of one number of samples; `told` goes into attributes."""
+
+    spp: int
+    seconds: float | None
+    files: list[Path]
+    moments: Moments
+    largest_share: Array
+    image: Array
+    means: Array
+    radius: Array
+    spectrum: Array
+    spectrum_ci: Array
+    correlation: Array
+    alike: float
+    resolved: bool
+    told: dict[str, Any]
+
+    @property
+    def relative_rmse(self) -> Array:
+        """σ / mean of one frame; NaN where the mean is not positive."""
+        positive = np.where(self.moments.mean > 0, self.moments.mean, np.nan)
+        return np.asarray(np.sqrt(self.moments.variance) / positive)
+
+    @property
+    def picture_variance(self) -> float:
+        """Mean over the pixels."""
+        return float(np.nanmean(self.moments.variance))
+
+    @property
+    def picture_relative_se(self) -> float:
+        """Of independent pixels, times what their correlations ρ add: √Σρ² over all lags."""
+        each = self.moments.relative_se * self.moments.variance
+        return float(np.sqrt(self.alike * np.nansum(each**2)) / np.nansum(self.moments.variance))
+
+    @property
+    def picture_variance_ci(self) -> Array:
+        """On a logarithmic scale; without an upper end where single pixels are most of it."""
+        half = CONFIDENCE_Z * self.picture_relative_se
+        low, high = self.picture_variance * np.exp([-half, half])
+        return np.array([low, high if self.resolved else np.inf])
+
+
+def _measured(paths: Frames, read: _Reader) -> list[_Group]:
+    """Frames by their number of samples, ascending, each group measured."""
+    groups = defaultdict(list)
+    for file in _listed(paths):
+        spp, seconds = read.about(file)
+        groups[spp].append((file, seconds))
+    if None in groups and len(groups) > 1:
+        raise ParameterError(
+            f"{groups[None][0][0]} does not tell its samples a pixel, others do; name it such as "
+            "x_64spp.exr, or give spp=."
+        )
+    for spp, members in groups.items():
+        if len(members) < 2:
+            count = "" if spp is None else f" of {spp} samples a pixel"
+            raise ParameterError(
+                f"There is one frame{count}, {members[0][0]}; give two or more independent renders of "
+                "each number of samples."
+            )
+    total, done = 2 * sum(map(len, groups.values())), 0
+    found: list[_Group] = []
+    for spp, members in sorted(groups.items(), key=lambda item: item[0] or 0):
+        files, known = [file for file, _ in members], [s for _, s in members if s is not None]
+        found.append(
+            _group(spp, files, float(np.mean(known)) if known else None, read, done, total)
+        )
+        done += 2 * len(files)
+        if found[-1].moments.mean.shape != found[0].moments.mean.shape:
+            raise ParameterError(
+                f"{files[0]} has the size {found[-1].moments.mean.shape}, {found[0].files[0]} "
+                f"{found[0].moments.mean.shape}; give frames of one view."
+            )
+    return found
+
+
+def _listed(paths: Any) -> list[Path]:
+    """The files of a folder, a pattern or a list, in order."""
+    if not isinstance(paths, str | PathLike):
+        if not isinstance(paths, Sequence) or not paths or not all(map(is_path, paths)):
+            raise ParameterError(f"paths is {paths!r:.80}; give a folder, a pattern or files.")
+        return [Path(each) for each in paths]
+    place = Path(paths)
+    if not place.is_dir():
+        named = glob(str(paths), recursive=True)  # noqa: PTH207 - Path's takes no absolute patterns
+        matching = sorted(map(Path, named))
+        if not matching:
+            raise FileFormatError(
+                f"There is no {place}; give a folder of frames, a pattern or files."
+            )
+        return matching
+    inside = sorted([*place.glob("*"), *place.glob("*/*")])
+    for kinds in (_LINEAR, _ENCODED):  # pictures beside the frames are their previews
+        if files := [file for file in inside if file.suffix.lower() in kinds]:
+            return files
+    raise FileFormatError(f"{place} holds no {', '.join(_LINEAR)} files; give a folder of frames.")
+
+
+def _said(paths: Frames) -> str:
+    return str(paths) if isinstance(paths, str | PathLike) else ", ".join(map(str, paths))
+
+
+def _group(
+    spp: int | None, files: list[Path], seconds: float | None, read: _Reader, done: int, total: int
+) -> _Group:
+    """Read the frames of one number of samples twice."""
+    # Moments and ranges of the pixels
+    count, shape = len(files), None
+    moments: Moments | None = None
+    low: Any = np.inf
+    high: Any = -np.inf
+    image_sum: Any = 0.0
+    means = []
+    for k, file in enumerate(files):
+        plane, image = read.plane(file, shape)
+        each, shape = Moments.of(plane[None]), image.shape
+        moments = each if moments is None else moments.merge(each)
+        low, high, image_sum = np.fmin(low, plane), np.fmax(high, plane), image_sum + image
+        means.append(np.nanmean(plane) if np.isfinite(plane).any() else np.nan)
+        report("frames", (done + k) / total)
+    assert moments is not None
+    varied = moments.variance > 0
+    if not varied.any():
+        reason = (
+            "are the same to the last bit" if np.isfinite(moments.mean).any() else "have no number"
+        )
+        raise ParameterError(
+            f"The {count} frames like {files[0]} {reason}; give independent renders, each with a seed of "
+            "its own."
+        )
+    farthest = np.maximum(high - moments.mean, moments.mean - low) ** 2
+    share = np.divide(farthest, moments.m2, out=np.full_like(farthest, np.nan), where=varied)
+
+    # Deviations: their power, their tail, and what the frames have in common
+    height, width = moments.mean.shape
+    unit = np.zeros((height, width))
+    np.divide(math.sqrt(count / (count - 1)), np.sqrt(moments.variance), out=unit, where=varied)
+    rings = Rings(height, width)
+    power: Any = 0.0
+    tail: Moments | None = None
+    curves = np.empty((count, rings.radius.size))
+    chosen = np.flatnonzero(varied)
+    chosen = chosen[np.linspace(0, chosen.size - 1, min(_SAMPLE, chosen.size)).astype(int)]
+    sample = np.empty((count, chosen.size))
+    for k, file in enumerate(files):
+        error = np.where(varied, read.plane(file, shape)[0] - moments.mean, 0.0)
+        ends = _ends(error[varied])
+        tail = ends if tail is None else tail.merge(ends)
+        error *= unit
+        sample[k] = error.flat[chosen]
+        own = np.abs(np.fft.rfft2(error)) ** 2 / varied.sum()
+        power, curves[k] = power + own / count, rings.mean(own)
+        report("frames", (done + count + k) / total)
+    assert tail is not None
+    half = _student(count - 1) * curves.std(axis=0, ddof=1) / math.sqrt(count)
+
+    # Correlations without their bias, and the spectrum of those
+    every = np.fft.irfft2(power, s=(height, width))
+    every, loss = _unbiased(every / every[0, 0], count)
+    measured, curve = rings.mean(power), np.maximum(rings.mean(np.fft.rfft2(every).real), 0.0)
+    half *= np.divide(curve, measured, out=np.ones_like(curve), where=measured > 0)
+    # The sum of their squares holds that of their errors, each the true sum / (pixels · (R − 1) · loss²)
+    independent = (count - 1) * loss**2
+    alike = max(1.0, float((every**2).sum()) / (1.0 + 1.0 / independent))
+    near, repeat, repeated = _lags(every, alike / (varied.sum() * independent))
+    pair, relation = _related(sample, alike)
+    # Outliers of more than twice the mean, and how many normal noise would make
+    above, limit = high - moments.mean, _grubbs(count)
+    outliers = (share > limit) & (above > np.maximum(moments.mean, moments.mean - low))
+    expected = _OUTLIER / 2 * int((limit * moments.m2[varied] > moments.mean[varied] ** 2).sum())
+    whole = float(np.nansum(moments.variance))
+    told = {
+        "frame_count": count,
+        "missing": int(np.isnan(moments.mean).sum()),
+        "outliers": int(outliers.sum()) if count >= _LEAST_GRUBBS else None,
+        "outliers_expected": expected,
+        "outlier_share": float(moments.variance[outliers].sum()) / whole,
+        "tail_index": _number(float(tail.tail_index)),
+        "related": None if pair is None else [str(files[i]) for i in pair],
+        "relation": _number(relation),
+        "repeat": repeat,
+        "repeat_correlation": _number(repeated),
+        "spp_known": int(spp is not None),
+    }
+    return _Group(
+        spp=spp or 1,
+        seconds=seconds,
+        files=files,
+        moments=moments,
+        largest_share=share,
+        image=image_sum / count,
+        means=np.array(means),
+        radius=rings.radius,
+        spectrum=curve,
+        spectrum_ci=np.stack([np.maximum(curve - half, 0.0), curve + half], axis=-1),
+        correlation=near,
+        alike=alike,
+        resolved=float(farthest[varied].max()) < _ONE_SQUARE * float(np.nansum(moments.m2)),
+        told=told,
+    )
+
+
+def _log_variance(moments: Moments) -> tuple[Array, Array]:
+    """Standard error of log s² and log σ² without the bias that log s² of few values has.
+
+    log s² of ν + 1 normal values has the mean log σ² + ψ(ν/2) − log(ν/2) and the variance ψ'(ν/2).
+    """
+    from scipy.special import digamma, polygamma
+
+    half = (moments.count - 1) / 2
+    with np.errstate(divide="ignore"):
+        level = np.log(moments.variance) - digamma(half) + math.log(half)
+    return moments.relative_se * math.sqrt(half * polygamma(1, half)), level
+
+
+def _unbiased(correlation: Array, count: int) -> tuple[Array, float]:
+    """Correlations that mean sample correlations of `count` normal pairs stand for, and their loss near 0.
+
+    ⟨r⟩ = ρ (2/ν) [Γ((ν+1)/2) / Γ(ν/2)]² ₂F₁(½, ½; ν/2 + 1; ρ²), ν = count − 1 [Hotelling1953]_.
+    """
+    from scipy.special import gammaln, hyp2f1
+
+    half = (count - 1) / 2
+    loss = math.exp(2 * (gammaln(half + 0.5) - gammaln(half))) / half
+    true = np.linspace(-1.0, 1.0, _TABLE)
+    mean = true * loss * hyp2f1(0.5, 0.5, half + 1.0, true**2)
+    return np.interp(correlation, mean, true), loss
+
+
+def _lags(every: Array, variance: float) -> tuple[Array, list[int] | None, float]:
+    """Correlation at small lags; the nearest lag (y, x) of the far ones where it is largest."""
+    height, width = every.shape
+    down, right = np.rint(np.fft.fftfreq(height) * height), np.rint(np.fft.fftfreq(width) * width)
+    near = [np.abs(lag) <= min(_REACH, (lag.size - 1) // 2) for lag in (down, right)]
+    small = [
+        np.flatnonzero(mask)[np.argsort(lag[mask])]
+        for mask, lag in zip(near, (down, right), strict=True)
+    ]
+    listed = every[np.ix_(*small)]
+    far = np.where(near[0][:, None] & near[1], 0.0, np.abs(every))
+    limit = max(_REPEATED, _sidak(far.size // 2) * math.sqrt(variance))
+    largest = float(far.max())
+    if largest < limit:
+        return listed, None, math.nan
+    # A pattern repeats at multiples: the nearest of those
+    rows, columns = np.nonzero(far >= 0.9 * largest)
+    nearest = np.argmin(np.hypot(down[rows], right[columns]))
+    row, column = rows[nearest], columns[nearest]
+    return listed, [abs(int(down[row])), abs(int(right[column]))], float(every[row, column])
+
+
+def _related(sample: Array, alike: float) -> tuple[tuple[int, int] | None, float]:
+    """The two frames whose errors are most alike, if significantly, and their correlation.
+
+    Deviations from a common mean of R frames have the correlation −1/(R − 1) where errors have none.
+    """
+    count, pixels = sample.shape
+    if count < 3:
+        return None, math.nan
+    own = (np.corrcoef(sample) * (count - 1) + 1) / count
+    own[np.tril_indices(count)] = 0.0
+    first, second = np.unravel_index(np.argmax(np.abs(own)), own.shape)
+    found = float(own[first, second])
+    limit = max(_RELATED, _sidak(count * (count - 1) // 2) * math.sqrt(alike / pixels))
+    return ((int(first), int(second)) if abs(found) > limit else None), found
+
+
+def _ends(values: Array) -> Moments:
+    """Moments of values and their extremes, without sorting all of them."""
+    ends = values
+    if values.size > 2 * _TAIL:
+        parts = np.partition(values, (_TAIL - 1, values.size - _TAIL))
+        ends = np.concatenate([parts[:_TAIL], parts[-_TAIL:]])
+    return replace(Moments.of(values), extremes=np.sort(ends))
+
+
+def _grubbs(count: int) -> float:
+    """Largest share of one square of `count` normal values, by Grubbs' test [Grubbs1950]_."""
+    if count < _LEAST_GRUBBS:
+        return math.inf
+    student = _student(count - 2, _OUTLIER / count) ** 2
+    return (count - 1) / count * student / (count - 2 + student)
+
+
+def _student(degrees: int, significance: float = _SIGNIFICANCE) -> float:
+    """Two-sided quantile of Student's t."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(degrees, 1 - significance / 2))
+
+
+def _sidak(count: int) -> float:
+    """Normal quantile that `count` values stay within, together with 95 %."""
+    from scipy.special import ndtri
+
+    return -float(ndtri(-math.expm1(math.log1p(-_SIGNIFICANCE) / max(count, 1)) / 2))
+
+
+def _number(value: float) -> float | None:
+    return None if math.isnan(value) else value
+
+
+def _flip(reference: Array, test: Array) -> Array | None:
+    """FLIP of a picture of radiance, if its package is there."""
+    try:
+        from flip_evaluator import evaluate
+    except ImportError:
+        return None
+    pictures = (np.clip(np.nan_to_num(each), 0.0, None) for each in (reference, test))
+    wide = (
+        np.ascontiguousarray(np.broadcast_to(p, (*p.shape[:2], 3)), np.float32) for p in pictures
+    )
+    return np.asarray(evaluate(*wide, "HDR", applyMagma=False, computeMeanError=False)[0])[..., 0]
+
+
+def _compared(
+    ours: list[_Group], others: list[_Group], times: tuple[float | None, float | None]
+) -> tuple[dict[str, tuple[tuple[str, ...], Any]], dict[str, Any]]:
+    """Means and variances of two sets of frames against each other."""
+    common = {each.spp for each in ours} & {each.spp for each in others}
+    a, b = (
+        max((each for each in both if not common or each.spp in common), key=lambda each: each.spp)
+        for both in (ours, others)
+    )
+    if a.moments.mean.shape != b.moments.mean.shape:
+        raise ParameterError(
+            f"{b.files[0]} has the size {b.moments.mean.shape}, {a.files[0]} {a.moments.mean.shape}; give "
+            "frames of one view."
+        )
+    z = _welch(*((each.moments.mean, each.moments.variance, each.moments.count) for each in (a, b)))
+    whole = _welch(
+        *((each.means.mean(), each.means.var(ddof=1), each.means.size) for each in (a, b))
+    )
+    pixels = int(np.isfinite(z).sum())
+    limit = _sidak(pixels)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        variances = a.moments.variance / b.moments.variance
+    error = math.hypot(a.picture_relative_se, b.picture_relative_se)
+    level = math.log(a.picture_variance / b.picture_variance)
+    value, bounds = ratio(np.asarray(level), np.asarray(error))
+    found: dict[str, tuple[tuple[str, ...], Any]] = {
+        "difference": (("y", "x"), a.moments.mean - b.moments.mean),
+        "difference_z": (("y", "x"), z),
+        "variance_ratio": (("y", "x"), variances),
+        "picture_ratio": ((), value),
+        "picture_ratio_ci": (("bound",), bounds),
+    }
+    ours_time, other_time = times[0] or a.seconds, times[1] or b.seconds
+    if ours_time and other_time:
+        faster = ours_time / other_time
+        found["equal_time_ratio"] = ((), value * faster)
+        found["equal_time_ratio_ci"] = (("bound",), bounds * faster)
+    return found, {
+        "compared_n": [a.spp, b.spp],
+        "identical": int(bool((z[np.isfinite(z)] == 0).all())),
+        "biased_pixels": int((np.abs(z) > limit).sum()),
+        "compared_pixels": pixels,
+        "z_limit": limit,
+        "mean_difference": float(a.means.mean() / b.means.mean() - 1.0),
+        "mean_difference_z": float(whole),
+    }
+
+
+def _welch(a: tuple[Any, Any, int], b: tuple[Any, Any, int]) -> Array:
+    """Difference of two means as a normal deviate, by Welch's test; each is mean, variance, count."""
+    from scipy.special import ndtri, stdtr
+
+    (mean, variance, count), (other, other_variance, other_count) = a, b
+    first, second = variance / count, other_variance / other_count
+    with np.errstate(invalid="ignore", divide="ignore"):
+        t = (mean - other) / np.sqrt(first + second)
+        degrees = (first + second) ** 2 / (first**2 / (count - 1) + second**2 / (other_count - 1))
+        deviate = -ndtri(np.maximum(stdtr(degrees, -np.abs(t)), 1e-300)) * np.sign(t)
+    certain = np.where(mean == other, 0.0, np.copysign(np.inf, mean - other))
+    return np.asarray(np.where(first + second == 0, certain, deviate))

@@ -1,0 +1,462 @@
+"""Whole light paths as integrands on the unit cube: any sampling integrator of Mitsuba.
+
+Method
+------
+An integrator asks a sampler for numbers: a sampler that hands out the coordinates of u in [0,1)^D, in
+the order of the requests, makes its radiance a function of u, whose integral over the cube is the mean over
+a pixel (of a box filter). Position in the pixel, lens and time of the shutter come first, as in
+Mitsuba's own loop. A request moves on whether or not a path needs its number, so that a column
+has the same meaning for all paths: those of bounces that a path does not reach leave it as it is.
+
+A dry run with the loop evaluated, not recorded, finds D, and the bounce of each number: between two
+turns of the loop Dr.Jit evaluates the count of numbers. What a number decides is known where the requests of
+a bounce are those of an integrator of Mitsuba; else requests are numbered. Mitsuba selects a light by stretching the first
+coordinate of its point, so that both are one decision.
+
+Numbers beyond D, of rare paths or because fewer dims were asked for, are hashed from the last two
+coordinates: the integrand stays a function of u, and such dims are random whatever the points.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar, final
+
+import numpy as np
+
+from mcspectra.core.checks import MAX_DIMS, Array, as_integer
+from mcspectra.core.errors import ParameterError, SpecError
+from mcspectra.core.fields import checked, settle
+from mcspectra.core.spec import parse
+from mcspectra.integrands.base import Estimate, Integrand
+from mcspectra.rendering.backend import LARGEST_SAMPLE, LOCK, load_mitsuba
+from mcspectra.rendering.pixel import SOURCE, check_channel, mean_of_points
+from mcspectra.rendering.scenes import (
+    Scene,
+    as_scene,
+    film_size,
+    load_scene,
+    mitsuba_reason,
+    scene_name,
+    sensor_of,
+)
+from mcspectra.rendering.techniques import check_finite, check_pixel, chosen_channel
+
+__all__ = [
+    "SCENE_INTEGRATOR",
+    "Dimension",
+    "PathPixel",
+    "Tracer",
+    "dimensions_of",
+    "find_integrator",
+    "path_pixel",
+]
+
+SCENE_INTEGRATOR = "scene"
+"""Means the integrator that the scene itself names."""
+
+_DRY_LANES, _DRY_PIXELS = 2**14, 16  # pixels: along each side of a window
+_PAIR = ("x", "y")
+_MOST_DIMS = 64  # unless more are asked for: analyses by axes take no more
+_TABLE_NUMBERS, _LANES = 2**25, 2**20  # of one kernel: 128 MiB
+_PATH = ((2, "light"), (1, "lobe"), (2, "direction"), (1, "roulette"))
+_ORDERS = {
+    # class: requests of one bounce, how many numbers each and what they decide
+    "PathIntegrator": (_PATH,),
+    "PRBIntegrator": (_PATH,),
+    # compilers differ in which argument they evaluate first
+    "DirectIntegrator": (_PATH[:3], (_PATH[0], _PATH[2], _PATH[1])),
+}
+
+
+@final
+@dataclass(frozen=True)
+class Dimension:
+    """What one coordinate is used for.
+
+    Attributes
+    ----------
+    bounce
+        0 for the camera, else the turn of the integrator's loop, from 1.
+    decision
+        ``film``, ``lens``, ``time``; ``light`` (which one, and the point on it), ``lobe``,
+        ``direction``, ``roulette``; or ``request K``, where the integrator's order is not known.
+    part
+        ``x`` or ``y`` of a pair, else empty.
+    """
+
+    bounce: int
+    decision: str
+    part: str = ""
+
+    def __str__(self) -> str:
+        head = f"bounce {self.bounce} " if self.bounce else ""
+        return f"{head}{self.decision} {self.part}".rstrip()
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class PathPixel(Integrand):
+    """Radiance seen in one pixel by any sampling integrator, as a function of all its random numbers.
+
+    Parameters
+    ----------
+    scene
+        A scene's name, the path of a Mitsuba XML file or a Mitsuba dictionary (see `load_scene`).
+    x, y
+        Pixel, counted from the left and from the top. The integral is the mean over its square.
+    integrator
+        ``"scene"``, the scene's own; or the plugin's name with its properties, such as
+        ``"path(max_depth=5, rr_depth=100)"``; plugins of your own that are registered with Mitsuba too.
+    channel
+        ``"luminance"`` (Rec. 709), 0, 1 or 2 for red, green or blue, or ``"rgb"`` for all three.
+    dims
+        Number of coordinates D; by default as many as 16,384 random paths ask for, 64 at most. The
+        numbers that a path takes beyond D are pseudo-random.
+
+    Attributes
+    ----------
+    dimensions
+        What each coordinate is used for, a tuple of `Dimension`.
+
+    Raises
+    ------
+    ParameterError
+        The pixel is outside the film; the scene has no integrator; there is none of that name, it
+        refuses its properties, or it is not one that follows a ray from the camera.
+    MissingDependency
+        Mitsuba or LLVM is missing.
+    """
+
+    name: ClassVar[str] = "path-pixel"
+    costly: ClassVar[bool] = True
+    scene: Any = checked(lambda _, given: as_scene(given), "veach")
+    x: int
+    y: int
+    integrator: str = SCENE_INTEGRATOR
+    channel: str | int = "luminance"
+    dims: Any = None
+
+    def _check(self) -> None:
+        channel = check_channel(self.channel)
+        with LOCK:
+            x, y = check_pixel(self.scene, self.x, self.y)
+            settle(self, x=x, y=y, channel=channel)
+            found = self.dimensions
+        asked = len(found) if self.dims is None else self.dims
+        settle(self, dims=as_integer("dims of a path", asked, least=2, most=MAX_DIMS))
+
+    @property
+    def channels(self) -> int:  # type: ignore[override]
+        """3 with ``channel="rgb"``, else 0."""
+        return 3 if self.channel == "rgb" else 0
+
+    @property
+    def dimensions(self) -> tuple[Dimension, ...]:
+        """What each coordinate is used for; those beyond the longest path that was met are unknown."""
+        found = self._tracer.dimensions(((self.x, self.y),))
+        dims = min(len(found), _MOST_DIMS) if self.dims is None else self.dims
+        beyond = Dimension(1 + max(d.bounce for d in found), "unknown")
+        return (*found[:dims], *[beyond] * (dims - len(found)))
+
+    @property
+    def integral_source(self) -> str:
+        """The means behind `integral`; `integral_accuracy` has their standard error."""
+        return SOURCE
+
+    def _estimated_integral(self) -> Estimate:
+        return mean_of_points(self)
+
+    @property
+    def _tracer(self) -> Tracer:
+        return Tracer(self.scene, self.integrator, self.channel, film_size(self.scene))
+
+    def _evaluate(self, x: Array) -> Array:
+        samples = x.reshape(-1, 1, self.dims)
+        found = self._tracer.means(samples, np.array([[self.x, self.y]]))[:, 0]
+        return found.reshape((*x.shape[:-1], 3) if self.channels else x.shape[:-1])
+
+
+def path_pixel(
+    scene: Scene,
+    x: int,
+    y: int,
+    *,
+    integrator: str | None = None,
+    channel: str | int = "luminance",
+    dims: int | None = None,
+) -> PathPixel:
+    """Return a pixel's radiance as an integrand; parameters and errors as those of `PathPixel`.
+
+    `integrator` None is the scene's own.
+    """
+    given: Any = {"channel": channel, "dims": dims, "integrator": integrator or SCENE_INTEGRATOR}
+    return PathPixel(scene=scene, x=x, y=y, **given)
+
+
+def path_dims(tracer: Tracer, window: tuple[int, int, int, int]) -> int:
+    """Coordinates of paths through a window (x0, y0, width, height) of the tracer's grid.
+
+    As many as those through 256 pixels, evenly laid over the window, ask for, 64 at most.
+    """
+    x0, y0, width, height = window
+    xs = np.unique(x0 + np.linspace(0, width - 1, _DRY_PIXELS).astype(int)).tolist()
+    ys = np.unique(y0 + np.linspace(0, height - 1, _DRY_PIXELS).astype(int)).tolist()
+    return min(len(tracer.dimensions(tuple((x, y) for y in ys for x in xs))), _MOST_DIMS)
+
+
+@final
+@dataclass(frozen=True)
+class Tracer:
+    """Paths of one integrator through the pixels of a grid of this `size`, laid over the film."""
+
+    scene: Scene
+    integrator: str
+    channel: str | int
+    size: tuple[int, int]
+
+    def dimensions(self, pixels: tuple[tuple[int, int], ...]) -> tuple[Dimension, ...]:
+        """What the numbers are used for that random paths through these pixels ask for."""
+        with LOCK:
+            return dimensions_of(load_scene(self.scene))(self, pixels)
+
+    def means(self, u: Array, pixels: Array) -> Array:
+        """Means over samples at pixels (P, 2): float64 (R, P) or (R, P, 3).
+
+        Samples u are (R, n, D) for all pixels alike, or (R, P, n, D). Values that are not finite are
+        a ParameterError.
+        """
+        numbers = max(u[0].size, 1) if len(u) else 1
+        step = max(1, min(_TABLE_NUMBERS // numbers, _LANES // len(pixels)))
+        parts = []
+        for start in range(0, len(u), step):
+            with LOCK:
+                parts.append(self._sums(u[start : start + step], pixels))
+        shape = (0, len(pixels), 3 if self.channel == "rgb" else 1)
+        found = np.concatenate([np.zeros(shape), *parts]) / u.shape[-2]
+        check_finite(found.swapaxes(0, 1), self.scene, pixels)
+        return np.asarray(found if self.channel == "rgb" else found[..., 0])
+
+    def _sums(self, u: Array, pixels: Array) -> Array:
+        """Sums over samples, (R, P, channels), by a lane for each of R and P."""
+        import drjit
+
+        mitsuba = load_mitsuba()
+        real: Any = drjit.float64_array_t(mitsuba.Float)
+        table = np.minimum(u.astype(np.float32).ravel(), np.float32(LARGEST_SAMPLE))
+        numbers = mitsuba.Float(table)
+        width, count, dims = (
+            drjit.opaque(mitsuba.UInt32, k) for k in (len(pixels), u.shape[-2], u.shape[-1])
+        )
+        lane = drjit.arange(mitsuba.UInt32, len(u) * len(pixels))
+        realization = lane // width
+        place = lane - realization * width
+        x, y = (mitsuba.Float(np.ascontiguousarray(c, np.float32)) for c in pixels.T)
+        x, y = drjit.gather(mitsuba.Float, x, place), drjit.gather(mitsuba.Float, y, place)
+        first = (lane if u.ndim == 4 else realization) * count
+
+        def add(k: Any, *sums: Any) -> tuple[Any, ...]:
+            sampler = _sampler_class()(_Numbers(numbers, dims, (first + k) * dims))
+            color = self._trace(sampler, x, y)
+            picked = color if self.channel == "rgb" else [chosen_channel(color, self.channel)]
+            return (k + 1, *(s + real(c) for s, c in zip(sums, picked, strict=True)))
+
+        channels = 3 if self.channel == "rgb" else 1
+        start = (
+            mitsuba.UInt32(0),
+            *(drjit.zeros(real, len(u) * len(pixels)) for _ in range(channels)),
+        )
+        _, *sums = drjit.while_loop(start, lambda k, *_: k < count, add)
+        drjit.eval(sums)
+        found = [np.broadcast_to(s.numpy(), len(u) * len(pixels)) for s in sums]
+        return np.stack(found, axis=-1).reshape(len(u), len(pixels), channels)
+
+    def _trace(self, sampler: Any, x: Any, y: Any) -> Any:
+        """Radiance along a path through pixels x and y, as Mitsuba's own loop over pixels has it."""
+        mitsuba, loaded = load_mitsuba(), load_scene(self.scene)
+        sensor, integrator = sensor_of(self.scene), find_integrator(self.scene, self.integrator)
+        film = sampler.next_2d()
+        lens = sampler.next_2d() if sensor.needs_aperture_sample() else mitsuba.Point2f(0.5)
+        time = sensor.shutter_open()
+        if sensor.shutter_open_time() > 0.0:
+            time = time + sampler.next_1d() * sensor.shutter_open_time()
+        position = mitsuba.Point2f((film.x + x) / self.size[0], (film.y + y) / self.size[1])
+        ray, weight = sensor.sample_ray_differential(time, 0.5, position, lens)
+        if _by_modes(integrator):
+            import drjit
+
+            found = integrator.sample(
+                mode=drjit.ADMode.Primal, scene=loaded, sampler=sampler, ray=ray,
+                depth=mitsuba.UInt32(0), δL=None, δaovs=None, state_in=None, active=mitsuba.Bool(True),
+            )  # fmt: skip
+        else:
+            found = integrator.sample(loaded, sampler, ray, sensor.get_medium(), True)
+        return weight * found[0]
+
+
+def find_integrator(scene: Scene, spec: object) -> Any:
+    """Return the integrator of this spec, or of the scene, if it can be asked for one ray."""
+    if not isinstance(spec, str) or not spec.strip():
+        raise ParameterError(
+            f"integrator is {spec!r}; give 'scene', or a plugin of Mitsuba's such as 'path(max_depth=5)'."
+        )
+    if spec == SCENE_INTEGRATOR:
+        found, called = load_scene(scene).integrator(), f"The integrator of {scene_name(scene)}"
+        if found is None:
+            raise ParameterError(
+                f"The scene {scene_name(scene)} names no integrator; give one, e.g. integrator='path'."
+            )
+    else:
+        found, called = _made(spec), f"The integrator {spec!r}"
+    if not isinstance(found, load_mitsuba().SamplingIntegrator):
+        raise ParameterError(
+            f"{called} ({_kind(found)}) follows no ray from the camera; give one that does, such as "
+            "'path', 'volpath' or 'direct'."
+        )
+    return found
+
+
+@functools.lru_cache(maxsize=8)
+def _made(spec: str) -> Any:
+    """The integrator of a plugin's name with its properties."""
+    # Names of Mitsuba's plugins may have underscores, which those of specs have not
+    plugin, bracket, rest = spec.strip().partition("(")
+    try:
+        properties = parse(f"integrator{bracket}{rest}").arguments
+        return load_mitsuba().load_dict({"type": plugin, **properties})
+    except SpecError as error:
+        raise ParameterError(f"The integrator {spec!r} cannot be read: {error}") from None
+    except (RuntimeError, TypeError, KeyError) as error:
+        raise ParameterError(
+            f"The integrator {spec!r} cannot be made: {mitsuba_reason(error)}; give 'scene', or a plugin "
+            "of Mitsuba's with its properties, such as 'path(max_depth=5)'."
+        ) from None
+
+
+def _kind(found: Any) -> str:
+    """The class of an integrator, by Mitsuba or in Python."""
+    name = str(found.class_name())
+    return type(found).__name__ if name == "SamplingIntegrator" else name
+
+
+def _by_modes(integrator: Any) -> bool:
+    """Whether it is one of Mitsuba's differentiable integrators, whose samples have a mode."""
+    return isinstance(integrator, load_mitsuba().ad.integrators.common.ADIntegrator)
+
+
+class _Numbers:
+    """Coordinates of points in Dr.Jit's memory; no dataclass, so that no loop takes a table as its state."""
+
+    def __init__(self, table: Any, dims: Any, first: Any) -> None:
+        import drjit
+
+        mitsuba = load_mitsuba()
+        self._table, self._dims, self._first = table, dims, first
+        seeds = [first, mitsuba.UInt32(0)]
+        if table is not None:
+            last = [drjit.gather(mitsuba.Float, table, first + dims - k) for k in (1, 2)]
+            seeds = [drjit.reinterpret_array(mitsuba.UInt32, v) for v in last]
+        self._seeds = mitsuba.sample_tea_32(*seeds)
+
+    def __call__(self, k: Any, active: Any) -> Any:
+        """Coordinate k, or what stands for it beyond the last."""
+        import drjit
+
+        mitsuba = load_mitsuba()
+        beyond = mitsuba.sample_tea_float32(self._seeds[0], self._seeds[1] + k)
+        if self._table is None:
+            return beyond
+        inside = k < self._dims
+        own = drjit.gather(mitsuba.Float, self._table, self._first + k, inside & active)
+        return drjit.select(inside, own, beyond)
+
+
+@functools.cache
+def _sampler_class() -> Any:
+    import drjit
+
+    mitsuba = load_mitsuba()
+
+    class Coordinates(mitsuba.Sampler):  # type: ignore[misc,name-defined]
+        """Hands out numbers in order; `requests` has how many, and whether a loop's turn began."""
+
+        def __init__(self, numbers: _Numbers) -> None:
+            super().__init__(mitsuba.Properties())
+            self.numbers, self.count = numbers, mitsuba.UInt32(0)
+            self.requests: list[tuple[int, bool]] = []
+
+        def _next(self, number: int, active: Any) -> list[Any]:
+            self.requests.append((number, self.count.state == drjit.VarState.Evaluated))
+            found = [self.numbers(self.count + k, active) for k in range(number)]
+            self.count = self.count + number
+            return found
+
+        def next_1d(self, active: Any = True) -> Any:
+            return self._next(1, active)[0]
+
+        def next_2d(self, active: Any = True) -> Any:
+            return mitsuba.Point2f(*self._next(2, active))
+
+        def fork(self) -> Any:
+            return self
+
+        clone = fork
+
+        def schedule_state(self) -> None:
+            drjit.schedule(self.count)
+
+    return Coordinates
+
+
+@functools.lru_cache(maxsize=4)
+def dimensions_of(scene: Any) -> Callable[..., tuple[Dimension, ...]]:
+    """The dry runs of one scene, whose last ones are remembered; few scenes are kept alive by it."""
+    del scene
+    return functools.lru_cache(maxsize=256)(_dry_run)
+
+
+def _dry_run(tracer: Tracer, pixels: tuple[tuple[int, int], ...]) -> tuple[Dimension, ...]:
+    """Follow random paths with loops evaluated, and see what is asked for in which turn."""
+    import drjit
+
+    mitsuba = load_mitsuba()
+    lane = drjit.arange(mitsuba.UInt32, _DRY_LANES)
+    sampler = _sampler_class()(_Numbers(None, None, lane))
+    place = lane % len(pixels)
+    x, y = (mitsuba.Float(np.array(c, np.float32)) for c in zip(*pixels, strict=True))
+    x, y = drjit.gather(mitsuba.Float, x, place), drjit.gather(mitsuba.Float, y, place)
+    with drjit.scoped_set_flag(drjit.JitFlag.SymbolicLoops, False):
+        try:
+            color = tracer._trace(sampler, x, y)
+        except (RuntimeError, TypeError) as error:
+            raise ParameterError(
+                f"Mitsuba cannot trace paths of {tracer.integrator!r} through {scene_name(tracer.scene)}: "
+                f"{mitsuba_reason(error)}; choose another integrator."
+            ) from None
+        drjit.eval(color, sampler.count)
+    asked = int(np.max(sampler.count.numpy()))
+
+    # The camera's requests, then those of each turn of the loop
+    sensor = sensor_of(tracer.scene)
+    camera = ["film", *["lens"] * sensor.needs_aperture_sample()]
+    camera += ["time"] * (sensor.shutter_open_time() > 0.0)
+    decided = [Dimension(0, d, p) for d in camera for p in (("",) if d == "time" else _PAIR)]
+    turns: list[list[int]] = [[]]
+    for number, began in sampler.requests[len(camera) :]:
+        if began and turns[-1]:
+            turns.append([])
+        turns[-1].append(number)
+    if len(decided) + sum(map(sum, turns)) != asked:  # paths skip requests: no order is that of all
+        rest = range(1, asked - len(decided) + 1)
+        return (*decided, *(Dimension(1, f"request {k}") for k in rest))
+    integrator = find_integrator(tracer.scene, tracer.integrator)
+    for bounce, turn in enumerate(turns, 1):
+        names = [f"request {k}" for k in range(1, len(turn) + 1)]
+        for order in _ORDERS.get(_kind(integrator), ()):
+            if [number for number, _ in order] == turn:
+                names = [name for _, name in order]
+        for number, name in zip(turn, names, strict=True):
+            decided += [Dimension(bounce, name, p) for p in (_PAIR if number == 2 else ("",))]
+    return tuple(decided)

@@ -1,0 +1,283 @@
+"""What frames of a renderer say, in words, as layers, and as one page."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import StoreError
+from mcspectra.core.results import strict_json
+from mcspectra.plots import kinds
+from mcspectra.plots.text import interval, number, percent, rate
+from mcspectra.rendering.files import write_exr
+from mcspectra.report.map_page import map_layers
+from mcspectra.report.page import (
+    Facts,
+    Figure,
+    Figures,
+    Page,
+    Section,
+    Table,
+    Text,
+    text_cells,
+    versions_of,
+    write_json,
+    write_page,
+)
+from mcspectra.variance.fit import is_resolved
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["frame_findings", "frame_layers", "frame_summary", "frame_table", "write_frames"]
+
+_COLUMNS = ("Samples a pixel", "Frames", "Variance", "95 %", "σ / mean", "FLIP")
+_LOW, _BLUE, _RED = (
+    0.125,
+    0.8,
+    1.25,
+)  # cycles a pixel; power below and above which noise is not white
+_ALIKE = 0.1  # correlation of neighbours that is worth a word
+_HEAVY = 0.5  # tail index of infinite variance
+_CARRIED = 0.05  # share of the variance in fireflies that is worth a word
+
+
+def frame_summary(result: xr.Dataset) -> dict[str, Any]:
+    """Numbers over the whole picture: a row for each number of samples, and what is told besides."""
+    told = {key: _plain(value) for key, value in result.attrs.items()}
+    rows = []
+    for k, n in enumerate(result["n"].values.tolist()):
+        one = result.isel(n=k)
+        row = {
+            "n": n if told["spp_known"][k] else None,
+            "frames": told["frame_count"][k],
+            "picture_variance": float(one["picture_variance"]),
+            "picture_variance_ci": one["picture_variance_ci"].values.tolist(),
+            "median_relative_rmse": float(np.nanmedian(one["relative_rmse"].values)),
+        }
+        if "flip" in one:
+            row["mean_flip"] = float(one["flip"].mean())
+        rows.append(row)
+    found: dict[str, Any] = {**told, "samples": rows}
+    for name in ("picture_rate", "picture_ratio", "equal_time_ratio"):
+        if name in result:
+            found |= {name: float(result[name]), f"{name}_ci": result[f"{name}_ci"].values.tolist()}
+    if "needed_spp" in result:
+        need = result["needed_spp"].values
+        best = result["relative_rmse"].isel(n=-1).values
+        seen = best[np.isfinite(best)]
+        found["reached_share"] = float((seen <= told["target"]).mean())
+        percentiles = np.nanpercentile(need, [50, 95])
+        found["needed_median"], found["needed_95"] = map(float, percentiles)
+    return found
+
+
+def _plain(value: Any) -> Any:
+    """An attribute as it was before it became text."""
+    listed = isinstance(value, str) and value[:1] == "["
+    return json.loads(value) if listed else value
+
+
+def frame_findings(result: xr.Dataset) -> list[str]:
+    """What the numbers say, a sentence each, most important first."""
+    found = frame_summary(result)
+    return [*_against(found), *_doubts(found), *_noise(result, found)]
+
+
+def _against(found: dict[str, Any]) -> Iterator[str]:
+    """Two sets of frames: bias, variance, and both at equal time."""
+    if "picture_ratio" not in found:
+        return
+    if found["identical"]:
+        yield f"The means are the same to the last bit: {found['against']} holds the same frames."
+        return
+    ours, others = found["compared_n"]
+    at = f"{ours} samples a pixel" + ("" if ours == others else f", the others {others}")
+    ends = interval(*found["picture_ratio_ci"])
+    yield f"At {at} the variance is {number(found['picture_ratio'])} ({ends}) of that of {found['against']}."
+    if "equal_time_ratio" in found:
+        ends = interval(*found["equal_time_ratio_ci"])
+        yield f"At equal time it is {number(found['equal_time_ratio'])} ({ends})."
+    biased, pixels = found["biased_pixels"], found["compared_pixels"]
+    z = found["mean_difference_z"]
+    apart = f"the means of the pictures differ by {percent(abs(found['mean_difference']))} ({number(z)} standard errors)"
+    if biased or abs(z) > 3:
+        yield (
+            f"The two do not converge to one picture: {biased} of {pixels} pixels differ by more than "
+            f"{number(found['z_limit'])} standard errors (none would in 95 % of equal pairs), and {apart}."
+        )
+    else:
+        yield f"No bias is seen: no pixel differs significantly, and {apart}."
+
+
+def _doubts(found: dict[str, Any]) -> Iterator[str]:
+    """What makes the other numbers doubtful, of the frames of the most samples that show it."""
+    last = len(found["samples"]) - 1
+    for k in range(last, -1, -1):
+        if pair := found["related"][k]:
+            yield (
+                f"The frames {pair[0]} and {pair[1]} are not independent: their errors correlate by "
+                f"{number(found['relation'][k])}. Give every frame a seed of its own; variances are too small."
+            )
+            break
+    for k in range(last, -1, -1):
+        count, expected = found["outliers"][k], found["outliers_expected"][k]
+        share, tail = found["outlier_share"][k], found["tail_index"][k]
+        # More than normal noise has, by four standard errors of a count
+        if count and count > expected + 4 * expected**0.5 and share > _CARRIED:
+            yield (
+                f"Fireflies: at {count} pixels one frame is far brighter ({number(expected, 2)} expected of normal "
+                f"noise); these pixels make {percent(share)} of the picture's variance"
+                + (
+                    f", whose tail index is {number(tail, 2)}: it may be infinite."
+                    if tail and tail > _HEAVY
+                    else "."
+                )
+            )
+            break
+    missing = max(found["missing"])
+    if missing:
+        yield f"{missing} pixels are NaN or infinite in some frame; they have no numbers."
+    if not np.isfinite([row["picture_variance_ci"][1] for row in found["samples"]]).all():
+        yield "One pixel of one frame makes over 5 % of all squared errors: the variance has no upper bound yet."
+
+
+def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[str]:
+    """The rate, the target, and how pixels err together."""
+    if "picture_rate" in found:
+        slope, (low, high) = found["picture_rate"], found["picture_rate_ci"]
+        yield (
+            f"The variance of the picture falls as samples to the power {rate(slope, low, high)}."
+            if is_resolved(low, high)
+            else f"The rate of the picture's variance is not resolved: {interval(low, high)}."
+        )
+    if "needed_median" in found:
+        yield (
+            f"{percent(found['reached_share'])} of the pixels reach σ / mean = {number(found['target'])} at "
+            f"{result['n'].values[-1]} samples; half of them need {number(found['needed_median'])}, "
+            f"95 % of them {number(found['needed_95'])}"
+            + (", by their rates." if "rate" in result else ", if the variance falls as 1/n.")
+        )
+    last = result.isel(n=-1)
+    lowest = last["radius"].values < _LOW
+    power, ends = last["error_spectrum"].values[lowest], last["error_spectrum_ci"].values[lowest]
+    level, half = (
+        float(power.mean()),
+        float(np.mean(ends[:, 1] - power)) / np.sqrt(max(lowest.sum(), 1)),
+    )
+    near = last["error_correlation"]
+    beside = (
+        [float(near.sel(lag_y=0, lag_x=1)), float(near.sel(lag_y=1, lag_x=0))]
+        if near.size > 1
+        else [0]
+    )
+    if level + half < _BLUE:
+        yield (
+            f"Blue noise: below {_LOW} cycles a pixel the errors have {number(level)} times the power of white "
+            "noise, which the eye, and a denoiser, blurs away."
+        )
+    elif level - half > _RED:
+        yield (
+            f"Neighbours err together: below {_LOW} cycles a pixel the errors have {number(level)} times the power "
+            "of white noise; a wide reconstruction filter, or points shared by pixels."
+        )
+    else:
+        yield f"The noise is white between pixels: {number(level)} times at low frequencies."
+    if max(map(abs, beside)) > _ALIKE:
+        yield f"Errors of neighbours correlate by {number(beside[0])} across and {number(beside[1])} down."
+    if lag := found["repeat"][-1]:
+        yield (
+            f"The noise repeats after {lag[1]} pixels across and {lag[0]} down (correlation "
+            f"{number(found['repeat_correlation'][-1])}): tiles share points or seeds."
+        )
+
+
+def frame_table(found: dict[str, Any]) -> tuple[tuple[str, ...], list[list[str]]]:
+    """Columns and rows of the numbers over the picture, as texts."""
+    rows = [
+        [
+            str(row["n"] or "unknown"),
+            str(row["frames"]),
+            number(row["picture_variance"]),
+            interval(*row["picture_variance_ci"]),
+            number(row["median_relative_rmse"]),
+            number(row.get("mean_flip")),
+        ]
+        for row in found["samples"]
+    ]
+    shown = len(_COLUMNS) - ("mean_flip" not in found["samples"][0])
+    return _COLUMNS[:shown], [row[:shown] for row in rows]
+
+
+def frame_layers(result: xr.Dataset) -> dict[str, Array]:
+    """Layers of EXR: the mean picture, and every number of the pixels by name and samples."""
+    maps = result.drop_vars(
+        [n for n in result if not {"y", "x"} <= set(result[n].dims)] + ["image"]
+    )
+    image = result["image"].values
+    return {"": image if image.shape[2] == 3 else image[..., 0], **map_layers(maps)}
+
+
+def write_frames(result: xr.Dataset, folder: str | Path) -> Path:
+    """Write ``frames.exr``, pictures, ``frames.json`` and ``report.html``; older ones are replaced.
+
+    Parameters
+    ----------
+    result
+        What `mcspectra.rendering.frames` returns.
+    folder
+        Made if need be.
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    StoreError
+        The folder cannot be written.
+    FileFormatError
+        The layers cannot be written.
+    """
+    root = Path(folder)
+    found, said = frame_summary(result), frame_findings(result)
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+        write_exr(root / "frames.exr", frame_layers(result), comment=json.dumps(strict_json(found)))
+    except OSError as error:
+        raise StoreError(f"{str(root)!r} cannot be written: {error.strerror}.") from None
+    write_json(root / "frames.json", {**found, "findings": said})
+    columns, rows = frame_table(found)
+    table = Table(
+        caption="Variance of one frame, mean over the pixels; median over the pixels of σ / mean"
+        + ("; mean FLIP of one frame against the mean." if len(columns) == len(_COLUMNS) else "."),
+        columns=columns,
+        rows=tuple(tuple(text_cells(*row)) for row in rows),
+    )
+    figures = tuple(
+        Figure(plot=kinds.describe(kind, result), name=kind.replace("-", "_"))
+        for kind in kinds.kinds_of(result)
+        if kind.startswith("frames-")
+    )
+    facts = [("Frames", found["frames"]), ("Versions", versions_of(result.attrs))]
+    page = Page(
+        title=f"Noise of {Path(found['frames']).name}",
+        what="frames",
+        lead=tuple(Text(text=text) for text in said[:1]),
+        sections=(
+            Section(
+                title="Summary",
+                anchor="summary",
+                blocks=(table, *(Text(text=text) for text in said[1:])),
+            ),
+            Section(title="Pixels", anchor="pixels", blocks=(Figures(figures=figures),)),
+            Section(title="Provenance", anchor="provenance", blocks=(Facts(rows=tuple(facts)),)),
+        ),
+    )
+    return write_page(page, root / "report.html", root)

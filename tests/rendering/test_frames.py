@@ -1,0 +1,310 @@
+"""Frames of any renderer: known noise is measured, what is wrong with frames is named."""
+
+import json
+import shutil
+import socket
+import threading
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+from tests.plots.drawing import drawn_by_both
+
+from mcspectra.cli.main import main
+from mcspectra.core.errors import FileFormatError, ParameterError
+from mcspectra.core.images import read_image
+from mcspectra.plots.kinds import KINDS, describe, kinds_of
+from mcspectra.rendering import frames, write_exr, write_png
+from mcspectra.report.frames_page import frame_findings
+
+HEIGHT, WIDTH = 96, 128
+TRUTH = np.exp(np.linspace(-2.0, 1.0, WIDTH)) * np.ones((HEIGHT, 1))
+SIGMA = 0.3  # of one sample, relative
+
+
+def white(rng):
+    return rng.standard_normal((HEIGHT, WIDTH))
+
+
+def blue(rng):
+    noise = white(rng)
+    return noise - gaussian_filter(noise, 1.5, mode="wrap")
+
+
+def filtered(rng):
+    return gaussian_filter(white(rng), 1.0, mode="wrap")
+
+
+def tiled(rng):
+    return np.tile(rng.standard_normal((32, 32)), (3, 4))
+
+
+def write(folder, noise=white, *, counts=(16, 64), frames=8, seed=1, change=lambda k, image: image):
+    """Frames of known variance TRUTH²·SIGMA²/n as .npy, by name."""
+    rng = np.random.default_rng(seed)
+    folder.mkdir(exist_ok=True)
+    for n in counts:
+        for k in range(frames):
+            error = noise(rng)
+            image = TRUTH * (1 + error / error.std() * SIGMA / np.sqrt(n))
+            np.save(folder / f"view_{n}spp_{k}.npy", change(k, image).astype(np.float32))
+    return folder
+
+
+def said(result):
+    return " ".join(frame_findings(result))
+
+
+@pytest.mark.parametrize("noise", [white, blue, filtered, tiled])
+def test_variances_and_rates_are_those_of_the_frames(tmp_path, noise):
+    result = frames(write(tmp_path / "a", noise), target=0.05)
+    assert result["n"].values.tolist() == [16, 64]
+    truth = SIGMA**2 * TRUTH**2
+    for n in (16, 64):
+        low, high = result["picture_variance_ci"].sel(n=n).values
+        assert low < truth.mean() / n < high
+        assert high / low < 1.2
+    low, high = result["picture_rate_ci"].values
+    assert low < -1.0 < high
+    assert high - low < 0.3
+
+    # Intervals of pixels cover: 12,288 pixels, whose correlations leave at least 900 independent ones
+    for name, value in (("variance_ci", truth / 16), ("rate_ci", -1.0)):
+        ends = result[name].sel(n=16) if "n" in result[name].dims else result[name]
+        covered = ((ends[..., 0] < value) & (ends[..., 1] > value)).values.mean()
+        assert covered > (0.9 if name == "variance_ci" else 0.88)
+    # σ / mean is 0.3/√n at every pixel: 36 samples reach 0.05
+    assert abs(float(np.log(result["needed_spp"].median() / 36))) < 0.25
+
+
+def test_frames_of_few_and_of_many_together_have_no_bias_of_the_rate(tmp_path):
+    """log s² of two values lies 1.27 below log σ² in the mean, of sixteen 0.07."""
+    folder = write(tmp_path / "a", counts=(4,), frames=16)
+    write(folder, counts=(64,), frames=2, seed=2)
+    rate = frames(folder)["rate"].values
+    # Pixels in windows of 15 × 15: at most 225 of them make one number, of error ≥ 0.48/15
+    assert abs(rate.mean() + 1.0) < 4 * 0.5 / np.sqrt(rate.size)
+
+
+def test_blue_noise_filters_and_tiles_are_told_apart(tmp_path):
+    found = {each.__name__: frames(write(tmp_path / each.__name__, each)) for each in
+             (white, blue, filtered, tiled)}  # fmt: skip
+    assert "white between pixels" in said(found["white"])
+    assert "Blue noise" in said(found["blue"])
+    assert "Neighbours err together" in said(found["filtered"])
+    assert "repeats after 32 pixels across and 0 down" in said(found["tiled"])
+    assert not any("repeats" in said(found[name]) for name in ("white", "blue", "filtered"))
+
+
+@pytest.mark.parametrize("count", [2, 3, 8])
+def test_correlations_and_spectra_have_no_bias(tmp_path, count):
+    """Of few frames, too: a mean of signs, of two, is 0.57 where the correlation is 0.78."""
+    result = frames(write(tmp_path / "a", filtered, counts=(4,), frames=count))
+    # A Gaussian filter of 1 pixel: correlation exp(−1/4) of neighbours, each squared 2π times over
+    beside = result["error_correlation"].sel(n=4, lag_y=0, lag_x=1).item()
+    independent = HEIGHT * WIDTH * (count - 1) / (2 * np.pi)
+    assert abs(beside - np.exp(-0.25)) < 4 * (1 - np.exp(-0.5)) / np.sqrt(independent)
+    # Power 4π exp(−4π²|ν|²) over radial frequency, at the middle of rings
+    radius, power = result["radius"].values, result["error_spectrum"].values[0]
+    wanted = 4 * np.pi * np.exp(-4 * np.pi**2 * radius**2)
+    rings = 2 * np.pi * radius * (radius[1] - radius[0]) * HEIGHT * WIDTH / 2
+    error = wanted * np.sqrt(2 * np.pi / rings / (count - 1))
+    some = slice(4, 14)
+    assert (np.abs(power - wanted)[some] < 4.5 * error[some]).all()
+
+
+def test_frames_of_one_seed_are_named(tmp_path):
+    folder = write(tmp_path / "a")
+    shutil.copy(folder / "view_64spp_2.npy", folder / "view_64spp_5.npy")
+    result = frames(folder)
+    text = said(result)
+    assert "view_64spp_2.npy" in text
+    assert "view_64spp_5.npy are not independent" in text
+    assert "correlate by 1.00" in text
+    assert "not independent" not in said(frames(write(tmp_path / "b")))
+
+
+def test_fireflies_are_named_and_leave_no_upper_bound(tmp_path):
+    rng = np.random.default_rng(5)
+
+    def burn(k, image):
+        return image + 20.0 * (rng.random(image.shape) < 2e-4)
+
+    text = said(frames(write(tmp_path / "a", change=burn)))
+    assert "Fireflies: at" in text
+    assert "Fireflies" not in said(frames(write(tmp_path / "b")))
+    single = frames(write(tmp_path / "c", change=lambda k, i: i + (k == 3) * 500.0 * (TRUTH.max() == TRUTH) * (np.arange(HEIGHT) == 7)[:, None]))  # fmt: skip
+    assert np.isinf(single["picture_variance_ci"].values[:, 1]).all()
+    assert "no upper bound" in said(single)
+
+
+def test_pixels_without_numbers_are_counted_and_left_out(tmp_path):
+    def spoil(k, image):
+        image[3, 4] = np.nan if k == 2 else image[3, 4]
+        image[5, 6] = np.inf if k == 1 else image[5, 6]
+        return image
+
+    result = frames(write(tmp_path / "a", change=spoil))
+    assert np.isnan(result["variance"].values[:, [3, 5], [4, 6]]).all()
+    assert np.isfinite(result["variance"].values).sum() == 2 * (HEIGHT * WIDTH - 2)
+    assert "2 pixels are NaN or infinite" in said(result)
+
+
+def test_two_sets_are_held_against_each_other(tmp_path):
+    a, b = write(tmp_path / "a"), write(tmp_path / "b", seed=9)
+    halved = write(
+        tmp_path / "c", seed=3, change=lambda k, image: TRUTH + (image - TRUTH) * np.sqrt(2)
+    )
+    same = frames(a, against=b, seconds=2.0, seconds_against=1.0)
+    low, high = same["picture_ratio_ci"].values
+    assert low < 1.0 < high
+    assert float(same["equal_time_ratio"]) == pytest.approx(2.0 * float(same["picture_ratio"]))
+    assert "No bias is seen" in said(same)
+    # Deviates of equal sets are standard normal: 12,288 of them
+    z = same["difference_z"].values
+    assert abs(z.std() - 1.0) < 4 / np.sqrt(2 * z.size)
+    low, high = frames(a, against=halved)["picture_ratio_ci"].values
+    assert low < 0.5 < high
+
+    def brighten(k, image):
+        image[:, 60:64] += 0.6 * TRUTH[:, 60:64]
+        return image
+
+    text = said(frames(a, against=write(tmp_path / "d", change=brighten, seed=4)))
+    assert "do not converge to one picture: 384 of 12288 pixels" in text
+
+
+def test_samples_and_times_come_from_headers_and_folders(tmp_path):
+    import OpenEXR
+
+    rng = np.random.default_rng(0)
+    for k in range(2):
+        pixels = rng.random((8, 8, 3)).astype(np.float32)
+        pbrt = {"samplesPerPixel": 32, "renderTimeSeconds": 1.5}
+        blender = {"cycles.ViewLayer.samples": "128", "RenderTime": "01:02.50"}
+        for folder, header in (("pbrt", pbrt), ("blender", blender)):
+            (tmp_path / folder).mkdir(exist_ok=True)
+            full = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **header}
+            channels = {f"ViewLayer.{c}": pixels[..., i].copy() for i, c in enumerate("RGB")}
+            OpenEXR.File(full, channels).write(str(tmp_path / folder / f"{k}.exr"))
+        (tmp_path / "plain/spp_4").mkdir(parents=True, exist_ok=True)
+        write_exr(tmp_path / f"plain/spp_4/{k}.exr", {"": pixels})
+    found = {name: frames(tmp_path / name) for name in ("pbrt", "blender", "plain")}
+    assert [found[name]["n"].item() for name in found] == [32, 128, 4]
+    assert found["pbrt"].attrs["seconds"] == "[1.5]"
+    assert found["blender"].attrs["seconds"] == "[62.5]"
+    assert frames(tmp_path / "blender", layer="ViewLayer.G")["mean"].shape == (1, 8, 8)
+
+
+def test_portable_float_maps(tmp_path):
+    values = np.random.default_rng(2).random((3, 5, 7, 3)).astype("<f4")
+    for k, frame in enumerate(values[:2]):
+        header = b"PF\n7 5\n-1.0\n"
+        (tmp_path / f"{k}.pfm").write_bytes(header + frame[::-1].tobytes())
+    (tmp_path / "2.pfm").write_bytes(b"PF\n7 5\n1.0\n" + values[2][::-1].astype(">f4").tobytes())
+    image = frames(tmp_path)["image"].values
+    np.testing.assert_allclose(image, values.astype(float).mean(axis=0), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "match"),
+    [
+        (lambda p: None, FileFormatError, "holds no .exr"),
+        (lambda p: np.save(p / "a.npy", np.ones((4, 4))), ParameterError, "one frame, .*a.npy; give two"),
+        (lambda p: [np.save(p / f"{k}.npy", np.ones((4, 4))) for k in "ab"], ParameterError,
+         "the same to the last bit"),
+        (lambda p: [np.save(p / f"{k}.npy", np.full((4, 4), np.nan)) for k in "ab"], ParameterError,
+         "have no number"),
+        (lambda p: [np.save(p / f"{k}.npy", np.eye(k)) for k in (3, 4)], ParameterError, "of one view"),
+        (lambda p: [write_png(p / f"{k}.png", np.eye(4) / k) for k in (1, 2)], FileFormatError,
+         "tone-mapped"),
+        (lambda p: [np.save(p / f"{k}.npy", np.eye(4)) for k in ("a_4spp", "b")], ParameterError,
+         "does not tell its samples"),
+        (lambda p: [np.save(p / f"{k}_0spp.npy", np.eye(4) * k) for k in (1, 2)], ParameterError,
+         "has 0 samples"),
+        (lambda p: [(p / f"{k}.exr").write_bytes(b"no picture") for k in "ab"], FileFormatError,
+         "cannot be read"),
+        (lambda p: [(p / f"{k}.pfm").write_bytes(b"PF\n99 99\n-1\nxx") for k in "ab"], FileFormatError,
+         "truncated"),
+    ],
+)  # fmt: skip
+def test_frames_that_are_none_are_refused(tmp_path, make, error, match):
+    make(tmp_path)
+    with pytest.raises(error, match=match):
+        frames(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"spp": 0}, {"target": 0.0}, {"target": np.nan}, {"seconds": -1.0}, {"layer": "none"}],
+)
+def test_options_out_of_range_are_refused(tmp_path, options):
+    rng = np.random.default_rng(0)
+    for k in range(2):
+        write_exr(tmp_path / f"{k}.exr", {"": rng.random((8, 8, 3))})
+    with pytest.raises((ParameterError, FileFormatError)):
+        frames(tmp_path, **options)
+
+
+@pytest.mark.parametrize("paths", [3, [], [3], "nowhere/*.exr", "nowhere", None])
+def test_paths_that_are_none_are_refused(paths):
+    with pytest.raises((ParameterError, FileFormatError)):
+        frames(paths)
+
+
+def test_tone_mapped_pictures_when_told_so(tmp_path):
+    rng = np.random.default_rng(0)
+    for k in range(2):
+        write_png(tmp_path / f"{k}.png", rng.random((8, 8, 3)))
+    assert frames(tmp_path, tone_mapped=True)["variance"].shape == (1, 8, 8)
+
+
+def test_page_layers_and_json(tmp_path, capsys):
+    folder, out = write(tmp_path / "a"), tmp_path / "out"
+    arguments = ["frames", str(folder), "--against", str(write(tmp_path / "b", seed=3))]
+    assert main([*arguments, "--target", "0.05", "--out", str(out)]) == 0
+    text = capsys.readouterr().out
+    assert "white between pixels" in text
+    assert {file.name for file in out.iterdir()} >= {"frames.exr", "frames_rate.png"}
+    found = json.loads((out / "frames.json").read_text())
+    assert all(sentence in text for sentence in found["findings"])
+    assert "No bias is seen" in (out / "report.html").read_text()
+    result = frames(folder)
+    layer = read_image(out / "frames.exr", layer="variance.n16")[..., 0]
+    np.testing.assert_allclose(layer, result["variance"].sel(n=16), rtol=1e-6)
+
+
+def test_plots_by_both_backends(tmp_path):
+    result = frames(write(tmp_path / "a"), against=write(tmp_path / "b", seed=3), target=0.05)
+    kinds = [kind for kind in KINDS if kind.startswith("frames-")]
+    if "flip" not in result:
+        kinds.remove("frames-flip")
+    assert set(kinds) <= set(kinds_of(result))
+    assert "convergence" not in kinds_of(result)
+    for kind in kinds:
+        drawn_by_both(describe(kind, result))
+
+
+def test_layers_reach_tev(tmp_path, capsys):
+    """A listener in tev's place receives every layer with its name."""
+    pytest.importorskip("tevclient")
+    received = bytearray()
+    server = socket.create_server(("127.0.0.1", 0))
+
+    def listen():
+        connection, _ = server.accept()
+        with connection:
+            while data := connection.recv(2**16):
+                received.extend(data)
+
+    thread = threading.Thread(target=listen, daemon=True)
+    thread.start()
+    port = server.getsockname()[1]
+    assert main(["frames", str(write(tmp_path / "a")), "--tev", f"127.0.0.1:{port}"]) == 0
+    thread.join(10)
+    server.close()
+    for name in (b"mcspectra mean", b"mcspectra variance.n16", b"mcspectra rate"):
+        assert name in received
+    assert main(["frames", str(tmp_path / "a"), "--tev", f"127.0.0.1:{port}"]) == 2
+    assert "No tev answers at" in capsys.readouterr().err
+    assert main(["frames", str(tmp_path / "a"), "--tev", "tev"]) == 2

@@ -1,0 +1,274 @@
+"""Whole paths as integrands: against Mitsuba's own renders, what their coordinates are, bad input."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import mcspectra as mcs
+from mcspectra.core.errors import IncompleteImageWarning, ParameterError
+from mcspectra.rendering import (
+    builtin,
+    check_scene,
+    load_mitsuba,
+    load_scene,
+    map_tiles,
+    path_pixel,
+    variance_map,
+)
+from mcspectra.rendering.paths import Dimension, find_integrator
+from mcspectra.rendering.scenes import as_scene
+
+pytestmark = pytest.mark.render
+
+N, REPEATS = 64, 400  # samples of an estimate, estimates
+FALSE_ALARM = 1e-6  # of one test, over all pixels, for means and variances
+Scene = dict[str, Any]
+
+
+def cornell() -> Scene:
+    scene: Scene = dict(load_mitsuba().cornell_box())
+    scene["integrator"] = {"type": "path", "max_depth": 5, "rr_depth": 100}
+    return scene
+
+
+def small(scene: Scene, width: int = 12, height: int = 8) -> Scene:
+    """With a film of a few pixels and the box filter, of which a pixel's mean is an integral."""
+    film = {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}}
+    return scene | {"sensor": scene["sensor"] | {"film": film}}
+
+
+SCENES: dict[str, tuple[Callable[[], Scene], str, list[tuple[int, int]]]] = {
+    "cornell": (cornell, "scene", [(2, 4), (6, 6), (9, 3)]),
+    "veach": (builtin.veach, "path(max_depth=3)", [(3, 5), (6, 7), (8, 3)]),
+    "penumbra": (builtin.penumbra, "path(max_depth=4, rr_depth=2)", [(3, 6), (6, 5), (9, 7)]),
+}
+
+
+def renders(scene: Scene, integrator: str) -> np.ndarray:
+    """The luminance of independent renders (R, h, w) by Mitsuba."""
+    mitsuba = load_mitsuba()
+    import drjit  # after Mitsuba, which says which LLVM
+
+    loaded = load_scene(scene)
+    made = find_integrator(as_scene(scene), integrator)
+    images = [
+        mitsuba.render(loaded, integrator=made, spp=N, seed=drjit.opaque(mitsuba.UInt32, 7 + r))
+        for r in range(REPEATS)
+    ]
+    return np.stack([np.asarray(image) for image in images]) @ [0.212671, 0.715160, 0.072169]
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_mean_and_variance_are_those_of_mitsubas_render(name: str) -> None:
+    make, integrator, pixels = SCENES[name]
+    scene = small(make())
+    theirs = renders(scene, integrator)
+    level = stats.norm.isf((1 - (1 - FALSE_ALARM) ** (1 / (2 * len(pixels)))) / 2)
+    for x, y in pixels:
+        f = path_pixel(scene, x, y, integrator=integrator)
+        own = f(mcs.sampler("random", f.dims).draw(N, realizations=REPEATS, rng=11)).mean(axis=1)
+        other = theirs[:, y, x]
+        assert other.std() > 0  # or there is nothing to compare
+        # Welch's test, of the values and of their squared deviations
+        for a, b in ((own, other), ((own - own.mean()) ** 2, (other - other.mean()) ** 2)):
+            assert abs(stats.ttest_ind(a, b, equal_var=False).statistic) < level, (x, y)
+
+
+def test_coordinates_of_cornells_box_are_found_and_named() -> None:
+    f = path_pixel(small(cornell()), 6, 5)
+    assert f.dims == 2 + 5 * 6
+    assert [str(d) for d in f.dimensions[:8]] == [
+        "film x", "film y", "bounce 1 light x", "bounce 1 light y", "bounce 1 lobe",
+        "bounce 1 direction x", "bounce 1 direction y", "bounce 1 roulette",
+    ]  # fmt: skip
+    assert [d.bounce for d in f.dimensions] == [0, 0, *np.repeat([1, 2, 3, 4, 5], 6)]
+    # The last turn reaches no light any more: its numbers are drawn and not used
+    u = np.random.default_rng(3).random((2000, f.dims))
+    v = u.copy()
+    v[:, 26:] = 0.5
+    assert np.array_equal(f(u), f(v))
+    v[:, 25] = 0.999  # without roulette before the 100th bounce
+    assert np.array_equal(f(u), f(v))
+    v[:, 20] = 0.3
+    assert not np.array_equal(f(u), f(v))
+
+
+@pytest.mark.parametrize(
+    ("integrator", "dims", "decisions"),
+    [
+        ("direct", 7, {"film", "light", "lobe", "direction"}),
+        ("prb(max_depth=3)", 20, {"film", "light", "lobe", "direction", "roulette"}),
+        ("depth", 2, {"film"}),
+    ],
+)
+def test_other_integrators(integrator: str, dims: int, decisions: set[str]) -> None:
+    f = path_pixel(small(cornell()), 6, 5, integrator=integrator)
+    assert f.dims == dims
+    assert {d.decision for d in f.dimensions} == decisions
+
+
+def test_lens_and_time_come_after_the_film() -> None:
+    scene = small(cornell())
+    scene["sensor"] |= {
+        "type": "thinlens", "aperture_radius": 0.1, "focus_distance": 3.0,
+        "shutter_open": 0.0, "shutter_close": 1.0,
+    }  # fmt: skip
+    f = path_pixel(scene, 6, 5, integrator="direct")
+    named = [str(d) for d in f.dimensions[:5]]
+    assert named == ["film x", "film y", "lens x", "lens y", "time"]
+    u = np.random.default_rng(3).random((500, f.dims))
+    v = u.copy()
+    v[:, 2] = 0.1
+    assert not np.array_equal(f(u), f(v))
+
+
+def test_an_integrator_of_the_users_own() -> None:
+    mitsuba = load_mitsuba()
+
+    class Product(mitsuba.SamplingIntegrator):  # type: ignore[misc,name-defined]
+        def sample(self, scene, sampler, ray, medium=None, active=True):  # type: ignore[no-untyped-def]
+            u, v = sampler.next_2d(active), sampler.next_1d(active)
+            return mitsuba.Color3f(u.x * u.y, v, 1.0), mitsuba.Bool(True), []
+
+    mitsuba.register_integrator("own_product", Product)
+    f = path_pixel(small(cornell()), 6, 5, integrator="own_product", channel="rgb")
+    u = np.random.default_rng(5).random((100, f.dims))
+    assert [str(d) for d in f.dimensions[2:]] == [
+        "bounce 1 request 1 x", "bounce 1 request 1 y", "bounce 1 request 2"
+    ]  # fmt: skip
+    expected = np.stack([u[:, 2] * u[:, 3], u[:, 4], np.ones(100)], axis=-1)
+    np.testing.assert_allclose(f(u), expected, rtol=1e-6)
+
+
+def test_bits_do_not_depend_on_the_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+    f = path_pixel(small(cornell()), 6, 5)
+    u = np.random.default_rng(5).random((1000, f.dims))
+    whole = f(u)
+    monkeypatch.setattr("mcspectra.rendering.paths._TABLE_NUMBERS", 37 * f.dims)
+    assert np.array_equal(f(u), whole)
+    assert np.array_equal(np.concatenate([f(u[:1]), f(u[1:])]), whole)
+    assert f(u[:0]).shape == (0,)
+
+
+def test_numbers_beyond_the_dims_are_hashed_without_bias() -> None:
+    scene, rng = small(cornell()), np.random.default_rng(5)
+    whole, cut = (path_pixel(scene, 6, 6, dims=dims) for dims in (None, 8))
+    assert cut.dimensions == whole.dimensions[:8]
+    u = rng.random((2**16, whole.dims))
+    a, b = whole(u), cut(u[:, :8])
+    assert np.array_equal(b, cut(u[:, :8]))
+    assert not np.array_equal(a, b)
+    # 5 σ: both are means of so many independent values, with the same variance
+    error = np.hypot(a.std(), b.std()) / len(u) ** 0.5
+    assert abs(a.mean() - b.mean()) < 5 * error
+    assert path_pixel(scene, 6, 6, dims=40).dimensions[-1] == Dimension(6, "unknown")
+
+
+def test_good_points_help_and_the_spec_makes_the_same_integrand() -> None:
+    scene = "penumbra(width=16, height=12)"
+    f = path_pixel(scene, 8, 9, integrator="path(max_depth=3)")
+    again = mcs.integrand(f.spec)
+    assert again == f
+    assert again.dims == f.dims == 20
+    found = mcs.convergence(f, ["random", "sobol | owen"], (16, 64, 256), realizations=100)
+    low, high = (found["variance_ci"].isel(n=-1, bound=k) for k in (0, 1))
+    assert float(high[1]) < float(low[0])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"integrator": "nosuch"}, "not found"),
+        ({"integrator": "path(bogus=1)"}, "unreferenced property"),
+        ({"integrator": "path(max_depth="}, "cannot be read"),
+        ({"integrator": "ptracer"}, "follows no ray"),
+        ({"integrator": "diffuse"}, "follows no ray"),
+        ({"integrator": 3}, "integrator is 3"),
+        ({"x": 12}, "outside the film"),
+        ({"dims": 1}, "from 2 to 1024"),
+        ({"dims": 10**6}, "from 2 to 1024"),
+        ({"channel": "hue"}, "channel"),
+        ({"scene": "penumbra", "integrator": None}, "names no integrator"),
+    ],
+)
+def test_bad_input_is_one_sentence(change: dict[str, Any], message: str) -> None:
+    given = {"scene": small(cornell()), "x": 6, "y": 5} | change
+    with pytest.raises(ParameterError, match=message) as caught:
+        path_pixel(**given)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_map_agrees_with_mitsubas_renders_at_all_pixels() -> None:
+    scene = small(cornell())
+    found = variance_map(scene, integrator="scene", sampler="random", counts=(16, N),
+                         realizations=REPEATS, points="own", rng=5)  # fmt: skip
+    theirs = renders(scene, "scene")
+    mean, variance = found["mean"].values[0], found["variance"].values[0, -1]
+    seen = theirs.var(axis=0) > 0
+    assert seen.sum() > 50
+    assert np.array_equal(variance > 0, seen)
+    level = stats.norm.isf((1 - (1 - FALSE_ALARM) ** (1 / (2 * seen.sum()))) / 2)
+    mean, variance, theirs = mean[seen], variance[seen], theirs[:, seen]
+    their_variance = theirs.var(axis=0, ddof=1)
+    error = np.sqrt((variance + their_variance) / REPEATS)
+    assert (np.abs(mean - theirs.mean(axis=0)) < level * error).all()
+    # Variances by the ratio's logarithm: nearer to normal than the ratio
+    squares = (theirs - theirs.mean(axis=0)) ** 2
+    their_se = squares.std(axis=0) / squares.mean(axis=0) / REPEATS**0.5
+    both = np.hypot(their_se, found["variance_relative_se"].values[0, -1][seen])
+    assert (np.abs(np.log(variance / their_variance)) < level * both).all()
+
+
+def test_a_pixel_of_a_map_is_what_convergence_measures(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene: Any = small(cornell())
+    given: dict[str, Any] = {"integrator": "path(max_depth=3)", "realizations": 16, "rng": 9}
+    whole = variance_map(scene, **given)
+    assert whole.attrs["integrator"] == "path(max_depth=3)"
+    assert whole["n"].values.tolist() == [4, 16, 64]
+    f = path_pixel(scene, 6, 5, integrator="path(max_depth=3)")
+    alone = mcs.convergence(f, "sobol | owen", (4, 16, 64), realizations=16, rng=9)
+    # The same values, added up in another order
+    ours = whole["variance"].sel(x=6, y=5)[0]
+    np.testing.assert_allclose(alone["variance"], ours, rtol=1e-12)
+    monkeypatch.setattr(map_tiles, "TILE_LANES", 16 * 7)
+    in_tiles = variance_map(scene, crop=(5, 4, 4, 3), **given)
+    one = variance_map(scene, crop=(6, 5, 1, 1), **given)
+    part = whole.isel(x=slice(5, 9), y=slice(4, 7))
+    np.testing.assert_array_equal(in_tiles["variance"], part["variance"])
+    np.testing.assert_array_equal(one["variance"][..., 0, 0], whole["variance"].sel(x=6, y=5))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"light": 0}, "light is for direct light"),
+        ({"strategies": ("light",)}, "strategies is for direct light"),
+        ({"integrator": "ptracer"}, "follows no ray"),
+        ({"sampler": "jittered"}, "two or more"),
+        ({"integrator": None, "dims": 4}, "from 2 to 3"),
+    ],
+)
+def test_a_map_refuses_in_one_sentence(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ParameterError, match=message) as caught:
+        variance_map(**({"scene": small(cornell()), "integrator": "path"} | change))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_scene_that_says_path_is_warned_of_where_direct_light_is_measured() -> None:
+    scene = cornell()
+    given: dict[str, Any] = {"crop": (9, 5, 2, 2), "counts": (4, 16), "realizations": 4}
+    with pytest.warns(IncompleteImageWarning, match=r"PathIntegrator.*direct light alone"):
+        found = variance_map(small(scene), **given)
+    assert "direct light alone" in found.attrs["scene_note"]
+    assert [s for s in check_scene(small(scene)) if "PathIntegrator" in s]
+    # Not where it is measured, where it says direct, or where nothing is said: warnings are errors
+    assert not variance_map(small(scene), integrator="scene", **given).attrs["scene_note"]
+    scene["integrator"] = {"type": "direct"}
+    variance_map(small(scene), **given)
+    del scene["integrator"]
+    assert not check_scene(small(scene))
