@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 from mcspectra.report import explain
-from mcspectra.report.sentences import further_sentences, headline
+from mcspectra.report.sentences import answer, further_sentences, headline
 from mcspectra.studies import SummaryRow
 
 
@@ -251,3 +251,33 @@ def test_one_sentence_without_terms() -> None:
 )
 def test_further_sentences(analyses: dict[str, xr.Dataset], text: str) -> None:
     assert further_sentences(analyses) == text
+
+
+def measured(variance: list[float], mean: float = 1.0, width: float = 1.2) -> xr.Dataset:
+    """A curve at n = 4, 16, … with intervals of a factor and a standard error of the mean of 0.01."""
+    n = [4 ** (k + 1) for k in range(len(variance))]
+    ends = [[v / width, v * width] for v in variance]
+    return xr.Dataset(
+        {
+            "variance": ("n", variance),
+            "variance_ci": (("n", "bound"), ends),
+            "mean": ("n", [mean] * len(n)),
+            "mean_se": ("n", [0.01] * len(n)),
+        },
+        {"n": n},
+    )
+
+
+def test_the_answer_is_the_least_error_that_is_sure_and_unbiased() -> None:
+    random = measured([0.04, 0.01, 0.0025])
+    setups = {"sobol": measured([0.02, 0.0001]), "random": random}
+    assert answer(setups) == "Use sobol: RMSE 0.0100 instead of 0.100 with random at 16 points."
+    assert answer(setups, why="Jumps are many.").endswith(" points. Cause: jumps are many.")
+    assert "Cause" not in answer(setups, why="No jump was found.")
+    for other in (
+        measured([0.02, 0.0099]),  # not surely less
+        measured([0.02, 0.0001], mean=1.1),  # another mean
+        measured([0.0, 0.0]),  # the same every time
+    ):
+        assert answer({"random": random, "other": other}).startswith("Keep random: nothing")
+    assert not answer({"random": random})

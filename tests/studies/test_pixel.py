@@ -19,6 +19,7 @@ from mcspectra.report.pixel_page import (
     STRATEGY_NAMES,
     about_pixel,
     bottleneck_sentence,
+    pixel_answer,
     pixel_rows,
     pixel_sentences,
     pixel_summary,
@@ -259,6 +260,9 @@ def test_a_steepest_rate_that_is_not_resolved_is_no_finding(tree: xr.DataTree) -
 def test_the_page_stands_alone(tree: xr.DataTree, tmp_path: Path) -> None:
     page = write_pixel(tree, tmp_path).read_text(encoding="utf-8")
     assert not re.search(r"https?:|<script src|<link|src=\"(?!data:)|url\(", page)
+    said = pixel_answer(tree)
+    assert said.startswith(("Use ", "Keep "))
+    assert page.index(said) < page.index("What it sees")
     for name, _ in pixel_sentences(tree):
         assert f"<b>{name[0].upper()}{name[1:]}</b>" in page
     for strategy in STRATEGY_NAMES.values():

@@ -264,6 +264,8 @@ def test_structures_of_arviz():
     posterior = xr.Dataset({"mu": theta.isel(school=0), "theta": theta})
     whole = mcs.chain_error(xr.DataTree.from_dict({"/posterior": posterior}))
     assert list(whole["quantity"].values) == ["mu", "theta[0]", "theta[1]", "theta[2]"]
+    named = mcs.chain_error(posterior.assign_coords(school=["north", "south", "west"]))
+    assert list(named["quantity"].values) == ["mu", "theta[north]", "theta[south]", "theta[west]"]
     np.testing.assert_allclose(whole["mean"], [x[:, 0].mean(), *x.mean(axis=(0, 2))], rtol=1e-12)
     for other in (posterior, SimpleNamespace(posterior=posterior)):
         xr.testing.assert_identical(mcs.chain_error(other), whole)

@@ -55,6 +55,7 @@ _STRATEGIES = {
 }
 """As the maps call them."""
 
+_AWAY = 4.0  # standard errors
 _ROUTES = {
     "strata": "quadrature within the strata",
     "random": "∫g²",
@@ -146,7 +147,10 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
     page = Page(
         title=f"Variance map of {Path(known['scene']).name}",
         what="map",
-        lead=(Text(text=settings, kind="soft"),),
+        lead=(
+            *([Text(text=summary["answer"])] if "answer" in summary else []),
+            Text(text=settings, kind="soft"),
+        ),
         sections=(
             Section(title="Summary", anchor="summary", blocks=(table, *sentences)),
             Section(title="Maps", anchor="maps", blocks=(Figures(figures=tuple(figures)),)),
@@ -204,7 +208,49 @@ def map_summary(result: xr.Dataset) -> dict[str, Any]:
             "above_1": float((low > 1).sum() / known),
             "below_1": float((high < 1).sum() / known),
         }
+        if strategies.keys() >= {"light", "bsdf", "mis"}:
+            found["answer"] = _answer(last, found)
     return found
+
+
+def _answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
+    """Which strategy has the least variance, at equal totals of samples, at what share of the pixels.
+
+    MIS where its gain over the better single strategy is more than 1; n of it are 2 n samples.
+    """
+    names = ("light", "bsdf")
+    singles = np.stack([last["variance"].sel(strategy=name).values for name in names])
+    gain = last["mis_gain"].values
+    known = np.isfinite(singles).all(axis=0) & np.isfinite(gain)
+    if not known.any():
+        return "No strategy is advised: no pixel has all of them measured."
+    # Less than all light, met surely less often than by MIS, is no answer
+    middle, error = (last[name].sel(strategy="mis") for name in ("mean", "mean_se"))
+    for each, name in zip(singles, names, strict=True):
+        own = last.sel(strategy=name)
+        away = abs(own["mean"] - middle) > _AWAY * (own["mean_se"] ** 2 + error**2) ** 0.5
+        each[away.values] = np.inf
+    better = (gain > 1.0) | np.isinf(singles).all(axis=0)
+    best = np.where(better, 2, np.argmin(singles, axis=0))[known]
+    shares = dict(zip((*names, "mis"), np.bincount(best, minlength=3) / best.size, strict=True))
+    first, *others = sorted(shares, key=lambda name: -shares[name])
+    rest = "".join(
+        f", {_STRATEGIES[name]} at {percent(shares[name])}" for name in others if shares[name]
+    )
+    errors = ", ".join(
+        f"{_STRATEGIES[k]} {number(_median(last['variance'].sel(strategy=k).values) ** 0.5)}"
+        for k in shares
+    )
+    text = (
+        f"Use {_STRATEGIES[first]} with {found['sampler']}: at as many samples in all it has the least "
+        f"variance at {percent(shares[first])} of the pixels{rest}. Median RMSE at n = "
+        f"{found['counts'][-1]} of each technique: {errors}."
+    )
+    slow = found.get("bottleneck", {})
+    worse = max(names, key=lambda name: slow.get(name, 0.0))
+    if slow.get(worse, 0.0) > 0.0:
+        text += f" Cause: {_STRATEGIES[worse]} has the slower rate in MIS at {percent(slow[worse])} of them."
+    return text
 
 
 def map_note(summary: Mapping[str, Any]) -> str:

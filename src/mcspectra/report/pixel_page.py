@@ -29,7 +29,7 @@ from mcspectra.report.page import (
     write_json,
     write_page,
 )
-from mcspectra.report.sentences import basis_name, explain
+from mcspectra.report.sentences import answer, basis_name, explain
 from mcspectra.report.tables import analysis_table, summary_table, terms_table
 from mcspectra.studies import SummaryRow, summarize
 from mcspectra.variance.fit import UNRESOLVED, is_resolved
@@ -41,6 +41,7 @@ __all__ = [
     "STRATEGY_NAMES",
     "about_pixel",
     "bottleneck_sentence",
+    "pixel_answer",
     "pixel_rows",
     "pixel_sentences",
     "pixel_summary",
@@ -70,6 +71,7 @@ _REMEDY = (
     "rate_verdict",
     "reason",
 )
+_GIVEN = "balance"  # what renderers do
 _PINHOLE = "pinhole"
 _MOST_LIGHTS = 8  # named one by one
 _ABOUT_RATES = (
@@ -131,7 +133,7 @@ def write_pixel(tree: xr.DataTree, folder: str | Path) -> Path:
     page = Page(
         title=f"Pixel ({known['x']}, {known['y']}) of {Path(known['scene']).name}",
         what="pixel",
-        lead=(Text(text=settings, kind="soft"),),
+        lead=(Text(text=pixel_answer(tree)), Text(text=settings, kind="soft")),
         sections=(
             Section(title="What it sees", anchor="pixel", blocks=sees),
             *_sections(tree),
@@ -139,6 +141,18 @@ def write_pixel(tree: xr.DataTree, folder: str | Path) -> Path:
         ),
     )
     return write_page(page, root / "report.html", root / "figures")
+
+
+def pixel_answer(tree: xr.DataTree) -> str:
+    """What to use at this pixel instead of MIS with the sampler of the terms, at equal evaluations, and why."""
+    curves, setups = tree["convergence"].to_dataset(), {}
+    for strategy, name in STRATEGY_NAMES.items():
+        techniques = 1 if strategy in ("light", "bsdf") else 2
+        points = curves.assign_coords(n=curves["n"] * techniques).sel(strategy=strategy)
+        for sampler in map(str, curves["sampler"].values):
+            setups[f"{name} with {sampler}"] = points.sel(sampler=sampler)
+    given = f"{STRATEGY_NAMES[_GIVEN]} with {tree.attrs['sampler']}"
+    return answer(setups, given, str(tree.attrs.get(f"diagnosis_{_GIVEN}", "")))
 
 
 def pixel_rows(tree: xr.DataTree) -> list[SummaryRow]:
@@ -324,6 +338,7 @@ def pixel_summary(tree: xr.DataTree) -> dict[str, Any]:
             ).items()
             for kind in node.to_dataset()["kind"].values
         ],
+        "answer": pixel_answer(tree),
         "sentences": dict(pixel_sentences(tree)),
     }
     if "remedies" in tree.children:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mcspectra.core.checks import Array
 from mcspectra.plots.text import NEGLIGIBLE, number, percent, rate, with_error
 from mcspectra.studies import SummaryRow
 from mcspectra.variance.fit import UNRESOLVED, is_resolved
@@ -15,9 +16,10 @@ from mcspectra.variance.fit import UNRESOLVED, is_resolved
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["basis_name", "bottleneck", "explain", "further_sentences", "headline"]
+__all__ = ["answer", "basis_name", "bottleneck", "explain", "further_sentences", "headline"]
 
 _DOMINANT = 0.9
+_AWAY = 4.0  # standard errors between means
 _LENGTH = "|\u2060m|\u2060"  # joined, as browsers break lines after a bar
 _CLOSE = 0.1  # prediction and measurement agree up to this relative difference
 _RATE_MARGIN = (
@@ -30,6 +32,53 @@ _TERMS = {
     "power": "detail at frequencies where the sampler is noisy",
     "cross": "correlation of frequencies",
 }
+
+
+def answer(curves: Mapping[str, xr.Dataset], given: str = "", why: str = "") -> str:
+    """Say what to use instead of what, at the most points that all were measured up to, and why.
+
+    Parameters
+    ----------
+    curves
+        `convergence` by set-up, without channels; n are the points of all techniques.
+    given
+        What the others are held against: random points or else the first by default.
+    why
+        Sentences on what costs the given one precision.
+
+    Returns
+    -------
+    str
+        Empty where there is nothing to compare. A set-up is advised where its 95 % interval ends below
+        that of the given one, if it has the same mean and is not the same set every time.
+    """
+    if len(curves) < 2:
+        return ""
+    given = given or ("random" if "random" in curves else next(iter(curves)))
+    n = min(int(curve["n"][-1]) for curve in curves.values())
+
+    def at(curve: xr.Dataset) -> Array:
+        """Variance and the ends of its interval, along lines between the counts."""
+        sizes = [curve["variance"], *(curve["variance_ci"].isel(bound=b) for b in (0, 1))]
+        logs = [np.log(np.maximum(size.values, np.finfo(float).tiny)) for size in sizes]
+        return np.exp([np.interp(math.log(n), np.log(curve["n"].values), log) for log in logs])
+
+    found = {name: at(curve) for name, curve in curves.items()}
+    best, last = given, {name: curve.isel(n=-1) for name, curve in curves.items()}
+    for name, each in last.items():
+        away = abs(float(each["mean"] - last[given]["mean"]))
+        errors = (float(end.get("mean_se", math.inf)) for end in (each, last[given]))
+        same = not away > _AWAY * math.hypot(*errors)
+        if float(each["variance"]) > 0.0 and found[name][0] < found[best][0] and same:
+            best = name
+    found_one = why and not why.startswith("No ")
+    cause = f" Cause: {why[:1].lower()}{why[1:]}" if found_one else ""
+    if best == given or not found[best][2] < found[given][1]:
+        return (
+            f"Keep {given}: nothing that was measured has surely less noise at {n:,} points.{cause}"
+        )
+    after, before = (number(math.sqrt(found[name][0])) for name in (best, given))
+    return f"Use {best}: RMSE {after} instead of {before} with {given} at {n:,} points.{cause}"
 
 
 def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:

@@ -31,7 +31,7 @@ from mcspectra.report.page import (
     versions_of,
     write_page,
 )
-from mcspectra.report.sentences import basis_name, explain, further_sentences
+from mcspectra.report.sentences import answer, basis_name, explain, further_sentences
 from mcspectra.report.tables import analysis_table, summary_of, summary_table, terms_table
 from mcspectra.studies import SummaryRow, open_results, study_status, summarize
 from mcspectra.studies.ledger import LEDGER_NAME, Ledger, check_links
@@ -67,6 +67,7 @@ _DETAILS: Mapping[str, tuple[str, ...]] = {
 }
 """Figures that are folded, by what they show."""
 
+_MOST_ANSWERS = 8  # before they are folded
 _MOST_GAPS = 50  # rows; a page of 10,000 failures helps nobody
 _LONGEST_KEY = 60  # letters of a group's name in the store
 _NOT_DONE = "not computed yet"
@@ -201,7 +202,7 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
     page = Page(
         title=study.get("title", "Results"),
         what="report",
-        lead=(Text(text=lead, kind="soft"),),
+        lead=(*_answers(estimates), Text(text=lead, kind="soft")),
         sections=tuple(sections),
     )
     file = root / REPORT_NAME if out is None else Path(out)
@@ -291,6 +292,25 @@ def study_toml(study: Mapping[str, Any]) -> str:
                 if isinstance(table, dict):
                     lines += [f"[{kind}.{name}]", *pairs(table)]
     return "\n".join(lines) + "\n"
+
+
+def _answers(estimates: Sequence[Estimates]) -> Iterator[Block]:
+    """What to do about each estimator; of many they are folded."""
+    rows = []
+    for each in estimates:
+        kept = each.analyses.get("profile", {})
+        said = [str(found.attrs["answer"]) for found in kept.values()][:1]
+        curves = {
+            sampler: curve.mean("channel") if "channel" in curve.dims else curve
+            for sampler, curve in each.analyses.get("convergence", {}).items()
+        }
+        remedies = [found.attrs for found in each.analyses.get("remedies", {}).values()]
+        why = str(remedies[0].get("diagnosis", "")) if remedies else ""
+        text = said[0] if said else answer(curves, why=why)
+        rows += [(each.name, text)] if text else []
+    if rows:
+        shown = Sentences(rows=tuple(rows))
+        yield shown if len(rows) <= _MOST_ANSWERS else Folded(summary="What to do", blocks=(shown,))
 
 
 def _allowed(study: str) -> str:

@@ -2,7 +2,8 @@
 
 Most of the budget goes to scrambled nets, which tell the variance of several samplers at once (`samples`), a
 fifth to lines that show what is rough (`lines`), some to the sampler that is given, where the nets do
-not tell of it. From these the causes are read (`causes`); what is left measures a change that answers them.
+not tell of it. From these the causes are read (`causes`); what is left measures a change that answers
+them, or antithetic pairs in strata where there is none.
 """
 
 from __future__ import annotations
@@ -53,6 +54,7 @@ _DEPENDENT = 0.7  # of all draws: fewer effective ones are a cause
 _LEAST_CHECKED = 4  # points that a change is measured at
 _GIVEN_COUNTS = 5
 _LEAST_SETS = 3
+_PAIRS = "antithetic-jittered"
 _THEORY = 0.08  # of a rate, at counts of points that are not large
 _WEIGHTED = 3  # functions: f, pdf and sample
 _MANY = 4  # dims, from which on it matters how many g varies with at once
@@ -182,12 +184,17 @@ class Profile:
         if not self.samplers:
             low, high = self.interval
             return f"The mean of the draws is {self.integral:.6g} (95 %: {low:.6g} to {high:.6g}).{why}"
+        if cause.name == "wrong-pdf":
+            return f"Mend the density first.{why}"
+        if self.best is None and math.isinf(self.variance):
+            return f"Nothing that was tried helps.{why}"
         if self.best is None:
             return f"Keep {self.given}: nothing that was tried is better.{why}"
         best = self.best
+        given = f"{best.rmse_given:.2g}" if math.isfinite(best.rmse_given) else "an infinite one"
         text = (
-            f"{best.change[0].upper()}{best.change[1:]}: RMSE {best.rmse:.2g} instead of "
-            f"{best.rmse_given:.2g} at {self.budget:,} evaluations"
+            f"{best.change[0].upper()}{best.change[1:]}: RMSE {best.rmse:.2g} instead of {given} at "
+            f"{self.budget:,} evaluations"
         )
         if math.isfinite(best.samples_saved) and best.samples_saved > 0:
             needed = float(f"{best.samples_saved + self.budget:.2g}")
@@ -221,9 +228,8 @@ class Profile:
             known = curve.rate_se == 0.0
             rate = f"{curve.rate:.2f}" + ("" if known else f" ({low:.2f} to {high:.2f})")
             rate = "none" if math.isnan(curve.rate) else rate
-            rows.append(
-                (name, f"{math.sqrt(curve.at(self.points)[0]):.3g}", rate.replace("-", "−"))
-            )
+            rmse = math.inf if math.isinf(self.variance) else math.sqrt(curve.at(self.points)[0])
+            rows.append((name, f"{rmse:.3g}", rate.replace("-", "−")))
         return rows
 
     def __str__(self) -> str:
@@ -492,6 +498,14 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
 
     evidence = Evidence(estimator, given, sets, curves, tuple(lines), mean, replicates)
     causes = causes_of(evidence)
+    # Pairs about the centres of strata, which nets do not tell of, have the exponent −1 − 4/d where g is
+    # smooth: cubic stratification of second order
+    if causes[0].name == "none" and estimator.counts == (1,) and given.spec != _PAIRS:
+        with contextlib.suppress(McspectraError):  # too many dims, or too few evaluations
+            pairs = as_sampler(_PAIRS, estimator.dims)
+            curve, _, cost = _measured(estimator, pairs, budget - calls, stream.child(97))
+            calls += cost
+            curves |= {_PAIRS: curve} if math.isfinite(curve.rate) else {}
     curves |= {
         name: _by_theory(name, curve, causes, estimator.dims) for name, curve in curves.items()
     }
@@ -510,6 +524,9 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     # Values that rest on few of them say nothing of what they missed, unless lines have seen how g grows
     names = {cause.name for cause in causes}
     infinite = "infinite-variance" in names
+    if infinite and best is not None:
+        endless = dict.fromkeys(("rmse_given", "gain", "samples_saved"), math.inf)
+        best = replace(best, **endless, gain_ci=(math.inf, math.inf))  # type: ignore[arg-type]
     resolved = bool(Moments.of(sets.pooled, tails=True).resolved)
     known = not infinite and "wrong-pdf" not in names
     known &= resolved or "border-growth" in names
@@ -611,7 +628,7 @@ def _best(
     estimator: AbstractEstimator, curves: Mapping[str, Curve], given: str, n: int
 ) -> Change | None:
     """The sampler of least variance at n, if its interval leaves the one that is given out."""
-    name = min(curves, key=lambda c: curves[c].at(n)[0])
+    name = min(curves, key=lambda c: curves[c].at(n)[0] * math.exp(curves[c].at(n)[1]))
     if name == given or not len(curves[given].counts):  # there is no variance to lower
         return None
     found = _change(curves, given, n, name, f"use {name}", curves[name].at(n), (estimator, name))
