@@ -364,6 +364,9 @@ class Predictor:
     ) -> tuple[list[Predicted], list[Array]]:
         """The predictions of all techniques, and what their shares weigh; together where they depend."""
         estimator, known, stream = self.estimator, self._known, self._stream
+        said = [each.constant for each in known]
+        if all(said):
+            raise NoClosedForm(said[0])
         try:
             estimator.check_independent()
         except NoClosedForm:
@@ -395,8 +398,9 @@ def _by_routes(
     base, steps = parts_of(sampler)
     if routes is ROUTES and known.g.costly:
         routes = _OF_COSTLY
-    if known.constant:
-        raise NoClosedForm(known.constant)
+    if known.constant:  # a technique of several
+        none = 0.0 * known.square[0]
+        return Predicted(none, none, none + 1.0, none, "the same at all points")
     for route in routes:
         try:
             found = route(sampler, n, known, stream)
