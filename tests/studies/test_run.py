@@ -206,7 +206,7 @@ def test_failures_stay_in_their_cells(misbehaving, tmp_path, stored_values):
     study = decode_study(text)
     with pytest.raises(CellFailed, match="2 of 4 cells failed.*--retry") as caught:
         run_study(study, tmp_path / "out", trust=trust, workers=2)
-    assert caught.value.failures[_path("raises")] == "It raised ZeroDivisionError: no such light."
+    assert "ZeroDivisionError: no such light." in caught.value.failures[_path("raises")]
     assert "NaN or infinite" in caught.value.failures[_path("nan")]
     assert set(open_results(tmp_path / "out").children) == {"good", "hangs"}
     with pytest.raises(CellFailed) as again:

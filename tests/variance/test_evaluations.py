@@ -75,6 +75,9 @@ NAMED = {
         e, SHIFTED, N, half_width=2, realizations=R, max_evaluations=m
     ),
     "predict": lambda e, m=None: mcs.predict(e, JITTERED, [N], max_evaluations=m),
+    "image_error_spectrum": lambda e, m=None: mcs.image_error_spectrum(
+        e, "random | decorrelate(width=8)", 4, half_width=2, images=2, max_evaluations=m
+    ),
     "plan": lambda e, m=None: mcs.plan(e, JITTERED, target_error=0.1, max_evaluations=m),
     "exact_variance": lambda e, m=None: mcs.exact_variance(e, JITTERED, N, max_evaluations=m),
 }

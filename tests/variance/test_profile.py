@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -231,9 +232,7 @@ def test_what_never_changes_is_no_reference():
     assert found.reference == "random"
     assert found.best.rmse_given > found.best.rmse > 0.0
     assert mcs.profile(FUNCTIONS["pole"][1], dims=1).best is None
-    constant = mcs.profile(lambda x: np.ones(len(x)), dims=2)
-    assert constant.best is None
-    assert constant.interval == (1.0, 1.0)
+    assert mcs.profile(lambda x: np.ones(len(x)), dims=2).best is None
 
 
 def test_errors_are_at_the_points_that_the_budget_pays_for():
@@ -318,3 +317,72 @@ def test_rounded_estimates_are_a_cause():
     draws = np.random.default_rng(0).random(500)
     assert mcs.profile(draws.astype(np.float32)).causes[0].name == "none"
     assert mcs.profile((1e6 + draws).astype(np.float32)).causes[0].name == "float-drift"
+
+
+@pytest.mark.parametrize("dims", [2, 8])
+def test_sets_that_do_not_vary_at_all_have_no_error(dims):
+    """A step at ½ along an axis: from two points on every scrambled net is exact."""
+    found = mcs.profile("step", dims=dims)
+    assert found.best.name == "sobol | owen"
+    assert found.best.rmse == 0.0
+    assert found.best.rmse_given == pytest.approx(0.5 / 64, rel=0.1)
+
+
+@pytest.mark.parametrize("spec", ["half-space", "disk"])
+def test_what_no_point_met_is_not_called_smooth(spec):
+    found = mcs.profile(spec, dims=8)
+    assert found.interval == (-math.inf, math.inf)
+    assert found.causes[0].name == "heavy-tail"
+    assert "was not met" in found.answer
+
+
+def test_the_same_everywhere_is_constant_or_was_not_met():
+    found = mcs.profile(lambda x: 3.0 + 0.0 * x[..., 0], dims=2)
+    assert found.interval == (-math.inf, math.inf)
+    assert "either it is constant" in found.causes[0].sentence
+    assert found.best is None
+    known = mcs.Integrand.from_function(lambda x: 3.0 + 0.0 * x[..., 0], dims=2, integral=3.0)
+    assert mcs.profile(known).causes[0].name == "none"
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e8, 1e10])
+def test_an_offset_changes_nothing(offset):
+    def bump(x):
+        return offset + np.exp(-0.5 * ((x - 0.4) ** 2).sum(-1) / 0.15**2)
+
+    found = mcs.profile(bump, dims=2)
+    assert found.best.name == "sobol | owen"
+    assert found.best.rmse == pytest.approx(
+        mcs.profile(lambda x: bump(x) - offset, dims=2).best.rmse, rel=0.2
+    )
+    assert found.samplers["latin-hypercube"].at(4096)[0] > 0.0
+    low, high = (float(end) for end in re.search(r"95 %: (\S+) to (\S+)\)", found.text).groups())
+    assert high > low
+
+
+def test_points_that_are_given_are_left_for_better_ones():
+    sets = np.random.default_rng(0).random((50, 64, 2))
+    found = mcs.profile(lambda x: np.exp(x.sum(-1)), dims=2, sampler=sets)
+    assert found.best.name == "sobol | owen"
+    assert found.best.gain_ci[0] > 1.0
+
+
+def test_no_gain_is_told_of_what_is_not_resolved():
+
+    found = mcs.profile(lambda x: 1.0 * (ndtri(x).sum(-1) > 3 * 8**0.5), dims=8)
+    assert found.interval == (-math.inf, math.inf)
+    assert found.best is None or math.isnan(found.best.gain)
+    assert "RMSE" not in found.answer
+
+
+@pytest.mark.parametrize("size", [1e-160, 1e200])
+def test_values_whose_squares_are_lost_are_refused(size):
+    with pytest.raises(ParameterError, match="divide f by it"):
+        mcs.profile(lambda x: size * np.exp(x.sum(-1)), dims=2)
+
+
+def test_samples_of_another_space_are_refused():
+
+    given = (lambda x: x[..., 0] ** 2, lambda x: np.exp(-(x[..., 0] ** 2) / 2), ndtri)
+    with pytest.raises(McspectraError, match="leaves the unit cube"):
+        mcs.profile(given, dims=1)

@@ -185,7 +185,12 @@ def point_in_words(point: Iterable[float]) -> str:
 
 def reason_of(error: BaseException, most: int = 1000) -> str:
     """Return what an error says, of `most` characters, on one line without a full stop; or its class."""
-    return " ".join(str(error).split())[:most].rstrip(".") or type(error).__name__
+    try:
+        words = str(error)[: 2 * most]
+    except BaseException:  # noqa: BLE001 - whatever the code of others does
+        words = ""
+    shown = " ".join("".join(c if c.isprintable() else " " for c in words).split())
+    return shown[:most].rstrip(".") or type(error).__name__
 
 
 def warn(message: str, category: type[Warning]) -> None:

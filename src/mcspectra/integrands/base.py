@@ -27,7 +27,13 @@ from mcspectra.core.checks import (
     as_reals,
     in_unit_cube,
 )
-from mcspectra.core.errors import DomainError, McspectraError, ParameterError, point_in_words
+from mcspectra.core.errors import (
+    DomainError,
+    McspectraError,
+    ParameterError,
+    point_in_words,
+    reason_of,
+)
 from mcspectra.core.fields import checked
 from mcspectra.core.images import REC709
 from mcspectra.core.registry import DEFAULT_DIMS
@@ -446,7 +452,8 @@ class FunctionIntegrand(Integrand):
             raise
         except Exception as error:
             raise ParameterError(
-                f"{self.spec} failed on points of shape {x.shape}: {type(error).__name__}: {error}"
+                f"{self.spec} failed on points of shape {x.shape}: {type(error).__name__}: "
+                f"{reason_of(error, 500)}."
             ) from error
         if values.shape != shape:
             raise ParameterError(

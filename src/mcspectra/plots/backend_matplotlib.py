@@ -464,9 +464,11 @@ def _bars(axes: Axes, mark: Bars, look: dict[str, Any]) -> None:
         stems = axes.hlines if mark.lying else axes.vlines
         stems(at, mark.base, value, lw=width, alpha=mark.opacity, **look)
     if mark.low is not None and mark.high is not None:
-        middle = 0.5 * (mark.low + mark.high)
+        # An end that is not finite has no whisker
+        low, high = (np.where(np.isfinite(e), e, mark.value) for e in (mark.low, mark.high))
+        middle = 0.5 * (low + high)
         places = (middle, mark.at) if mark.lying else (mark.at, middle)
-        reach = np.abs(0.5 * (mark.high - mark.low))
+        reach = np.abs(0.5 * (high - low))
         _whiskers(axes, places, reach, mark.lying, INK, look["zorder"] + 0.005)
     for place, text in zip(mark.at, mark.texts, strict=False):
         end: tuple[float, float] = (1.0, float(place)) if mark.lying else (float(place), 1.0)

@@ -20,6 +20,7 @@ from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.results import dataset
 from mcspectra.core.rings import Rings
 from mcspectra.core.streams import RngLike, Stream
+from mcspectra.core.tally import counting
 from mcspectra.integrands import Integrand, as_integrand
 from mcspectra.samplers import Decorrelate, Sampler, as_sampler
 from mcspectra.spectra.bases import parts_of
@@ -45,6 +46,7 @@ def image_error_spectrum(
     half_width: int = 24,
     images: int = 16,
     rng: RngLike = 0,
+    max_evaluations: int | None = None,
 ) -> xr.Dataset:
     """Predict the power of an image of errors over radial frequency, and measure it.
 
@@ -61,6 +63,8 @@ def image_error_spectrum(
         points were random to it and pixels to each other.
     images
         Independent images, at least 2: shared sets and places of the mask.
+    max_evaluations
+        Most evaluations of a user's function: BudgetError where it takes more.
 
     Returns
     -------
@@ -92,11 +96,12 @@ def image_error_spectrum(
     white 0.9
     blue-noise 0.1
     """
-    from scipy.special import stdtrit
-
     half_width = as_integer("half_width", half_width, least=1)
     images = as_integer("images", images, least=2)
-    listed = [integrand] if isinstance(integrand, Integrand | str) else list(integrand)
+    if max_evaluations is not None:
+        max_evaluations = as_integer("max_evaluations", max_evaluations, least=1)
+    several = isinstance(integrand, list | tuple) and len(integrand) > 0
+    listed: Any = integrand if several else [integrand]
     functions = [as_integrand(each, dims) for each in listed]
     d = functions[0].dims
     source = as_sampler(sampler, d)
@@ -120,6 +125,25 @@ def image_error_spectrum(
             f"dims and {_MOST_VALUES:,} of each are possible; lower half_width, n or the mask's width."
         )
 
+    with counting("image_error_spectrum", max_evaluations) as tally:
+        found = _spectra(functions, source, n, width, half_width, images, Stream.from_rng(rng))
+    tally.check()
+    return found.assign_attrs(evaluations=tally.made)
+
+
+def _spectra(
+    functions: list[Integrand],
+    source: Sampler,
+    n: int,
+    width: int,
+    half_width: int,
+    images: int,
+    stream: Stream,
+) -> xr.Dataset:
+    from scipy.special import stdtrit
+
+    pixels, d = width * width, source.dims
+
     # Coefficients without f_0, and the part of ∫f² that is not among them
     known = np.stack([f.fourier_grid(half_width) for f in functions])
     mean: Any = (slice(None), *[half_width] * d)
@@ -129,7 +153,7 @@ def image_error_spectrum(
     tail = float(np.maximum(whole - energy, 0.0).mean()) / n
 
     # Images of errors by both ways, from the same sets and shifts
-    stream, rings = Stream.from_rng(rng), Rings(width, width)
+    rings = Rings(width, width)
     predicted, measured = (np.empty((images, rings.radius.size)) for _ in range(2))
     integrals = np.array([f.integral for f in functions])
     for k in range(images):

@@ -420,7 +420,7 @@ def _high_dimension(seen: Evidence) -> Cause | None:
         return None
     n = seen.sets.n
     nets, random = seen.curves[NETS], seen.curves["random"]
-    mean = seen.mean_dimension
+    mean = min(seen.mean_dimension, float(d))
     gain = random.at(n)[0] / max(nets.at(n)[0], 1e-300)
     if gain > _LITTLE_GAIN or not mean > _MOST_DIMENSION:
         return None

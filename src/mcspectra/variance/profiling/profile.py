@@ -22,8 +22,14 @@ import numpy as np
 from msgspec import Meta
 
 from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, whole
-from mcspectra.core.checks import Array, as_integer
-from mcspectra.core.errors import CountError, McspectraError, NoClosedForm, ParameterError
+from mcspectra.core.checks import Array, as_integer, in_unit_cube
+from mcspectra.core.errors import (
+    CountError,
+    DomainError,
+    McspectraError,
+    NoClosedForm,
+    ParameterError,
+)
 from mcspectra.core.images import REC709
 from mcspectra.core.memory import memory_of
 from mcspectra.core.results import dataset, strict_json
@@ -57,6 +63,9 @@ _LEAST_SETS = 3
 _PAIRS = "antithetic-jittered"
 _THEORY = 0.08  # of a rate, at counts of points that are not large
 _WEIGHTED = 3  # functions: f, pdf and sample
+_FIGURES = ("rmse", "rmse_given", "gain", "samples_saved")
+_SIZES = 1e-120, 1e120  # of g, whose fourth powers float64 holds
+_SEEN = 64  # points of a density that are looked at
 _MANY = 4  # dims, from which on it matters how many g varies with at once
 
 
@@ -183,7 +192,7 @@ class Profile:
         why = "" if cause.name == "none" else f" Cause: {cause.name}. {cause.sentence}"
         if not self.samplers:
             low, high = self.interval
-            return f"The mean of the draws is {self.integral:.6g} (95 %: {low:.6g} to {high:.6g}).{why}"
+            return f"The mean of the draws is {_shown(self.integral, low, high)}.{why}"
         if cause.name == "wrong-pdf":
             return f"Mend the density first.{why}"
         if self.best is None and math.isinf(self.variance):
@@ -192,6 +201,11 @@ class Profile:
             return f"Keep {self.given}: nothing that was tried is better.{why}"
         best = self.best
         given = f"{best.rmse_given:.2g}" if math.isfinite(best.rmse_given) else "an infinite one"
+        if math.isnan(best.gain):
+            return (
+                f"{best.change[0].upper()}{best.change[1:]}: it was better where both were measured, by how much "
+                f"at {self.budget:,} evaluations these cannot tell.{why}"
+            )
         text = (
             f"{best.change[0].upper()}{best.change[1:]}: RMSE {best.rmse:.2g} instead of {given} at "
             f"{self.budget:,} evaluations"
@@ -208,7 +222,7 @@ class Profile:
         found = [
             self.answer,
             "",
-            f"integral   {self.integral:.8g}  (95 %: {low:.6g} to {high:.6g})",
+            f"integral   {_shown(self.integral, low, high)}",
         ]
         found.append("causes")
         found += [f"  {cause.name}: {cause.sentence}" for cause in self.causes]
@@ -333,8 +347,9 @@ def profile(
     ----------
     f
         A vectorised function of points (k, d) to values (k,), an integrand, an estimator, or a spec; three
-        functions (f, pdf, sample), where points are drawn by sample(u) and weighted with 1/pdf; or draws of Markov chains, or independent estimates, as `chain_error` takes them, which are not
-        sampled further.
+        functions (f, pdf, sample) on the unit cube, where points are drawn by sample(u) and weighted with
+        1/pdf; or draws of Markov chains, or independent estimates, as `chain_error` takes them, which are
+        not sampled further.
     sampler
         What is used today.
     dims
@@ -378,6 +393,15 @@ def profile(
         if density:  # not checked here, as what it does wrong is a cause
             pdf, sample = density
             own = FunctionDensity(dims=estimator.dims, pdf_function=pdf, sample_function=sample)
+            u = as_sampler("random", own.primary_dims).draw(_SEEN)[0]
+            x = np.zeros(1)
+            with contextlib.suppress(Exception):  # which is a cause, as all that is wrong with it
+                x = np.asarray(sample(u), float)
+            if np.isfinite(x).all() and not in_unit_cube(x):
+                raise DomainError(
+                    f"sample(u) leaves the unit cube, from {x.min():.4g} to {x.max():.4g}; map f and pdf into it, "
+                    "or give the function f(sample(u)) / pdf(sample(u)) of u alone."
+                )
             estimator = Estimator(given, own)
         subject = Subject(estimator, as_sampler(sampler, estimator.dims))
         Profiling(budget=limit).need(subject)
@@ -462,6 +486,11 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         estimator.counts,
     )
     calls = nets * n * each
+    size = max(float(np.abs(v).max()) for v in sets.values)
+    if size and not _SIZES[0] <= size <= _SIZES[1]:
+        raise ParameterError(
+            f"The values of f are of the size {size:.1g}, whose powers float64 does not hold; divide f by it."
+        )
     curves = sets.curves()
 
     # Lines of each technique, and the mean dimension of a single one
@@ -530,6 +559,12 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     resolved = bool(Moments.of(sets.pooled, tails=True).resolved)
     known = not infinite and "wrong-pdf" not in names
     known &= resolved or "border-growth" in names
+    unseen = _same_everywhere(estimator, sets)
+    if unseen is not None:
+        causes, best, known = [unseen], None, known and unseen.name == "none"
+    # What was not resolved may be anything: that a change is better was measured, not by how much
+    if best is not None and not infinite and (not known or best.gain_ci[0] <= 1.0):
+        best = replace(best, **dict.fromkeys(_FIGURES, math.nan), gain_ci=(math.nan, math.nan))  # type: ignore[arg-type]
     return Profile(
         subject=estimator.spec,
         given=given.spec,
@@ -547,6 +582,38 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         not_tried=not_tried,
         points=budget // each,
         reference=reference,
+    )
+
+
+def _shown(value: float, low: float, high: float) -> str:
+    """A number and its interval, with the digits that tell the ends apart."""
+    digits = 6
+    if math.isfinite(high - low) and high > low:
+        digits = max(digits, math.ceil(math.log10(max(abs(low), abs(high)) / (high - low))) + 2)
+    return f"{value:.{min(digits + 2, 17)}g} (95 %: {low:.{digits}g} to {high:.{digits}g})"
+
+
+def _same_everywhere(estimator: AbstractEstimator, sets: Sets) -> Cause | None:
+    """What is to be said where all values are the same."""
+    value = float(sets.pooled[0])
+    if len(sets.values) > 1 or np.ptp(sets.pooled) > 0.0:
+        return None
+    count = sets.pooled.size
+    whole = estimator.primary_integrand(0)._integral()
+    if whole is not None and not np.isclose(np.mean(whole), value, rtol=1e-12, atol=0.0):
+        return Cause(
+            "heavy-tail",
+            f"g is {value:.6g} at all {count:,} points, and its integral is {float(np.mean(whole)):.6g}: what "
+            "makes the difference was not met. Give a density that finds it, or far more points.",
+            {"integral": float(np.mean(whole))},
+        )
+    if whole is not None:
+        return Cause("none", f"g is {value:.6g} everywhere: there is no noise.")
+    return Cause(
+        "few-realizations",
+        f"g is {value:.6g} at all {count:,} points: either it is constant, or what varies, in less than about "
+        f"{3 / count:.1g} of the volume, was not met.",
+        {"points": float(count)},
     )
 
 

@@ -31,6 +31,7 @@ _SLABS = 32  # along an axis, of Latin hypercubes
 _JITTERED_DIMS = 3
 _OCTAVES = 3  # at the end, of one rate
 _DRIFTS = 0.05, 0.1, 0.2, 0.4  # of the rate, an octave
+_UNKNOWN = 0.5  # error of a rate that is not known
 _FLOOR = 0.02  # of a logarithm: no curve is straighter
 _AGREES = 2.0  # standard errors
 
@@ -48,6 +49,8 @@ class Curve:
         Slope over the last octaves and its standard error; NaN where there is none.
     degrees
         Degrees of freedom of the errors.
+    vanishes
+        Count from which on the sets did not vary at all.
     """
 
     counts: Array
@@ -56,10 +59,11 @@ class Curve:
     rate: float
     rate_se: float
     degrees: int
+    vanishes: float = math.inf
 
     def at(self, n: float) -> tuple[float, float]:
         """The variance at n and the standard error of its logarithm; beyond the counts along the rate."""
-        if not len(self.counts):
+        if n >= self.vanishes or not len(self.counts):
             return 0.0, 0.0
         if n <= self.counts[-1]:
             x, y = np.log(self.counts), np.log(self.variance)
@@ -67,10 +71,11 @@ class Curve:
                 math.exp(float(np.interp(math.log(n), x, y))),
                 float(np.interp(math.log(n), x, self.relative_se)),
             )
-        slope = self.rate if math.isfinite(self.rate) else -1.0
+        known = math.isfinite(self.rate)
+        slope, error = (self.rate, self.rate_se) if known else (-1.0, _UNKNOWN)
         away = math.log(n / self.counts[-1])
         value = float(self.variance[-1]) * math.exp(slope * away)
-        return value, math.hypot(float(self.relative_se[-1]), away * (self.rate_se or 0.0))
+        return value, math.hypot(float(self.relative_se[-1]), away * error)
 
     def towards(self, rate: float, error: float) -> Curve:
         """The mean of its rate and one of theory, to so much, unless they contradict each other."""
@@ -185,6 +190,9 @@ class Sets:
             found["jittered"] = self._curve(_of_strata, sides**self.dims)
         if self.dims > 1 and self.n >= _SLABS:
             found["latin-hypercube"] = self._curve(_of_slabs, counts[counts >= _SLABS], -1.0)
+        # What is left between strata is a difference: where it is lost in the errors nothing is known
+        if len(found["random"].counts):
+            found = {name: curve for name, curve in found.items() if len(curve.counts)}
         return found
 
     def technique_curves(self) -> list[Curve]:
@@ -195,7 +203,7 @@ class Sets:
 
     def _curve(self, estimate: _Estimate, counts: Array, rate: float | None = None) -> Curve:
         """Values of an estimate and its jackknife."""
-        parts = [_Part(p, v) for p, v in zip(self.points, self.values, strict=True)]
+        parts = [_Part(p, v - v.mean()) for p, v in zip(self.points, self.values, strict=True)]
 
         def of(parts: list[_Part], n: int) -> float:
             return sum(estimate(p, n * c) for p, c in zip(parts, self.counts, strict=True))
@@ -205,7 +213,8 @@ class Sets:
             [of([p.without(r) for p in parts], int(n)) for n in counts]
             for r in range(len(parts[0].values))
         ])  # fmt: skip
-        return _fitted(counts, found, left, float(self.estimates.mean()), rate)
+        size = float(self.estimates.mean())
+        return _fitted(counts, found, left, size, rate, exact=estimate is _of_nets)
 
 
 def curve_of(counts: Sequence[int], estimates: Sequence[Array]) -> Curve:
@@ -214,24 +223,31 @@ def curve_of(counts: Sequence[int], estimates: Sequence[Array]) -> Curve:
     left = np.stack([
         [np.delete(e, r).var(ddof=1) for e in estimates] for r in range(len(estimates[0]))
     ])  # fmt: skip
-    return _fitted(np.array(counts), found, left, float(estimates[-1].mean()), None)
+    return _fitted(np.array(counts), found, left, float(estimates[-1].mean()), None, exact=True)
 
 
-def _fitted(counts: Array, found: Array, left: Array, size: float, rate: float | None) -> Curve:
-    """Errors from what is `left` without each realisation, (R, N), and a rate, unless it is known."""
+def _fitted(
+    counts: Array, found: Array, left: Array, size: float, rate: float | None, *, exact: bool
+) -> Curve:
+    """Errors from what is `left` without each realisation, (R, N), and a rate, unless it is known.
+
+    With `exact` variances none at all is a finding, not a difference of others that is lost in errors.
+    """
     degrees = len(left) - 1
     floor = rounding_floor(np.array(size))
     used = found > floor
+    gone = counts[np.maximum.accumulate(used[::-1])[::-1].sum() :]
+    vanishes = float(gone[0]) if exact and len(gone) else math.inf
     counts, found, left = counts[used], found[used], left[:, used]
     if not len(counts):
-        return Curve(counts, found, found, math.nan, math.nan, degrees)
-    pseudo = np.log(np.maximum(left, floor)) - np.log(found)
+        return Curve(counts, found, found, math.nan, math.nan, degrees, vanishes)
+    pseudo = np.log(np.maximum(left, np.maximum(floor, np.finfo(float).tiny))) - np.log(found)
     covariance = degrees * np.cov(pseudo.T, ddof=0).reshape(len(counts), -1)
     error = np.sqrt(np.diag(covariance))
     if rate is not None:
-        return Curve(counts, found, error, rate, 0.0, degrees)
+        return Curve(counts, found, error, rate, 0.0, degrees, vanishes)
     if len(counts) < 2:
-        return Curve(counts, found, error, math.nan, math.nan, degrees)
+        return Curve(counts, found, error, math.nan, math.nan, degrees, vanishes)
     x, y = np.log(counts / counts[-1]), np.log(found)
     line, octave = np.stack([np.ones_like(x), x], axis=1), math.log(2.0)
     turns = octave * np.arange(_OCTAVES, max(round(-x[0] / octave), _OCTAVES))
@@ -250,7 +266,7 @@ def _fitted(counts: Array, found: Array, left: Array, size: float, rate: float |
     share /= share.sum()
     slope = float(share @ fits[1])
     spread = float(share @ (fits[2] + (fits[1] - slope) ** 2))
-    return Curve(counts, found, error, slope, math.sqrt(spread), degrees)
+    return Curve(counts, found, error, slope, math.sqrt(spread), degrees, vanishes)
 
 
 def _of_nets(part: _Part, n: int) -> float:
