@@ -252,8 +252,12 @@ def bottleneck_sentence(tree: xr.DataTree) -> str:
     last = found["technique_variance"].isel(n=-1).values
     part, later = float(last[slow] / last.sum()), ""
     if part < 0.5:
+        n, slopes = int(found["n"][-1]), found["technique_rate"].values
+        steeper = float(slopes[slow] - slopes[1 - slow])
+        crossing = n * float(last[1 - slow] / last[slow]) ** (1.0 / steeper)
         later = (
-            f" at larger n; at n = {int(found['n'][-1])} it has {100 * part:.2g} % of the variance"
+            f" at larger n: {names[1 - slow]} makes most of the variance at n = {n}, "
+            f"{percent(1.0 - part)}, and as the fitted lines go up to n ≈ {number(crossing, 2)}"
         )
     name = names[slow][0].upper() + names[slow][1:]
     return (
