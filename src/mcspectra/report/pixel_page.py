@@ -253,12 +253,11 @@ def bottleneck_sentence(tree: xr.DataTree) -> str:
     part, later = float(last[slow] / last.sum()), ""
     if part < 0.5:
         n, slopes = int(found["n"][-1]), found["technique_rate"].values
-        steeper = float(slopes[slow] - slopes[1 - slow])
-        crossing = n * float(last[1 - slow] / last[slow]) ** (1.0 / steeper)
-        later = (
-            f" at larger n: {names[1 - slow]} makes most of the variance at n = {n}, "
-            f"{percent(1.0 - part)}, and as the fitted lines go up to n ≈ {number(crossing, 2)}"
-        )
+        later = f" at larger n; at n = {n} it has {100 * part:.2g} % of the variance"
+        gap = float(slopes[slow] - slopes[1 - slow])
+        if gap > 0.0 and last[slow] > 0.0:  # where the fitted lines cross, which noise may not say
+            crossing = n * float(last[1 - slow] / last[slow]) ** (1.0 / gap)
+            later += f", half of it beyond n ≈ {number(crossing, 2)} by the fitted lines"
     name = names[slow][0].upper() + names[slow][1:]
     return (
         f"{name} is the bottleneck of MIS (balance heuristic): its share converges with "
