@@ -226,3 +226,36 @@ def test_summaries_count_intervals() -> None:
     assert found["mis_gain"]["above_1"] == 0.5
     assert found["mis_gain"]["below_1"] == 0.25
     assert found["bottleneck"] == {"light": 4 / 12, "bsdf": 4 / 12, "undecided": 4 / 12}
+
+
+def test_a_map_of_whole_paths_names_its_worst_pixels_and_resumes(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    scene, folder = "penumbra(width=12, height=8)", tmp_path / "out"
+    asked = (
+        scene,
+        "--integrator",
+        "path(max_depth=2)",
+        "--counts",
+        "4,16",
+        "-m",
+        8,
+        "--out",
+        folder,
+    )
+    code, out, err = run(capsys, *asked)
+    assert code == 0, err
+    assert "path" in out
+    summary = json.loads((folder / "map.json").read_text(encoding="utf-8"))
+    worst = summary["worst_pixels"]
+    assert [each["variance"] for each in worst] == sorted(
+        (each["variance"] for each in worst), reverse=True
+    )
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert f" {worst[0]['x']} {worst[0]['y']} --integrator" in page
+    before = (folder / "maps.exr").read_bytes()
+    code, _, err = run(capsys, *asked, "--resume")
+    assert code == 0, err
+    assert (folder / "maps.exr").read_bytes() == before
+    assert run(capsys, "nosuch", "--out", tmp_path / "refused")[0] == 2
+    assert not (tmp_path / "refused").exists()

@@ -13,6 +13,7 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.errors import CountError, McspectraError, ParameterError
+from mcspectra.plots.text import number
 from mcspectra.rendering import Pixel, named_pixels, pixel_mis
 from mcspectra.rendering.pixel import incident_light
 from mcspectra.report.pixel_page import (
@@ -199,6 +200,17 @@ def test_the_bottleneck_in_words(tree: xr.DataTree, slow: int, words: str) -> No
     ):
         shown = f"{value:.2f}"[:5].replace("-", "−")
         assert (shown if high - low <= 1 else "a rate that more realisations would resolve") in text
+
+
+def test_a_bottleneck_says_from_which_n_on(tree: xr.DataTree) -> None:
+    changed = tree.copy(deep=True)
+    found = changed["techniques"]
+    found["bottleneck"] = 1
+    found["technique_rate"].values[:] = [-2.0, -1.0]
+    found["technique_variance"].values[-1] = [0.9, 0.1]
+    n = int(found["n"][-1])  # lines of ratio 9 here, one power of n apart
+    expected = rf"half of it beyond n ≈ {number(9.0 * n, 2)} by the fitted lines\.$"
+    assert re.search(expected, bottleneck_sentence(changed))
 
 
 @pytest.mark.parametrize(("part", "words"), [(0.04, "it has 4 % of the variance"), (0.5, "")])

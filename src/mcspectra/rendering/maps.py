@@ -469,6 +469,7 @@ def labelled(
         dims=measurement.sampler.dims,
         camera=camera_rays(lighting.scene) if tracer is None else "sampled",
         size=list(lighting.size),
+        film=list(film_size(lighting.scene)),
         crop=list(window),
         prediction=None if prediction is None else prediction.method,
         pixels_measured=int((maps.status == RECEIVER).sum()),

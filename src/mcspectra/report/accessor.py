@@ -6,7 +6,7 @@ for datasets that were read in another way.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any, final
 
 from mcspectra.core.checks import as_choice
@@ -102,7 +102,12 @@ class Result:
     def summary(self) -> str:
         """What the result says in sentences: rates, terms, or its numbers with their intervals."""
         attributes = (self._data.attrs.get(key, "") for key in _SENTENCES)
-        parts = [*_sentences(self._data), *attributes]
+        said: Iterable[str] = ()
+        if "map-variance" in self.kinds:
+            from mcspectra.report.map_page import map_sentences
+
+            said = map_sentences(self._data)
+        parts = [*_sentences(self._data), *said, *attributes]
         return " ".join(part for part in parts if part) or "; ".join(_numbers(self._data)) + "."
 
     def _chosen(self, kind: str | None) -> str:

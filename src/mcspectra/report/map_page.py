@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,8 +34,9 @@ from mcspectra.report.page import (
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["map_layers", "map_note", "map_summary", "shown_numbers", "write_map"]
+__all__ = ["map_layers", "map_note", "map_sentences", "map_summary", "shown_numbers", "write_map"]
 
+_WORST = 5  # pixels that are listed
 _COLUMNS = {
     "mean": "Mean",
     "variance": "Variance",
@@ -120,9 +122,10 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
     known = result.attrs
     x0, y0, width, height = summary["crop"]
     counts = ", ".join(map(str, summary["counts"]))
+    each = "paths" if "path" in summary["strategies"] else "of each technique"
     settings = (
-        f"{width} × {height} pixels from ({x0}, {y0}), sampler {known['sampler']}, n = {counts} of each "
-        f"technique, {known['realizations']} realisations, {known['points']} points."
+        f"{width} × {height} pixels from ({x0}, {y0}), sampler {known['sampler']}, n = {counts} {each}, "
+        f"{known['realizations']} realisations, {known['points']} points."
     )
     rows = summary["strategies"]
     columns = next(iter(rows.values()))
@@ -138,6 +141,13 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
         ),
     )
     sentences = tuple(Text(text=text) for text in _sentences(summary))
+    last = str(result["strategy"].values[-1])
+    worst = Table(
+        caption=f"Pixels of the largest variance, {_STRATEGIES.get(last, last)} at n = "
+        f"{summary['counts'][-1]}, their part of the image's, and what explains them.",
+        columns=("Pixel", "Variance", "Part of all", "Command"),
+        rows=tuple(_worst_row(each, known, root) for each in summary["worst_pixels"]),
+    )
     figures = []
     for kind in (each for each in kinds.kinds_of(result) if each.startswith("map-")):
         name = kind.removeprefix("map-").replace("-", "_")
@@ -153,11 +163,34 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
         ),
         sections=(
             Section(title="Summary", anchor="summary", blocks=(table, *sentences)),
+            *(
+                [Section(title="Worst pixels", anchor="worst", blocks=(worst,))]
+                if worst.rows
+                else []
+            ),
             Section(title="Maps", anchor="maps", blocks=(Figures(figures=tuple(figures)),)),
             Section(title="Provenance", anchor="provenance", blocks=(Facts(rows=facts),)),
         ),
     )
     return write_page(page, root / "report.html", root)
+
+
+def _worst_row(pixel: Mapping[str, Any], known: Mapping[str, Any], root: Path) -> tuple[Cell, ...]:
+    """A pixel with the command that explains it, and a link to its page where that was run."""
+    x, y = pixel["x"], pixel["y"]
+    page = f"pixel-{x}-{y}/report.html"
+    command = f"mcspectra pixel {shlex.quote(known['scene'])} {x} {y}"
+    if known.get("integrator", "direct light") != "direct light":
+        command += f" --integrator {shlex.quote(known['integrator'])}"
+    command += f" --out {shlex.quote(str(root / Path(page).parent))}"
+    if known["scene"] == "dict" or known["size"] != known.get("film"):
+        command = "–"  # no file to name, or pixels that are not those of the film
+    return (
+        Cell(text=f"({x}, {y})", numeric=False, link=page if (root / page).is_file() else ""),
+        Cell(text=number(pixel["variance"])),
+        Cell(text=percent(pixel["share"])),
+        Cell(text=command, numeric=False),
+    )
 
 
 def map_layers(result: xr.Dataset) -> dict[str, Array]:
@@ -208,8 +241,11 @@ def map_summary(result: xr.Dataset) -> dict[str, Any]:
             "above_1": float((low > 1).sum() / known),
             "below_1": float((high < 1).sum() / known),
         }
+        light, bsdf = (last["variance"].sel(strategy=s).values for s in ("light", "bsdf"))
+        found["light_suffices"] = float(((high < 1) & (light < bsdf)).sum() / known)
         if strategies.keys() >= {"light", "bsdf", "mis"}:
             found["answer"] = _answer(last, found)
+    found["worst_pixels"] = list(_worst(result))
     return found
 
 
@@ -253,10 +289,23 @@ def _answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
     return text
 
 
+def _worst(result: xr.Dataset) -> Iterator[dict[str, Any]]:
+    """Pixels of the largest variance by the last strategy, at the largest n, with their part of the sum."""
+    variance = result["variance"].isel(strategy=-1, n=-1).values
+    total = float(np.nansum(variance))
+    order = np.argsort(np.nan_to_num(variance, nan=-1.0), axis=None, kind="stable")[::-1]
+    for row, column in zip(*np.unravel_index(order[:_WORST], variance.shape), strict=True):
+        if variance[row, column] > 0:
+            x, y = int(result["x"][column]), int(result["y"][row])
+            value = float(variance[row, column])
+            yield {"x": x, "y": y, "variance": value, "share": value / total}
+
+
 def map_note(summary: Mapping[str, Any]) -> str:
     """Say what the numbers of `map_summary` are, and whether pixels err together."""
+    seen = "" if "path" in summary["strategies"] else " that see a lit surface"
     note = (
-        f"Medians over the {summary['pixels_measured']} pixels that see a lit surface; mean and "
+        f"Medians over the {summary['pixels_measured']} pixels{seen}; mean and "
         f"variance at n = {summary['counts'][-1]}."
     )
     if summary.get("prediction") in _ROUTES:
@@ -270,6 +319,17 @@ def map_note(summary: Mapping[str, Any]) -> str:
         f"{note} All pixels have the same points, so their errors are alike: medians and shares of "
         "pixels do not average them out."
     )
+
+
+def map_sentences(result: xr.Dataset) -> Iterator[str]:
+    """Say what a map shows: medians by strategy, what they are of, and what decides them."""
+    summary = map_summary(result)
+    for strategy, row in summary["strategies"].items():
+        shown = dict(zip(row, shown_numbers(row), strict=True))
+        name = _STRATEGIES.get(strategy, strategy)
+        yield f"{name[:1].upper()}{name[1:]}: variance {shown['variance']}, rate {shown['rate']}."
+    yield map_note(summary)
+    yield from _sentences(summary)
 
 
 def shown_numbers(row: Mapping[str, float]) -> list[str]:
@@ -315,5 +375,6 @@ def _sentences(summary: Mapping[str, Any]) -> Iterator[str]:
         yield (
             f"At equal totals of samples MIS has less variance than the better single strategy in "
             f"{percent(gain['above_1'])} of the pixels, more in {percent(gain['below_1'])}, by 95 % "
-            f"intervals; the median gain is {number(gain['median'])}."
+            f"intervals; the median gain is {number(gain['median'])}. Light sampling alone suffices in "
+            f"{percent(summary['light_suffices'])}."
         )

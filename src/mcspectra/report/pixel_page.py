@@ -266,9 +266,12 @@ def bottleneck_sentence(tree: xr.DataTree) -> str:
     last = found["technique_variance"].isel(n=-1).values
     part, later = float(last[slow] / last.sum()), ""
     if part < 0.5:
-        later = (
-            f" at larger n; at n = {int(found['n'][-1])} it has {100 * part:.2g} % of the variance"
-        )
+        n, slopes = int(found["n"][-1]), found["technique_rate"].values
+        later = f" at larger n; at n = {n} it has {100 * part:.2g} % of the variance"
+        gap = float(slopes[slow] - slopes[1 - slow])
+        if gap > 0.0 and last[slow] > 0.0:  # where the fitted lines cross, which noise may not say
+            crossing = n * float(last[1 - slow] / last[slow]) ** (1.0 / gap)
+            later += f", half of it beyond n ≈ {number(crossing, 2)} by the fitted lines"
     name = names[slow][0].upper() + names[slow][1:]
     return (
         f"{name} is the bottleneck of MIS (balance heuristic): its share converges with "
