@@ -414,8 +414,11 @@ def found_breaks(function: Integrand) -> tuple[Array, ...]:
         ):
             found += [(peak, -h, axis, b) for h, b in zip(heights, at_places, strict=True)]
 
-    # Jumps before peaks, the highest first, as long as there is room for more boxes
+    # Jumps before peaks, the highest first, as long as there is room for more boxes; corners of boxes are
+    # graded to where g grows at the border
     for peak, _, axis, place in sorted(found):
+        if min(place, 1.0 - place) < _ABOUT:
+            continue
         if (np.abs(breaks[axis] - place) > (_ABOUT if peak else _SAME_BREAK)).all():
             more = [np.append(b, [place] * (i == axis)) for i, b in enumerate(breaks)]
             boxes = math.prod(len(np.union1d(_uniform(dims), b)) - 1 for b in more)
