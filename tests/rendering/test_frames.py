@@ -82,8 +82,9 @@ def test_frames_of_few_and_of_many_together_have_no_bias_of_the_rate(tmp_path):
     folder = write(tmp_path / "a", counts=(4,), frames=16)
     write(folder, counts=(64,), frames=2, seed=2)
     rate = frames(folder)["rate"].values
-    # Pixels in windows of 15 × 15: at most 225 of them make one number, of error ≥ 0.48/15
-    assert abs(rate.mean() + 1.0) < 4 * 0.5 / np.sqrt(rate.size)
+    # Standard deviations of log s²: √ψ'(½) = 2.22 of two values, √ψ'(7.5) = 0.38 of sixteen
+    error = np.hypot(2.22, 0.38) / np.log(64 / 4) / np.sqrt(rate.size)
+    assert abs(rate.mean() + 1.0) < 4 * error
 
 
 def test_blue_noise_filters_and_tiles_are_told_apart(tmp_path):
