@@ -74,20 +74,24 @@ _CURVE = ("variance", "variance_ci", "rate", "rate_ci")
 
 
 def convergence(group: Group, styles: Styles) -> Plot:
-    """Variance against n with intervals, fitted lines and rates; dotted, n⁻¹.
+    """Variance against n with intervals, fitted lines and rates; dotted, n⁻¹; crosses, as predicted.
 
     Variances that are not finite, zero or rounding noise are left out and counted in the legend.
+    Predictions are shown of results that have them (`predicted_variance` beside `variance`).
     """
     names = labels(list(group), 44)
     curves = [
         mark for name, each in group.items() for mark in _curve(each, styles[name], names[name])
     ]
+    predicted = {name: each for name, each in group.items() if "predicted_variance" in each}
+    curves += [_crosses(each, names[name]) for name, each in predicted.items()]
     left_out = any(not usable_counts(each).all() for each in group.values())
     return Plot(
         kind="convergence",
         panels=(_variance_panel([*_reference(group), *curves], group.values()),),
         caption="Variance against the number of points, with 95 % intervals, fitted lines and their "
         "rates; dotted, the rate of random sampling."
+        + (" Crosses are predicted, with their 95 % intervals." if predicted else "")
         + (
             " Variances that are not finite, zero or of rounding size are left out."
             if left_out
@@ -611,6 +615,28 @@ def _curve(data: xr.Dataset, style: LineStyle, name: str, *, joined: bool = Fals
         ),
         dots,
     ]
+
+
+def _crosses(data: xr.Dataset, name: str) -> Dots:
+    """What was predicted, where the variance is above rounding."""
+    used = usable_counts(data)
+    n, variance = data["n"].values[used].astype(float), data["predicted_variance"].values[used]
+    ends = data["predicted_variance_ci"].values[used]
+    return Dots(
+        x=n,
+        y=variance,
+        color=INK,
+        marker="X",
+        low=np.maximum(ends[:, 0], variance * _LEAST_SHOWN),
+        high=ends[:, 1],
+        label="predicted",
+        hover={
+            "sampler": [name] * n.size,
+            "n": [f"{int(count)}" for count in n],
+            "predicted": numbers(variance, 6),
+            "95 %": intervals(ends),
+        },
+    )
 
 
 def _reference(group: Group) -> list[Mark]:
