@@ -20,8 +20,13 @@ from mcspectra.rendering import (
     path_pixel,
     variance_map,
 )
-from mcspectra.rendering.paths import Dimension, find_integrator
-from mcspectra.rendering.scenes import as_scene
+from mcspectra.rendering.paths import (
+    Dimension,
+    find_integrator,
+    light_selection,
+    parts_by_light,
+)
+from mcspectra.rendering.scenes import as_scene, emitter_names
 
 pytestmark = pytest.mark.render
 
@@ -193,6 +198,11 @@ def test_good_points_help_and_the_spec_makes_the_same_integrand() -> None:
         ({"dims": 1}, "from 2 to 1024"),
         ({"dims": 10**6}, "from 2 to 1024"),
         ({"channel": "hue"}, "channel"),
+        (
+            {"selection": (1, 1)},
+            "selection has 2 values; give a positive number for each of the lights",
+        ),
+        ({"selection": -1.0}, "greater than 0"),
         ({"scene": "penumbra", "integrator": None}, "names no integrator"),
     ],
 )
@@ -272,3 +282,51 @@ def test_a_scene_that_says_path_is_warned_of_where_direct_light_is_measured() ->
     variance_map(small(scene), **given)
     del scene["integrator"]
     assert not check_scene(small(scene))
+
+
+LAMPS = "veach(width=48, height=32)"
+
+
+def test_parts_of_lights_sum_to_the_pixel_and_are_those_of_each_light_alone() -> None:
+    scene = small(builtin.veach(), 48, 32)
+    f = path_pixel(scene, 24, 26, integrator="path(max_depth=4)")
+    u = np.random.default_rng(3).random((2**14, f.dims))
+    values, parts = f(u), parts_by_light(f, u)
+    rounding = 1e-5 * values.max()
+    np.testing.assert_allclose(parts.sum(axis=0), values, rtol=0, atol=rounding)
+    # Scenes whose other lights are black, in which paths are chosen alike
+    lights = [name for name, part in scene.items() if isinstance(part, dict) and "emitter" in part]
+    assert len(parts) == len(lights) == len(emitter_names(as_scene(scene)))
+    for kept, part in zip(emitter_names(as_scene(scene)), parts, strict=True):
+        black = {"type": "area", "radiance": {"type": "rgb", "value": 0.0}}
+        dark = {name: scene[name] | {"emitter": black} for name in lights if name != kept}
+        alone = path_pixel(scene | dark, 24, 26, integrator="path(max_depth=4)")
+        np.testing.assert_allclose(part, alone(u), rtol=0, atol=rounding)
+    # The scene is left as it was
+    assert np.array_equal(f(u), values)
+
+
+def test_lights_chosen_by_second_moments_have_the_variance_that_theory_says() -> None:
+    """Light sampling alone, as f = h_J/p_J: Σ p E f_j² becomes (Σ √(p E f_j²))²; 5 standard errors."""
+    integrator = "direct(emitter_samples=1, bsdf_samples=0)"
+    f = path_pixel(LAMPS, 24, 26, integrator=integrator)
+    rng = np.random.default_rng(4)
+    parts = parts_by_light(f, rng.random((2**17, f.dims)))
+    moments = light_selection(f.scene) * (parts**2).mean(axis=1)
+    best = path_pixel(LAMPS, 24, 26, integrator=integrator, selection=np.sqrt(moments))
+    values = best(rng.random((2**17, f.dims)))
+    mean, expected = parts.sum(axis=0).mean(), np.sqrt(moments).sum() ** 2
+    before = parts.sum(axis=0)
+    assert abs(values.mean() - mean) < 5 * np.hypot(values.std(), before.std()) / len(values) ** 0.5
+    # Errors of the two second moments; that of the square of the sum is at most that of f², by Jensen
+    error = np.hypot((values**2).std(), (before**2).std()) / len(values) ** 0.5
+    assert abs((values**2).mean() - expected) < 5 * error
+    assert (values**2).mean() + 5 * error < (before**2).mean()
+
+
+def test_roulette_costs_fewer_numbers() -> None:
+    def asked(rr_depth: int) -> float:
+        integrator = f"path(max_depth=6, rr_depth={rr_depth})"
+        return path_pixel(small(cornell()), 6, 6, integrator=integrator).numbers_per_path
+
+    assert asked(1) < asked(3) < asked(100)

@@ -50,8 +50,10 @@ __all__ = [
     "Comparison",
     "Errors",
     "Remedies",
+    "Trial",
     "compare",
     "estimates_of",
+    "ranked",
     "remedies",
     "simultaneous_z",
 ]
@@ -169,7 +171,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
             result=self._ranked,
         )
 
-    def _measured(self, change: Counterfactual, given: Setup, stream: Stream) -> _Trial | None:
+    def _measured(self, change: Counterfactual, given: Setup, stream: Stream) -> Trial | None:
         """Errors at the counts that fit into each step's budget; None where two do not."""
         setup = change.setup
         cost: list[int] = []
@@ -201,7 +203,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
             overhead=setup.overhead,
         )
         warp = change.kind == "warp"
-        return _Trial(
+        return Trial(
             kind=change.kind,
             name=change.name,
             change=change.change,
@@ -218,39 +220,12 @@ class Remedies(Counted, frozen=True, kw_only=True):
 
     def _ranked(self, found: _Trials) -> xr.Dataset:
         """The dataset of all set-ups, in the order of their variances at the budget."""
-        start, diagnosis = found.tried[0], found.diagnosis
-        assert diagnosis is not None
+        assert found.diagnosis is not None
         # What two kinds make alike was tried twice and counts once
-        first: dict[str, _Trial] = {}
+        first: dict[str, Trial] = {}
         for trial in found.tried:
             first.setdefault(trial.setup, trial)
-        tried = list(first.values())
-        z = simultaneous_z(2 * (len(tried) - 1))  # of the errors and of the rates
-        ordered = sorted(
-            tried, key=lambda t: np.nan_to_num(t.errors.at(self.budget)[0], nan=np.inf)
-        )
-        columns = [t.column(start.errors, self.budget, z) for t in ordered]
-        for column in columns:
-            column["reason"] = diagnosis.reason(column)
-        reasons = [f"{n.name}: {n.reason}" for n in found.not_tried]
-        by_rate = np.argsort(np.argsort([np.nan_to_num(c["rate"], nan=np.inf) for c in columns]))
-        return dataset(
-            {
-                **{n: (dims, np.array([c[n] for c in columns])) for n, dims in _DIMS.items()},
-                "rank_by_rate": (("remedy",), by_rate + 1),
-            },
-            {
-                "remedy": [c["name"] for c in columns],
-                **{name: ("remedy", [c[name] for c in columns]) for name in _TEXTS},
-                "bound": ["low", "high"],
-                "step": np.arange(_STEPS),
-            },
-            simultaneous_z=z,
-            diagnosis=diagnosis.text,
-            recommendation=_recommendation(columns, self.budget, reasons),
-            not_tried=reasons,
-            given_error=float(start.errors.error[-1]),
-        )
+        return ranked(list(first.values()), found.not_tried, self.budget, found.diagnosis)
 
 
 def remedies(
@@ -329,8 +304,8 @@ def remedies(
 
 
 @dataclass(frozen=True)
-class _Trial:
-    """A set-up that was measured, and what was seen of it."""
+class Trial:
+    """A set-up that was measured, at five costs at most, and what was seen of it."""
 
     kind: str
     name: str
@@ -339,12 +314,15 @@ class _Trial:
     biased: bool
     errors: Errors
     # Of other warps: whether ∫1/p diverges, and the jumps of g inside
-    unbounded: bool
-    inside: Jumps | None
+    unbounded: bool = False
+    inside: Jumps | None = None
+    # Evaluations of a pilot beyond the budget, which the set-up as given is allowed, too
+    pilot: int = 0
+    note: str = ""  # said after the reason
 
     def column(self, reference: Errors, budget: int, z: float) -> dict[str, Any]:
         """All that is said of it, beside the set-up as given."""
-        errors, found = self.errors, compare(self.errors, reference, budget)
+        errors, found = self.errors, compare(self.errors, reference, budget, self.pilot)
         log_error, influence = errors.at(budget)
         spread = max(math.sqrt(float(np.mean(influence**2)) / len(influence)), 1e-9)
         fit = RateFit() if self.biased else errors.fit()
@@ -372,11 +350,50 @@ class _Trial:
         }
 
 
+def ranked(
+    tried: Sequence[Trial], not_tried: Sequence[NotTried], budget: int, diagnosis: Diagnosis
+) -> xr.Dataset:
+    """Compare all trials with the first, the set-up as given, and order them as `remedies` does."""
+    start = tried[0]
+    z = simultaneous_z(2 * (len(tried) - 1))  # of the errors and of the rates
+
+    def charged(trial: Trial) -> float:
+        """log v at the budget, beside a set-up as given that has the pilot's evaluations, too."""
+        own = trial.errors.at(budget)[0]
+        if trial.pilot:
+            own += start.errors.at(budget)[0] - start.errors.at(budget + trial.pilot)[0]
+        return float(np.nan_to_num(own, nan=np.inf))
+
+    ordered = sorted(tried, key=charged)
+    columns = [t.column(start.errors, budget, z) for t in ordered]
+    for column in columns:
+        column["reason"] = " ".join(filter(None, [diagnosis.reason(column), column["note"]]))
+    reasons = [f"{n.name}: {n.reason}" for n in not_tried]
+    by_rate = np.argsort(np.argsort([np.nan_to_num(c["rate"], nan=np.inf) for c in columns]))
+    return dataset(
+        {
+            **{n: (dims, np.array([c[n] for c in columns])) for n, dims in _DIMS.items()},
+            "rank_by_rate": (("remedy",), by_rate + 1),
+        },
+        {
+            "remedy": [c["name"] for c in columns],
+            **{name: ("remedy", [c[name] for c in columns]) for name in _TEXTS},
+            "bound": ["low", "high"],
+            "step": np.arange(_STEPS),
+        },
+        simultaneous_z=z,
+        diagnosis=diagnosis.text,
+        recommendation=_recommendation(columns, budget, reasons),
+        not_tried=reasons,
+        given_error=float(start.errors.error[-1]),
+    )
+
+
 @dataclass(frozen=True)
 class _Trials:
     """Set-ups that were measured, and why others could not; the diagnosis of that given."""
 
-    tried: list[_Trial]
+    tried: list[Trial]
     not_tried: list[NotTried]
     diagnosis: Diagnosis | None
 
@@ -594,11 +611,14 @@ class Comparison:
     rate_difference_se: float
 
 
-def compare(errors: Errors, reference: Errors, budget: float) -> Comparison:
-    """Compare two set-ups of as many realisations on the same random numbers."""
+def compare(errors: Errors, reference: Errors, budget: float, pilot: int = 0) -> Comparison:
+    """Compare two set-ups of as many realisations on the same random numbers.
+
+    The reference has the budget and what a pilot of the other took beyond it.
+    """
     carry = not errors.overhead and not reference.overhead
     own, own_influence = errors.at(budget, carry=carry)
-    other, other_influence = reference.at(budget, carry=carry)
+    other, other_influence = reference.at(budget + pilot, carry=carry)
     rate, slope = errors.rate()
     other_rate, other_slope = reference.rate()
     # Curves that bend or wobble know their slope less well than their scatter says
