@@ -202,6 +202,12 @@ worst_projected_distance | f | 1 | any | smallest minimum distance of the 2-D pr
 dominant_technique | f | 1 | y x | technique of the larger variance; −1: undecided
 mis_gain | f | 1 | y x | variance of the better single strategy / variance of MIS
 predicted_ratio | f | 1 | strategy y x | predicted / measured variance at the largest n
+path_variance | f | f² | y x | variance of one random path
+bounce_share | f | 1 | bounce y x | what a bounce adds to the variance that the bounces before it make / variance
+decision_share | f | 1 | decision y x | sum over bounces of what a decision adds to the variance that those before it make / variance
+largest_bounce | f | 1 | y x | number of the bounce of the largest share; −1: undecided
+largest_decision | f | 1 | y x | number of the decision of the largest share; −1: undecided
+best_sampler | f | 1 | strategy y x | number of the sampler of the least variance; −1: no difference
 wraparound_discrepancy | f | 1 | any | wrap-around L2 discrepancy
 relative_rmse | f | 1 | n y x | σ / mean of one frame
 largest_share | f | 1 | n y x | share of the frame that is farthest from the mean in the sum of squares

@@ -62,6 +62,7 @@ __all__ = [
     "light_selection",
     "parts_by_light",
     "path_pixel",
+    "window_dimensions",
 ]
 
 SCENE_INTEGRATOR = "scene"
@@ -182,10 +183,7 @@ class PathPixel(Integrand):
     @property
     def dimensions(self) -> tuple[Dimension, ...]:
         """What each coordinate is used for; those beyond the longest path that was met are unknown."""
-        found = self._tracer.dimensions(((self.x, self.y),))
-        dims = min(len(found), _MOST_DIMS) if self.dims is None else self.dims
-        beyond = Dimension(1 + max(d.bounce for d in found), "unknown")
-        return (*found[:dims], *[beyond] * (dims - len(found)))
+        return self._tracer.dimensions(((self.x, self.y),), self.dims)
 
     @property
     def numbers_per_path(self) -> float:
@@ -250,15 +248,17 @@ def parts_by_light(f: PathPixel, u: Array) -> Array:
     return np.stack([f._values(tracer, u) for tracer in tracers])
 
 
-def path_dims(tracer: Tracer, window: tuple[int, int, int, int]) -> int:
-    """Coordinates of paths through a window (x0, y0, width, height) of the tracer's grid.
+def window_dimensions(
+    tracer: Tracer, window: tuple[int, int, int, int], dims: int | None
+) -> tuple[Dimension, ...]:
+    """What so many coordinates of paths through a window (x0, y0, width, height) are used for.
 
-    As many as those through 256 pixels, evenly laid over the window, ask for, 64 at most.
+    By default as many as paths through 256 pixels, evenly laid over the window, ask for, 64 at most.
     """
     x0, y0, width, height = window
     xs = np.unique(x0 + np.linspace(0, width - 1, _DRY_PIXELS).astype(int)).tolist()
     ys = np.unique(y0 + np.linspace(0, height - 1, _DRY_PIXELS).astype(int)).tolist()
-    return min(len(tracer.dimensions(tuple((x, y) for y in ys for x in xs))), _MOST_DIMS)
+    return tracer.dimensions(tuple((x, y) for y in ys for x in xs), dims)
 
 
 @final
@@ -274,9 +274,17 @@ class Tracer:
     selection: tuple[float, ...] | None = None
     light: int | None = None
 
-    def dimensions(self, pixels: tuple[tuple[int, int], ...]) -> tuple[Dimension, ...]:
-        """What the numbers are used for that random paths through these pixels ask for."""
-        return self._dry(pixels)[0]
+    def dimensions(
+        self, pixels: tuple[tuple[int, int], ...], dims: int | None = None
+    ) -> tuple[Dimension, ...]:
+        """What so many coordinates of random paths through these pixels are used for.
+
+        By default as many as they ask for, 64 at most; what is beyond these is unknown.
+        """
+        found = self._dry(pixels)[0]
+        count = min(len(found), _MOST_DIMS) if dims is None else dims
+        beyond = Dimension(1 + max(d.bounce for d in found), "unknown")
+        return (*found[:count], *[beyond] * (count - len(found)))
 
     def numbers(self, pixels: tuple[tuple[int, int], ...]) -> float:
         """How many numbers they ask for after the camera's, on average."""
