@@ -136,7 +136,8 @@ def analysis_verb(name: str) -> Verb:
         given = given_options(options, analysis)
         subject = _subject(options, analysis, default_sampler)
         if all_sets and isinstance(subject.sampler, GivenPoints):
-            given = {"realizations": len(subject.sampler.points), **given}
+            sets = subject.sampler.sets.get(given.get("n", 0), subject.sampler.points)
+            given = {"realizations": len(sets), **given}
         result = compute(analysis(**given), subject, options.seed or 0)
         if file is not None:
             with writing(file):
