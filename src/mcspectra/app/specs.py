@@ -12,6 +12,8 @@ from typing import Any
 
 from mcspectra.core.errors import McspectraError, SpecError
 from mcspectra.core.spec import Call, parse, parse_chain
+from mcspectra.samplers.external import check_code
+from mcspectra.samplers.registry import RUN_CODE
 
 __all__ = [
     "FORMULA",
@@ -37,7 +39,14 @@ _MOST_TECHNIQUES = 8
 _MOST_TEXT = 2000  # characters of a spec: browsers and servers cut URLs off at about 8000
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 _FILE = re.compile(r"[/\\]|\.[A-Za-z]\w*\Z")
-_FILE_KEYS = ("path", "filename", "matrices", "generating_matrices", "generating_vector")
+_FILE_KEYS = (
+    "path",
+    "filename",
+    "matrices",
+    "directions",
+    "generating_matrices",
+    "generating_vector",
+)
 _CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff]")
 
 
@@ -138,6 +147,9 @@ def _plain(name: str, text: object) -> str:
 
 def _check_call(call: Call) -> None:
     arguments = dict(call.arguments)
+    if call.name in RUN_CODE:
+        check_code(call)  # which a link cannot allow
+        arguments = {k: v for k, v in arguments.items() if k not in ("run", "function")}
     if call.name == FORMULA:
         arguments.pop("expression", None)  # has slashes and dots, and never names a file
     for key, value in arguments.items():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 
+from mcspectra.core.spec import short_spec
 from mcspectra.variance.fit import is_resolved
 
 __all__ = [
@@ -107,9 +108,11 @@ def percent(fraction: float) -> str:
 def shorten(text: str, length: int = 30) -> str:
     """Return one line of at most `length` characters, the middle of a longer text left out.
 
+    Parts of a spec that have a ``name=`` are shown by it.
+
     Words stay whole where that costs no more than a third of either part.
     """
-    line = " ".join(text.split())
+    line = short_spec(" ".join(text.split()))
     if len(line) <= length:
         return line
     head = (length - 1) * 2 // 3

@@ -229,10 +229,11 @@ def _gains(sampler: Sampler, n: int, levels: int) -> Array:
 def _columns(sampler: Sampler, n: int) -> Array:
     """Columns of the generator matrices as 32-bit numbers, the first digit highest: (dims, log2 n)."""
     count = n.bit_length() - 1
-    if 2**count == n and hasattr(sampler, "direction_numbers"):
+    binary = 2**count == n and set(sampler.digit_bases) == {2}
+    if binary and hasattr(sampler, "direction_numbers"):
         directions: Array = sampler.direction_numbers(n)
         return directions[:, :count].astype(np.uint64)
-    if 2**count == n and sampler.name == "digital-net" and set(sampler.digit_bases) == {2}:
+    if binary and sampler.name == "digital-net":
         matrices = sampler.generator_matrices()[:, :_BITS, :count]  # type: ignore[attr-defined]
         places = 2 ** np.arange(_BITS - 1, _BITS - 1 - matrices.shape[1], -1, dtype=np.int64)
         return np.tensordot(matrices, places, axes=([1], [0])).astype(np.uint64)

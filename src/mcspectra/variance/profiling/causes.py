@@ -232,9 +232,9 @@ def _deterministic(seen: Evidence) -> Cause | None:
 
 
 def sets_of(sampler: Sampler) -> float:
-    """How many sets a sampler has: no end of them, but of points that are given."""
+    """How many sets of an n a sampler has: no end of them, but of points that are given."""
     if isinstance(sampler, GivenPoints) and not sampler.cycle:
-        return len(sampler.points)
+        return min(map(len, sampler.sets.values()))
     return math.inf
 
 
