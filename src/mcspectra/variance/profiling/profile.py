@@ -45,6 +45,7 @@ from mcspectra.variance.doors import counted
 from mcspectra.variance.improved import CHANGES, Evaluations, Improvement, improvements
 from mcspectra.variance.profiling.causes import Cause, Evidence, Replicates, causes_of, sets_of
 from mcspectra.variance.profiling.lines import COARSE, Lines, grain, lines_of, mean_dimension
+from mcspectra.variance.profiling.poles import pole_of
 from mcspectra.variance.profiling.samples import NETS, Curve, Sets, curve_of
 
 if TYPE_CHECKING:
@@ -55,6 +56,8 @@ __all__ = ["Change", "Profile", "Profiling", "profile"]
 _LEAST = 256  # evaluations
 _NETS = 20  # at least; fewer tell little of errors
 _LINES, _GIVEN, _CHECK = 0.2, 0.25, 0.15  # of the budget
+_POLES = 0.8  # of what lines may take
+_CLIMBED = 300.0  # variances, of the largest square
 _FITTED = 64  # points of each net, that changes are fitted to
 _DEPENDENT = 0.7  # of all draws: fewer effective ones are a cause
 _LEAST_CHECKED = 4  # points that a change is measured at
@@ -493,9 +496,9 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         )
     curves = sets.curves()
 
-    # Lines of each technique, and the mean dimension of a single one
+    # The mean dimension and a pole of a single technique, then lines of each
     lines: list[Lines] = []
-    mean = math.nan
+    mean, pole = math.nan, None
     allowed = int(_LINES * budget) // len(estimator.counts) // estimator.evaluations_per_point
     for t in range(len(estimator.counts)):
         made = 0
@@ -506,10 +509,16 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
             return np.asarray(_scalar(estimator, estimator.primary_values(t, u[None]))[0])
 
         own, beside = stream.child(1 + t).generator(0), allowed // 4 // estimator.dims
-        if estimator.dims >= _MANY and len(estimator.counts) == 1 and beside > 1:
-            step = max(1, nets * n // beside)
-            some = sets.points[0].reshape(-1, estimator.dims)[::step][:beside]
-            mean = mean_dimension(g, some, sets.values[0].ravel()[::step][:beside], own)
+        if len(estimator.counts) == 1:
+            all_points, values = sets.points[0].reshape(-1, estimator.dims), sets.values[0].ravel()
+            if estimator.dims >= _MANY and beside > 1:
+                step = max(1, nets * n // beside)
+                some = all_points[::step][:beside]
+                mean = mean_dimension(g, some, values[::step][:beside], own)
+            # In many dims a pole that matters makes few evaluations matter
+            size = (values - values.mean()) ** 2
+            if estimator.dims < _MANY or size.max() > _CLIMBED * size.mean():
+                pole = pole_of(g, all_points, values, int(_POLES * allowed), own)
         lines.append(lines_of(g, estimator.dims, allowed - made, own))
         calls += made * estimator.evaluations_per_point
 
@@ -525,7 +534,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         except McspectraError as error:
             not_tried.append(f"{given.spec}: {error}")
 
-    evidence = Evidence(estimator, given, sets, curves, tuple(lines), mean, replicates)
+    evidence = Evidence(estimator, given, sets, curves, tuple(lines), pole, mean, replicates)
     causes = causes_of(evidence)
     # Pairs about the centres of strata, which nets do not tell of, have the exponent −1 − 4/d where g is
     # smooth: cubic stratification of second order
@@ -622,10 +631,10 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int) -> C
     names = {cause.name: cause for cause in causes}
     if "infinite-variance" in names:
         return replace(curve, rate=math.nan, rate_se=math.nan)
-    # Sets seldom reach what grows at the border
-    if "border-growth" in names:
-        slowest = -2.0 * (1.0 - names["border-growth"].evidence["exponent"])
-        return replace(curve, rate=max(curve.rate, slowest))
+    # Sets seldom reach what grows without bound
+    for cause in causes:
+        if cause.name in {"border-growth", "heavy-tail"} and "exponent" in cause.evidence:
+            return replace(curve, rate=max(curve.rate, -2.0 * (1.0 - cause.evidence["exponent"])))
     # Of n strata n^(1 − 1/d) meet a jump
     if causes[0].name == "interior-jump" and name in {NETS, "jittered"}:
         return curve.towards(-1.0 - 1.0 / dims, _THEORY)
