@@ -46,7 +46,6 @@ __all__ = [
 PATH_TABLES = {
     "rates": ("Sampler", "Rate", "n", "Variance", "95 %", "Predicted"),
     "parts": ("Part", "Alone", "With all others", "Up to here"),
-    "padding": ("Good coordinates", "n", "Variance", "95 %"),
     "lights": ("Light", "Share", "95 %", "Mean", "Chosen", "Better chosen"),
 }
 """Columns of the tables of `path_rows`."""
@@ -62,10 +61,6 @@ _ABOUT = {
     "parts": (
         "Shares of the variance of one random path by what its numbers decide, in their order: by them "
         "alone, with all sets of numbers that hold them (these overlap), and by all numbers up to here."
-    ),
-    "padding": (
-        "Variance with points of the sampler for the first coordinates alone, up to the end of a bounce, "
-        "and random numbers for all others."
     ),
     "lights": (
         "Shares of the variance of one random path by the light that gives it, Cov(part, path) / variance, which "
@@ -109,11 +104,6 @@ def path_rows(tree: xr.DataTree) -> dict[str, list[list[str]]]:
         for name, *shares in shown:
             texts = ["" if np.isnan(share) else percent(float(share)) for share in shares]
             rows["parts"].append([name, *texts])
-    padding = tree["padding"].to_dataset()
-    for dims in padding["dims"].values.tolist():
-        at = padding.sel(dims=dims).isel(last)
-        ends = interval(*at["variance_ci"].values.tolist())
-        rows["padding"].append([str(dims), str(int(at["n"])), number(float(at["variance"])), ends])
     if "lights" in tree.children:
         lights = tree["lights"].to_dataset()
         for light in lights["light"].values[np.argsort(-lights["light_share"].values)]:
@@ -148,21 +138,16 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
             return [("noise", "The pixel has no noise: every path has the same value.")]
         order = np.argsort(-shares)[:3]
         parts = [f"{found['subset_label'].values[k]} {percent(float(shares[k]))}" for k in order]
-        most = float(shares[order].sum()) > 0.5
-        head = (
-            "Most of the variance is made by"
-            if most
-            else "The variance is made by many parts, alone"
-        )
-        said.append((f"by {axes}", f"{head} {', '.join(parts)}."))
+        said.append((f"by {axes}", f"The largest parts of the variance are {', '.join(parts)}."))
     if "coordinate" in tree["anova"].children:
         found = _parts(tree, "coordinate")
         least, ends = (found[f"effective_dimension_truncation{end}"].values for end in ("", "_ci"))
         if np.isfinite(least):
             name = known["dimensions"][int(least) - 1]
+            low, high = (f"{end:.0f}" for end in ends)
             text = (
-                f"The first {int(least)} of {known['dims']} coordinates ({' to '.join(f'{end:.0f}' for end in ends)}), up to "
-                f"{name}, hold {percent(EFFECTIVE_SHARE)} of the variance of a path."
+                f"The first {int(least)} of {known['dims']} coordinates ({low} to {high}), up to {name}, hold "
+                f"{percent(EFFECTIVE_SHARE)} of the variance of a path."
             )
             said.append(("effective dimension", text))
     curves = tree["convergence"].to_dataset().isel(n=-1)
@@ -175,24 +160,6 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
         ratio = float(curves["variance"].sel(sampler="random") / best["variance"])
         text += f" Random numbers have {number(ratio)} times as much."
     said.append(("sampler", text))
-    padding = tree["padding"].to_dataset().isel(n=-1)
-    whole = padding["variance_ci"].isel(dims=-1)
-    enough = (padding["variance_ci"].sel(bound="low") <= float(whole.sel(bound="high"))).values
-    if "remedies" in tree.children:  # which compared them on the same random numbers
-        tried = tree["remedies"].to_dataset()
-        of_padding = tried["kind"].values == "padding"
-        worse = tried["remedy"].values[of_padding & (tried["verdict"].values == "worse")]
-        enough &= [f"{k} good coordinates" not in worse for k in padding["dims"].values]
-    dims = int(padding["dims"].values[enough][0])
-    if dims < known["dims"]:
-        text = (
-            f"Points of {known['sampler']} for the first {dims} coordinates, up to "
-            f"{known['dimensions'][dims - 1]}, and random numbers for the others are as good as for all "
-            f"{known['dims']}, as far as 95 % intervals tell."
-        )
-    else:
-        text = f"All {dims} coordinates deserve points of {known['sampler']}."
-    said.append(("padding", text))
 
     # Lights, and what was tried
     if "lights" in tree.children:
@@ -200,26 +167,40 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
         largest = lights.isel(light=np.argsort(-lights["light_share"].values)[:3])
         pairs = zip(largest["light"].values, largest["light_share"].values, strict=True)
         named = ", ".join(f"{light} {percent(float(share))}" for light, share in pairs)
-        gain, around = (
-            float(lights["selection_ratio"]),
-            lights["selection_ratio_ci"].values.tolist(),
-        )
+        gain = number(float(lights["selection_ratio"]))
+        low, high = map(number, lights["selection_ratio_ci"].values.tolist())
         text = (
             f"The largest shares of the variance of a path are light of {named}. Lights chosen by their second "
-            f"moments, on other paths: variance × {number(gain)} (95 %: {interval(*around)})."
+            f"moments, on other paths: variance × {gain} (95 %: {low} to {high})."
         )
         said.append(("lights", text))
     elif known.get("lights_note"):
         said.append(("lights", str(known["lights_note"])))
     if "remedies" in tree.children:
+        said.append(("padding", _padding(tree)))
         text = f"With {known['sampler']} as given: {tree['remedies'].attrs['recommendation']}"
         said.append(("remedies", text))
     return said
 
 
+def _padding(tree: xr.DataTree) -> str:
+    """The fewest first coordinates whose good points are not surely worse than those of all."""
+    found, known = tree["remedies"].to_dataset(), tree.attrs
+    enough = (found["kind"].values == "padding") & (found["verdict"].values != "worse")
+    fewest = [int(str(name).split()[0]) for name in found["remedy"].values[enough]]
+    if not fewest:
+        return f"All {known['dims']} coordinates deserve points of {known['sampler']}."
+    dims = min(fewest)
+    return (
+        f"Points of {known['sampler']} for the first {dims} coordinates, up to "
+        f"{known['dimensions'][dims - 1]}, and random numbers for the others are as good as for all "
+        f"{known['dims']}, as far as 95 % intervals tell."
+    )
+
+
 def path_summary(tree: xr.DataTree) -> dict[str, Any]:
     """All numbers of a pixel, by what they are of."""
-    curves, padding = (tree[name].to_dataset() for name in ("convergence", "padding"))
+    curves = tree["convergence"].to_dataset()
     names = ("variance", "variance_ci", "mean", "rate", "rate_ci")
     rates = [
         {"sampler": sampler, "n": curves["n"].values}
@@ -235,14 +216,8 @@ def path_summary(tree: xr.DataTree) -> dict[str, Any]:
         } | {v: found[v].values for s in ("anova", "total", "truncation") for v in _share(s)}
         sizes = ("mean_dimension", "effective_dimension_truncation", "variance")
         parts[kind] |= {v: found[v].values for name in sizes for v in (name, f"{name}_ci")}
-    found = {"dims": padding["dims"].values, "n": padding["n"].values}
-    found |= {v: padding[v].values for v in ("variance", "variance_ci")}
     known: dict[str, Any] = {"pixel": dict(tree.attrs), "rates": rates, "parts": parts}
-    known |= {
-        "padding": found,
-        "answer": path_answer(tree),
-        "sentences": dict(path_sentences(tree)),
-    }
+    known |= {"answer": path_answer(tree), "sentences": dict(path_sentences(tree))}
     if "lights" in tree.children:
         lights = tree["lights"].to_dataset()
         known["lights"] = {str(name): lights[name].values for name in ("light", *lights.data_vars)}
@@ -277,16 +252,9 @@ def write_path(tree: xr.DataTree, folder: str | Path) -> Path:
     plots = {
         "rates": {"convergence": describe("convergence", tree["convergence"].to_dataset())},
         "parts": {kind: describe("anova", _parts(tree, kind)) for kind in tree["anova"].children},
-        "padding": {},
         "lights": {},
     }
-    titles = dict(
-        zip(
-            PATH_TABLES,
-            ("Rates", "Parts of the variance", "Good coordinates", "Lights"),
-            strict=True,
-        )
-    )
+    titles = {"rates": "Rates", "parts": "Parts of the variance", "lights": "Lights"}
     sections = [
         Section(
             title=title,
@@ -331,10 +299,7 @@ def _remedies(found: xr.Dataset, sampler: str) -> Section:
         for one in [found.sel(remedy=name)]
         if one["kind"].item() in _CHARGED
     ]
-    costs += [
-        (name, reason)
-        for name, _, reason in (n.partition(": ") for n in json.loads(found.attrs["not_tried"]))
-    ]
+    costs += [each.split(": ", 1) for each in json.loads(found.attrs["not_tried"])]
     about = Text(text=_ABOUT_CHARGED, kind="soft")
     return replace(section, blocks=(*section.blocks, about, Sentences(rows=tuple(costs))))
 

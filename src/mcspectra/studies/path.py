@@ -15,7 +15,6 @@ from mcspectra.core.parallel import available_workers
 from mcspectra.core.progress import report
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import Estimator
-from mcspectra.integrands import Integrand
 from mcspectra.rendering.paths import Dimension, PathPixel
 from mcspectra.rendering.scenes import Scene, scene_name
 from mcspectra.samplers import Sampler, as_sampler
@@ -69,7 +68,7 @@ def analyse_path(
     x, y
         The pixel; or the name of one as ``x`` (`named_pixels`), without ``y``.
     samplers
-        Samplers or their spec strings, all different. The last is that of ``padding``.
+        Samplers or their spec strings, all different. The last is that of ``remedies``.
     counts, realizations
         Paths n of an estimate, ascending, at least two; estimates for each.
     remedies
@@ -87,9 +86,7 @@ def analyse_path(
         ``convergence``: `mcspectra.convergence` on (sampler, n). ``anova/KIND``:
         `mcspectra.anova_variances` of one random path, its axes grouped by KIND: ``bounce``, ``decision``,
         ``request`` (both together) or ``coordinate`` (not grouped), each of 64 groups at most.
-        ``padding``: `mcspectra.convergence` at the two largest n on the dim ``dims``, with points of the
-        last sampler for so many coordinates, up to the end of a bounce, and random numbers for
-        the others. ``lights``: `shares_by_light`, of 2 to 64 lights. ``remedies``: `path_remedies`, beside
+        ``lights``: `shares_by_light`, of 2 to 64 lights. ``remedies``: `path_remedies`, beside
         the last sampler at the largest n. ``predict``, with ``effort="full"``: `mcspectra.predict` on (sampler, n).
         Attributes of the root: the pixel, the integrator, what the coordinates are, and in ``lights_note`` why
         parts of lights are unknown.
@@ -140,28 +137,8 @@ def analyse_path(
                 subset_label=("subset", said), axis_label=("axis", labels)
             )
 
-    # How many of the coordinates deserve good points
-    report("path: padding", 0.7)
-    bounces = [d.bounce for d in f.dimensions]
-    ends = [k for k in range(2, f.dims) if bounces[k] > bounces[k - 1]]
-    given: dict[str, Any] = {"scene": scene, "x": x, "y": y, "channel": channel}
-    padded = []
-    for k in ends:
-        cut = PathPixel(**given, integrator=integrator, dims=k)
-        first = as_sampler(sources[-1].spec, k)
-        g = Integrand.from_function(cut, dims=k)  # whose integral is not asked for
-        padded.append(convergence(g, first, ns[-2:], realizations=number, **options))
-    padded.append(curves.sel(sampler=sources[-1].spec, drop=True).isel(n=slice(-2, None)))
-    parts["padding"] = xr.concat(
-        [each[["variance", "variance_ci"]] for each in padded],
-        xr.Variable("dims", [*ends, f.dims], {"long_name": "coordinates with good points"}),
-        combine_attrs="drop_conflicts",
-        coords="minimal",
-        compat="override",
-    )
-
     # Which lights make the noise, and what would lower it
-    report("path: lights", 0.75)
+    report("path: lights", 0.7)
     stream, lights, note = Stream.from_rng(options["rng"]), None, ""
     try:
         lights = shares_by_light(f, paths, stream.child(_LIGHTS))
@@ -171,6 +148,8 @@ def analyse_path(
         parts["lights"] = lights
     if remedies:
         report("path: remedies", 0.8)
+        bounces = [d.bounce for d in f.dimensions]
+        ends = [k for k in range(2, f.dims) if bounces[k] > bounces[k - 1]]
         ranking = None
         if "anova/coordinate" in parts:
             shares = parts["anova/coordinate"]["total_share"].values

@@ -60,10 +60,10 @@ _COUNTS = 5  # the largest
 _DEPTHS = (1, 2, 3, 5)  # from which paths end by roulette; and never
 _ENDLESS = 2**16  # depth: without roulette these paths may not end
 _PLUGINS = {
-    # of the integrators that scenes name: classes
+    # what an integrator calls itself: its plugin
     "PathIntegrator": "path",
-    "VolumetricPathIntegrator": "volpath",
-    "VolpathMisIntegratorImpl": "volpathmis",
+    "VolumetricSimplePathIntegrator": "volpath",
+    "VolumetricMisPathIntegrator": "volpathmis",
     "PRBIntegrator": "prb",
 }
 _Z = 1.959963984540054
@@ -115,7 +115,7 @@ def shares_by_light(f: PathPixel, paths: int, stream: Stream) -> xr.Dataset | No
     wanted = (1.0 - _LEAST) * wanted / wanted.sum() + _LEAST / len(names)
     u = stream.generator(1).random((paths, f.dims))
     squares = []
-    for g in (replace(f, selection=tuple(wanted.tolist())), f):
+    for g in (replace(f, selection=wanted), f):
         values = g(u)
         squares.append((values - values.mean()) ** 2)
     after, before = (float(s.mean()) for s in squares)
@@ -124,10 +124,7 @@ def shares_by_light(f: PathPixel, paths: int, stream: Stream) -> xr.Dataset | No
     return dataset(
         {
             "light_share": (("light",), shares),
-            "light_share_ci": (
-                ("light", "bound"),
-                np.stack([shares - half, shares + half], axis=-1),
-            ),
+            "light_share_ci": (("light", "bound"), np.transpose([shares - half, shares + half])),
             "light_mean": (("light",), parts.mean(axis=1)),
             "light_probability": (("light",), known),
             "light_selection": (("light",), wanted),
@@ -158,16 +155,12 @@ def path_remedies(
     ----------
     f, sampler
         The path as given.
-    counts
-        Paths of an estimate, ascending; the last is the budget, and five at most are measured.
+    counts, realizations
+        Paths of an estimate, ascending; the last is the budget, and five at most are measured. Estimates of each.
     stream
         Random numbers, the same for all.
-    realizations
-        Estimates at each count.
-    samplers
-        Others to try.
-    ends
-        Numbers of first coordinates to leave good points to.
+    samplers, ends
+        Others to try; numbers of first coordinates to leave good points to.
     axes
         Coordinates in the order in which they deserve good points, and the paths that it took to find out.
     lights
@@ -235,14 +228,11 @@ def path_remedies(
     name = "lights by second moment"
     if lights is None:
         number = len(emitter_names(f.scene))
-        reason = f"The scene has {number} light{'s' * (number != 1)}; 2 to {_MOST_LIGHTS} can be chosen among."
-        if 1 < number <= _MOST_LIGHTS:
-            reason = "What each light gives is not known, or the pixel has no noise."
+        reason = f"2 to {_MOST_LIGHTS} lights can be chosen among, if it is known what each gives: the scene has {number}."
         not_tried.append(NotTried("selection", name, reason))
     else:
-        selection = tuple(lights["light_selection"].values.tolist())
+        chosen = partial(replace, f, selection=lights["light_selection"].values)
         change = "choose lights by the roots of the second moments of what they give"
-        chosen = partial(replace, f, selection=selection)
         attempt("selection", name, change, chosen, pilot=int(lights.attrs["pilot"]))
     reason = f"{find_integrator(f.scene, f.integrator).class_name()} has no property that sets one."
     not_tried.append(NotTried("heuristic", "heuristic of MIS", reason))
@@ -252,15 +242,8 @@ def path_remedies(
     for k, trial in enumerate(tried):
         if trial.pilot:
             tried[k] = replace(trial, note=_about_pilot(trial, given, budget, z))
-    unseen = Diagnosis(False, False, None, "", None, None)
-    found = ranked(tried, not_tried, budget, unseen)
-    return found.assign_attrs(
-        diagnosis="",
-        estimator=f.spec,
-        sampler=sampler.spec,
-        budget=budget,
-        realizations=realizations,
-    )
+    found = ranked(tried, not_tried, budget, Diagnosis(False, False, None, "", None, None))
+    return found.assign_attrs(diagnosis="", estimator=f.spec, sampler=sampler.spec, budget=budget)
 
 
 def _about_pilot(trial: Trial, given: Errors, budget: int, z: float) -> str:
@@ -278,25 +261,21 @@ def _about_pilot(trial: Trial, given: Errors, budget: int, z: float) -> str:
 
 def _other_roulettes(f: PathPixel) -> Iterator[tuple[str, str, str]]:
     """Names, changes and integrators that end paths by roulette from another depth on, or never."""
-    integrator = find_integrator(f.scene, f.integrator)
-    known = {k: int(v) for k, v in re.findall(r"(max_depth|rr_depth) = (\d+)", str(integrator))}
+    own = find_integrator(f.scene, f.integrator)
+    known = {k: int(v) for k, v in re.findall(r"(max_depth|rr_depth) = (\d+)", str(own))}
+    last, first = known.get("max_depth", 0), known.get("rr_depth", 0)
     plugin, _, rest = f.integrator.strip().partition("(")
+    properties = [p for p in map(str.strip, rest.removesuffix(")").split(",")) if p]
     if f.integrator == SCENE_INTEGRATOR:
-        plugin, rest = _PLUGINS.get(type(integrator).__name__, ""), ""
-        plugin = plugin or _PLUGINS.get(str(integrator.class_name()), "")
-    if len(known) < 2 or not plugin:
-        raise ParameterError(f"{integrator.class_name()} is not known to have a roulette.")
-    properties = [p.strip() for p in rest.rstrip(") ").split(",") if p.strip()]
+        plugin = _PLUGINS.get(str(own).partition("[")[0], "")
+        properties = [f"hide_emitters={own.hide_emitters}"]
+        properties += [f"max_depth={last}"] * (last < _ENDLESS)
+    if not (plugin and first and last):
+        raise ParameterError(f"{own.class_name()} is not known to have a roulette.")
     properties = [p for p in properties if not p.startswith("rr_depth")]
-    if f.integrator == SCENE_INTEGRATOR:
-        properties = [f"max_depth={known['max_depth']}"] if known["max_depth"] < _ENDLESS else []
-    last = known["max_depth"]
     for depth in sorted({*_DEPTHS, last}):
-        if depth > last or depth == min(known["rr_depth"], last) or depth >= _ENDLESS:
-            continue
-        never = depth == last
-        name = "no roulette" if never else f"roulette from depth {depth}"
-        change = (
-            "end no path by roulette" if never else f"end paths by roulette from depth {depth} on"
-        )
-        yield name, change, f"{plugin}({', '.join([*properties, f'rr_depth={depth}'])})"
+        if depth <= min(last, _ENDLESS) and depth != min(first, last):
+            name = f"roulette from depth {depth}" if depth < last else "no roulette"
+            change = f"end paths by roulette from depth {depth} on"
+            change = change if depth < last else "end no path by roulette"
+            yield name, change, f"{plugin}({', '.join([*properties, f'rr_depth={depth}'])})"
