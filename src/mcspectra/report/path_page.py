@@ -122,6 +122,8 @@ def path_answer(tree: xr.DataTree) -> str:
     curves = tree["convergence"].to_dataset()
     samplers = {str(s): curves.sel(sampler=s) for s in curves["sampler"].values}
     said = dict(path_sentences(tree))
+    if "noise" in said:
+        return said["noise"]
     return answer(samplers, why=said.get("by decision", said.get("by bounce", "")))
 
 

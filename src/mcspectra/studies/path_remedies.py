@@ -201,7 +201,8 @@ def path_remedies(
         if kind == "roulette" and isinstance(g, PathPixel):
             cost = g.numbers_per_path / f.numbers_per_path
             note = f"Each of its paths costs {cost:.3g} of those as given."
-        errors = Errors.of(np.multiply(cost, ns).tolist(), estimates, np.full(1, np.nan))
+        mean = np.concatenate(estimates).mean(axis=0)
+        errors = Errors.of(np.multiply(cost, ns).tolist(), estimates, mean)
         tried.append(Trial(kind, name, change, name, False, errors, pilot=pilot, note=note))
 
     attempt("given", "as given", "leave everything as it is")
