@@ -228,7 +228,7 @@ def pixel_(options: argparse.Namespace) -> Answer:
     """Everything about one pixel of a scene: what it sees, rates, terms, bottleneck, remedies.
 
     This is about direct light; with --integrator, about whole paths: rates of samplers, the parts of the
-    variance by bounce and decision, and how many coordinates deserve good points. The pixel is X Y, counted from the left and from the top, or the name of one (figure1 has P and Q). With
+    variance by bounce, decision and light, how many coordinates deserve good points, and remedies. The pixel is X Y, counted from the left and from the top, or the name of one (figure1 has P and Q). With
     --out DIR, DIR/report.html, DIR/pixel.json and DIR/figures/ are written.
     """
     from mcspectra.report.pixel_page import pixel_summary, write_pixel
@@ -267,6 +267,7 @@ def _path(options: argparse.Namespace, x: int | str, effort: str, given: dict[st
     """The noise of whole paths at a pixel."""
     from mcspectra.report.path_page import (
         PATH_TABLES,
+        path_answer,
         path_rows,
         path_sentences,
         path_summary,
@@ -275,7 +276,6 @@ def _path(options: argparse.Namespace, x: int | str, effort: str, given: dict[st
     from mcspectra.studies.path import analyse_path
 
     refused = [f"--{name}" for name in ("light", "budget") if name in given]
-    refused += ["--no-remedies"] * options.no_remedies
     if refused:
         raise ParameterError(f"{refused[0]} is for direct light; leave it out with --integrator.")
     tree = analyse_path(
@@ -283,6 +283,7 @@ def _path(options: argparse.Namespace, x: int | str, effort: str, given: dict[st
         x,
         options.y,
         integrator=options.integrator,
+        remedies=not options.no_remedies,
         effort=effort,
         rng=options.seed or 0,
         **given,
@@ -292,7 +293,10 @@ def _path(options: argparse.Namespace, x: int | str, effort: str, given: dict[st
         f"pixel ({known['x']}, {known['y']}) of {known['scene']}, integrator {known['integrator']}: "
         f"{known['dims']} random numbers a path"
     )
+    head += "\n" + textwrap.fill(path_answer(tree), _WIDTH)
     tables = [text_table(list(PATH_TABLES[name]), rows) for name, rows in path_rows(tree).items()]
+    if "remedies" in tree.children:
+        tables.append(_remedies_text(tree["remedies"].to_dataset()))
     said = [
         textwrap.fill(f"{name}: {text}", _WIDTH, subsequent_indent="  ")
         for name, text in path_sentences(tree)
@@ -337,16 +341,22 @@ def _pixel_text(tree: xr.DataTree) -> str:
         text_table(about, terms),
     ]
     if "remedies" in tree.children:
-        found = tree["remedies"].to_dataset()
-        ratios = []
-        for name in found["remedy"].values:
-            one = found.sel(remedy=name)
-            bounds = interval(*one["error_ratio_ci"].values.tolist())
-            ratio = number(float(one["error_ratio"]))
-            ratios.append([str(name), str(one["verdict"].item()), ratio, bounds])
-        tables.append(text_table(["remedy", "", "variance / given", "95 %"], ratios))
+        tables.append(_remedies_text(tree["remedies"].to_dataset()))
     parts = [head, *([table] for table in tables), said]
     return "\n\n".join("\n".join(part) for part in parts)
+
+
+def _remedies_text(found: xr.Dataset) -> str:
+    """The table of changes that were tried."""
+    from mcspectra.plots.text import interval, number
+
+    ratios = []
+    for name in found["remedy"].values:
+        one = found.sel(remedy=name)
+        bounds = interval(*one["error_ratio_ci"].values.tolist())
+        ratio = number(float(one["error_ratio"]))
+        ratios.append([str(name), str(one["verdict"].item()), ratio, bounds])
+    return text_table(["remedy", "", "variance / given", "95 %"], ratios)
 
 
 def _map_options(parser: argparse.ArgumentParser) -> None:

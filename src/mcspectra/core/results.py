@@ -113,6 +113,10 @@ improvement | f | 1 | any | variance less than as given (1), more (−1), undeci
 incident_radiance | f | W/(m² sr) | any | radiance of the lights that count, from each direction
 kurtosis | f | 1 | | kurtosis of the estimates; normal: 3
 l2_star_discrepancy | f | 1 | any | L2 star discrepancy
+light_mean | f | f | light | what a light gives to the integral, mean over random paths
+light_probability | f | 1 | light | how often a light is chosen
+light_selection | f | 1 | light | how often a light had better be chosen, by second moments
+light_share | f | 1 | light | Cov(f_j, f) / Var(f), part of the variance of a random path that light j makes
 limit_rate | f | 1 | | exponent that the predicted variance tends to at large n; NaN: not known
 local_rate | f | 1 | n | exponent of the predicted variance between neighbouring n
 low_frequency_exponent | f | 1 | | b of power ∝ |m|^b at low frequencies
@@ -224,6 +228,7 @@ difference | f | f | y x | mean minus that of the other frames
 difference_z | f | 1 | y x | that difference over its standard error, as a normal deviate (Welch)
 picture_ratio | f | 1 | | mean variance / that of the other frames
 equal_time_ratio | f | 1 | | mean variance × time / that of the other frames
+selection_ratio | f | 1 | | variance of random paths with lights chosen by second moments / as given
 value | f | f | | integral, mean over the replicates
 interval | f | f | bound | 95 % interval: integral
 replicates | i | 1 | | independent point sets

@@ -188,7 +188,7 @@ class PathPixel(Integrand):
     @property
     def numbers_per_path(self) -> float:
         """How many numbers random paths ask for after the camera's, on average, as many in each turn of the loop."""
-        return self._tracer.numbers(((self.x, self.y),))
+        return self._tracer.dry_run(((self.x, self.y),))[1]
 
     @property
     def integral_source(self) -> str:
@@ -281,16 +281,12 @@ class Tracer:
 
         By default as many as they ask for, 64 at most; what is beyond these is unknown.
         """
-        found = self._dry(pixels)[0]
+        found = self.dry_run(pixels)[0]
         count = min(len(found), _MOST_DIMS) if dims is None else dims
         beyond = Dimension(1 + max(d.bounce for d in found), "unknown")
         return (*found[:count], *[beyond] * (count - len(found)))
 
-    def numbers(self, pixels: tuple[tuple[int, int], ...]) -> float:
-        """How many numbers they ask for after the camera's, on average."""
-        return self._dry(pixels)[1]
-
-    def _dry(self, pixels: tuple[tuple[int, int], ...]) -> tuple[tuple[Dimension, ...], float]:
+    def dry_run(self, pixels: tuple[tuple[int, int], ...]) -> tuple[tuple[Dimension, ...], float]:
         lit = replace(self, selection=None, light=None)  # which changes nothing here
         with LOCK:
             return dimensions_of(load_scene(self.scene))(lit, pixels)

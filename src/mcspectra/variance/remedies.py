@@ -356,16 +356,8 @@ def ranked(
     """Compare all trials with the first, the set-up as given, and order them as `remedies` does."""
     start = tried[0]
     z = simultaneous_z(2 * (len(tried) - 1))  # of the errors and of the rates
-
-    def charged(trial: Trial) -> float:
-        """log v at the budget, beside a set-up as given that has the pilot's evaluations, too."""
-        own = trial.errors.at(budget)[0]
-        if trial.pilot:
-            own += start.errors.at(budget)[0] - start.errors.at(budget + trial.pilot)[0]
-        return float(np.nan_to_num(own, nan=np.inf))
-
-    ordered = sorted(tried, key=charged)
-    columns = [t.column(start.errors, budget, z) for t in ordered]
+    columns = [t.column(start.errors, budget, z) for t in tried]
+    columns.sort(key=lambda c: float(np.nan_to_num(c["error_ratio"], nan=np.inf)))
     for column in columns:
         column["reason"] = " ".join(filter(None, [diagnosis.reason(column), column["note"]]))
     reasons = [f"{n.name}: {n.reason}" for n in not_tried]
