@@ -326,6 +326,10 @@ def test_a_scene_that_says_path_is_warned_of_where_direct_light_is_measured() ->
     assert [s for s in check_scene(small(scene)) if "PathIntegrator" in s]
     # Not where it is measured, where it says direct, or where nothing is said: warnings are errors
     assert not variance_map(small(scene), integrator="scene", **given).attrs["scene_note"]
+    wide = small(scene)
+    wide["sensor"]["film"] |= {"rfilter": {"type": "gaussian"}}
+    note = variance_map(wide, integrator="scene", **given).attrs["scene_note"]
+    assert "GaussianFilter" in note
     scene["integrator"] = {"type": "direct"}
     variance_map(small(scene), **given)
     del scene["integrator"]
