@@ -20,7 +20,7 @@ from mcspectra.rendering import (
     path_pixel,
     variance_map,
 )
-from mcspectra.rendering.paths import Dimension, find_integrator
+from mcspectra.rendering.paths import Dimension, find_integrator, in_dims
 from mcspectra.rendering.scenes import as_scene
 
 pytestmark = pytest.mark.render
@@ -334,3 +334,13 @@ def test_a_scene_that_says_path_is_warned_of_where_direct_light_is_measured() ->
     variance_map(small(scene), **given)
     del scene["integrator"]
     assert not check_scene(small(scene))
+
+
+@pytest.mark.parametrize(
+    "spec", ["halton | owen", "faure | owen | shift", "sobol | owen | decorrelate"]
+)
+def test_samplers_in_other_dims_are_those_of_their_spec(spec: str) -> None:
+    made, other = in_dims(mcs.sampler(spec, 2), 5), mcs.sampler(spec, 5)
+    assert made == other
+    points = made.draw(25 if "faure" in spec else 16, realizations=2, rng=1)
+    assert np.array_equal(points, other.draw(points.shape[1], realizations=2, rng=1))

@@ -34,7 +34,7 @@ from mcspectra.rendering.map_tiles import (
     Measurement,
     Prediction,
 )
-from mcspectra.rendering.paths import Dimension, Tracer, window_dimensions
+from mcspectra.rendering.paths import Dimension, Tracer, in_dims, window_dimensions
 from mcspectra.rendering.pixel import check_channel
 from mcspectra.rendering.scene_checks import (
     camera_rays,
@@ -248,7 +248,7 @@ class Map(Analysis, frozen=True, kw_only=True):
         if self.integrator is not None:
             tracer = Tracer(scene, self.integrator, self.channel, grid)
             uses = window_dimensions(tracer, window, self.dims)
-            sampler = sampler if sampler.dims == len(uses) else as_sampler(sampler.spec, len(uses))
+            sampler = sampler if sampler.dims == len(uses) else in_dims(sampler, len(uses))
         measurement = Measurement(
             lighting=Lighting(
                 scene=scene,

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, final
 
 import numpy as np
@@ -43,6 +43,8 @@ from mcspectra.rendering.scenes import (
     sensor_of,
 )
 from mcspectra.rendering.techniques import check_finite, check_pixel, chosen_channel
+from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.spectra.bases import parts_of
 
 __all__ = [
     "SCENE_INTEGRATOR",
@@ -51,6 +53,7 @@ __all__ = [
     "Tracer",
     "dimensions_of",
     "find_integrator",
+    "in_dims",
     "path_pixel",
     "window_dimensions",
 ]
@@ -205,6 +208,18 @@ def window_dimensions(
     xs = np.unique(x0 + np.linspace(0, width - 1, _DRY_PIXELS).astype(int)).tolist()
     ys = np.unique(y0 + np.linspace(0, height - 1, _DRY_PIXELS).astype(int)).tolist()
     return tracer.dimensions(tuple((x, y) for y in ys for x in xs), dims)
+
+
+def in_dims(sampler: Sampler, dims: int) -> Sampler:
+    """The same sampler in other dims, whose scrambles take the bases of its coordinates anew."""
+    base, steps = parts_of(sampler)
+    made = as_sampler(base.spec, dims)
+    for step in steps:
+        own: Any = step
+        made = made.then(
+            replace(own, base=None) if isinstance(getattr(step, "base", None), tuple) else step
+        )
+    return made
 
 
 @final

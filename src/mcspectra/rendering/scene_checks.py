@@ -231,7 +231,8 @@ def _media(scene: Scene, loaded: Any) -> list[str]:
     holders = [_called("shape", s.id()) for s in loaded.shapes() if _has_medium(s)]
     holders += [_called("camera", s.id()) for s in loaded.sensors() if s.get_medium()]
     where = f"The scene {scene_name(scene)} has participating media ({', '.join(holders)})"
-    return [f"{where}, which are not supported; remove them."] if holders else []
+    advice = "give an integrator for whole paths, or remove them"
+    return [f"{where}, which direct light leaves out; {advice}."] if holders else []
 
 
 def _integrator(scene: Scene, loaded: Any) -> list[str]:
