@@ -23,6 +23,7 @@ from mcspectra.rendering import (
 from mcspectra.rendering.paths import (
     Dimension,
     find_integrator,
+    in_dims,
     light_selection,
     parts_by_light,
 )
@@ -336,6 +337,10 @@ def test_a_scene_that_says_path_is_warned_of_where_direct_light_is_measured() ->
     assert [s for s in check_scene(small(scene)) if "PathIntegrator" in s]
     # Not where it is measured, where it says direct, or where nothing is said: warnings are errors
     assert not variance_map(small(scene), integrator="scene", **given).attrs["scene_note"]
+    wide = small(scene)
+    wide["sensor"]["film"] |= {"rfilter": {"type": "gaussian"}}
+    note = variance_map(wide, integrator="scene", **given).attrs["scene_note"]
+    assert "GaussianFilter" in note
     scene["integrator"] = {"type": "direct"}
     variance_map(small(scene), **given)
     del scene["integrator"]
@@ -388,3 +393,13 @@ def test_roulette_costs_fewer_numbers() -> None:
         return path_pixel(small(cornell()), 6, 6, integrator=integrator).numbers_per_path
 
     assert asked(1) < asked(3) < asked(100)
+
+
+@pytest.mark.parametrize(
+    "spec", ["halton | owen", "faure | owen | shift", "sobol | owen | decorrelate"]
+)
+def test_samplers_in_other_dims_are_those_of_their_spec(spec: str) -> None:
+    made, other = in_dims(mcs.sampler(spec, 2), 5), mcs.sampler(spec, 5)
+    assert made == other
+    points = made.draw(25 if "faure" in spec else 16, realizations=2, rng=1)
+    assert np.array_equal(points, other.draw(points.shape[1], realizations=2, rng=1))

@@ -99,6 +99,8 @@ def percent(fraction: float) -> str:
     """Return ``97 %``; near 0 and 100 with the digits that keep it from reading 0 or 100."""
     value = 100.0 * fraction
     distance = min(abs(value), abs(100.0 - value))
+    if math.isnan(value):
+        return MISSING
     if distance == 0 or abs(value) >= 1000:
         return f"{number(value)} %"
     decimals = 0 if distance >= 1 else min(-math.floor(math.log10(distance)), 9)

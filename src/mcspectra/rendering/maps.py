@@ -34,12 +34,13 @@ from mcspectra.rendering.map_tiles import (
     Measurement,
     Prediction,
 )
-from mcspectra.rendering.paths import Dimension, Tracer, window_dimensions
+from mcspectra.rendering.paths import Dimension, Tracer, in_dims, window_dimensions
 from mcspectra.rendering.pixel import check_channel
 from mcspectra.rendering.scene_checks import (
     camera_rays,
     check_lights,
     check_scene,
+    filter_note,
     integrator_note,
     warn_integrator,
     warn_lens,
@@ -247,7 +248,7 @@ class Map(Analysis, frozen=True, kw_only=True):
         if self.integrator is not None:
             tracer = Tracer(scene, self.integrator, self.channel, grid)
             uses = window_dimensions(tracer, window, self.dims)
-            sampler = sampler if sampler.dims == len(uses) else as_sampler(sampler.spec, len(uses))
+            sampler = sampler if sampler.dims == len(uses) else in_dims(sampler, len(uses))
         measurement = Measurement(
             lighting=Lighting(
                 scene=scene,
@@ -553,7 +554,7 @@ def labelled(
         channel=lighting.channel,
         points="own" if measurement.own else "shared",
         smoothing=smoothing,
-        scene_note=integrator_note(lighting.scene) if tracer is None else "",
+        scene_note=(integrator_note if tracer is None else filter_note)(lighting.scene),
         integrator="direct light" if tracer is None else tracer.integrator,
         dims=measurement.sampler.dims,
         chains=measurement.chains,

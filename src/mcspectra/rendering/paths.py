@@ -51,6 +51,8 @@ from mcspectra.rendering.scenes import (
     sensor_of,
 )
 from mcspectra.rendering.techniques import check_finite, check_pixel, chosen_channel
+from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.spectra.bases import parts_of
 
 __all__ = [
     "SCENE_INTEGRATOR",
@@ -59,6 +61,7 @@ __all__ = [
     "Tracer",
     "dimensions_of",
     "find_integrator",
+    "in_dims",
     "light_selection",
     "parts_by_light",
     "path_pixel",
@@ -259,6 +262,18 @@ def window_dimensions(
     xs = np.unique(x0 + np.linspace(0, width - 1, _DRY_PIXELS).astype(int)).tolist()
     ys = np.unique(y0 + np.linspace(0, height - 1, _DRY_PIXELS).astype(int)).tolist()
     return tracer.dimensions(tuple((x, y) for y in ys for x in xs), dims)
+
+
+def in_dims(sampler: Sampler, dims: int) -> Sampler:
+    """The same sampler in other dims, whose scrambles take the bases of its coordinates anew."""
+    base, steps = parts_of(sampler)
+    made = as_sampler(base.spec, dims)
+    for step in steps:
+        own: Any = step
+        made = made.then(
+            replace(own, base=None) if isinstance(getattr(step, "base", None), tuple) else step
+        )
+    return made
 
 
 @final
