@@ -170,8 +170,8 @@ def test_a_wide_interval_gives_a_wide_rank():
 @pytest.mark.parametrize(
     ("samplers", "options", "words"),
     [
-        ([], {}, "give a list of samplers"),
-        ("random", {}, "give a list of samplers"),
+        ([], {}, "give a sampler or more"),
+        ("random", {}, "samplers is 'random'; give a list"),
         (["random"], {"counts": (16,)}, "two counts or more"),
         (["random"], {"dims": ()}, "one number of dims or more"),
         (["random"], {"dims": 65}, "dims is 65"),

@@ -341,15 +341,20 @@ def measure_bench(
     rng: int,
 ) -> Bench:
     """Measure what `sampler_bench` returns, which says what the parameters are."""
-    listed = [dims] if isinstance(dims, int | np.integer) else list(dims)
+    for name, given in (("samplers", samplers), ("counts", counts), ("dims", dims)):
+        if not isinstance(given, list | tuple | range) and not (
+            name == "dims" and isinstance(given, int | float)
+        ):
+            raise ParameterError(f"{name} is {given!r:.80}; give a list.")
+    listed = dims if isinstance(dims, list | tuple | range) else [dims]
     wanted = tuple(dict.fromkeys(as_integer("dims", d, least=1, most=_MOST_DIMS) for d in listed))
     asked = tuple(sorted({as_integer("counts", n, least=1) for n in counts}))
     many = as_integer("realizations", realizations, least=2)
     seed = as_integer("rng", rng, least=0)
-    if not wanted or len(asked) < 2 or isinstance(samplers, str) or not samplers:
+    if not samplers or len(asked) < 2 or not wanted:
         raise ParameterError(
-            f"samplers are {samplers!r:.80}, counts {asked} and dims {wanted}; give a list of samplers, "
-            "two counts or more, and one number of dims or more."
+            f"There are {len(samplers)} samplers, {len(asked)} counts and {len(wanted)} numbers of dims; "
+            "give a sampler or more, two counts or more, and one number of dims or more."
         )
     entries = [_entry(source, wanted) for source in samplers]
     names = [entry.name for entry in entries]
