@@ -32,6 +32,7 @@ from mcspectra.samplers import (
     Shift,
     sampler,
 )
+from mcspectra.testing import check_sampler
 
 FALSE_ALARMS = 1e-6
 CHECKS = 8  # statistical tests in this file
@@ -265,6 +266,7 @@ class TestPythonSampler:
         assert sampler(source.spec, 3) == source
         assert source.unbiased
         assert not PythonSampler(function=self.NAME, dims=3, unbiased_=False).unbiased
+        check_sampler(source, counts=(4, 16))
 
     def test_refusals(self):
         refused(ConfigError, "--allow-code os:getcwd", sampler, "python('os:getcwd')")

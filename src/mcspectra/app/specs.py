@@ -1,16 +1,19 @@
 """Specs as the explorer takes and changes them: text that is bounded, plain, and names no file.
 
 A page of somebody else can link to the explorer. What such a link holds may make it compute, but it
-must not make it open files: pictures come in by an upload, which is named by its digest.
+must not make it open files or run code: pictures come in by an upload, which is named by its digest.
+Who starts the explorer may allow folders (``--allow-path``) and code (``--allow-code``).
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from mcspectra.core.errors import McspectraError, SpecError
+from mcspectra.core.pointfiles import matching_files
 from mcspectra.core.spec import Call, parse, parse_chain
 from mcspectra.samplers.external import check_code
 from mcspectra.samplers.registry import RUN_CODE
@@ -19,6 +22,7 @@ __all__ = [
     "FORMULA",
     "TECHNIQUES",
     "UPLOAD",
+    "allow_folders",
     "base_and_steps",
     "chain",
     "changed",
@@ -48,6 +52,29 @@ _FILE_KEYS = (
     "generating_vector",
 )
 _CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff]")
+
+
+_folders: list[Path] = []
+
+
+def allow_folders(*folders: Path) -> None:
+    """Let specs of this process name files in these folders and below, links followed."""
+    _folders.extend(folder.resolve() for folder in folders)
+
+
+def _allowed(given: object) -> bool:
+    """Whether all files of a path, a pattern or a list of them lie in folders that are allowed."""
+    if isinstance(given, list | tuple):
+        return all(map(_allowed, given))
+
+    def inside(file: Path) -> bool:
+        return any(file.resolve().is_relative_to(root) for root in _folders)
+
+    try:
+        path = Path(str(given))
+        return inside(path) and all(inside(file) for file, _ in matching_files(path))
+    except (McspectraError, OSError, RuntimeError):
+        return False
 
 
 def check_spec(name: str, text: object) -> None:
@@ -159,9 +186,11 @@ def _check_call(call: Call) -> None:
 def _check_value(name: str, key: Any, value: object) -> None:
     """Refuse file names, also within the lists and specs that a value may hold."""
     if key in _FILE_KEYS and isinstance(value, str | list | tuple):
+        if _folders and _allowed(value):
+            return
         raise SpecError(
-            f"{name} names a file, which the explorer does not read; upload a picture, or use the "
-            "command line."
+            f"{name} names a file, which the explorer does not read; upload a picture, start it with "
+            "--allow-path DIR, or use the command line."
         )
     if isinstance(value, dict):
         for inner, each in value.items():

@@ -37,6 +37,7 @@ _MODULES = {
         "points": "draw point sets and write them as text or files",
         "integrate": "integrate a function with a budget of evaluations: value and interval",
         "gallery": "measure samplers and show them side by side",
+        "bench": "compare samplers: rates, ranks, spectra, quality, speed; a page, PDF or LaTeX",
     },
     "analysis": {
         "spectrum": "expected power spectrum of a sampler",

@@ -89,6 +89,10 @@ error | f | f² | remedy | variance at the budget, mean squared error where bias
 error_at_cost | f | f² | remedy step | variance at each cost, mean squared error where biased
 error_ratio | f | 1 | remedy | variance (mean squared error where biased) / that of the set-up as given
 error_ratio_ci | f | 1 | remedy bound | simultaneous 95 % interval of the ratio of variances
+rank | f | 1 | sampler integrand | rank by n · variance at the largest n, 1: least
+rank_ci | f | 1 | sampler integrand bound | simultaneous 95 % interval of the rank
+points_made | f | 1 | sampler integrand n | number of points taken, the nearest that can be made
+points_per_second | f | 1/s | sampler n | points made in a second by one thread
 rank_by_rate | i | 1 | remedy | rank by rate, 1: steepest
 rate_difference | f | 1 | remedy | rate minus that of the set-up as given
 rate_difference_ci | f | 1 | remedy bound | simultaneous 95 % interval of the difference of rates

@@ -179,8 +179,8 @@ def write(plot: Plot, path: str | PathLike[str], *, captioned: bool = False) -> 
         ) from None
 
 
-def write_pages(pages: Iterable[Plot | Figure], path: str | PathLike[str]) -> None:
-    """Write plots, and figures made elsewhere, to a PDF, a page each, with fonts of Type 42.
+def write_pages(pages: Iterable[tuple[str, Plot] | Figure], path: str | PathLike[str]) -> None:
+    """Write plots by title, and figures made elsewhere, to a PDF, a page each, with fonts of Type 42.
 
     Raises
     ------
@@ -194,7 +194,11 @@ def write_pages(pages: Iterable[Plot | Figure], path: str | PathLike[str]) -> No
     try:
         with mpl.rc_context({"pdf.fonttype": 42}), PdfPages(path, metadata=metadata) as pdf:
             for page in pages:
-                pdf.savefig(draw(page) if isinstance(page, Plot) else page, dpi=_PDF_DPI)
+                if isinstance(page, tuple):
+                    title, plot = page
+                    page = draw(plot)
+                    page.suptitle(_plain(title), x=0.02, ha="left", fontsize=11, color=INK)
+                pdf.savefig(page, dpi=_PDF_DPI)
     except OSError as error:
         raise FileFormatError(
             f"{str(path)!r} cannot be written: {error.strerror or error}."

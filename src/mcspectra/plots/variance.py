@@ -21,6 +21,7 @@ from mcspectra.plots.groups import (
     lines_of,
     not_finite,
     numbers,
+    shared,
 )
 from mcspectra.plots.scales import (
     count_axis,
@@ -54,6 +55,7 @@ __all__ = [
     "remedies",
     "routes",
     "strategy_curves",
+    "task_curves",
     "technique_rates",
     "techniques",
     "terms",
@@ -131,6 +133,27 @@ def strategy_curves(curves: xr.Dataset, names: Mapping[str, str], styles: Styles
         caption="Variance against n by each strategy, with 95 % intervals.",
         words=said,
         share="both",
+        wide=True,
+    )
+
+
+def task_curves(tasks: Mapping[str, Group], styles: Styles) -> Plot:
+    """Variance against n on several integrands, a panel for each by its title, a line for each sampler."""
+    panels: list[Panel] = []
+    said = []
+    for title, curves in tasks.items():
+        styled = {shorten(name): (each, styles[name]) for name, each in curves.items()}
+        made, words = _curve_panels({title: styled}, joined=True)
+        panels += made
+        said.append(words)
+    return Plot(
+        kind="task-curves",
+        panels=tuple(panels),
+        columns=3,
+        caption="Variance against n on each integrand, with 95 % intervals.",
+        words=" ".join(said),
+        height=0.8,
+        share=shared(panels) if panels else "",
         wide=True,
     )
 

@@ -95,17 +95,20 @@ def write_result_file(result: xr.Dataset, file: str, title: str) -> None:
         raise FileFormatError(f"{file!r} cannot be written: {error.strerror}.") from None
 
 
-def result_table(result: xr.Dataset) -> tuple[list[str], list[list[Any]]]:
+def result_table(
+    result: xr.Dataset, dims: tuple[str, ...] | None = None
+) -> tuple[list[str], list[list[Any]]]:
     """Return the columns and rows of the largest curve of a result.
 
-    That is all variables over the dims that most variables have, a row for each place, with what has
-    fewer dims repeated; intervals are two columns, ``_low`` and ``_high``. Results of single numbers
-    make one row.
+    That is all variables over `dims`, by default those that most variables have, a row for each place,
+    with what has fewer dims repeated; intervals are two columns, ``_low`` and ``_high``. Results of
+    single numbers make one row.
     """
     variables = {str(k): v for k, v in result.data_vars.items() if v.dtype.kind in "fiubUO"}
-    shapes = [tuple(d for d in v.dims if d != "bound") for v in variables.values()]
-    many = [dims for dims in dict.fromkeys(shapes) if dims]
-    dims = max(many, key=shapes.count, default=())
+    if dims is None:
+        shapes = [tuple(str(d) for d in v.dims if d != "bound") for v in variables.values()]
+        many = [shape for shape in dict.fromkeys(shapes) if shape]
+        dims = max(many, key=shapes.count, default=())
 
     columns: dict[str, Any] = {}
     sizes = {d: result.sizes[d] for d in dims}
