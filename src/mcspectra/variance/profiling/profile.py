@@ -65,6 +65,7 @@ _GIVEN_COUNTS = 5
 _LEAST_SETS = 3
 _PAIRS = "antithetic-jittered"
 _THEORY = 0.08  # of a rate, at counts of points that are not large
+_ALIKE = 0.4  # rates of estimators before and after a change, unless they are seen to differ
 _WEIGHTED = 3  # functions: f, pdf and sample
 _FIGURES = ("rmse", "rmse_given", "gain", "samples_saved")
 _SIZES = 1e-120, 1e120  # of g, whose fourth powers float64 holds
@@ -481,13 +482,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     each, n, nets = _shares(estimator, budget, apart=apart)
 
     # Nets
-    source = estimator.randomized(as_sampler(NETS, estimator.dims))
-    points = estimator.draw(source, n, stream.child(0), 0, nets)
-    sets = Sets(
-        [np.asarray(p) for p in points],
-        [_scalar(estimator, estimator.primary_values(t, u)) for t, u in enumerate(points)],
-        estimator.counts,
-    )
+    sets = _sets_of(estimator, n, nets, stream.child(0))
     calls = nets * n * each
     size = max(float(np.abs(v).max()) for v in sets.values)
     if size and not _SIZES[0] <= size <= _SIZES[1]:
@@ -591,6 +586,17 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         not_tried=not_tried,
         points=budget // each,
         reference=reference,
+    )
+
+
+def _sets_of(estimator: AbstractEstimator, n: int, nets: int, stream: Stream) -> Sets:
+    """Evaluations at scrambled nets."""
+    source = estimator.randomized(as_sampler(NETS, estimator.dims))
+    points = estimator.draw(source, n, stream, 0, nets)
+    return Sets(
+        [np.asarray(p) for p in points],
+        [_scalar(estimator, estimator.primary_values(t, u)) for t, u in enumerate(points)],
+        estimator.counts,
     )
 
 
@@ -770,18 +776,19 @@ def _improved(
         n = affordable_count(Setup(offer.estimator, sampler), left // _NETS)
         if n is None or n < _LEAST_CHECKED:
             continue
-        cost = n * offer.estimator.evaluations_per_point / estimator.evaluations_per_point
-        curve = curve_of([n], [_estimates(offer.estimator, sampler, n, _NETS, stream)[0]])
-        calls = n * _NETS * offer.estimator.evaluations_per_point
+        each = offer.estimator.evaluations_per_point
+        cost, at_budget = n * each / estimator.evaluations_per_point, budget // each
         base = evidence.curves[given if best is None else best.name]
+        curve = _sets_of(offer.estimator, n, _NETS, stream).curves()[NETS]
+        curve = curve.towards(base.rate, _ALIKE)
         (ours, ours_se), (other, other_se) = curve.at(n), base.at(cost)
         if not ours < other * math.exp(-CONFIDENCE_Z * math.hypot(ours_se, other_se)):
-            return best, offer.name, calls
-        at_budget = budget // estimator.evaluations_per_point
-        value = base.at(at_budget)[0] * ours / other
+            return best, offer.name, n * _NETS * each
         change = f"{offer.change}, and sample with {NETS}"
-        error = math.hypot(ours_se, other_se, base.at(at_budget)[1])
-        setup, after = (offer.estimator, NETS), (value, error)
-        found = _change(evidence.curves, given, at_budget, offer.name, change, after, setup)
-        return found, offer.name, calls
+        setup = (offer.estimator, NETS)
+        found = _change(
+            evidence.curves, given, budget // estimator.evaluations_per_point, offer.name, change,
+            curve.at(at_budget), setup,
+        )  # fmt: skip
+        return found, offer.name, n * _NETS * each
     return best, "", 0
