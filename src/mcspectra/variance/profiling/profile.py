@@ -79,7 +79,16 @@ class Profiling(Analysis, frozen=True, kw_only=True):
 
     function = "profile"
     verb = "profile"
-    variables = ("variance", "variance_ci", "rate", "rate_ci", "integral", "integral_ci", "calls")
+    variables = (
+        "variance",
+        "variance_ci",
+        "rmse",
+        "rate",
+        "rate_ci",
+        "integral",
+        "integral_ci",
+        "calls",
+    )
     provenance = ("estimator", "stream_key")
 
     budget: Annotated[
@@ -278,11 +287,15 @@ class Profile:
             variance[row, at] = curve.variance
             ends[row, at] = variance_interval(curve.variance, np.maximum(curve.relative_se, 1e-9))
         curves = self.samplers.values()
+        at_budget = [
+            math.inf if math.isinf(self.variance) else curve.at(self.points)[0] for curve in curves
+        ]
         plain = self.to_dict()
         return dataset(
             {
                 "variance": (("sampler", "n"), variance),
                 "variance_ci": (("sampler", "n", "bound"), ends),
+                "rmse": (("sampler",), np.sqrt(at_budget)),
                 "rate": (("sampler",), np.array([curve.rate for curve in curves])),
                 "rate_ci": (("sampler", "bound"), np.array([curve.rate_ci for curve in curves])),
                 "integral": ((), np.float64(self.integral)),
@@ -713,7 +726,13 @@ def _best(
     name = min(curves, key=lambda c: curves[c].at(n)[0] * math.exp(curves[c].at(n)[1]))
     if name == given or not len(curves[given].counts):  # there is no variance to lower
         return None
-    found = _change(curves, given, n, name, f"use {name}", curves[name].at(n), (estimator, name))
+    source = as_sampler(name, estimator.dims)
+    count, change = n, f"use {name}"
+    if source.nearest_count(n) != n:
+        each = sum(estimator.counts) * estimator.evaluations_per_point
+        count = affordable_count(Setup(estimator, source), n * each) or n
+        change += f" with n = {count:,}"
+    found = _change(curves, given, n, name, change, curves[name].at(count), (estimator, name))
     return found if found.gain_ci[0] > 1.0 else None
 
 
