@@ -22,7 +22,7 @@ from typing import final
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.estimators.moments import rounding_floor
+from mcspectra.estimators.moments import mean_interval, rounding_floor
 
 __all__ = ["NETS", "Curve", "Sets", "curve_of"]
 
@@ -169,23 +169,8 @@ class Sets:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % interval of the mean over all nets.
-
-        The hull of Student's t and of Hall's transform of it, cubic in the skewness [Hall1992]_: both are the
-        same where nets' means are normal, and what is skewed reaches further to the side of its tail.
-        """
-        from scipy.special import stdtrit
-
-        found, count = self.estimates, len(self.estimates)
-        mean, spread = float(found.mean()), float(found.std(ddof=1))
-        below = above = t = float(stdtrit(count - 1, 0.975))
-        skew = math.sqrt(count) / ((count - 1) * (count - 2))
-        skew *= float((((found - mean) / max(spread, 1e-300)) ** 3).sum())
-        if spread**2 > rounding_floor(np.array(mean)) and skew:
-            below = max(t, 3.0 * (math.cbrt(1.0 + skew * (t - skew / 6.0)) - 1.0) / skew)
-            above = max(t, 3.0 * (1.0 - math.cbrt(1.0 - skew * (t + skew / 6.0))) / skew)
-        error = spread / math.sqrt(count)
-        return mean - below * error, mean + above * error
+        """95 % interval of the mean over all nets."""
+        return mean_interval(self.estimates)
 
     def curves(self) -> dict[str, Curve]:
         """The variance of each sampler that the evaluations tell of."""
