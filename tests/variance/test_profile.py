@@ -226,6 +226,14 @@ def test_pairs_in_strata_are_tried_where_g_is_smooth_and_their_error_is_as_said(
     assert mcs.profile(smooth, dims=5).best.name == "sobol | owen"
 
 
+def test_the_count_that_is_advised_can_be_drawn():
+    found = mcs.profile(lambda x: np.exp(x[..., 0]), dims=1, budget=5001)
+    n = int(re.search(r"with n = ([\d,]+)", found.best.change)[1].replace(",", ""))
+    assert n <= 5001
+    assert mcs.sampler(found.best.sampler, dims=1).nearest_count(n) == n
+    assert found.dataset["rmse"].sel(sampler=found.best.sampler) < found.best.rmse_given
+
+
 def test_bad_input():
     with pytest.raises(ParameterError, match="dims is missing"):
         mcs.profile(lambda x: x[..., 0])

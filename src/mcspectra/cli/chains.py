@@ -106,6 +106,10 @@ def _table(file: Path) -> xr.Dataset:
 
     lines = [line for line in file.read_text("utf-8-sig").splitlines() if line.strip()]
     lines = [line.replace('"', "") for line in lines if line[0] != "#"]
+    if len(lines) < 2:
+        raise ValueError(
+            "it holds no draws; give a line of names and a line of numbers for each draw"
+        )
     table = np.genfromtxt(lines, delimiter=",", names=True, deletechars="", ndmin=1)
     columns = {name: ("draw", table[name]) for name in table.dtype.names or ()}
     _, chain = columns.pop("chain", ("", np.zeros(table.size)))

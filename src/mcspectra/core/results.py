@@ -161,6 +161,7 @@ integral | f | f | | estimate of the integral
 rate | f | 1 | remedy? strategy? y? x? | fitted exponent of variance in n; random sampling: −1
 reached | i | 1 | n? | whether the wanted precision was reached (1: yes)
 realizations_used | i | 1 | n? | realisations used
+rmse | f | f | | root mean square error of an estimate of the whole budget
 relative_minimum_distance | f | 1 | any | minimum distance / that of the densest packing
 slice_power | f | 1 | slice multiple | expected power along a direction
 route_variance | f | f² | route | variance by this route

@@ -65,6 +65,7 @@ _GIVEN_COUNTS = 5
 _LEAST_SETS = 3
 _PAIRS = "antithetic-jittered"
 _THEORY = 0.08  # of a rate, at counts of points that are not large
+_ALIKE = 0.4  # rates of estimators before and after a change, unless they are seen to differ
 _WEIGHTED = 3  # functions: f, pdf and sample
 _FIGURES = ("rmse", "rmse_given", "gain", "samples_saved")
 _SIZES = 1e-120, 1e120  # of g, whose fourth powers float64 holds
@@ -78,7 +79,16 @@ class Profiling(Analysis, frozen=True, kw_only=True):
 
     function = "profile"
     verb = "profile"
-    variables = ("variance", "variance_ci", "rate", "rate_ci", "integral", "integral_ci", "calls")
+    variables = (
+        "variance",
+        "variance_ci",
+        "rmse",
+        "rate",
+        "rate_ci",
+        "integral",
+        "integral_ci",
+        "calls",
+    )
     provenance = ("estimator", "stream_key")
 
     budget: Annotated[
@@ -277,11 +287,15 @@ class Profile:
             variance[row, at] = curve.variance
             ends[row, at] = variance_interval(curve.variance, np.maximum(curve.relative_se, 1e-9))
         curves = self.samplers.values()
+        at_budget = [
+            math.inf if math.isinf(self.variance) else curve.at(self.points)[0] for curve in curves
+        ]
         plain = self.to_dict()
         return dataset(
             {
                 "variance": (("sampler", "n"), variance),
                 "variance_ci": (("sampler", "n", "bound"), ends),
+                "rmse": (("sampler",), np.sqrt(at_budget)),
                 "rate": (("sampler",), np.array([curve.rate for curve in curves])),
                 "rate_ci": (("sampler", "bound"), np.array([curve.rate_ci for curve in curves])),
                 "integral": ((), np.float64(self.integral)),
@@ -481,13 +495,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     each, n, nets = _shares(estimator, budget, apart=apart)
 
     # Nets
-    source = estimator.randomized(as_sampler(NETS, estimator.dims))
-    points = estimator.draw(source, n, stream.child(0), 0, nets)
-    sets = Sets(
-        [np.asarray(p) for p in points],
-        [_scalar(estimator, estimator.primary_values(t, u)) for t, u in enumerate(points)],
-        estimator.counts,
-    )
+    sets = _sets_of(estimator, n, nets, stream.child(0))
     calls = nets * n * each
     size = max(float(np.abs(v).max()) for v in sets.values)
     if size and not _SIZES[0] <= size <= _SIZES[1]:
@@ -591,6 +599,17 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         not_tried=not_tried,
         points=budget // each,
         reference=reference,
+    )
+
+
+def _sets_of(estimator: AbstractEstimator, n: int, nets: int, stream: Stream) -> Sets:
+    """Evaluations at scrambled nets."""
+    source = estimator.randomized(as_sampler(NETS, estimator.dims))
+    points = estimator.draw(source, n, stream, 0, nets)
+    return Sets(
+        [np.asarray(p) for p in points],
+        [_scalar(estimator, estimator.primary_values(t, u)) for t, u in enumerate(points)],
+        estimator.counts,
     )
 
 
@@ -707,7 +726,13 @@ def _best(
     name = min(curves, key=lambda c: curves[c].at(n)[0] * math.exp(curves[c].at(n)[1]))
     if name == given or not len(curves[given].counts):  # there is no variance to lower
         return None
-    found = _change(curves, given, n, name, f"use {name}", curves[name].at(n), (estimator, name))
+    source = as_sampler(name, estimator.dims)
+    count, change = n, f"use {name}"
+    if source.nearest_count(n) != n:
+        each = sum(estimator.counts) * estimator.evaluations_per_point
+        count = affordable_count(Setup(estimator, source), n * each) or n
+        change += f" with n = {count:,}"
+    found = _change(curves, given, n, name, change, curves[name].at(count), (estimator, name))
     return found if found.gain_ci[0] > 1.0 else None
 
 
@@ -770,18 +795,19 @@ def _improved(
         n = affordable_count(Setup(offer.estimator, sampler), left // _NETS)
         if n is None or n < _LEAST_CHECKED:
             continue
-        cost = n * offer.estimator.evaluations_per_point / estimator.evaluations_per_point
-        curve = curve_of([n], [_estimates(offer.estimator, sampler, n, _NETS, stream)[0]])
-        calls = n * _NETS * offer.estimator.evaluations_per_point
+        each = offer.estimator.evaluations_per_point
+        cost, at_budget = n * each / estimator.evaluations_per_point, budget // each
         base = evidence.curves[given if best is None else best.name]
+        curve = _sets_of(offer.estimator, n, _NETS, stream).curves()[NETS]
+        curve = curve.towards(base.rate, _ALIKE)
         (ours, ours_se), (other, other_se) = curve.at(n), base.at(cost)
         if not ours < other * math.exp(-CONFIDENCE_Z * math.hypot(ours_se, other_se)):
-            return best, offer.name, calls
-        at_budget = budget // estimator.evaluations_per_point
-        value = base.at(at_budget)[0] * ours / other
+            return best, offer.name, n * _NETS * each
         change = f"{offer.change}, and sample with {NETS}"
-        error = math.hypot(ours_se, other_se, base.at(at_budget)[1])
-        setup, after = (offer.estimator, NETS), (value, error)
-        found = _change(evidence.curves, given, at_budget, offer.name, change, after, setup)
-        return found, offer.name, calls
+        setup = (offer.estimator, NETS)
+        found = _change(
+            evidence.curves, given, budget // estimator.evaluations_per_point, offer.name, change,
+            curve.at(at_budget), setup,
+        )  # fmt: skip
+        return found, offer.name, n * _NETS * each
     return best, "", 0
