@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import math
+import textwrap
 import warnings
 from collections.abc import Iterable, Iterator
 from os import PathLike
@@ -376,7 +377,10 @@ def _panel(axes: Axes, panel: Panel) -> Iterator[tuple[Scale, ScalarMappable]]:
     room = axes.get_window_extent().width / axes.figure.dpi
     if panel.title:
         # A fixed y: looking for a free one takes longer than all the rest of the layout
-        text = _plain(shorten(panel.title, max(int(room / _TITLE_LETTER), 12)))
+        letters = max(int(room / _TITLE_LETTER), 12)
+        lines = textwrap.wrap(panel.title, letters, break_long_words=False)
+        fits = len(lines) < 3 and max(map(len, lines)) <= letters
+        text = _plain("\n".join(lines) if fits else shorten(panel.title, letters))
         left = room > 0.6 * _NARROW
         axes.set_title(
             text, loc="left" if left else "center", fontsize=_LABEL, color=INK, pad=4, y=1.0
