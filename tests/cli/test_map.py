@@ -253,6 +253,10 @@ def test_a_map_of_whole_paths_names_its_worst_pixels_and_resumes(
     )
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert f" {worst[0]['x']} {worst[0]['y']} --integrator" in page
+    code, _, err = run(capsys, *asked[:-1], tmp_path / "small", "--size", "6,4")
+    assert code == 0, err
+    page = (tmp_path / "small" / "report.html").read_text(encoding="utf-8")
+    assert "mcspectra pixel &#39;penumbra(width=6, height=4)&#39; " in page
     before = (folder / "maps.exr").read_bytes()
     code, _, err = run(capsys, *asked, "--resume")
     assert code == 0, err

@@ -302,7 +302,9 @@ def test_samplers_are_compared_at_each_pixel() -> None:
     decided = np.where(ratio > half, 1.0, np.where(-ratio > half, 0.0, -1.0))
     np.testing.assert_array_equal(both["best_sampler"][0], decided)
     assert (decided == 1.0).mean() > 0.5
-    assert "sobol | owen" in both.mcspectra.summary()
+    summary = both.mcspectra.summary()
+    assert summary.count("Use sobol | owen: the least variance at") == 1
+    assert "Cause: most of the variance is of" in summary
     assert len(both.mcspectra.plot("map-variance")) == 2
 
 

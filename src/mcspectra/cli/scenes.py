@@ -68,10 +68,9 @@ def render_(options: argparse.Namespace) -> Answer:
     --compare renders a reference, light, BSDF and multiple importance sampling at equal samples: a .png
     shows them side by side, an .exr holds a layer of each, and their distance to the reference is printed.
     """
-    from mcspectra.core.spec import parse
     from mcspectra.rendering.files import check_image_path, write_render
     from mcspectra.rendering.image import reference, render
-    from mcspectra.rendering.scenes import SCENES
+    from mcspectra.rendering.scenes import SCENES, sized
 
     files = [check_image_path(file) for file in options.out or []]
     settings = {
@@ -93,9 +92,7 @@ def render_(options: argparse.Namespace) -> Answer:
                 f"--width and --height are for built-in scenes ({', '.join(SCENES)}); "
                 f"the film of {scene!r} is set in the file."
             )
-        call = parse(scene)
-        shown = ", ".join(f"{key}={value!r}" for key, value in {**call.arguments, **sizes}.items())
-        scene = f"{call.name}({shown})"
+        scene = sized(scene, **sizes)
     if options.compare:
         return _compare(options, scene, settings, files)
 

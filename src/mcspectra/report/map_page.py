@@ -17,6 +17,7 @@ from mcspectra.plots import kinds
 from mcspectra.plots.maps import bounce_name
 from mcspectra.plots.text import number, percent, rate
 from mcspectra.rendering.files import write_exr
+from mcspectra.rendering.scenes import SCENES, sized
 from mcspectra.report.page import (
     Cell,
     Facts,
@@ -208,11 +209,15 @@ def _worst_row(pixel: Mapping[str, Any], known: Mapping[str, Any], root: Path) -
     """A pixel with the command that explains it, and a link to its page where that was run."""
     x, y = pixel["x"], pixel["y"]
     page = f"pixel-{x}-{y}/report.html"
-    command = f"mcspectra pixel {shlex.quote(known['scene'])} {x} {y}"
+    scene, film = known["scene"], known["size"] == known.get("film")
+    if not film and scene.partition("(")[0] in SCENES:
+        width, height = json.loads(known["size"])
+        scene, film = sized(scene, width=width, height=height), True
+    command = f"mcspectra pixel {shlex.quote(scene)} {x} {y}"
     if known.get("integrator", "direct light") != "direct light":
         command += f" --integrator {shlex.quote(known['integrator'])}"
     command += f" --out {shlex.quote(str(root / Path(page).parent))}"
-    if known["scene"] == "dict" or known["size"] != known.get("film"):
+    if scene == "dict" or not film:
         command = "–"  # no file to name, or pixels that are not those of the film
     return (
         Cell(text=f"({x}, {y})", numeric=False, link=page if (root / page).is_file() else ""),
@@ -293,6 +298,8 @@ def map_summary(result: xr.Dataset) -> dict[str, Any]:
             }
             for strategy in whole["strategy"].values
         }
+    if "best_sampler" in whole and "answer" not in found:
+        found["answer"] = _sampler_answer(whole.isel(strategy=-1, n=-1), found)
     found["worst_pixels"] = list(_worst(result))
     return found
 
@@ -367,6 +374,29 @@ def _answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
     return text
 
 
+def _sampler_answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
+    """Which sampler has the least variance at most pixels, and which bounce and decision make it."""
+    names = list(map(str, last["sampler"].values))
+    shares = found["best_sampler"][str(last["strategy"].item())]
+    best = max(names, key=lambda name: shares[name])
+    errors = ", ".join(
+        f"{name} {number(_median(last['variance'].sel(sampler=name).values) ** 0.5)}"
+        for name in names
+    )
+    at = f"at n = {found['counts'][-1]} (median RMSE: {errors})"
+    if not shares[best] > shares["no difference"]:
+        return f"Keep {names[0]}: at most pixels no sampler has surely less variance {at}."
+    verb = "Keep" if best == names[0] else "Use"
+    text = f"{verb} {best}: the least variance at {percent(shares[best])} of the pixels {at}."
+    makes = [
+        f"{max(rows, key=lambda name: rows[name]['share'])} "
+        f"({percent(max(row['share'] for row in rows.values()))})"
+        for rows in (found.get("bounces"), found.get("decisions"))
+        if rows
+    ]
+    return f"{text} Cause: most of the variance is of {' and of '.join(makes)}." if makes else text
+
+
 def _worst(result: xr.Dataset) -> Iterator[dict[str, Any]]:
     """Pixels of the largest variance by the last strategy, at the largest n, with their part of the sum."""
     variance = result["variance"].isel(strategy=-1, n=-1).values
@@ -401,8 +431,10 @@ def map_note(summary: Mapping[str, Any]) -> str:
 
 
 def map_sentences(result: xr.Dataset) -> Iterator[str]:
-    """Say what a map shows: medians by strategy, what they are of, and what decides them."""
+    """Say what a map shows: its answer, medians by strategy, what they are of, and what decides them."""
     summary = map_summary(result)
+    if "answer" in summary:
+        yield summary["answer"]
     for strategy, row in summary["strategies"].items():
         shown = dict(zip(row, shown_numbers(row), strict=True))
         name = _named(strategy)
