@@ -23,6 +23,7 @@ from mcspectra.rendering import (
 from mcspectra.rendering.paths import (
     Dimension,
     find_integrator,
+    in_dims,
     light_selection,
     parts_by_light,
 )
@@ -253,9 +254,67 @@ def test_a_pixel_of_a_map_is_what_convergence_measures(monkeypatch: pytest.Monke
     np.testing.assert_array_equal(one["variance"][..., 0, 0], whole["variance"].sel(x=6, y=5))
 
 
+def test_shares_of_a_map_are_those_of_anova() -> None:
+    scene: Any = small(cornell())
+    given: dict[str, Any] = {
+        "integrator": "path(max_depth=3)",
+        "counts": (4, 16),
+        "realizations": 4,
+    }
+    whole = variance_map(scene, crop=(5, 4, 3, 2), chains=2000, rng=9, points="own", **given)
+    place = whole.sel(x=6, y=5)
+    f = path_pixel(scene, 6, 5, integrator="path(max_depth=3)")
+    groups = [d.bounce for d in f.dimensions]
+    parts = mcs.anova_variances(f, order=1, groups=groups, realizations=4000, rng=4)
+    up_to, ends = parts["truncation_share"].values, parts["truncation_share_ci"].values
+    own, own_ends = np.cumsum(place["bounce_share"]), place["bounce_share_ci"].values
+    assert place["bounce"].values.tolist() == [0, 1, 2, 3]
+    assert place["decision"].values.tolist() == ["film", "light", "lobe", "direction", "roulette"]
+    # Half widths of both; those of sums by the sum of the widths, at 2.5 times 95 %
+    half = np.cumsum(np.diff(own_ends)[:, 0]) / 2 + np.diff(ends)[:, 0] / 2
+    assert (np.abs(own - up_to) <= 2.5 * half + 1e-12).all()
+    for kind in ("bounce", "decision"):
+        np.testing.assert_allclose(whole[f"{kind}_share"].sum(kind), 1.0, rtol=1e-12)
+    # The variance of a path is n times that of n random ones
+    random = f(mcs.sampler("random", f.dims).draw(1, realizations=20_000, rng=1))[:, 0]
+    squares = (random - random.mean()) ** 2
+    error = np.hypot(squares.std() / 20_000**0.5, float(place["path_variance_se"]))
+    assert abs(float(place["path_variance"]) - squares.mean()) < 4 * error
+    # One pixel is what it is among others, and none has shares without chains
+    one = variance_map(scene, crop=(6, 5, 1, 1), chains=2000, rng=9, points="own", **given)
+    np.testing.assert_array_equal(one["bounce_share_ci"][:, 0, 0], place["bounce_share_ci"])
+    assert "bounce_share" not in variance_map(scene, crop=(6, 5, 1, 1), chains=0, **given)
+
+
+def test_samplers_are_compared_at_each_pixel() -> None:
+    given: dict[str, Any] = {
+        "integrator": "path(max_depth=2)", "crop": (2, 5, 6, 3), "counts": (4, 64),
+        "realizations": 200, "rng": 2, "points": "own", "chains": 8,
+    }  # fmt: skip
+    scene: Any = small(builtin.penumbra(), 12, 8)
+    both = variance_map(scene, sampler=["random", "sobol | owen"], **given)
+    alone = variance_map(scene, sampler="sobol | owen", **given)
+    assert both["sampler"].values.tolist() == ["random", "sobol | owen"]
+    np.testing.assert_array_equal(both["variance"][1], alone["variance"])
+    assert both["bounce_share"].dims == ("bounce", "y", "x")
+    ratio = np.log(both["variance"][0, 0, -1] / both["variance"][1, 0, -1]).values
+    half = 1.96 * np.hypot(*both["variance_relative_se"][:, 0, -1].values)
+    decided = np.where(ratio > half, 1.0, np.where(-ratio > half, 0.0, -1.0))
+    np.testing.assert_array_equal(both["best_sampler"][0], decided)
+    assert (decided == 1.0).mean() > 0.5
+    assert "sobol | owen" in both.mcspectra.summary()
+    assert len(both.mcspectra.plot("map-variance")) == 2
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        ({"chains": 3}, "8 at least"),
+        ({"chains": -1}, "chains"),
+        ({"integrator": None, "chains": 64}, "chains is for whole paths"),
+        ({"heuristic": "power"}, "heuristic is for direct light"),
+        ({"sampler": ["random", "random"]}, "several that differ"),
+        ({"sampler": []}, "several that differ"),
         ({"light": 0}, "light is for direct light"),
         ({"strategies": ("light",)}, "strategies is for direct light"),
         ({"integrator": "ptracer"}, "follows no ray"),
@@ -278,6 +337,10 @@ def test_a_scene_that_says_path_is_warned_of_where_direct_light_is_measured() ->
     assert [s for s in check_scene(small(scene)) if "PathIntegrator" in s]
     # Not where it is measured, where it says direct, or where nothing is said: warnings are errors
     assert not variance_map(small(scene), integrator="scene", **given).attrs["scene_note"]
+    wide = small(scene)
+    wide["sensor"]["film"] |= {"rfilter": {"type": "gaussian"}}
+    note = variance_map(wide, integrator="scene", **given).attrs["scene_note"]
+    assert "GaussianFilter" in note
     scene["integrator"] = {"type": "direct"}
     variance_map(small(scene), **given)
     del scene["integrator"]
@@ -330,3 +393,13 @@ def test_roulette_costs_fewer_numbers() -> None:
         return path_pixel(small(cornell()), 6, 6, integrator=integrator).numbers_per_path
 
     assert asked(1) < asked(3) < asked(100)
+
+
+@pytest.mark.parametrize(
+    "spec", ["halton | owen", "faure | owen | shift", "sobol | owen | decorrelate"]
+)
+def test_samplers_in_other_dims_are_those_of_their_spec(spec: str) -> None:
+    made, other = in_dims(mcs.sampler(spec, 2), 5), mcs.sampler(spec, 5)
+    assert made == other
+    points = made.draw(25 if "faure" in spec else 16, realizations=2, rng=1)
+    assert np.array_equal(points, other.draw(points.shape[1], realizations=2, rng=1))

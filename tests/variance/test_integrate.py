@@ -44,14 +44,17 @@ class Counting:
 @pytest.mark.parametrize("budget", [256, 2000])
 @pytest.mark.parametrize("f", KNOWN, ids=lambda f: f.__name__)
 def test_intervals_cover(f, budget):
-    """Of 1,000 intervals 950 cover with σ = 6.9: between 930 and 970 is 2.9 σ."""
+    """Of 1,000 intervals of Student's t 950 cover with σ = 6.9, and from 930 on is 2.9 σ.
+
+    The hull with Hall's covers more where few replicates are skewed by chance: of 980 σ is 4.4.
+    """
     covered, replicates = 0, []
     for seed in range(1000):
         found = mcs.integrate(f, dims=2, budget=budget, rng=seed)
         low, high = found["interval"].values
         covered += low <= KNOWN[f] <= high
         replicates.append(int(found["replicates"]))
-    assert 930 <= covered <= 970
+    assert 930 <= covered <= 993
     assert min(replicates) >= 8
 
 

@@ -374,41 +374,49 @@ def _map_options(parser: argparse.ArgumentParser) -> None:
     option("scene", "scene, e.g. veach, or a Mitsuba XML file"),
     option("--out DIR", "output folder", default="out/map"),
     option("--resume", "go on with the tiles of DIR"),
-    option("--sampler SPEC", "default jittered; with --integrator 'sobol | owen'"),
+    option(
+        "--sampler SPEC",
+        "default jittered; with --integrator 'sobol | owen'. May be given several times: the best of them "
+        "at each pixel",
+        repeated="all",
+    ),
     option("--workers N", "threads; all processors by default", whole()),
     _map_options,
 )
 def map_(options: argparse.Namespace) -> Answer:
     """Map variance, its rate and what decides it over an image of a scene.
 
-    This is about direct light by several strategies; with --integrator, about whole paths. Writes DIR/maps.exr (all layers), DIR/*.png, *.pdf, DIR/map.json and DIR/report.html;
+    This is about direct light by several strategies; with --integrator, about whole paths, with the shares of
+    bounces and decisions. Writes DIR/maps.exr (all layers), DIR/*.png, *.pdf, DIR/map.json and DIR/report.html;
     DIR/study.sqlite keeps what is finished, and --resume goes on from there.
     """
     from mcspectra.cli.analysis import given_options
     from mcspectra.core.analysis import Subject
     from mcspectra.core.options import checked
-    from mcspectra.core.streams import Stream
     from mcspectra.plots.groups import labelled
-    from mcspectra.rendering.maps import Map
+    from mcspectra.rendering.maps import Map, compared
     from mcspectra.report.map_page import map_note, map_summary, shown_numbers, write_map
     from mcspectra.studies import StudyConfig, Trust, open_results, run_study
     from mcspectra.studies.files import SceneConfig
 
     # Refuse what cannot be before there is a folder
     analysis = checked(Map(**given_options(options, Map)))
-    sampler = analysis.default_sampler if options.sampler is None else options.sampler
-    subject = Subject(None, read_sampler(sampler, analysis.points_dims))
-    analysis.need(subject)
-    analysis.reduction(subject, Stream.from_rng(0))
+    samplers = options.sampler or [analysis.default_sampler]
+    subjects = [Subject(None, read_sampler(each, analysis.points_dims)) for each in samplers]
+    parts = analysis.of_samplers(subjects)
 
-    # Measure as a study of one map, and write
-    entry = SceneConfig(name="map", samplers=(sampler,), kind="map", analysis=analysis)
-    study = StudyConfig(title=f"Map of {options.scene}", seed=options.seed or 0, scenes=(entry,))
+    # Measure as a study of a map for each sampler, and write
+    entries = tuple(
+        SceneConfig(name=f"map-{k}" if k else "map", samplers=(each,), kind="map", analysis=part)
+        for k, (each, part) in enumerate(zip(samplers, parts, strict=True))
+    )
+    study = StudyConfig(title=f"Map of {options.scene}", seed=options.seed or 0, scenes=entries)
     trust = Trust((), (Path(options.scene).parent,))
     run_study(study, options.out, resume=options.resume, workers=options.workers, trust=trust)
     tree = open_results(options.out)
-    (found,) = (node.to_dataset() for node in tree.subtree if node.name == "map" and node.data_vars)
-    result = labelled(found).assign_coords(bound=["low", "high"])
+    found = [node.to_dataset() for node in tree.subtree if node.name == "map" and node.data_vars]
+    maps = [labelled(each).assign_coords(bound=["low", "high"]) for each in found]
+    result = maps[0] if len(maps) == 1 else compared(maps)
     page, summary = write_map(result, options.out), map_summary(result)
     shown = summary["strategies"]
     rows = [[name, "", *shown_numbers(row)] for name, row in shown.items()]

@@ -24,7 +24,7 @@ from mcspectra.plots.scales import log_axis, name_axis, unit_axis
 from mcspectra.plots.spectra import frequency_map, relative_power
 from mcspectra.plots.style import ACCENT, FAINT, INK, PALETTE, labels
 
-__all__ = ["point_sets", "points", "sampler_card"]
+__all__ = ["point_sets", "points", "sampler_card", "square"]
 
 _MOST_NAMED = 2**14  # points that the pointer tells apart
 _MOST_STRATA = 64  # lines that are still told apart in a strip
@@ -41,7 +41,7 @@ def points(group: Group, styles: Styles) -> Plot:
         shown = "Tick marks on a line, with the borders of n equal strata."
     else:
         panels = [
-            _square(
+            square(
                 each["points"].values,
                 styles[name].color,
                 title=name,
@@ -96,7 +96,7 @@ def point_sets(sets: object, caption: str = "") -> Plot:
         pairs = [(i, j) for j in range(1, axes) for i in range(j)]
         named = dims > 2
         panels = [
-            _square(one, INK, axes=pair, named=named) for one in given[:kept] for pair in pairs
+            square(one, INK, axes=pair, named=named) for one in given[:kept] for pair in pairs
         ]
     return Plot(
         kind="point-sets",
@@ -123,7 +123,7 @@ def sampler_card(group: Group, projected: Array | None = None) -> Plot:
     n, dims = x.shape
     title = f"points, n = {n}"
     panels = [
-        _stroke_panel([x[:, 0]], [INK], [""], title) if dims == 1 else _square(x, INK, title=title)
+        _stroke_panel([x[:, 0]], [INK], [""], title) if dims == 1 else square(x, INK, title=title)
     ]
     power = relative_power(data) if dims <= 2 else np.zeros(0)
     half = len(power) // 2
@@ -169,7 +169,7 @@ def sampler_card(group: Group, projected: Array | None = None) -> Plot:
         )
     if projected is not None:
         title = f"4-D: axes 2, 3 (n = {len(projected)})"
-        panels.append(_square(projected, INK, title=title, labels=("x₂", "x₃")))
+        panels.append(square(projected, INK, title=title, labels=("x₂", "x₃")))
     return Plot(
         kind="sampler-card",
         panels=tuple(panels),
@@ -181,7 +181,7 @@ def sampler_card(group: Group, projected: Array | None = None) -> Plot:
     )
 
 
-def _square(
+def square(
     x: Array,
     color: str,
     *,
@@ -191,6 +191,7 @@ def _square(
     named: bool = True,
     labels: tuple[str, str] = ("", ""),
 ) -> Panel:
+    """Return the unit square of two axes of a set, their names below and beside it."""
     size: float | Array = float(np.clip(50.0 / np.sqrt(len(x)), 0.4, 5.0))
     first, second = x[:, axes[0]], x[:, axes[1]] if axes[0] != axes[1] else np.full(len(x), 0.5)
     shown = {} if len(x) > _MOST_NAMED else {"x": numbers(first), "y": numbers(second)}

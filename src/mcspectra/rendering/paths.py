@@ -52,6 +52,8 @@ from mcspectra.rendering.scenes import (
     sensor_of,
 )
 from mcspectra.rendering.techniques import check_finite, check_pixel, chosen_channel
+from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.spectra.bases import parts_of
 
 __all__ = [
     "SCENE_INTEGRATOR",
@@ -60,9 +62,11 @@ __all__ = [
     "Tracer",
     "dimensions_of",
     "find_integrator",
+    "in_dims",
     "light_selection",
     "parts_by_light",
     "path_pixel",
+    "window_dimensions",
 ]
 
 SCENE_INTEGRATOR = "scene"
@@ -183,10 +187,7 @@ class PathPixel(Integrand):
     @property
     def dimensions(self) -> tuple[Dimension, ...]:
         """What each coordinate is used for; those beyond the longest path that was met are unknown."""
-        found = self._tracer.dimensions(((self.x, self.y),))
-        dims = min(len(found), _MOST_DIMS) if self.dims is None else self.dims
-        beyond = Dimension(1 + max(d.bounce for d in found), "unknown")
-        return (*found[:dims], *[beyond] * (dims - len(found)))
+        return self._tracer.dimensions(((self.x, self.y),), self.dims)
 
     @property
     def numbers_per_path(self) -> float:
@@ -251,15 +252,29 @@ def parts_by_light(f: PathPixel, u: Array) -> Array:
     return np.stack([f._values(tracer, u) for tracer in tracers])
 
 
-def path_dims(tracer: Tracer, window: tuple[int, int, int, int]) -> int:
-    """Coordinates of paths through a window (x0, y0, width, height) of the tracer's grid.
+def window_dimensions(
+    tracer: Tracer, window: tuple[int, int, int, int], dims: int | None
+) -> tuple[Dimension, ...]:
+    """What so many coordinates of paths through a window (x0, y0, width, height) are used for.
 
-    As many as those through 256 pixels, evenly laid over the window, ask for, 64 at most.
+    By default as many as paths through 256 pixels, evenly laid over the window, ask for, 64 at most.
     """
     x0, y0, width, height = window
     xs = np.unique(x0 + np.linspace(0, width - 1, _DRY_PIXELS).astype(int)).tolist()
     ys = np.unique(y0 + np.linspace(0, height - 1, _DRY_PIXELS).astype(int)).tolist()
-    return min(len(tracer.dimensions(tuple((x, y) for y in ys for x in xs))), _MOST_DIMS)
+    return tracer.dimensions(tuple((x, y) for y in ys for x in xs), dims)
+
+
+def in_dims(sampler: Sampler, dims: int) -> Sampler:
+    """The same sampler in other dims, whose scrambles take the bases of its coordinates anew."""
+    base, steps = parts_of(sampler)
+    made = as_sampler(base.spec, dims)
+    for step in steps:
+        own: Any = step
+        made = made.then(
+            replace(own, base=None) if isinstance(getattr(step, "base", None), tuple) else step
+        )
+    return made
 
 
 @final
@@ -275,9 +290,17 @@ class Tracer:
     selection: tuple[float, ...] | None = None
     light: int | None = None
 
-    def dimensions(self, pixels: tuple[tuple[int, int], ...]) -> tuple[Dimension, ...]:
-        """What the numbers are used for that random paths through these pixels ask for."""
-        return self.dry_run(pixels)[0]
+    def dimensions(
+        self, pixels: tuple[tuple[int, int], ...], dims: int | None = None
+    ) -> tuple[Dimension, ...]:
+        """What so many coordinates of random paths through these pixels are used for.
+
+        By default as many as they ask for, 64 at most; what is beyond these is unknown.
+        """
+        found = self.dry_run(pixels)[0]
+        count = min(len(found), _MOST_DIMS) if dims is None else dims
+        beyond = Dimension(1 + max(d.bounce for d in found), "unknown")
+        return (*found[:count], *[beyond] * (count - len(found)))
 
     def dry_run(self, pixels: tuple[tuple[int, int], ...]) -> tuple[tuple[Dimension, ...], float]:
         lit = replace(self, selection=None, light=None)  # which changes nothing here

@@ -242,6 +242,21 @@ def _exact(sampler: str, data: xr.Dataset) -> Rows:
         yield *text_cells(sampler), Cell(text=str(n)), Cell(text=text, why=why)
 
 
+def _predict(sampler: str, data: xr.Dataset) -> Rows:
+    data = first_channel(labelled(data))
+    rates = [number(float(data[name])) for name in ("predicted_rate", "limit_rate", "bend_n")]
+    for n in data["n"].values:
+        one = data.sel(n=n)
+        yield (
+            *text_cells(sampler),
+            Cell(text=str(n)),
+            Cell(text=number(float(one["predicted_variance"]))),
+            Cell(text=interval(*_ends(one["predicted_variance_ci"]))),
+            *text_cells(str(one["route"].item())),
+            *(Cell(text=text) for text in rates),
+        )
+
+
 def _map(sampler: str, data: xr.Dataset) -> Rows:
     slow = data["bottleneck"].values if "bottleneck" in data else np.array([])
     where = f"light {(slow == 0).sum()}, BSDF {(slow == 1).sum()}" if slow.size else MISSING
@@ -316,6 +331,16 @@ _TABLES: Mapping[str, tuple[str, str, tuple[str, ...], Callable[[str, Any], Rows
         _anova,
     ),
     "exact": ("Exact variance", "Without sampling.", ("Sampler", "n", "Variance"), _exact),
+    "predict": (
+        "Predictions in numbers",
+        (
+            "Variances that are predicted from what is known of f and of the sampler, and how; the exponent "
+            "over these counts, that at large n, and the n at which it changes. Of several channels the "
+            "first."
+        ),
+        ("Sampler", "n", "Variance", "95 % interval", "Route", "Rate", "At large n", "Bend"),
+        _predict,
+    ),
     "map": (
         "Map",
         (

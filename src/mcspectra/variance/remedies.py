@@ -20,11 +20,12 @@ from msgspec import Meta
 
 from mcspectra.core.analysis import Counted, Need, Reduction, Subject
 from mcspectra.core.checks import Array, as_integer
-from mcspectra.core.errors import McspectraError, ParameterError
+from mcspectra.core.errors import BudgetError, McspectraError, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.parallel import Block, realization_blocks
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
+from mcspectra.core.tally import counting
 from mcspectra.estimators import AbstractEstimator
 from mcspectra.estimators.moments import rounding_floor, variance_interval
 from mcspectra.samplers import Sampler
@@ -128,10 +129,14 @@ class Remedies(Counted, frozen=True, kw_only=True):
                 "more counts."
             )
         tries = 1 + _TRIES * len(self._kinds)
+        evaluations = self.realizations * given.cost * sum(counts)
+        if given.is_black_box:  # and those of its diagnosis, at most
+            evaluations *= min(len(given.estimator.counts), 2)
+            evaluations += self.budget * self.realizations
         return Need(
             cost=float(self.budget * self.realizations * tries) * _RATIO / (_RATIO - 1),
             memory=memory_of(self.budget, subject.estimator.dims) + 16 * tries * self.realizations,
-            evaluations=self.realizations * given.cost * sum(counts),
+            evaluations=evaluations,
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Trials]:
@@ -140,21 +145,39 @@ class Remedies(Counted, frozen=True, kw_only=True):
         start = Counterfactual("given", "as given", "leave everything as it is", given)
         unknown = np.isnan(given.estimator.known_integral()[0]).any()
         search = Budget(self.budget, self.realizations, stream.child(_SEARCH))
+        # What the set-up as given leaves of the evaluations is shared by the kinds, whatever runs first
+        limit = self.max_evaluations
+        first = self.need(subject).evaluations
+        share = None if limit is None else max(1, (limit - first) // len(self._kinds))
 
         def of_kind(index: int) -> _Trials:
             kinds = self._kinds[index - 1 : index] if index else ()
-            tried, not_tried = [], []
-            for change in other_setups(given, kinds, search) if index else [start]:
-                if isinstance(change, NotTried):
-                    not_tried.append(change)
-                elif index and unknown and (change.biased or not change.setup.unbiased):
-                    reason = "Its error is about the integral, which is unknown; give integral=…."
-                    not_tried.append(NotTried(change.kind, change.name, reason))
-                elif (trial := self._measured(change, given, stream)) is not None:
-                    tried.append(trial)
-                else:
-                    reason = change.setup.too_dear(self.budget)
-                    not_tried.append(NotTried(change.kind, change.name, reason))
+            tried, not_tried = [], list[NotTried]()
+            changes = other_setups(given, kinds, search) if index else iter([start])
+            with counting("This change", share if index else limit) as tally:
+                while True:
+                    try:
+                        change = next(changes, None)
+                        if change is None:
+                            break
+                        if isinstance(change, NotTried):
+                            not_tried.append(change)
+                            continue
+                        setup, reason = change.setup, change.setup.too_dear(self.budget)
+                        if index and unknown and (change.biased or not setup.unbiased):
+                            reason = "Its error is about the integral, which is unknown; give integral=…."
+                        else:
+                            if setup.is_black_box:
+                                points = sum(_affordable(setup, self.budget).values())
+                                tally.foresee(self.realizations * setup.cost * points)
+                            trial = self._measured(change, given, stream)
+                            if trial is not None:
+                                tried.append(trial)
+                                continue
+                        not_tried.append(NotTried(change.kind, change.name, reason))
+                    except BudgetError as error:
+                        name = change.name if change else kinds[0]
+                        not_tried.append(NotTried(kinds[0], name, str(error)))
             if index:
                 return _Trials(tried, not_tried, None)
             counts = [int(cost - given.overhead) // given.cost for cost in tried[0].errors.cost]
@@ -256,7 +279,8 @@ def remedies(
     workers
         Threads; all processors by default. Results do not depend on it.
     max_evaluations
-        Most evaluations of the integrand: what takes more is refused, where that is known before it starts.
+        Most evaluations of the integrand: less than the set-up as given and its diagnosis take is refused before
+        any is made; the rest is shared by the kinds, and what does not fit into a share is not tried.
 
     Returns
     -------
