@@ -52,11 +52,10 @@ PATH_TABLES = {
 
 _SHOWN = 0.005  # of the variance: smaller parts are not named
 _CHARGED = ("order", "roulette", "selection")  # which cost more than their paths, or less
-_ABOUT_SHOWN = 0.005  # of the variance: smaller parts are not named
-_CHARGED = (
+_ABOUT_CHARGED = (
     "Costs are counted in numbers that paths ask for, as many in each turn of the integrator's loop, which is a "
-    "ray and at most one shadow ray. A change that a pilot chose is compared with the set-up as given that has the pilot's "
-    "paths, too; its variance is that beside the pilot."
+    "ray and at most one shadow ray. A change that a pilot chose is compared with the set-up as given that has the "
+    "pilot's paths, too; its variance is that beside the pilot."
 )
 _ABOUT = {
     "rates": "Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval.",
