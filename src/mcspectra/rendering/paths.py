@@ -26,6 +26,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import math
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, final
@@ -76,7 +77,7 @@ _PAIR = ("x", "y")
 _MOST_DIMS = 64  # unless more are asked for: analyses by axes take no more
 _TABLE_NUMBERS, _LANES = 2**25, 2**20  # of one kernel: 128 MiB
 _DIMMED = 2.0**-30  # exact in float32, and nothing beside what is not dimmed
-_EMITTED = ("radiance", "intensity", "irradiance")
+_EMITTED = r"(\w+_)?scale|(radiance|intensity|irradiance)\.(.+\.)?(value|data)"
 _PATH = ((2, "light"), (1, "lobe"), (2, "direction"), (1, "roulette"))
 _ORDERS = {
     # class: requests of one bounce, how many numbers each and what they decide
@@ -326,27 +327,26 @@ class Tracer:
     @contextlib.contextmanager
     def _lights(self) -> Iterator[None]:
         """The scene with lights chosen and dimmed as is asked for, while the lock is held."""
+        if self.selection is None and self.light is None:
+            yield
+            return
         loaded, changed = load_scene(self.scene), []
         try:
             for k, emitter in enumerate(loaded.emitters()):
                 parameters = load_mitsuba().traverse(emitter)
-                values = {}
-                if self.selection is not None:
-                    values["sampling_weight"] = self.selection[k]
+                values = {} if self.selection is None else {"sampling_weight": self.selection[k]}
                 if self.light not in (None, k):
                     values |= {p: parameters[p] * _DIMMED for p in _emission(emitter, parameters)}
-                if values:
-                    before = {p: type(parameters[p])(parameters[p]) for p in values}
-                    changed.append((parameters, before))
-                    parameters.update(values)
-            if self.selection is not None:
-                loaded.parameters_changed([])
+                changed.append(
+                    (parameters, {p: type(parameters[p])(parameters[p]) for p in values})
+                )
+                parameters.update(values)
+            loaded.parameters_changed([])
             yield
         finally:
             for parameters, values in changed:
                 parameters.update(values)
-            if self.selection is not None:
-                loaded.parameters_changed([])
+            loaded.parameters_changed([])
 
     def _sums(self, u: Array, pixels: Array) -> Array:
         """Sums over samples, (R, P, channels), by a lane for each of R and P."""
@@ -408,11 +408,7 @@ class Tracer:
 def _emission(emitter: Any, parameters: Any) -> list[str]:
     """The parameters of a light that its radiance is proportional to."""
     keys = list(parameters.keys())
-    found = [k for k in keys if k == "scale" or k.endswith("_scale")]
-    spectra = [k.split(".") for k in keys]
-    found = found or [
-        ".".join(k) for k in spectra if k[0] in _EMITTED and k[-1] in ("value", "data")
-    ]
+    found = [k for k in keys if re.fullmatch(_EMITTED, k)]
     if not found:
         raise ParameterError(
             f"The light {emitter_name(emitter)} ({emitter.class_name()}) has no radiance that can be "

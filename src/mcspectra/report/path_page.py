@@ -50,11 +50,12 @@ PATH_TABLES = {
 }
 """Columns of the tables of `path_rows`."""
 
+_SHOWN = 0.005  # of the variance: smaller parts are not named
 _CHARGED = ("order", "roulette", "selection")  # which cost more than their paths, or less
 _ABOUT_CHARGED = (
     "Costs are counted in numbers that paths ask for, as many in each turn of the integrator's loop, which is a "
-    "ray and a shadow ray. A change that a pilot chose is compared with the set-up as given that has the pilot's "
-    "paths, too; its variance is that beside the pilot."
+    "ray and at most one shadow ray. A change that a pilot chose is compared with the set-up as given that has the "
+    "pilot's paths, too; its variance is that beside the pilot."
 )
 _ABOUT = {
     "rates": "Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval.",
@@ -139,7 +140,11 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
         if not np.isfinite(shares).all():
             return [("noise", "The pixel has no noise: every path has the same value.")]
         order = np.argsort(-shares)[:3]
-        parts = [f"{found['subset_label'].values[k]} {percent(float(shares[k]))}" for k in order]
+        parts = [
+            f"{found['subset_label'].values[k]} {percent(float(shares[k]))}"
+            for k in order
+            if k == order[0] or shares[k] > _SHOWN
+        ]
         said.append((f"by {axes}", f"The largest parts of the variance are {', '.join(parts)}."))
     if "coordinate" in tree["anova"].children:
         found = _parts(tree, "coordinate")

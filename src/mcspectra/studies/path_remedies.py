@@ -4,8 +4,8 @@ Method
 ------
 All changes are measured at the same counts on the same random numbers as the path as given, and compared at
 its largest count by `mcspectra.variance.remedies.ranked`. A path of another roulette costs as many more or
-fewer as it asks for numbers, that is by the turns of the integrator's loop, each a ray and a shadow
-ray. What is chosen by a pilot is compared with a path as given that has the pilot's paths, too.
+fewer as it asks for numbers, that is by the turns of the integrator's loop, each a ray and at most one
+shadow ray. What is chosen by a pilot is compared with a path as given that has the pilot's paths, too.
 
 Lights are chosen best, as far as each path takes one light, in proportion to the root of the second moment
 of what they give when they are chosen, √(p_j E f_j²).
