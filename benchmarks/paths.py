@@ -5,6 +5,7 @@ Every pixel of a film of 8 × 6 with a box filter: the means and variances of 40
 squared deviations (of the logarithm of the variances, which is nearer to normal), and the variance that all
 bounces make together against 64 times that of the renders. The limit of |t| holds for all tests of the table
 together (Šidák). Then a map of 64 × 64 pixels, path of depth 5, over raw renders of as many paths.
+``--coverage`` prints instead how often the 95 % intervals of shares hold the truth, at six pixels of Cornell's box.
 """
 
 from __future__ import annotations
@@ -16,10 +17,15 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from mcspectra.core.analysis import Subject
 from mcspectra.core.checks import Array
+from mcspectra.core.streams import Stream
 from mcspectra.rendering import builtin, load_mitsuba, load_scene, variance_map
+from mcspectra.rendering.map_statistics import path_shares
+from mcspectra.rendering.maps import Map
 from mcspectra.rendering.paths import find_integrator
 from mcspectra.rendering.scenes import as_scene
+from mcspectra.samplers import as_sampler
 
 N, REALIZATIONS, CHAINS = 64, 400, 2000
 LARGEST_SE = 0.2  # relative, of variances that all bounces are held against
@@ -31,8 +37,11 @@ ROUNDS = 3
 Scene = dict[str, Any]
 
 
-def main() -> None:
-    """Print a row for each scene, then the ratios of times."""
+def main(*flags: str) -> None:
+    """Print a row for each scene, then the ratios of times; or the coverage of intervals."""
+    if "--coverage" in flags:
+        coverage()
+        return
     tests = 3 * len(SCENES) * SMALL[0] * SMALL[1]
     level = float(stats.norm.isf((1 - (1 - FALSE_ALARM) ** (1 / tests)) / 2))
     print(f"largest |t| over the pixels; the limit for all {tests} tests is {level:.2f}")
@@ -121,6 +130,31 @@ def times() -> dict[str, float]:
         f"{LARGE[0]} × {LARGE[1]} pixels, path of depth 5, {paths} paths a pixel: raw {seconds['raw']:.1f} s"
     )
     return {name: spent / seconds["raw"] for name, spent in seconds.items() if name != "raw"}
+
+
+def coverage() -> None:
+    """Print by bounce at how many of 400 trials intervals hold the share that 100,000 chains give."""
+    scene = sized(cornell(), (32, 32))
+    pixels = np.array([(16, 16), (8, 25), (20, 28), (25, 12), (10, 20), (3, 15)])
+
+    def shares(chains: int, seed: int) -> Array:
+        analysis = Map(scene=scene, integrator="scene", chains=chains)  # type: ignore[arg-type]
+        subject = Subject(None, as_sampler("random"))
+        made, _ = analysis.measurement(subject, Stream.from_rng(seed))
+        members = [np.stack(list(each.values())) for each in made.partitions]
+        return np.asarray(path_shares(made._chains(pixels), members)[1][:, : len(members[0])])
+
+    truth = np.mean([shares(4000, seed)[0] for seed in range(25)], axis=0)
+    for chains in (128, 512):
+        found = np.stack([shares(chains, 1000 + trial) for trial in range(400)])
+        inside = (found[:, 1] <= truth) & (found[:, 2] >= truth)
+        rates = inside.sum(axis=0) / np.isfinite(found[:, 0]).sum(axis=0)
+        print(f"{chains} chains")
+        for bounce, (held, share) in enumerate(zip(rates, truth, strict=True)):
+            print(
+                f"  bounce {bounce}: shares {share.min():.3f} … {share.max():.3f}, held "
+                f"{held.min():.3f} … {held.max():.3f}"
+            )
 
 
 def sized(scene: Scene, size: tuple[int, int]) -> Scene:

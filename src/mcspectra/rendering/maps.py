@@ -493,12 +493,13 @@ def variance_map(
             whole = integrator is not None and not isinstance(each, str)  # dims are seen later
             source = as_sampler(each, None if whole else analysis.points_dims)
             subjects.append(Subject(None, source))
-        parts = checked(analysis).of_samplers(subjects)
+        single = len(subjects) == 1
+        parts = [analysis] if single else checked(analysis).of_samplers(subjects)
         maps = [
             compute(part, subject, rng, workers=1)
             for part, subject in zip(parts, subjects, strict=True)
         ]
-    return maps[0] if len(maps) == 1 else compared(maps)
+    return maps[0] if single else compared(maps)
 
 
 @contextmanager
