@@ -66,6 +66,7 @@ _LEAST_SETS = 3
 _PAIRS = "antithetic-jittered"
 _THEORY = 0.08  # of a rate, at counts of points that are not large
 _ALIKE = 0.4  # rates of estimators before and after a change, unless they are seen to differ
+_FEW_POINTS, _STEEPEST = 16, -2.0
 _WEIGHTED = 3  # functions: f, pdf and sample
 _FIGURES = ("rmse", "rmse_given", "gain", "samples_saved")
 _SIZES = 1e-120, 1e120  # of g, whose fourth powers float64 holds
@@ -558,7 +559,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     # What is the same every time, or was not measured, is no reference
     fixed = any(cause.name == "deterministic-set" for cause in causes)
     reference = "random" if fixed or given.spec not in curves else given.spec
-    best, changed = None, ""
+    best, changed = None, list[str]()
     if all(c.name != "infinite-variance" or c.kinds for c in causes):  # there is an integral
         usable = {name: c for name, c in curves.items() if name == reference or name != given.spec}
         best = _best(estimator, usable, reference, budget // each)
@@ -595,7 +596,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         causes=causes,
         best=best,
         samplers=curves,
-        tried=[*curves, *([changed] if changed else [])],
+        tried=[*curves, *changed],
         not_tried=not_tried,
         points=budget // each,
         reference=reference,
@@ -772,16 +773,16 @@ def _improved(
     budget: int,
     left: int,
     stream: Stream,
-) -> tuple[Change | None, str, int]:
-    """The change of the estimator that answers its causes, measured with nets; its name and its calls.
+) -> tuple[Change | None, list[str], int]:
+    """The change of the estimator that answers its causes, measured with nets; names and calls of what was tried.
 
-    It is fitted to the evaluations at nets, and measured at as many points as what is left allows, beside
-    the best sampler at as many evaluations: by what ratio it is better there, it is at the budget.
+    It is fitted to the evaluations at nets, and measured at as many points as what is left allows; where it is
+    better than the best sampler at as many evaluations, its own curve tells of the budget.
     """
     estimator = evidence.estimator
     kinds = list(dict.fromkeys(k for cause in causes for k in cause.kinds if k in CHANGES))
     if not kinds or len(estimator.counts) > 1 or estimator.channels:
-        return best, "", 0
+        return best, [], 0
     points, values = (
         np.concatenate(list(each[0][:, :_FITTED]))
         for each in (evidence.sets.points, evidence.sets.values)
@@ -790,24 +791,32 @@ def _improved(
     for kind in kinds:
         with contextlib.suppress(McspectraError):  # it has nothing to offer here
             offers += improvements(estimator, seen, [kind])
-    sampler = as_sampler(NETS, estimator.dims)
-    for offer in sorted(offers, key=lambda offer: offer.ratio):
-        n = affordable_count(Setup(offer.estimator, sampler), left // _NETS)
+    # What takes a jump away gains with nets, which its variance at random points does not tell: it is first
+    jumps = causes[0].name == "interior-jump"
+    offers.sort(key=lambda offer: (not (jumps and offer.kind == "preintegrated"), offer.ratio))
+    sampler, tried, calls = as_sampler(NETS, estimator.dims), list[str](), 0
+    base = evidence.curves[given if best is None else best.name]
+    for offer in offers:
+        each, wanted = offer.estimator.evaluations_per_point, _NETS
+        if jumps and not tried and offer is not offers[-1]:  # leave as much for another one
+            wanted = _NETS if left >= 2 * _LEAST_CHECKED * each * _NETS else _NETS // 2
+        n = affordable_count(Setup(offer.estimator, sampler), (left - calls) // wanted)
         if n is None or n < _LEAST_CHECKED:
             continue
-        each = offer.estimator.evaluations_per_point
+        tried.append(offer.name)
+        calls += n * wanted * each
         cost, at_budget = n * each / estimator.evaluations_per_point, budget // each
-        base = evidence.curves[given if best is None else best.name]
-        curve = _sets_of(offer.estimator, n, _NETS, stream).curves()[NETS]
+        curve = _sets_of(offer.estimator, n, wanted, stream.child(len(tried))).curves()[NETS]
         curve = curve.towards(base.rate, _ALIKE)
+        if n < _FEW_POINTS:  # which show no steep rate yet
+            curve = replace(curve, rate=max(curve.rate, _STEEPEST))
         (ours, ours_se), (other, other_se) = curve.at(n), base.at(cost)
-        if not ours < other * math.exp(-CONFIDENCE_Z * math.hypot(ours_se, other_se)):
-            return best, offer.name, n * _NETS * each
-        change = f"{offer.change}, and sample with {NETS}"
-        setup = (offer.estimator, NETS)
-        found = _change(
-            evidence.curves, given, budget // estimator.evaluations_per_point, offer.name, change,
-            curve.at(at_budget), setup,
-        )  # fmt: skip
-        return found, offer.name, n * _NETS * each
-    return best, "", 0
+        if ours < other * math.exp(-CONFIDENCE_Z * math.hypot(ours_se, other_se)):
+            change = f"{offer.change}, and sample with {NETS}"
+            points_at_budget = budget // estimator.evaluations_per_point
+            after, setup = curve.at(at_budget), (offer.estimator, NETS)
+            found = _change(
+                evidence.curves, given, points_at_budget, offer.name, change, after, setup
+            )
+            return found, tried, calls
+    return best, tried, calls
