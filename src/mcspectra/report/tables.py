@@ -84,7 +84,7 @@ def summary_table(
                 _cell(variance + at, no_number, row.variance),
                 _cell(f"{predicted} ({route})" if route else predicted, no_term, row.ratio),
                 Cell(text=limit or MISSING, why="" if limit else no_term, numeric=False),
-                Cell(text=headline(row, terms), numeric=False),
+                Cell(text=headline(row, terms, len(rows)), numeric=False),
             )
         )
     return Table(
