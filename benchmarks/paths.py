@@ -10,6 +10,7 @@ together (Šidák). Then a map of 64 × 64 pixels, path of depth 5, over raw ren
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable
 from typing import Any
@@ -234,4 +235,4 @@ SCENES: dict[str, tuple[Callable[[], Scene], str]] = {
 
 
 if __name__ == "__main__":
-    main()
+    main(*sys.argv[1:])
