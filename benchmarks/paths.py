@@ -10,6 +10,7 @@ together (Šidák). Then a map of 64 × 64 pixels, path of depth 5, over raw ren
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable
 from typing import Any
@@ -33,7 +34,7 @@ FALSE_ALARM = 0.001  # of one t beyond its limit anywhere in the table
 LUMINANCE = [0.212671, 0.715160, 0.072169]
 SMALL, LARGE = (8, 6), (64, 64)
 COUNTS, MAP_REALIZATIONS = (4, 16, 64), 64
-ROUNDS = 3
+ROUNDS = 5
 Scene = dict[str, Any]
 
 
@@ -48,8 +49,9 @@ def main(*flags: str) -> None:
     print("scene     dims  pixels  mean  variance  bounces together  shares by bounce")
     for name, (make, integrator) in SCENES.items():
         print(f"{name:9s} " + compared(sized(make(), SMALL), integrator))
-    for name, ratio in times().items():
-        print(f"{name}: {ratio:.2f} of raw renders")
+    for name, ratios in times().items():
+        low, middle, high = np.percentile(ratios, [0, 50, 100])
+        print(f"{name}: {middle:.2f} of raw renders ({low:.2f} … {high:.2f})")
 
 
 def compared(scene: Scene, integrator: str) -> str:
@@ -96,8 +98,8 @@ def renders(scene: Scene, integrator: str) -> Array:
     return np.asarray(np.stack([np.asarray(image)[..., :3] for image in images]) @ LUMINANCE)
 
 
-def times() -> dict[str, float]:
-    """Seconds of maps of Cornell's box over those of one raw render of as many paths; the least of each."""
+def times() -> dict[str, list[float]]:
+    """Seconds of maps of Cornell's box over those of one raw render of as many paths, in each round."""
     mitsuba = load_mitsuba()
     import drjit
 
@@ -119,17 +121,19 @@ def times() -> dict[str, float]:
         return work
 
     works = {"raw": raw, "map": mapped(0), "map with shares of 128 chains": mapped(128)}
-    seconds = dict.fromkeys(works, float("inf"))
-    for turn in range(ROUNDS + 1):  # alternating: a busy machine slows all; the first one compiles
+    ratios: dict[str, list[float]] = {name: [] for name in works}
+    for turn in range(
+        ROUNDS + 1
+    ):  # neighbours in time: a busy machine slows all; the first one compiles
+        seconds = {}
         for name, work in works.items():
             start = time.perf_counter()
             work(turn)
-            spent = time.perf_counter() - start
-            seconds[name] = min(seconds[name], spent) if turn else seconds[name]
-    print(
-        f"{LARGE[0]} × {LARGE[1]} pixels, path of depth 5, {paths} paths a pixel: raw {seconds['raw']:.1f} s"
-    )
-    return {name: spent / seconds["raw"] for name, spent in seconds.items() if name != "raw"}
+            seconds[name] = time.perf_counter() - start
+        for name in works if turn else ():
+            ratios[name].append(seconds[name] / seconds["raw"])
+    print(f"{LARGE[0]} × {LARGE[1]} pixels, path of depth 5, {paths} paths a pixel")
+    return {name: each for name, each in ratios.items() if name != "raw"}
 
 
 def coverage() -> None:
@@ -231,4 +235,4 @@ SCENES: dict[str, tuple[Callable[[], Scene], str]] = {
 
 
 if __name__ == "__main__":
-    main()
+    main(*sys.argv[1:])

@@ -171,17 +171,14 @@ class Map(Analysis, frozen=True, kw_only=True):
     def need(self, subject: Subject) -> Need:
         """The need as far as it is known without the scene."""
         check_channel(self.channel, ("luminance",))
+        direct = {"light": None, "strategies": MAP_STRATEGIES, "heuristic": "balance"}
+        refused, way = direct, "is for direct light; leave it out with an integrator"
         if self.integrator is None:
             as_integer("dims", self.points_dims, least=2, most=3)
-            if self.chains is not None:
-                raise ParameterError("chains is for whole paths; give an integrator too.")
-        else:
-            usual = {"light": None, "strategies": MAP_STRATEGIES, "heuristic": "balance"}
-            for name, value in usual.items():
-                if getattr(self, name) != value:
-                    raise ParameterError(
-                        f"{name} is for direct light; leave it out with an integrator."
-                    )
+            refused, way = {"chains": None}, "is for whole paths; give an integrator too"
+        for name, usual in refused.items():
+            if getattr(self, name) != usual:
+                raise ParameterError(f"{name} {way}.")
         if self.chains and self.chains < _LEAST_CHAINS:
             raise ParameterError(
                 f"chains is {self.chains}; give 0, for no shares, or {_LEAST_CHAINS} at least."
