@@ -155,7 +155,10 @@ def bench_plots(bench: xr.Dataset) -> Iterator[tuple[str, Plot]]:
             yield where, describe("spectrum", spectra, styles)
         yield where, describe("radial", spectra, styles)
     if "anisotropy_db" in bench and (rings := of("anisotropy_db", "anisotropy_noise_db")):
-        yield where, describe("anything", rings, styles)
+        plot, panels = describe("anything", rings, styles), []
+        for panel, title in zip(plot.panels, ("anisotropy", "made by noise alone"), strict=True):
+            panels.append(replace(panel, y=replace(panel.y, label="dB"), title=title))
+        yield where, replace(plot, panels=tuple(panels), height=0.9)
     if pairs := of("pair_correlation", "pair_correlation_ci"):
         yield where, describe("pair-correlation", pairs, styles)
 
@@ -241,7 +244,7 @@ def _sheets(bench: xr.Dataset) -> Iterator[Drawn]:
         for k, row in enumerate([*above, *rows]):
             first, *others = (t.rjust(w) for t, w in zip(row, widths, strict=True))
             lines.append(("  ".join([first.strip().ljust(widths[0]), *others]).rstrip(), k < tall))
-    size = min(8.5, 10.0 * 72 / (0.61 * max(len(line) for line, _ in lines)))
+    size = min(8.5, 9.6 * 72 / (0.61 * max(len(line) for line, _ in lines)))
     for start in range(0, len(lines), _ROWS):
         figure = MatplotlibFigure(figsize=(11.0, 8.5), facecolor=PAPER)
         for k, (line, bold) in enumerate(lines[start : start + _ROWS]):
