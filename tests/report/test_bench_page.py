@@ -8,44 +8,43 @@ import re
 import numpy as np
 import pytest
 
+import mcspectra as mcs
 from mcspectra.cli.main import main
 from mcspectra.plots import backend_matplotlib
 from mcspectra.report.bench_page import bench_plots, bench_table, write_bench
-from mcspectra.variance.bench import measure_bench
 
 
 @pytest.fixture(scope="module")
 def bench():
-    return measure_bench(["jittered", "sobol | owen", "pmj02"], (16, 64, 256), (2, 3), 30, 0)
+    samplers = ["jittered", "sobol | owen", "pmj02"]
+    return mcs.sampler_bench(samplers, counts=(16, 64, 256), dims=(2, 3), realizations=30)
 
 
 def test_the_table_has_rates_and_ranks(bench):
     columns, rows = bench_table(bench)
     assert columns == ["Integrand", "jittered", "sobol | owen", "pmj02"]
-    assert len(rows) == len(bench.tasks)
-    rank, ends = bench.ranks()
+    assert [row[0] for row in rows] == bench["integrand"].values.tolist()
     for j, row in enumerate(rows):
-        for i, (text, order) in enumerate(row[1:]):
-            if np.isnan(rank[i, j]):
+        for i, text in enumerate(row[1:]):
+            low, high = bench["rank_ci"].values[i, j]
+            if np.isnan(low):
                 assert text == "–"
-                continue
-            low, high = (int(end) for end in ends[i, j])
-            assert text.endswith(f"({low})" if low == high else f"({low}–{high})")
-            assert order == rank[i, j]
+            else:
+                assert text.endswith(f"({low:.0f})" if low == high else f"({low:.0f}–{high:.0f})")
 
 
 def test_every_part_is_pictured(bench):
     titles = [title for title, _ in bench_plots(bench)]
     assert list(dict.fromkeys(titles)) == [
         "Convergence in 2-D", "Convergence in 3-D", "Spectra and pairs", "Quality", "Points",
-        "Projections in 3-D",
+        "Projections: jittered", "Projections: sobol | owen",
     ]  # fmt: skip
     assert titles.count("Spectra and pairs") == 4
     plots = dict(bench_plots(bench))
     # Three pairs of axes, named
-    named = [(p.x.label, p.y.label) for p in plots["Projections in 3-D"].panels]
+    named = [(p.x.label, p.y.label) for p in plots["Projections: jittered"].panels]
     assert named == [("x₀", "x₁"), ("x₀", "x₂"), ("x₁", "x₂")]
-    assert [p.title for p in plots["Points"].panels] == ["jittered", "sobol | owen", "pmj02"]
+    assert [p.title for p in plots["Points"].panels] == ["pmj02"]
     assert len(plots["Convergence in 3-D"].panels) == 9
     for _, plot in bench_plots(bench):
         assert plot.words
@@ -65,18 +64,18 @@ def test_files(bench, tmp_path):
         "Spectra and pairs",
         "jittered",
         "points/s",
-        "Projections in 3-D",
+        "Projections",
     ):
         assert words in page
     lines = [s for s in (tmp_path / "r.csv").read_text().splitlines() if s[0] != "#"]
     rows = list(csv.DictReader(lines))
-    data = bench.dataset()
+    data = bench
     assert len(rows) == data["variance"].size
     one = next(r for r in rows if r["sampler"] == "jittered" and r["n"] == "256")
     assert float(one["variance"]) == float(data["variance"].isel(sampler=0, integrand=0, n=2))
     assert one["rank_low"]
     assert one["rate_high"]
-    assert (tmp_path / "r.tex").read_text().count(r"\\") == 1 + len(bench.tasks)
+    assert (tmp_path / "r.tex").read_text().count(r"\\") == 1 + bench.sizes["integrand"]
     assert r"\begin{pgfpicture}" in (tmp_path / "r.pgf").read_text()
 
 

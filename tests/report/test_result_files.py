@@ -76,11 +76,10 @@ def test_pictures_in_every_format(curve, tmp_path, extension):
     assert again.read_bytes() == data
 
 
-def test_a_map_in_pgf_has_its_picture_beside_it(tmp_path):
+def test_maps_are_no_pgf(tmp_path):
     result = mcs.power_spectrum("jittered", 16, half_width=4, realizations=4)
-    write_result_file(result, str(tmp_path / "s.pgf"), "t")
-    assert "includegraphics[width=1in,height=1in]{s-img0.png}" in (tmp_path / "s.pgf").read_text()
-    assert (tmp_path / "s-img0.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(ParameterError, match="give a .pdf"):
+        write_result_file(result, str(tmp_path / "s.pgf"), "t")
 
 
 def test_a_place_that_is_none(curve, tmp_path):

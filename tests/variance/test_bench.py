@@ -6,20 +6,11 @@ import zlib
 
 import numpy as np
 import pytest
-import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.errors import McspectraError, ParameterError
 from mcspectra.samplers import Jittered, Owen, Shift
-from mcspectra.variance.bench import (
-    Bench,
-    Entry,
-    Task,
-    free_of,
-    making_seconds,
-    measure_bench,
-    standard_tasks,
-)
+from mcspectra.variance.bench import free_of, making_seconds, ranks, standard_tasks
 
 SMALL = {"counts": (16, 64), "realizations": 40}
 
@@ -77,13 +68,13 @@ def test_given_sets_count_as_many_as_there_are(tmp_path):
             points = Jittered().draw(n, rng=k)[0]
             mcs.core.pointfiles.write_points(tmp_path / f"n{n}_{k}.npy", [points])
     spec = f"points(path={str(tmp_path / 'n{n}_*')!r}, name='mine')"
-    bench = measure_bench([spec], (10, 70), 2, 40, 0)
-    found = bench.dataset()
-    assert bench.entries[0].name == "mine"
-    np.testing.assert_array_equal(found["points_made"][0, 0], [16, 64])
-    (curve, *_) = bench.entries[0].curves.values()
-    np.testing.assert_array_equal(curve["realizations_used"], [20, 20])
-    assert np.isnan(found["points_per_second"]).all()  # they are read, not made
+    found = mcs.sampler_bench([spec, "random"], counts=(10, 70, 1000), realizations=40)
+    assert found["label"].values.tolist() == ["mine", "random"]
+    # Each count once, and of 40 realisations the 20 that there are: more would be refused
+    np.testing.assert_array_equal(found["points_made"][0, 0], [16, 64, np.nan])
+    np.testing.assert_array_equal(np.isnan(found["variance"][0]).all("integrand"), [0, 0, 1])
+    assert np.isnan(found["points_per_second"][0]).all()  # they are read, not made
+    assert "note" not in found.attrs
     assert np.isnan(making_seconds(mcs.sampler(spec).then(Shift()), 16, 0))
 
 
@@ -117,54 +108,35 @@ def test_standard_integrands_exist_and_vary(dims):
 def test_ranks_hold_together():
     """All true ranks lie in their intervals in 95 % of the benches at least."""
     rng = np.random.default_rng(5)
-    tasks = tuple(Task("smooth", f"f{k}", 2) for k in range(4))
-    # Of five samplers two are alike, and others differ by 1 to 8 standard errors
-    logs = np.array([0.0, 0.0, 0.2, 0.5, 2.3])
-    true_low = 1 + (logs[None] < logs[:, None]).sum(axis=1)
-    true_high = 5 - (logs[None] > logs[:, None]).sum(axis=1)
+    # Of five samplers two are alike, and others differ by 1 to 8 standard errors, on four tasks
+    logs = np.array([0.0, 0.0, 0.2, 0.5, 2.3])[:, None]
+    true_low = 1 + (logs[:, 0] < logs).sum(axis=1)
+    true_high = 5 - (logs[:, 0] > logs).sum(axis=1)
     se, trials, held, sure = 0.2, 400, 0, 0
     for _ in range(trials):
-        entries = []
-        for i in range(5):
-            entry = Entry(str(i), str(i), {}, {})
-            for task in tasks:
-                value = np.exp(logs[i] + se * rng.standard_normal())
-                ends = value * np.exp(np.array([-1.0, 1.0]) * 1.959964 * se)
-                entry.curves[task] = xr.Dataset(
-                    {"variance": ("n", [value]), "variance_ci": (("n", "bound"), [ends])},
-                    {"n": [64]},
-                )
-            entries.append(entry)
-        _, ends = Bench(tuple(entries), tasks, (64,), (2,), 2, 0).ranks()
-        good = (ends[..., 0] <= true_high[:, None]) & (ends[..., 1] >= true_low[:, None])
+        value = np.exp(logs + se * rng.standard_normal((5, 4)))
+        ends = value[..., None] * np.exp(np.array([-1.0, 1.0]) * 1.959964 * se)
+        _, found = ranks(value, ends, np.full((5, 4), 64.0))
+        good = (found[..., 0] <= true_high[:, None]) & (found[..., 1] >= true_low[:, None])
         held += bool(good.all())
-        sure += bool((ends[4] == 5).all())
+        sure += bool((found[4] == 5).all())
     assert held >= trials * (0.95 - 3 * np.sqrt(0.95 * 0.05 / trials))
     assert sure > 0.9 * trials  # and what differs by six standard errors is told
 
 
 def test_a_wide_interval_gives_a_wide_rank():
-    tasks = (Task("smooth", "f", 2),)
-    entries = []
-    for i, (value, high) in enumerate([(1.0, 1.1), (2.0, np.inf)]):
-        entry = Entry(str(i), str(i), {}, {})
-        entry.curves[tasks[0]] = xr.Dataset(
-            {"variance": ("n", [value]), "variance_ci": (("n", "bound"), [[0.9 * value, high]])},
-            {"n": [64]},
-        )
-        entries.append(entry)
-    rank, ends = Bench(tuple(entries), tasks, (64,), (2,), 2, 0).ranks()
-    np.testing.assert_array_equal(rank[:, 0], [1, 2])
-    # The lower end of the second is far from the first; its upper end does not matter there
-    np.testing.assert_array_equal(ends[:, 0], [[1, 1], [2, 2]])
-    entries.reverse()
-    entries[0].curves[tasks[0]] = (
-        entries[0]
-        .curves[tasks[0]]
-        .assign(variance=("n", [0.5]), variance_ci=(("n", "bound"), [[0.4, np.inf]]))
-    )
-    _, ends = Bench(tuple(entries), tasks, (64,), (2,), 2, 0).ranks()
-    np.testing.assert_array_equal(ends[:, 0], [[1, 2], [1, 2]])
+    def found(variance, ci, n=(64.0, 64.0)):
+        rank, ends = ranks(np.array(variance)[:, None], np.array(ci)[:, None], np.array(n)[:, None])
+        return rank[:, 0].tolist(), ends[:, 0].tolist()
+
+    # Only the ends that face each other matter
+    assert found([1.0, 2.0], [[0.9, 1.1], [1.8, np.inf]]) == ([1, 2], [[1, 1], [2, 2]])
+    assert found([2.0, 0.5], [[1.8, 2.2], [0.4, np.inf]]) == ([2, 1], [[1, 2], [1, 2]])
+    # Half the variance at twice the points is no better
+    assert found([1.0, 0.5], [[0.9, 1.1], [0.45, 0.55]], (64.0, 128.0))[1] == [[1, 2], [1, 2]]
+    rank, ends = found([1.0, np.nan], [[0.9, 1.1], [np.nan, np.nan]])
+    assert (rank[0], ends[0]) == (1, [1, 1])
+    assert np.isnan([rank[1], *ends[1]]).all()
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from mcspectra.cli.common import (
     whole,
     wholes,
 )
+from mcspectra.cli.texts import data_of
 from mcspectra.core.checks import as_choice
 from mcspectra.core.errors import FileFormatError, MissingDependency
 
@@ -241,22 +242,16 @@ def bench_(options: argparse.Namespace) -> Answer:
     left out there.
     """
     from mcspectra.report.bench_page import bench_table, check_bench_file, write_bench
-    from mcspectra.variance.bench import measure_bench
 
     check_bench_file(options.out)
-    bench = measure_bench(
-        options.specs,
-        options.counts or (16, 64, 256, 1024),
-        options.dims or (2,),
-        options.realizations or 400,
-        options.seed or 0,
-    )
+    given = {
+        name: getattr(options, name)
+        for name in ("counts", "dims", "realizations")
+        if getattr(options, name) is not None
+    }
+    bench = mcs.sampler_bench(options.specs, **given, rng=options.seed or 0)
     columns, rows = bench_table(bench)
-    lines = [text_table(["", *columns[1:]], [[text for text, _ in row] for row in rows])]
-    lines += bench.notes()
+    lines = [text_table(["", *columns[1:]], rows), bench.attrs.get("note", "")]
     if options.out:
         lines.append(f"bench: {write_bench(bench, options.out)}")
-    data = bench.dataset()
-    return Answer(
-        "\n".join(lines), {**data.attrs, **{str(k): v.values for k, v in data.variables.items()}}
-    )
+    return Answer("\n".join(filter(None, lines)), data_of(bench))

@@ -91,6 +91,7 @@ error_ratio | f | 1 | remedy | variance (mean squared error where biased) / that
 error_ratio_ci | f | 1 | remedy bound | simultaneous 95 % interval of the ratio of variances
 rank | f | 1 | sampler integrand | rank by n · variance at the largest n, 1: least
 rank_ci | f | 1 | sampler integrand bound | simultaneous 95 % interval of the rank
+pictured_n | f | 1 | sampler | number of points of the spectrum and the pair correlation
 points_made | f | 1 | sampler integrand n | number of points taken, the nearest that can be made
 points_per_second | f | 1/s | sampler n | points made in a second by one thread
 rank_by_rate | i | 1 | remedy | rank by rate, 1: steepest

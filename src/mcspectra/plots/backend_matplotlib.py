@@ -148,13 +148,14 @@ def encode(figure: Figure) -> tuple[bytes, bytes]:
 def write(plot: Plot, path: str | PathLike[str], *, captioned: bool = False) -> None:
     """Write a plot to a file in the format of its extension; a caption takes a legend's place.
 
-    Fonts in PDF are of Type 42. PGF is for ``\\input`` in LaTeX, which is not needed here; pictures in
-    it are PNG files beside it.
+    Fonts in PDF are of Type 42. PGF is for ``\\input`` in LaTeX, which is not needed here.
 
     Raises
     ------
     FileFormatError
         Another extension than `FORMATS`, or a file that cannot be written.
+    ParameterError
+        A map in PGF.
     """
     import matplotlib as mpl
 
@@ -217,23 +218,10 @@ def _write_pgf(figure: Figure, file: Path) -> None:
         def get_text_width_height_descent(self, s: str, prop: Any, ismath: Any) -> Any:
             return RendererBase.get_text_width_height_descent(self, s, prop, ismath)
 
-        def draw_image(self, gc: Any, x: Any, y: Any, im: Any, transform: Any = None) -> None:
-            name = f"{file.stem}-img{self.image_counter}.png"
-            file.with_name(name).write_bytes(_png(im[::-1, :, :3], True))
-            self.image_counter += 1
-            a, b, c, d, e, f = (
-                (im.shape[1], 0, 0, im.shape[0], 0, 0)
-                if transform is None
-                else transform.frozen().to_values()
+        def draw_image(self, *_: Any, **__: Any) -> None:
+            raise ParameterError(
+                f"{file} is to hold a map; PGF takes lines and points, give a .pdf."
             )
-            size = "width=1in,height=1in"
-            stream.write("\\begin{pgfscope}\n")
-            self._print_pgf_clip(gc)  # type: ignore[no-untyped-call]
-            matrix = "".join(f"{{{v / self.dpi:f}}}" for v in (a, b, c, d))
-            shift = f"{{{(x + e) / self.dpi:f}in}}{{{(y + f) / self.dpi:f}in}}"
-            stream.write(f"\\pgfsys@transformcm{matrix}{shift}\n")
-            stream.write(f"\\pgftext[left,bottom]{{\\includegraphics[{size}]{{{name}}}}}\n")
-            stream.write("\\end{pgfscope}\n")
 
     canvas = FigureCanvasAgg(figure)
     canvas.draw()  # type: ignore[no-untyped-call]
@@ -241,7 +229,7 @@ def _write_pgf(figure: Figure, file: Path) -> None:
     width, height = figure.get_size_inches()
     with file.open("w", encoding="utf-8") as stream:
         stream.write(
-            "% for LuaLaTeX or XeLaTeX with the packages pgf and graphicx\n"
+            "% for LuaLaTeX or XeLaTeX with the package pgf\n"
             "\\begingroup\n\\makeatletter\n\\begin{pgfpicture}\n"
             f"\\pgfpathrectangle{{\\pgfpointorigin}}{{\\pgfqpoint{{{width:f}in}}{{{height:f}in}}}}\n"
             "\\pgfusepath{use as bounding box, clip}\n"

@@ -24,7 +24,7 @@ from mcspectra.plots.scales import log_axis, name_axis, unit_axis
 from mcspectra.plots.spectra import frequency_map, relative_power
 from mcspectra.plots.style import ACCENT, FAINT, INK, PALETTE, labels
 
-__all__ = ["point_sets", "points", "sampler_card", "square"]
+__all__ = ["point_sets", "points", "sampler_card"]
 
 _MOST_NAMED = 2**14  # points that the pointer tells apart
 _MOST_STRATA = 64  # lines that are still told apart in a strip
@@ -41,7 +41,7 @@ def points(group: Group, styles: Styles) -> Plot:
         shown = "Tick marks on a line, with the borders of n equal strata."
     else:
         panels = [
-            square(
+            _square(
                 each["points"].values,
                 styles[name].color,
                 title=name,
@@ -63,16 +63,18 @@ def points(group: Group, styles: Styles) -> Plot:
     )
 
 
-def point_sets(sets: object, caption: str = "") -> Plot:
+def point_sets(sets: object, caption: str = "", most_axes: int = _MOST_AXES) -> Plot:
     """Point sets and nothing else: strips in 1-D, squares in 2-D, pairs of the first axes beyond.
 
     Parameters
     ----------
     sets
         Points of shape (n, d) or (R, n, d), in [0,1): the first 6 sets, of one in 3 dims or more
-        the first 6 axes.
+        the first axes.
     caption
         What the points are; what is left out is added.
+    most_axes
+        How many axes at most.
 
     Raises
     ------
@@ -86,7 +88,7 @@ def point_sets(sets: object, caption: str = "") -> Plot:
     count, n, dims = given.shape
     if n > _MOST_POINTS:
         raise ParameterError(f"{n} points are too many to see; draw {_MOST_POINTS}.")
-    kept, axes = min(count, _MOST_SETS) if dims <= 2 else 1, min(dims, _MOST_AXES)
+    kept, axes = min(count, _MOST_SETS) if dims <= 2 else 1, min(dims, most_axes)
     said = [caption] if caption else []
     said += [f"{kept} of {count} sets"] if kept < count else []
     said += [f"axes 0 to {axes - 1} of {dims}"] if axes < dims else []
@@ -96,7 +98,7 @@ def point_sets(sets: object, caption: str = "") -> Plot:
         pairs = [(i, j) for j in range(1, axes) for i in range(j)]
         named = dims > 2
         panels = [
-            square(one, INK, axes=pair, named=named) for one in given[:kept] for pair in pairs
+            _square(one, INK, axes=pair, named=named) for one in given[:kept] for pair in pairs
         ]
     return Plot(
         kind="point-sets",
@@ -123,7 +125,7 @@ def sampler_card(group: Group, projected: Array | None = None) -> Plot:
     n, dims = x.shape
     title = f"points, n = {n}"
     panels = [
-        _stroke_panel([x[:, 0]], [INK], [""], title) if dims == 1 else square(x, INK, title=title)
+        _stroke_panel([x[:, 0]], [INK], [""], title) if dims == 1 else _square(x, INK, title=title)
     ]
     power = relative_power(data) if dims <= 2 else np.zeros(0)
     half = len(power) // 2
@@ -169,7 +171,7 @@ def sampler_card(group: Group, projected: Array | None = None) -> Plot:
         )
     if projected is not None:
         title = f"4-D: axes 2, 3 (n = {len(projected)})"
-        panels.append(square(projected, INK, title=title, labels=("x₂", "x₃")))
+        panels.append(_square(projected, INK, title=title, labels=("x₂", "x₃")))
     return Plot(
         kind="sampler-card",
         panels=tuple(panels),
@@ -181,7 +183,7 @@ def sampler_card(group: Group, projected: Array | None = None) -> Plot:
     )
 
 
-def square(
+def _square(
     x: Array,
     color: str,
     *,
@@ -191,7 +193,6 @@ def square(
     named: bool = True,
     labels: tuple[str, str] = ("", ""),
 ) -> Panel:
-    """Return the unit square of two axes of a set, their names below and beside it."""
     size: float | Array = float(np.clip(50.0 / np.sqrt(len(x)), 0.4, 5.0))
     first, second = x[:, axes[0]], x[:, axes[1]] if axes[0] != axes[1] else np.full(len(x), 0.5)
     shown = {} if len(x) > _MOST_NAMED else {"x": numbers(first), "y": numbers(second)}

@@ -4,48 +4,41 @@ from __future__ import annotations
 
 import itertools
 import math
+import textwrap
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from mcspectra.core.errors import FileFormatError, ParameterError
 from mcspectra.plots import backend_matplotlib
-from mcspectra.plots.bench import anisotropy, projections, quality_curves
 from mcspectra.plots.description import Plot
+from mcspectra.plots.groups import Group
 from mcspectra.plots.kinds import describe
+from mcspectra.plots.points import point_sets
+from mcspectra.plots.scales import count_axis, log_axis
 from mcspectra.plots.style import INK, PAPER, labels, sampler_styles
 from mcspectra.plots.text import MISSING, number, rate
 from mcspectra.plots.variance import task_curves
-from mcspectra.report.page import (
-    Cell,
-    Figure,
-    Figures,
-    Page,
-    Section,
-    Table,
-    Text,
-    write_page,
-)
+from mcspectra.report.page import Cell, Figure, Figures, Page, Section, Table, Text, write_page
 from mcspectra.report.result_files import csv_text, latex_table, result_table
-from mcspectra.variance.bench import Bench, Entry
+from mcspectra.variance.bench import BENCH_QUALITY
 from mcspectra.version import __version__
 
 if TYPE_CHECKING:
+    import xarray as xr
     from matplotlib.figure import Figure as Drawn
 
-__all__ = [
-    "BENCH_FILES",
-    "bench_plots",
-    "bench_table",
-    "check_bench_file",
-    "write_bench",
-]
+__all__ = ["BENCH_FILES", "bench_plots", "bench_table", "check_bench_file", "write_bench"]
 
 BENCH_FILES = (".html", ".pdf", ".csv", ".tex", ".pgf")
 """Extensions that `write_bench` knows."""
 
-_TABLE_ROWS = 44  # on a sheet
+_ROWS = 44  # on a sheet
+_MOST_AXES = 10
+_CURVES = ["points_made", "variance", "variance_ci", "rate", "rate_ci", "rank", "rank_ci"]
 
 
 def check_bench_file(file: str | None) -> None:
@@ -56,13 +49,13 @@ def check_bench_file(file: str | None) -> None:
         )
 
 
-def write_bench(bench: Bench, file: str) -> Path:
+def write_bench(bench: xr.Dataset, file: str) -> Path:
     """Write a bench in the format of the file's extension.
 
     Parameters
     ----------
     bench
-        What was measured.
+        What `mcspectra.sampler_bench` returned.
     file
         ``.html``: one page that stands alone; ``.pdf``: the table and all pictures, a sheet each, with
         fonts of Type 42; ``.csv``: variances, rates and ranks, a row for each sampler, integrand and
@@ -70,199 +63,192 @@ def write_bench(bench: Bench, file: str) -> Path:
 
     Raises
     ------
+    ParameterError
+        It ends otherwise.
     FileFormatError, StoreError, StorageError
         It cannot be written.
     """
-    path, columns, rows = Path(file), *bench_table(bench)
+    check_bench_file(file)
+    path = Path(file)
     try:
         match path.suffix:
             case ".csv":
-                data = bench.dataset()
-                names = ["points_made", "variance", "variance_ci"]
-                kept = data[[*names, "rate", "rate_ci", "rank", "rank_ci"]]
-                head, lines = result_table(kept, ("sampler", "integrand", "n"))
-                path.write_text(csv_text(head, lines, data.attrs), encoding="utf-8")
+                head, lines = result_table(bench[_CURVES], ("sampler", "integrand", "n"))
+                path.write_text(csv_text(head, lines, bench.attrs), encoding="utf-8")
             case ".tex":
-                text = latex_table(columns, [[each for each, _ in row] for row in rows])
-                path.write_text(text, encoding="utf-8")
+                columns, rows = bench_table(bench)
+                path.write_text(latex_table(columns, rows), encoding="utf-8")
             case ".pgf":
-                backend_matplotlib.write(next(plot for _, plot in bench_plots(bench)), file)
+                backend_matplotlib.write(next(bench_plots(bench))[1], file)
             case ".pdf":
-                sheets = _sheets(bench, columns, rows)
-                backend_matplotlib.write_pages(itertools.chain(sheets, bench_plots(bench)), file)
+                backend_matplotlib.write_pages([*_sheets(bench), *bench_plots(bench)], file)
             case _:
-                write_page(_page(bench, columns, rows), path)
+                write_page(_page(bench), path)
     except OSError as error:
         raise FileFormatError(f"{file!r} cannot be written: {error.strerror}.") from None
     return path
 
 
-def bench_table(bench: Bench) -> tuple[list[str], list[list[tuple[str, float]]]]:
-    """Return the columns and rows of the summary: texts, each with the number that it is sorted by.
+def bench_table(bench: xr.Dataset) -> tuple[list[str], list[list[str]]]:
+    """Return the columns and rows of the summary, a row for each integrand.
 
-    A row for each integrand, a column for each sampler: rate, and in brackets the interval of its rank.
+    For each sampler its rate, and in brackets the interval of its rank.
     """
-    rank, ends = bench.ranks()
     rows = []
-    for j, task in enumerate(bench.tasks):
-        cells = [(task.title, float(j))]
-        for i, entry in enumerate(bench.entries):
-            low, high = ends[i, j]
-            if math.isfinite(low):
-                curve = entry.curves[task]
-                slope = rate(float(curve["rate"]), *map(float, curve["rate_ci"].values))
-                place = f"{low:.0f}" if low == high else f"{low:.0f}–{high:.0f}"
-                cells.append((f"{slope} ({place})", float(rank[i, j])))
-            else:
-                cells.append((MISSING, math.nan))
+    for title in bench["integrand"].values:
+        of_task, cells = bench.sel(integrand=title), [str(title)]
+        for k in range(bench.sizes["sampler"]):
+            slope, rank = of_task["rate"][k], of_task["rank_ci"].values[k]
+            low, high = rank
+            place = f"{low:.0f}" if low == high else f"{low:.0f}–{high:.0f}"
+            shown = rate(float(slope), *map(float, of_task["rate_ci"].values[k]))
+            cells.append(f"{shown} ({place})" if math.isfinite(low) else MISSING)
         rows.append(cells)
     return ["Integrand", *_labels(bench)], rows
 
 
-def _labels(bench: Bench) -> list[str]:
-    return list(labels([entry.name for entry in bench.entries], 26).values())
+def _sampler_table(bench: xr.Dataset) -> tuple[list[str], list[list[str]]]:
+    """What is known of each sampler alone: figures of quality at the largest n, and speed."""
+    names = [name for name in BENCH_QUALITY if name in bench]
+    last, rows = bench.isel(n=-1), []
+    for k, label in enumerate(_labels(bench)):
+        cells = [number(float(last[name][k])) for name in names]
+        speed = float(last["points_per_second"][k]) if "points_per_second" in bench else math.nan
+        n = float(bench["pictured_n"][k]) if "pictured_n" in bench else math.nan
+        rows.append([label, f"{n:.0f}" if n > 0 else MISSING, *cells, number(speed, 2)])
+    return ["Sampler", "n", *(name.replace("_", " ") for name in names), "points/s"], rows
 
 
-def _sampler_rows(bench: Bench) -> tuple[list[str], list[list[tuple[str, float]]]]:
-    """What is known of each sampler alone: speed and figures of quality at the largest n."""
-    figures = list(dict.fromkeys(name for entry in bench.entries for name in entry.quality))
-    rows = []
-    for entry, label in zip(bench.entries, _labels(bench), strict=True):
-        last = [
-            entry.quality[name].means[-1] if name in entry.quality else math.nan for name in figures
-        ]
-        speed = math.nan if entry.speed is None else entry.speed.means[-1]
-        n = MISSING if entry.speed is None else str(entry.speed.counts[-1])
-        cells = [(number(mean), mean) for mean in last]
-        rows.append([(label, 0.0), (n, 0.0), *cells, (number(speed, 2), speed)])
-    heads = [name.replace("_", " ") for name in figures]
-    return ["Sampler", "n", *heads, "points/s"], rows
+def _labels(bench: xr.Dataset) -> list[str]:
+    return list(labels([str(label) for label in bench["label"].values], 26).values())
 
 
-def bench_plots(bench: Bench) -> Iterator[tuple[str, Plot]]:
+def bench_plots(bench: xr.Dataset) -> Iterator[tuple[str, Plot]]:
     """Yield the pictures by the titles of their sections."""
-    entries = bench.entries
-    styles = sampler_styles([entry.name for entry in entries])
-    for d in bench.dims:
-        tasks = {
-            task.title.rpartition(",")[0]: {
-                e.name: e.curves[task] for e in entries if task in e.curves
-            }
-            for task in bench.tasks
-            if task.dims == d
+    ones = {name: bench.isel(sampler=k) for k, name in enumerate(_labels(bench))}
+    styles = sampler_styles(list(ones))
+
+    # Convergence, a sheet for each number of dims; each sampler at its own counts
+    for d in dict.fromkeys(bench["integrand_dims"].values.tolist()):
+        tasks: dict[str, Group] = {}
+        for title in bench["integrand"].values[bench["integrand_dims"].values == d]:
+            for name, each in ones.items():
+                curve = each.sel(integrand=title).dropna("n", subset=["variance"])
+                curve = curve.assign_coords(n=curve["points_made"].values.astype(int))
+                curve = curve.isel(n=np.unique(curve["n"].values, return_index=True)[1])
+                if curve.sizes["n"]:
+                    tasks.setdefault(str(title).rpartition(",")[0], {})[name] = curve  # type: ignore[index]
+        if tasks:
+            yield f"Convergence in {d}-D", task_curves(tasks, styles)
+
+    def of(*names: str) -> dict[str, xr.Dataset]:
+        """Results of those samplers that have the first of these variables."""
+        return {
+            name: each[list(names)].assign_attrs(n=int(each["pictured_n"]))
+            for name, each in ones.items()
+            if names[0] in each and each[names[0]].notnull().any()
         }
-        plot = task_curves({title: curves for title, curves in tasks.items() if curves}, styles)
-        if plot.panels:
-            yield f"Convergence in {d}-D", plot
-    spectra = {e.name: e.spectrum for e in entries if e.spectrum is not None}
+
+    spectra, where = of("power", "radial_power"), "Spectra and pairs"
     if spectra:
-        if bench.first_dims == 2:
-            yield "Spectra and pairs", describe("spectrum", spectra, styles)
-        yield "Spectra and pairs", describe("radial", spectra, styles)
-        if bench.first_dims > 1:
-            rings = {e.name: e.rings for e in entries if e.rings is not None}
-            yield "Spectra and pairs", anisotropy(rings, styles)
-    pairs = {e.name: e.pairs for e in entries if e.pairs is not None}
-    if pairs:
-        yield "Spectra and pairs", describe("pair-correlation", pairs, styles)
-    names = dict.fromkeys(name for entry in entries for name in entry.quality)
-    figures = {
-        name: {e.name: e.quality[name] for e in entries if name in e.quality} for name in names
-    }
-    if figures:
-        yield "Quality", quality_curves(figures, styles)
-    for d in bench.dims:
-        drawn = {e.name: _one_set(e, bench, d) for e in entries if d in e.source and d > 1}
-        if not drawn:
-            continue
-        if d == 2:
-            yield "Points", replace(projections(drawn, styles), columns=min(3, len(drawn)))
-        for name, points in drawn.items() if d > 2 else ():
-            yield f"Projections in {d}-D", projections({name: points}, styles)
+        if "m1" in bench.dims and "m2" not in bench.dims:
+            yield where, describe("spectrum", spectra, styles)
+        yield where, describe("radial", spectra, styles)
+    if "anisotropy_db" in bench and (rings := of("anisotropy_db", "anisotropy_noise_db")):
+        plot, panels = describe("anything", rings, styles), []
+        for panel, title in zip(plot.panels, ("anisotropy", "made by noise alone"), strict=True):
+            panels.append(replace(panel, y=replace(panel.y, label="dB"), title=title))
+        yield where, replace(plot, panels=tuple(panels), height=0.9)
+    if pairs := of("pair_correlation", "pair_correlation_ci"):
+        yield where, describe("pair-correlation", pairs, styles)
 
-
-def _one_set(entry: Entry, bench: Bench, dims: int) -> Any:
-    source = entry.source[dims]
-    return source.draw(source.nearest_count(min(1024, bench.counts[-1])), rng=bench.seed)[0]
-
-
-def _said(bench: Bench) -> list[str]:
-    """How it was measured, in sentences."""
-    low, high = bench.counts[0], bench.counts[-1]
-    how = (
-        f"{len(bench.entries)} samplers on {len(bench.tasks)} integrands, n = {low} … {high}, "
-        f"{bench.realizations} realisations, seed {bench.seed}; mcspectra {__version__}. Rates are "
-        "exponents of the variance in n with 95 % intervals (random: −1), unresolved beyond 0.5. Ranks are "
-        "by n · variance at the largest n, with 95 % intervals that hold for all ranks together; speeds are "
-        "of one thread that makes the points."
-    )
-    return [how, *(f"{note[:1].upper()}{note[1:]}." for note in bench.notes())]
-
-
-def _page(bench: Bench, columns: list[str], rows: list[list[tuple[str, float]]]) -> Page:
-    def table(
-        heads: list[str], lines: list[list[tuple[str, float]]], caption: str, words: int
-    ) -> Table:
-        cells = tuple(
-            tuple(
-                Cell(text=text, numeric=k >= words, order=order if math.isfinite(order) else None)
-                for k, (text, order) in enumerate(line)
-            )
-            for line in lines
+    # Quality, on logarithmic axes where figures are positive
+    known = [name for name in BENCH_QUALITY if name in bench]
+    if known:
+        plot, panels = (
+            describe("anything", {k: each[known] for k, each in ones.items()}, styles),
+            [],
         )
-        return Table(caption=caption, columns=tuple(heads), rows=cells, heads=words, sortable=True)
+        for name, panel in zip(known, plot.panels, strict=True):
+            values = bench[name].values
+            low, high = np.nanmin(values), np.nanmax(values)
+            y = log_axis("", low, high, 5) if low > 0 else replace(panel.y, label="")
+            x = count_axis("number of points n", bench["n"].values.tolist(), 4)
+            panels.append(replace(panel, x=x, y=y, title=name.replace("_", " ")))
+        yield "Quality", replace(plot, panels=tuple(panels), columns=3, height=0.8, wide=True)
 
-    summary = (
-        table(*_sampler_rows(bench), "Samplers by themselves, at the largest n", 1),
-        table(columns, rows, "Rates on each integrand, in brackets the rank", 1),
+    # One set of each, on all pairs of axes
+    sets = {
+        name: each[["points"]].dropna("axis", how="all").dropna("point")
+        for name, each in ones.items()
+    }
+    flat = {name: each.assign_attrs(n=1) for name, each in sets.items() if each.sizes["axis"] <= 2}
+    if flat:
+        yield "Points", describe("points", flat, styles)
+    for name, each in sets.items():
+        if each.sizes["axis"] > 2:
+            caption = f"{name}, n = {each.sizes['point']}"
+            plot = point_sets(each["points"].values, caption, _MOST_AXES)
+            count = len(plot.panels)
+            columns = -(-count // -(-count // 5))
+            yield f"Projections: {name}", replace(plot, columns=columns, wide=True)
+
+
+def _said(bench: xr.Dataset) -> list[str]:
+    """How it was measured, in sentences."""
+    low, high = bench["n"].values[[0, -1]]
+    how = (
+        f"{bench.sizes['sampler']} samplers on {bench.sizes['integrand']} integrands, n = {low} … {high}, "
+        f"{bench.attrs['realizations']} realisations, seed {bench.attrs['seed']}; mcspectra {__version__}. "
+        "Rates are exponents of the variance in n with 95 % intervals (random: −1), unresolved beyond 0.5. "
+        "Ranks are by n · variance at the largest n, with 95 % intervals that hold for all ranks together; "
+        "speeds are of one thread that makes the points."
     )
-    sections = [Section(title="Summary", anchor="summary", blocks=summary)]
-    plots = itertools.groupby(bench_plots(bench), key=lambda each: each[0])
+    note = bench.attrs.get("note")
+    return [how, f"Note: {note}."] if note else [how]
+
+
+def _page(bench: xr.Dataset) -> Page:
+    tables = []
+    for caption, (heads, rows) in (
+        ("Samplers by themselves, at the largest n", _sampler_table(bench)),
+        ("Rates on each integrand, in brackets the rank", bench_table(bench)),
+    ):
+        cells = tuple(
+            tuple(Cell(text=text, numeric=k > 0) for k, text in enumerate(row)) for row in rows
+        )
+        tables.append(Table(caption=caption, columns=tuple(heads), rows=cells))
+    sections = [Section(title="Summary", anchor="summary", blocks=tuple(tables))]
+    plots = itertools.groupby(bench_plots(bench), key=lambda each: each[0].partition(":")[0])
     for k, (title, found) in enumerate(plots):
-        live = not title.startswith("Projections")
+        live = title != "Projections"
         block = Figures(figures=tuple(Figure(plot=plot, live=live) for _, plot in found))
         sections.append(Section(title=title, anchor=f"part-{k}", blocks=(block,)))
     lead = tuple(Text(text=sentence) for sentence in _said(bench))
     return Page(title="Sampler bench", what="bench", lead=lead, sections=tuple(sections))
 
 
-def _sheets(
-    bench: Bench, columns: list[str], rows: list[list[tuple[str, float]]]
-) -> Iterator[Drawn]:
-    """The table on sheets of paper, after what was measured."""
-    import textwrap
-
+def _sheets(bench: xr.Dataset) -> Iterator[Drawn]:
+    """The tables on sheets of paper, after what was measured."""
     from matplotlib.figure import Figure as MatplotlibFigure
 
-    heads, alone = _sampler_rows(bench)
-    blocks = [(heads, alone), (columns, rows)]
     lines: list[tuple[str, bool]] = [("Sampler bench", True), ("", False)]
     lines += [(line, False) for text in _said(bench) for line in textwrap.wrap(text, 108)]
-    for names, body in blocks:
-        texts = [[text for text, _ in row] for row in body]
-        wrapped = [name if len(name) < 14 else name.replace(" ", "\n", 1) for name in names]
-        widths = [
-            max(len(part) for part in (*name.split("\n"), *(row[k] for row in texts)))
-            for k, name in enumerate(wrapped)
-        ]
-        tall = max(name.count("\n") for name in wrapped) + 1
-        heading = [name.rjust(0).split("\n") for name in wrapped]
-        heading = [[""] * (tall - len(parts)) + parts for parts in heading]
-        table = [[parts[line] for parts in heading] for line in range(tall)]
+    for heads, rows in (_sampler_table(bench), bench_table(bench)):
+        # Long heads take several lines
+        broken = [textwrap.wrap(head, 26 if k == 0 else 14) or [""] for k, head in enumerate(heads)]
+        tall = max(map(len, broken))
+        above = [[([""] * (tall - len(b)) + b)[line] for b in broken] for line in range(tall)]
+        widths = [max(map(len, column)) for column in zip(*above, *rows, strict=True)]
         lines.append(("", False))
-        for k, row in enumerate([*table, *texts]):
-            cells = [
-                text.rjust(width) if i else text.ljust(width)
-                for i, (text, width) in enumerate(zip(row, widths, strict=True))
-            ]
-            lines.append(("  ".join(cells).rstrip(), k < tall))
-    for start in range(0, len(lines), _TABLE_ROWS):
+        for k, row in enumerate([*above, *rows]):
+            first, *others = (t.rjust(w) for t, w in zip(row, widths, strict=True))
+            lines.append(("  ".join([first.strip().ljust(widths[0]), *others]).rstrip(), k < tall))
+    size = min(8.5, 9.6 * 72 / (0.61 * max(len(line) for line, _ in lines)))
+    for start in range(0, len(lines), _ROWS):
         figure = MatplotlibFigure(figsize=(11.0, 8.5), facecolor=PAPER)
-        longest = max(len(line) for line, _ in lines)
-        size = min(8.5, 10.2 * 72 / (0.61 * longest))
-        for k, (line, bold) in enumerate(lines[start : start + _TABLE_ROWS]):
-            figure.text(
-                0.04, 0.95 - k * 0.0205, line.replace("$", r"\$"), family="monospace", fontsize=size,
-                color=INK, weight="bold" if bold else "normal",
-            )  # fmt: skip
+        for k, (line, bold) in enumerate(lines[start : start + _ROWS]):
+            text, weight = line.replace("$", r"\$"), "bold" if bold else "normal"
+            drawn = figure.text(0.04, 0.95 - 0.0205 * k, text, fontsize=size, color=INK)
+            drawn.set(family="monospace", weight=weight)
         yield figure

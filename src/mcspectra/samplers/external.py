@@ -40,6 +40,7 @@ from mcspectra.core.streams import Stream
 from mcspectra.samplers.base import MAX_COUNT, Draw, Randomization, Sampler, repeated
 
 __all__ = [
+    "FUNCTION",
     "CommandSampler",
     "FunctionSampler",
     "GivenPoints",
@@ -47,13 +48,14 @@ __all__ = [
     "PythonSampler",
     "allow_code",
     "check_code",
+    "loaded_function",
     "qualified_name",
 ]
 
 _CODE = {"command": "run", "python": "function"}
 """Samplers that run code, and the parameter that names it."""
 
-_FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 _PLACEHOLDER = re.compile(r"\{(\w*)\}")
 _PLACEHOLDERS = ("n", "seed", "dims")
 _COORDINATE_BYTES = 64  # at most, of a number and what stands between numbers
@@ -362,7 +364,7 @@ class PythonSampler(OneByOne):
     name_: str = checked(_as_label, "")
 
     def _check(self) -> None:
-        self._loaded()
+        loaded_function(self.function)
         allow_code(self.function)
 
     @property
@@ -372,27 +374,9 @@ class PythonSampler(OneByOne):
 
     def make_one(self, n: int, stream: Stream, realization: int) -> object:
         """Call the function."""
-        function = self._loaded()
+        function = loaded_function(self.function)
         with self.refusals_named(n, Exception):
             return function(n, stream.generator(realization))
-
-    def _loaded(self) -> Callable[..., object]:
-        given: Any = self.function
-        if not isinstance(given, str) or not _FUNCTION.fullmatch(given):
-            raise ParameterError(f"python(function={given!r:.80}): write 'module:function'.")
-        module, _, attribute = given.partition(":")
-        try:
-            found = getattr(importlib.import_module(module), attribute)
-        except KeyboardInterrupt:
-            raise
-        except BaseException as error:  # whatever the code of others does
-            raise ParameterError(
-                f"The function {given!r} cannot be imported: {reason_of(error, 200)}; name its folder "
-                "in PYTHONPATH."
-            ) from error
-        if not callable(found):
-            raise ParameterError(f"{given!r} is {found!r:.80}, not a function.")
-        return found  # type: ignore[no-any-return]
 
 
 @final
@@ -467,7 +451,10 @@ class CommandSampler(OneByOne):
         ]
         text = self._printed(words, 4096 + n * self.dims * _COORDINATE_BYTES)
         name = f"The output of {self.spec} at n = {n}"
-        return np.concatenate(_of_equal_dims(parse_dat(text.replace(",", " "), name), name))
+        sets = parse_dat(text.replace(",", " "), name)
+        if len({points.shape[1] for points in sets}) > 1:
+            raise FileFormatError(f"{name} has sets of different dims; print one set.")
+        return np.concatenate(sets)
 
     def _printed(self, words: Sequence[str], most: int) -> str:
         """What a program prints, in `most` bytes; everything that it starts is ended with it."""
@@ -527,18 +514,37 @@ class CommandSampler(OneByOne):
         return data.decode(errors="replace")
 
 
-def _of_equal_dims(sets: Sequence[Array], name: str) -> Sequence[Array]:
-    if len({points.shape[1] for points in sets}) > 1:
-        raise FileFormatError(f"{name} has sets of different dims; print one set.")
-    return sets
-
-
 def _words(command: object) -> list[str]:
     """Program and arguments; none of what is no command."""
     try:
         return shlex.split(command) if isinstance(command, str) else []
     except ValueError:
         return []
+
+
+def loaded_function(name: object) -> Callable[..., Any]:
+    """Return the function ``module:function``.
+
+    Raises
+    ------
+    ParameterError
+        It is written otherwise, cannot be imported, or is no function.
+    """
+    if not isinstance(name, str) or not FUNCTION.fullmatch(name):
+        raise ParameterError(f"python(function={name!r:.80}): write 'module:function'.")
+    module, _, attribute = name.partition(":")
+    try:
+        found = getattr(importlib.import_module(module), attribute)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # whatever the code of others does
+        raise ParameterError(
+            f"The function {name!r} cannot be imported: {reason_of(error, 200)}; name its folder in "
+            "PYTHONPATH."
+        ) from error
+    if not callable(found):
+        raise ParameterError(f"{name!r} is {found!r:.80}, not a function.")
+    return found  # type: ignore[no-any-return]
 
 
 def allow_code(*names: str) -> None:

@@ -8,7 +8,6 @@ What the results depend on is known by its SHA-256: with a changed file it is an
 from __future__ import annotations
 
 import hashlib
-import importlib
 import os
 import re
 import shlex
@@ -22,22 +21,24 @@ from typing import Any, TypeAlias, final
 import msgspec
 
 from mcspectra.core.analysis import Analysis
-from mcspectra.core.errors import ConfigError, FileFormatError, McspectraError, StoreError
+from mcspectra.core.errors import (
+    ConfigError,
+    FileFormatError,
+    McspectraError,
+    ParameterError,
+    StoreError,
+)
 from mcspectra.core.pointfiles import matching_files
 from mcspectra.core.spec import Call, parse_chain
-from mcspectra.samplers import allow_code, sampler_from_calls
-from mcspectra.samplers.external import check_code
-from mcspectra.studies.foreign_code import explain
+from mcspectra.samplers import allow_code
+from mcspectra.samplers.external import FUNCTION, check_code, loaded_function
 
 __all__ = ["Inputs", "Trust", "Vetting", "changed_inputs", "check_inputs"]
 
 Inputs: TypeAlias = tuple[str, ...]
 """Names of files, ascending."""
 
-_FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
-_CODE = re.compile(
-    rf"{_FUNCTION.pattern}|.*[/{{].*", re.DOTALL
-)  # or a command, or a program's path
+_CODE = re.compile(rf"{FUNCTION.pattern}|.*[/{{].*", re.DOTALL)  # or a command, or a program's path
 # Files of point sets and images, of Mitsuba's plugins, of digital nets, and of QMCPy's generators.
 _FILES = ("path", "filename", "matrices", "directions", "generating_matrices", "generating_vector")
 _NAMED = 3  # in a message
@@ -149,9 +150,7 @@ class Vetting:
                 allow_code(run)
             case "python", {"function": str(name)}:
                 allow_code(name)
-                sampler_from_calls([first])  # which says why, where it cannot be imported
-                module, _, attribute = name.partition(":")
-                files = _sources(module, getattr(sys.modules[module], attribute))
+                files = _sources(name, loaded_function(name))
         return [first, *rest], tuple(sorted({*inputs, *self._names(files)}))
 
     def options(self, analysis: Analysis) -> tuple[Analysis, Inputs]:
@@ -179,25 +178,16 @@ class Vetting:
         if set(call.arguments) != {"function"}:
             raise ConfigError(f"{text!r}: write python(function='module:function').")
         name = call.arguments["function"]
-        if not isinstance(name, str) or not _FUNCTION.fullmatch(name):
-            raise ConfigError(f"python(function={name!r}): write 'module:function'.")
-        if name not in self._trust.code:
+        if isinstance(name, str) and FUNCTION.fullmatch(name) and name not in self._trust.code:
             raise ConfigError(
                 f"The study names the Python function {name!r}, and a study file may not run code: if "
                 f"you trust it, allow it by --allow-code {name}."
             )
-        module, _, attribute = name.partition(":")
         try:
-            found = getattr(importlib.import_module(module), attribute)
-        except KeyboardInterrupt:
-            raise
-        except BaseException as error:  # whatever the code of others does
-            raise ConfigError(
-                f"The function {name!r} cannot be imported: {explain(error)}"
-            ) from error
-        if not callable(found):
-            raise ConfigError(f"{name!r} is {found!r}, not a function.")
-        return found, self._names(_sources(module, found))
+            found = loaded_function(name)
+        except ParameterError as error:
+            raise ConfigError(str(error)) from error
+        return found, self._names(_sources(name, found))
 
     def _call(self, call: Call, files: dict[Path, str]) -> Call:
         given = call.arguments.items()
@@ -273,8 +263,9 @@ class Vetting:
         return tuple(sorted(found))
 
 
-def _sources(module: str, found: object) -> dict[Path, str]:
+def _sources(name: str, found: object) -> dict[Path, str]:
     """Modules that a function was named in and that define it; what these import is not followed."""
+    module = name.partition(":")[0]
     modules = {module, str(getattr(found, "__module__", module))}
     sources = {each: getattr(sys.modules.get(each), "__file__", None) for each in modules}
     return {Path(file): f"module {each}" for each, file in sources.items() if file is not None}

@@ -10,8 +10,8 @@ import math
 import time
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, final
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -23,7 +23,7 @@ from mcspectra.core.results import dataset
 from mcspectra.core.spec import short_spec
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import Estimator
-from mcspectra.quality import quality_figures, summarize
+from mcspectra.quality import quality_figures
 from mcspectra.quality.figures import different_realizations
 from mcspectra.samplers import GivenPoints, Owen, Sampler, Shift, as_sampler
 from mcspectra.samplers.base import Randomized, Structure
@@ -32,21 +32,18 @@ from mcspectra.spectra.pair_correlation import pair_correlation
 from mcspectra.spectra.power import power_spectrum
 from mcspectra.spectra.shapes import radial_statistics
 from mcspectra.variance.convergence import convergence
-from mcspectra.variance.doors import counted
 
 if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
     "BENCH_QUALITY",
-    "Bench",
-    "Entry",
-    "Measured",
+    "SHARED_SETS",
     "Task",
     "free_of",
     "making_seconds",
-    "measure_bench",
     "randomized",
+    "ranks",
     "sampler_bench",
     "shared_sets",
     "standard_tasks",
@@ -69,6 +66,8 @@ SHARED_SETS = 8
 _ENOUGH_SETS = 16  # given sets of each count that stand for themselves, without a randomisation
 _HALF_WIDTHS = {1: 256, 2: 64, 3: 20}  # of spectra; in more dims there are none
 _QUALITY_SETS = 8
+_FEW_SETS = 8  # for intervals of the pair correlation
+_MOST_PICTURED = 1024
 _MOST_DIMS = 64
 _LEVEL = 0.95
 
@@ -84,9 +83,7 @@ _GENZ = {
 _KINDS = {"continuous": "kink", "discontinuous": "jump"}
 
 
-@final
-@dataclass(frozen=True)
-class Task:
+class Task(NamedTuple):
     """A standard integrand: what is hard about it (``smooth``, ``kink``, ``jump``), spec, dims."""
 
     kind: str
@@ -98,186 +95,6 @@ class Task:
         """Name, kind and dims."""
         name = self.spec.partition("(")[0].removeprefix("genz-")
         return f"{name} ({self.kind}), {self.dims}-D"
-
-
-class Measured(NamedTuple):
-    """A figure of quality of one sampler: what it is; at each count its mean and standard error."""
-
-    about: str
-    counts: list[int]
-    means: list[float]
-    errors: list[float]
-
-
-@final
-@dataclass
-class Entry:
-    """What was measured of one sampler.
-
-    Attributes
-    ----------
-    source
-        By dims: the sampler as it is pictured; `free` as its variance is measured, which a set that is
-        always the same needs a randomisation for.
-    curves
-        By task: result of `convergence`.
-    quality
-        By figure.
-    speed
-        Counts and points made a second; NaN where the points are given.
-    """
-
-    name: str
-    spec: str
-    source: dict[int, Sampler]
-    free: dict[int, Sampler]
-    curves: dict[Task, xr.Dataset] = field(default_factory=dict)
-    spectrum: xr.Dataset | None = None
-    rings: xr.Dataset | None = None
-    pairs: xr.Dataset | None = None
-    quality: dict[str, Measured] = field(default_factory=dict)
-    speed: Measured | None = None
-
-
-@final
-@dataclass(frozen=True)
-class Bench:
-    """Everything that a bench measured; `sampler_bench` returns its `dataset`."""
-
-    entries: tuple[Entry, ...]
-    tasks: tuple[Task, ...]
-    counts: tuple[int, ...]
-    dims: tuple[int, ...]
-    realizations: int
-    seed: int
-
-    @property
-    def first_dims(self) -> int:
-        """Dims of spectra, pair correlations, quality and speed."""
-        return self.dims[0]
-
-    def ranks(self) -> tuple[Array, Array]:
-        """Return ranks (sampler, task) by n · variance at the largest n, and their ends (…, 2).
-
-        The ends are simultaneous over all pairs of samplers on all integrands, by Bonferroni: the
-        least rank is one more than the number of samplers that are better for sure. They are from pairs of
-        independent estimates of log variance, whose 95 % intervals are half their standard errors times
-        1.96.
-        """
-        found = np.full((len(self.entries), len(self.tasks)), np.nan)
-        logs, below, above = (found.copy() for _ in range(3))
-        for i, entry in enumerate(self.entries):
-            for j, task in enumerate(self.tasks):
-                if task in entry.curves:
-                    last = entry.curves[task].isel(n=-1)
-                    value, ends = float(last["variance"]), last["variance_ci"].values
-                    if value > 0.0:
-                        logs[i, j] = math.log(value * int(last["n"]))
-                        with np.errstate(divide="ignore"):
-                            steps = np.abs(np.log(ends / value)) / stats.norm.ppf(0.975)
-                        below[i, j], above[i, j] = steps
-        known = np.isfinite(logs)
-        pairs = sum(math.comb(int(k), 2) for k in known.sum(axis=0))
-        z = stats.norm.ppf(1.0 - (1.0 - _LEVEL) / (2.0 * max(pairs, 1)))
-        # i is better than k for sure where the ends that face each other leave a gap
-        gap = logs[None] - logs[:, None]
-        with np.errstate(invalid="ignore"):
-            sure = gap > z * np.hypot(above[:, None], below[None])
-            rank = 1.0 + (gap < 0.0).sum(axis=1)
-        low = 1.0 + sure.sum(axis=0)
-        high = known.sum(axis=0) - sure.sum(axis=1)
-        ends = np.stack([low, high], axis=-1)
-        return np.where(known, rank, np.nan), np.where(known[..., None], ends, np.nan)
-
-    def dataset(self) -> xr.Dataset:
-        """Return all of it on the dims sampler, integrand, n, and the dims of spectra and pairs."""
-        shape = (len(self.entries), len(self.tasks), len(self.counts))
-        curves: dict[str, Array] = {
-            "variance": np.full(shape, np.nan),
-            "variance_ci": np.full((*shape, 2), np.nan),
-            "points_made": np.full(shape, np.nan),
-            "rate": np.full(shape[:2], np.nan),
-            "rate_ci": np.full((*shape[:2], 2), np.nan),
-        }
-        figures = {name for entry in self.entries for name in entry.quality}
-        of_sets = {name: np.full((shape[0], shape[2]), np.nan) for name in sorted(figures)}
-        of_sets["points_per_second"] = np.full((shape[0], shape[2]), np.nan)
-        for i, entry in enumerate(self.entries):
-            for j, task in enumerate(self.tasks):
-                if task not in entry.curves:
-                    continue
-                curve = entry.curves[task]
-                for k, n in enumerate(self.counts):
-                    made = entry.free[task.dims].nearest_count(n)
-                    at = np.flatnonzero(curve["n"].values == made)
-                    if at.size:
-                        curves["points_made"][i, j, k] = made
-                        for name in ("variance", "variance_ci"):
-                            curves[name][i, j, k] = curve[name].values[at[0]]
-                for name in ("rate", "rate_ci"):
-                    curves[name][i, j] = curve[name].values
-            speed = {} if entry.speed is None else {"points_per_second": entry.speed}
-            for name, measured in {**entry.quality, **speed}.items():
-                for k, n in enumerate(self.counts):
-                    made = entry.source[self.first_dims].nearest_count(n)
-                    if made in measured.counts:
-                        of_sets[name][i, k] = measured.means[measured.counts.index(made)]
-        rank, rank_ci = self.ranks()
-        places = ("sampler", "integrand")
-        variables: dict[str, tuple[tuple[str, ...], Any]] = {
-            "variance": ((*places, "n"), curves["variance"]),
-            "variance_ci": ((*places, "n", "bound"), curves["variance_ci"]),
-            "points_made": ((*places, "n"), curves["points_made"]),
-            "rate": (places, curves["rate"]),
-            "rate_ci": ((*places, "bound"), curves["rate_ci"]),
-            "rank": (places, rank),
-            "rank_ci": ((*places, "bound"), rank_ci),
-            **{name: (("sampler", "n"), value) for name, value in of_sets.items()},
-        }
-        coords: dict[str, Any] = {
-            "sampler": [entry.spec for entry in self.entries],
-            "label": ("sampler", [entry.name for entry in self.entries]),
-            "integrand": [task.title for task in self.tasks],
-            "integrand_spec": ("integrand", [task.spec for task in self.tasks]),
-            "integrand_dims": ("integrand", [task.dims for task in self.tasks]),
-            "n": counted("n", list(self.counts), "number of points"),
-            "bound": ["low", "high"],
-        }
-        # Spectra and pair correlations, on grids that all samplers share
-        for attribute, dim, names in (
-            ("rings", "radius", ("radial_power", "radial_power_se", "anisotropy_db")),
-            ("pairs", "r", ("pair_correlation", "pair_correlation_se")),
-        ):
-            found = [getattr(entry, attribute) for entry in self.entries]
-            first = next((each for each in found if each is not None), None)
-            if first is not None:
-                coords[dim] = first[dim].values
-                blank = np.full(first.sizes[dim], np.nan)
-                for name in names:
-                    values = [blank if each is None else each[name].values for each in found]
-                    variables[name] = (("sampler", dim), np.stack(values))
-        return dataset(
-            variables,
-            coords,
-            dims=list(self.dims),
-            realizations=self.realizations,
-            seed=self.seed,
-            note="; ".join(self.notes()) or None,
-        )
-
-    def notes(self) -> list[str]:
-        """Say what was done to samplers before their variances were measured."""
-        said = []
-        for entry in self.entries:
-            changed = next(
-                (f.spec for d, f in entry.free.items() if f.spec != entry.source[d].spec), ""
-            )
-            if changed:
-                said.append(f"variances of {entry.name} are those of {short_spec(changed)}")
-            lacking = [f"{d}-D" for d in self.dims if d not in entry.source]
-            if lacking:
-                said.append(f"{entry.name} cannot do {' and '.join(lacking)}")
-        return said
 
 
 def sampler_bench(
@@ -301,7 +118,7 @@ def sampler_bench(
         Numbers of points; each sampler takes the nearest that it can make.
     dims
         Number of dims, or several: the integrands are made in all of them; spectra, pair correlations,
-        quality and speed are of the first.
+        quality and speed are of the first, projections of all.
     realizations
         Of each variance, at most the given sets.
     rng
@@ -310,12 +127,13 @@ def sampler_bench(
     Returns
     -------
     xarray.Dataset
-        On (sampler, integrand, n): ``variance``, ``variance_ci``, ``points_made`` (the count taken);
+        On (sampler, integrand, n): ``mean``, ``variance``, ``variance_ci``, ``points_made`` (the count);
         on (sampler, integrand): ``rate``, ``rate_ci``, ``rank`` by n · variance at the largest n, and
         ``rank_ci``, simultaneous 95 % intervals of all ranks; on (sampler, n): figures of quality, and
         ``points_per_second`` of one thread that makes them, NaN where they are read; on (sampler,
-        radius): ``radial_power``, ``radial_power_se``, ``anisotropy_db`` (1 to 3 dims); on (sampler, r):
-        ``pair_correlation``, ``pair_correlation_se``. NaN where a sampler cannot do the dims or the count.
+        m0, …) and (sampler, radius): ``power``, ``radial_power``, ``anisotropy_db`` (1 to 3 dims); on
+        (sampler, r): ``pair_correlation``, ``pair_correlation_ci``; on (sampler, point, axis): ``points``, one
+        set in the most dims that the sampler can do; ``pictured_n`` is the count of spectra. NaN where a sampler cannot do the dims or the count. ``note`` says what was randomised.
 
     Raises
     ------
@@ -330,17 +148,6 @@ def sampler_bench(
     difficulties, a half-space whose border is oblique, a ball up to 3 dims and Sobol's g-function. All
     but ``points_per_second`` depend on samplers and seed alone; every sampler has a stream of its own.
     """
-    return measure_bench(samplers, counts, dims, realizations, rng).dataset()
-
-
-def measure_bench(
-    samplers: Sequence[Any],
-    counts: Sequence[int],
-    dims: int | Sequence[int],
-    realizations: int,
-    rng: int,
-) -> Bench:
-    """Measure what `sampler_bench` returns, which says what the parameters are."""
     for name, given in (("samplers", samplers), ("counts", counts), ("dims", dims)):
         if not isinstance(given, list | tuple | range) and not (
             name == "dims" and isinstance(given, int | float)
@@ -356,20 +163,104 @@ def measure_bench(
             f"There are {len(samplers)} samplers, {len(asked)} counts and {len(wanted)} numbers of dims; "
             "give a sampler or more, two counts or more, and one number of dims or more."
         )
-    entries = [_entry(source, wanted) for source in samplers]
-    names = [entry.name for entry in entries]
-    for name in names:
-        if names.count(name) > 1:
+
+    # Make each in all dims that it can do
+    made = [_in_dims(given, wanted) for given in samplers]
+    labels = [short_spec(spec) for spec, _ in made]
+    for label in labels:
+        if labels.count(label) > 1:
             raise ParameterError(
-                f"The sampler {name} is listed twice; list each once, or set name=."
+                f"The sampler {label} is listed twice; list each once, or set name=."
             )
-    tasks = tuple(task for d in wanted for task in standard_tasks(d))
-    bench = Bench(tuple(entries), tasks, asked, wanted, many, seed)
-    for i, entry in enumerate(entries):
-        report("bench", i / len(entries))
-        _measure(entry, bench)
+
+    tasks = [task for d in wanted for task in standard_tasks(d)]
+    titles = [task.title for task in tasks]
+    measured, notes = [], list[str]()
+    for k, (label, (spec, sources)) in enumerate(zip(labels, made, strict=True)):
+        report("bench", k / len(made))
+        own = np.random.SeedSequence([seed, zlib.crc32(spec.encode())])
+        parts = [_look(sources[wanted[0]], asked, own, seed)] if wanted[0] in sources else []
+        for d, source in sources.items():
+            free = free_of(source)
+            if free.spec != source.spec and not (
+                notes and notes[-1].startswith(f"variances of {label} ")
+            ):
+                notes.append(f"variances of {label} are those of {short_spec(free.spec)}")
+            parts.append(_curves(free, [t for t in tasks if t.dims == d], asked, many, own))
+        if lacking := [f"{d}-D" for d in wanted if d not in sources]:
+            notes.append(f"{label} cannot do {' and '.join(lacking)}")
+        most = sources[max(sources)]
+        one = most.draw(most.nearest_count(min(asked[-1], _MOST_PICTURED)), rng=seed)[0]
+        at = {"point": range(len(one)), "axis": range(most.dims)}
+        parts.append(dataset({"points": (("point", "axis"), one)}, {**at, "integrand": titles}))
+        measured.append(_joined(parts))
     report("bench", 1.0)
-    return bench
+
+    # Side by side, on the places of all; then ranks
+    import xarray as xr
+
+    found = xr.concat(
+        measured,
+        "sampler",
+        join="outer",
+        coords="minimal",
+        compat="override",
+        combine_attrs="override",
+    )
+    found = found.reindex(integrand=titles)
+    found = found.assign_coords(
+        sampler=[spec for spec, _ in made],
+        label=("sampler", labels),
+        integrand_spec=("integrand", [task.spec for task in tasks]),
+        integrand_dims=("integrand", [task.dims for task in tasks]),
+    )
+    last = found.isel(n=-1)
+    rank, rank_ci = ranks(
+        *(last[name].values for name in ("variance", "variance_ci", "points_made"))
+    )
+    places = ("sampler", "integrand")
+    about = dataset(
+        {"rank": (places, rank), "rank_ci": ((*places, "bound"), rank_ci)},
+        {"bound": ["low", "high"]},
+        dims=list(wanted),
+        realizations=many,
+        seed=seed,
+        note="; ".join(notes) or None,
+    )
+    found = found.merge(about, compat="override")
+    found.attrs = about.attrs
+    return found
+
+
+def ranks(variance: Array, variance_ci: Array, n: Array) -> tuple[Array, Array]:
+    """Return ranks of samplers by n · variance, and simultaneous 95 % intervals of all ranks.
+
+    Parameters
+    ----------
+    variance, variance_ci, n
+        (sampler, task), with 95 % intervals (sampler, task, 2); NaN where there is none.
+
+    Returns
+    -------
+    tuple
+        Ranks (sampler, task), 1 the least; their ends (sampler, task, 2). The lower one is one more than
+        the number of samplers that are better for sure, by differences of independent estimates of
+        log variance and Bonferroni over all pairs on all tasks.
+    """
+    known = (variance > 0.0) & np.isfinite(variance)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logs = np.where(known, np.log(n * variance), np.nan)
+        steps = np.abs(np.log(variance_ci / variance[..., None])) / stats.norm.ppf(0.975)
+    pairs = sum(math.comb(int(k), 2) for k in known.sum(axis=0))
+    z = stats.norm.ppf(1.0 - (1.0 - _LEVEL) / (2.0 * max(pairs, 1)))
+
+    # i is better than k for sure where the ends that face each other leave a gap
+    gap = logs[None] - logs[:, None]
+    with np.errstate(invalid="ignore"):
+        sure = gap > z * np.hypot(steps[:, None, :, 1], steps[None, ..., 0])
+    ends = np.stack([1.0 + sure.sum(axis=0), known.sum(axis=0) - sure.sum(axis=1)], axis=-1)
+    rank = 1.0 + (gap < 0.0).sum(axis=1)
+    return np.where(known, rank, np.nan), np.where(known[..., None], ends, np.nan)
 
 
 def standard_tasks(dims: int) -> Iterator[Task]:
@@ -385,71 +276,88 @@ def standard_tasks(dims: int) -> Iterator[Task]:
         yield Task("jump", "disk(center=0.47, radius=0.3)", dims)
 
 
-def _entry(given: Any, dims: Sequence[int]) -> Entry:
-    """Make a sampler in all dims that it can do."""
-    source: dict[int, Sampler] = {}
+def _in_dims(given: Any, dims: Sequence[int]) -> tuple[str, dict[int, Sampler]]:
+    """Make a sampler in all dims that it can do; its spec comes first."""
+    sources: dict[int, Sampler] = {}
     reason: McspectraError | None = None
     own = given if isinstance(given, str) else as_sampler(given)
     for d in dims:
         try:
-            source[d] = shared_sets(as_sampler(own, d))
+            sources[d] = shared_sets(as_sampler(own, d))
         except McspectraError as error:
             reason = reason or error
-    if not source:
+    if not sources:
         assert reason is not None
         raise reason
-    spec = own if isinstance(own, str) else own.spec
-    return Entry(short_spec(spec), spec, source, {d: free_of(s) for d, s in source.items()})
+    return own if isinstance(own, str) else own.spec, sources
 
 
-def _measure(entry: Entry, bench: Bench) -> None:
-    seed = np.random.SeedSequence([bench.seed, zlib.crc32(entry.spec.encode())])
-    for d, free in entry.free.items():
-        counts = sorted({free.nearest_count(n) for n in bench.counts})
-        tasks = [task for task in bench.tasks if task.dims == d]
-        if len(counts) > 1:
-            estimators = [Estimator(task.spec, dims=d) for task in tasks]
-            many = min(bench.realizations, *(_sets_of(free, n) for n in counts))
-            found = convergence(estimators, free, counts, realizations=many, rng=seed)
-            entry.curves |= {task: found.isel(estimator=k) for k, task in enumerate(tasks)}
+def _curves(
+    source: Sampler, tasks: Sequence[Task], asked: Sequence[int], realizations: int, seed: Any
+) -> xr.Dataset:
+    """Convergence on the tasks at the counts nearest to those asked for."""
+    nearest = _nearest(source, asked)
+    counts = sorted({*nearest.values()})
+    if isinstance(source, GivenPoints):
+        realizations = min(realizations, *(len(source.sets[n]) for n in counts))
+    estimators = [Estimator(task.spec, dims=task.dims) for task in tasks]
+    found = convergence(estimators, source, counts, realizations=realizations, rng=seed)
+    found = found[["mean", "variance", "variance_ci", "rate", "rate_ci"]].rename(
+        estimator="integrand"
+    )
+    found = found.assign_coords(integrand=[task.title for task in tasks], n=list(nearest))
+    made = np.broadcast_to(np.array(counts, float), (len(tasks), len(counts)))
+    return found.merge(dataset({"points_made": (("integrand", "n"), made)}))
 
-    # What points look like, in the first dims
-    d = bench.first_dims
-    if d not in entry.source:
-        return
-    source, stream = entry.source[d], Stream.from_rng(seed)
-    counts = sorted({source.nearest_count(n) for n in bench.counts})
-    n = counts[-1]
+
+def _nearest(source: Sampler, asked: Sequence[int]) -> dict[int, int]:
+    """Counts that a sampler can make, by the nearest of those asked for: each count once."""
+    found = {n: source.nearest_count(n) for n in asked}
+    best = {count: min(asked, key=lambda n: abs(n - count)) for count in found.values()}
+    return {n: count for n, count in found.items() if best[count] == n}
+
+
+def _look(source: Sampler, asked: Sequence[int], own: Any, seed: int) -> xr.Dataset:
+    """Spectrum, pair correlation, quality and speed."""
+    stream = Stream.from_rng(own)
+    nearest = _nearest(source, asked)
+    n = max(nearest.values())
     slow = isinstance(_base(source), OptimisedSampler)
     sets = different_realizations(source, n, stream, SHARED_SETS if slow else 100)
-    if d in _HALF_WIDTHS:
-        entry.spectrum = power_spectrum(
-            source, n, half_width=_HALF_WIDTHS[d], realizations=sets, rng=seed
-        )
-        entry.rings = radial_statistics(entry.spectrum)
+    parts = []
+    if source.dims in _HALF_WIDTHS:
+        wide = _HALF_WIDTHS[source.dims]
+        spectrum = power_spectrum(source, n, half_width=wide, realizations=sets, rng=own)
+        rings = radial_statistics(spectrum)[["anisotropy_db", "anisotropy_noise_db"]]
+        parts += [spectrum[["power", "radial_power"]], rings]
     if n > 1:
-        entry.pairs = pair_correlation(source, n, realizations=min(sets, 16), rng=seed)
-    for count in counts:
+        pairs = pair_correlation(source, n, realizations=min(sets, 16), rng=own)
+        if sets < _FEW_SETS:  # whose intervals would hide all else
+            pairs["pair_correlation_ci"][:] = np.nan
+        parts.append(pairs[["pair_correlation", "pair_correlation_ci"]])
+    means: dict[str, list[float]] = {name: [] for name in (*BENCH_QUALITY, "points_per_second")}
+    for count in nearest.values():
         some = different_realizations(source, count, stream, _QUALITY_SETS)
-        figures = quality_figures(source, count, figures=BENCH_QUALITY, realizations=some, rng=seed)
-        for each in summarize(figures):
-            if not each.missing:
-                blank = Measured(each.long_name, [], [], [])
-                measured = entry.quality.setdefault(each.name, blank)
-                measured.counts.append(count)
-                measured.means.append(each.mean)
-                measured.errors.append(each.standard_error)
-    rates = [count / making_seconds(source, count, bench.seed) for count in counts]
-    entry.speed = Measured("points made in a second", counts, rates, [math.nan] * len(counts))
+        figures = quality_figures(source, count, figures=BENCH_QUALITY, realizations=some, rng=own)
+        for name, values in figures.data_vars.items():
+            means[str(name)].append(float(values.mean(skipna=False)))
+        means["points_per_second"].append(count / making_seconds(source, count, seed))
+    known: dict[str, tuple[tuple[str, ...], Any]]
+    known = {k: (("n",), v) for k, v in means.items() if not np.isnan(v).all()}
+    known["pictured_n"] = ((), float(n))
+    parts.append(dataset(known, {"n": list(nearest)}))
+    return _joined(parts)
+
+
+def _joined(parts: Sequence[xr.Dataset]) -> xr.Dataset:
+    """Results about one sampler as one; curves of several dims follow each other."""
+    import xarray as xr
+
+    return xr.merge(parts, join="outer", compat="no_conflicts", combine_attrs="override")
 
 
 def _base(source: Sampler) -> Sampler:
     return source.base if isinstance(source, Randomized) else source
-
-
-def _sets_of(source: Sampler, n: int) -> int:
-    """Different sets of n points that there are, of given points without a randomisation."""
-    return len(source.sets[n]) if isinstance(source, GivenPoints) else 2**62
 
 
 def shared_sets(source: Sampler) -> Sampler:
