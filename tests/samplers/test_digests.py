@@ -55,7 +55,10 @@ CHAINS = [
     "points",
     *[f"{base} | {step}" for base in ("sobol", "halton", "random") for step in RANDOMIZATIONS],
 ]
-SPECS = [*(QUICK.get(name, name) for name in SAMPLERS if name != "points"), *CHAINS]
+SPECS = [
+    *(QUICK.get(name, name) for name in SAMPLERS if name not in ("points", "shared-cells")),
+    *CHAINS,
+]
 
 
 def source_of(spec):
