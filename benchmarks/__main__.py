@@ -31,6 +31,7 @@ NAMES = (
     "studies",
     "scaling",
     "app",
+    "design",
 )
 
 

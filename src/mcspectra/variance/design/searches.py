@@ -40,7 +40,7 @@ __all__ = ["KINDS", "Candidate", "mean_variances"]
 
 _BITS = 18  # of the codes of all axes together, at most
 _FREQUENCIES = 2**16  # points of a table of them
-_MEMBERS, _VALUES = 1024, 2**26  # members at most, and values of a table of them
+_MEMBERS, _VALUES = 1024, 2**25  # members at most, and values of a table of them
 _BLOCK = 2**13  # points at once
 _STARTS = 6
 _TREES = 64
@@ -117,14 +117,18 @@ def _fourier_power(values: Values, dims: int, fold: bool, size: int) -> tuple[Ar
         found, first = np.unique(m @ vector % size, return_index=True)
         m = m[first]
     table = evaluated(values, folded(x) if fold else x)
+
+    # Two functions a transform: |F(m)|² + |F(−m)|² of g + ih is 2 |g_m|² + 2 |h_m|²
     power = np.zeros(shape)
-    for row in table:
-        power += np.abs(np.fft.fftn(row.reshape(shape))) ** 2
+    for k in range(0, len(table), 2):
+        second = table[k + 1] if k + 1 < len(table) else 0.0
+        power += np.abs(np.fft.fftn((table[k] + 1j * second).reshape(shape))) ** 2
+    power += np.roll(np.flip(power), 1, axis=tuple(range(power.ndim)))
     power = power.reshape(-1)[found] / float(len(x)) ** 2
     leading = m[np.arange(len(m)), (m != 0).argmax(axis=1)]
     kept = np.flatnonzero(leading > 0)
     kept = kept[np.argsort(-power[kept], kind="stable")]
-    return np.ascontiguousarray(m[kept]), 2.0 * power[kept]
+    return np.ascontiguousarray(m[kept]), power[kept]
 
 
 def _walsh_power(values: Values, dims: int, bits: int, fold: bool) -> Array:
@@ -215,7 +219,7 @@ def _tables(
 ) -> Iterator[tuple[str, Array]]:
     """Randomisations, and the kernel κ of each over codes."""
     dims = objective.dims
-    members = min(_MEMBERS, _VALUES // 2 >> dims * bits)
+    members = min(_MEMBERS, _VALUES >> dims * bits)
     values = objective.functions(members, stream.generator(0))
     for fold in (False, True):
         power = _walsh_power(values, dims, bits, fold)
