@@ -65,7 +65,7 @@ def test_a_lattice_in_2d_has_the_least_dual_sum_of_all():
 def test_searches_predict_the_variance_that_is_measured(kind, n, tmp_path):
     objective = as_objective(GAUSSIANS, 2)
     stream = Stream.from_rng(3)
-    found = min(searches.KINDS[kind](objective, n, stream), key=lambda c: c.variance)
+    found = min(searches.KINDS[kind](objective, n, stream), key=lambda each: each.variance)
     sampler = found.make(tmp_path / "sets.npz")
 
     # The mean over 32 batches of 64 realisations, over the members that the search looked at

@@ -26,6 +26,7 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import CountError
 from mcspectra.core.pointfiles import write_points
+from mcspectra.core.progress import report
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import Sampler, sampler
 from mcspectra.samplers.nets import _irreducible, _quotient, _sobol_directions
@@ -43,7 +44,7 @@ _FREQUENCIES = 2**16  # points of a table of them
 _MEMBERS, _VALUES = 1024, 2**25  # members at most, and values of a table of them
 _BLOCK = 2**13  # points at once
 _STARTS = 6
-_TREES = 64
+_TREES, _TRIED = 64, 8
 _MEASURED, _JUDGES = 2**16, 256  # points and members that samplers are measured with
 _TORUS = 2**14  # frequencies of sets on the torus
 _CELLS = 2**16
@@ -74,6 +75,11 @@ def evaluated(values: Values, x: Array) -> Array:
     return np.concatenate([block.astype(np.float32) for block in blocks], axis=1)
 
 
+def _grid(axis: Array, dims: int) -> Array:
+    """Points of a grid in C order: (side^d, d)."""
+    return np.stack(np.meshgrid(*[axis] * dims, indexing="ij"), axis=-1).reshape(-1, dims)
+
+
 def mean_variances(values: Values, source: Sampler, n: int, realizations: int, seed: int) -> Array:
     """Variance over realisations of the mean of each function: (M,)."""
     points = source.draw(n, realizations=realizations, rng=seed)
@@ -91,16 +97,15 @@ def _fourier_power(values: Values, dims: int, fold: bool, size: int) -> tuple[Ar
     """
     if dims <= 3:
         side = int(size ** (1.0 / dims) + 1e-9)
-        x = np.stack(np.meshgrid(*[np.arange(side) / side] * dims, indexing="ij"), axis=-1)
-        x, shape = x.reshape(-1, dims), (side,) * dims
+        x, shape = _grid(np.arange(side) / side, dims), (side,) * dims
         along = np.rint(np.fft.fftfreq(side) * side).astype(np.int64)
-        m = np.stack(np.meshgrid(*[along] * dims, indexing="ij"), axis=-1).reshape(-1, dims)
+        m = _grid(along, dims)
         found = np.arange(len(m))
     else:
         vector = sampler("korobov", dims).generating_vector(size)  # type: ignore[attr-defined]
         x, shape = np.arange(size)[:, None] * vector % size / size, (size,)
         radius = (size / 4 * math.gamma(dims / 2 + 1)) ** (1 / dims) / math.sqrt(math.pi)
-        ball = np.indices((2 * int(radius) + 1,) * dims).reshape(dims, -1).T - int(radius)
+        ball = _grid(np.arange(-int(radius), int(radius) + 1), dims)
         for reach in (64, 32, 16, 8, 4, 2):
             m, weight = np.zeros((1, 0), np.int64), np.ones(1)
             along = np.arange(-reach, reach + 1)
@@ -133,9 +138,7 @@ def _fourier_power(values: Values, dims: int, fold: bool, size: int) -> tuple[Ar
 
 def _walsh_power(values: Values, dims: int, bits: int, fold: bool) -> Array:
     """E|f_m|² of Walsh functions of all axes' bits together, 0 at m = 0: (2^(d bits),)."""
-    side = 1 << bits
-    axes = np.stack(np.meshgrid(*[(np.arange(side) + 0.5) / side] * dims, indexing="ij"), axis=-1)
-    x = axes.reshape(-1, dims)
+    x = _grid((np.arange(1 << bits) + 0.5) / (1 << bits), dims)
     table = evaluated(values, folded(x) if fold else x)
     power = np.zeros(len(x))
     for start in range(0, len(table), 16):
@@ -291,22 +294,28 @@ def _trees(objective: Objective, n: int, stream: Stream) -> Iterator[Candidate]:
     dims, bits = objective.dims, _axis_bits(n, objective.dims)
     starts = sampler("sobol | owen", dims).draw_stream(n, stream.child(1), 0, _TREES)
     places = (dims - 1 - np.arange(dims)) * bits
-    for frame, (tail, table) in enumerate(_tables(objective, bits, stream, owen=False)):
-        codes = ((starts * 2.0**bits).astype(np.int64) << places).sum(axis=2)
-        energies = np.empty(_TREES)
-        for tree in range(_TREES):
-            while _kernels.flip_tree(table, codes[tree], dims, bits):
+
+    def flipped(table: Array, first: int, last: int) -> tuple[float, Array]:
+        """The mean variance of some trees, and their sets."""
+        codes = ((starts[first:last] * 2.0**bits).astype(np.int64) << places).sum(axis=2)
+        energy = 0.0
+        for tree in codes:
+            while _kernels.flip_tree(table, tree, dims, bits):
                 pass
-            pairs = codes[tree][:, None] ^ codes[tree][None]
-            energies[tree] = table[pairs].mean()
-            done = (frame + (tree + 1) / _TREES) / 2
-            top = codes[: tree + 1, :, None] >> places & (1 << bits) - 1
-            sets = (top + starts[: tree + 1] * 2.0**bits % 1.0) / 2.0**bits
-            if tree % 8 == 7:
-                value = float(energies[: tree + 1].mean())
-                yield Candidate(
-                    value * (1.0 + 1e-3 / (tree + 1)), done, partial(_of_sets, sets, tail)
-                )
+            energy += float(table[tree[:, None] ^ tree].mean()) / len(codes)
+        top = codes[..., None] >> places & (1 << bits) - 1
+        return energy, (top + starts[first:last] * 2.0**bits % 1.0) / 2.0**bits
+
+    # The better randomisation by the first trees; all of them count, once they are there
+    frames = list(_tables(objective, bits, stream, owen=False))
+    begun = [(*flipped(table, 0, _TRIED), tail, table) for tail, table in frames]
+    energy, sets, tail, table = min(begun, key=lambda each: each[0])
+    yield Candidate(math.inf, _TRIED / _TREES, partial(_of_sets, sets, tail))
+    for first in range(_TRIED, _TREES, _TRIED):
+        value, more = flipped(table, first, first + _TRIED)
+        energy, sets = energy + value, np.concatenate([sets, more])
+        report("owen", len(sets) / _TREES)
+    yield Candidate(energy * _TRIED / _TREES, 1.0, partial(_of_sets, sets, tail))
 
 
 def _of_sets(sets: Array, tail: str, path: Path) -> Sampler:
