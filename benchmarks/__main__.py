@@ -32,6 +32,7 @@ NAMES = (
     "studies",
     "scaling",
     "app",
+    "design",
 )
 
 

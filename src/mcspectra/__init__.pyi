@@ -57,6 +57,8 @@ from .variance.bench import sampler_bench as sampler_bench
 from .variance.chains import chain_error as chain_error
 from .variance.convergence import convergence as convergence
 from .variance.convergence import realizations_needed as realizations_needed
+from .variance.design.design import certificate as certificate
+from .variance.design.design import design as design
 from .variance.exact import exact_variance as exact_variance
 from .variance.image_errors import image_error_spectrum as image_error_spectrum
 from .variance.integrate import integrate as integrate
@@ -102,6 +104,7 @@ __all__ = [
     "anova_variances",
     "axis_frequencies",
     "best_alignment",
+    "certificate",
     "chain_error",
     "channel_estimators",
     "closed_form_covariance",
@@ -112,6 +115,7 @@ __all__ = [
     "covariance_modes",
     "densities",
     "density",
+    "design",
     "diagonal_frequencies",
     "estimators",
     "exact_variance",

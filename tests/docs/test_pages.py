@@ -164,7 +164,7 @@ def test_mathematics_of_docstrings_is_no_markup(line, read):
 def test_there_is_a_notebook_for_the_start_and_for_each_user():
     pages = {"quick-start.md", *(f"how-to/{path.name}" for path in (DOCS / "how-to").glob("*.md"))}
     assert set(NOTEBOOKS) == pages
-    assert len(pages) == 9
+    assert len(pages) == 10
 
 
 @pytest.mark.parametrize("page", NOTEBOOKS)

@@ -96,4 +96,5 @@ ROWS = (
         unbiased=False,
     ),
     Row("points(path='{path}')", ANY, unbiased=False),
+    Row("shared-cells(path='{path}')", {1: 4, 2: 16, 3: 16}),
 )

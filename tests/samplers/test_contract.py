@@ -144,7 +144,12 @@ def make(tmp_path_factory):
         path = folder / f"{case.dims}-{case.n}.npz"
         if not path.exists():
             points = np.random.default_rng(case.dims).random((GIVEN_SETS, case.n, case.dims))
-            np.savez(path, points=points)
+            cells = (
+                np.indices((4,) * case.dims)
+                .reshape(case.dims, -1)
+                .T.reshape(-1, min(4**case.dims, 16), case.dims)
+            )
+            np.savez(path, points=points, cells=cells + 1)
         spec = case.row.spec.replace("{path}", path.as_posix())
         chain = case.chain.replace("{n}", str(case.n))
         if "{more}" in chain:

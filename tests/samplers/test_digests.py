@@ -55,7 +55,7 @@ CHAINS = [
     "points",
     *[f"{base} | {step}" for base in ("sobol", "halton", "random") for step in RANDOMIZATIONS],
 ]
-OF_OTHERS = ("command", "points", "python")  # their points are not ours
+OF_OTHERS = ("command", "points", "python", "shared-cells")  # their points are not ours
 SPECS = [*(QUICK.get(name, name) for name in SAMPLERS if name not in OF_OTHERS), *CHAINS]
 
 

@@ -68,7 +68,7 @@ def test_point_sets_are_accepted_as_samplers(data, stacked):
 def test_all_cheap_samplers_come_up():
     names = strategies._names(2)
     assert {"random", "jittered", "sobol", "poisson-disk", "rank1-lattice"} <= set(names)
-    assert not {"bnot", "mitsuba", "points", "digital-net"} & set(names)
+    assert not {"bnot", "mitsuba", "points", "digital-net", "shared-cells"} & set(names)
 
 
 def test_counts_are_all_that_there_are():

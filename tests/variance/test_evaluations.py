@@ -110,7 +110,7 @@ CALL_NOTHING = {
     ),
     *("variance_from_spectrum", "wedge_means", "fitted_decay", "predicted_rate", "warp_quality"),
     *("quality_figures", "density", "integrand", "sampler", "smoothed", "channel_estimators"),
-    *("progress_bars", "chain_error"),
+    *("progress_bars", "chain_error", "design", "certificate"),
 }
 
 

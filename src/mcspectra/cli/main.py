@@ -54,6 +54,9 @@ _MODULES = {
         "modes": "which patterns of frequencies vary together",
         "routes": "variance by every route that is known, side by side",
     },
+    "design": {
+        "design": "search a sampler of small variance over a class of integrands, and certify it",
+    },
     "chains": {
         "chains": "error of the means of Markov chains, its frequencies, and what is wrong",
     },

@@ -239,6 +239,8 @@ value | f | f | | integral, mean over the replicates
 interval | f | f | bound | 95 % interval: integral
 replicates | i | 1 | | independent point sets
 n | i | 1 | | points of each set
+mean_variance | f | f² | | variance, mean over a class of integrands
+design_ratio | f | 1 | | mean variance of the designed sampler / that of the best rival
 """
 
 _VARIABLES: dict[str, Variable] = {}

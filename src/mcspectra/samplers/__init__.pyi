@@ -58,6 +58,7 @@ from .scrambles import Permute as Permute
 from .selection import Shuffle as Shuffle
 from .selection import Skip as Skip
 from .selection import Subset as Subset
+from .shares import SharedCells as SharedCells
 from .sliced import SlicedOptimalTransport as SlicedOptimalTransport
 from .spectral_targets import StepBlueNoise as StepBlueNoise
 from .spectral_targets import TargetPcf as TargetPcf
@@ -128,6 +129,7 @@ __all__ = [
     "Regular",
     "Sampler",
     "ScipySampler",
+    "SharedCells",
     "Shift",
     "Shuffle",
     "Skip",

@@ -1,0 +1,1 @@
+"""Samplers designed for a class of integrands: objectives, searches, certificates."""

@@ -1,0 +1,171 @@
+"""Kernels of searches. r: feature; n: points; N: cells; W: sets; codes: cells as bits of all axes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.jit import kernel
+from mcspectra.core.streams import mix_bits
+
+__all__ = ["best_multiple", "flip_tree", "improve_code", "reflect", "span_mean", "swap_cells"]
+
+
+@kernel
+def best_multiple(m: Array, power: Array, vector: Array, axis: int, n: int, out: Array) -> None:
+    # Σ power over m·z ≡ 0 modulo n for each z_axis = 0 … n−1, the other z as in vector; out (n,)
+    out[:] = 0.0
+    for i in range(len(m)):
+        rest = 0
+        for j in range(m.shape[1]):
+            if j != axis:
+                rest += m[i, j] * vector[j]
+        step, at = m[i, axis] % n, rest % n
+        for z in range(n):
+            if at == 0:
+                out[z] += power[i]
+            at += step
+            if at >= n:
+                at -= n
+
+
+@kernel
+def span_mean(table: Array, columns: Array, span: Array) -> float:
+    # Mean of the table over all xors of the columns int64 (m,); span int64 (2^m,) is scratch
+    span[0] = 0
+    total, size = 0.0, 1
+    total += table[0]
+    for c in range(len(columns)):
+        for i in range(size):
+            span[size + i] = span[i] ^ columns[c]
+            total += table[span[size + i]]
+        size *= 2
+    mean: float = total / size
+    return mean
+
+
+@kernel
+def improve_code(table: Array, columns: Array, bits: int, span: Array) -> float:
+    # Flip bits of the columns while the mean of the table falls
+    best = span_mean(table, columns, span)
+    better = True
+    while better:
+        better = False
+        for c in range(len(columns)):
+            for bit in range(bits):
+                columns[c] ^= 1 << bit
+                value = span_mean(table, columns, span)
+                if value < best * (1.0 - 1e-9):
+                    best, better = value, True
+                else:
+                    columns[c] ^= 1 << bit
+    return best
+
+
+@kernel
+def flip_tree(table: Array, codes: Array, axes: int, bits: int) -> bool:
+    # Flip nodes of the trees of all axes where that lowers Σ_ij table[codes_i ^ codes_j]; codes (n,)
+    n, changed = len(codes), False
+    inside = np.empty(n, np.bool_)
+    for axis in range(axes):
+        low = (axes - 1 - axis) * bits
+        for level in range(bits):
+            node = low + bits - level  # bits from here on, within the axis, are the prefix
+            flip = 1 << (node - 1)
+            done = np.zeros(n, np.bool_)
+            for first in range(n):
+                if done[first]:
+                    continue
+                prefix = codes[first] >> node & ((1 << level) - 1)
+                for i in range(n):
+                    inside[i] = (codes[i] >> node & ((1 << level) - 1)) == prefix
+                    done[i] |= inside[i]
+                gain, size = 0.0, 0.0
+                for i in range(n):
+                    if inside[i]:
+                        for k in range(n):
+                            if not inside[k]:
+                                old = table[codes[i] ^ codes[k]]
+                                gain += table[codes[i] ^ codes[k] ^ flip] - old
+                                size += abs(old)
+                if gain < -1e-9 * size:
+                    changed = True
+                    for i in range(n):
+                        if inside[i]:
+                            codes[i] ^= flip
+    return changed
+
+
+@kernel
+def swap_cells(
+    features: Array,
+    owner: Array,
+    place: Array,
+    sums: Array,
+    sides: Array,
+    free: bool,
+    keys: Array,
+    trials: int,
+) -> int:
+    # Exchange pairs of cells between sets where Σ |sums|² falls. features float32 (N, r), owner (N,) the
+    # set of each cell, place (N,) its stratum, sums float32 (W, r); not free: strata keep one cell a set
+    cells, r = features.shape
+    taken = 0
+    for t in range(trials):
+        bits = mix_bits(keys[0], keys[1], t)
+        a, b = np.int64(bits % np.uint64(cells)), np.int64(0)
+        bits //= np.uint64(cells)
+        if t % 4 == 0:
+            b = np.int64(bits % np.uint64(cells))
+        else:  # a near one: each axis moves by up to 1, 2 or 4
+            reach, stride, rest, inside = 1 << (t % 4 - 1), 1, a, True
+            for j in range(len(sides) - 1, -1, -1):
+                x = rest % sides[j] + np.int64(bits % np.uint64(2 * reach + 1)) - reach
+                inside &= 0 <= x < sides[j]
+                bits //= np.uint64(2 * reach + 1)
+                rest //= sides[j]
+                b += x * stride
+                stride *= sides[j]
+            if not inside:
+                continue
+        k, l = owner[a], owner[b]
+        if k == l or not (free or place[a] == place[b]):
+            continue
+        change = np.float32(0.0)
+        for i in range(r):
+            d = features[b, i] - features[a, i]
+            change += d * (sums[k, i] - sums[l, i] + d)
+        if change < 0.0:
+            taken += 1
+            for i in range(r):
+                d = features[b, i] - features[a, i]
+                sums[k, i] += d
+                sums[l, i] -= d
+            owner[a], owner[b] = l, k
+    return taken
+
+
+@kernel
+def reflect(slopes: Array, sets: Array, signs: Array) -> None:
+    # Signs int64 (W, n) of ±1 that make |Σ_i sign_i slopes[sets_i]|² small for each set; slopes (N, r)
+    n, r = sets.shape[1], slopes.shape[1]
+    total = np.empty(r)
+    for w in range(len(sets)):
+        total[:] = 0.0
+        for i in range(n):  # the sign that cancels what is there
+            product = 0.0
+            for j in range(r):
+                product += total[j] * slopes[sets[w, i], j]
+            signs[w, i] = -1 if product > 0.0 else 1
+            for j in range(r):
+                total[j] += signs[w, i] * slopes[sets[w, i], j]
+        for _ in range(4):
+            for i in range(n):
+                change = 0.0
+                for j in range(r):
+                    s = signs[w, i] * slopes[sets[w, i], j]
+                    change += s * (s - total[j])
+                if change < 0.0:
+                    signs[w, i] = -signs[w, i]
+                    for j in range(r):
+                        total[j] += 2.0 * signs[w, i] * slopes[sets[w, i], j]
