@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 
@@ -119,3 +120,20 @@ def test_a_folder_that_cannot_be_written(tmp_path):
     (tmp_path / "file").write_text("here")
     with pytest.raises(StoreError, match="cannot be written"):
         write_gallery(tmp_path / "file", ["random"], effort=TINY)
+
+
+def test_a_program_that_knows_two_dims_is_a_card(tmp_path):
+    program = tmp_path / "mine.py"
+    program.write_text(
+        "import sys\n"
+        "n = int(sys.argv[1])\n"
+        "for k in range(n):\n"
+        "    print((k + 0.5) / n, (k * 0.618033988749895) % 1.0)\n"
+    )
+    run = f"{sys.executable} {program} {{n}}"
+    mcs.samplers.allow_code(run)
+    card = measure_card(f"command({run!r}, name='mine')", effort=TINY)
+    assert card.projected is None  # it prints two coordinates, whatever it is asked for
+    assert card.randomized.endswith("| shift")
+    assert card.speed > 0
+    assert card.points[0].tolist() == [0.5 / card.n, 0.0]

@@ -302,9 +302,9 @@ def _in_two_dims(spec: str) -> Sampler:
 def _projection(spec: str, n: int, rng: int) -> Array | None:
     try:
         source = shared_sets(sampler(spec, _PROJECTED_DIMS))
-    except McspectraError:
+        points: Array = source.draw(source.nearest_count(n), rng=rng)[0, :, 2:]
+    except McspectraError:  # of programs as they print too few coordinates
         return None
-    points: Array = source.draw(source.nearest_count(n), rng=rng)[0, :, 2:]
     return points
 
 
