@@ -257,5 +257,8 @@ def test_the_verb_prints_and_writes_spec_and_certificate(tmp_path, capsys):
     assert mcs.sampler(said["spec"]).draw(8).shape == (1, 8, 2)
     low, high = said["certificate"]["design_ratio_ci"]
     assert 0 <= low < high
+    nowhere = str(tmp_path / "no" / "mine.json")
+    assert main(["design", "lattice", "gaussians", "5", "-o", nowhere]) == 2
+    assert "cannot be written" in capsys.readouterr().err
     assert main(["design", "owen", "gaussians", "9"]) == 2
     assert "power of two" in capsys.readouterr().err

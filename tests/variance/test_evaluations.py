@@ -85,7 +85,7 @@ NAMED = {
 }
 
 # Asked for by name too, without a count: what they call is their subject
-PICTURES = {"primary_picture", "variance_from_pair_correlation"}
+PICTURES = {"primary_picture", "variance_from_pair_correlation", "design", "certificate"}
 
 # Tested by itself below, or in tests of its own; or they make something that calls nothing
 ELSEWHERE = {
@@ -110,7 +110,7 @@ CALL_NOTHING = {
     ),
     *("variance_from_spectrum", "wedge_means", "fitted_decay", "predicted_rate", "warp_quality"),
     *("quality_figures", "density", "integrand", "sampler", "smoothed", "channel_estimators"),
-    *("progress_bars", "chain_error", "design", "certificate"),
+    *("progress_bars", "chain_error", "sampler_bench"),
 }
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from mcspectra.core.cache import cache_folder
 from mcspectra.core.checks import as_choice, as_integer
 from mcspectra.core.decoding import known_path
-from mcspectra.core.errors import McspectraError, ParameterError
+from mcspectra.core.errors import FileFormatError, McspectraError, ParameterError
 from mcspectra.core.progress import report
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
@@ -94,6 +94,8 @@ def design(
         Unknown kind; an objective that is empty, constant or cannot be read; dims out of range.
     DomainError
         Values of an integrand are not finite.
+    FileFormatError
+        The sampler cannot be written.
 
     Notes
     -----
@@ -136,11 +138,17 @@ def design(
             raise
     report(f"design of {kind}, {n} points", 1.0)
     assert best is not None  # every search yields something
-    target = chosen or (kept if finished else kept.with_name(f"{name[:24]}-interrupted.json"))
-    target.parent.mkdir(parents=True, exist_ok=True)
-    made = best.make(target.with_suffix(".npz"))
-    target.write_text(json.dumps({"spec": made.spec, "dims": goal.dims, "n": n}) + "\n")
-    return made
+    target = kept if finished else kept.with_name(f"{name[:24]}-interrupted.json")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        made = best.make(target.with_suffix(".npz"))
+        target.write_text(json.dumps({"spec": made.spec, "dims": goal.dims}) + "\n")
+        return made if chosen is None else _saved(made, chosen)
+    except OSError as error:
+        raise FileFormatError(
+            f"The sampler cannot be written to {error.filename}: {error.strerror}; give a folder that "
+            "exists and can be written, as path= or MCSPECTRA_CACHE."
+        ) from None
 
 
 def _saved(found: Sampler, target: Path) -> Sampler:

@@ -185,7 +185,8 @@ def _lattices(objective: Objective, n: int, stream: Stream) -> Iterator[Candidat
     values = objective.functions(min(_MEMBERS, _VALUES // size), stream.generator(0))
     for fold in (False, True):
         m, power = _fourier_power(values, objective.dims, fold, size)
-        found = _best_vector(m, power, objective.dims, n, stream.generator(1))
+        most = max(2**12, 2**27 // n)
+        found = _best_vector(m[:most], power[:most], objective.dims, n, stream.generator(1))
         for start, (value, vector) in enumerate(found):
             text = f"rank1-lattice(vector={vector.tolist()}) | shift{_FOLD if fold else ''}"
             done = (fold + (start + 1) / _STARTS) / 2
@@ -340,7 +341,8 @@ def _shared(objective: Objective, n: int, stream: Stream, *, free: bool) -> Iter
             "kind='lattice'.",
             (_CELLS // 16,),
         )
-    values = objective.functions(_MEMBERS, stream.generator(0))
+    members = min(2 * _MEMBERS, max(_MEMBERS, 8 * n))  # n points can do justice to some n features
+    values = objective.functions(members, stream.generator(0))
 
     # The shape of strata with the least variance by themselves
     def jittered(shape: tuple[int, ...]) -> float:
@@ -358,7 +360,7 @@ def _shared(objective: Objective, n: int, stream: Stream, *, free: bool) -> Iter
     table = evaluated(values, (cells + 0.5) / sides)
     table -= table.mean(axis=1, keepdims=True)
     sizes, turned = np.linalg.eigh((table @ table.T).astype(np.float64))
-    kept = np.argsort(-sizes)[:_FEATURES]
+    kept = np.argsort(-sizes)[: min(max(_FEATURES, n), 2 * _FEATURES)]
     kept = kept[sizes[kept] > 1e-9 * sizes.max()]
     features = np.ascontiguousarray((turned[:, kept].T.astype(np.float32) @ table).T)
     del table
@@ -400,16 +402,11 @@ def _of_cells(features: Array, owner: Array, cells: Array, sides: Array, path: P
 
 def _points(objective: Objective, n: int, stream: Stream) -> Iterator[Candidate]:
     """Sets that share a grid; then, in up to 3 dims, one set on the torus by its gradient."""
-    dims, best = objective.dims, math.inf
-    if n <= _CELLS // 16:
+    dims = objective.dims
+    if n <= _CELLS // 16 or dims > 3:
         for found in _shared(objective, n, stream, free=True):
-            best = found.variance
             yield found._replace(done=0.8 * found.done)
     if dims > 3:
-        if best == math.inf:
-            raise CountError(
-                f"Point sets of {n} points in {dims} dims are too large; use kind='lattice'.", ()
-            )
         return
     values = objective.functions(_MEMBERS, stream.generator(0))
     for fold in (False, True):
