@@ -26,6 +26,7 @@ NAMES = (
     "cost",
     "large",
     "maps",
+    "paths",
     "images",
     "findings",
     "studies",

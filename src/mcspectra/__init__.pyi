@@ -53,6 +53,7 @@ from .variance.alignment import best_alignment as best_alignment
 from .variance.alignment import strata_shift_scan as strata_shift_scan
 from .variance.anova import anova_spectrum as anova_spectrum
 from .variance.anova import anova_variances as anova_variances
+from .variance.bench import sampler_bench as sampler_bench
 from .variance.chains import chain_error as chain_error
 from .variance.convergence import convergence as convergence
 from .variance.convergence import realizations_needed as realizations_needed
@@ -146,6 +147,7 @@ __all__ = [
     "rendering",
     "report",
     "sampler",
+    "sampler_bench",
     "samplers",
     "slices",
     "smoothed",

@@ -9,8 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mcspectra.app import specs
 from mcspectra.app.state import MIRRORS, MOST_HALF_WIDTH, MOST_POINTS, OPTIONS, THEMES, Setup, State
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import ConfigError, ParameterError, SpecError
+from mcspectra.samplers import allow_code
 
 UPLOAD = f"upload(digest='{'0a' * 32}')"
 
@@ -135,6 +137,30 @@ def test_odd_addresses_get_a_sentence(query: str, said: str) -> None:
 def test_addresses_open_no_files(query: str) -> None:
     with pytest.raises(ParameterError, match=r"file|brackets"):
         State.from_query(query)
+
+
+def test_code_and_folders_are_allowed_by_who_starts_it(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(specs, "_folders", [])
+    (tmp_path / "in").mkdir()
+    inside, outside = tmp_path / "in" / "a.dat", tmp_path / "b.dat"
+    for file in (inside, outside):
+        file.write_text("0.5 0.5\n")
+    (tmp_path / "in" / "link.dat").symlink_to(outside)
+    for text in ("command('./mine {n} {seed}')", "python('os:getcwd')"):
+        with pytest.raises(ConfigError, match="--allow-code"):
+            Setup(sampler=text)
+    with pytest.raises(SpecError, match="--allow-path"):
+        Setup(sampler=f"points(path={str(inside)!r}) | shift")
+    specs.allow_folders(tmp_path / "in")
+    for name in ("a.dat", "a*"):
+        Setup(sampler=f"points(path={str(tmp_path / 'in' / name)!r}) | shift")
+    for path in (outside, tmp_path / "in" / "link.dat", tmp_path / "in" / "*", tmp_path / "*"):
+        with pytest.raises(SpecError, match="names a file"):
+            Setup(sampler=f"points(path={str(path)!r})")
+    allow_code("./explored {n} {seed}")
+    Setup(sampler="command('./explored {n} {seed}', name='mine')")
+    with pytest.raises(ConfigError, match="--allow-code"):
+        Setup(sampler="command('./explored {n} {seed}; rm')")
 
 
 @pytest.mark.parametrize("field", [each.name for each in dataclasses.fields(Setup)])

@@ -86,11 +86,18 @@ def test_weights_of_a_file(run_json, files):
         (("both.npy", "--weights", "w"), "no column 'w'"),
         (("bad.csv",), "bad.csv cannot be read as .csv"),
         (("ragged.csv",), "ragged.csv cannot be read as .csv"),
+        (
+            ("empty.csv",),
+            "empty.csv cannot be read as .csv: it holds no draws; give a line of names",
+        ),
+        (("names.csv",), "names.csv cannot be read as .csv: it holds no draws"),
         (("text.csv",), "could not convert string to float"),
     ],
 )
 def test_bad_input_is_one_sentence(run, files, names, words):
     (files / "bad.csv").write_text("a,b\n1,2,3\n")
+    (files / "empty.csv").touch()
+    (files / "names.csv").write_text("a,b\n")
     (files / "text.csv").write_text("a\nx\n" + "1\n" * 20)
     (files / "ragged.csv").write_text("chain,b\n1,2\n2,3\n2,4\n")
     code, out, err = run("chains", *(files / n if "." in n else n for n in names))

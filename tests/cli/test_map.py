@@ -253,9 +253,56 @@ def test_a_map_of_whole_paths_names_its_worst_pixels_and_resumes(
     )
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert f" {worst[0]['x']} {worst[0]['y']} --integrator" in page
+    code, _, err = run(capsys, *asked[:-1], tmp_path / "small", "--size", "6,4")
+    assert code == 0, err
+    page = (tmp_path / "small" / "report.html").read_text(encoding="utf-8")
+    assert "mcspectra pixel &#39;penumbra(width=6, height=4)&#39; " in page
     before = (folder / "maps.exr").read_bytes()
     code, _, err = run(capsys, *asked, "--resume")
     assert code == 0, err
     assert (folder / "maps.exr").read_bytes() == before
+    assert {"bounces.png", "decisions.png", "picture.png"} <= {f.name for f in folder.iterdir()}
+    assert sum(row["share"] for row in summary["bounces"].values()) == pytest.approx(1.0)
+    assert "variance by bounce: " in page
     assert run(capsys, "nosuch", "--out", tmp_path / "refused")[0] == 2
     assert not (tmp_path / "refused").exists()
+
+
+def test_several_samplers_are_compared_and_resume(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    import OpenEXR
+
+    folder = tmp_path / "out"
+    asked = ("penumbra(width=12, height=8)", "--integrator", "path(max_depth=2)", "--counts", "4,16",
+             "-m", 16, "--chains", 16, "--sampler", "random", "--sampler", "sobol | owen",
+             "--out", folder)  # fmt: skip
+    code, out, err = run(capsys, *asked)
+    assert code == 0, err
+    assert "path, sobol | owen" in out
+    summary = json.loads((folder / "map.json").read_text(encoding="utf-8"))
+    shares = summary["best_sampler"]["path"]
+    assert list(shares) == ["no difference", "random", "sobol | owen"]
+    assert sum(shares.values()) == pytest.approx(1.0)
+    assert list(summary["bounces"]) == ["camera", "bounce 1", "bounce 2"]
+    channels = OpenEXR.File(str(folder / "maps.exr"), separate_channels=True).channels()
+    named = {
+        "variance.sobol | owen.path.n16.Y",
+        "bounce_share.1.Y",
+        "decision_share_ci.light.low.Y",
+    }
+    assert named | {"best_sampler.path.Y", "largest_bounce.Y"} <= channels.keys()
+    before = (folder / "maps.exr").read_bytes()
+    code, _, err = run(capsys, *asked, "--resume")
+    assert code == 0, err
+    assert (folder / "maps.exr").read_bytes() == before
+
+
+def test_a_map_of_black_pixels_has_a_page(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    asked = ("penumbra(width=24, height=18)", "--crop", "0,0,3,2", "--integrator", "path", "-m", 4,
+             "--chains", 8, "--out", tmp_path)  # fmt: skip
+    code, _, err = run(capsys, *asked)
+    assert code == 0, err
+    assert "variance by bounce: unknown." in (tmp_path / "report.html").read_text()

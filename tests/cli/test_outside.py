@@ -143,7 +143,10 @@ def test_its_result_is_shown_without_code_for_it(run, tmp_path):
         (("-n", 4, "--ends", "round"), "--ends is 'round'; it must be one of open, wrap"),
         (("-n", 4, "--weights", "1,x"), "--weights is 'x'"),
         ((), "required: -n"),
-        (("-n", 4, "--out", "gaps.gif"), "must end in .npz, .png, .pdf or .html"),
+        (
+            ("-n", 4, "--out", "gaps.gif"),
+            "must end in .npz, .csv, .tex, .svg, .png, .pdf, .pgf or .html",
+        ),
         (("-n", 4, "--out", "no/such/gaps.npz"), "cannot be written"),
     ],
 )

@@ -195,7 +195,7 @@ BAD_FILES = [
     ("p.npz", npz_of(HUGE), "announces an array of shape"),
     ("p.npz", npz_of(PICKLED, b"cos\nsystem\n" * 8), "allow_pickle"),
     ("p.npz", npz_of("{'descr': 'no type'}"), "cannot be read as a point set"),
-    ("p.xyz", "0.1 0.2\n", "does not end in one of .dat, .bin, .npz, .csv, .parquet"),
+    ("p.xyz", "0.1 0.2\n", "does not end in one of .dat, .bin, .npz, .npy, .csv, .parquet"),
     ("points", "0.1 0.2\n", "does not end in one of"),
     ("p.dat", "0 " * 2**21 + "\n", "line 1, is longer than 4194304 bytes"),
     ("p.csv", "x,set,y\n0.1,1,0.2\n0.3,1\n", "line 3, has 1 numbers"),

@@ -22,6 +22,13 @@ from mcspectra.plots.variance import usable_counts
 
 MANY = {"realizations": 45}
 # of each analysis: a small question, its estimator and sampler, and the plots that its result has
+PATHS = (
+    "map-bounces",
+    "map-decisions",
+    "map-largest-bounce",
+    "map-largest-decision",
+    "map-best-sampler",
+)
 SMALL = {
     "convergence": ({"counts": (4, 16), **MANY}, "gaussian", "jittered", ["convergence"]),
     "terms": (
@@ -57,7 +64,7 @@ SMALL = {
         {"scene": "penumbra", "counts": (4, 16), "realizations": 8, "size": (8, 6)},
         None,
         "jittered",
-        [kind for kind in KINDS if kind.startswith("map-")],
+        [kind for kind in KINDS if kind.startswith("map-") and kind not in PATHS],
     ),
 }
 TERMS = ("terms", "captured", "contributions", "bands")

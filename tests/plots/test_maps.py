@@ -31,8 +31,14 @@ def variance_map(**changes):
         "dominant_technique": (pixels, np.arange(12.0).reshape(3, 4) % 2),
         "mis_gain": (pixels, values[0] + 0.5),
         "predicted_ratio": (("strategy", *pixels), np.where(np.arange(4) % 2, np.nan, values)),
+        "bounce_share": (("bounce", *pixels), values[:2] - 0.1),
+        "decision_share": (("decision", *pixels), values[:2] - 0.1),
+        "largest_bounce": (pixels, np.arange(12.0).reshape(3, 4) % 3 - 1),
+        "largest_decision": (pixels, np.arange(12.0).reshape(3, 4) % 3 - 1),
+        "best_sampler": (("strategy", *pixels), np.arange(24.0).reshape(2, 3, 4) % 2 - 1),
     }
     coords = {"n": [4, 16], "y": np.arange(3), "x": np.arange(4)}
+    coords |= {"bounce": [0, 1], "decision": ["film", "light"]}
     return xr.Dataset(found | changes, coords, {"labels_strategy": ["light", "bsdf"]})
 
 
@@ -46,11 +52,14 @@ def test_maps_have_a_plot_for_each_quantity():
 @pytest.mark.parametrize("kind", MAPS)
 def test_maps_are_drawn(kind):
     plot = describe(kind, {"a": variance_map(), "b | c": variance_map()})
+    drawn_by_both(plot)
+    if kind == "map-picture":
+        assert [mark.rgb.shape for mark in marks(plot, Pixels)] == [(3, 4, 3)]
+        return
     assert plot.wide
     assert len({image.scale for image in marks(plot, Image)}) == 1
     assert "pixels for a, b | c" in plot.words
     assert all(panel.y.flipped for panel in plot.panels)
-    drawn_by_both(plot)
 
 
 def test_maps__the_largest_number_of_samples_a_panel_a_strategy():
@@ -71,6 +80,18 @@ def test_maps__techniques_have_names_and_ratios_a_scale_about_one():
     (image,) = marks(describe("map-gain", variance_map()), Image)
     assert image.scale.low * image.scale.high == pytest.approx(1.0)
     assert image.scale.ticks[1.0] == "1"
+
+
+def test_maps__bounces_decisions_and_samplers_have_names():
+    plot = describe("map-bounces", {"a": variance_map(), "b": variance_map()})
+    assert [panel.title for panel in plot.panels] == ["camera", "bounce 1"]  # of all samplers alike
+    low = marks(plot, Image)[0].scale.low
+    assert -0.1 <= low < 0.0  # estimates below 0 are told apart from 0
+    (image,) = marks(describe("map-largest-decision", variance_map()), Image)
+    assert image.scale.names == ("undecided", "film", "light")
+    best = describe("map-best-sampler", {"a": variance_map(), "b | c": variance_map()})
+    assert marks(best, Image)[0].scale.names == ("no difference", "a", "b | c")
+    assert [panel.title for panel in best.panels] == ["light sampling", "BSDF sampling"]
 
 
 def test_maps__predictions_are_shown_where_there_are_any():

@@ -69,7 +69,7 @@ def test_warps__one_dim():
 
 def test_primary__interior_and_boundary():
     plot = describe("primary", {"half": picture("half-space(normal=[1, 0], offset=0.5)")})
-    assert "inside 1 × 1, sides 1 × 1" in plot.panels[0].x.label
+    assert plot.panels[0].x.label == "u₀\ninside 1 × 1\nsides 1 × 1"  # too wide for one line
     assert plot.labels == ("jump inside", "jump between opposite sides")
     whole = [line for line in marks(plot, Line) if np.isfinite(line.x + line.y).all()]
     assert [set(line.x) for line in whole] == [{0.0}, {1.0}]

@@ -241,6 +241,9 @@ def test_ratios_of_what_was_missed_are_left_out() -> None:
         relative_se=np.full((1, 2, 1, 3), 0.1),
         predicted=np.full(shape, 2.0),
         predicted_se=np.full(shape, 0.1),
+        path_variance=np.zeros((2, 1, 3)),
+        shares=np.zeros((3, 0, 1, 3)),
+        largest=np.zeros((2, 1, 3)),
     )
     maps.predicted_se[0, 0, 2] = np.inf
     found = results._predicted(maps, 0.5, np.array([[[False, True, False]]]))
@@ -265,3 +268,51 @@ def test_errors_of_few_strata_take_students_t() -> None:
     squares = np.array([[1.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
     expected = t.ppf(0.975, [1, 4, 1]) / norm.ppf(0.975)
     assert np.allclose(prediction._student(squares), expected, rtol=1e-6)
+
+
+def chains(count: int, pixels: int, seed: int) -> np.ndarray:
+    """Values of f(x) = x₀ + 2 x₁ + 3 x₀ x₁ + 0 x₂ of normal x, with the first k from one point: (R, 4, P)."""
+    x, y = np.random.default_rng(seed).normal(size=(2, count, 3, pixels))
+    mixed = [np.concatenate([x[:, :k], y[:, k:]], axis=1) for k in range(4)]
+    return np.stack([z[:, 0] + 2 * z[:, 1] + 3 * z[:, 0] * z[:, 1] for z in mixed], axis=1)
+
+
+def test_shares_of_a_known_function() -> None:
+    # Var = 1 + 4 + 9; x₀ alone makes 1, what x₁ adds is 4 + 9, and x₂ nothing
+    partitions = [np.eye(3, dtype=bool), np.array([[True, False, True], [False, True, False]])]
+    whole, shares, largest = statistics.path_shares(chains(1000, 400, 7), partitions)
+    expected = np.array([1, 13, 0, 1, 13]) / 14
+    share, low, high = shares
+    # The mean over independent pixels, at 5 σ; and as many intervals hold the truth as they should, at 4 σ
+    error = share.std(axis=1) / 20
+    assert (np.abs(share.mean(axis=1) - expected) <= 5 * error + 1e-12).all()
+    assert abs(whole[0].mean() - 14) < 5 * whole[0].std() / 20
+    inside = ((low <= expected[:, None]) & (high >= expected[:, None])).mean(axis=1)
+    assert (inside[[0, 1, 3, 4]] > 0.95 - 4 * (0.95 * 0.05 / 400) ** 0.5).all()
+    assert np.array_equal(share[2], np.zeros(400))
+    np.testing.assert_allclose(share[:3].sum(axis=0), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(share[3:].sum(axis=0), 1.0, rtol=1e-12)
+    assert (share[0] < 0).any()  # an estimate below 0 is not cut off
+    assert np.array_equal(largest, np.ones((2, 400)))
+
+
+def test_shares_of_equal_parts_have_no_largest() -> None:
+    x, y = np.random.default_rng(3).normal(size=(2, 64, 2, 2000))
+    values = np.stack([y.sum(axis=1), x[:, 0] + y[:, 1], x.sum(axis=1)], axis=1)
+    _, _, (largest,) = statistics.path_shares(values, [np.eye(2, dtype=bool)])
+    assert (largest == statistics.UNDECIDED).mean() > 0.95 - 4 * (0.95 * 0.05 / 2000) ** 0.5
+
+
+def test_shares_that_one_chain_carries_are_not_told() -> None:
+    values = np.zeros((128, 3, 2))
+    values[5, 1:, 0] = 1.0
+    whole, shares, largest = statistics.path_shares(values, [np.eye(2, dtype=bool)])
+    assert whole[0, 0] > 0
+    assert np.isnan(shares).all()
+    assert np.isnan(largest).all()
+
+
+def test_the_least_variance_needs_ratios_apart_from_one() -> None:
+    variance = np.array([[1.0, 1.0, 1.0, 0.0], [1.2, 3.0, 3.0, 1.0], [3.0, 3.1, 0.1, 1.0]])
+    found = statistics.least(variance, np.full((3, 4), 0.1))
+    assert np.array_equal(found, [statistics.UNDECIDED, 0.0, 2.0, np.nan], equal_nan=True)

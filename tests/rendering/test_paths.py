@@ -20,8 +20,14 @@ from mcspectra.rendering import (
     path_pixel,
     variance_map,
 )
-from mcspectra.rendering.paths import Dimension, find_integrator
-from mcspectra.rendering.scenes import as_scene
+from mcspectra.rendering.paths import (
+    Dimension,
+    find_integrator,
+    in_dims,
+    light_selection,
+    parts_by_light,
+)
+from mcspectra.rendering.scenes import as_scene, emitter_names
 
 pytestmark = pytest.mark.render
 
@@ -193,6 +199,11 @@ def test_good_points_help_and_the_spec_makes_the_same_integrand() -> None:
         ({"dims": 1}, "from 2 to 1024"),
         ({"dims": 10**6}, "from 2 to 1024"),
         ({"channel": "hue"}, "channel"),
+        (
+            {"selection": (1, 1)},
+            "selection has 2 values; give a positive number for each of the lights",
+        ),
+        ({"selection": -1.0}, "greater than 0"),
         ({"scene": "penumbra", "integrator": None}, "names no integrator"),
     ],
 )
@@ -243,9 +254,69 @@ def test_a_pixel_of_a_map_is_what_convergence_measures(monkeypatch: pytest.Monke
     np.testing.assert_array_equal(one["variance"][..., 0, 0], whole["variance"].sel(x=6, y=5))
 
 
+def test_shares_of_a_map_are_those_of_anova() -> None:
+    scene: Any = small(cornell())
+    given: dict[str, Any] = {
+        "integrator": "path(max_depth=3)",
+        "counts": (4, 16),
+        "realizations": 4,
+    }
+    whole = variance_map(scene, crop=(5, 4, 3, 2), chains=2000, rng=9, points="own", **given)
+    place = whole.sel(x=6, y=5)
+    f = path_pixel(scene, 6, 5, integrator="path(max_depth=3)")
+    groups = [d.bounce for d in f.dimensions]
+    parts = mcs.anova_variances(f, order=1, groups=groups, realizations=4000, rng=4)
+    up_to, ends = parts["truncation_share"].values, parts["truncation_share_ci"].values
+    own, own_ends = np.cumsum(place["bounce_share"]), place["bounce_share_ci"].values
+    assert place["bounce"].values.tolist() == [0, 1, 2, 3]
+    assert place["decision"].values.tolist() == ["film", "light", "lobe", "direction", "roulette"]
+    # Half widths of both; those of sums by the sum of the widths, at 2.5 times 95 %
+    half = np.cumsum(np.diff(own_ends)[:, 0]) / 2 + np.diff(ends)[:, 0] / 2
+    assert (np.abs(own - up_to) <= 2.5 * half + 1e-12).all()
+    for kind in ("bounce", "decision"):
+        np.testing.assert_allclose(whole[f"{kind}_share"].sum(kind), 1.0, rtol=1e-12)
+    # The variance of a path is n times that of n random ones
+    random = f(mcs.sampler("random", f.dims).draw(1, realizations=20_000, rng=1))[:, 0]
+    squares = (random - random.mean()) ** 2
+    error = np.hypot(squares.std() / 20_000**0.5, float(place["path_variance_se"]))
+    assert abs(float(place["path_variance"]) - squares.mean()) < 4 * error
+    # One pixel is what it is among others, and none has shares without chains
+    one = variance_map(scene, crop=(6, 5, 1, 1), chains=2000, rng=9, points="own", **given)
+    np.testing.assert_array_equal(one["bounce_share_ci"][:, 0, 0], place["bounce_share_ci"])
+    assert "bounce_share" not in variance_map(scene, crop=(6, 5, 1, 1), chains=0, **given)
+
+
+def test_samplers_are_compared_at_each_pixel() -> None:
+    given: dict[str, Any] = {
+        "integrator": "path(max_depth=2)", "crop": (2, 5, 6, 3), "counts": (4, 64),
+        "realizations": 200, "rng": 2, "points": "own", "chains": 8,
+    }  # fmt: skip
+    scene: Any = small(builtin.penumbra(), 12, 8)
+    both = variance_map(scene, sampler=["random", "sobol | owen"], **given)
+    alone = variance_map(scene, sampler="sobol | owen", **given)
+    assert both["sampler"].values.tolist() == ["random", "sobol | owen"]
+    np.testing.assert_array_equal(both["variance"][1], alone["variance"])
+    assert both["bounce_share"].dims == ("bounce", "y", "x")
+    ratio = np.log(both["variance"][0, 0, -1] / both["variance"][1, 0, -1]).values
+    half = 1.96 * np.hypot(*both["variance_relative_se"][:, 0, -1].values)
+    decided = np.where(ratio > half, 1.0, np.where(-ratio > half, 0.0, -1.0))
+    np.testing.assert_array_equal(both["best_sampler"][0], decided)
+    assert (decided == 1.0).mean() > 0.5
+    summary = both.mcspectra.summary()
+    assert summary.count("Use sobol | owen: the least variance at") == 1
+    assert "Cause: most of the variance is of" in summary
+    assert len(both.mcspectra.plot("map-variance")) == 2
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        ({"chains": 3}, "8 at least"),
+        ({"chains": -1}, "chains"),
+        ({"integrator": None, "chains": 64}, "chains is for whole paths"),
+        ({"heuristic": "power"}, "heuristic is for direct light"),
+        ({"sampler": ["random", "random"]}, "several that differ"),
+        ({"sampler": []}, "several that differ"),
         ({"light": 0}, "light is for direct light"),
         ({"strategies": ("light",)}, "strategies is for direct light"),
         ({"integrator": "ptracer"}, "follows no ray"),
@@ -268,7 +339,69 @@ def test_a_scene_that_says_path_is_warned_of_where_direct_light_is_measured() ->
     assert [s for s in check_scene(small(scene)) if "PathIntegrator" in s]
     # Not where it is measured, where it says direct, or where nothing is said: warnings are errors
     assert not variance_map(small(scene), integrator="scene", **given).attrs["scene_note"]
+    wide = small(scene)
+    wide["sensor"]["film"] |= {"rfilter": {"type": "gaussian"}}
+    note = variance_map(wide, integrator="scene", **given).attrs["scene_note"]
+    assert "GaussianFilter" in note
     scene["integrator"] = {"type": "direct"}
     variance_map(small(scene), **given)
     del scene["integrator"]
     assert not check_scene(small(scene))
+
+
+LAMPS = "veach(width=48, height=32)"
+
+
+def test_parts_of_lights_sum_to_the_pixel_and_are_those_of_each_light_alone() -> None:
+    scene = small(builtin.veach(), 48, 32)
+    f = path_pixel(scene, 24, 26, integrator="path(max_depth=4)")
+    u = np.random.default_rng(3).random((2**14, f.dims))
+    values, parts = f(u), parts_by_light(f, u)
+    rounding = 1e-5 * values.max()
+    np.testing.assert_allclose(parts.sum(axis=0), values, rtol=0, atol=rounding)
+    # Scenes whose other lights are black, in which paths are chosen alike
+    lights = [name for name, part in scene.items() if isinstance(part, dict) and "emitter" in part]
+    assert len(parts) == len(lights) == len(emitter_names(as_scene(scene)))
+    for kept, part in zip(emitter_names(as_scene(scene)), parts, strict=True):
+        black = {"type": "area", "radiance": {"type": "rgb", "value": 0.0}}
+        dark = {name: scene[name] | {"emitter": black} for name in lights if name != kept}
+        alone = path_pixel(scene | dark, 24, 26, integrator="path(max_depth=4)")
+        np.testing.assert_allclose(part, alone(u), rtol=0, atol=rounding)
+    # The scene is left as it was
+    assert np.array_equal(f(u), values)
+
+
+def test_lights_chosen_by_second_moments_have_the_variance_that_theory_says() -> None:
+    """Light sampling alone, as f = h_J/p_J: Σ p E f_j² becomes (Σ √(p E f_j²))²; 5 standard errors."""
+    integrator = "direct(emitter_samples=1, bsdf_samples=0)"
+    f = path_pixel(LAMPS, 24, 26, integrator=integrator)
+    rng = np.random.default_rng(4)
+    parts = parts_by_light(f, rng.random((2**17, f.dims)))
+    moments = light_selection(f.scene) * (parts**2).mean(axis=1)
+    best = path_pixel(LAMPS, 24, 26, integrator=integrator, selection=np.sqrt(moments))
+    values = best(rng.random((2**17, f.dims)))
+    mean, expected = parts.sum(axis=0).mean(), np.sqrt(moments).sum() ** 2
+    before = parts.sum(axis=0)
+    assert abs(values.mean() - mean) < 5 * np.hypot(values.std(), before.std()) / len(values) ** 0.5
+    # Errors of the two second moments; that of the square of the sum is at most that of f², by Jensen
+    error = np.hypot((values**2).std(), (before**2).std()) / len(values) ** 0.5
+    assert abs((values**2).mean() - expected) < 5 * error
+    assert (values**2).mean() + 5 * error < (before**2).mean()
+
+
+def test_roulette_costs_fewer_numbers() -> None:
+    def asked(rr_depth: int) -> float:
+        integrator = f"path(max_depth=6, rr_depth={rr_depth})"
+        return path_pixel(small(cornell()), 6, 6, integrator=integrator).numbers_per_path
+
+    assert asked(1) < asked(3) < asked(100)
+
+
+@pytest.mark.parametrize(
+    "spec", ["halton | owen", "faure | owen | shift", "sobol | owen | decorrelate"]
+)
+def test_samplers_in_other_dims_are_those_of_their_spec(spec: str) -> None:
+    made, other = in_dims(mcs.sampler(spec, 2), 5), mcs.sampler(spec, 5)
+    assert made == other
+    points = made.draw(25 if "faure" in spec else 16, realizations=2, rng=1)
+    assert np.array_equal(points, other.draw(points.shape[1], realizations=2, rng=1))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 
@@ -49,14 +50,8 @@ def test_given_points_stand_beside_known_samplers(tmp_path):
 
 def test_the_whole_gallery_names_every_sampler_that_needs_nothing():
     heads = {spec.partition("|")[0].partition("(")[0].strip() for spec in gallery_specs()}
-    assert heads == set(SAMPLERS) - {
-        "points",
-        "scipy",
-        "qmcpy",
-        "mitsuba",
-        "digital-net",
-        "shared-cells",
-    }
+    outside = {"command", "points", "python", "scipy", "qmcpy", "mitsuba", "digital-net"}
+    assert heads == set(SAMPLERS) - outside - {"shared-cells"}
 
 
 class Reader(HTMLParser):
@@ -125,3 +120,20 @@ def test_a_folder_that_cannot_be_written(tmp_path):
     (tmp_path / "file").write_text("here")
     with pytest.raises(StoreError, match="cannot be written"):
         write_gallery(tmp_path / "file", ["random"], effort=TINY)
+
+
+def test_a_program_that_knows_two_dims_is_a_card(tmp_path):
+    program = tmp_path / "mine.py"
+    program.write_text(
+        "import sys\n"
+        "n = int(sys.argv[1])\n"
+        "for k in range(n):\n"
+        "    print((k + 0.5) / n, (k * 0.618033988749895) % 1.0)\n"
+    )
+    run = f"{sys.executable} {program} {{n}}"
+    mcs.samplers.allow_code(run)
+    card = measure_card(f"command({run!r}, name='mine')", effort=TINY)
+    assert card.projected is None  # it prints two coordinates, whatever it is asked for
+    assert card.randomized.endswith("| shift")
+    assert card.speed > 0
+    assert card.points[0].tolist() == [0.5 / card.n, 0.0]

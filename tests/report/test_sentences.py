@@ -217,6 +217,16 @@ def test_sentence_and_headline_agree_on_agreement(predicted: float, width: float
     assert said == ("Prediction agrees" in headline(row, terms))
 
 
+def test_predictions_are_off_where_intervals_of_all_rows_together_say_so() -> None:
+    """2.3 standard errors away are chance among 18 rows, not alone: z is 1.96 and 2.98."""
+    half = 1.15 ** (1.96 / 2.3)
+    row = SummaryRow(
+        estimator="e", sampler="s", ratio=1.15, ratio_low=1.15 / half, ratio_high=1.15 * half
+    )
+    assert "predicted × 1.15" in headline(row).lower()
+    assert "prediction agrees" in headline(row, rows=18).lower()
+
+
 def test_one_sentence_without_terms() -> None:
     assert headline(curve(-1.52)) == "Faster than random sampling."
     assert headline(curve(-1.0)) == "Random sampling's rate."

@@ -10,7 +10,9 @@ from typing import Any
 import pytest
 from tests.report.parsed import Parsed
 
+import mcspectra as mcs
 from mcspectra.core.errors import StoreError
+from mcspectra.plots.text import number
 from mcspectra.report import study as module
 from mcspectra.report import write_report
 from mcspectra.report.page import Table, Text
@@ -177,6 +179,24 @@ def test_odd_results(make: Make, tmp_path: Path) -> None:
     assert "there is no rate to fit" in page.text
     assert page.all("abbr")
     assert all(attributes["title"] for attributes in page.all("abbr"))
+
+
+def test_predictions_stand_in_the_measured_curves(make: Make, tmp_path: Path) -> None:
+    """Crosses in the figure of convergence and a folded table; a figure of their own at other counts."""
+    f = mcs.integrand("gaussian(width=0.3)")
+    curve = make["curve"]("random")
+    same = mcs.predict(f, "random", curve["n"].values.tolist())
+    cells = {
+        ("same", "random"): {"convergence": curve, "predict": same},
+        ("other", "random"): {"convergence": curve, "predict": mcs.predict(f, "random", [25])},
+    }
+    page = Parsed(write_report(make["study"](tmp_path, cells)).read_text(encoding="utf-8"))
+    assert page.text.count("Crosses are predicted") == 1
+    assert page.text.count("Predicted variance against the number of points") == 1
+    assert page.text.count("Predictions in numbers") == 2
+    text = " ".join(page.text.split())
+    for n, value in zip(same["n"].values, same["predicted_variance"].values, strict=True):
+        assert f"random {n} {number(float(value))}" in text
 
 
 def test_only_spectra(make: Make, tmp_path: Path) -> None:

@@ -161,7 +161,8 @@ def make(tmp_path_factory):
 
 
 def test_rows_cover_the_registries():
-    assert {row.spec.partition("(")[0] for row in ROWS} == set(SAMPLERS)
+    code = {"command", "python"}  # which test_external holds to it
+    assert {row.spec.partition("(")[0] for row in ROWS} == set(SAMPLERS) - code
     assert {part for chain in CHAINS for part in parts_of(chain)} == set(RANDOMIZATIONS)
     assert {row.spec for row in ROWS} > set(TYPICAL)
 

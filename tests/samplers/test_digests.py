@@ -55,10 +55,8 @@ CHAINS = [
     "points",
     *[f"{base} | {step}" for base in ("sobol", "halton", "random") for step in RANDOMIZATIONS],
 ]
-SPECS = [
-    *(QUICK.get(name, name) for name in SAMPLERS if name not in ("points", "shared-cells")),
-    *CHAINS,
-]
+OF_OTHERS = ("command", "points", "python", "shared-cells")  # their points are not ours
+SPECS = [*(QUICK.get(name, name) for name in SAMPLERS if name not in OF_OTHERS), *CHAINS]
 
 
 def source_of(spec):

@@ -13,14 +13,26 @@ from scipy.stats import qmc
 
 import mcspectra as mcs
 from mcspectra.core.errors import (
+    ConfigError,
     CountError,
     DomainError,
     FileFormatError,
     McspectraError,
     ParameterError,
+    SpecError,
 )
 from mcspectra.core.pointfiles import write_points
-from mcspectra.samplers import FunctionSampler, GivenPoints, ScipySampler, Shift, sampler
+from mcspectra.core.spec import short_spec
+from mcspectra.samplers import (
+    CommandSampler,
+    FunctionSampler,
+    GivenPoints,
+    PythonSampler,
+    ScipySampler,
+    Shift,
+    sampler,
+)
+from mcspectra.testing import check_sampler
 
 FALSE_ALARMS = 1e-6
 CHECKS = 8  # statistical tests in this file
@@ -155,17 +167,224 @@ class TestGivenPoints:
         refused(ParameterError, "cycle is 1", GivenPoints, path=files[0], cycle=1)
         refused(ParameterError, "2 dims, but 3 dims", sampler, f"points(path={files[0]!r})", 3)
         refused(ParameterError, "dims is 0", sampler, f"points(path={files[0]!r})", 0)
-        (tmp_path / "c.dat").write_text("0.1 0.2\n#\n0.3 0.4\n0.5 0.6\n")
+        (tmp_path / "c.dat").write_text("0.1 0.2\n#\n0.3\n0.5\n")
         uneven = str(tmp_path / "c.dat")
-        refused(ParameterError, r"Set 2 \(of .*c.dat\) has shape", mcs.Sampler.from_files, uneven)
+        refused(
+            ParameterError, r"Set 2 \(of .*c.dat\) is in 1 dims", mcs.Sampler.from_files, uneven
+        )
         (tmp_path / "d.dat").write_text("0.1 1.5\n")
         refused(
             DomainError, "d.dat run from 0.1 to 1.5", mcs.Sampler.from_files, tmp_path / "d.dat"
         )
 
 
+@pytest.fixture
+def folder(tmp_path):
+    """Sets of 4 and of 16 points in files that their names tell, and one that is no set."""
+    rng = np.random.default_rng(1)
+    sets = {}
+    for n, k, extension in ((4, 2, "dat"), (4, 10, "npy"), (16, 1, "csv")):
+        sets[n, k] = rng.random((n, 2))
+        write_points(tmp_path / f"n{n}_{k}.{extension}", [sets[n, k]])
+    (tmp_path / "notes.txt").write_text("nothing\n")
+    return tmp_path, sets
+
+
+class TestPatterns:
+    """A folder or a pattern stands for the sets of many files, and offers the counts that they have."""
+
+    @pytest.mark.parametrize("pattern", ["", "n*_*", "n{n}_*", "n?*_?*"])
+    def test_sets_are_told_apart_by_their_counts(self, folder, pattern):
+        root, sets = folder
+        source = sampler(f"points(path={str(root / pattern)!r}, name='mine')")
+        # 2 before 10: the numbers of names go by value
+        np.testing.assert_array_equal(
+            source.draw(4, realizations=2), np.stack([sets[4, 2], sets[4, 10]])
+        )
+        np.testing.assert_array_equal(source.draw(16)[0], sets[16, 1])
+        assert [source.nearest_count(n) for n in (1, 9, 11, 10**6)] == [4, 4, 16, 16]
+        refused(CountError, "nearest counts are 4 and 16", source.draw, 8)
+        refused(CountError, "1 realisation of 16 points", source.draw, 16, realizations=2)
+        assert source.then(Shift()).draw(16, realizations=5, rng=1).shape == (5, 16, 2)
+        assert sampler(source.spec) == source
+        again = pickle.loads(pickle.dumps(source))
+        np.testing.assert_array_equal(again.draw(16), source.draw(16))
+        assert short_spec(f"{source.spec} | shift") == "mine | shift"
+
+    def test_a_pattern_takes_what_it_says(self, folder):
+        root, _ = folder
+        assert list(sampler(f"points(path={str(root / 'n4_*')!r})").sets) == [4]
+        assert len(sampler(f"points(path={str(root / 'n{n}_2.*')!r})").sets[4]) == 1
+
+    def test_analyses_take_the_sets_of_their_count(self, folder):
+        root, sets = folder
+        figures = mcs.quality_figures(
+            f"points(path={str(root)!r})", 4, figures=["star_discrepancy"]
+        )
+        expected = [
+            float(mcs.quality_figures(sets[4, k])["star_discrepancy"].values[0]) for k in (2, 10)
+        ]
+        np.testing.assert_array_equal(figures["star_discrepancy"], expected)
+
+    def test_refusals(self, folder):
+        root, _ = folder
+        read = mcs.Sampler.from_files
+        refused(FileFormatError, "No file fits .*m\\*", read, root / "m*.dat")
+        (root / "empty").mkdir()
+        refused(FileFormatError, "empty holds no point set", read, root / "empty")
+        write_points(root / "n5_1.dat", [SETS[0][:4]])
+        refused(FileFormatError, "a set of 4 points, but n is 5", read, root / "n{n}_*")
+        write_points(root / "n6_1.dat", [np.full((6, 3), 0.5)])
+        refused(ParameterError, "is in 3 dims, but the first in 2", read, root / "n*_*")
+        refused(ParameterError, "name is 5", GivenPoints, path=str(root / "n4_2.dat"), name_=5)
+
+
 def draw_uniform(n, generator):
     return generator.random((n, 3))
+
+
+def draw_too_few(n, generator):
+    return generator.random((n - 1, 2))
+
+
+def draw_never(n, generator):
+    raise RuntimeError("no more ink")
+
+
+class TestPythonSampler:
+    """A function by its name, which must be allowed before a spec may say it."""
+
+    NAME = f"{__name__}:draw_uniform"
+
+    def test_it_is_the_function(self):
+        source = PythonSampler(function=self.NAME, dims=3)
+        given = mcs.Sampler.from_function(draw_uniform, dims=3)
+        np.testing.assert_array_equal(
+            source.draw(8, realizations=3, rng=4), given.draw(8, realizations=3, rng=4)
+        )
+        assert sampler(f"python({self.NAME!r})", 3) == source  # Python made it before
+        assert sampler(source.spec, 3) == source
+        assert source.unbiased
+        assert not PythonSampler(function=self.NAME, dims=3, unbiased_=False).unbiased
+        check_sampler(source, counts=(4, 16))
+
+    def test_refusals(self):
+        refused(ConfigError, "--allow-code os:getcwd", sampler, "python('os:getcwd')")
+        refused(ParameterError, "write 'module:function'", lambda: PythonSampler(function="os"))
+        refused(
+            ParameterError,
+            "no_such.*PYTHONPATH",
+            lambda: PythonSampler(function="no_such_module:f"),
+        )
+        refused(ParameterError, "not a function", lambda: PythonSampler(function="os:sep"))
+        few = PythonSampler(function=f"{__name__}:draw_too_few")
+        refused(CountError, "returned 3 of 4", few.draw, 4)
+        never = PythonSampler(function=f"{__name__}:draw_never")
+        refused(CountError, "cannot make 4 points: no more ink", never.draw, 4)
+
+
+PROGRAM = """\
+#!{python}
+import random, sys, time
+n, seed, how = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3] if len(sys.argv) > 3 else ""
+random.seed(seed)
+for k in range(n - (how == "few") + (how == "many")):
+    print(random.random() + (how == "out"), random.random(), *([0.5] if how == "wide" else []))
+if how == "nan":
+    print("nan", 0.5)
+if how == "talk":
+    print("Hello, world")
+if how == "late":
+    sys.stdout.flush()
+    time.sleep(60)
+if how == "endless":
+    while True:
+        print("0.5 0.5")
+if how == "fail":
+    print("Traceback of mine", file=sys.stderr)
+    sys.exit("it has no n that is odd")
+"""
+
+
+@pytest.fixture
+def program(tmp_path):
+    """A program that prints uniform points, and fails as it is told."""
+    file = tmp_path / "mine"
+    file.write_text(PROGRAM.format(python=sys.executable))
+    file.chmod(0o755)
+    return str(file)
+
+
+class TestCommandSampler:
+    """A program that prints points, one run for each realisation."""
+
+    def test_realizations_are_keyed_by_the_seed(self, program):
+        source = mcs.Sampler.from_command(f"{program} {{n}} {{seed}}", dims=2)
+        whole = source.draw(4, realizations=5, rng=3)
+        np.testing.assert_array_equal(source.draw(4, realizations=2, first=2, rng=3), whole[2:4])
+        assert len(np.unique(whole)) == whole.size
+        assert not np.array_equal(source.draw(4, rng=4)[0], whole[0])
+        assert source.unbiased
+        assert sampler(source.spec, 2) == source
+        assert pickle.loads(pickle.dumps(source)) == source
+
+    def test_what_it_prints_is_read_as_numbers(self, program):
+        import random
+
+        source = mcs.Sampler.from_command(f"{program} {{n}} 7", dims=2)
+        random.seed(7)
+        expected = [[random.random(), random.random()] for _ in range(3)]
+        np.testing.assert_array_equal(source.draw(3)[0], expected)
+
+    def test_without_a_seed_it_runs_once_a_draw(self, program, monkeypatch):
+        source = mcs.Sampler.from_command(f"{program} {{n}} 7", dims=2)
+        runs = []
+        printed = CommandSampler._printed
+        monkeypatch.setattr(CommandSampler, "_printed", lambda *a: runs.append(1) or printed(*a))
+        sets = source.draw(4, realizations=3, rng=1)
+        assert (len(runs), source.fixed, source.unbiased) == (1, True, False)
+        np.testing.assert_array_equal(sets[0], sets[2])
+        assert source.then(Shift()).unbiased
+
+    @pytest.mark.parametrize(
+        ("how", "error", "words"),
+        [
+            ("few", CountError, "returned 3 of 4 points"),
+            ("many", ParameterError, r"returned shape \(5, 2\)"),
+            ("wide", ParameterError, r"returned shape \(4, 3\)"),
+            ("out", DomainError, r"must lie in \[0,1\)"),
+            ("nan", FileFormatError, "line 5: 'nan' is not a finite number"),
+            ("talk", FileFormatError, "'Hello' is not a finite number"),
+            ("fail", ParameterError, "ended with exit code 1: it has no n that is odd"),
+            ("endless", ParameterError, "printed more than"),
+        ],
+    )
+    def test_what_it_must_not_do(self, program, how, error, words):
+        source = mcs.Sampler.from_command(f"{program} {{n}} {{seed}} {how}", dims=2)
+        refused(error, words, source.draw, 4, rng=1)
+
+    def test_a_program_that_does_not_end_is_ended(self, program):
+        source = CommandSampler(run=f"{program} {{n}} {{seed}} late", timeout=0.5)
+        refused(ParameterError, "took more than 0.5 s", source.draw, 4, rng=1)
+
+    def test_refusals(self, program):
+        refused(
+            ConfigError, r"--allow-code './mine \{n\} \{seed\}'", sampler,
+            "command('./mine {n} {seed}')",
+        )  # fmt: skip
+        refused(ParameterError, "{k} stands for nothing", CommandSampler, run="./mine {k}")
+        for run in ("", "'./mine", 5):
+            refused(ParameterError, "write a program", CommandSampler, run=run)
+        absent = CommandSampler(run="./no-such-program {n}")
+        refused(ParameterError, "cannot be run: No such file", absent.draw, 4)
+        refused(SpecError, "was given 'a' without a name", sampler, "command('a', 'b')")
+        refused(SpecError, "given run twice", sampler, "command('a', run='b')")
+
+    def test_a_program_is_allowed_with_any_arguments(self, program):
+        spec = f"command('{program} {{n}} {{seed}} x')"
+        refused(ConfigError, "--allow-code", sampler, spec)
+        mcs.samplers.allow_code(program)
+        assert sampler(spec).dims == 2
 
 
 class TestFunctionSampler:

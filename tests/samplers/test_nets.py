@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from itertools import product
 from math import comb
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,6 +24,7 @@ from mcspectra.samplers import (
     Faure,
     LarcherPillichshammer,
     Niederreiter,
+    Owen,
     Random,
     Sobol,
     sampler,
@@ -376,3 +379,123 @@ def test_counts_and_dims_of_larcher_pillichshammer():
     assert LarcherPillichshammer().nearest_count(2**31 - 1) == 2**31
     with pytest.raises(ParameterError, match="it must be 2, for other dims use sobol"):
         LarcherPillichshammer(dims=3)
+
+
+TERNARY = """\
+d	s	a	m_i
+1	1	3	1
+4	2	10	1	4
+2	1	4	1
+3	1	5	2
+"""
+"""The first polynomials over the field of three elements of [Ostromoukhov2024]_, of degree 1 or 2."""
+
+# What the authors' program prints for these
+TERNARY_MATRICES = [
+    [[1, 0, 0, 0, 0], [0, 1, 0, 0, 0], [0, 0, 1, 0, 0], [0, 0, 0, 1, 0], [0, 0, 0, 0, 1]],
+    [[1, 1, 2, 2, 1], [0, 1, 0, 2, 0], [0, 0, 1, 1, 1], [0, 0, 0, 1, 0], [0, 0, 0, 0, 1]],
+    [[1, 2, 1, 2, 1], [0, 1, 1, 0, 2], [0, 0, 1, 0, 0], [0, 0, 0, 1, 2], [0, 0, 0, 0, 1]],
+    [[2, 2, 2, 2, 2], [0, 2, 1, 0, 2], [0, 0, 2, 0, 0], [0, 0, 0, 2, 2], [0, 0, 0, 0, 2]],
+]
+
+
+class TestDirectionNumbersOfOthers:
+    """Tables of direction numbers, in base 2 and in base 3, with the scrambles of their base."""
+
+    @pytest.fixture
+    def ternary(self, tmp_path):
+        (tmp_path / "gf3.dat").write_text(TERNARY)
+        return str(tmp_path / "gf3.dat")
+
+    def test_joe_and_kuos_own_table_gives_their_points(self, tmp_path):
+        (tmp_path / "jk.txt").write_text(
+            "d s a m_i\n2 1 0 1\n3 2 1 1 3\n4 3 1 1 3 1\n5 3 2 1 1 1\n"
+        )
+        source = Sobol(directions=str(tmp_path / "jk.txt"), dims=5)
+        np.testing.assert_array_equal(source.draw(256), Sobol(dims=5).draw(256))
+        chain, own = (sampler(f"{spec} | owen", 5) for spec in (source.spec, "sobol"))
+        np.testing.assert_array_equal(chain.draw(64, rng=1), own.draw(64, rng=1))
+        with pytest.raises(ParameterError, match="5"):
+            Sobol(directions=str(tmp_path / "jk.txt"), dims=6)
+
+    def test_a_table_in_another_order_with_van_der_corput_in_it(self, tmp_path):
+        (tmp_path / "one.txt").write_text("d s a m_i\n0 0 0 # van der Corput\n3 2 1 1 3\n1 1 0 1\n")
+        points = Sobol(directions=str(tmp_path / "one.txt"), dims=3).draw(64)
+        np.testing.assert_array_equal(points, Sobol(dims=3).draw(64)[..., [0, 2, 1]])
+
+    def test_base_3_is_as_its_authors_have_it(self, ternary):
+        source = Sobol(directions=ternary, base=3, dims=4)
+        columns = source.direction_numbers(1)
+        np.testing.assert_array_equal(columns[:, :5, :5].transpose(0, 2, 1), TERNARY_MATRICES)
+        np.testing.assert_allclose(
+            source.draw(243)[0], slow_net(TERNARY_MATRICES, 3, 243), rtol=0, atol=1e-9
+        )
+
+    @pytest.mark.parametrize("step", ["owen", "lms", "digital-shift", "permute"])
+    def test_scrambles_in_base_3_keep_the_net(self, ternary, step):
+        chain = sampler(f"sobol(directions={ternary!r}, base=3) | {step}", 4)
+        points = chain.draw(243, realizations=2, rng=1)
+        assert chain.unbiased
+        assert not np.array_equal(points[0], points[1])
+        for x in points:
+            assert [net_t_value(x[:, pair], 3) for pair in ([0, 1], [2, 3])] == [0, 0]
+            assert net_t_value(x, 3) == 1
+        with pytest.raises(ParameterError, match="whose digits are in base 3"):
+            sampler(f"sobol(directions={ternary!r}, base=3) | owen(base=2)", 4)
+        with pytest.warns(NotPowerOfTwoWarning, match="81 and 243 would be"):
+            chain.draw(100, rng=1)
+
+    @pytest.mark.parametrize(
+        ("text", "base", "words"),
+        [
+            ("2 1 0 2\n", 2, "line 1, is not"),  # m even
+            ("d s a\n2 1 0 3\n", 2, "line 2, is not"),  # m_1 of two digits
+            ("2 3 1 1 3\n", 2, "line 1, is not"),  # too few numbers
+            ("2 3 9 1 3 1\n", 2, "line 1, is not"),  # polynomial of too high a degree
+            ("2 1 0 x\n", 2, "line 1, is not"),
+            ("2 33 1 1\n", 2, "line 1, is not"),
+            ("2 1 0 1\n", 3, "line 1, is not"),  # of base 2
+            ("1 1 6 1\n", 3, "line 1, is not"),  # leading coefficient 2
+            ("d s a\n", 2, "holds no direction numbers"),
+        ],
+    )
+    def test_files_that_are_no_tables(self, tmp_path, text, base, words):
+        (tmp_path / "t.txt").write_text(text)
+        with pytest.raises(FileFormatError, match=words):
+            Sobol(directions=str(tmp_path / "t.txt"), base=base)
+
+    def test_refusals(self, ternary):
+        with pytest.raises(ParameterError, match="base 3 needs a table"):
+            Sobol(base=3)
+        with pytest.raises(ParameterError, match="base is 5"):
+            Sobol(directions=ternary, base=5)
+        with pytest.raises(FileFormatError, match="no file"):
+            Sobol(directions="none.dat")
+        with pytest.raises(FileFormatError, match="is not a path"):
+            Sobol(directions=5)
+
+    def test_matrices_one_below_the_other(self, tmp_path):
+        file = tmp_path / "matrices.dat"
+        rows = ["\n".join(" ".join(map(str, row)) for row in matrix) for matrix in TERNARY_MATRICES]
+        file.write_text("# four dims\n" + "\n\n".join(rows) + "\n")
+        net = DigitalNet(matrices=str(file), base=3)
+        given = DigitalNet(matrices=TERNARY_MATRICES, base=3)
+        np.testing.assert_array_equal(net.draw(243), given.draw(243))
+        assert net.digit_bases == (3,) * 4
+        assert net_t_value(net.then(Owen()).draw(243, rng=1)[0], 3) == 1
+        with pytest.raises(FileFormatError, match="must be|from 0 to 1"):
+            DigitalNet(matrices=str(file))  # digits 2 in base 2
+
+    @pytest.mark.parametrize(
+        ("name", "base", "pairs"),
+        [("onetwo_init_tab.dat", 2, 1), ("quad_optimized_gf3.dat", 3, 0)],
+    )
+    def test_the_published_tables(self, name, base, pairs):
+        """Consecutive pairs are (t, 2)-sequences of the t that the papers promise."""
+        file = Path(os.environ.get("MCSPECTRA_NETS", ".")) / name
+        if not file.is_file():
+            pytest.skip("the tables of others are not here")
+        net = Sobol(directions=str(file), base=base, dims=24)
+        points = net.draw(base**6)[0]
+        for j in range(0, 24, 2):
+            assert net_t_value(points[:, j : j + 2], base) <= pairs

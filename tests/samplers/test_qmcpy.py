@@ -11,7 +11,7 @@ from mcspectra.core.errors import CountError, MissingDependency, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.quality.nets import net_t_value
 from mcspectra.samplers import Sampler, as_sampler, sampler
-from mcspectra.samplers.external import QmcpySampler
+from mcspectra.samplers.engines import QmcpySampler
 
 qmcpy = pytest.importorskip("qmcpy", reason=f"{NO_QMCPY}; all of tests/samplers/test_qmcpy.py")
 

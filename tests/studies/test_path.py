@@ -13,8 +13,13 @@ import xarray as xr
 import mcspectra as mcs
 from mcspectra.cli.main import main
 from mcspectra.core.errors import ParameterError
-from mcspectra.rendering import path_pixel
+from mcspectra.core.streams import Stream
+from mcspectra.rendering import builtin, path_pixel
+from mcspectra.rendering.scenes import emitter_names
+from mcspectra.report.path_page import path_answer, path_sentences, path_summary, write_path
+from mcspectra.samplers import as_sampler
 from mcspectra.studies import analyse_path
+from mcspectra.studies.path_remedies import path_remedies, shares_by_light
 
 pytestmark = pytest.mark.render
 
@@ -63,14 +68,18 @@ def test_groupings_agree(tree: xr.DataTree) -> None:
 
 
 def test_padding_ends_at_all_coordinates_and_starts_near_random_points(tree: xr.DataTree) -> None:
-    padding, curves = tree["padding"].to_dataset(), tree["convergence"].to_dataset()
-    assert padding["dims"].values.tolist() == [2, 8, 14, 20]
-    sobol, random = (curves.sel(sampler=s)["variance"].values for s in reversed(SAMPLERS))
-    assert np.array_equal(padding["variance"].values[-1], sobol)
-    # The film alone makes next to nothing of the noise: as random points, within intervals
-    low, high = padding["variance_ci"].isel(dims=0, n=-1).values
-    assert low / 1.3 < random[-1] < high * 1.3
-    assert padding["variance"].values[1, -1] < 0.5 * random[-1]
+    found = tree["remedies"].to_dataset()
+    kinds = found["kind"].values
+    assert set(found["remedy"].values[kinds == "padding"]) == {
+        f"{k} good coordinates" for k in (2, 8, 14)
+    }
+    # The last turn's numbers are not used; the film alone makes little of the noise, as random points, within intervals
+    one = {str(name): found.sel(remedy=name) for name in found["remedy"].values}
+    assert float(one["14 good coordinates"]["error_ratio"]) == 1.0
+    low, high = one["2 good coordinates"]["error_ci"].values
+    assert low / 1.3 < float(one["random"]["error"]) < high * 1.3
+    assert one["2 good coordinates"]["verdict"] == "worse"
+    assert one["8 good coordinates"]["verdict"] != "worse"
 
 
 def test_a_sampler_with_a_count_it_lacks_is_refused_first() -> None:
@@ -90,11 +99,96 @@ def test_the_verb_prints_writes_and_refuses(
     assert main([*asked, "--json", "--out", str(tmp_path / "out")]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["pixel"]["dims"] == 20
-    assert {"by bounce", "by decision", "sampler", "padding"} <= printed["sentences"].keys()
+    assert {"by bounce", "by decision", "sampler", "padding", "remedies"} <= printed[
+        "sentences"
+    ].keys()
+    assert printed["answer"].startswith("Use sobol | owen: RMSE")
+    assert "Cause: the largest parts of the variance are " in printed["answer"]
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert "Good coordinates" in page
+    assert "good coordinates" in page
     assert "bounce 1 light" in page
     assert main(asked) == 0
-    assert "20 random numbers a path" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "20 random numbers a path" in told
+    assert "roulette from depth 1" in told
     assert main([*asked, "--light", "lamp"]) == 2
     assert "--light is for direct light" in capsys.readouterr().err
+
+
+def test_remedies_are_at_equal_cost_and_say_what_could_not_be_tried(tree: xr.DataTree) -> None:
+    found = tree["remedies"].to_dataset()
+    kinds = dict(zip(found["remedy"].values, found["kind"].values, strict=True))
+    assert {"given", "sampler", "padding", "order", "roulette"} <= set(kinds.values())
+    one = {str(name): found.sel(remedy=name) for name in found["remedy"].values}
+    # Random numbers are worse than the net; after the film alone hardly anything is good
+    assert one["random"]["verdict"] == "worse"
+    assert one["2 good coordinates"]["verdict"] == "worse"
+    # Costs of roulette are those of the numbers that its paths ask for
+    f = path_pixel(SCENE, X, Y, integrator=PATH)
+    other = path_pixel(SCENE, X, Y, integrator="path(max_depth=3, rr_depth=1)")
+    cost = one["roulette from depth 1"]["cost"].values[-1] / found.attrs["budget"]
+    assert cost == pytest.approx(other.numbers_per_path / f.numbers_per_path, rel=1e-12)
+    assert cost < 1.0
+    # A pilot counts: the order of coordinates took more paths than the budget
+    assert one["coordinates by share"]["verdict"] == "worse"
+    assert "Its pilot takes" in one["coordinates by share"]["reason"].item()
+    reasons = json.loads(found.attrs["not_tried"])
+    assert any(r.startswith("heuristic of MIS: PathIntegrator has no property") for r in reasons)
+    assert any(r.endswith("the scene has 1.") for r in reasons)
+    # What is said of padding does not contradict them
+    said = dict(path_sentences(tree))["padding"]
+    for name, each in one.items():
+        if kinds[name] == "padding" and each["verdict"] == "worse":
+            assert f"first {name.split()[0]} coordinates" not in said
+
+
+@pytest.fixture(scope="module")
+def lamps() -> dict[str, Any]:
+    film = {"type": "hdrfilm", "width": 48, "height": 32, "rfilter": {"type": "box"}}
+    scene: dict[str, Any] = builtin.veach()
+    return scene | {"sensor": scene["sensor"] | {"film": film}}
+
+
+def test_lights_that_are_chosen_better_pay_as_soon_as_it_is_said(lamps: dict[str, Any]) -> None:
+    f = path_pixel(lamps, 24, 26, integrator="path(max_depth=3)")
+    lights = shares_by_light(f, 2**13, Stream.from_rng(5))
+    assert lights is not None
+    assert lights["light"].values.tolist() == emitter_names(f.scene)
+    assert float(lights["light_share"].sum()) == pytest.approx(1.0, abs=1e-4)  # float32
+    for name in ("light_probability", "light_selection"):
+        assert float(lights[name].sum()) == pytest.approx(1.0, abs=1e-12)
+    # The variance of other paths, within 5 standard errors of both ratios
+    chosen = path_pixel(
+        lamps, 24, 26, integrator="path(max_depth=3)", selection=lights["light_selection"].values
+    )
+    u = np.random.default_rng(6).random((2**16, f.dims))
+    squares = [(v - v.mean()) ** 2 for v in (chosen(u), f(u))]
+    after, before = (s.mean() for s in squares)
+    error = (squares[0] / after - squares[1] / before).std() * (2**-16 + 2**-13) ** 0.5
+    assert abs(np.log(float(lights["selection_ratio"])) - np.log(after / before)) < 5 * error
+
+    # With its pilot it is compared with as many paths more; from where it pays, the ratio is 1
+    random = as_sampler("random", f.dims)
+    found = path_remedies(
+        f, random, (64, 256), Stream.from_rng(7), realizations=400, samplers=(), ends=(), lights=lights
+    )  # fmt: skip
+    one = found.sel(remedy="lights by second moment")
+    pilot = int(lights.attrs["pilot"])
+    beside = float(one["error"]) / float(found.sel(remedy="as given")["error"])
+    rate = float(found.sel(remedy="as given")["rate"])
+    charged = beside * ((256 + pilot) / 256) ** -rate
+    assert float(one["error_ratio"]) == pytest.approx(charged, rel=1e-9)
+    assert one["verdict"] == ("worse" if one["error_ratio_ci"][0] > 1 else "undecided")
+
+
+def test_a_page_of_lights_has_their_table(
+    lamps: dict[str, Any], tree: xr.DataTree, tmp_path: Path
+) -> None:
+    f = path_pixel(lamps, 24, 26, integrator="path(max_depth=3)")
+    found = tree.copy()
+    found["lights"] = xr.DataTree(shares_by_light(f, 2**10, Stream.from_rng(5)))
+    page = write_path(found, tmp_path).read_text(encoding="utf-8")
+    assert path_answer(found).split(":")[0] in page
+    assert "Better chosen" in page
+    assert "Lights chosen by their second moments" in dict(path_sentences(found))["lights"]
+    assert len(path_summary(found)["lights"]["light_share"]) == 5

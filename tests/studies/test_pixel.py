@@ -70,6 +70,17 @@ def same(found: xr.Dataset, expected: xr.Dataset, *names: str) -> None:
         assert np.array_equal(found[name].values, expected[name].values, equal_nan=True), name
 
 
+def test_the_cause_is_that_of_the_sampler_that_is_named() -> None:
+    """A shift carries a jump into strata: of plain strata nothing like it is said, whoever else shifts."""
+    said = {}
+    for samplers in (("jittered", "jittered | shift"), ("jittered | shift", "jittered")):
+        found = analyse_pixel("figure1", "P", samplers=samplers, remedies=False, rng=3)
+        said[found.attrs["sampler"]] = pixel_answer(found)
+    assert "with jittered at" in said["jittered"]
+    assert "shift carries" not in said["jittered"]
+    assert "the shift carries that jump" in said["jittered | shift"]
+
+
 def test_curves_are_those_of_convergence(tree: xr.DataTree) -> None:
     direct = mcs.convergence(list(estimators().values()), list(SAMPLERS), COUNTS, **OPTIONS)
     found = tree["convergence"].to_dataset()

@@ -1,5 +1,6 @@
 """A study from a stranger: no code, no files elsewhere, no names that lead out of the store."""
 
+import hashlib
 import sys
 
 import numpy as np
@@ -87,9 +88,36 @@ def test_densities_and_samplers_are_no_functions(module, tmp_path):
     trust = Trust(code=("strangers:f",))
     with pytest.raises(ConfigError, match="only integrands"):
         make_plan(_with("dims = 1", f"dims = 1\ndensity = {CODE}"), tmp_path, trust)
-    with pytest.raises(ConfigError, match="no sampler called 'python'"):
-        make_plan(_with('["random"]', f"[{CODE}]"), tmp_path, trust)
+    with pytest.raises(ConfigError, match="--allow-code strangers:f"):
+        make_plan(_with('["random"]', f"[{CODE}]"), tmp_path)
     assert not module.exists()
+
+
+def test_samplers_of_code_are_allowed_by_name(tmp_path, monkeypatch):
+    folder = tmp_path / "study"
+    folder.mkdir()
+    (tmp_path / "my_points.py").write_text("def draw(n, rng):\n    return rng.random((n, 1))\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    program = folder / "mine"
+    program.write_text(
+        f"#!{sys.executable}\nimport sys\n"
+        "n = int(sys.argv[1])\n"
+        "print('\\n'.join(str((k + int(sys.argv[2]) / 2**31) / n) for k in range(n)))\n"
+    )
+    program.chmod(0o755)
+    specs = "[\"python('my_points:draw')\", \"command('./mine {n} {seed}', dims=1, name='mine')\"]"
+    config = _with('["random"]', specs)
+    for code in ((), ("my_points:draw",), ("./mine {n} {seed}",)):
+        with pytest.raises(ConfigError, match="--allow-code"):
+            make_plan(config, folder, Trust(code=code))
+    plan = make_plan(config, folder, Trust(code=("my_points:draw", "./mine")))
+    # The program lies in the study's folder, wherever the study is run from; both are inputs
+    assert plan.inputs["mine"] == hashlib.sha256(program.read_bytes()).hexdigest()
+    assert "module my_points" in plan.inputs
+    by_inputs = {cell.inputs: cell.subject.sampler for cell in plan.cells}
+    points = by_inputs[("mine",)].draw(4, realizations=2, rng=1)
+    offsets = (4 * points[..., 0]) % 1.0
+    np.testing.assert_allclose(offsets, offsets[:, :1].repeat(4, axis=1))
 
 
 @pytest.mark.parametrize("name", ["strangers", "a b:c", "a:b()", "", ":", "a:b:c"])

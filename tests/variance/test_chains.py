@@ -183,6 +183,7 @@ def test_chains_that_repeat_a_value_are_named():
         assert name == "stuck-chain"
         assert "or the quantity is a constant" in text
         assert np.isnan(float(result["mcse"]))
+        assert np.isinf(result["mean_ci"]).all()
     rare = (np.random.default_rng(2).random((4, 1000)) < 0.01).astype(float)
     assert cause(rare)[0] == "none"  # an event that is rare does not vary for long
 

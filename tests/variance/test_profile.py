@@ -11,6 +11,7 @@ from scipy.special import ndtri
 import mcspectra as mcs
 from mcspectra.core.errors import McspectraError, ParameterError
 from mcspectra.variance.profiling.lines import lines_of
+from mcspectra.variance.profiling.poles import pole_of
 from mcspectra.variance.profiling.samples import Sets
 
 
@@ -18,9 +19,19 @@ def inner(x):
     return np.clip(x, 1e-300, 1.0 - 1e-16)
 
 
+def distance(x, place):
+    return np.maximum(np.linalg.norm(x - np.array(place), axis=-1), 1e-150)
+
+
 FUNCTIONS = {
     "smooth": (2, lambda x: np.exp(x.sum(axis=-1)), {"none"}),
-    "waves": (1, lambda x: np.cos(80 * np.pi * x[..., 0]), {"none"}),
+    "waves": (1, lambda x: np.cos(80 * np.pi * x[..., 0]), {"high-frequency"}),
+    "waves along one of 3": (
+        3,
+        lambda x: np.cos(80 * np.pi * x[..., 1]) + x[..., 0],
+        {"high-frequency"},
+    ),
+    "few waves": (2, lambda x: np.cos(2 + x @ (5.0, 4.0)), {"none"}),
     "disk": (2, lambda x: ((x**2).sum(axis=-1) < 0.6) * 1.0, {"interior-jump"}),
     "step": (2, lambda x: (x[..., 0] > 0.377) + x[..., 1], {"axis-parallel-jump"}),
     "sum over 8 dims": (8, lambda x: (x.sum(axis=-1) > 4.3) * 1.0, {"interior-jump"}),
@@ -35,6 +46,12 @@ FUNCTIONS = {
     "edge": (2, lambda x: inner(x[..., 0]) ** -0.3, {"border-growth"}),
     "steep edge": (2, lambda x: inner(x[..., 0]) ** -0.6, {"infinite-variance"}),
     "lognormal": (1, lambda x: np.exp(1.5 * ndtri(inner(x[..., 0]))), {"border-growth"}),
+    "logarithm": (1, lambda x: -np.log(inner(x[..., 0])), {"border-growth"}),
+    "corner": (2, lambda x: 1.0 / x.sum(axis=-1), {"infinite-variance"}),
+    "corner of 3 dims": (3, lambda x: 1.0 / x.sum(axis=-1), {"border-growth"}),
+    "point": (2, lambda x: distance(x, (0.3, 0.7)) ** -1.0, {"infinite-variance"}),
+    "finite point": (2, lambda x: distance(x, (0.3, 0.7)) ** -0.8, {"heavy-tail"}),
+    "finite place": (1, lambda x: distance(x, 0.32) ** -0.45, {"heavy-tail"}),
     "peak": (3, lambda x: np.exp(-((x - 0.4) ** 2).sum(axis=-1) / 8e-4), {"heavy-tail"}),
 }
 
@@ -46,6 +63,38 @@ def test_the_first_cause_is_right_for_every_seed_and_budget(name):
         for budget in (2048, 8192):
             found = mcs.profile(function, dims=dims, budget=budget, rng=seed)
             assert found.causes[0].name in causes, (seed, budget, found.text)
+
+
+@pytest.mark.parametrize(
+    ("matrix", "order", "rank", "border"),
+    [
+        (np.eye(1), 0.45, 1, False),
+        (np.eye(2), 1.0, 2, False),
+        ([[3.0, 1.0], [0.0, 0.5]], 1.3, 2, False),
+        (np.eye(3), 2.0, 3, False),
+        ([[1.0, -1.0]], 0.6, 1, False),
+        (np.eye(3)[:2], 0.7, 2, False),
+        ([[1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]], 2.0, 2, False),
+        ([[1.0, 1.0]], 1.0, 2, True),
+        ([[1.0, 1.0, 0.0]], 0.6, 2, True),
+        ([[1.0, 0.0]], 0.3, 1, True),
+    ],
+)
+def test_poles_are_climbed_to_and_measured(matrix, order, rank, border):
+    """|A(x − c)|^−a, with c in a corner or inside: the rank of A is the codimension, but in a corner."""
+    matrix = np.asarray(matrix)
+    place = np.zeros(matrix.shape[1]) if border else 0.3 + 0.1 * np.arange(matrix.shape[1])
+
+    def function(x):
+        return 3.0 + np.maximum(np.linalg.norm((x - place) @ matrix.T, axis=-1), 1e-150) ** -order
+
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        x = rng.random((3000, len(place)))
+        pole = pole_of(function, x, function(x), 1000, rng)
+        assert pole is not None
+        assert pole.exponent == pytest.approx(order, abs=0.02)
+        assert (pole.codimension, pole.border) == (rank, border)
 
 
 @pytest.mark.parametrize("budget", [256, 1000, 4096, 10_000])
@@ -136,6 +185,7 @@ def test_the_given_sampler_is_measured_and_its_wrapping_seen():
     assert found.rate == pytest.approx(-2.0, abs=0.4)
     assert found.best.name == "sobol | owen"
     assert mcs.profile("linear", sampler="sobol", dims=1).causes[0].name == "deterministic-set"
+    assert mcs.profile("linear", sampler="random | shift", dims=1).causes[0].name == "none"
 
 
 def test_the_answer_as_text_and_as_data():
@@ -174,6 +224,14 @@ def test_pairs_in_strata_are_tried_where_g_is_smooth_and_their_error_is_as_said(
         ratio = best.rmse / math.sqrt(float(measured["variance"][0]))
         assert 0.5 < ratio < 2.0, seed
     assert mcs.profile(smooth, dims=5).best.name == "sobol | owen"
+
+
+def test_the_count_that_is_advised_can_be_drawn():
+    found = mcs.profile(lambda x: np.exp(x[..., 0]), dims=1, budget=5001)
+    n = int(re.search(r"with n = ([\d,]+)", found.best.change)[1].replace(",", ""))
+    assert n <= 5001
+    assert mcs.sampler(found.best.sampler, dims=1).nearest_count(n) == n
+    assert found.dataset["rmse"].sel(sampler=found.best.sampler) < found.best.rmse_given
 
 
 def test_bad_input():

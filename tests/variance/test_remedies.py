@@ -360,3 +360,12 @@ def test_a_variance_is_not_called_an_error(shifted):
     )
     assert "error" not in text
     assert not any("error" in str(reason) for reason in shifted["reason"].values)
+
+
+def test_images_that_are_too_many_are_not_tried_and_say_why():
+    """2^32 mirror images of a point: the other changes are measured all the same."""
+    g = mcs.Integrand.from_function(lambda u: u.prod(axis=-1), dims=32, integral=2.0**-32)
+    found = mcs.remedies(g, "sobol | owen", 64, realizations=100, kinds=["mirrored", "sampler"])
+    assert "mirrored: uniform: " in found.attrs["not_tried"]
+    assert "use at most 30" in found.attrs["not_tried"]
+    assert {"random", "mirrored: random"} <= set(found["remedy"].values)

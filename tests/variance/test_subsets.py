@@ -223,3 +223,18 @@ def test_a_fit_that_runs_away_where_no_point_is_does_not_predict():
     low, high = found["predicted_variance_ci"][0].values
     assert low <= measured <= high
     assert 0.5 < float(found["predicted_variance"][0]) / measured < 2.0
+
+
+def test_jumps_in_more_dims_than_boxes_have():
+    """Lines see the jump; in over five dims nothing is cut there, and a prediction is made all the same."""
+
+    def stepped(x):
+        return (x[..., 2] > 0.3) * x[..., 0] + x[..., 5] * x[..., 1]
+
+    g = mcs.Integrand.from_function(stepped, dims=7)
+    found = mcs.predict(g, "random", [64])
+    # Var(BX) of a Bernoulli variable of 0.7, and Var(XY)
+    exact = 0.7 / 3 - 0.35**2 + 1 / 9 - 1 / 16
+    low, high = found["predicted_variance_ci"].values[0]
+    assert low <= exact / 64 <= high
+    assert high - low < 0.05 * exact / 64

@@ -239,3 +239,14 @@ def test_infinite_weights_are_said():
         d = mcs.technique_terms(e, "random", 4, half_width=4, realizations=50)
     assert np.isnan(d["technique_dc_term"]).all()
     assert np.isfinite(d["technique_covariance"]).all()
+
+
+def test_deterministic_sets_have_no_variance_and_say_so():
+    """Terms of rounding size, 1e-30, were printed as if they were variances."""
+    found = mcs.technique_terms("disk", "sobol", [16, 64], realizations=8, half_width=4)
+    for name in ("dc_term", "power_term", "cross_term", "predicted_variance", "measured_variance"):
+        assert not found[name].values.any(), name
+    assert np.isnan(found["captured_ci"].values).all()
+    said = "sobol has no variance: add owen or shift, or look at |bias|"
+    assert found.attrs["note"] == said
+    assert mcs.variance_routes("disk", "sobol", 16, realizations=8).attrs["note"] == said

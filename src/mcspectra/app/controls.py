@@ -28,7 +28,7 @@ __all__ = ["Controls"]
 _STEPS = ["shift", "owen", "digital-shift", "random-rotation", "mirror", "shuffle"]
 _NEEDS_MORE = {
     # Components that mean nothing without parameters, or with files
-    "points", "digital-net", "aligned-strata", "bilinear", "defensive", "environment", "formula", "grid",
+    "command", "python", "points", "digital-net", "aligned-strata", "bilinear", "defensive", "environment", "formula", "grid",
     "image", "mixture", "piecewise-constant", "piecewise-linear", "pixel", "product", "vegas",
 }  # fmt: skip
 _OTHER = "as written below"

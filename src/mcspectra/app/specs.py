@@ -1,22 +1,28 @@
 """Specs as the explorer takes and changes them: text that is bounded, plain, and names no file.
 
 A page of somebody else can link to the explorer. What such a link holds may make it compute, but it
-must not make it open files: pictures come in by an upload, which is named by its digest.
+must not make it open files or run code: pictures come in by an upload, which is named by its digest.
+Who starts the explorer may allow folders (``--allow-path``) and code (``--allow-code``).
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from mcspectra.core.errors import McspectraError, SpecError
+from mcspectra.core.pointfiles import matching_files
 from mcspectra.core.spec import Call, parse, parse_chain
+from mcspectra.samplers.external import check_code
+from mcspectra.samplers.registry import RUN_CODE
 
 __all__ = [
     "FORMULA",
     "TECHNIQUES",
     "UPLOAD",
+    "allow_folders",
     "base_and_steps",
     "chain",
     "changed",
@@ -37,8 +43,38 @@ _MOST_TECHNIQUES = 8
 _MOST_TEXT = 2000  # characters of a spec: browsers and servers cut URLs off at about 8000
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 _FILE = re.compile(r"[/\\]|\.[A-Za-z]\w*\Z")
-_FILE_KEYS = ("path", "filename", "matrices", "generating_matrices", "generating_vector")
+_FILE_KEYS = (
+    "path",
+    "filename",
+    "matrices",
+    "directions",
+    "generating_matrices",
+    "generating_vector",
+)
 _CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff]")
+
+
+_folders: list[Path] = []
+
+
+def allow_folders(*folders: Path) -> None:
+    """Let specs of this process name files in these folders and below, links followed."""
+    _folders.extend(folder.resolve() for folder in folders)
+
+
+def _allowed(given: object) -> bool:
+    """Whether all files of a path, a pattern or a list of them lie in folders that are allowed."""
+    if isinstance(given, list | tuple):
+        return all(map(_allowed, given))
+
+    def inside(file: Path) -> bool:
+        return any(file.resolve().is_relative_to(root) for root in _folders)
+
+    try:
+        path = Path(str(given))
+        return inside(path) and all(inside(file) for file, _ in matching_files(path))
+    except (McspectraError, OSError, RuntimeError):
+        return False
 
 
 def check_spec(name: str, text: object) -> None:
@@ -138,6 +174,9 @@ def _plain(name: str, text: object) -> str:
 
 def _check_call(call: Call) -> None:
     arguments = dict(call.arguments)
+    if call.name in RUN_CODE:
+        check_code(call)  # which a link cannot allow
+        arguments = {k: v for k, v in arguments.items() if k not in ("run", "function")}
     if call.name == FORMULA:
         arguments.pop("expression", None)  # has slashes and dots, and never names a file
     for key, value in arguments.items():
@@ -147,9 +186,11 @@ def _check_call(call: Call) -> None:
 def _check_value(name: str, key: Any, value: object) -> None:
     """Refuse file names, also within the lists and specs that a value may hold."""
     if key in _FILE_KEYS and isinstance(value, str | list | tuple):
+        if _folders and _allowed(value):
+            return
         raise SpecError(
-            f"{name} names a file, which the explorer does not read; upload a picture, or use the "
-            "command line."
+            f"{name} names a file, which the explorer does not read; upload a picture, start it with "
+            "--allow-path DIR, or use the command line."
         )
     if isinstance(value, dict):
         for inner, each in value.items():

@@ -9,10 +9,7 @@ from __future__ import annotations
 
 import argparse
 import inspect
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 import mcspectra as mcs
 from mcspectra.cli.common import (
@@ -23,7 +20,6 @@ from mcspectra.cli.common import (
     read_sampler,
     whole,
     wholes,
-    writing,
 )
 from mcspectra.cli.texts import VIEWS, data_of, table_of_anything
 from mcspectra.core.analysis import ANALYSES, Analysis, Subject, check_names, compute
@@ -33,13 +29,10 @@ from mcspectra.core.options import Option, options_of
 from mcspectra.samplers import GivenPoints
 
 if TYPE_CHECKING:
-    import xarray as xr
-
     from mcspectra.estimators import AbstractEstimator
 
 __all__ = ["analysis_verb", "declared", "given_options"]
 
-_FILES = (".npz", ".png", ".pdf", ".html")
 _ESTIMATOR = (
     option("integrand", "integrand spec, e.g. 'gaussian(width=0.25)'"),
     option("-d, --dims D", "number of dims, where specs leave it open", whole()),
@@ -120,7 +113,9 @@ def analysis_verb(name: str) -> Verb:
         shown = [f"{view}: {views[view].__doc__}" for view in others]
         offer = f"{usual} (default); {'; '.join(shown)}"
         declarations.append(option("--show VIEW", offer, default=usual))
-    files = ".npz: all values; .png or .pdf: a picture, if there is one; .html: a page"
+    files = (
+        ".npz: all values; .csv, .tex: the curve; .png, .svg, .pdf, .pgf: a picture; .html: a page"
+    )
     declarations.append(option("-o, --out FILE", files))
 
     def run(options: argparse.Namespace) -> Answer:
@@ -128,43 +123,26 @@ def analysis_verb(name: str) -> Verb:
 
         # Refuse files that cannot be made before anything is computed
         file = options.out
-        if file is not None and Path(file).suffix not in _FILES:
-            allowed = f"{', '.join(_FILES[:-1])} or {_FILES[-1]}"
-            raise ParameterError(f"--out is {file!r}; it must end in {allowed}.")
+        if file is not None:
+            from mcspectra.report.result_files import check_result_file, write_result_file
+
+            check_result_file(file)
 
         # Compute, write and show
         given = given_options(options, analysis)
         subject = _subject(options, analysis, default_sampler)
         if all_sets and isinstance(subject.sampler, GivenPoints):
-            given = {"realizations": len(subject.sampler.points), **given}
+            sets = subject.sampler.sets.get(given.get("n", 0), subject.sampler.points)
+            given = {"realizations": len(sets), **given}
         result = compute(analysis(**given), subject, options.seed or 0)
         if file is not None:
-            with writing(file):
-                if file.endswith(".npz"):
-                    arrays = {str(key): v.values for key, v in result.variables.items()}
-                    np.savez(file, **arrays)  # type: ignore[arg-type]
-                elif file.endswith(".html"):
-                    from mcspectra.report.result_page import write_result
-
-                    write_result(result, file, f"mcspectra {analysis.verb}")
-                else:
-                    _write_picture(file, result)
+            write_result_file(result, file, f"mcspectra {analysis.verb}")
         shown = views[view](result)
         return Answer(shown.text, {**data_of(result), **shown.data})
 
     about = inspect.cleandoc(analysis.__doc__ or "").partition("\n\n")[0]
     printed = inspect.cleandoc(views[usual].__doc__ or "")
     return Verb(f"{about}\n\n{printed}".strip(), tuple(declarations), run)
-
-
-def _write_picture(file: str, result: xr.Dataset) -> None:
-    from mcspectra.plots.backend_matplotlib import write
-    from mcspectra.plots.kinds import describe, kinds_of
-
-    kinds = kinds_of(result)
-    if not kinds:
-        raise ParameterError(f"--out is {file!r}; no picture shows this result, give a .npz file.")
-    write(describe(kinds[0], result), file)
 
 
 def _subject(

@@ -21,7 +21,7 @@ __all__ = ["chains_"]
 @verb(
     option("FILE", "draws: .npy, .csv, .nc or .zarr", dest="files", nargs="+"),
     option("--weights NAME", "column or variable of the weights, or a .npy file of them"),
-    option("--out FILE", "write the figure: .svg, .png or .pdf"),
+    option("-o, --out FILE", "figure: .png, .svg, .pdf, .pgf; .csv, .tex: its curve; .npz; .html"),
 )
 def chains_(options: argparse.Namespace) -> Answer:
     """Error of the means of Markov chains, the frequencies that it comes from, and what is wrong.
@@ -31,9 +31,10 @@ def chains_(options: argparse.Namespace) -> Answer:
     their own, as Stan writes them, or told apart by a column 'chain'. A .nc or .zarr store has the
     dims chain and draw, itself or in its group posterior, as ArviZ writes it.
     """
-    from mcspectra.plots.backend_matplotlib import write
-    from mcspectra.plots.kinds import describe
+    from mcspectra.report.result_files import check_result_file, write_result_file
     from mcspectra.variance.chains import chain_error
+
+    check_result_file(options.out)
 
     # Read the draws, files of one chain each side by side, and take the weights out of them
     draws, weights, named = _joined([_draws(file) for file in options.files]), None, options.weights
@@ -48,7 +49,7 @@ def chains_(options: argparse.Namespace) -> Answer:
 
     result = chain_error(draws, weights=weights)
     if options.out:
-        write(describe("chains", result), options.out)
+        write_result_file(result, options.out, "mcspectra chains")
     several = "quantity" in result.dims
     shown = result.drop_dims("band") if several else result
     names, said = (np.atleast_1d(result[key].values) for key in ("cause", "evidence"))
@@ -105,6 +106,10 @@ def _table(file: Path) -> xr.Dataset:
 
     lines = [line for line in file.read_text("utf-8-sig").splitlines() if line.strip()]
     lines = [line.replace('"', "") for line in lines if line[0] != "#"]
+    if len(lines) < 2:
+        raise ValueError(
+            "it holds no draws; give a line of names and a line of numbers for each draw"
+        )
     table = np.genfromtxt(lines, delimiter=",", names=True, deletechars="", ndmin=1)
     columns = {name: ("draw", table[name]) for name in table.dtype.names or ()}
     _, chain = columns.pop("chain", ("", np.zeros(table.size)))

@@ -23,6 +23,7 @@ __all__ = ["frames_"]
     option("--seconds-against S", "time of a frame of the others", real(above=0.0)),
     option("--layer NAME", "layer or channel of EXR files"),
     option("--tone-mapped", "take PNG and JPEG, too"),
+    option("--no-flip", "leave FLIP out, which takes longer than all else together"),
     option("--tev HOST:PORT", "show the layers in a tev that listens there, e.g. localhost:14158"),
     option("--out DIR", "write frames.exr, pictures, frames.json and report.html"),
 )
@@ -45,6 +46,7 @@ def frames_(options: argparse.Namespace) -> Answer:
         seconds_against=options.seconds_against,
         layer=options.layer,
         tone_mapped=options.tone_mapped,
+        flip=not options.no_flip,
     )
     found, said = frames_page.frame_summary(result), frames_page.frame_findings(result)
     columns, rows = frames_page.frame_table(found)

@@ -37,6 +37,7 @@ _MODULES = {
         "points": "draw point sets and write them as text or files",
         "integrate": "integrate a function with a budget of evaluations: value and interval",
         "gallery": "measure samplers and show them side by side",
+        "bench": "compare samplers: rates, ranks, spectra, quality, speed; a page, PDF or LaTeX",
     },
     "analysis": {
         "spectrum": "expected power spectrum of a sampler",
@@ -185,9 +186,21 @@ def _dispatch(given: list[str]) -> int:
         "--seed", action=Read, read=whole(0), metavar="S", help="seed, a whole number from 0"
     )
     parser.add_argument("--quiet", action="store_true", help="print errors only")
+    parser.add_argument(
+        "--allow-code",
+        action=Read,
+        repeated="all",
+        default=[],
+        metavar="CODE",
+        help="code that specs may name: a command or its program, or module:function",
+    )
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     options = parser.parse_args(given[1:])
 
+    if options.allow_code:
+        from mcspectra.samplers import allow_code
+
+        allow_code(*options.allow_code)
     try:
         with one_sentence_warnings(options.quiet), progress_bars(not options.quiet):
             text, data, code = verb.run(options)

@@ -8,6 +8,7 @@ import platform
 import shlex
 import sys
 from importlib import metadata
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mcspectra.cli.common import Answer, option, verb, whole
@@ -108,6 +109,12 @@ def reproduce_(options: argparse.Namespace) -> Answer:
 @verb(
     option("--port N", "port on this machine; any free one by default", whole(0, 65535), default=0),
     option("--no-browser", "print the address, open no browser"),
+    option(
+        "--allow-path DIR",
+        "a folder that specs may read files from",
+        repeated="all",
+        default=[],
+    ),
 )
 def app_(options: argparse.Namespace) -> Answer:
     """Explore in the browser: choose a sampler, a density and an integrand, and see what they make.
@@ -117,7 +124,9 @@ def app_(options: argparse.Namespace) -> Answer:
     if options.json or options.seed is not None:
         raise ParameterError("app takes neither --json nor --seed; choose the seed on the page.")
     from mcspectra.app.server import serve
+    from mcspectra.app.specs import allow_folders
 
+    allow_folders(*map(Path, options.allow_path))
     serve(options.port, open_browser=not options.no_browser, quiet=options.quiet)
     return Answer()
 

@@ -18,11 +18,13 @@ from mcspectra.cli.common import (
     text_table,
     verb,
     whole,
+    wholes,
 )
+from mcspectra.cli.texts import data_of
 from mcspectra.core.checks import as_choice
 from mcspectra.core.errors import FileFormatError, MissingDependency
 
-__all__ = ["gallery_", "integrate_", "list_", "points_"]
+__all__ = ["bench_", "gallery_", "integrate_", "list_", "points_"]
 
 _NO_VERB = "no verb: for study files"
 _REGISTRIES = {
@@ -96,7 +98,7 @@ def points_(options: argparse.Namespace) -> Answer:
     """Draw point sets; write, picture or judge them.
 
     Text goes to standard output in UTK's format (a point a line, '#' between sets), files by ending:
-    .dat, .bin, .npz, .csv, .parquet hold points; .svg, .png, .pdf are pictures. With --quality the
+    .dat, .bin, .npz, .npy, .csv, .parquet hold points; .svg, .png, .pdf are pictures. With --quality the
     output is a table of distances, discrepancies and so on, over 16 sets unless -m says how many.
     """
     from mcspectra.core.pointfiles import EXTENSIONS, format_dat, write_points
@@ -221,3 +223,35 @@ def gallery_(options: argparse.Namespace) -> Answer:
         rng=options.seed or 0,
     )
     return Answer(f"gallery: {page}", {"gallery": page})
+
+
+@verb(
+    option(
+        "SAMPLER", "samplers, e.g. jittered \"points(path='mine.dat')\"", dest="specs", nargs="+"
+    ),
+    option("-n, --counts N,N,…", "numbers of points (default 16,64,256,1024)", wholes()),
+    option("-d, --dims D,D,…", "numbers of dims of the integrands (default 2)", wholes()),
+    option("-m, --realizations R", "sets of each variance (default 400)", whole(2)),
+    option("-o, --out FILE", ".html or .pdf: all of it; .csv, .tex: tables; .pgf: convergence"),
+)
+def bench_(options: argparse.Namespace) -> Answer:
+    """Compare samplers on standard integrands: rates, ranks, spectra, quality, projections, speed.
+
+    Prints a table of rates, in brackets the ranks with simultaneous 95 % intervals. FILE.html is one page
+    that stands alone, FILE.pdf has a sheet for each picture. A sampler that cannot do some of the dims is
+    left out there.
+    """
+    from mcspectra.report.bench_page import bench_table, check_bench_file, write_bench
+
+    check_bench_file(options.out)
+    given = {
+        name: getattr(options, name)
+        for name in ("counts", "dims", "realizations")
+        if getattr(options, name) is not None
+    }
+    bench = mcs.sampler_bench(options.specs, **given, rng=options.seed or 0)
+    columns, rows = bench_table(bench)
+    lines = [text_table(["", *columns[1:]], rows), bench.attrs.get("note", "")]
+    if options.out:
+        lines.append(f"bench: {write_bench(bench, options.out)}")
+    return Answer("\n".join(filter(None, lines)), data_of(bench))

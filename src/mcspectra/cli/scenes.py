@@ -68,10 +68,9 @@ def render_(options: argparse.Namespace) -> Answer:
     --compare renders a reference, light, BSDF and multiple importance sampling at equal samples: a .png
     shows them side by side, an .exr holds a layer of each, and their distance to the reference is printed.
     """
-    from mcspectra.core.spec import parse
     from mcspectra.rendering.files import check_image_path, write_render
     from mcspectra.rendering.image import reference, render
-    from mcspectra.rendering.scenes import SCENES
+    from mcspectra.rendering.scenes import SCENES, sized
 
     files = [check_image_path(file) for file in options.out or []]
     settings = {
@@ -93,9 +92,7 @@ def render_(options: argparse.Namespace) -> Answer:
                 f"--width and --height are for built-in scenes ({', '.join(SCENES)}); "
                 f"the film of {scene!r} is set in the file."
             )
-        call = parse(scene)
-        shown = ", ".join(f"{key}={value!r}" for key, value in {**call.arguments, **sizes}.items())
-        scene = f"{call.name}({shown})"
+        scene = sized(scene, **sizes)
     if options.compare:
         return _compare(options, scene, settings, files)
 
@@ -228,7 +225,7 @@ def pixel_(options: argparse.Namespace) -> Answer:
     """Everything about one pixel of a scene: what it sees, rates, terms, bottleneck, remedies.
 
     This is about direct light; with --integrator, about whole paths: rates of samplers, the parts of the
-    variance by bounce and decision, and how many coordinates deserve good points. The pixel is X Y, counted from the left and from the top, or the name of one (figure1 has P and Q). With
+    variance by bounce, decision and light, how many coordinates deserve good points, and remedies. The pixel is X Y, counted from the left and from the top, or the name of one (figure1 has P and Q). With
     --out DIR, DIR/report.html, DIR/pixel.json and DIR/figures/ are written.
     """
     from mcspectra.report.pixel_page import pixel_summary, write_pixel
@@ -267,6 +264,7 @@ def _path(options: argparse.Namespace, x: int | str, effort: str, given: dict[st
     """The noise of whole paths at a pixel."""
     from mcspectra.report.path_page import (
         PATH_TABLES,
+        path_answer,
         path_rows,
         path_sentences,
         path_summary,
@@ -275,7 +273,6 @@ def _path(options: argparse.Namespace, x: int | str, effort: str, given: dict[st
     from mcspectra.studies.path import analyse_path
 
     refused = [f"--{name}" for name in ("light", "budget") if name in given]
-    refused += ["--no-remedies"] * options.no_remedies
     if refused:
         raise ParameterError(f"{refused[0]} is for direct light; leave it out with --integrator.")
     tree = analyse_path(
@@ -283,6 +280,7 @@ def _path(options: argparse.Namespace, x: int | str, effort: str, given: dict[st
         x,
         options.y,
         integrator=options.integrator,
+        remedies=not options.no_remedies,
         effort=effort,
         rng=options.seed or 0,
         **given,
@@ -292,7 +290,10 @@ def _path(options: argparse.Namespace, x: int | str, effort: str, given: dict[st
         f"pixel ({known['x']}, {known['y']}) of {known['scene']}, integrator {known['integrator']}: "
         f"{known['dims']} random numbers a path"
     )
+    head += "\n" + textwrap.fill(path_answer(tree), _WIDTH)
     tables = [text_table(list(PATH_TABLES[name]), rows) for name, rows in path_rows(tree).items()]
+    if "remedies" in tree.children:
+        tables.append(_remedies_text(tree["remedies"].to_dataset()))
     said = [
         textwrap.fill(f"{name}: {text}", _WIDTH, subsequent_indent="  ")
         for name, text in path_sentences(tree)
@@ -337,16 +338,22 @@ def _pixel_text(tree: xr.DataTree) -> str:
         text_table(about, terms),
     ]
     if "remedies" in tree.children:
-        found = tree["remedies"].to_dataset()
-        ratios = []
-        for name in found["remedy"].values:
-            one = found.sel(remedy=name)
-            bounds = interval(*one["error_ratio_ci"].values.tolist())
-            ratio = number(float(one["error_ratio"]))
-            ratios.append([str(name), str(one["verdict"].item()), ratio, bounds])
-        tables.append(text_table(["remedy", "", "variance / given", "95 %"], ratios))
+        tables.append(_remedies_text(tree["remedies"].to_dataset()))
     parts = [head, *([table] for table in tables), said]
     return "\n\n".join("\n".join(part) for part in parts)
+
+
+def _remedies_text(found: xr.Dataset) -> str:
+    """The table of changes that were tried."""
+    from mcspectra.plots.text import interval, number
+
+    ratios = []
+    for name in found["remedy"].values:
+        one = found.sel(remedy=name)
+        bounds = interval(*one["error_ratio_ci"].values.tolist())
+        ratio = number(float(one["error_ratio"]))
+        ratios.append([str(name), str(one["verdict"].item()), ratio, bounds])
+    return text_table(["remedy", "", "variance / given", "95 %"], ratios)
 
 
 def _map_options(parser: argparse.ArgumentParser) -> None:
@@ -364,41 +371,49 @@ def _map_options(parser: argparse.ArgumentParser) -> None:
     option("scene", "scene, e.g. veach, or a Mitsuba XML file"),
     option("--out DIR", "output folder", default="out/map"),
     option("--resume", "go on with the tiles of DIR"),
-    option("--sampler SPEC", "default jittered; with --integrator 'sobol | owen'"),
+    option(
+        "--sampler SPEC",
+        "default jittered; with --integrator 'sobol | owen'. May be given several times: the best of them "
+        "at each pixel",
+        repeated="all",
+    ),
     option("--workers N", "threads; all processors by default", whole()),
     _map_options,
 )
 def map_(options: argparse.Namespace) -> Answer:
     """Map variance, its rate and what decides it over an image of a scene.
 
-    This is about direct light by several strategies; with --integrator, about whole paths. Writes DIR/maps.exr (all layers), DIR/*.png, *.pdf, DIR/map.json and DIR/report.html;
+    This is about direct light by several strategies; with --integrator, about whole paths, with the shares of
+    bounces and decisions. Writes DIR/maps.exr (all layers), DIR/*.png, *.pdf, DIR/map.json and DIR/report.html;
     DIR/study.sqlite keeps what is finished, and --resume goes on from there.
     """
     from mcspectra.cli.analysis import given_options
     from mcspectra.core.analysis import Subject
     from mcspectra.core.options import checked
-    from mcspectra.core.streams import Stream
     from mcspectra.plots.groups import labelled
-    from mcspectra.rendering.maps import Map
+    from mcspectra.rendering.maps import Map, compared
     from mcspectra.report.map_page import map_note, map_summary, shown_numbers, write_map
     from mcspectra.studies import StudyConfig, Trust, open_results, run_study
     from mcspectra.studies.files import SceneConfig
 
     # Refuse what cannot be before there is a folder
     analysis = checked(Map(**given_options(options, Map)))
-    sampler = analysis.default_sampler if options.sampler is None else options.sampler
-    subject = Subject(None, read_sampler(sampler, analysis.points_dims))
-    analysis.need(subject)
-    analysis.reduction(subject, Stream.from_rng(0))
+    samplers = options.sampler or [analysis.default_sampler]
+    subjects = [Subject(None, read_sampler(each, analysis.points_dims)) for each in samplers]
+    parts = analysis.of_samplers(subjects)
 
-    # Measure as a study of one map, and write
-    entry = SceneConfig(name="map", samplers=(sampler,), kind="map", analysis=analysis)
-    study = StudyConfig(title=f"Map of {options.scene}", seed=options.seed or 0, scenes=(entry,))
+    # Measure as a study of a map for each sampler, and write
+    entries = tuple(
+        SceneConfig(name=f"map-{k}" if k else "map", samplers=(each,), kind="map", analysis=part)
+        for k, (each, part) in enumerate(zip(samplers, parts, strict=True))
+    )
+    study = StudyConfig(title=f"Map of {options.scene}", seed=options.seed or 0, scenes=entries)
     trust = Trust((), (Path(options.scene).parent,))
     run_study(study, options.out, resume=options.resume, workers=options.workers, trust=trust)
     tree = open_results(options.out)
-    (found,) = (node.to_dataset() for node in tree.subtree if node.name == "map" and node.data_vars)
-    result = labelled(found).assign_coords(bound=["low", "high"])
+    found = [node.to_dataset() for node in tree.subtree if node.name == "map" and node.data_vars]
+    maps = [labelled(each).assign_coords(bound=["low", "high"]) for each in found]
+    result = maps[0] if len(maps) == 1 else compared(maps)
     page, summary = write_map(result, options.out), map_summary(result)
     shown = summary["strategies"]
     rows = [[name, "", *shown_numbers(row)] for name, row in shown.items()]

@@ -56,12 +56,6 @@ _LISTED = 10  # paths of cells that are not done
     option("--dry-run", "estimate time, memory and storage, and stop"),
     option("--force", "run however much it is"),
     option(
-        "--allow-code MODULE:FUNCTION",
-        "a Python function that the study may name",
-        repeated="all",
-        default=[],
-    ),
-    option(
         "--allow-path DIR",
         "a folder, beside the study's own, that it may read files from",
         repeated="all",

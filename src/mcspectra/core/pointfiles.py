@@ -1,4 +1,4 @@
-"""Point-set files: UTK text and binary, npz, csv, parquet, each a list of sets of points.
+"""Point-set files: UTK text and binary, npz, npy, csv, parquet, each a list of sets of points.
 
 ============  ====================================================================================
 ``.dat``      UTK text: a point a line, coordinates between blanks; a line that begins
@@ -6,6 +6,7 @@
 ``.bin``      UTK binary: five 32-bit words (magic 0x214B5455 = "UTK!", type code, number
               of sets, of points in a set, of dims), then all coordinates in order
 ``.npz``      array ``points`` of shape (n, d) or (R, n, d), text ``meta`` (JSON)
+``.npy``      one array of shape (n, d) or (R, n, d)
 ``.csv``      commas or semicolons, optional line of names; sets in a column ``set``, else
               between blank lines
 ``.parquet``  columns of numbers, one for each axis; sets in a column ``set``; written
@@ -22,26 +23,36 @@ The sets of a file may differ in size; whether coordinates lie in [0,1) is for s
 
 from __future__ import annotations
 
+import glob
 import io
 import itertools
 import json
 import math
+import re
 import struct
 from array import array
 from collections.abc import Iterable, Iterator, Mapping
 from os import PathLike
+from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.decoding import check_decoded_size, known_path, opened, read_npz
+from mcspectra.core.decoding import check_decoded_size, known_path, opened, read_npy, read_npz
 from mcspectra.core.errors import FileFormatError
 from mcspectra.core.registry import optional_package
 
-__all__ = ["EXTENSIONS", "format_dat", "parse_dat", "read_points", "write_points"]
+__all__ = [
+    "EXTENSIONS",
+    "format_dat",
+    "matching_files",
+    "parse_dat",
+    "read_points",
+    "write_points",
+]
 
-EXTENSIONS = (".dat", ".bin", ".npz", ".csv", ".parquet")
+EXTENSIONS = (".dat", ".bin", ".npz", ".npy", ".csv", ".parquet")
 """The file name extensions that `read_points` and `write_points` know."""
 
 _SET_BYTES = 4096  # that count for a set besides its coordinates: many tiny ones take long, too
@@ -80,7 +91,9 @@ def read_points(path: str | PathLike[str]) -> list[Array]:
             case ".bin":
                 points = _read_bin(stream, size, name)
             case _:
-                points = read_npz(stream, size, name, "points")
+                npy = extension == ".npy"
+                read = read_npy(stream, size, name) if npy else None
+                points = read_npz(stream, size, name, "points") if read is None else read
                 if points.dtype.kind not in "fiu" or points.ndim not in (2, 3) or points.size == 0:
                     raise FileFormatError(
                         f"{name} holds 'points' of type {points.dtype} and shape {points.shape}; "
@@ -101,6 +114,50 @@ def read_points(path: str | PathLike[str]) -> list[Array]:
         return list(points)
 
 
+def matching_files(path: str | PathLike[str]) -> list[tuple[Path, int | None]]:
+    """Files that a path stands for, in the order of their names, numbers in these by value.
+
+    Parameters
+    ----------
+    path
+        A file; a folder, for all point-set files in it; or a pattern, in whose file name (or folders)
+        ``*`` and ``?`` stand for any characters and ``{n}`` for a whole number, everywhere the same.
+
+    Returns
+    -------
+    list
+        Each file with its number n, None where the pattern has none.
+
+    Raises
+    ------
+    FileFormatError
+        The folder holds no such file, or none fits the pattern.
+    """
+    text = str(path)
+    pattern = any(mark in text for mark in ("*", "?", "{n}"))
+    file = known_path(path, "a point set")
+    if file.is_file() or not (pattern or file.is_dir()):
+        return [(file, None)]
+    if file.is_dir():
+        named = [(f, None) for f in file.iterdir() if f.suffix.lower() in EXTENSIONS]
+        found: list[tuple[Path, int | None]] = [(f, n) for f, n in named if f.is_file()]
+        said = f"The folder {file} holds no point set"
+    else:
+        # Of what the shell's pattern finds, keep what has a number, the same, for each {n}
+        words = re.escape(text).replace(r"\{n\}", r"(?P<n>[0-9]+)", 1).replace(r"\{n\}", r"(?P=n)")
+        exact = re.compile(words.replace(r"\*", "[^/]*").replace(r"\?", "[^/]"))
+        names = glob.glob(text.replace("[", "[[]").replace("{n}", "*"))  # noqa: PTH207 - of a whole path
+        fits = [(Path(name), exact.fullmatch(name)) for name in names]
+        found = [(f, int(m["n"]) if "{n}" in text else None) for f, m in fits if m and f.is_file()]
+        said = f"No file fits {text!r}"
+    if not found:
+        raise FileFormatError(f"{said}; give files {', '.join(EXTENSIONS)}.")
+    runs = re.compile(r"([0-9]+)")
+    return sorted(
+        found, key=lambda each: [int(w) if w.isdigit() else w for w in runs.split(str(each[0]))]
+    )
+
+
 def write_points(
     path: str | PathLike[str], sets: Iterable[object], *, meta: Mapping[str, Any] | None = None
 ) -> None:
@@ -111,7 +168,7 @@ def write_points(
     path
         File to write; an existing one is replaced.
     sets
-        One array (n, d) for each set; ``.bin`` and ``.npz`` need sets of equal shape.
+        One array (n, d) for each set; ``.bin``, ``.npz`` and ``.npy`` need sets of equal shape.
     meta
         What to say about the points, as JSON: kept by ``.npz``, ``.parquet`` and, as a comment, by
         ``.dat``; the other formats have no place for it.
@@ -172,7 +229,7 @@ def _content(
 
     # Refuse what the format cannot hold
     several = len(clean) > 1
-    if extension in (".bin", ".npz") and len({points.shape for points in clean}) > 1:
+    if extension in (".bin", ".npz", ".npy") and len({points.shape for points in clean}) > 1:
         raise FileFormatError(
             f"{name} needs sets of equal shape; write sets of different sizes as .dat or .csv."
         )
@@ -191,6 +248,8 @@ def _content(
             buffer.write(stack.tobytes())
         case ".npz":
             np.savez(buffer, points=np.stack(clean), meta=np.array(text))
+        case ".npy":
+            np.save(buffer, np.stack(clean))
         case ".csv":
             header = ",".join(["set", *axes] if several else axes)
             starts = [f"{k}," if several else "" for k in range(len(clean))]

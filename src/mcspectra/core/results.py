@@ -89,6 +89,11 @@ error | f | f² | remedy | variance at the budget, mean squared error where bias
 error_at_cost | f | f² | remedy step | variance at each cost, mean squared error where biased
 error_ratio | f | 1 | remedy | variance (mean squared error where biased) / that of the set-up as given
 error_ratio_ci | f | 1 | remedy bound | simultaneous 95 % interval of the ratio of variances
+rank | f | 1 | sampler integrand | rank by n · variance at the largest n, 1: least
+rank_ci | f | 1 | sampler integrand bound | simultaneous 95 % interval of the rank
+pictured_n | f | 1 | sampler | number of points of the spectrum and the pair correlation
+points_made | f | 1 | sampler integrand n | number of points taken, the nearest that can be made
+points_per_second | f | 1/s | sampler n | points made in a second by one thread
 rank_by_rate | i | 1 | remedy | rank by rate, 1: steepest
 rate_difference | f | 1 | remedy | rate minus that of the set-up as given
 rate_difference_ci | f | 1 | remedy bound | simultaneous 95 % interval of the difference of rates
@@ -113,6 +118,10 @@ improvement | f | 1 | any | variance less than as given (1), more (−1), undeci
 incident_radiance | f | W/(m² sr) | any | radiance of the lights that count, from each direction
 kurtosis | f | 1 | | kurtosis of the estimates; normal: 3
 l2_star_discrepancy | f | 1 | any | L2 star discrepancy
+light_mean | f | f | light | what a light gives to the integral, mean over random paths
+light_probability | f | 1 | light | how often a light is chosen
+light_selection | f | 1 | light | how often a light had better be chosen, by second moments
+light_share | f | 1 | light | Cov(f_j, f) / Var(f), part of the variance of a random path that light j makes
 limit_rate | f | 1 | | exponent that the predicted variance tends to at large n; NaN: not known
 local_rate | f | 1 | n | exponent of the predicted variance between neighbouring n
 low_frequency_exponent | f | 1 | | b of power ∝ |m|^b at low frequencies
@@ -153,6 +162,7 @@ integral | f | f | | estimate of the integral
 rate | f | 1 | remedy? strategy? y? x? | fitted exponent of variance in n; random sampling: −1
 reached | i | 1 | n? | whether the wanted precision was reached (1: yes)
 realizations_used | i | 1 | n? | realisations used
+rmse | f | f | | root mean square error of an estimate of the whole budget
 relative_minimum_distance | f | 1 | any | minimum distance / that of the densest packing
 slice_power | f | 1 | slice multiple | expected power along a direction
 route_variance | f | f² | route | variance by this route
@@ -202,6 +212,12 @@ worst_projected_distance | f | 1 | any | smallest minimum distance of the 2-D pr
 dominant_technique | f | 1 | y x | technique of the larger variance; −1: undecided
 mis_gain | f | 1 | y x | variance of the better single strategy / variance of MIS
 predicted_ratio | f | 1 | strategy y x | predicted / measured variance at the largest n
+path_variance | f | f² | y x | variance of one random path
+bounce_share | f | 1 | bounce y x | what a bounce adds to the variance that the bounces before it make / variance
+decision_share | f | 1 | decision y x | sum over bounces of what a decision adds to the variance that those before it make / variance
+largest_bounce | f | 1 | y x | number of the bounce of the largest share; −1: undecided
+largest_decision | f | 1 | y x | number of the decision of the largest share; −1: undecided
+best_sampler | f | 1 | strategy y x | number of the sampler of the least variance; −1: no difference
 wraparound_discrepancy | f | 1 | any | wrap-around L2 discrepancy
 relative_rmse | f | 1 | n y x | σ / mean of one frame
 largest_share | f | 1 | n y x | share of the frame that is farthest from the mean in the sum of squares
@@ -218,6 +234,7 @@ difference | f | f | y x | mean minus that of the other frames
 difference_z | f | 1 | y x | that difference over its standard error, as a normal deviate (Welch)
 picture_ratio | f | 1 | | mean variance / that of the other frames
 equal_time_ratio | f | 1 | | mean variance × time / that of the other frames
+selection_ratio | f | 1 | | variance of random paths with lights chosen by second moments / as given
 value | f | f | | integral, mean over the replicates
 interval | f | f | bound | 95 % interval: integral
 replicates | i | 1 | | independent point sets

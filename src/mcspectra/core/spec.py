@@ -18,11 +18,12 @@ from mcspectra.core.display import html_of
 from mcspectra.core.errors import SpecError
 from mcspectra.core.fields import check_fields
 
-__all__ = ["Call", "Component", "format_call", "parse", "parse_chain"]
+__all__ = ["Call", "Component", "format_call", "parse", "parse_chain", "short_spec"]
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(?:-[a-z0-9]+)*")
 _WORD = re.compile(r"[A-Za-z_][\w.-]*")
 _NO_NUMBERS = ("nan", "inf", "infinity")
+_FIRST = {"command": "run", "python": "function"}  # what stands first may have no name: code
 _MAX_LENGTH = 20_000
 _MAX_SHOWN = 80
 _MARK = re.compile(
@@ -94,6 +95,15 @@ def parse(text: str) -> Call:
             f"{_brief(text)!r} chains {len(calls)} parts with '|'; only samplers can be chained."
         )
     return calls[0]
+
+
+def short_spec(text: str) -> str:
+    """Return a spec as pictures and tables show it: parts that have a ``name=`` are that name."""
+    try:
+        parts = zip(parse_chain(text), _split(text), strict=True)
+        return " | ".join(str(call.arguments.get("name") or part.strip()) for call, part in parts)
+    except SpecError:
+        return text
 
 
 def format_call(component: object) -> str:
@@ -171,22 +181,26 @@ def _parse_call(part: str, whole: str) -> Call:
         raise SpecError(f"The brackets of {shown} are not key=value pairs.") from None
     if not (isinstance(tree, ast.Call) and isinstance(tree.func, ast.Name)):
         raise SpecError(f"{shown} is not of the form name(key=value, ...).")
-    if tree.args:
+    first = _FIRST.get(name)
+    keywords = [(keyword.arg, keyword.value) for keyword in tree.keywords]
+    if first and len(tree.args) == 1:
+        keywords.insert(0, (first, tree.args[0]))
+    elif tree.args:
         # Not ast.unparse, which recurses and gives up on deep nesting.
         shown = _brief(ast.get_source_segment(source, tree.args[0]) or "a value")
         raise SpecError(f"{name} was given {shown} without a name; write key={shown}.")
     arguments: dict[str, Any] = {}
-    for keyword in tree.keywords:
-        if keyword.arg is None:
+    for key, value in keywords:
+        if key is None:
             raise SpecError(f"{name} was given '**'; only key=value is read.")
-        if keyword.arg in arguments:
-            raise SpecError(f"{name} was given {keyword.arg} twice.")
+        if key in arguments:
+            raise SpecError(f"{name} was given {key} twice.")
         try:
-            arguments[keyword.arg] = ast.literal_eval(keyword.value)
+            arguments[key] = ast.literal_eval(value)
         except (ValueError, TypeError, RecursionError, MemoryError):
             raise SpecError(
-                f"The value of {keyword.arg} in {name}(...) is not a literal; "
-                f"{_literal_advice(ast.get_source_segment(source, keyword.value) or '')}."
+                f"The value of {key} in {name}(...) is not a literal; "
+                f"{_literal_advice(ast.get_source_segment(source, value) or '')}."
             ) from None
     return Call(name, arguments)
 

@@ -15,6 +15,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import final
 
+from mcspectra.core.checks import as_integer
 from mcspectra.core.errors import BudgetError
 
 __all__ = ["Tally", "counting", "spend"]
@@ -33,6 +34,12 @@ class Tally:
     made: int = 0
     refused: int = 0  # how many would have been made, where the limit was met
 
+    def foresee(self, evaluations: int) -> None:
+        """Raise BudgetError where so many more are beyond the most."""
+        if self.most is not None and self.made + evaluations > self.most:
+            self.refused = max(self.refused, self.made + evaluations)
+            self.check()
+
     def check(self) -> None:
         """Raise BudgetError where evaluations were refused."""
         if self.refused:
@@ -47,7 +54,8 @@ _innermost: ContextVar[Tally | None] = ContextVar("tally", default=None)
 
 @contextmanager
 def counting(what: str, most: int | None = None) -> Iterator[Tally]:
-    """Count the evaluations that `what` makes inside, `most` of them at most."""
+    """Count the evaluations that `what` makes inside, `most` of them at most, an integer from 1 or None."""
+    most = None if most is None else as_integer("max_evaluations", most, least=1)
     tally = Tally(what, most, _innermost.get())
     token = _innermost.set(tally)
     try:
@@ -67,9 +75,7 @@ def spend(evaluations: int) -> None:
     with _lock:
         tally = _innermost.get()
         while tally is not None:
-            if tally.most is not None and tally.made + evaluations > tally.most:
-                tally.refused = max(tally.refused, tally.made + evaluations)
-                tally.check()
+            tally.foresee(evaluations)
             tally = tally.outer
         tally = _innermost.get()
         while tally is not None:

@@ -213,7 +213,8 @@ def positive_integral(
     tuple of float
         Infinite, with error 0, where the unresolved part does not shrink: poles r^-a with a > 0.97
         count as that, see `mcspectra.densities.reciprocal_integral`. Else the error is that of the cells, or, where
-        the rest was added as a geometric series, what this changed from the last level to the one before.
+        the rest was added as a geometric series, what this changed from the last level to the one before and
+        would go on to change at the ratio of the series: it is no more than nearly one where poles cross.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         found = integrate(function, dims, cells=CELLS[dims], most_cells=most_cells)
@@ -224,7 +225,10 @@ def positive_integral(
         return value, 0.0
     if value == found.totals[-1]:
         return value, float(found.errors.sum())
-    return value, abs(value - _aitken(*found.totals[-4:-1]))
+    before, last = np.diff(found.totals[-3:])
+    ratio = min(max(last / before, 0.0), 0.99) if before else 0.0
+    rest = max(1.0, ratio / (1.0 - ratio))
+    return value, rest * abs(value - _aitken(*found.totals[-4:-1]))
 
 
 def recurrences(dims: int) -> Array:

@@ -6,13 +6,14 @@ cancel. All arrays have the realisation axis first.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from mcspectra.core.checks import Array
 
-__all__ = ["CONFIDENCE_Z", "Moments", "rounding_floor", "variance_interval"]
+__all__ = ["CONFIDENCE_Z", "Moments", "mean_interval", "rounding_floor", "variance_interval"]
 
 CONFIDENCE_Z = 1.959963984540054
 """Half width of a two-sided 95 % interval in standard errors."""
@@ -207,6 +208,26 @@ def variance_interval(variance: Array, relative_se: Array) -> Array:
     half = 1.0 / np.square(relative_se)
     low, high = (variance * half / gammaincinv(half, p) for p in (0.975, 0.025))
     return np.stack([low, high], axis=-1)
+
+
+def mean_interval(values: Array) -> tuple[float, float]:
+    """95 % interval of the mean of independent estimates, (R,).
+
+    The hull of Student's t and of Hall's transform of it, cubic in the skewness [Hall1992]_: both are the
+    same where estimates are normal, and what is skewed reaches further to the side of its tail.
+    """
+    from scipy.special import stdtrit
+
+    count = len(values)
+    mean, spread = float(values.mean()), float(values.std(ddof=1))
+    below = above = t = float(stdtrit(count - 1, 0.975))
+    skew = math.sqrt(count) / ((count - 1) * (count - 2))
+    skew *= float((((values - mean) / max(spread, 1e-300)) ** 3).sum())
+    if spread**2 > rounding_floor(np.array(mean)) and skew:
+        below = max(t, 3.0 * (math.cbrt(1.0 + skew * (t - skew / 6.0)) - 1.0) / skew)
+        above = max(t, 3.0 * (1.0 - math.cbrt(1.0 - skew * (t + skew / 6.0))) / skew)
+    error = spread / math.sqrt(count)
+    return mean - below * error, mean + above * error
 
 
 def rounding_floor(size: Array) -> Array:

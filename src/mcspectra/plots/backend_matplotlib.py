@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import math
+import textwrap
 import warnings
 from collections.abc import Iterable, Iterator
 from os import PathLike
@@ -44,12 +45,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.legend import Legend
 
-__all__ = ["FORMATS", "GivenAxes", "draw", "encode", "panel_axes", "write"]
+__all__ = ["FORMATS", "GivenAxes", "draw", "encode", "panel_axes", "write", "write_pages"]
 
 GivenAxes: TypeAlias = "Axes | Iterable[Axes] | np.ndarray[Any, Any] | None"
 """Axes to draw into, one a panel (an array is read row by row); None makes a figure."""
 
-FORMATS = (".svg", ".png", ".pdf")
+FORMATS = (".svg", ".png", ".pdf", ".pgf")
 """Extensions of the files that `write` makes."""
 
 _NARROW, _WIDE = 4.9, 7.4  # inches: up to two panels abreast, and more or a wide plot
@@ -147,10 +148,14 @@ def encode(figure: Figure) -> tuple[bytes, bytes]:
 def write(plot: Plot, path: str | PathLike[str], *, captioned: bool = False) -> None:
     """Write a plot to a file in the format of its extension; a caption takes a legend's place.
 
+    Fonts in PDF are of Type 42. PGF is for ``\\input`` in LaTeX, which is not needed here.
+
     Raises
     ------
     FileFormatError
         Another extension than `FORMATS`, or a file that cannot be written.
+    ParameterError
+        A map in PGF.
     """
     import matplotlib as mpl
 
@@ -166,11 +171,73 @@ def write(plot: Plot, path: str | PathLike[str], *, captioned: bool = False) -> 
     try:
         # Names of parts of an SVG are random without a salt
         with mpl.rc_context({"svg.hashsalt": "mcspectra", "pdf.fonttype": 42}):
-            figure.savefig(file, format=extension[1:], dpi=_PDF_DPI, metadata=stamps[extension])
+            if extension == ".pgf":
+                _write_pgf(figure, file)
+            else:
+                figure.savefig(file, format=extension[1:], dpi=_PDF_DPI, metadata=stamps[extension])
     except OSError as error:
         raise FileFormatError(
             f"{str(file)!r} cannot be written: {error.strerror or error}."
         ) from None
+
+
+def write_pages(pages: Iterable[tuple[str, Plot] | Figure], path: str | PathLike[str]) -> None:
+    """Write plots by title, and figures made elsewhere, to a PDF, a page each, with fonts of Type 42.
+
+    Raises
+    ------
+    FileFormatError
+        The file cannot be written.
+    """
+    import matplotlib as mpl
+    from matplotlib.backends.backend_pdf import PdfPages
+
+    metadata = {"CreationDate": None, "Creator": "mcspectra"}
+    try:
+        with mpl.rc_context({"pdf.fonttype": 42}), PdfPages(path, metadata=metadata) as pdf:
+            for page in pages:
+                if isinstance(page, tuple):
+                    title, plot = page
+                    page = draw(plot)
+                    page.suptitle(_plain(title), x=0.02, ha="left", fontsize=11, color=INK)
+                pdf.savefig(page, dpi=_PDF_DPI)
+    except OSError as error:
+        raise FileFormatError(
+            f"{str(path)!r} cannot be written: {error.strerror or error}."
+        ) from None
+
+
+def _write_pgf(figure: Figure, file: Path) -> None:
+    """Write PGF; texts are measured as matplotlib draws them, since LaTeX may not be here."""
+    from matplotlib.backend_bases import RendererBase
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_mixed import MixedModeRenderer
+    from matplotlib.backends.backend_pgf import RendererPgf
+
+    class Renderer(RendererPgf):
+        def get_text_width_height_descent(self, s: str, prop: Any, ismath: Any) -> Any:
+            return RendererBase.get_text_width_height_descent(self, s, prop, ismath)
+
+        def draw_image(self, *_: Any, **__: Any) -> None:
+            raise ParameterError(
+                f"{file} is to hold a map; PGF takes lines and points, give a .pdf."
+            )
+
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()  # type: ignore[no-untyped-call]
+    figure.set_layout_engine("none")
+    width, height = figure.get_size_inches()
+    with file.open("w", encoding="utf-8") as stream:
+        stream.write(
+            "% for LuaLaTeX or XeLaTeX with the package pgf\n"
+            "\\begingroup\n\\makeatletter\n\\begin{pgfpicture}\n"
+            f"\\pgfpathrectangle{{\\pgfpointorigin}}{{\\pgfqpoint{{{width:f}in}}{{{height:f}in}}}}\n"
+            "\\pgfusepath{use as bounding box, clip}\n"
+        )
+        inner = Renderer(figure, stream)  # type: ignore[no-untyped-call]
+        mixed: Any = MixedModeRenderer(figure, width, height, figure.dpi, inner)  # type: ignore[no-untyped-call]
+        figure.draw(mixed)
+        stream.write("\\end{pgfpicture}\n\\makeatother\n\\endgroup\n")
 
 
 def _given(axes: Any, count: int) -> tuple[Figure, list[Axes]]:
@@ -298,7 +365,10 @@ def _panel(axes: Axes, panel: Panel) -> Iterator[tuple[Scale, ScalarMappable]]:
     room = axes.get_window_extent().width / axes.figure.dpi
     if panel.title:
         # A fixed y: looking for a free one takes longer than all the rest of the layout
-        text = _plain(shorten(panel.title, max(int(room / _TITLE_LETTER), 12)))
+        letters = max(int(room / _TITLE_LETTER), 12)
+        lines = textwrap.wrap(panel.title, letters, break_long_words=False)
+        fits = len(lines) < 3 and max(map(len, lines)) <= letters
+        text = _plain("\n".join(lines) if fits else shorten(panel.title, letters))
         left = room > 0.6 * _NARROW
         axes.set_title(
             text, loc="left" if left else "center", fontsize=_LABEL, color=INK, pad=4, y=1.0

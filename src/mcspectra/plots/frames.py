@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Axis, Image, Line, Mark, Panel, Pixels, Plot, Rule, Scale
+from mcspectra.plots.description import Axis, Image, Line, Mark, Panel, Plot, Rule, Scale
 from mcspectra.plots.groups import Group, Styles
-from mcspectra.plots.maps import image_map, logarithmic, rates, ratios
+from mcspectra.plots.maps import image_map, logarithmic, picture, rates, ratios
 from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import PALETTE
 from mcspectra.plots.text import number
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 __all__ = ["FRAMES"]
 
 _DARKEST = 1e-3  # power that is still told apart
-_MIDDLE = 0.18  # radiance that the geometric mean is shown as [Reinhard2002]_
 
 
 def _only(group: Group) -> xr.Dataset:
@@ -97,25 +96,11 @@ def _correlation(group: Group, styles: Styles) -> Plot:
 
 
 def _picture(group: Group, styles: Styles) -> Plot:
-    """The mean of the frames, exposed so that its geometric mean is a middle gray."""
-    from mcspectra.rendering.files import encode_srgb
-
+    """The mean of the frames."""
     del styles
-    values = np.nan_to_num(_only(group)["image"].transpose("y", "x", "band").values)
-    values = np.clip(np.broadcast_to(values, (*values.shape[:2], 3)), 0.0, None)
-    lit = values.max(axis=-1)
-    level = float(np.exp(np.log(lit[lit > 0]).mean())) if (lit > 0).any() else 1.0
-    shown = np.rint(255.0 * encode_srgb(values * (_MIDDLE / level))).astype(np.uint8)
-    height, width, _ = shown.shape
-    across = Axis(low=0.0, high=width, ticks={})
-    down = Axis(low=0.0, high=height, ticks={})
-    return Plot(
-        kind="frames-picture",
-        panels=(Panel(marks=(Pixels(rgb=shown),), square=True, x=across, y=down),),
-        caption="Mean of the frames of the most samples.",
-        words=f"Picture of {width} × {height} pixels.",
-        height=float(np.clip(height / width, 0.1, 2.0)),
-    )
+    values = _only(group)["image"].transpose("y", "x", "band").values
+    caption = "Mean of the frames of the most samples."
+    return picture(values, kind="frames-picture", caption=caption)
 
 
 def _map(group: Group, styles: Styles, *, kind: str, **how: Any) -> Plot:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,9 +23,11 @@ if TYPE_CHECKING:
 
 __all__ = [
     "MAPS",
+    "bounce_name",
     "image_map",
     "incident_maps",
     "logarithmic",
+    "picture",
     "rates",
     "ratios",
     "rms_error",
@@ -38,7 +41,9 @@ _NAMES = {
     "mis-light": "MIS, light share",
     "mis-bsdf": "MIS, BSDF share",
     "mis": "MIS",
+    "path": "whole paths",
 }
+_MIDDLE = 0.18  # radiance that the geometric mean is shown as [Reinhard2002]_
 _SPREAD = (1.0, 99.0)  # percentiles that a scale spans: single pixels would take up all of it
 _DECADES, _LIGHT_DECADES = 6, 4  # of a map, and of radiance, that are told apart
 _LARGEST_RATIO = 8.0  # of the scales of ratios
@@ -54,25 +59,35 @@ def image_map(
     variable: str,
     scale: Callable[[Array], Scale],
     caption: str,
+    once: bool = False,
 ) -> Plot:
-    """One quantity over the image, a panel for each sampler and strategy, on one scale."""
+    """One quantity over the image, a panel for each sampler and strategy, on one scale.
+
+    With `once` it is that of all samplers.
+    """
     del styles
     # At the largest number of samples; predictions are known at some rows and columns only
     shown = {name: each[variable] for name, each in group.items()}
     shown = {name: data.isel(n=-1) if "n" in data.dims else data for name, data in shown.items()}
     if variable == "predicted_ratio" and all(np.isfinite(d.values).any() for d in shown.values()):
         shown = {name: d.dropna("x", how="all").dropna("y", how="all") for name, d in shown.items()}
+    if once:
+        shown = dict(itertools.islice(shown.items(), 1))
     every = np.concatenate([np.ravel(each.values) for each in shown.values()])
     found, panels = scale(every), []
     for name, data in shown.items():
-        for strategy in data["strategy"].values if "strategy" in data.dims else [""]:
-            own = data.sel(strategy=strategy) if strategy else data
-            parts = (name if len(shown) > 1 else "", _NAMES.get(str(strategy), str(strategy)))
+        outer = next((str(dim) for dim in data.dims if dim not in ("y", "x")), None)
+        for k, label in enumerate(data[outer].values if outer else [""]):
+            own = data.isel({outer: k}) if outer else data
+            title = bounce_name(int(label)) if outer == "bounce" else str(label)
+            title = _NAMES.get(title, title) if outer == "strategy" else title
+            alone = outer and data.sizes[outer] == 1 and len(shown) > 1
+            parts = (name if len(shown) > 1 else "", "" if alone else title)
             x, y = (own[dim].values.astype(float) for dim in ("x", "y"))
-            values, title = own.transpose("y", "x").values, variable.replace("_", " ")
+            values, called = own.transpose("y", "x").values, variable.replace("_", " ")
             panels.append(
                 Panel(
-                    marks=(Image(values=values, x=x, y=y, scale=found, name=title),),
+                    marks=(Image(values=values, x=x, y=y, scale=found, name=called),),
                     x=Axis(label="x", low=x[0] - 0.5, high=x[-1] + 0.5),
                     y=Axis(label="y", low=y[0] - 0.5, high=y[-1] + 0.5, flipped=True),
                     title=": ".join(part for part in parts if part),
@@ -90,6 +105,11 @@ def image_map(
         share=shared(panels),
         wide=True,
     )
+
+
+def bounce_name(bounce: int) -> str:
+    """The name of a bounce in titles and tables."""
+    return f"bounce {bounce}" if bounce else "camera"
 
 
 def _map_words(values: Array, scale: Scale) -> str:
@@ -146,21 +166,87 @@ def _which(values: Array) -> Scale:
     return Scale(kind="names", names=names, colors=colors, low=-1.0)
 
 
+def _shares(values: Array) -> Scale:
+    """Shares: from 0 to 1, and beyond as far as estimates go, but for single pixels far off."""
+    found = values[np.isfinite(values)]
+    low, high = np.percentile(found, _SPREAD) if found.size else (0.0, 1.0)
+    return Scale(
+        label="share of the variance", low=min(float(low), 0.0), high=max(float(high), 1.0)
+    )
+
+
+def _choice(
+    group: Group, styles: Styles, *, kind: str, variable: str, of: str, none: str, caption: str
+) -> Plot:
+    """Which bounce, decision or sampler, or none of them."""
+    data = next(iter(group.values()))
+    labels: list[Any] = list(group) if of == "sampler" else data[of].values.tolist()
+    names = (none, *(bounce_name(v) if of == "bounce" else str(v) for v in labels))
+    colors = ("#FFFFFF", *(PALETTE[k % len(PALETTE)] for k in range(len(labels))))
+    scale = Scale(kind="names", names=names, colors=colors, low=-1.0)
+    about: dict[str, Any] = {"kind": kind, "variable": variable, "caption": caption, "once": True}
+    return image_map(group, styles, scale=lambda _: scale, **about)
+
+
+def _picture(group: Group, styles: Styles) -> Plot:
+    """The mean of the last strategy by the first sampler."""
+    del styles
+    mean = next(iter(group.values()))["mean"].isel(strategy=-1).transpose("y", "x").values
+    caption = "What is measured: the mean estimate as a picture."
+    return picture(mean[..., None], kind="map-picture", caption=caption)
+
+
+def picture(image: Array, *, kind: str, caption: str) -> Plot:
+    """Radiance (height, width, 1 or 3), exposed so that its geometric mean is a middle grey."""
+    from mcspectra.rendering.files import encode_srgb
+
+    values = np.clip(np.broadcast_to(np.nan_to_num(image), (*image.shape[:2], 3)), 0.0, None)
+    lit = values.max(axis=-1)
+    level = float(np.exp(np.log(lit[lit > 0]).mean())) if (lit > 0).any() else 1.0
+    shown = np.rint(255.0 * encode_srgb(values * (_MIDDLE / level))).astype(np.uint8)
+    height, width, _ = shown.shape
+    across = Axis(low=0.0, high=width, ticks={})
+    down = Axis(low=0.0, high=height, ticks={})
+    return Plot(
+        kind=kind,
+        panels=(Panel(marks=(Pixels(rgb=shown),), square=True, x=across, y=down),),
+        caption=caption,
+        words=f"Picture of {width} × {height} pixels.",
+        height=float(np.clip(height / width, 0.1, 2.0)),
+    )
+
+
 MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
-    f"map-{kind}": (
-        ("x", "y", "rate", variable),
-        partial(image_map, kind=f"map-{kind}", variable=variable, scale=scale, caption=caption),
-    )
-    for kind, variable, scale, caption in (
-        ("mean", "mean", logarithmic("mean estimate"), "Mean estimate at the largest number of samples."),
-        ("variance", "variance", logarithmic("variance"), "Variance of the estimate at the largest number of samples."),
-        ("rate", "rate", rates, "Fitted exponent of variance in the number of samples; random sampling is −1."),
-        ("rate-se", "rate_se", logarithmic("standard error of the rate"), "Standard error of the exponent."),
-        ("bottleneck", "bottleneck", _which, "Technique whose share of MIS has the slower rate, by the 95 % interval of their difference."),
-        ("dominant", "dominant_technique", _which, "Technique whose share of MIS has the larger variance, at the largest number of samples."),
-        ("gain", "mis_gain", ratios("variance of the better strategy / of MIS"), "Variance of the better single strategy over that of MIS, at the same total of samples. Above 1, MIS is better."),
-        ("predicted", "predicted_ratio", ratios("predicted / measured variance"), "Predicted over measured variance, at the largest number of samples."),
-    )
+    **{
+        f"map-{kind}": (
+            ("x", "y", "rate", variable),
+            partial(image_map, kind=f"map-{kind}", variable=variable, scale=scale, caption=caption, once=scale is _shares),
+        )
+        for kind, variable, scale, caption in (
+            ("mean", "mean", logarithmic("mean estimate"), "Mean estimate at the largest number of samples."),
+            ("variance", "variance", logarithmic("variance"), "Variance of the estimate at the largest number of samples."),
+            ("rate", "rate", rates, "Fitted exponent of variance in the number of samples; random sampling is −1."),
+            ("rate-se", "rate_se", logarithmic("standard error of the rate"), "Standard error of the exponent."),
+            ("bottleneck", "bottleneck", _which, "Technique whose share of MIS has the slower rate, by the 95 % interval of their difference."),
+            ("dominant", "dominant_technique", _which, "Technique whose share of MIS has the larger variance, at the largest number of samples."),
+            ("gain", "mis_gain", ratios("variance of the better strategy / of MIS"), "Variance of the better single strategy over that of MIS, at the same total of samples. Above 1, MIS is better."),
+            ("predicted", "predicted_ratio", ratios("predicted / measured variance"), "Predicted over measured variance, at the largest number of samples."),
+            ("bounces", "bounce_share", _shares, "What the random numbers of a bounce add to the variance that those before it make, as a share of it. Estimates of small shares may be negative."),
+            ("decisions", "decision_share", _shares, "The same of each decision, over all bounces: what it adds to all that was decided before."),
+        )
+    },
+    **{
+        f"map-{kind}": (
+            ("x", "y", "rate", variable),
+            partial(_choice, kind=f"map-{kind}", variable=variable, of=of, none=none, caption=caption),
+        )
+        for kind, variable, of, none, caption in (
+            ("largest-bounce", "largest_bounce", "bounce", "undecided", "Bounce of the largest share, where the 95 % intervals of its differences from all others are above 0."),
+            ("largest-decision", "largest_decision", "decision", "undecided", "Decision of the largest share, likewise."),
+            ("best-sampler", "best_sampler", "sampler", "no difference", "Sampler of the least variance at the largest number of samples, where the 95 % intervals of its ratios to all others are below 1."),
+        )
+    },
+    "map-picture": (("x", "y", "rate", "mean"), _picture),
 }  # fmt: skip
 """Kinds of maps: the variables of each, and what describes it."""
 

@@ -63,16 +63,18 @@ def points(group: Group, styles: Styles) -> Plot:
     )
 
 
-def point_sets(sets: object, caption: str = "") -> Plot:
+def point_sets(sets: object, caption: str = "", most_axes: int = _MOST_AXES) -> Plot:
     """Point sets and nothing else: strips in 1-D, squares in 2-D, pairs of the first axes beyond.
 
     Parameters
     ----------
     sets
         Points of shape (n, d) or (R, n, d), in [0,1): the first 6 sets, of one in 3 dims or more
-        the first 6 axes.
+        the first axes.
     caption
         What the points are; what is left out is added.
+    most_axes
+        How many axes at most.
 
     Raises
     ------
@@ -86,7 +88,7 @@ def point_sets(sets: object, caption: str = "") -> Plot:
     count, n, dims = given.shape
     if n > _MOST_POINTS:
         raise ParameterError(f"{n} points are too many to see; draw {_MOST_POINTS}.")
-    kept, axes = min(count, _MOST_SETS) if dims <= 2 else 1, min(dims, _MOST_AXES)
+    kept, axes = min(count, _MOST_SETS) if dims <= 2 else 1, min(dims, most_axes)
     said = [caption] if caption else []
     said += [f"{kept} of {count} sets"] if kept < count else []
     said += [f"axes 0 to {axes - 1} of {dims}"] if axes < dims else []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 
+from mcspectra.core.spec import short_spec
 from mcspectra.variance.fit import is_resolved
 
 __all__ = [
@@ -98,6 +99,8 @@ def percent(fraction: float) -> str:
     """Return ``97 %``; near 0 and 100 with the digits that keep it from reading 0 or 100."""
     value = 100.0 * fraction
     distance = min(abs(value), abs(100.0 - value))
+    if math.isnan(value):
+        return MISSING
     if distance == 0 or abs(value) >= 1000:
         return f"{number(value)} %"
     decimals = 0 if distance >= 1 else min(-math.floor(math.log10(distance)), 9)
@@ -107,9 +110,11 @@ def percent(fraction: float) -> str:
 def shorten(text: str, length: int = 30) -> str:
     """Return one line of at most `length` characters, the middle of a longer text left out.
 
+    Parts of a spec that have a ``name=`` are shown by it.
+
     Words stay whole where that costs no more than a third of either part.
     """
-    line = " ".join(text.split())
+    line = short_spec(" ".join(text.split()))
     if len(line) <= length:
         return line
     head = (length - 1) * 2 // 3

@@ -21,6 +21,7 @@ from mcspectra.plots.groups import (
     lines_of,
     not_finite,
     numbers,
+    shared,
 )
 from mcspectra.plots.scales import (
     count_axis,
@@ -54,6 +55,7 @@ __all__ = [
     "remedies",
     "routes",
     "strategy_curves",
+    "task_curves",
     "technique_rates",
     "techniques",
     "terms",
@@ -74,20 +76,24 @@ _CURVE = ("variance", "variance_ci", "rate", "rate_ci")
 
 
 def convergence(group: Group, styles: Styles) -> Plot:
-    """Variance against n with intervals, fitted lines and rates; dotted, n⁻¹.
+    """Variance against n with intervals, fitted lines and rates; dotted, n⁻¹; crosses, as predicted.
 
     Variances that are not finite, zero or rounding noise are left out and counted in the legend.
+    Predictions are shown of results that have them (`predicted_variance` beside `variance`).
     """
     names = labels(list(group), 44)
     curves = [
         mark for name, each in group.items() for mark in _curve(each, styles[name], names[name])
     ]
+    predicted = {name: each for name, each in group.items() if "predicted_variance" in each}
+    curves += [_crosses(each, names[name]) for name, each in predicted.items()]
     left_out = any(not usable_counts(each).all() for each in group.values())
     return Plot(
         kind="convergence",
         panels=(_variance_panel([*_reference(group), *curves], group.values()),),
         caption="Variance against the number of points, with 95 % intervals, fitted lines and their "
         "rates; dotted, the rate of random sampling."
+        + (" Crosses are predicted, with their 95 % intervals." if predicted else "")
         + (
             " Variances that are not finite, zero or of rounding size are left out."
             if left_out
@@ -127,6 +133,27 @@ def strategy_curves(curves: xr.Dataset, names: Mapping[str, str], styles: Styles
         caption="Variance against n by each strategy, with 95 % intervals.",
         words=said,
         share="both",
+        wide=True,
+    )
+
+
+def task_curves(tasks: Mapping[str, Group], styles: Styles) -> Plot:
+    """Variance against n on several integrands, a panel for each by its title, a line for each sampler."""
+    panels: list[Panel] = []
+    said = []
+    for title, curves in tasks.items():
+        styled = {shorten(name): (each, styles[name]) for name, each in curves.items()}
+        made, words = _curve_panels({title: styled}, joined=True)
+        panels += made
+        said.append(words)
+    return Plot(
+        kind="task-curves",
+        panels=tuple(panels),
+        columns=3,
+        caption="Variance against n on each integrand, with 95 % intervals.",
+        words=" ".join(said),
+        height=0.8,
+        share=shared(panels) if panels else "",
         wide=True,
     )
 
@@ -611,6 +638,28 @@ def _curve(data: xr.Dataset, style: LineStyle, name: str, *, joined: bool = Fals
         ),
         dots,
     ]
+
+
+def _crosses(data: xr.Dataset, name: str) -> Dots:
+    """What was predicted, where the variance is above rounding."""
+    used = usable_counts(data)
+    n, variance = data["n"].values[used].astype(float), data["predicted_variance"].values[used]
+    ends = data["predicted_variance_ci"].values[used]
+    return Dots(
+        x=n,
+        y=variance,
+        color=INK,
+        marker="X",
+        low=np.maximum(ends[:, 0], variance * _LEAST_SHOWN),
+        high=ends[:, 1],
+        label="predicted",
+        hover={
+            "sampler": [name] * n.size,
+            "n": [f"{int(count)}" for count in n],
+            "predicted": numbers(variance, 6),
+            "95 %": intervals(ends),
+        },
+    )
 
 
 def _reference(group: Group) -> list[Mark]:

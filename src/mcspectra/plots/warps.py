@@ -111,7 +111,7 @@ def primary(group: Group, styles: Styles) -> Plot:
         panels.append(
             Panel(
                 marks=tuple(marks),
-                x=unit_axis(f"u₀\n{words}"),
+                x=unit_axis("u₀\n" + words.replace(", ", "\n")),
                 y=unit_axis("u₁"),
                 title=name,
                 square=True,

@@ -176,7 +176,8 @@ def summarize(figures: xr.Dataset) -> list[FigureSummary]:
 def different_realizations(sampler: Sampler, n: int, stream: Stream, most: int = 16) -> int:
     """Number of useful realisations: `most`, all given sets, or 1 of a fixed set."""
     if isinstance(sampler, GivenPoints):
-        return min(most, len(sampler.points)) if sampler.cycle else len(sampler.points)
+        sets = len(sampler.sets[n])
+        return min(most, sets) if sampler.cycle else sets
     first, second = sampler.draw_stream(n, stream, 0, 2)
     return 1 if np.array_equal(first, second) else most
 

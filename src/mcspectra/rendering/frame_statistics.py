@@ -67,6 +67,7 @@ def frames(
     seconds_against: float | None = None,
     layer: str | None = None,
     tone_mapped: bool = False,
+    flip: bool = True,
 ) -> xr.Dataset:
     """Measure the noise of independent renders of one view, by any renderer.
 
@@ -89,6 +90,8 @@ def frames(
         Of EXR files: the layer or channel to measure; by default the first picture.
     tone_mapped
         Take PNG and JPEG too, undoing the sRGB transfer function; clipped values have lost their noise.
+    flip
+        Compute FLIP where its package is there: it takes longer than all else together.
 
     Returns
     -------
@@ -146,7 +149,7 @@ def frames(
         name: (("n", *dims), np.stack(of)) for name, (dims, of) in stacked.items()
     }
     variables["image"] = (("y", "x", "band"), best.image)
-    shown = [_flip(best.image, read.color(each.files[0])) for each in found]
+    shown = [_flip(best.image, read.color(each.files[0])) for each in found if flip]
     flips = [each for each in shown if each is not None]
     if flips:
         variables["flip"] = (("n", "y", "x"), np.stack(flips))

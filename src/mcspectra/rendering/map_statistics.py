@@ -1,8 +1,16 @@
-"""Statistics of variances over an image: rates, the technique that decides them, gains of MIS.
+"""Statistics of variances over an image: rates, the technique that decides them, gains of MIS, shares.
 
-All of it is one weighted least-squares fit of log variance against log n a pixel, as
+Rates are of one weighted least-squares fit of log variance against log n a pixel, as
 `mcspectra.variance.fit` does it for one curve: weights from the relative standard errors, intervals
 widened by the lack of fit with Student's t. Arrays are (strategy, n, y, x) and (strategy, y, x).
+
+Shares of a path's variance (`path_shares`) are by requests k for random numbers, in their order:
+Var f = Σ_k (Var E[f | x_1 … x_k] − Var E[f | x_1 … x_{k−1}]), no part of which is negative; what
+requests do only together counts for the last of them. With h_k = f(x_1 … x_k, y_{k+1} … y_K) of two
+independent paths x and y, part k is the mean of (h_k − h_{k−1}) (h_K − c), pick-freeze [Sobol2001]_, so that
+K + 1 evaluations give all parts. Any c in h_k + h_{k−1} is right; the regression of h_K on this sum has the
+least error, where early parts are small as where late ones are. Its slope is of the same chains: a bias of
+order 1/R.
 """
 
 from __future__ import annotations
@@ -23,6 +31,8 @@ __all__ = [
     "fit_lines",
     "gain",
     "interval",
+    "least",
+    "path_shares",
     "ratio",
     "slowest",
     "smooth",
@@ -160,6 +170,81 @@ def dominant(variance: Array, relative_se: Array) -> Array:
         half = CONFIDENCE_Z * np.hypot(relative_se[0], relative_se[1])
         unknown = np.isnan(log_ratio)
         return _decided(log_ratio > half, -log_ratio > half, np.asarray(unknown))
+
+
+def least(variance: Array, relative_se: Array) -> Array:
+    """Which of S samplers (S, …) has the least variance, by the intervals of its ratios to all others.
+
+    Undecided where one of them contains 1; NaN where a sampler has no variance above 0.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        log = np.where(variance > 0.0, np.log(variance), np.nan)
+        unknown = np.isnan(log).any(axis=0)
+        best = np.argmin(np.where(unknown, 0.0, log), axis=0)[None]
+        own, own_se = (np.take_along_axis(a, best, axis=0) for a in (log, relative_se))
+        apart = log - own > CONFIDENCE_Z * np.hypot(relative_se, own_se)
+    np.put_along_axis(apart, best, True, axis=0)
+    return np.select([unknown, apart.all(axis=0)], [np.nan, best[0]], UNDECIDED)
+
+
+def path_shares(chains: Array, partitions: list[Array]) -> tuple[Array, Array, Array]:
+    """Variance of a path, shares of it, and the largest of each partition's.
+
+    Parameters
+    ----------
+    chains
+        Values h_0 … h_K of R chains at P pixels, (R, K + 1, P).
+    partitions
+        Which requests (K,) each part has, (G, K): every request belongs to one part.
+
+    Returns
+    -------
+    tuple
+        Variance and standard error (2, P). Shares with the ends of their 95 % intervals, of all
+        partitions one after the other (3, ΣG, P): by Student's t of as many degrees of freedom as
+        chains carry the variance; NaN where its standard error is more than half of it. The largest part of
+        each partition, if its differences from all others are apart from 0 (partitions, P).
+    """
+    from scipy.special import stdtrit
+
+    # The part of each request in each chain, with its control
+    count, mean = len(chains), chains.mean(axis=(0, 1))
+    values = chains - mean
+    last, steps = values[:, -1:], np.diff(values, axis=1)
+    middle = 0.5 * (values[:, 1:] + values[:, :-1])
+    square = (middle**2).sum(axis=0)
+    slope = np.divide(
+        (last * middle).sum(axis=0), square, out=np.zeros_like(square), where=square > 0
+    )
+    products = steps * (last - np.clip(slope, 0.0, 1.0) * middle)
+    every = products.sum(axis=1)
+    whole, error = every.mean(axis=0), every.std(axis=0, ddof=1) / count**0.5
+    floor = (_ULPS * np.finfo(np.float32).eps * mean) ** 2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        known = np.where((whole > floor) & (error <= 0.5 * whole), whole, np.nan)
+
+    def shared(own: Array) -> tuple[Array, Array]:
+        """Means of (R, G, P) as shares, and half their intervals: the delta method."""
+        share = own.mean(axis=0) / known
+        squares = (own - share * every[:, None]) ** 2
+        total, fourth = squares.sum(axis=0), (squares**2).sum(axis=0)
+        carriers = np.divide(total**2, fourth, out=np.full_like(total, count), where=fourth > 0.0)
+        return share, stdtrit(np.maximum(carriers - 1.0, 1.0), 0.975) * np.sqrt(total) / (
+            count * known
+        )
+
+    shares, largest = [], []
+    for members in partitions:
+        own = np.stack([products[:, part].sum(axis=1) for part in members], axis=1)
+        share, half = shared(own)
+        shares.append(np.stack([share, share - half, share + half]))
+        first = np.argmax(np.where(np.isnan(share), 0.0, share), axis=0)[None]
+        gap, half = shared(np.take_along_axis(own, first[None], axis=1) - own)
+        apart = gap > half
+        np.put_along_axis(apart, first, True, axis=0)
+        undecided = [np.isnan(known), apart.all(axis=0)]
+        largest.append(np.select(undecided, [np.nan, first[0]], UNDECIDED))
+    return np.stack([whole, error]), np.concatenate(shares, axis=1), np.stack(largest)
 
 
 def gain(single: LineFits, mis: LineFits, total: float) -> tuple[Array, Array]:

@@ -47,8 +47,9 @@ from mcspectra.core.streams import Stream
 from mcspectra.estimators import Moments
 from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.estimators.sets import draw_sets
+from mcspectra.rendering import map_statistics as statistics
 from mcspectra.rendering.backend import LOCK, load_mitsuba
-from mcspectra.rendering.paths import Tracer
+from mcspectra.rendering.paths import Dimension, Tracer
 from mcspectra.rendering.scenes import Scene, find_emitter, load_scene, scene_name
 from mcspectra.rendering.techniques import (
     POWERS,
@@ -93,7 +94,8 @@ _BLOCK_REALIZATIONS = 1024
 _TABLE_NUMBERS = 2**23  # of one table of points, 64 MiB
 _KEPT_NUMBERS = 2**24  # of all tables that are kept for the next tile
 _PREDICTED_VALUES = 2**21  # integrand values at once
-_PREDICTION = 0x9D1C7  # label of the stream of the prediction's samples
+_CHAIN_VALUES = 2**20  # of paths in chains at once
+_PREDICTION, _CHAIN = 0x9D1C7, 0xC4A17  # labels of streams: the prediction's samples, chains
 
 
 _Pixels = Annotated[Array, Join(-1)]
@@ -104,7 +106,8 @@ _Pixels = Annotated[Array, Join(-1)]
 class Maps:
     """Results at pixels P: status (P,), moments (strategies, counts, P), predictions (strategies, P).
 
-    The predicted variances are those at the largest count; NaN where there is nothing to estimate.
+    The predicted variances are those at the largest count; NaN where there is nothing to estimate. The last
+    three are those of `path_shares`: (2, P), (3, parts, P) and (2, P).
     """
 
     status: _Pixels
@@ -113,6 +116,9 @@ class Maps:
     relative_se: _Pixels
     predicted: _Pixels
     predicted_se: _Pixels
+    path_variance: _Pixels
+    shares: _Pixels
+    largest: _Pixels
 
 
 @final
@@ -120,7 +126,8 @@ class Maps:
 class Measurement:
     """The measurement made at every pixel; most attributes are those of `Map`.
 
-    With a `tracer` it is one of whole paths, by the only strategy ``path``.
+    With a `tracer` it is one of whole paths, by the only strategy ``path``; `uses` are those of its
+    coordinates, and `chains` gives shares of the variance, if any.
 
     Realisation r of n points is that of ``stream.child(n)``, as in `convergence`; with points of
     their `own`, pixels have number (y·width + x)·realizations + r.
@@ -135,6 +142,8 @@ class Measurement:
     own: bool
     predict_every: int
     tracer: Tracer | None = None
+    uses: tuple[Dimension, ...] = ()
+    chains: int = 0
     _tables: dict[tuple[int, Block], list[Array]] = field(default_factory=dict, repr=False)
 
     @property
@@ -158,6 +167,19 @@ class Measurement:
             lanes = min(lanes, _TABLE_NUMBERS // (self.counts[-1] * self.sampler.dims))
         return max(1, lanes // self.block)
 
+    @property
+    def partitions(self) -> tuple[dict[Any, Array], dict[Any, Array]]:
+        """Which requests (K,) each bounce has, and each decision; none without chains."""
+        requests = self._requests if self.chains else []
+        bounces, decisions = ([each[k] for each in requests] for k in (0, 1))
+        both = ({v: np.array([w == v for w in of]) for v in of} for of in (bounces, decisions))
+        return next(both), next(both)
+
+    @property
+    def _requests(self) -> list[tuple[int, str]]:
+        """Bounce and decision of each request, in their order."""
+        return list(dict.fromkeys((use.bounce, use.decision) for use in self.uses))
+
     def prediction(self) -> Prediction | None:
         """How variances at the largest count are predicted."""
         if not self.predict_every or self.tracer is not None:
@@ -171,7 +193,10 @@ class Measurement:
         shape = (len(self.strategies), len(self.counts), len(pixels))
         mean, variance, relative_se = (np.full(shape, np.nan) for _ in range(3))
         predicted, predicted_se = (np.full((shape[0], shape[2]), np.nan) for _ in range(2))
-        found = Maps(status, mean, variance, relative_se, predicted, predicted_se)
+        path_variance, largest = (np.full((2, len(pixels)), np.nan) for _ in range(2))
+        shares = np.full((3, sum(map(len, self.partitions)), len(pixels)), np.nan)
+        parts = predicted, predicted_se, path_variance, shares, largest
+        found = Maps(status, mean, variance, relative_se, *parts)
         seen = np.flatnonzero(status == RECEIVER)
         if not len(seen):
             return found
@@ -203,6 +228,17 @@ class Measurement:
                 for name in ("mean", "variance", "relative_se"):
                     getattr(found, name)[s, i, seen] = getattr(moments, name)[: len(seen)]
 
+        # Shares of the variance of one path, a chunk of pixels at a time
+        if self.chains:
+            most = _TABLE_NUMBERS // len(self.uses) if self.own else _CHAIN_VALUES
+            step = max(1, most // (self.chains * (len(self._requests) + 1)))
+            members = [np.stack(list(each.values())) for each in self.partitions]
+            for start in range(0, len(pixels), step):
+                part = slice(start, start + step)
+                told = statistics.path_shares(self._chains(pixels[part]), members)
+                for array, values in zip((path_variance, shares, largest), told, strict=True):
+                    array[..., part] = values[..., : len(pixels[part])]
+
         # Predictions at every so many pixels, a chunk at a time
         if prediction is None:
             return found
@@ -218,10 +254,30 @@ class Measurement:
                 found.predicted_se[s, part] = se[: len(part)]
         return found
 
+    def _chains(self, pixels: Array) -> Array:
+        """Values (R, K + 1, P) of paths that take k requests from one random path, the others from another."""
+        uses, dims = [(use.bounce, use.decision) for use in self.uses], len(self.uses)
+        request = np.array([self._requests.index(each) for each in uses])
+        first = np.zeros(1, int)
+        if self.own:
+            first = (pixels @ [1, self.lighting.size[0]]) * self.chains
+        stream = self.stream.child(_CHAIN)
+        drawn = [stream.uniforms(int(start), self.chains, 2 * dims) for start in first]
+        x, y = np.split(np.stack(drawn, axis=1).astype(np.float32), 2, axis=-1)
+        u = np.stack([np.where(request < k, x, y) for k in range(len(self._requests) + 1)], axis=1)
+        u = u.reshape(-1, len(first), 1, dims)
+        return self._traced(pixels, u if self.own else u[:, 0]).reshape(
+            self.chains, -1, max(2, len(pixels))
+        )
+
     def _paths(self, pixels: Array, n: int, block: Block) -> Array:
-        """Estimates (R, P) by whole paths; a single pixel stands twice, as among receivers."""
-        assert self.tracer is not None
+        """Estimates (R, P) by whole paths."""
         (u,) = self._points(pixels, n, block)
+        return self._traced(pixels, u)
+
+    def _traced(self, pixels: Array, u: Array) -> Array:
+        """Means of paths, as of `Tracer`; a single pixel stands twice, as among receivers."""
+        assert self.tracer is not None
         twice = np.repeat(pixels, 2, axis=0) if len(pixels) == 1 else pixels
         if u.ndim == 4 and len(twice) > u.shape[1]:
             u = np.repeat(u, 2, axis=1)

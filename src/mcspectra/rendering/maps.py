@@ -14,13 +14,13 @@ from dataclasses import fields
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, final
 
 import numpy as np
-from msgspec import Meta
+from msgspec import Meta, structs
 
 from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute
 from mcspectra.core.checks import MAX_DIMS, Array, as_integer
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.memory import memory_of
-from mcspectra.core.options import COUNTS, REALIZATIONS, Counts, Text
+from mcspectra.core.options import COUNTS, REALIZATIONS, Counts, Text, checked
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
@@ -34,12 +34,13 @@ from mcspectra.rendering.map_tiles import (
     Measurement,
     Prediction,
 )
-from mcspectra.rendering.paths import Tracer, path_dims
+from mcspectra.rendering.paths import Dimension, Tracer, in_dims, window_dimensions
 from mcspectra.rendering.pixel import check_channel
 from mcspectra.rendering.scene_checks import (
     camera_rays,
     check_lights,
     check_scene,
+    filter_note,
     integrator_note,
     warn_integrator,
     warn_lens,
@@ -50,7 +51,7 @@ from mcspectra.samplers import Sampler, as_sampler
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Map", "variance_map"]
+__all__ = ["Map", "compared", "variance_map"]
 
 _MOST_NUMBERS = 2**27  # of a result: 1 GiB
 _LONGEST_SIDE = 65_536
@@ -71,9 +72,22 @@ _DIMS = {
     "mis_gain_ci": ("y", "x", "bound"),
     "predicted_ratio": ("strategy", "y", "x"),
     "predicted_ratio_ci": ("strategy", "y", "x", "bound"),
+    "path_variance": ("y", "x"),
+    "path_variance_se": ("y", "x"),
+    "bounce_share": ("bounce", "y", "x"),
+    "bounce_share_ci": ("bounce", "y", "x", "bound"),
+    "decision_share": ("decision", "y", "x"),
+    "decision_share_ci": ("decision", "y", "x", "bound"),
+    "largest_bounce": ("y", "x"),
+    "largest_decision": ("y", "x"),
+    "best_sampler": ("strategy", "y", "x"),
 }
 
 _DIRECT_COUNTS, _PATH_COUNTS = (4, 9, 16, 36, 64), (4, 16, 64)
+_SHARES_OF_PATHS = tuple(
+    name for name in _DIMS if name.startswith(("path_", "bounce_", "decision_", "largest_"))
+)
+_CHAINS, _LEAST_CHAINS, _MOST_CHAINS = 128, 8, 4096
 _Dims = Annotated[int, Meta(ge=2, le=MAX_DIMS)]
 _Side = Annotated[int, Meta(ge=1, le=_LONGEST_SIDE)]
 _Strategy = Literal["light", "bsdf", "mis-light", "mis-bsdf", "mis"]
@@ -146,15 +160,29 @@ class Map(Analysis, frozen=True, kw_only=True):
     predict_every: Annotated[
         int, Meta(ge=0, le=2**31, description="Predict at every k-th pixel in x and y; 0: nowhere.")
     ] = 1
+    chains: Annotated[
+        Annotated[int, Meta(ge=0, le=_MOST_CHAINS)] | None,
+        Meta(
+            description=f"Of paths: pairs for the shares of bounces and decisions, {_CHAINS}; 0: none.",
+            extra={"metavar": "R"},
+        ),
+    ] = None
 
     def need(self, subject: Subject) -> Need:
         """The need as far as it is known without the scene."""
         check_channel(self.channel, ("luminance",))
+        direct = {"light": None, "strategies": MAP_STRATEGIES, "heuristic": "balance"}
+        refused, way = direct, "is for direct light; leave it out with an integrator"
         if self.integrator is None:
             as_integer("dims", self.points_dims, least=2, most=3)
-        elif self.light is not None or self.strategies != MAP_STRATEGIES:
-            given = "light" if self.light is not None else "strategies"
-            raise ParameterError(f"{given} is for direct light; leave it out with an integrator.")
+            refused, way = {"chains": None}, "is for whole paths; give an integrator too"
+        for name, usual in refused.items():
+            if getattr(self, name) != usual:
+                raise ParameterError(f"{name} {way}.")
+        if self.chains and self.chains < _LEAST_CHAINS:
+            raise ParameterError(
+                f"chains is {self.chains}; give 0, for no shares, or {_LEAST_CHAINS} at least."
+            )
         counts = self._counts(subject.sampler)
         if self.smoothing % 2 == 0:
             raise ParameterError(f"smoothing is {self.smoothing}; give an odd number of pixels.")
@@ -170,38 +198,8 @@ class Map(Analysis, frozen=True, kw_only=True):
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[Maps]:
         """All pixels, row by row; a block is a tile."""
-        scene = as_scene(self.scene)
-        with LOCK:
-            sensor_of(scene)
-            grid = film_size(scene) if self.size is None else self.size
-            if self.integrator is None:
-                check_lights(scene, self.light)
-                warn_lens(scene)
-                warn_integrator(scene)
-        window = x0, y0, width, height = self._window(grid)
-        sampler, tracer = subject.sampler, None
-        if self.integrator is not None:
-            tracer = Tracer(scene, self.integrator, self.channel, grid)
-            dims = self.dims or path_dims(tracer, window)
-            sampler = sampler if sampler.dims == dims else as_sampler(sampler.spec, dims)
-        counts = self._counts(sampler)
-        measurement = Measurement(
-            lighting=Lighting(
-                scene=scene,
-                light=self.light,
-                heuristic=self.heuristic,
-                channel=check_channel(self.channel, ("luminance",)),
-                size=grid,
-            ),
-            strategies=self._strategies,
-            sampler=sampler,
-            counts=counts,
-            realizations=self.realizations,
-            stream=stream,
-            own=self.points == "own",
-            predict_every=self.predict_every,
-            tracer=tracer,
-        )
+        measurement, window = self.measurement(subject, stream)
+        x0, y0, width, height = window
         pixels, step = width * height, measurement.tile_pixels
         prediction = measurement.prediction()
 
@@ -213,10 +211,12 @@ class Map(Analysis, frozen=True, kw_only=True):
         def result(found: Maps) -> xr.Dataset:
             if not (found.status == RECEIVER).any():
                 nothing = (
-                    f"No pixel of the crop {list(window)} of {scene_name(scene)} sees a surface that "
-                    "scatters light; choose another crop."
+                    f"No pixel of the crop {list(window)} of {scene_name(self.scene)} sees a surface "
+                    "that scatters light; choose another crop."
                 )
-                raise ParameterError(" ".join([nothing, *check_scene(scene, light=self.light)]))
+                raise ParameterError(
+                    " ".join([nothing, *check_scene(self.scene, light=self.light)])
+                )
             each = {f.name: getattr(found, f.name) for f in fields(found)}
             shaped = {k: v.reshape(*v.shape[:-1], height, width) for k, v in each.items()}
             return labelled(measurement, prediction, window, Maps(**shaped), self.smoothing)
@@ -225,9 +225,65 @@ class Map(Analysis, frozen=True, kw_only=True):
             kind=Maps,
             block=tile,
             blocks=-(-pixels // step),
-            cost=float(pixels * sum(counts) * self.realizations * 4),
+            cost=float(pixels * sum(measurement.counts) * self.realizations * 4),
             result=result,
         )
+
+    def measurement(self, subject: Subject, stream: Stream) -> tuple[Measurement, _Window]:
+        """What is measured at each pixel of which window, with the scene read."""
+        scene = as_scene(self.scene)
+        with LOCK:
+            sensor_of(scene)
+            grid = film_size(scene) if self.size is None else self.size
+            if self.integrator is None:
+                check_lights(scene, self.light)
+                warn_lens(scene)
+                warn_integrator(scene)
+        window = self._window(grid)
+        sampler, tracer = subject.sampler, None
+        uses: tuple[Dimension, ...] = ()
+        if self.integrator is not None:
+            tracer = Tracer(scene, self.integrator, self.channel, grid)
+            uses = window_dimensions(tracer, window, self.dims)
+            sampler = sampler if sampler.dims == len(uses) else in_dims(sampler, len(uses))
+        measurement = Measurement(
+            lighting=Lighting(
+                scene=scene,
+                light=self.light,
+                heuristic=self.heuristic,
+                channel=check_channel(self.channel, ("luminance",)),
+                size=grid,
+            ),
+            strategies=self._strategies,
+            sampler=sampler,
+            counts=self._counts(sampler),
+            realizations=self.realizations,
+            stream=stream,
+            own=self.points == "own",
+            predict_every=self.predict_every,
+            tracer=tracer,
+            uses=uses,
+            chains=0 if tracer is None else _CHAINS if self.chains is None else self.chains,
+        )
+        return measurement, window
+
+    def of_samplers(self, subjects: Sequence[Subject]) -> list[Map]:
+        """The map of each sampler: shares are measured with the first one alone.
+
+        Refuses samplers that cannot be compared, and what else can be known before the work.
+        """
+        counts: dict[str, tuple[int, ...]] = {}
+        for subject in subjects:
+            self.need(subject)
+            counts[subject.sampler.spec] = self.measurement(subject, Stream.from_rng(0))[0].counts
+        if len(counts) < len(subjects) or not subjects:
+            given = [subject.sampler.spec for subject in subjects]
+            raise ParameterError(f"sampler is {given!r:.200}; give one, or several that differ.")
+        if not set.intersection(*map(set, counts.values())):
+            each = "; ".join(f"{spec} {list(ns)}" for spec, ns in counts.items())
+            raise ParameterError(f"No count is that of all samplers ({each}); give counts.")
+        others = self if self.integrator is None else structs.replace(self, chains=0)
+        return [self, *[others] * (len(subjects) - 1)]
 
     @property
     def points_dims(self) -> int:
@@ -303,6 +359,7 @@ def variance_map(
     points: str = "shared",
     smoothing: int = 1,
     predict_every: int = 1,
+    chains: int | None = None,
     rng: RngLike = 0,
     workers: int | None = None,
 ) -> xr.Dataset:
@@ -318,7 +375,7 @@ def variance_map(
         its shares along.
     sampler
         Sampler or its spec string, by default ``"jittered"``, with an integrator ``"sobol | owen"``;
-        each technique has points of its own.
+        each technique has points of its own. Or several of them, to be compared.
     counts
         Numbers of samples n of a technique, ascending, at least two; by default (4, 9, 16, 36, 64), with
         an integrator (4, 16, 64), or the nearest that the sampler can do in its dims.
@@ -351,6 +408,9 @@ def variance_map(
         nowhere. By stratum quadrature for jittered points, exactly for random ones; in 2-D from the
         power spectrum of points that are shifted, and from gains of scrambled nets in base 2.
         Others are not predicted.
+    chains
+        Of whole paths: pairs of random paths, K + 1 paths each for K requests of random numbers, that give
+        the shares of the variance; by default 128, 0 for none.
     rng
         Seed (SPEC 7).
     workers
@@ -373,16 +433,31 @@ def variance_map(
         error counts light that another strategy sees and the prediction's samples did not meet; NaN,
         too, where the measured estimates met surely less light than those of another strategy.
 
+        With an integrator: ``path_variance``, that of one random path, with ``_se``;
+        ``bounce_share(bounce)``, what the numbers of a bounce (0: the camera's) add to the variance that
+        the bounces before it make, over the variance; ``decision_share(decision)``, the sum over bounces of
+        what each decision adds to all before it: both sum to 1, what numbers do only together counts for
+        the last of them. Estimates may be negative, and intervals ``_ci`` go below 0; NaN where the
+        standard error of ``path_variance`` is more than a half of it. ``largest_bounce`` and ``largest_decision``
+        are the numbers of those that take most, −1 if the 95 % interval of a difference contains 0.
+
+        Of several samplers: all but the shares on (sampler), at the counts that all have, and
+        ``best_sampler(strategy)``, the number of that with the least variance at the largest n, −1 if the
+        95 % interval of its ratio to another contains 1.
+
     Raises
     ------
     ParameterError
         A parameter is not one of those allowed, the crop is outside, no pixel sees a surface, or
         Mitsuba gives values that are not finite.
     CountError
-        The sampler cannot make one of the counts.
+        A sampler cannot make one of the counts.
 
     Notes
     -----
+    Shares come of the same chains and lean on those that are far off: with 128 chains a share of a few
+    per cent that rare paths make is mostly too small, and so is its interval.
+
     Memory: about 200 MiB plus the result, whatever the size of the image: pixels are measured in
     tiles. A study keeps the tiles that are finished and resumes. Where few realisations hit a light, variances are mostly far too small at the smaller n:
     there is no rate where one is zero, or has a standard error of more than a half of it, at a
@@ -405,12 +480,23 @@ def variance_map(
         points=points,  # type: ignore[arg-type]
         smoothing=smoothing,
         predict_every=predict_every,
+        chains=chains,
     )
+    given = analysis.default_sampler if sampler is None else sampler
+    several = list(given) if isinstance(given, list | tuple) else [given]
     with _threads(workers):
-        given = analysis.default_sampler if sampler is None else sampler
-        whole = integrator is not None and not isinstance(given, str)  # dims are seen later
-        source = as_sampler(given, None if whole else analysis.points_dims)
-        return compute(analysis, Subject(None, source), rng, workers=1)
+        subjects = []
+        for each in several:
+            whole = integrator is not None and not isinstance(each, str)  # dims are seen later
+            source = as_sampler(each, None if whole else analysis.points_dims)
+            subjects.append(Subject(None, source))
+        single = len(subjects) == 1
+        parts = [analysis] if single else checked(analysis).of_samplers(subjects)
+        maps = [
+            compute(part, subject, rng, workers=1)
+            for part, subject in zip(parts, subjects, strict=True)
+        ]
+    return maps[0] if single else compared(maps)
 
 
 @contextmanager
@@ -447,6 +533,7 @@ def labelled(
     x0, y0, width, height = window
     lighting, tracer = measurement.lighting, measurement.tracer
     found = _variables(measurement, maps, smoothing)
+    bounces, decisions = (list(each) for each in measurement.partitions)
     return dataset(
         {name: (_DIMS[name], values) for name, values in found.items()},
         {
@@ -455,6 +542,7 @@ def labelled(
             "y": ("y", np.arange(y0, y0 + height), {"long_name": "row", "units": "pixels"}),
             "x": ("x", np.arange(x0, x0 + width), {"long_name": "column", "units": "pixels"}),
             "bound": ["low", "high"],
+            **({"bounce": bounces, "decision": decisions} if bounces else {}),
         },
         scene=str(lighting.scene),
         sampler=measurement.sampler.spec,
@@ -464,9 +552,10 @@ def labelled(
         channel=lighting.channel,
         points="own" if measurement.own else "shared",
         smoothing=smoothing,
-        scene_note=integrator_note(lighting.scene) if tracer is None else "",
+        scene_note=(integrator_note if tracer is None else filter_note)(lighting.scene),
         integrator="direct light" if tracer is None else tracer.integrator,
         dims=measurement.sampler.dims,
+        chains=measurement.chains,
         camera=camera_rays(lighting.scene) if tracer is None else "sampled",
         size=list(lighting.size),
         film=list(film_size(lighting.scene)),
@@ -505,10 +594,36 @@ def _variables(measurement: Measurement, maps: Maps, smoothing: int) -> dict[str
         single, mis = (fits.of(rows) for rows in ([row[s] for s in _SINGLE], [row["mis"]]))
         total = measurement.counts[-1]
         found["mis_gain"], found["mis_gain_ci"] = statistics.gain(single, mis, total)
+    if measurement.chains:
+        found |= zip(("path_variance", "path_variance_se"), maps.path_variance, strict=True)
+        found |= zip(("largest_bounce", "largest_decision"), maps.largest, strict=True)
+        parts = np.split(maps.shares, [len(measurement.partitions[0])], axis=1)
+        for name, (share, *ends) in zip(("bounce_share", "decision_share"), parts, strict=True):
+            found |= {name: share, f"{name}_ci": np.stack(ends, axis=-1)}
     if np.isfinite(maps.predicted).any():
         missed = _missed(row, found["mean"], found["mean_se"], measurement.realizations)
         found |= _predicted(maps, largest_se, missed)
     return found
+
+
+def compared(maps: Sequence[xr.Dataset]) -> xr.Dataset:
+    """Maps by several samplers as one, with the sampler of the least variance at each pixel."""
+    import xarray as xr
+
+    shares = [name for name in _SHARES_OF_PATHS if name in maps[0]]
+    names = [str(each.attrs["sampler"]) for each in maps]
+    found = xr.concat(
+        [each.drop_vars(shares, errors="ignore") for each in maps],
+        xr.Variable("sampler", names),
+        join="inner",
+        combine_attrs="drop_conflicts",
+    )
+    last = found.isel(n=-1)
+    best = statistics.least(last["variance"].values, last["variance_relative_se"].values)
+    made = dataset({"best_sampler": (_DIMS["best_sampler"], best)})
+    return found.assign({**maps[0][shares].data_vars, **made.data_vars}).assign_attrs(
+        sampler=", ".join(names)
+    )
 
 
 def _missed(row: dict[str, int], mean: Array, se: Array, realizations: int) -> Array:

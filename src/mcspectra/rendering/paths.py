@@ -15,18 +15,25 @@ coordinate of its point, so that both are one decision.
 
 Numbers beyond D, of rare paths or because fewer dims were asked for, are hashed from the last two
 coordinates: the integrand stays a function of u, and such dims are random whatever the points.
+
+Integrators return the radiance of all lights together. Paths are chosen whatever lights emit, so that
+the radiance is linear in it path by path: with all lights but one dimmed to 2^-30 it is that light's part. None is turned
+off, as the points on a textured light are chosen by its texture.
 """
 
 from __future__ import annotations
 
+import contextlib
 import functools
-from collections.abc import Callable
-from dataclasses import dataclass
+import math
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import MAX_DIMS, Array, as_integer
+from mcspectra.core.checks import MAX_DIMS, Array, as_integer, as_real
 from mcspectra.core.errors import ParameterError, SpecError
 from mcspectra.core.fields import checked, settle
 from mcspectra.core.spec import parse
@@ -36,6 +43,8 @@ from mcspectra.rendering.pixel import SOURCE, check_channel, mean_of_points
 from mcspectra.rendering.scenes import (
     Scene,
     as_scene,
+    emitter_name,
+    emitter_names,
     film_size,
     load_scene,
     mitsuba_reason,
@@ -43,6 +52,8 @@ from mcspectra.rendering.scenes import (
     sensor_of,
 )
 from mcspectra.rendering.techniques import check_finite, check_pixel, chosen_channel
+from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.spectra.bases import parts_of
 
 __all__ = [
     "SCENE_INTEGRATOR",
@@ -51,7 +62,11 @@ __all__ = [
     "Tracer",
     "dimensions_of",
     "find_integrator",
+    "in_dims",
+    "light_selection",
+    "parts_by_light",
     "path_pixel",
+    "window_dimensions",
 ]
 
 SCENE_INTEGRATOR = "scene"
@@ -61,6 +76,8 @@ _DRY_LANES, _DRY_PIXELS = 2**14, 16  # pixels: along each side of a window
 _PAIR = ("x", "y")
 _MOST_DIMS = 64  # unless more are asked for: analyses by axes take no more
 _TABLE_NUMBERS, _LANES = 2**25, 2**20  # of one kernel: 128 MiB
+_DIMMED = 2.0**-30  # exact in float32, and nothing beside what is not dimmed
+_EMITTED = r"(\w+_)?scale|(radiance|intensity|irradiance)\.(.+\.)?(value|data)"
 _PATH = ((2, "light"), (1, "lobe"), (2, "direction"), (1, "roulette"))
 _ORDERS = {
     # class: requests of one bounce, how many numbers each and what they decide
@@ -115,6 +132,9 @@ class PathPixel(Integrand):
     dims
         Number of coordinates D; by default as many as 16,384 random paths ask for, 64 at most. The
         numbers that a path takes beyond D are pseudo-random.
+    selection
+        How often each light is chosen, positive numbers in the order of `emitter_names`, in place of
+        the scene's sampling weights.
 
     Attributes
     ----------
@@ -138,11 +158,22 @@ class PathPixel(Integrand):
     integrator: str = SCENE_INTEGRATOR
     channel: str | int = "luminance"
     dims: Any = None
+    selection: Any = None
 
     def _check(self) -> None:
         channel = check_channel(self.channel)
         with LOCK:
             x, y = check_pixel(self.scene, self.x, self.y)
+            if self.selection is not None:
+                lights = emitter_names(self.scene)
+                given = np.atleast_1d(self.selection).tolist()
+                if len(given) != len(lights):
+                    raise ParameterError(
+                        f"selection has {len(given)} values; give a positive number for each of the "
+                        f"lights {', '.join(lights)}."
+                    )
+                weights = [as_real("selection", w, above=0.0) for w in given]
+                settle(self, selection=tuple(w / math.fsum(weights) for w in weights))
             settle(self, x=x, y=y, channel=channel)
             found = self.dimensions
         asked = len(found) if self.dims is None else self.dims
@@ -156,10 +187,12 @@ class PathPixel(Integrand):
     @property
     def dimensions(self) -> tuple[Dimension, ...]:
         """What each coordinate is used for; those beyond the longest path that was met are unknown."""
-        found = self._tracer.dimensions(((self.x, self.y),))
-        dims = min(len(found), _MOST_DIMS) if self.dims is None else self.dims
-        beyond = Dimension(1 + max(d.bounce for d in found), "unknown")
-        return (*found[:dims], *[beyond] * (dims - len(found)))
+        return self._tracer.dimensions(((self.x, self.y),), self.dims)
+
+    @property
+    def numbers_per_path(self) -> float:
+        """How many numbers random paths ask for after the camera's, on average, as many in each turn of the loop."""
+        return self._tracer.dry_run(((self.x, self.y),))[1]
 
     @property
     def integral_source(self) -> str:
@@ -171,11 +204,15 @@ class PathPixel(Integrand):
 
     @property
     def _tracer(self) -> Tracer:
-        return Tracer(self.scene, self.integrator, self.channel, film_size(self.scene))
+        size = film_size(self.scene)
+        return Tracer(self.scene, self.integrator, self.channel, size, self.selection)
 
     def _evaluate(self, x: Array) -> Array:
+        return self._values(self._tracer, x)
+
+    def _values(self, tracer: Tracer, x: Array) -> Array:
         samples = x.reshape(-1, 1, self.dims)
-        found = self._tracer.means(samples, np.array([[self.x, self.y]]))[:, 0]
+        found = tracer.means(samples, np.array([[self.x, self.y]]))[:, 0]
         return found.reshape((*x.shape[:-1], 3) if self.channels else x.shape[:-1])
 
 
@@ -187,24 +224,57 @@ def path_pixel(
     integrator: str | None = None,
     channel: str | int = "luminance",
     dims: int | None = None,
+    selection: Sequence[float] | None = None,
 ) -> PathPixel:
     """Return a pixel's radiance as an integrand; parameters and errors as those of `PathPixel`.
 
     `integrator` None is the scene's own.
     """
-    given: Any = {"channel": channel, "dims": dims, "integrator": integrator or SCENE_INTEGRATOR}
-    return PathPixel(scene=scene, x=x, y=y, **given)
+    given: Any = {"channel": channel, "dims": dims, "selection": selection}
+    return PathPixel(scene=scene, x=x, y=y, integrator=integrator or SCENE_INTEGRATOR, **given)
 
 
-def path_dims(tracer: Tracer, window: tuple[int, int, int, int]) -> int:
-    """Coordinates of paths through a window (x0, y0, width, height) of the tracer's grid.
+def light_selection(scene: Scene) -> Array:
+    """How often Mitsuba chooses each light, in the order of `emitter_names`: (L,), of sum 1."""
+    with LOCK:
+        weights = np.array([float(e.sampling_weight()) for e in load_scene(scene).emitters()])
+    return np.asarray(weights / weights.sum())
 
-    As many as those through 256 pixels, evenly laid over the window, ask for, 64 at most.
+
+def parts_by_light(f: PathPixel, u: Array) -> Array:
+    """What each light gives to the values of f at points u (..., D): (L, ...), which sum to those.
+
+    A light whose emission Mitsuba lets nobody change, such as a black body, is a ParameterError.
+    """
+    with LOCK:
+        lights = len(load_scene(f.scene).emitters())
+    tracers = (replace(f._tracer, light=k) for k in range(lights))
+    return np.stack([f._values(tracer, u) for tracer in tracers])
+
+
+def window_dimensions(
+    tracer: Tracer, window: tuple[int, int, int, int], dims: int | None
+) -> tuple[Dimension, ...]:
+    """What so many coordinates of paths through a window (x0, y0, width, height) are used for.
+
+    By default as many as paths through 256 pixels, evenly laid over the window, ask for, 64 at most.
     """
     x0, y0, width, height = window
     xs = np.unique(x0 + np.linspace(0, width - 1, _DRY_PIXELS).astype(int)).tolist()
     ys = np.unique(y0 + np.linspace(0, height - 1, _DRY_PIXELS).astype(int)).tolist()
-    return min(len(tracer.dimensions(tuple((x, y) for y in ys for x in xs))), _MOST_DIMS)
+    return tracer.dimensions(tuple((x, y) for y in ys for x in xs), dims)
+
+
+def in_dims(sampler: Sampler, dims: int) -> Sampler:
+    """The same sampler in other dims, whose scrambles take the bases of its coordinates anew."""
+    base, steps = parts_of(sampler)
+    made = as_sampler(base.spec, dims)
+    for step in steps:
+        own: Any = step
+        made = made.then(
+            replace(own, base=None) if isinstance(getattr(step, "base", None), tuple) else step
+        )
+    return made
 
 
 @final
@@ -216,11 +286,26 @@ class Tracer:
     integrator: str
     channel: str | int
     size: tuple[int, int]
+    # How often each light is chosen, and the one that is not dimmed; None: as in the scene, and none is
+    selection: tuple[float, ...] | None = None
+    light: int | None = None
 
-    def dimensions(self, pixels: tuple[tuple[int, int], ...]) -> tuple[Dimension, ...]:
-        """What the numbers are used for that random paths through these pixels ask for."""
+    def dimensions(
+        self, pixels: tuple[tuple[int, int], ...], dims: int | None = None
+    ) -> tuple[Dimension, ...]:
+        """What so many coordinates of random paths through these pixels are used for.
+
+        By default as many as they ask for, 64 at most; what is beyond these is unknown.
+        """
+        found = self.dry_run(pixels)[0]
+        count = min(len(found), _MOST_DIMS) if dims is None else dims
+        beyond = Dimension(1 + max(d.bounce for d in found), "unknown")
+        return (*found[:count], *[beyond] * (count - len(found)))
+
+    def dry_run(self, pixels: tuple[tuple[int, int], ...]) -> tuple[tuple[Dimension, ...], float]:
+        lit = replace(self, selection=None, light=None)  # which changes nothing here
         with LOCK:
-            return dimensions_of(load_scene(self.scene))(self, pixels)
+            return dimensions_of(load_scene(self.scene))(lit, pixels)
 
     def means(self, u: Array, pixels: Array) -> Array:
         """Means over samples at pixels (P, 2): float64 (R, P) or (R, P, 3).
@@ -232,12 +317,36 @@ class Tracer:
         step = max(1, min(_TABLE_NUMBERS // numbers, _LANES // len(pixels)))
         parts = []
         for start in range(0, len(u), step):
-            with LOCK:
+            with LOCK, self._lights():
                 parts.append(self._sums(u[start : start + step], pixels))
         shape = (0, len(pixels), 3 if self.channel == "rgb" else 1)
         found = np.concatenate([np.zeros(shape), *parts]) / u.shape[-2]
         check_finite(found.swapaxes(0, 1), self.scene, pixels)
         return np.asarray(found if self.channel == "rgb" else found[..., 0])
+
+    @contextlib.contextmanager
+    def _lights(self) -> Iterator[None]:
+        """The scene with lights chosen and dimmed as is asked for, while the lock is held."""
+        if self.selection is None and self.light is None:
+            yield
+            return
+        loaded, changed = load_scene(self.scene), []
+        try:
+            for k, emitter in enumerate(loaded.emitters()):
+                parameters = load_mitsuba().traverse(emitter)
+                values = {} if self.selection is None else {"sampling_weight": self.selection[k]}
+                if self.light not in (None, k):
+                    values |= {p: parameters[p] * _DIMMED for p in _emission(emitter, parameters)}
+                changed.append(
+                    (parameters, {p: type(parameters[p])(parameters[p]) for p in values})
+                )
+                parameters.update(values)
+            loaded.parameters_changed([])
+            yield
+        finally:
+            for parameters, values in changed:
+                parameters.update(values)
+            loaded.parameters_changed([])
 
     def _sums(self, u: Array, pixels: Array) -> Array:
         """Sums over samples, (R, P, channels), by a lane for each of R and P."""
@@ -294,6 +403,18 @@ class Tracer:
         else:
             found = integrator.sample(loaded, sampler, ray, sensor.get_medium(), True)
         return weight * found[0]
+
+
+def _emission(emitter: Any, parameters: Any) -> list[str]:
+    """The parameters of a light that its radiance is proportional to."""
+    keys = list(parameters.keys())
+    found = [k for k in keys if re.fullmatch(_EMITTED, k)]
+    if not found:
+        raise ParameterError(
+            f"The light {emitter_name(emitter)} ({emitter.class_name()}) has no radiance that can be "
+            f"dimmed, only {', '.join(keys)}: its part is not known."
+        )
+    return found
 
 
 def find_integrator(scene: Scene, spec: object) -> Any:
@@ -411,13 +532,15 @@ def _sampler_class() -> Any:
 
 
 @functools.lru_cache(maxsize=4)
-def dimensions_of(scene: Any) -> Callable[..., tuple[Dimension, ...]]:
+def dimensions_of(scene: Any) -> Callable[..., tuple[tuple[Dimension, ...], float]]:
     """The dry runs of one scene, whose last ones are remembered; few scenes are kept alive by it."""
     del scene
     return functools.lru_cache(maxsize=256)(_dry_run)
 
 
-def _dry_run(tracer: Tracer, pixels: tuple[tuple[int, int], ...]) -> tuple[Dimension, ...]:
+def _dry_run(
+    tracer: Tracer, pixels: tuple[tuple[int, int], ...]
+) -> tuple[tuple[Dimension, ...], float]:
     """Follow random paths with loops evaluated, and see what is asked for in which turn."""
     import drjit
 
@@ -436,7 +559,8 @@ def _dry_run(tracer: Tracer, pixels: tuple[tuple[int, int], ...]) -> tuple[Dimen
                 f"{mitsuba_reason(error)}; choose another integrator."
             ) from None
         drjit.eval(color, sampler.count)
-    asked = int(np.max(sampler.count.numpy()))
+    counts = sampler.count.numpy()
+    asked, mean = int(np.max(counts)), float(np.mean(counts))
 
     # The camera's requests, then those of each turn of the loop
     sensor = sensor_of(tracer.scene)
@@ -450,7 +574,9 @@ def _dry_run(tracer: Tracer, pixels: tuple[tuple[int, int], ...]) -> tuple[Dimen
         turns[-1].append(number)
     if len(decided) + sum(map(sum, turns)) != asked:  # paths skip requests: no order is that of all
         rest = range(1, asked - len(decided) + 1)
-        return (*decided, *(Dimension(1, f"request {k}") for k in rest))
+        unknown = (Dimension(1, f"request {k}") for k in rest)
+        return (*decided, *unknown), mean - len(decided)
+    mean -= len(decided)
     integrator = find_integrator(tracer.scene, tracer.integrator)
     for bounce, turn in enumerate(turns, 1):
         names = [f"request {k}" for k in range(1, len(turn) + 1)]
@@ -459,4 +585,4 @@ def _dry_run(tracer: Tracer, pixels: tuple[tuple[int, int], ...]) -> tuple[Dimen
                 names = [name for _, name in order]
         for number, name in zip(turn, names, strict=True):
             decided += [Dimension(bounce, name, p) for p in (_PAIR if number == 2 else ("",))]
-    return tuple(decided)
+    return tuple(decided), mean

@@ -6,7 +6,14 @@ from typing import Any
 
 from mcspectra.core.errors import IncompleteImageWarning, ParameterError, warn
 from mcspectra.rendering.backend import LOCK, load_mitsuba
-from mcspectra.rendering.scenes import Scene, emitter_name, find_emitter, load_scene, scene_name
+from mcspectra.rendering.scenes import (
+    Scene,
+    emitter_name,
+    find_emitter,
+    load_scene,
+    scene_name,
+    sensor_of,
+)
 from mcspectra.rendering.skies import rotation_of
 
 __all__ = [
@@ -17,6 +24,7 @@ __all__ = [
     "check_scene",
     "delta_bsdf",
     "delta_light",
+    "filter_note",
     "integrator_note",
     "warn_integrator",
     "warn_lens",
@@ -106,6 +114,18 @@ def integrator_note(scene: Scene) -> str:
     """Say that a scene's own integrator is not what is analysed; empty if it is, or there is none."""
     with LOCK:
         return "".join(_integrator(scene, load_scene(scene)))
+
+
+def filter_note(scene: Scene) -> str:
+    """Say that renders filter pixels otherwise than paths of one pixel do; empty for a box filter."""
+    with LOCK:
+        rfilter = sensor_of(scene).film().rfilter()
+        if rfilter.is_box_filter():
+            return ""
+    return (
+        f"The film of {scene_name(scene)} has a {rfilter.class_name()}, which averages over neighbouring "
+        "pixels; a map is of the paths through each pixel's square, as of a box filter."
+    )
 
 
 def warn_integrator(scene: Scene) -> None:
@@ -211,7 +231,8 @@ def _media(scene: Scene, loaded: Any) -> list[str]:
     holders = [_called("shape", s.id()) for s in loaded.shapes() if _has_medium(s)]
     holders += [_called("camera", s.id()) for s in loaded.sensors() if s.get_medium()]
     where = f"The scene {scene_name(scene)} has participating media ({', '.join(holders)})"
-    return [f"{where}, which are not supported; remove them."] if holders else []
+    advice = "give an integrator for whole paths, or remove them"
+    return [f"{where}, which direct light leaves out; {advice}."] if holders else []
 
 
 def _integrator(scene: Scene, loaded: Any) -> list[str]:

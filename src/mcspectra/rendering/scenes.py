@@ -38,6 +38,7 @@ __all__ = [
     "referenced_files",
     "scene_name",
     "sensor_of",
+    "sized",
     "watched_state",
     "what_fails",
 ]
@@ -146,6 +147,13 @@ def sensor_of(scene: Scene) -> Any:
     if not sensors:
         raise ParameterError(f"The scene {scene_name(scene)} has no camera; add a <sensor> to it.")
     return sensors[0]
+
+
+def sized(scene: str, **sizes: int) -> str:
+    """The spec of a built-in scene with a film of another ``width`` and ``height``."""
+    call = parse(scene)
+    shown = ", ".join(f"{key}={value!r}" for key, value in {**call.arguments, **sizes}.items())
+    return f"{call.name}({shown})"
 
 
 def film_size(scene: Scene) -> tuple[int, int]:

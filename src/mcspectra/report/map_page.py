@@ -14,8 +14,10 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import StoreError
 from mcspectra.plots import kinds
+from mcspectra.plots.maps import bounce_name
 from mcspectra.plots.text import number, percent, rate
 from mcspectra.rendering.files import write_exr
+from mcspectra.rendering.scenes import SCENES, sized
 from mcspectra.report.page import (
     Cell,
     Facts,
@@ -58,6 +60,7 @@ _STRATEGIES = {
 """As the maps call them."""
 
 _AWAY = 4.0  # standard errors
+_TOLD = 0.005  # smallest share that a sentence names
 _ROUTES = {
     "strata": "quadrature within the strata",
     "random": "∫g²",
@@ -65,6 +68,14 @@ _ROUTES = {
     "gains": "gains by level",
 }
 """How variances were predicted, by the attribute ``prediction``."""
+
+_CAUSES = {
+    "bounce": "What the random numbers of a bounce add to the variance that those before it make, of one "
+    "path: as a share of the picture's variance, the median over pixels, and at how many pixels it is the "
+    "largest by 95 % intervals.",
+    "decision": "What each decision adds to the variance that all before it make, over all bounces.",
+}
+"""Captions of the tables of shares."""
 
 _PROVENANCE = {
     "scene": "Scene",
@@ -122,7 +133,7 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
     known = result.attrs
     x0, y0, width, height = summary["crop"]
     counts = ", ".join(map(str, summary["counts"]))
-    each = "paths" if "path" in summary["strategies"] else "of each technique"
+    each = "paths" if "path" in result["strategy"].values else "of each technique"
     settings = (
         f"{width} × {height} pixels from ({x0}, {y0}), sampler {known['sampler']}, n = {counts} {each}, "
         f"{known['realizations']} realisations, {known['points']} points."
@@ -134,7 +145,7 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
         columns=("Strategy", *(_COLUMNS[name] for name in columns)),
         rows=tuple(
             (
-                *text_cells(_STRATEGIES.get(name, name)),
+                *text_cells(_named(name)),
                 *(Cell(text=text) for text in shown_numbers(row)),
             )
             for name, row in rows.items()
@@ -142,14 +153,28 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
     )
     sentences = tuple(Text(text=text) for text in _sentences(summary))
     last = str(result["strategy"].values[-1])
+    first = f" by {result['sampler'].values[0]}" if "sampler" in result.dims else ""
     worst = Table(
-        caption=f"Pixels of the largest variance, {_STRATEGIES.get(last, last)} at n = "
+        caption=f"Pixels of the largest variance, {_STRATEGIES.get(last, last)}{first} at n = "
         f"{summary['counts'][-1]}, their part of the image's, and what explains them.",
         columns=("Pixel", "Variance", "Part of all", "Command"),
         rows=tuple(_worst_row(each, known, root) for each in summary["worst_pixels"]),
     )
+    causes = tuple(
+        Table(
+            caption=caption,
+            columns=(kind.capitalize(), "Share of all", "Median share", "Largest at"),
+            rows=tuple(
+                (Cell(text=name, numeric=False), *(Cell(text=percent(v)) for v in row.values()))
+                for name, row in summary[f"{kind}s"].items()
+            ),
+        )
+        for kind, caption in _CAUSES.items()
+        if f"{kind}s" in summary
+    )
     figures = []
-    for kind in (each for each in kinds.kinds_of(result) if each.startswith("map-")):
+    shown = [each for each in kinds.kinds_of(result) if each.startswith("map-")]
+    for kind in sorted(shown, key=lambda each: each != "map-picture"):
         name = kind.removeprefix("map-").replace("-", "_")
         figures.append(Figure(plot=kinds.describe(kind, result), name=name))
     own = ((name, str(known[key])) for key, name in _PROVENANCE.items() if key in known)
@@ -163,6 +188,11 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
         ),
         sections=(
             Section(title="Summary", anchor="summary", blocks=(table, *sentences)),
+            *(
+                [Section(title="Where the variance comes from", anchor="shares", blocks=causes)]
+                if causes
+                else []
+            ),
             *(
                 [Section(title="Worst pixels", anchor="worst", blocks=(worst,))]
                 if worst.rows
@@ -179,11 +209,15 @@ def _worst_row(pixel: Mapping[str, Any], known: Mapping[str, Any], root: Path) -
     """A pixel with the command that explains it, and a link to its page where that was run."""
     x, y = pixel["x"], pixel["y"]
     page = f"pixel-{x}-{y}/report.html"
-    command = f"mcspectra pixel {shlex.quote(known['scene'])} {x} {y}"
+    scene, film = known["scene"], known["size"] == known.get("film")
+    if not film and scene.partition("(")[0] in SCENES:
+        width, height = json.loads(known["size"])
+        scene, film = sized(scene, width=width, height=height), True
+    command = f"mcspectra pixel {shlex.quote(scene)} {x} {y}"
     if known.get("integrator", "direct light") != "direct light":
         command += f" --integrator {shlex.quote(known['integrator'])}"
     command += f" --out {shlex.quote(str(root / Path(page).parent))}"
-    if known["scene"] == "dict" or known["size"] != known.get("film"):
+    if scene == "dict" or not film:
         command = "–"  # no file to name, or pixels that are not those of the film
     return (
         Cell(text=f"({x}, {y})", numeric=False, link=page if (root / page).is_file() else ""),
@@ -209,7 +243,7 @@ def map_layers(result: xr.Dataset) -> dict[str, Array]:
 
 
 def _layers(name: str, data: xr.DataArray) -> Iterator[tuple[str, Array]]:
-    """One layer for each strategy, count and bound."""
+    """One layer for each sampler, strategy, bounce, count and bound."""
     outer = next((dim for dim in data.dims if dim not in ("y", "x")), None)
     if outer is None:
         yield name, data.values
@@ -220,12 +254,19 @@ def _layers(name: str, data: xr.DataArray) -> Iterator[tuple[str, Array]]:
 
 
 def map_summary(result: xr.Dataset) -> dict[str, Any]:
-    """Medians over pixels by strategy, and shares of pixels, beside the provenance."""
-    last = result.isel(n=-1)
+    """Medians over pixels by strategy, and shares of pixels, beside the provenance.
+
+    Of several samplers, strategies are "STRATEGY, SAMPLER", and all but the best sampler is of the first.
+    """
     strategies = {
-        str(strategy): _strategy_summary(last.sel(strategy=strategy))
+        ", ".join((str(strategy), *named)): _strategy_summary(
+            each.sel(strategy=strategy).isel(n=-1)
+        )
+        for named, each in _by_sampler(result)
         for strategy in result["strategy"].values
     }
+    whole, (_, result) = result, next(_by_sampler(result))
+    last = result.isel(n=-1)
     found: dict[str, Any] = {**result.attrs, "counts": result["n"].values.tolist()}
     found |= {name: json.loads(found[name]) for name in ("size", "crop") if name in found}
     found["strategies"] = strategies
@@ -245,8 +286,52 @@ def map_summary(result: xr.Dataset) -> dict[str, Any]:
         found["light_suffices"] = float(((high < 1) & (light < bsdf)).sum() / known)
         if strategies.keys() >= {"light", "bsdf", "mis"}:
             found["answer"] = _answer(last, found)
+    for kind in ("bounce", "decision"):
+        if kind in result.dims:
+            found[f"{kind}s"] = _causes(result, kind)
+    if "best_sampler" in whole:
+        labels = {"no difference": -1} | {str(v): k for k, v in enumerate(whole["sampler"].values)}
+        found["best_sampler"] = {
+            str(strategy): {
+                name: _share(whole["best_sampler"].sel(strategy=strategy).values, label)
+                for name, label in labels.items()
+            }
+            for strategy in whole["strategy"].values
+        }
+    if "best_sampler" in whole and "answer" not in found:
+        found["answer"] = _sampler_answer(whole.isel(strategy=-1, n=-1), found)
     found["worst_pixels"] = list(_worst(result))
     return found
+
+
+def _by_sampler(result: xr.Dataset) -> Iterator[tuple[tuple[str, ...], xr.Dataset]]:
+    """A map of each sampler, with its name if there are several."""
+    if "sampler" not in result.dims:
+        yield (), result
+        return
+    for name in map(str, result["sampler"].values):
+        yield (name,), result.sel(sampler=name).assign_attrs(sampler=name)
+
+
+def _causes(result: xr.Dataset, kind: str) -> dict[str, dict[str, float]]:
+    """What part of the picture's and of a pixel's variance each bounce or decision makes."""
+    shares, weights = result[f"{kind}_share"], result["path_variance"]
+    total = float(weights.where(shares.notnull().all(kind)).sum())
+    found = {}
+    for k, label in enumerate(result[kind].values.tolist()):
+        own = shares.isel({kind: k})
+        found[bounce_name(label) if kind == "bounce" else label] = {
+            "share": float((own * weights).sum()) / total if total > 0 else math.nan,
+            "median": _median(own.values),
+            "largest": _share(result[f"largest_{kind}"].values, k),
+        }
+    return found
+
+
+def _named(strategy: str) -> str:
+    """A strategy's name in words, with its sampler after it where there are several."""
+    name, comma, sampler = strategy.partition(", ")
+    return f"{_STRATEGIES.get(name, name)}{comma}{sampler}"
 
 
 def _answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
@@ -289,6 +374,29 @@ def _answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
     return text
 
 
+def _sampler_answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
+    """Which sampler has the least variance at most pixels, and which bounce and decision make it."""
+    names = list(map(str, last["sampler"].values))
+    shares = found["best_sampler"][str(last["strategy"].item())]
+    best = max(names, key=lambda name: shares[name])
+    errors = ", ".join(
+        f"{name} {number(_median(last['variance'].sel(sampler=name).values) ** 0.5)}"
+        for name in names
+    )
+    at = f"at n = {found['counts'][-1]} (median RMSE: {errors})"
+    if not shares[best] > shares["no difference"]:
+        return f"Keep {names[0]}: at most pixels no sampler has surely less variance {at}."
+    verb = "Keep" if best == names[0] else "Use"
+    text = f"{verb} {best}: the least variance at {percent(shares[best])} of the pixels {at}."
+    makes = [
+        f"{max(rows, key=lambda name: rows[name]['share'])} "
+        f"({percent(max(row['share'] for row in rows.values()))})"
+        for rows in (found.get("bounces"), found.get("decisions"))
+        if rows
+    ]
+    return f"{text} Cause: most of the variance is of {' and of '.join(makes)}." if makes else text
+
+
 def _worst(result: xr.Dataset) -> Iterator[dict[str, Any]]:
     """Pixels of the largest variance by the last strategy, at the largest n, with their part of the sum."""
     variance = result["variance"].isel(strategy=-1, n=-1).values
@@ -303,7 +411,8 @@ def _worst(result: xr.Dataset) -> Iterator[dict[str, Any]]:
 
 def map_note(summary: Mapping[str, Any]) -> str:
     """Say what the numbers of `map_summary` are, and whether pixels err together."""
-    seen = "" if "path" in summary["strategies"] else " that see a lit surface"
+    paths = any(name.partition(",")[0] == "path" for name in summary["strategies"])
+    seen = "" if paths else " that see a lit surface"
     note = (
         f"Medians over the {summary['pixels_measured']} pixels{seen}; mean and "
         f"variance at n = {summary['counts'][-1]}."
@@ -322,11 +431,13 @@ def map_note(summary: Mapping[str, Any]) -> str:
 
 
 def map_sentences(result: xr.Dataset) -> Iterator[str]:
-    """Say what a map shows: medians by strategy, what they are of, and what decides them."""
+    """Say what a map shows: its answer, medians by strategy, what they are of, and what decides them."""
     summary = map_summary(result)
+    if "answer" in summary:
+        yield summary["answer"]
     for strategy, row in summary["strategies"].items():
         shown = dict(zip(row, shown_numbers(row), strict=True))
-        name = _STRATEGIES.get(strategy, strategy)
+        name = _named(strategy)
         yield f"{name[:1].upper()}{name[1:]}: variance {shown['variance']}, rate {shown['rate']}."
     yield map_note(summary)
     yield from _sentences(summary)
@@ -369,6 +480,19 @@ def _sentences(summary: Mapping[str, Any]) -> Iterator[str]:
             f"The BSDF share of MIS has the slower rate in {percent(share['bsdf'])} of the pixels, the "
             f"light share in {percent(share['light'])}; in {percent(share['undecided'])} the 95 % interval "
             "of their difference contains 0."
+        )
+    for kind in ("bounces", "decisions"):
+        if kind in summary:
+            parts = {k: v["share"] for k, v in summary[kind].items() if v["share"] >= _TOLD}
+            told = ", ".join(
+                f"{k} {percent(v)}" for k, v in sorted(parts.items(), key=lambda p: -p[1])
+            )
+            yield f"Shares of the picture's variance by {kind[:-1]}: {told or 'unknown'}."
+    for strategy, shares in summary.get("best_sampler", {}).items():
+        told = ", ".join(f"{k} {percent(v)}" for k, v in shares.items())
+        yield (
+            f"Sampler of the least variance, {_named(strategy)} at n = {summary['counts'][-1]}, by share of "
+            f"the pixels: {told}."
         )
     if "mis_gain" in summary:
         gain = summary["mis_gain"]

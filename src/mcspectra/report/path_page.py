@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,29 +27,47 @@ from mcspectra.report.page import (
     write_json,
     write_page,
 )
+from mcspectra.report.pixel_page import remedies_section, remedies_summary
+from mcspectra.report.sentences import answer
 from mcspectra.variance.anova import EFFECTIVE_SHARE
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["PATH_TABLES", "path_rows", "path_sentences", "path_summary", "write_path"]
+__all__ = [
+    "PATH_TABLES",
+    "path_answer",
+    "path_rows",
+    "path_sentences",
+    "path_summary",
+    "write_path",
+]
 
 PATH_TABLES = {
     "rates": ("Sampler", "Rate", "n", "Variance", "95 %", "Predicted"),
     "parts": ("Part", "Alone", "With all others", "Up to here"),
-    "padding": ("Good coordinates", "n", "Variance", "95 %"),
+    "lights": ("Light", "Share", "95 %", "Mean", "Chosen", "Better chosen"),
 }
 """Columns of the tables of `path_rows`."""
 
+_SHOWN = 0.005  # of the variance: smaller parts are not named
+_CHARGED = ("order", "roulette", "selection")  # which cost more than their paths, or less
+_ABOUT_CHARGED = (
+    "Costs are counted in numbers that paths ask for, as many in each turn of the integrator's loop, which is a "
+    "ray and at most one shadow ray. A change that a pilot chose is compared with the set-up as given that has the "
+    "pilot's paths, too; its variance is that beside the pilot."
+)
 _ABOUT = {
     "rates": "Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval.",
     "parts": (
         "Shares of the variance of one random path by what its numbers decide, in their order: by them "
         "alone, with all sets of numbers that hold them (these overlap), and by all numbers up to here."
     ),
-    "padding": (
-        "Variance with points of the sampler for the first coordinates alone, up to the end of a bounce, "
-        "and random numbers for all others."
+    "lights": (
+        "Shares of the variance of one random path by the light that gives it, Cov(part, path) / variance, which "
+        "sum to 1 and are below 0 where a light is seen when others are not; what each gives to the mean; how "
+        "often it is chosen, and how often it had better be, in proportion to the root of the second moment of "
+        "what it then gives (a twentieth is spread evenly)."
     ),
 }
 
@@ -61,7 +81,7 @@ def path_rows(tree: xr.DataTree) -> dict[str, list[list[str]]]:
         What `mcspectra.studies.analyse_path` returns.
     """
     curves, last = tree["convergence"].to_dataset(), {"n": -1}
-    rows: dict[str, list[list[str]]] = {"rates": [], "parts": [], "padding": []}
+    rows: dict[str, list[list[str]]] = {name: [] for name in PATH_TABLES}
     for sampler in curves["sampler"].values.tolist():
         one = curves.sel(sampler=sampler)
         predicted = float("nan")
@@ -85,12 +105,27 @@ def path_rows(tree: xr.DataTree) -> dict[str, list[list[str]]]:
         for name, *shares in shown:
             texts = ["" if np.isnan(share) else percent(float(share)) for share in shares]
             rows["parts"].append([name, *texts])
-    padding = tree["padding"].to_dataset()
-    for dims in padding["dims"].values.tolist():
-        at = padding.sel(dims=dims).isel(last)
-        ends = interval(*at["variance_ci"].values.tolist())
-        rows["padding"].append([str(dims), str(int(at["n"])), number(float(at["variance"])), ends])
-    return rows
+    if "lights" in tree.children:
+        lights = tree["lights"].to_dataset()
+        for light in lights["light"].values[np.argsort(-lights["light_share"].values)]:
+            one = lights.sel(light=light)
+            ends = interval(*(100.0 * one["light_share_ci"].values).tolist())
+            chosen = (percent(float(one[f"light_{v}"])) for v in ("probability", "selection"))
+            rows["lights"].append(
+                [str(light), percent(float(one["light_share"])), f"{ends} %",
+                 number(float(one["light_mean"])), *chosen]
+            )  # fmt: skip
+    return {name: found for name, found in rows.items() if found or name != "lights"}
+
+
+def path_answer(tree: xr.DataTree) -> str:
+    """Which sampler to use for these paths instead of random numbers, and what makes the noise."""
+    curves = tree["convergence"].to_dataset()
+    samplers = {str(s): curves.sel(sampler=s) for s in curves["sampler"].values}
+    said = dict(path_sentences(tree))
+    if "noise" in said:
+        return said["noise"]
+    return answer(samplers, why=said.get("by decision", said.get("by bounce", "")))
 
 
 def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
@@ -105,16 +140,21 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
         if not np.isfinite(shares).all():
             return [("noise", "The pixel has no noise: every path has the same value.")]
         order = np.argsort(-shares)[:3]
-        parts = [f"{found['subset_label'].values[k]} {percent(float(shares[k]))}" for k in order]
-        said.append((f"by {axes}", f"Most of the variance is made by {', '.join(parts)}."))
+        parts = [
+            f"{found['subset_label'].values[k]} {percent(float(shares[k]))}"
+            for k in order
+            if k == order[0] or shares[k] > _SHOWN
+        ]
+        said.append((f"by {axes}", f"The largest parts of the variance are {', '.join(parts)}."))
     if "coordinate" in tree["anova"].children:
         found = _parts(tree, "coordinate")
         least, ends = (found[f"effective_dimension_truncation{end}"].values for end in ("", "_ci"))
         if np.isfinite(least):
             name = known["dimensions"][int(least) - 1]
+            low, high = (f"{end:.0f}" for end in ends)
             text = (
-                f"The first {int(least)} of {known['dims']} coordinates ({interval(*ends.tolist())}), up to "
-                f"{name}, hold {percent(EFFECTIVE_SHARE)} of the variance of a path."
+                f"The first {int(least)} of {known['dims']} coordinates ({low} to {high}), up to {name}, hold "
+                f"{percent(EFFECTIVE_SHARE)} of the variance of a path."
             )
             said.append(("effective dimension", text))
     curves = tree["convergence"].to_dataset().isel(n=-1)
@@ -127,24 +167,47 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
         ratio = float(curves["variance"].sel(sampler="random") / best["variance"])
         text += f" Random numbers have {number(ratio)} times as much."
     said.append(("sampler", text))
-    padding = tree["padding"].to_dataset().isel(n=-1)
-    whole = padding["variance_ci"].isel(dims=-1)
-    enough = padding["variance_ci"].sel(bound="low") <= float(whole.sel(bound="high"))
-    dims = int(padding["dims"].values[enough.values][0])
-    if dims < known["dims"]:
+
+    # Lights, and what was tried
+    if "lights" in tree.children:
+        lights = tree["lights"].to_dataset()
+        largest = lights.isel(light=np.argsort(-lights["light_share"].values)[:3])
+        pairs = zip(largest["light"].values, largest["light_share"].values, strict=True)
+        named = ", ".join(f"{light} {percent(float(share))}" for light, share in pairs)
+        gain = number(float(lights["selection_ratio"]))
+        low, high = map(number, lights["selection_ratio_ci"].values.tolist())
         text = (
-            f"Points of {known['sampler']} for the first {dims} coordinates, up to "
-            f"{known['dimensions'][dims - 1]}, and random numbers for the others are as good as for all "
-            f"{known['dims']}, as far as 95 % intervals tell."
+            f"The largest shares of the variance of a path are light of {named}. Lights chosen by their second "
+            f"moments, on other paths: variance × {gain} (95 %: {low} to {high})."
         )
-    else:
-        text = f"All {dims} coordinates deserve points of {known['sampler']}."
-    return [*said, ("padding", text)]
+        said.append(("lights", text))
+    elif known.get("lights_note"):
+        said.append(("lights", str(known["lights_note"])))
+    if "remedies" in tree.children:
+        said.append(("padding", _padding(tree)))
+        text = f"With {known['sampler']} as given: {tree['remedies'].attrs['recommendation']}"
+        said.append(("remedies", text))
+    return said
+
+
+def _padding(tree: xr.DataTree) -> str:
+    """The fewest first coordinates whose good points are not surely worse than those of all."""
+    found, known = tree["remedies"].to_dataset(), tree.attrs
+    enough = (found["kind"].values == "padding") & (found["verdict"].values != "worse")
+    fewest = [int(str(name).split()[0]) for name in found["remedy"].values[enough]]
+    if not fewest:
+        return f"All {known['dims']} coordinates deserve points of {known['sampler']}."
+    dims = min(fewest)
+    return (
+        f"Points of {known['sampler']} for the first {dims} coordinates, up to "
+        f"{known['dimensions'][dims - 1]}, and random numbers for the others are as good as for all "
+        f"{known['dims']}, as far as 95 % intervals tell."
+    )
 
 
 def path_summary(tree: xr.DataTree) -> dict[str, Any]:
     """All numbers of a pixel, by what they are of."""
-    curves, padding = (tree[name].to_dataset() for name in ("convergence", "padding"))
+    curves = tree["convergence"].to_dataset()
     names = ("variance", "variance_ci", "mean", "rate", "rate_ci")
     rates = [
         {"sampler": sampler, "n": curves["n"].values}
@@ -160,10 +223,14 @@ def path_summary(tree: xr.DataTree) -> dict[str, Any]:
         } | {v: found[v].values for s in ("anova", "total", "truncation") for v in _share(s)}
         sizes = ("mean_dimension", "effective_dimension_truncation", "variance")
         parts[kind] |= {v: found[v].values for name in sizes for v in (name, f"{name}_ci")}
-    found = {"dims": padding["dims"].values, "n": padding["n"].values}
-    found |= {v: padding[v].values for v in ("variance", "variance_ci")}
     known: dict[str, Any] = {"pixel": dict(tree.attrs), "rates": rates, "parts": parts}
-    return known | {"padding": found, "sentences": dict(path_sentences(tree))}
+    known |= {"answer": path_answer(tree), "sentences": dict(path_sentences(tree))}
+    if "lights" in tree.children:
+        lights = tree["lights"].to_dataset()
+        known["lights"] = {str(name): lights[name].values for name in ("light", *lights.data_vars)}
+    if "remedies" in tree.children:
+        known["remedies"] = remedies_summary(tree["remedies"].to_dataset())
+    return known
 
 
 def write_path(tree: xr.DataTree, folder: str | Path) -> Path:
@@ -192,9 +259,9 @@ def write_path(tree: xr.DataTree, folder: str | Path) -> Path:
     plots = {
         "rates": {"convergence": describe("convergence", tree["convergence"].to_dataset())},
         "parts": {kind: describe("anova", _parts(tree, kind)) for kind in tree["anova"].children},
-        "padding": {},
+        "lights": {},
     }
-    titles = {"rates": "Rates", "parts": "Parts of the variance", "padding": "Good coordinates"}
+    titles = {"rates": "Rates", "parts": "Parts of the variance", "lights": "Lights"}
     sections = [
         Section(
             title=title,
@@ -205,7 +272,10 @@ def write_path(tree: xr.DataTree, folder: str | Path) -> Path:
             )[: 2 if plots[name] else 1],
         )
         for name, title in titles.items()
+        if name in rows
     ]
+    if "remedies" in tree.children:
+        sections.append(_remedies(tree["remedies"].to_dataset(), str(known["sampler"])))
     facts = (
         ("Scene", str(known["scene"])),
         ("Integrator", str(known["integrator"])),
@@ -217,7 +287,7 @@ def write_path(tree: xr.DataTree, folder: str | Path) -> Path:
     page = Page(
         title=f"Pixel ({known['x']}, {known['y']}) of {Path(known['scene']).name}: whole paths",
         what="pixel",
-        lead=(Text(text=settings, kind="soft"),),
+        lead=(Text(text=path_answer(tree)), Text(text=settings, kind="soft")),
         sections=(
             Section(title="Explanation", anchor="pixel", blocks=(Sentences(rows=said),)),
             *sections,
@@ -225,6 +295,20 @@ def write_path(tree: xr.DataTree, folder: str | Path) -> Path:
         ),
     )
     return write_page(page, root / "report.html", root / "figures")
+
+
+def _remedies(found: xr.Dataset, sampler: str) -> Section:
+    """The changes that were tried, what they cost beside their paths, and what could not be tried."""
+    section = remedies_section(found, sampler)
+    costs = [
+        (str(name), str(one["reason"].item()))
+        for name in found["remedy"].values
+        for one in [found.sel(remedy=name)]
+        if one["kind"].item() in _CHARGED
+    ]
+    costs += [each.split(": ", 1) for each in json.loads(found.attrs["not_tried"])]
+    about = Text(text=_ABOUT_CHARGED, kind="soft")
+    return replace(section, blocks=(*section.blocks, about, Sentences(rows=tuple(costs))))
 
 
 def _parts(tree: xr.DataTree, kind: str) -> xr.Dataset:
@@ -239,4 +323,4 @@ def _table(name: str, rows: Sequence[Sequence[str]]) -> Table:
     cells = tuple(
         (*text_cells(first), *(Cell(text=text) for text in rest)) for first, *rest in rows
     )
-    return Table(caption=_ABOUT[name], columns=PATH_TABLES[name], rows=cells)
+    return Table(caption=_ABOUT[name], columns=PATH_TABLES[name], rows=cells, stacked=True)

@@ -45,6 +45,8 @@ __all__ = [
     "pixel_rows",
     "pixel_sentences",
     "pixel_summary",
+    "remedies_section",
+    "remedies_summary",
     "term_rows",
     "write_pixel",
 ]
@@ -345,13 +347,7 @@ def pixel_summary(tree: xr.DataTree) -> dict[str, Any]:
         "sentences": dict(pixel_sentences(tree)),
     }
     if "remedies" in tree.children:
-        given = tree["remedies"].to_dataset()
-        ranked = [
-            {"remedy": str(name)} | {v: given[v].sel(remedy=name).values for v in _REMEDY}
-            for name in given["remedy"].values
-        ]
-        known = ("budget", "diagnosis", "recommendation", "not_tried")
-        found["remedies"] = {**{k: given.attrs[k] for k in known}, "ranked": ranked}
+        found["remedies"] = remedies_summary(tree["remedies"].to_dataset())
     return found
 
 
@@ -440,13 +436,27 @@ def _sections(tree: xr.DataTree) -> Iterator[Section]:
     # Remedies
     if "remedies" not in tree.children:
         return
-    found = tree["remedies"].to_dataset()
-    made = analysis_table("remedies", {str(known["sampler"]): found})
+    yield remedies_section(tree["remedies"].to_dataset(), str(known["sampler"]))
+
+
+def remedies_summary(found: xr.Dataset) -> dict[str, Any]:
+    """All numbers of `mcspectra.remedies` and what it says."""
+    ranked = [
+        {"remedy": str(name)} | {v: found[v].sel(remedy=name).values for v in _REMEDY}
+        for name in found["remedy"].values
+    ]
+    known = ("budget", "diagnosis", "recommendation", "not_tried")
+    return {**{k: found.attrs[k] for k in known}, "ranked": ranked}
+
+
+def remedies_section(found: xr.Dataset, sampler: str) -> Section:
+    """What to do, and each change that was tried."""
+    made = analysis_table("remedies", {sampler: found})
     assert made is not None
     table = columns_of(made[1], made[1].columns[1:])
     text = Text(text=found.attrs["recommendation"])
     figures = _figures(remedies=describe("remedies", found))
-    yield Section(title=made[0], anchor="remedies", blocks=(text, table, figures))
+    return Section(title=made[0], anchor="remedies", blocks=(text, table, figures))
 
 
 def _figures(**plots: Plot) -> Figures:

@@ -6,11 +6,10 @@ A card is what is measured of a sampler: points, spectrum, projections, rates, q
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, final
 
 from markupsafe import Markup, escape
 
@@ -50,11 +49,10 @@ from mcspectra.report.page import (
     write_page,
 )
 from mcspectra.samplers import SAMPLERS, Sampler, sampler
-from mcspectra.samplers.base import Randomized, Structure
 from mcspectra.samplers.facts import Facts as SamplerFacts
 from mcspectra.samplers.facts import sampler_facts
-from mcspectra.samplers.optimised import OptimisedSampler
 from mcspectra.spectra.power import power_spectrum
+from mcspectra.variance.bench import SHARED_SETS, making_seconds, randomized, shared_sets
 from mcspectra.variance.convergence import convergence
 from mcspectra.version import __version__
 
@@ -87,7 +85,6 @@ _ALSO = (
 """In the gallery besides every registered sampler."""
 
 
-_SHARED_SETS = 8  # optimised sets, used again under random translations
 _PROJECTED_DIMS = 4
 _QUALITY = {
     "relative_minimum_distance": "Minimum distance",
@@ -271,8 +268,8 @@ def measure_card(spec: str, *, effort: Effort = FULL, rng: int = 0) -> Card:
     """
     name = parse_chain(spec)[0].name
     source = _in_two_dims(spec)
-    light = _shared(source)
-    free = light if light.unbiased else _randomized(light)
+    light = shared_sets(source)
+    free = light if light.unbiased else randomized(light)
     n = source.nearest_count(effort.n)
     slow = light != source
     return Card(
@@ -286,7 +283,7 @@ def measure_card(spec: str, *, effort: Effort = FULL, rng: int = 0) -> Card:
         spectrum=_spectrum(light, n, effort, rng, slow=slow),
         curves=_curves(source.dims, free, effort, rng, slow=slow),
         quality=_quality(light, n, rng),
-        speed=n / _seconds(source, n, rng),
+        speed=n / making_seconds(source, n, rng),
     )
 
 
@@ -302,32 +299,18 @@ def _in_two_dims(spec: str) -> Sampler:
     raise reason
 
 
-def _shared(source: Sampler) -> Sampler:
-    """Make do with a few sets of an optimised sampler, each used many times."""
-    if isinstance(source, OptimisedSampler):
-        return replace(source, sets=source.sets or _SHARED_SETS)
-    if isinstance(source, Randomized) and isinstance(source.base, OptimisedSampler):
-        return replace(source, base=_shared(source.base))
-    return source
-
-
-def _randomized(source: Sampler) -> Sampler:
-    step = "owen" if source.structure is Structure.DIGITS else "shift"
-    return sampler(f"{source.spec} | {step}", source.dims)
-
-
 def _projection(spec: str, n: int, rng: int) -> Array | None:
     try:
-        source = _shared(sampler(spec, _PROJECTED_DIMS))
-    except McspectraError:
+        source = shared_sets(sampler(spec, _PROJECTED_DIMS))
+        points: Array = source.draw(source.nearest_count(n), rng=rng)[0, :, 2:]
+    except McspectraError:  # of programs as they print too few coordinates
         return None
-    points: Array = source.draw(source.nearest_count(n), rng=rng)[0, :, 2:]
     return points
 
 
 def _spectrum(source: Sampler, n: int, effort: Effort, rng: int, *, slow: bool) -> xr.Dataset:
     wide = round(2.0 * n ** (1.0 / source.dims))
-    stream, most = Stream.from_rng(rng), _SHARED_SETS if slow else effort.spectra
+    stream, most = Stream.from_rng(rng), SHARED_SETS if slow else effort.spectra
     count = different_realizations(source, n, stream, most)
     return power_spectrum(source, n, half_width=wide, realizations=count, rng=rng)
 
@@ -347,28 +330,9 @@ def _curves(
     }
 
 
-def _seconds(source: Sampler, n: int, rng: int) -> float:
-    """Best time of a few draws on one thread, without the cache."""
-    stream = Stream.from_rng(rng)
-
-    def draw(realization: int) -> Any:
-        if isinstance(source, OptimisedSampler):
-            return source._optimize(n, stream.keys(realization, 1)[0], lambda _: None)
-        return source.draw_stream(n, stream, realization, 1)
-
-    best = float("inf")
-    for realization in range(3):
-        start = time.perf_counter()
-        draw(realization)
-        best = min(best, time.perf_counter() - start)
-        if best > 1.0:
-            break
-    return best
-
-
 def _quality(source: Sampler, n: int, rng: int) -> dict[str, tuple[str, float, float]]:
     """Long name, mean and standard error of the figures that can be had."""
-    count = different_realizations(source, n, Stream.from_rng(rng), _SHARED_SETS)
+    count = different_realizations(source, n, Stream.from_rng(rng), SHARED_SETS)
     found = quality_figures(source, n, figures=tuple(_QUALITY), realizations=count, rng=rng)
     return {
         figure.name: (figure.long_name, figure.mean, figure.standard_error)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from statistics import NormalDist
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mcspectra.core.checks import Array
+from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.plots.text import NEGLIGIBLE, number, percent, rate, with_error
 from mcspectra.studies import SummaryRow
 from mcspectra.variance.fit import UNRESOLVED, is_resolved
@@ -114,13 +116,20 @@ def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
     return " ".join(sentence for sentence in sentences if sentence)
 
 
-def headline(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
-    """Say in one sentence what matters of a pair: its rate, and why its prediction is off."""
+def headline(row: SummaryRow, terms: xr.Dataset | None = None, rows: int = 1) -> str:
+    """Say in one sentence what matters of a pair: its rate, and why its prediction is off.
+
+    It is off where an interval excludes 1 that holds for all of so many `rows` together [Sidak1967]_.
+    """
     if row.note:
         return f"{row.note[:1].upper()}{row.note[1:]}."
     parts = [_verdict(row)]
     if row.ratio is not None and _is_predicted(row):
-        low, high = row.ratio_low or 0.0, row.ratio_high or math.inf
+        wider = NormalDist().inv_cdf(0.5 + 0.5 * 0.95 ** (1.0 / rows)) / CONFIDENCE_Z
+        low, high = (
+            row.ratio * (end / row.ratio) ** wider if row.ratio else end
+            for end in (row.ratio_low or 0.0, row.ratio_high or math.inf)
+        )
         agrees = abs(row.ratio - 1.0) <= _CLOSE or low <= 1.0 <= high
         parts.append("prediction agrees" if agrees else f"predicted × {number(row.ratio)}")
     elif terms is not None and row.captured is not None and row.predicted is not None:

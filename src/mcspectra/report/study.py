@@ -46,6 +46,7 @@ REPORT_NAME = "report.html"
 _FIRST = ("convergence", "terms", "spectrum", "points")  # analyses; others as they are stored
 _OF_SAMPLERS = ("spectrum", "points", "pcf")  # analyses that may be the same for many estimators
 _WITHOUT_SETTINGS = ("points", "exact")  # the caption and the table have their n
+_FOLDED = ("predict",)  # tables
 _TITLES = {"pcf": "Pair correlation", "anova": "Axes"}
 _LIVE = frozenset(
     {"convergence", "terms", "contributions", "spectrum", "lines", "radial", "points"}
@@ -418,7 +419,7 @@ def _estimator(
     shown: list[Figure] = []
     details: dict[str, list[Figure]] = {summary: [] for summary in _DETAILS}
     linked: dict[str, tuple[str, str]] = {}
-    for analysis, found in each.analyses.items():
+    for analysis, found in _with_predictions(each.analyses).items():
         same = _shown_before(analysis, found, before)
         if same is not None:
             linked[analysis] = same
@@ -438,7 +439,11 @@ def _estimator(
         yield Folded(summary="Three terms in numbers", blocks=(terms,))
     for analysis, found in each.analyses.items():
         made = analysis_table(analysis, found)
-        if made is not None:
+        if made is None:
+            continue
+        if analysis in _FOLDED:
+            yield Folded(summary=made[0], blocks=(made[1],))
+        else:
             yield Text(text=made[0], kind="heading")
             yield made[1]
 
@@ -455,6 +460,27 @@ def _estimator(
             *place, what
         )
         yield Text(text=text, kind="soft")
+
+
+def _with_predictions(
+    analyses: Mapping[str, Mapping[str, xr.Dataset]],
+) -> dict[str, Mapping[str, xr.Dataset]]:
+    """Analyses for figures: predictions stand in the curves that were measured, where all of them can."""
+    measured, predicted = (analyses.get(name, {}) for name in ("convergence", "predict"))
+    if not predicted or not all(
+        name in measured and measured[name]["n"].equals(data["n"])
+        for name, data in predicted.items()
+    ):
+        return dict(analyses)
+    names = ["predicted_variance", "predicted_variance_ci"]
+    both = {
+        name: data.assign(predicted[name][names].drop_vars("route", errors="ignore"))
+        if name in predicted
+        else data
+        for name, data in measured.items()
+    }
+    rest = {name: found for name, found in analyses.items() if name != "predict"}
+    return rest | {"convergence": both}
 
 
 def _said(each: Estimates) -> Iterator[Block]:
@@ -499,6 +525,8 @@ def _figures(
     for place, data in enumerate(several):
         for kind in kinds.kinds_of(data):
             if kind == "bands" and not any(_correlated(each) for each in data.values()):
+                continue
+            if kind == "prediction" and analysis == "convergence":  # its crosses show it
                 continue
             plot = kinds.describe(kind, data, styles)
             if kind == "anything":

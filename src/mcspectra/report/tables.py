@@ -84,7 +84,7 @@ def summary_table(
                 _cell(variance + at, no_number, row.variance),
                 _cell(f"{predicted} ({route})" if route else predicted, no_term, row.ratio),
                 Cell(text=limit or MISSING, why="" if limit else no_term, numeric=False),
-                Cell(text=headline(row, terms), numeric=False),
+                Cell(text=headline(row, terms, len(rows)), numeric=False),
             )
         )
     return Table(
@@ -203,7 +203,8 @@ def _remedies(sampler: str, data: xr.Dataset) -> Rows:
             Cell(text=number(float(one["error_ratio"]))),
             Cell(text=interval(*_ends(one["error_ratio_ci"]))),
             Cell(text=rate(float(one["rate"]), *_ends(one["rate_ci"]))),
-            *text_cells(str(one["verdict"].item()), str(one["change"].item())),
+            Cell(text=str(one["verdict"].item())),  # words that do not break
+            *text_cells(str(one["change"].item())),
         )
 
 
@@ -239,6 +240,21 @@ def _exact(sampler: str, data: xr.Dataset) -> Rows:
     for n, values in zip(data["n"].values, data["exact_variance"].values, strict=True):
         text = ", ".join(number(float(v), 6) for v in np.atleast_1d(values))
         yield *text_cells(sampler), Cell(text=str(n)), Cell(text=text, why=why)
+
+
+def _predict(sampler: str, data: xr.Dataset) -> Rows:
+    data = first_channel(labelled(data))
+    rates = [number(float(data[name])) for name in ("predicted_rate", "limit_rate", "bend_n")]
+    for n in data["n"].values:
+        one = data.sel(n=n)
+        yield (
+            *text_cells(sampler),
+            Cell(text=str(n)),
+            Cell(text=number(float(one["predicted_variance"]))),
+            Cell(text=interval(*_ends(one["predicted_variance_ci"]))),
+            *text_cells(str(one["route"].item())),
+            *(Cell(text=text) for text in rates),
+        )
 
 
 def _map(sampler: str, data: xr.Dataset) -> Rows:
@@ -315,6 +331,16 @@ _TABLES: Mapping[str, tuple[str, str, tuple[str, ...], Callable[[str, Any], Rows
         _anova,
     ),
     "exact": ("Exact variance", "Without sampling.", ("Sampler", "n", "Variance"), _exact),
+    "predict": (
+        "Predictions in numbers",
+        (
+            "Variances that are predicted from what is known of f and of the sampler, and how; the exponent "
+            "over these counts, that at large n, and the n at which it changes. Of several channels the "
+            "first."
+        ),
+        ("Sampler", "n", "Variance", "95 % interval", "Route", "Rate", "At large n", "Bend"),
+        _predict,
+    ),
     "map": (
         "Map",
         (

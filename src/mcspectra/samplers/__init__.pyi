@@ -4,10 +4,13 @@ from .base import Sampler as Sampler
 from .base import Structure as Structure
 from .dither import LowDiscrepancyBlueNoise as LowDiscrepancyBlueNoise
 from .dither import VoidAndCluster as VoidAndCluster
+from .engines import QmcpySampler as QmcpySampler
+from .engines import ScipySampler as ScipySampler
+from .external import CommandSampler as CommandSampler
 from .external import FunctionSampler as FunctionSampler
 from .external import GivenPoints as GivenPoints
-from .external import QmcpySampler as QmcpySampler
-from .external import ScipySampler as ScipySampler
+from .external import PythonSampler as PythonSampler
+from .external import allow_code as allow_code
 from .hyperuniform import Determinantal as Determinantal
 from .hyperuniform import PerturbedLattice as PerturbedLattice
 from .hyperuniform import StealthyHyperuniform as StealthyHyperuniform
@@ -80,6 +83,7 @@ __all__ = [
     "BestCandidate",
     "Bnot",
     "BoxJitter",
+    "CommandSampler",
     "CorrelatedMultiJittered",
     "DartThrowing",
     "Decorrelate",
@@ -115,6 +119,7 @@ __all__ = [
     "PerturbedLattice",
     "PoissonDisk",
     "ProjectiveBlueNoise",
+    "PythonSampler",
     "QmcpySampler",
     "Random",
     "RandomRotation",
@@ -140,6 +145,7 @@ __all__ = [
     "UniformJitter",
     "VanDerCorput",
     "VoidAndCluster",
+    "allow_code",
     "as_sampler",
     "sampler",
     "sampler_from_calls",

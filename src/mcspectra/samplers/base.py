@@ -233,13 +233,18 @@ class Sampler(Component, ABC):
 
     @staticmethod
     def from_files(*paths: str | PathLike[str]) -> Sampler:
-        """Make a sampler of point files (.dat, .bin, .npz, .csv, .parquet), their sets in order."""
+        """Make a sampler of point files, folders or patterns, their sets in order: `GivenPoints`."""
         return samplers.GivenPoints.from_files(*paths)
 
     @staticmethod
     def from_function(draw: Draw, *, dims: int, unbiased: bool = True) -> Sampler:
         """Make a sampler of a callable ``draw(n, generator) -> (n, d)`` points in [0,1)."""
         return samplers.FunctionSampler(function=draw, dims=dims, unbiased_=unbiased)
+
+    @staticmethod
+    def from_command(run: str, *, dims: int, unbiased: bool = True) -> Sampler:
+        """Make a sampler of a program that prints points, as ``./mine {n} {seed}``: `CommandSampler`."""
+        return samplers.CommandSampler(run=run, dims=dims, unbiased_=unbiased)
 
     @staticmethod
     def from_scipy(engine: object, **arguments: object) -> Sampler:

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
+from pathlib import Path
 from typing import Any, ClassVar, final
 
 import numpy as np
@@ -28,6 +29,7 @@ from mcspectra.samplers.base import MAX_COUNT, FixedSet, Sampler, Structure
 __all__ = ["DigitalNet", "Faure", "LarcherPillichshammer", "Niederreiter", "Sobol"]
 
 _BITS = 32
+_TERNARY_DIGITS = 20  # 3^20 is more than the most points of a set
 _MAX_DEGREE = 13  # of Niederreiter's polynomials: 1,377 of them are irreducible
 _NO_MATRICES = (
     "matrices is not a list of matrices; give each matrix as a list of rows of "
@@ -55,29 +57,74 @@ class _BinaryNet(FixedSet):
 class Sobol(_BinaryNet):
     """Sobol' points 0 … n−1, 32 bits, deterministic; randomise with owen or digital-shift.
 
+    Attributes
+    ----------
+    directions
+        A file of direction numbers, for other tables than Joe and Kuo's.
+    base
+        Of the file: 2, or 3 for polynomials over the field of three elements (20 digits).
+
+    Raises
+    ------
+    FileFormatError
+        The file is no table of direction numbers in this base.
+
     Notes
     -----
     Natural order: dimension 0 is the van der Corput sequence of the index, not of its Gray code.
-    Counts other than powers of two are made, with a `NotPowerOfTwoWarning`: the sets are then not
-    balanced in elementary intervals.
+    Counts other than powers of the base are made, with a `NotPowerOfTwoWarning`: the sets are then
+    not balanced in elementary intervals.
+
+    A file has a line for each dim, in this order: its number, the degree s of the polynomial, the
+    polynomial a, and m_1 … m_s; headings and what follows ``#`` are left out. In base 2, a holds the
+    inner coefficients (Joe and Kuo's), and degree 0 stands for van der Corput's sequence, which comes
+    first by itself where the numbers begin at 2. In base 3, a holds all coefficients as its digits, and
+    m_k = m_(k−s) − Σ_j 3^j p_(s−j) m_(k−j), digit by digit modulo 3, p_i being that of x^i.
 
     References
     ----------
-    [JoeKuo2008]_: table new-joe-kuo-6, its first 1,111 dims
+    [JoeKuo2008]_: table new-joe-kuo-6, its first 1,111 dims; [Ostromoukhov2024]_: base 3
     """
 
     name: ClassVar[str] = "sobol"
     sequence: ClassVar[bool] = True
     max_dims: ClassVar[int | None] = 1111
     dims: int = DEFAULT_DIMS
+    directions: str | None = None
+    base: int = 2
+
+    def __post_init__(self) -> None:
+        settle(self, base=as_integer("base", self.base, least=2, most=3))
+        if self.directions is not None:
+            settle(self, max_dims=len(_directions_of_file(self.directions, self.base)))
+        elif self.base != 2:
+            raise ParameterError("sobol: base 3 needs a table; give its file as directions=.")
+        Sampler.__post_init__(self)
+
+    @property
+    def digit_bases(self) -> tuple[int, ...]:
+        """The base of the table."""
+        return (self.base,) * self.dims
 
     def direction_numbers(self, n: int) -> Array:
-        """Return the columns of the generator matrices: uint32 (dims, 32), 2^31 being ½."""
+        """Return the columns of the generator matrices: uint32 (dims, 32), 2^31 being ½.
+
+        In base 3 the digits of the columns: int64 (dims, 20, 20).
+        """
         del n  # a sequence: the same for all counts
-        return _sobol_directions()[: self.dims]
+        if self.directions is None:
+            return _sobol_directions()[: self.dims]
+        return _directions_of_file(self.directions, self.base)[: self.dims]
+
+    def _set(self, n: int) -> Array:
+        if self.base == 2:
+            return _BinaryNet._set(self, n)
+        points = np.empty((n, self.dims))
+        _digital_kernels.fill_base(self.direction_numbers(n), self.base, points)
+        return points
 
     def _count_warning(self, n: int) -> str | None:
-        return _not_balanced(n, 2, "Sobol'", "would be")
+        return _not_balanced(n, self.base, "Sobol'", "would be")
 
 
 @lru_cache
@@ -85,10 +132,84 @@ def _sobol_directions() -> Array:
     """Direction numbers of all dims: uint32 (1111, 32)."""
     table = files("mcspectra.samplers") / "data" / "sobol-joe-kuo-6.npz"
     with table.open("rb") as file, np.load(file, allow_pickle=False) as data:
-        polynomials = data["polynomials"].astype(np.int64)
-        initial = data["initial"].astype(np.int64)
+        return _binary_directions(data["polynomials"], data["initial"])
+
+
+def _binary_directions(polynomials: Array, initial: Array) -> Array:
+    """Direction numbers of polynomials (d,) and first numbers (d, s): uint32 (d, 32)."""
     out = np.zeros((len(polynomials), _BITS), np.uint32)
-    _digital_kernels.direction_numbers(polynomials, initial, out)
+    _digital_kernels.direction_numbers(polynomials.astype(np.int64), initial.astype(np.int64), out)
+    out.setflags(write=False)
+    return out
+
+
+def _directions_of_file(path: str, base: int) -> Array:
+    """Direction numbers of a file, read again when it has changed."""
+    try:
+        stamp = Path(path).stat().st_mtime_ns
+    except (OSError, ValueError, TypeError):
+        stamp = 0  # which is refused where it is read
+    return _read_directions(path, base, stamp)
+
+
+@lru_cache(maxsize=16)
+def _read_directions(path: str, base: int, stamp: int) -> Array:
+    """Read a table of direction numbers: uint32 (d, 32) in base 2, else digits (d, 20, 20)."""
+    del stamp
+    with opened(path, "direction numbers") as (stream, size, name, _):
+        check_decoded_size(name, size, 128 * size)
+        lines = stream.read().decode().splitlines()
+    rows = [
+        (k, words) for k, line in enumerate(lines, 1) if (words := line.partition("#")[0].split())
+    ]
+    rows = [(k, words) for k, words in rows if words[0] != "d"]
+
+    # Check each line: an own polynomial of degree s, and numbers of k digits whose last is not 0
+    least = 0 if base == 2 else 1
+    digits = _BITS if base == 2 else _TERNARY_DIGITS
+    table: list[tuple[int, list[int]]] = []
+    for k, words in rows:
+        try:
+            number, degree, coded, *first = map(int, words)
+        except ValueError:
+            number, degree, coded, first = 0, -1, 0, []
+        lead = base**degree if base > 2 else 0
+        most = 2 * lead if base > 2 else 2 ** max(degree - 1, 0)
+        good = least <= degree <= digits and len(first) >= degree and lead <= coded < most
+        first = first[:degree]
+        if not good or any(m % base == 0 or not 0 < m < base**i for i, m in enumerate(first, 1)):
+            raise FileFormatError(
+                f"{name}, line {k}, is not the number of a dim, a degree, a polynomial in base {base} "
+                "and its direction numbers m_1 … m_s, below base^k and not divisible by the base."
+            )
+        if base == 2 and number == 2 and not table:
+            table.append((1, []))
+        table.append((coded if base > 2 else 2**degree | coded << 1 | 1, first))
+    if not table:
+        raise FileFormatError(f"{name} holds no direction numbers; give a line for each dim.")
+
+    if base == 2:
+        initial = np.zeros((len(table), max(1, *(len(first) for _, first in table))), np.int64)
+        for j, (_, first) in enumerate(table):
+            initial[j, : len(first)] = first
+        return _binary_directions(np.array([p for p, _ in table]), initial)
+
+    # Continue by the recurrence on digits, the lowest first, and turn them into columns
+    out = np.zeros((len(table), digits, digits), np.int64)
+    for j, (polynomial, first) in enumerate(table):
+        degree = len(first)
+        p = [polynomial // base**i % base for i in range(degree)]
+        m = np.zeros((digits, digits + 1), np.int64)
+        for k in range(digits):
+            if k < degree:
+                m[k, :digits] = [first[k] // base**i % base for i in range(digits)]
+                continue
+            m[k] = m[k - degree]
+            for i in range(1, degree + 1):
+                m[k, i:] -= p[degree - i] * m[k - i, : digits + 1 - i]
+            m[k] %= base
+        for k in range(digits):
+            out[j, k, : k + 1] = m[k, k::-1]
     out.setflags(write=False)
     return out
 
@@ -311,7 +432,7 @@ class DigitalNet(_AnyBaseNet):
         One matrix for each dim: a list of its rows of digits, or a list of its columns as whole
         numbers, the highest digit of which is that of the first row. Or a text file of them.
     base
-        The base b.
+        The base b; a file that says its own has that.
     digits
         Rows of matrices given as columns: digits of each number, from highest to lowest; by
         default as many as columns.
@@ -322,11 +443,12 @@ class DigitalNet(_AnyBaseNet):
     -----
     Files have one number a line (what follows it is ignored, so are lines that start with ``#``):
     base, dims, largest n, digits; then the columns of one matrix a line, as whole numbers. LatNet
-    Builder, the Magic Point Shop and QMCPy share nets in this form.
+    Builder, the Magic Point Shop and QMCPy share nets in this form. Or nothing but square matrices of
+    digits one below the other, a row a line, as MatBuilder writes them: give their base.
 
     References
     ----------
-    [Niederreiter1987]_
+    [Niederreiter1987]_, [Paulin2022]_
     """
 
     name: ClassVar[str] = "digital-net"
@@ -366,7 +488,7 @@ class DigitalNet(_AnyBaseNet):
 
     def _net(self) -> tuple[int, Array]:
         if isinstance(self.matrices, str):
-            return _net_of_file(self.matrices)
+            return _net_of_file(self.matrices, self.base)
         return self.base, _columns_of_lists(self.matrices, self.base, self.digits)
 
     def _columns(self, n: int) -> Array:
@@ -419,14 +541,19 @@ def _matrix(j: int, matrix: tuple[Any, ...], base: int, digits: int | None) -> A
 
 
 @lru_cache(maxsize=16)
-def _net_of_file(path: str) -> tuple[int, Array]:
-    """Base and columns (d, m, rows) of a text file of generator matrices."""
+def _net_of_file(path: str, given: int) -> tuple[int, Array]:
+    """Base and columns (d, m, rows) of a text file of generator matrices, in the given base if it has none."""
     with opened(path, "generator matrices") as (stream, size, name, _):
         check_decoded_size(name, size, 128 * size)  # words of a digit, and their integers
         lines = stream.read().decode().splitlines()
     kept = [line.partition("#")[0].split() for line in lines]
     kept = [words for words in kept if words]
     try:
+        width = len(kept[0]) if kept else 0
+        if width > 1 and {len(words) for words in kept} == {width} and len(kept) % width == 0:
+            # Square matrices of digits, one below the other
+            entries = np.array(kept, dtype=np.int64).reshape(-1, width, width)
+            return given, _columns_of_lists(_as_tuples(entries), given, None)
         base, dims, _, digits = (int(words[0]) for words in kept[:4])
         matrices = tuple(tuple(int(word) for word in words) for words in kept[4 : 4 + dims])
         if len(matrices) != dims or base < 2:
@@ -436,7 +563,7 @@ def _net_of_file(path: str) -> tuple[int, Array]:
         reason = str(error) if isinstance(error, ParameterError) else ""
         raise FileFormatError(
             f"{path} is not a file of generator matrices (base, dims, n, digits, then a line of "
-            f"columns for each dim). {reason}".strip()
+            f"columns for each dim; or only square matrices, a row a line). {reason}".strip()
         ) from None
 
 

@@ -13,7 +13,7 @@ from mcspectra.core.registry import Registry
 from mcspectra.core.spec import Call, parse_chain
 from mcspectra.samplers.base import Randomization, Sampler
 
-__all__ = ["RANDOMIZATIONS", "SAMPLERS", "as_sampler", "sampler", "sampler_from_calls"]
+__all__ = ["RANDOMIZATIONS", "RUN_CODE", "SAMPLERS", "as_sampler", "sampler", "sampler_from_calls"]
 
 SAMPLERS = Registry(
     "sampler",
@@ -23,6 +23,7 @@ SAMPLERS = Registry(
         "best-candidate": "mcspectra.samplers.poisson:BestCandidate",
         "bnot": "mcspectra.samplers.relaxation:Bnot",
         "box-jitter": "mcspectra.samplers.stratified:BoxJitter",
+        "command": "mcspectra.samplers.external:CommandSampler",
         "correlated-multi-jittered": "mcspectra.samplers.stratified:CorrelatedMultiJittered",
         "dart-throwing": "mcspectra.samplers.poisson:DartThrowing",
         "determinantal": "mcspectra.samplers.hyperuniform:Determinantal",
@@ -54,11 +55,12 @@ SAMPLERS = Registry(
         "points": "mcspectra.samplers.external:GivenPoints",
         "poisson-disk": "mcspectra.samplers.poisson:PoissonDisk",
         "projective-blue-noise": "mcspectra.samplers.projective:ProjectiveBlueNoise",
-        "qmcpy": "mcspectra.samplers.external:QmcpySampler",
+        "python": "mcspectra.samplers.external:PythonSampler",
+        "qmcpy": "mcspectra.samplers.engines:QmcpySampler",
         "random": "mcspectra.samplers.stratified:Random",
         "rank1-lattice": "mcspectra.samplers.lattice:Rank1Lattice",
         "regular": "mcspectra.samplers.stratified:Regular",
-        "scipy": "mcspectra.samplers.external:ScipySampler",
+        "scipy": "mcspectra.samplers.engines:ScipySampler",
         "shared-cells": "mcspectra.samplers.shares:SharedCells",
         "sliced-optimal-transport": "mcspectra.samplers.sliced:SlicedOptimalTransport",
         "sobol": "mcspectra.samplers.nets:Sobol",
@@ -71,6 +73,9 @@ SAMPLERS = Registry(
         "void-and-cluster": "mcspectra.samplers.dither:VoidAndCluster",
     },
 )
+
+RUN_CODE = ("command", "python")
+"""Samplers that run code of the user, which must be allowed before a spec may name it."""
 
 RANDOMIZATIONS = Registry(
     "randomization",
@@ -155,7 +160,7 @@ def _checked(dims: object) -> int | None:
 
 
 def _from_object(source: Any, dims: int | None) -> Sampler:
-    from mcspectra.samplers.external import is_engine, is_generator
+    from mcspectra.samplers.engines import is_engine, is_generator
 
     if isinstance(source, Sampler):
         return source
@@ -176,6 +181,10 @@ def _from_object(source: Any, dims: int | None) -> Sampler:
 def _built(registry: Registry, call: Call, dims: int | None = None) -> Any:
     """Make a part of a chain; a name from the other registry is in the wrong place."""
     first = registry is SAMPLERS
+    if first and call.name in RUN_CODE:
+        from mcspectra.samplers.external import check_code
+
+        check_code(call)
     try:
         made = registry.build(call, dims)
     except UnknownName:

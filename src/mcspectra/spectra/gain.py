@@ -19,6 +19,7 @@ from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import Stream
+from mcspectra.core.tally import counting
 from mcspectra.integrands import Integrand, as_integrand
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.spectra.bases import Walsh, parts_of
@@ -91,8 +92,17 @@ def gain_coefficients(
     )
 
 
-def nested_variances(integrand: Integrand | str, levels: int) -> Array:
+def nested_variances(
+    integrand: Integrand | str, levels: int, *, max_evaluations: int | None = None
+) -> Array:
     """Return σ²_l of an integrand (or spec string) in base 2, up to `levels` on each axis.
+
+    Parameters
+    ----------
+    integrand, levels
+        f, or its spec string, and the largest level.
+    max_evaluations
+        Most evaluations of a user's function: BudgetError where it takes more.
 
     Returns
     -------
@@ -108,7 +118,8 @@ def nested_variances(integrand: Integrand | str, levels: int) -> Array:
     levels = as_integer("levels", levels, least=1, most=24)
     integrand = as_integrand(integrand)
     basis = Walsh(integrand.dims, 2 ** (levels - 1))
-    coefficients, _ = basis.integrand(integrand)
+    with counting("nested_variances", max_evaluations):
+        coefficients, _ = basis.integrand(integrand)
     squares = basis.full(np.abs(coefficients) ** 2)
     # The indices of a level are neighbours: 0, 1, 2–3, 4–7, …
     starts = np.concatenate([[0], 2 ** np.arange(levels)])
@@ -229,10 +240,11 @@ def _gains(sampler: Sampler, n: int, levels: int) -> Array:
 def _columns(sampler: Sampler, n: int) -> Array:
     """Columns of the generator matrices as 32-bit numbers, the first digit highest: (dims, log2 n)."""
     count = n.bit_length() - 1
-    if 2**count == n and hasattr(sampler, "direction_numbers"):
+    binary = 2**count == n and set(sampler.digit_bases) == {2}
+    if binary and hasattr(sampler, "direction_numbers"):
         directions: Array = sampler.direction_numbers(n)
         return directions[:, :count].astype(np.uint64)
-    if 2**count == n and sampler.name == "digital-net" and set(sampler.digit_bases) == {2}:
+    if binary and sampler.name == "digital-net":
         matrices = sampler.generator_matrices()[:, :_BITS, :count]  # type: ignore[attr-defined]
         places = 2 ** np.arange(_BITS - 1, _BITS - 1 - matrices.shape[1], -1, dtype=np.int64)
         return np.tensordot(matrices, places, axes=([1], [0])).astype(np.uint64)

@@ -64,6 +64,7 @@ _SINGLE = ("seed", "time_limit")  # a study has one
 _TABLE_NAME = re.compile(r"[a-z][a-z0-9]*(?:-[a-z0-9]+)*")
 _STEP = re.compile(r"([A-Za-z][A-Za-z0-9_-]*)((?:\[\d{1,6}\])*)")
 _PLACEHOLDER = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
+_OWN, _HAS_OWN = ("n", "seed", "dims"), re.compile(r"\b(?:command|points)\(")
 _KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _WORDS = {
     "int": "a whole number",
@@ -725,7 +726,7 @@ class _Grids:
 
 def _repeated(samplers: list[Any], values: Values, place: str) -> list[Any]:
     """Samplers, each repeated over its own placeholders."""
-    if not any(_placeholders(samplers)):
+    if not any(_placeholders(samplers, values)):
         return samplers
     made: list[Any] = []
     for text in samplers:
@@ -750,7 +751,7 @@ def _choices(keys: list[str], values: Values, body: Any, place: str) -> Iterator
     """All combinations of values for a body, unless it makes too many or too long ones."""
     number = math.prod(len(values[key]) for key in keys)
     longest = sum(max(len(str(value)) for value in values[key]) for key in keys)
-    size = len(repr(body)) + longest * (1 + len([*_placeholders(body)]))
+    size = len(repr(body)) + longest * (1 + len([*_placeholders(body, values)]))
     _check_size(number, number * size if keys else 0, place)
     return (
         dict(zip(keys, chosen, strict=True))
@@ -769,7 +770,7 @@ def _check_size(number: int, size: int, place: str) -> None:
 
 def _keys_in(value: Any, values: Values, place: str) -> list[str]:
     """Placeholders in a value, in the order in which the grid lists them."""
-    found = set(_placeholders(value))
+    found = set(_placeholders(value, values))
     for key in sorted(found - set(values)):
         if values:
             offer, _ = close_match_hint(key, values)
@@ -778,12 +779,14 @@ def _keys_in(value: Any, values: Values, place: str) -> list[str]:
     return [key for key in values if key in found]
 
 
-def _placeholders(value: Any) -> Iterator[str]:
+def _placeholders(value: Any, values: Collection[str] = ()) -> Iterator[str]:
+    """Names in braces; of programs and files of points those that `values` has, or that are no theirs."""
     if isinstance(value, str):
-        yield from _PLACEHOLDER.findall(value)
+        own = _OWN if _HAS_OWN.search(value) else ()
+        yield from (key for key in _PLACEHOLDER.findall(value) if key in values or key not in own)
     elif isinstance(value, dict | list):
         for item in value.values() if isinstance(value, dict) else value:
-            yield from _placeholders(item)
+            yield from _placeholders(item, values)
 
 
 def _filled(value: Any, choice: Mapping[str, Any]) -> Any:
@@ -792,7 +795,7 @@ def _filled(value: Any, choice: Mapping[str, Any]) -> Any:
         whole = _PLACEHOLDER.fullmatch(value)
         if whole is not None and whole[1] in choice:
             return choice[whole[1]]
-        return _PLACEHOLDER.sub(lambda match: str(choice[match[1]]), value)
+        return _PLACEHOLDER.sub(lambda match: str(choice.get(match[1], match[0])), value)
     if isinstance(value, dict):
         return {key: _filled(item, choice) for key, item in value.items()}
     if isinstance(value, list):

@@ -1,4 +1,4 @@
-"""The noise of whole paths at one pixel: how fast it falls, and which bounce and decision make it."""
+"""The noise of whole paths at one pixel: how fast it falls, what makes it, and what would lower it."""
 
 from __future__ import annotations
 
@@ -6,16 +6,21 @@ import itertools
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from mcspectra.core.analysis import Subject
 from mcspectra.core.checks import as_choice, as_integer
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.parallel import available_workers
 from mcspectra.core.progress import report
-from mcspectra.integrands import Integrand
+from mcspectra.core.streams import Stream
+from mcspectra.estimators import Estimator
 from mcspectra.rendering.paths import Dimension, PathPixel
 from mcspectra.rendering.scenes import Scene, scene_name
 from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.studies.path_remedies import path_remedies, shares_by_light
 from mcspectra.studies.pixel import find_pixel
-from mcspectra.variance.anova import anova_variances
+from mcspectra.variance.anova import Anova, anova_variances
 from mcspectra.variance.convergence import convergence
 from mcspectra.variance.prediction.predict import predict
 
@@ -28,12 +33,14 @@ PATH_SAMPLERS = ("random", "latin-hypercube", "rank1-lattice | shift", "sobol | 
 """Samplers that are compared unless others are given: those that any number of dims leaves any count."""
 
 _EFFORTS = {
-    # counts, realisations, realisations of the ANOVA, whether variances are predicted
-    "quick": ((16, 64, 256, 1024), 200, 10_000, False),
-    "full": ((16, 64, 256, 1024, 4096), 1000, 100_000, True),
+    # counts, realisations, those of the ANOVA, paths for the shares of lights, whether variances are predicted
+    "quick": ((16, 64, 256, 1024), 200, 10_000, 2**14, False),
+    "full": ((16, 64, 256, 1024, 4096), 1000, 100_000, 2**17, True),
 }
 _MOST_GROUPS = 64
 _MOST_SAMPLES = 2**20
+_FEWEST = 100  # realisations that tell one change from another
+_LIGHTS, _REMEDIES = 1, 2  # stream labels
 
 
 def analyse_path(
@@ -47,6 +54,7 @@ def analyse_path(
     samplers: Sequence[Sampler | str] = PATH_SAMPLERS,
     counts: Sequence[int] | None = None,
     realizations: int | None = None,
+    remedies: bool = True,
     effort: str = "quick",
     rng: int = 0,
     workers: int | None = None,
@@ -60,9 +68,11 @@ def analyse_path(
     x, y
         The pixel; or the name of one as ``x`` (`named_pixels`), without ``y``.
     samplers
-        Samplers or their spec strings, all different. The last is that of ``padding``.
+        Samplers or their spec strings, all different. The last is that of ``remedies``.
     counts, realizations
         Paths n of an estimate, ascending, at least two; estimates for each.
+    remedies
+        Whether to look for what would lower the noise.
     effort
         ``"quick"``, or ``"full"``: more of everything, and predictions, in some minutes.
     rng
@@ -76,10 +86,10 @@ def analyse_path(
         ``convergence``: `mcspectra.convergence` on (sampler, n). ``anova/KIND``:
         `mcspectra.anova_variances` of one random path, its axes grouped by KIND: ``bounce``, ``decision``,
         ``request`` (both together) or ``coordinate`` (not grouped), each of 64 groups at most.
-        ``padding``: `mcspectra.convergence` at the two largest n on the dim ``dims``, with points of the
-        last sampler for so many coordinates, up to the end of a bounce, and random numbers for
-        the others. ``predict``, with ``effort="full"``: `mcspectra.predict` on (sampler, n).
-        Attributes of the root: the pixel, the integrator and what the coordinates are.
+        ``lights``: `shares_by_light`, of 2 to 64 lights. ``remedies``: `path_remedies`, beside
+        the last sampler at the largest n. ``predict``, with ``effort="full"``: `mcspectra.predict` on (sampler, n).
+        Attributes of the root: the pixel, the integrator, what the coordinates are, and in ``lights_note`` why
+        parts of lights are unknown.
 
     Raises
     ------
@@ -92,7 +102,7 @@ def analyse_path(
     x, y = find_pixel(scene, x, y)
     if channel == "rgb":
         raise ParameterError("channel is 'rgb'; give 'luminance', 0, 1 or 2, one at a time.")
-    usual, repeats, pairs, predicted = _EFFORTS[as_choice("effort", effort, tuple(_EFFORTS))]
+    usual, repeats, pairs, paths, predicted = _EFFORTS[as_choice("effort", effort, tuple(_EFFORTS))]
     asked = usual if counts is None else counts
     ns = [as_integer("counts", n, least=1, most=_MOST_SAMPLES) for n in asked]
     if len(ns) < 2 or any(b <= a for a, b in itertools.pairwise(ns)):
@@ -127,27 +137,32 @@ def analyse_path(
                 subset_label=("subset", said), axis_label=("axis", labels)
             )
 
-    # How many of the coordinates deserve good points
-    report("path: padding", 0.7)
-    bounces = [d.bounce for d in f.dimensions]
-    ends = [k for k in range(2, f.dims) if bounces[k] > bounces[k - 1]]
-    given: dict[str, Any] = {"scene": scene, "x": x, "y": y, "channel": channel}
-    padded = []
-    for k in ends:
-        cut = PathPixel(**given, integrator=integrator, dims=k)
-        first = as_sampler(sources[-1].spec, k)
-        g = Integrand.from_function(cut, dims=k)  # whose integral is not asked for
-        padded.append(convergence(g, first, ns[-2:], realizations=number, **options))
-    padded.append(curves.sel(sampler=sources[-1].spec, drop=True).isel(n=slice(-2, None)))
-    parts["padding"] = xr.concat(
-        [each[["variance", "variance_ci"]] for each in padded],
-        xr.Variable("dims", [*ends, f.dims], {"long_name": "coordinates with good points"}),
-        combine_attrs="drop_conflicts",
-        coords="minimal",
-        compat="override",
-    )
+    # Which lights make the noise, and what would lower it
+    report("path: lights", 0.7)
+    stream, lights, note = Stream.from_rng(options["rng"]), None, ""
+    try:
+        lights = shares_by_light(f, paths, stream.child(_LIGHTS))
+    except ParameterError as error:
+        note = str(error)
+    if lights is not None:
+        parts["lights"] = lights
+    if remedies:
+        report("path: remedies", 0.8)
+        bounces = [d.bounce for d in f.dimensions]
+        ends = [k for k in range(2, f.dims) if bounces[k] > bounces[k - 1]]
+        ranking = None
+        if "anova/coordinate" in parts:
+            shares = parts["anova/coordinate"]["total_share"].values
+            made = Anova(order=1, realizations=pairs).need(
+                Subject(Estimator(f), as_sampler("random", f.dims))
+            )
+            ranking = np.argsort(-shares, kind="stable"), made.evaluations
+        parts["remedies"] = path_remedies(
+            f, sources[-1], ns, stream.child(_REMEDIES), realizations=max(_FEWEST, number),
+            samplers=(*PATH_SAMPLERS, "halton | permute"), ends=ends, axes=ranking, lights=lights,
+        )  # fmt: skip
     if predicted:
-        report("path: predictions", 0.8)
+        report("path: predictions", 0.9)
         parts["predict"] = predict(f, sources, ns, **options)
     report("path", 1.0)
     tree: xr.DataTree = xr.DataTree.from_dict(dict(parts))
@@ -163,6 +178,7 @@ def analyse_path(
         "value": float(curves["mean"].isel(n=-1).sel(sampler=sources[-1].spec)),
         "counts": ns,
         "realizations": number,
+        "lights_note": note,
         "rng": options["rng"],
     }
     return tree

@@ -34,7 +34,7 @@ from mcspectra.rendering.scenes import (
     scene_name,
 )
 from mcspectra.samplers import Sampler, Shift, as_sampler
-from mcspectra.samplers.base import Randomized
+from mcspectra.spectra.bases import parts_of
 from mcspectra.variance.convergence import convergence
 from mcspectra.variance.diagnosis import Diagnosis, Jumps
 from mcspectra.variance.prediction.predict import predict
@@ -172,7 +172,7 @@ def analyse_pixel(
         balance heuristic. ``pictures/NAME``: `mcspectra.primary_picture` of ``light``, ``bsdf`` and each
         technique's share, as ``balance-light``, without the steps of float32 (2 dims only). ``incident``: `incident_light`.
         ``remedies``: `mcspectra.remedies` of the balance heuristic. Attributes of the root: what the
-        pixel is and sees, the sampler of the terms, and ``diagnosis_STRATEGY``, sentences.
+        pixel is and sees, the sampler of the terms, and ``diagnosis_STRATEGY``, sentences on that sampler.
 
     Raises
     ------
@@ -274,9 +274,7 @@ def analyse_pixel(
     tree: xr.DataTree = xr.DataTree.from_dict(dict(parts))
     with LOCK:
         lights = emitter_names(request)
-    wraps = any(
-        isinstance(step, Shift) for s in sources if isinstance(s, Randomized) for step in s.steps
-    )
+    wraps = any(isinstance(step, Shift) for step in parts_of(explained)[1])
     tree.attrs = {
         "scene": scene_name(request).strip("'"),
         "x": view.x,

@@ -322,7 +322,7 @@ class _Planner:
             slugs, specs, found = _Slugs(), dict[str, str](), list[_Sampler]()
             for text in texts:
                 if (text, dims) not in self._one:
-                    calls, inputs = self.vetting.calls(text)
+                    calls, inputs = self.vetting.sampler(text)
                     self._one[text, dims] = sampler_from_calls(calls, dims), inputs
                 sampler, inputs = self._one[text, dims]
                 first = specs.setdefault(sampler.spec, text)

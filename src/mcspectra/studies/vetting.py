@@ -8,11 +8,12 @@ What the results depend on is known by its SHA-256: with a changed file it is an
 from __future__ import annotations
 
 import hashlib
-import importlib
 import os
 import re
+import shlex
 import sys
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias, final
@@ -20,18 +21,26 @@ from typing import Any, TypeAlias, final
 import msgspec
 
 from mcspectra.core.analysis import Analysis
-from mcspectra.core.errors import ConfigError, McspectraError, StoreError
+from mcspectra.core.errors import (
+    ConfigError,
+    FileFormatError,
+    McspectraError,
+    ParameterError,
+    StoreError,
+)
+from mcspectra.core.pointfiles import matching_files
 from mcspectra.core.spec import Call, parse_chain
-from mcspectra.studies.foreign_code import explain
+from mcspectra.samplers import allow_code
+from mcspectra.samplers.external import FUNCTION, check_code, loaded_function
 
 __all__ = ["Inputs", "Trust", "Vetting", "changed_inputs", "check_inputs"]
 
 Inputs: TypeAlias = tuple[str, ...]
 """Names of files, ascending."""
 
-_FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+_CODE = re.compile(rf"{FUNCTION.pattern}|.*[/{{].*", re.DOTALL)  # or a command, or a program's path
 # Files of point sets and images, of Mitsuba's plugins, of digital nets, and of QMCPy's generators.
-_FILES = ("path", "filename", "matrices", "generating_matrices", "generating_vector")
+_FILES = ("path", "filename", "matrices", "directions", "generating_matrices", "generating_vector")
 _NAMED = 3  # in a message
 
 
@@ -43,8 +52,9 @@ class Trust:
     Parameters
     ----------
     code
-        Functions ``module:function`` that specs ``python(function='module:function')`` may name.
-        Modules are looked for where Python looks (PYTHONPATH), not in the study's folder.
+        Functions ``module:function`` that specs ``python('module:function')`` may name, and commands,
+        or their programs, that specs ``command('./mine {n} {seed}')`` may. Modules are looked for
+        where Python looks (PYTHONPATH), not in the study's folder; programs with a path in it.
     folders
         Further folders that files may be read from.
 
@@ -62,8 +72,11 @@ class Trust:
         if not all(isinstance(each, list | tuple) for each in given):
             raise ConfigError(f"Allowed are {given}; give a list of functions and one of folders.")
         for name in given[0]:
-            if not isinstance(name, str) or not _FUNCTION.fullmatch(name):
-                raise ConfigError(f"--allow-code is {name!r}; write module:function.")
+            if not isinstance(name, str) or not _CODE.fullmatch(name):
+                raise ConfigError(
+                    f"--allow-code is {name!r}; write module:function, or a command as the study has "
+                    "it, or the path of its program."
+                )
         for folder in given[1]:
             if not isinstance(folder, Path):
                 raise ConfigError(f"--allow-path is {folder!r}; give the path of a folder.")
@@ -113,6 +126,33 @@ class Vetting:
             self._calls[text] = found, self._names(files)
         return self._calls[text]
 
+    def sampler(self, text: str) -> tuple[list[Call], Inputs]:
+        """Parse the spec of a sampler as `calls` does; one that runs code must be allowed to.
+
+        Programs, and modules of functions, become inputs; a path of a program starts in the folder.
+
+        Raises
+        ------
+        ConfigError
+            As of `calls`, or the code is not allowed.
+        """
+        (first, *rest), inputs = self.calls(text)
+        check_code(first, self._trust.code)
+        files: dict[Path, str] = {}
+        match first.name, first.arguments:
+            case "command", {"run": str(run)}:
+                program, blank, others = run.strip().partition(" ")
+                file = (self._folder / program).absolute()
+                if "/" in program and file.is_file():
+                    files[file] = ""
+                    run = f"{shlex.quote(str(file))}{blank}{others}"
+                    first = Call("command", {**first.arguments, "run": run})
+                allow_code(run)
+            case "python", {"function": str(name)}:
+                allow_code(name)
+                files = _sources(name, loaded_function(name))
+        return [first, *rest], tuple(sorted({*inputs, *self._names(files)}))
+
     def options(self, analysis: Analysis) -> tuple[Analysis, Inputs]:
         """Vet the options of an analysis as the arguments of a spec.
 
@@ -138,30 +178,16 @@ class Vetting:
         if set(call.arguments) != {"function"}:
             raise ConfigError(f"{text!r}: write python(function='module:function').")
         name = call.arguments["function"]
-        if not isinstance(name, str) or not _FUNCTION.fullmatch(name):
-            raise ConfigError(f"python(function={name!r}): write 'module:function'.")
-        if name not in self._trust.code:
+        if isinstance(name, str) and FUNCTION.fullmatch(name) and name not in self._trust.code:
             raise ConfigError(
                 f"The study names the Python function {name!r}, and a study file may not run code: if "
                 f"you trust it, allow it by --allow-code {name}."
             )
-        module, _, attribute = name.partition(":")
         try:
-            found = getattr(importlib.import_module(module), attribute)
-        except KeyboardInterrupt:
-            raise
-        except BaseException as error:  # whatever the code of others does
-            raise ConfigError(
-                f"The function {name!r} cannot be imported: {explain(error)}"
-            ) from error
-        if not callable(found):
-            raise ConfigError(f"{name!r} is {found!r}, not a function.")
-
-        # The modules that it was named in and that define it; what these import is not followed.
-        modules = {module, str(getattr(found, "__module__", module))}
-        sources = {each: getattr(sys.modules.get(each), "__file__", None) for each in modules}
-        files = {Path(file): f"module {each}" for each, file in sources.items() if file is not None}
-        return found, self._names(files)
+            found = loaded_function(name)
+        except ParameterError as error:
+            raise ConfigError(str(error)) from error
+        return found, self._names(_sources(name, found))
 
     def _call(self, call: Call, files: dict[Path, str]) -> Call:
         given = call.arguments.items()
@@ -178,7 +204,12 @@ class Vetting:
         name = value.partition("(")[0]  # of a scene, with parameters after it, unless it is a file
         is_file = value.lower().endswith(".xml") or "/" in name or "\\" in name
         if key in _FILES or (key == "scene" and is_file):
-            return str(self._file(value, files))
+            file = self._file(value, files)
+            if key == "path" and not file.is_file():
+                with suppress(FileFormatError):  # there are no such files
+                    for each, _ in matching_files(file):
+                        self._file(str(each), files)
+            return str(file)
         try:
             given = parse_chain(value)
         except McspectraError:
@@ -230,6 +261,14 @@ class Vetting:
             self.inputs[name] = self._digests[path]
             found.add(name)
         return tuple(sorted(found))
+
+
+def _sources(name: str, found: object) -> dict[Path, str]:
+    """Modules that a function was named in and that define it; what these import is not followed."""
+    module = name.partition(":")[0]
+    modules = {module, str(getattr(found, "__module__", module))}
+    sources = {each: getattr(sys.modules.get(each), "__file__", None) for each in modules}
+    return {Path(file): f"module {each}" for each, file in sources.items() if file is not None}
 
 
 def changed_inputs(before: Mapping[str, str], now: Mapping[str, str]) -> Inputs:

@@ -38,7 +38,14 @@ __all__ = ["counts", "densities", "integrands", "point_sets", "samplers", "spec_
 KINDS = ("sampler", "density", "integrand")
 MAX_DIMS = 16
 _MOST_STEPS = 2
-_FOREIGN = ("mitsuba", "points", "qmcpy", "scipy")  # load other packages, or need a file
+_FOREIGN = (
+    "command",
+    "mitsuba",
+    "points",
+    "python",
+    "qmcpy",
+    "scipy",
+)  # load other packages, or need a file
 _POINTWISE = ("shift", "digital-shift", "owen", "mirror")
 
 

@@ -274,7 +274,8 @@ def _error(x: Array, w: Array) -> dict[str, Any]:
         sizes = {"band": size, "bound": 2}
         nothing = {k: np.full([sizes[d] for d in v], math.nan) for k, v in _VARIABLES.items()}
         said = "stuck-chain: no chain moves, or the quantity is a constant"
-        return {**nothing, "mean": mean, "cause": "stuck-chain", "evidence": said}
+        ends = {"mean_ci": [-math.inf, math.inf], "mcse_ci": [0.0, math.inf]}
+        return {**nothing, **ends, "mean": mean, "cause": "stuck-chain", "evidence": said}
     causes: dict[str, str] = {}
 
     # Chains that move together have the error of their mean chain. Of whitened chains that do not, the

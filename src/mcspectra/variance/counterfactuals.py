@@ -203,14 +203,16 @@ def other_setups(
                     continue
                 try:
                     made = offer.make()
+                    if isinstance(made, AbstractEstimator):
+                        made = replace(inner, estimator=made)
+                    setup = made if isinstance(made, Setup) else replace(inner, sampler=made)
+                    if outer is not None:
+                        setup = replace(setup, estimator=Mirrored(setup.estimator, outer.mode))
+                    # Raises where there are no such points
+                    setup.estimator.randomized(setup.sampler)
                 except McspectraError as error:
                     yield NotTried(kind, offer.name, str(error))
                     continue
-                if isinstance(made, AbstractEstimator):
-                    made = replace(inner, estimator=made)
-                setup = made if isinstance(made, Setup) else replace(inner, sampler=made)
-                if outer is not None:
-                    setup = replace(setup, estimator=Mirrored(setup.estimator, outer.mode))
                 found = Counterfactual(kind, offer.name, offer.change, setup, offer.biased)
                 if found.key not in seen:
                     yield found

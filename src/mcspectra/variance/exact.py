@@ -36,7 +36,7 @@ import numpy as np
 from msgspec import Meta
 
 from mcspectra.core.analysis import Analysis, Need, Reduction, Subject
-from mcspectra.core.checks import Array, as_integer, as_real
+from mcspectra.core.checks import Array, as_real
 from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNTS, Counts
@@ -215,8 +215,6 @@ def exact_variance(
     1.0
     """
     tolerance = as_real("tolerance", tolerance, least=1e-12, most=1.0)
-    if max_evaluations is not None:
-        max_evaluations = as_integer("max_evaluations", max_evaluations, least=1)
     with counting("exact_variance", max_evaluations) as tally:
         value, _ = estimated_variance(estimator, sampler, n, tolerance)
     tally.check()

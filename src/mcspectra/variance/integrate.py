@@ -6,7 +6,10 @@ smooth functions and scrambled nets; more of them where θ is near 1, as they co
 smaller. θ is measured with a quarter of the budget, by eight replicates whose points are the first ones of
 the sets that follow: prefixes of a randomised sequence.
 
-Student's t is asymptotic in R, and eight replicates are the least. What has a chance below 1/R a replicate
+The interval is the hull of Student's t and of Hall's transform of it (`mean_interval`): of 300 seeds at 256
+calls it holds the integral of x^−½ in 88 % (74 % by Student's t alone) and that of e^(x + y) in 97 % (96 %).
+
+Both are asymptotic in R, and eight replicates are the least. What has a chance below 1/R a replicate
 may be missed, such as a step along an axis just beside a line of the net: then the interval is too short
 [Owen2025]_. Intervals that hold for any bounded function would take n = Θ(N^{1/(θ+1)}) [Jain2026]_, that is
 most of the budget for replicates: for a smooth function an error ten times as large.
@@ -27,7 +30,7 @@ from mcspectra.core.memory import check_memory, memory_of
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, Estimator, Moments, as_estimator
-from mcspectra.estimators.moments import rounding_floor
+from mcspectra.estimators.moments import mean_interval, rounding_floor
 from mcspectra.estimators.tails import tail_note
 from mcspectra.integrands import Calls, FunctionIntegrand, Integrand
 from mcspectra.samplers import Sampler, as_sampler
@@ -77,7 +80,7 @@ def integrate(
     Returns
     -------
     xarray.Dataset
-        ``value``, ``interval(bound)`` (95 %, Student's t over the replicates), ``calls`` that were made,
+        ``value``, ``interval(bound)`` (95 %, over the replicates), ``calls`` that were made,
         ``replicates``, ``n`` points of each, and ``rate``, of the variance as it was measured for the
         split, NaN where it was not. Where all replicates are alike the interval is infinite, and the
         attribute ``note`` says why.
@@ -157,15 +160,16 @@ def integrate(
         values[_LEAST:] = calls(x[_LEAST:])
 
     # The interval: none where nothing varies
-    moments = Moments.of(values.mean(axis=1), tails=True)
-    value, variance = float(moments.mean), float(moments.variance)
-    half, note = _t(replicates) * math.sqrt(variance / replicates), tail_note(moments)
-    if variance <= rounding_floor(moments.mean):
-        half, note = math.inf, "all replicates are alike: f is constant, or what varies was not met"
+    means = values.mean(axis=1)
+    moments = Moments.of(means, tails=True)
+    value, note, interval = float(moments.mean), tail_note(moments), mean_interval(means)
+    if float(moments.variance) <= rounding_floor(moments.mean):
+        interval = -math.inf, math.inf
+        note = "all replicates are alike: f is constant, or what varies was not met"
     return dataset(
         {
             "value": ((), value),
-            "interval": (("bound",), np.array([value - half, value + half])),
+            "interval": (("bound",), np.array(interval)),
             "calls": ((), calls.made),
             "replicates": ((), replicates),
             "n": ((), n),

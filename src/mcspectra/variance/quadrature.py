@@ -198,7 +198,8 @@ def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
         if exact is None:
             middle = g(probe(g.dims)[:_CENTER]).reshape(_CENTER, -1).mean(axis=0)
             both = _Moments(g, middle)
-            both.__dict__["_found_breaks"] = found_breaks(g)
+            if g.dims <= _LOOKED_DIMS:  # in more there are no boxes to cut
+                both.__dict__["_found_breaks"] = found_breaks(g)
             first, second = np.split(numeric_integral(both), 2)
             error = np.full(middle.shape, integral_accuracy(both)[1])
             if "_unseen" in both.__dict__:

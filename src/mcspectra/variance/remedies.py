@@ -20,11 +20,12 @@ from msgspec import Meta
 
 from mcspectra.core.analysis import Counted, Need, Reduction, Subject
 from mcspectra.core.checks import Array, as_integer
-from mcspectra.core.errors import McspectraError, ParameterError
+from mcspectra.core.errors import BudgetError, McspectraError, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.parallel import Block, realization_blocks
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
+from mcspectra.core.tally import counting
 from mcspectra.estimators import AbstractEstimator
 from mcspectra.estimators.moments import rounding_floor, variance_interval
 from mcspectra.samplers import Sampler
@@ -50,8 +51,10 @@ __all__ = [
     "Comparison",
     "Errors",
     "Remedies",
+    "Trial",
     "compare",
     "estimates_of",
+    "ranked",
     "remedies",
     "simultaneous_z",
 ]
@@ -126,10 +129,14 @@ class Remedies(Counted, frozen=True, kw_only=True):
                 "more counts."
             )
         tries = 1 + _TRIES * len(self._kinds)
+        evaluations = self.realizations * given.cost * sum(counts)
+        if given.is_black_box:  # and those of its diagnosis, at most
+            evaluations *= min(len(given.estimator.counts), 2)
+            evaluations += self.budget * self.realizations
         return Need(
             cost=float(self.budget * self.realizations * tries) * _RATIO / (_RATIO - 1),
             memory=memory_of(self.budget, subject.estimator.dims) + 16 * tries * self.realizations,
-            evaluations=self.realizations * given.cost * sum(counts),
+            evaluations=evaluations,
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Trials]:
@@ -138,21 +145,39 @@ class Remedies(Counted, frozen=True, kw_only=True):
         start = Counterfactual("given", "as given", "leave everything as it is", given)
         unknown = np.isnan(given.estimator.known_integral()[0]).any()
         search = Budget(self.budget, self.realizations, stream.child(_SEARCH))
+        # What the set-up as given leaves of the evaluations is shared by the kinds, whatever runs first
+        limit = self.max_evaluations
+        first = self.need(subject).evaluations
+        share = None if limit is None else max(1, (limit - first) // len(self._kinds))
 
         def of_kind(index: int) -> _Trials:
             kinds = self._kinds[index - 1 : index] if index else ()
-            tried, not_tried = [], []
-            for change in other_setups(given, kinds, search) if index else [start]:
-                if isinstance(change, NotTried):
-                    not_tried.append(change)
-                elif index and unknown and (change.biased or not change.setup.unbiased):
-                    reason = "Its error is about the integral, which is unknown; give integral=…."
-                    not_tried.append(NotTried(change.kind, change.name, reason))
-                elif (trial := self._measured(change, given, stream)) is not None:
-                    tried.append(trial)
-                else:
-                    reason = change.setup.too_dear(self.budget)
-                    not_tried.append(NotTried(change.kind, change.name, reason))
+            tried, not_tried = [], list[NotTried]()
+            changes = other_setups(given, kinds, search) if index else iter([start])
+            with counting("This change", share if index else limit) as tally:
+                while True:
+                    try:
+                        change = next(changes, None)
+                        if change is None:
+                            break
+                        if isinstance(change, NotTried):
+                            not_tried.append(change)
+                            continue
+                        setup, reason = change.setup, change.setup.too_dear(self.budget)
+                        if index and unknown and (change.biased or not setup.unbiased):
+                            reason = "Its error is about the integral, which is unknown; give integral=…."
+                        else:
+                            if setup.is_black_box:
+                                points = sum(_affordable(setup, self.budget).values())
+                                tally.foresee(self.realizations * setup.cost * points)
+                            trial = self._measured(change, given, stream)
+                            if trial is not None:
+                                tried.append(trial)
+                                continue
+                        not_tried.append(NotTried(change.kind, change.name, reason))
+                    except BudgetError as error:
+                        name = change.name if change else kinds[0]
+                        not_tried.append(NotTried(kinds[0], name, str(error)))
             if index:
                 return _Trials(tried, not_tried, None)
             counts = [int(cost - given.overhead) // given.cost for cost in tried[0].errors.cost]
@@ -169,7 +194,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
             result=self._ranked,
         )
 
-    def _measured(self, change: Counterfactual, given: Setup, stream: Stream) -> _Trial | None:
+    def _measured(self, change: Counterfactual, given: Setup, stream: Stream) -> Trial | None:
         """Errors at the counts that fit into each step's budget; None where two do not."""
         setup = change.setup
         cost: list[int] = []
@@ -201,7 +226,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
             overhead=setup.overhead,
         )
         warp = change.kind == "warp"
-        return _Trial(
+        return Trial(
             kind=change.kind,
             name=change.name,
             change=change.change,
@@ -218,39 +243,12 @@ class Remedies(Counted, frozen=True, kw_only=True):
 
     def _ranked(self, found: _Trials) -> xr.Dataset:
         """The dataset of all set-ups, in the order of their variances at the budget."""
-        start, diagnosis = found.tried[0], found.diagnosis
-        assert diagnosis is not None
+        assert found.diagnosis is not None
         # What two kinds make alike was tried twice and counts once
-        first: dict[str, _Trial] = {}
+        first: dict[str, Trial] = {}
         for trial in found.tried:
             first.setdefault(trial.setup, trial)
-        tried = list(first.values())
-        z = simultaneous_z(2 * (len(tried) - 1))  # of the errors and of the rates
-        ordered = sorted(
-            tried, key=lambda t: np.nan_to_num(t.errors.at(self.budget)[0], nan=np.inf)
-        )
-        columns = [t.column(start.errors, self.budget, z) for t in ordered]
-        for column in columns:
-            column["reason"] = diagnosis.reason(column)
-        reasons = [f"{n.name}: {n.reason}" for n in found.not_tried]
-        by_rate = np.argsort(np.argsort([np.nan_to_num(c["rate"], nan=np.inf) for c in columns]))
-        return dataset(
-            {
-                **{n: (dims, np.array([c[n] for c in columns])) for n, dims in _DIMS.items()},
-                "rank_by_rate": (("remedy",), by_rate + 1),
-            },
-            {
-                "remedy": [c["name"] for c in columns],
-                **{name: ("remedy", [c[name] for c in columns]) for name in _TEXTS},
-                "bound": ["low", "high"],
-                "step": np.arange(_STEPS),
-            },
-            simultaneous_z=z,
-            diagnosis=diagnosis.text,
-            recommendation=_recommendation(columns, self.budget, reasons),
-            not_tried=reasons,
-            given_error=float(start.errors.error[-1]),
-        )
+        return ranked(list(first.values()), found.not_tried, self.budget, found.diagnosis)
 
 
 def remedies(
@@ -281,7 +279,8 @@ def remedies(
     workers
         Threads; all processors by default. Results do not depend on it.
     max_evaluations
-        Most evaluations of the integrand: what takes more is refused, where that is known before it starts.
+        Most evaluations of the integrand: less than the set-up as given and its diagnosis take is refused before
+        any is made; the rest is shared by the kinds, and what does not fit into a share is not tried.
 
     Returns
     -------
@@ -329,8 +328,8 @@ def remedies(
 
 
 @dataclass(frozen=True)
-class _Trial:
-    """A set-up that was measured, and what was seen of it."""
+class Trial:
+    """A set-up that was measured, at five costs at most, and what was seen of it."""
 
     kind: str
     name: str
@@ -339,12 +338,15 @@ class _Trial:
     biased: bool
     errors: Errors
     # Of other warps: whether ∫1/p diverges, and the jumps of g inside
-    unbounded: bool
-    inside: Jumps | None
+    unbounded: bool = False
+    inside: Jumps | None = None
+    # Evaluations of a pilot beyond the budget, which the set-up as given is allowed, too
+    pilot: int = 0
+    note: str = ""  # said after the reason
 
     def column(self, reference: Errors, budget: int, z: float) -> dict[str, Any]:
         """All that is said of it, beside the set-up as given."""
-        errors, found = self.errors, compare(self.errors, reference, budget)
+        errors, found = self.errors, compare(self.errors, reference, budget, self.pilot)
         log_error, influence = errors.at(budget)
         spread = max(math.sqrt(float(np.mean(influence**2)) / len(influence)), 1e-9)
         fit = RateFit() if self.biased else errors.fit()
@@ -372,11 +374,42 @@ class _Trial:
         }
 
 
+def ranked(
+    tried: Sequence[Trial], not_tried: Sequence[NotTried], budget: int, diagnosis: Diagnosis
+) -> xr.Dataset:
+    """Compare all trials with the first, the set-up as given, and order them as `remedies` does."""
+    start = tried[0]
+    z = simultaneous_z(2 * (len(tried) - 1))  # of the errors and of the rates
+    columns = [t.column(start.errors, budget, z) for t in tried]
+    columns.sort(key=lambda c: float(np.nan_to_num(c["error_ratio"], nan=np.inf)))
+    for column in columns:
+        column["reason"] = " ".join(filter(None, [diagnosis.reason(column), column["note"]]))
+    reasons = [f"{n.name}: {n.reason}" for n in not_tried]
+    by_rate = np.argsort(np.argsort([np.nan_to_num(c["rate"], nan=np.inf) for c in columns]))
+    return dataset(
+        {
+            **{n: (dims, np.array([c[n] for c in columns])) for n, dims in _DIMS.items()},
+            "rank_by_rate": (("remedy",), by_rate + 1),
+        },
+        {
+            "remedy": [c["name"] for c in columns],
+            **{name: ("remedy", [c[name] for c in columns]) for name in _TEXTS},
+            "bound": ["low", "high"],
+            "step": np.arange(_STEPS),
+        },
+        simultaneous_z=z,
+        diagnosis=diagnosis.text,
+        recommendation=_recommendation(columns, budget, reasons),
+        not_tried=reasons,
+        given_error=float(start.errors.error[-1]),
+    )
+
+
 @dataclass(frozen=True)
 class _Trials:
     """Set-ups that were measured, and why others could not; the diagnosis of that given."""
 
-    tried: list[_Trial]
+    tried: list[Trial]
     not_tried: list[NotTried]
     diagnosis: Diagnosis | None
 
@@ -594,11 +627,14 @@ class Comparison:
     rate_difference_se: float
 
 
-def compare(errors: Errors, reference: Errors, budget: float) -> Comparison:
-    """Compare two set-ups of as many realisations on the same random numbers."""
+def compare(errors: Errors, reference: Errors, budget: float, pilot: int = 0) -> Comparison:
+    """Compare two set-ups of as many realisations on the same random numbers.
+
+    The reference has the budget and what a pilot of the other took beyond it.
+    """
     carry = not errors.overhead and not reference.overhead
     own, own_influence = errors.at(budget, carry=carry)
-    other, other_influence = reference.at(budget, carry=carry)
+    other, other_influence = reference.at(budget + pilot, carry=carry)
     rate, slope = errors.rate()
     other_rate, other_slope = reference.rate()
     # Curves that bend or wobble know their slope less well than their scatter says

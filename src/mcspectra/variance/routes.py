@@ -209,6 +209,7 @@ class Routes(Counted, frozen=True, kw_only=True):
             n=n,
             half_width=self.half_width,
             realizations=self.realizations,
+            note=found.attrs.get("note"),
         )
 
     def _of_covariance(self, subject: Subject) -> tuple[Any, Array, str]:

@@ -30,8 +30,9 @@ from mcspectra.estimators import AbstractEstimator, Moments
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler
+from mcspectra.variance.blindness import is_fixed
 from mcspectra.variance.convergence import count_stream
-from mcspectra.variance.doors import answer, counted
+from mcspectra.variance.doors import NO_VARIANCE, answer, counted
 from mcspectra.variance.fit import check_window, fit_rates
 from mcspectra.variance.ordered import product, weighted_sum
 from mcspectra.variance.sums import BATCHES, Variables, ratio_factors, spread
@@ -148,6 +149,12 @@ class Techniques(Counted, frozen=True, kw_only=True):
             for name, (dims, _) in parts[0].items()
         }
         notes: dict[str, Any] = {} if self._several else {"n": counts[0]}
+        if is_fixed(estimator, subject.sampler):  # what is left is rounding
+            notes["note"] = f"{subject.sampler.spec} {NO_VARIANCE}"
+            variables = {
+                name: (dims, v if name.startswith(("mean", "captured")) else np.zeros_like(v))
+                for name, (dims, v) in variables.items()
+            }
         if frequencies.diverge:
             notes["note"] = "spectral terms are infinite: ∫1/p diverges"
             variables = frequencies.undefined(variables, _FINITE)

@@ -160,6 +160,7 @@ def mirror_study(
     exact: bool = False,
     realizations: int = 1000,
     rng: RngLike = 0,
+    max_evaluations: int | None = None,
     workers: int | None = None,
 ) -> xr.Dataset:
     """Measure variances and rates with and without mirroring and homogenisation.
@@ -174,7 +175,7 @@ def mirror_study(
         (`mcspectra.Mirrored`); the slides' six plots leave out ``"integrand"``.
     exact
         Also return exact variances: fast in 1-D, up to minutes a count for shifted sets in 2-D.
-    realizations, rng, workers
+    realizations, rng, max_evaluations, workers
         As for `mcspectra.convergence`; all curves share random numbers.
 
     Returns
@@ -217,7 +218,13 @@ def mirror_study(
     samplers = [source, source.then(Shift())]
     estimators = [plain if name == _ORIGINAL else Mirrored(plain, name) for name in names]
     measured = convergence(
-        estimators, samplers, counts, realizations=realizations, rng=rng, workers=workers
+        estimators,
+        samplers,
+        counts,
+        realizations=realizations,
+        rng=rng,
+        max_evaluations=max_evaluations,
+        workers=workers,
     ).rename(estimator="mirroring", sampler="homogenized")
     variables = _of(measured, "variance", "variance_ci", "mean", "mean_se", "rate", "rate_ci")
     if exact:

@@ -45,6 +45,7 @@ from mcspectra.variance.prediction.known import Known, Predicted
 from mcspectra.variance.prediction.levels import of_levels
 from mcspectra.variance.prediction.rates import rates_of
 from mcspectra.variance.prediction.subsets import of_subsets
+from mcspectra.variance.prediction.table import of_table
 from mcspectra.variance.prediction.torus import of_torus
 
 if TYPE_CHECKING:
@@ -107,7 +108,14 @@ def of_limits(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predict
 
 Route: TypeAlias = Callable[[Sampler, int, Known, Stream], Predicted]
 
-ROUTES: tuple[Route, ...] = (of_quadrature, of_torus, of_levels, of_subsets, of_measurements)
+ROUTES: tuple[Route, ...] = (
+    of_quadrature,
+    of_torus,
+    of_levels,
+    of_subsets,
+    of_table,
+    of_measurements,
+)
 """In the order of trust."""
 
 _OF_COSTLY = (of_torus, of_levels, of_quadrature, of_subsets, of_measurements)
@@ -291,8 +299,10 @@ def predict(
     probe of 2^17 points saw and the nodes did not; f that is the same at all of them has no prediction,
     unless its integral is known.
 
-    f is evaluated at nodes and on grids of our own, and at points of the samplers by the last route alone,
-    *extrapolated from measurements*: 2,000 realisations each of small counts other than n.
+    f is evaluated at nodes and on grids of our own. Of samplers of which nothing is known but their sets,
+    these measure a table of f in 1 to 3 dims (`n sets on a table of g`); in more, or where f is dear, the last
+    route evaluates f at their points, *extrapolated from measurements*: 2,000 realisations each of small
+    counts other than n.
 
     Limits are looked for at 4 times the last count, of strata up to n = 2^16, where that needs no drawn
     sets (1 to 3 dims): jumps that count at larger n alone are not seen. The slope of the last octaves

@@ -16,6 +16,7 @@ import numpy as np
 from mcspectra.core.checks import MAX_DIMS, Array, as_choice, as_integer
 from mcspectra.core.errors import ParameterError, PreasymptoticWarning, warn
 from mcspectra.core.fits import line_fit
+from mcspectra.core.tally import counting
 from mcspectra.integrands import Integrand
 from mcspectra.integrands.registry import as_integrand
 
@@ -176,7 +177,12 @@ class DecayFit:
         return math.isinf(self.decay) or abs(self.bend) <= _BEND
 
 
-def integrand_decay(integrand: Integrand | str, *, half_width: int | None = None) -> float:
+def integrand_decay(
+    integrand: Integrand | str,
+    *,
+    half_width: int | None = None,
+    max_evaluations: int | None = None,
+) -> float:
     """Measure γ, the decay of |f_m|² averaged over directions, at the end of the spectrum.
 
     Parameters
@@ -187,6 +193,8 @@ def integrand_decay(integrand: Integrand | str, *, half_width: int | None = None
         K: the slope is fitted over the last three octaves up to |m| = K; at least 8. By default 512
         in 1-D, where a jump is then found to ±0.06 wherever it lies, and 64 in more dims, where
         jumps along the axes can be off by more: see the interval of `fitted_decay`.
+    max_evaluations
+        Most evaluations of a user's function: BudgetError where it takes more.
 
     Returns
     -------
@@ -206,7 +214,7 @@ def integrand_decay(integrand: Integrand | str, *, half_width: int | None = None
     >>> round(mcs.integrand_decay("disk", half_width=64), 1)
     3.0
     """
-    found = fitted_decay(integrand, half_width=half_width)
+    found = fitted_decay(integrand, half_width=half_width, max_evaluations=max_evaluations)
     if not found.settled:
         warn(
             f"The decay {found.decay:.3g} changes by {found.bend:.2g} over the octaves up to "
@@ -217,12 +225,17 @@ def integrand_decay(integrand: Integrand | str, *, half_width: int | None = None
     return found.decay
 
 
-def fitted_decay(integrand: Integrand | str, *, half_width: int | None = None) -> DecayFit:
+def fitted_decay(
+    integrand: Integrand | str,
+    *,
+    half_width: int | None = None,
+    max_evaluations: int | None = None,
+) -> DecayFit:
     """Measure γ like `integrand_decay`, with its interval and how much it still changes.
 
     Parameters
     ----------
-    integrand, half_width
+    integrand, half_width, max_evaluations
         As in `integrand_decay`.
 
     Returns
@@ -240,7 +253,8 @@ def fitted_decay(integrand: Integrand | str, *, half_width: int | None = None) -
     f = as_integrand(integrand)
     given = _WIDTHS.get(f.dims, _WIDTH) if half_width is None else half_width
     width = as_integer("half_width", given, least=_LEAST_WIDTH)
-    power = np.abs(f.fourier_grid(width)) ** 2
+    with counting("integrand_decay", max_evaluations):
+        power = np.abs(f.fourier_grid(width)) ** 2
     power = power.reshape(*power.shape[: f.dims], -1)
     axes = np.meshgrid(*[np.arange(-width, width + 1) ** 2] * f.dims, indexing="ij")
     length = np.sqrt(sum(axes, np.zeros(())))

@@ -62,6 +62,7 @@ _FEW_RANK = 3  # in few dims, where jumps across axes come here, which more woul
 _RIDGE = 1e-8
 _GOOD = 1e-7  # residual energy that is good enough
 _STANDS_OUT, _HALVINGS = 4.0, 40  # a jump: a change so many times those beside it
+_SHARED = 0.1  # of the mean square of steps: more are a step that profiles have in common
 _GRADED = 0.25 ** np.arange(6.0, 0.0, -1.0)  # of the first step
 _BENT = 0.1  # a kink: a change of the slope of so much of the largest
 _CELLS = 1 << 12  # along an axis, for correlations
@@ -358,11 +359,15 @@ def _all_parts(known: Known) -> list[_Parts]:
         at = np.concatenate([at[0] * _GRADED, at, 1.0 - (1.0 - at[-1]) * _GRADED[::-1]])
         along = profiles(axis, at)
         even = np.append(np.abs(np.diff(at, 2)) < 1e-9, False)  # the next step is as long
-        # Bisect jumps of the mean that nothing declares: changes that stand out between two nodes
-        change = np.abs(np.diff(along.mean(axis=(0, 1)), axis=0)).max(axis=-1)
+        # Bisect jumps of the mean that nothing declares: changes that stand out between two nodes, and that
+        # more than a few profiles share, as each has jumps of its own where jumps are not across the axis
+        steps = np.diff(along, axis=2)
+        common = steps.mean(axis=(0, 1))
+        change = np.abs(common).max(axis=-1)
+        shared = (common**2).sum(axis=-1) > _SHARED * (steps**2).mean(axis=(0, 1)).sum(axis=-1)
         beside = np.maximum(np.append(change[1:], 0.0), np.append(0.0, change[:-1]))
         jumps = []
-        stands_out = (change > _STANDS_OUT * beside) & (change > 1e-9 * change.sum())
+        stands_out = shared & (change > _STANDS_OUT * beside) & (change > 1e-9 * change.sum())
         for k in np.flatnonzero(stands_out & even & np.append(False, even[:-1])).tolist():
             low, high = at[k], at[k + 1]
             if any(low < b < high for b in ends):

@@ -16,9 +16,10 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import DensityError
 from mcspectra.estimators import AbstractEstimator, Moments
-from mcspectra.samplers import GivenPoints, Sampler, Shift, as_sampler
+from mcspectra.samplers import GivenPoints, Random, Sampler, Shift, as_sampler
 from mcspectra.spectra.bases import parts_of
 from mcspectra.variance.profiling.lines import COARSE, Lines, grain
+from mcspectra.variance.profiling.poles import Pole
 from mcspectra.variance.profiling.samples import NETS, Curve, Sets
 
 __all__ = ["CAUSES", "Cause", "Evidence", "Name", "Replicates", "causes_of", "sets_of"]
@@ -34,6 +35,7 @@ Name: TypeAlias = Literal[
     "axis-parallel-jump",
     "border-jump",
     "border-growth",
+    "high-frequency",
     "high-dimension",
     "kink",
     "float-drift",
@@ -50,6 +52,10 @@ _LARGE = 0.2  # of all squares, by one value
 _FEW, _VERY_FEW = 0.05, 0.01  # of the values, that make nine tenths of the variance
 _ALIKE = 0.05  # of all evaluations, as different values: a function in steps
 _SAME = 2e-3  # along lines, of places that are the same
+_TURNS = 0.33  # of the places along a line, as extremes: of noise two thirds
+_WAVES = 6.0  # along a line
+_RESOLVED = 4.0  # gain of nets over random points, from which on they see what g does
+_COARSE_CUBE = 16.0  # times 2 for each axis: points that resolve what is smooth
 _MOST_DIMENSION = 1.8
 _LITTLE_GAIN = 8.0  # by nets, over random points
 _OPPOSITE = 1e-3  # of the variance, by what g differs between faces
@@ -107,6 +113,8 @@ class Evidence:
         Variances of samplers.
     lines
         Of each technique.
+    pole
+        Of a single technique, if g has one.
     mean_dimension
         Of g, NaN where it was not looked for.
     replicates
@@ -118,6 +126,7 @@ class Evidence:
     sets: Sets
     curves: Mapping[str, Curve]
     lines: tuple[Lines, ...]
+    pole: Pole | None = None
     mean_dimension: float = math.nan
     replicates: Replicates | None = None
 
@@ -127,9 +136,15 @@ class Evidence:
         return math.sqrt(float(self.sets.pooled.var()))
 
     @property
+    def growth(self) -> float:
+        """The largest exponent of g at the ends of lines."""
+        return float(np.nanmax(self.each("growth"), initial=0.0))
+
+    @property
     def wraps(self) -> bool:
-        """Whether the sampler shifts points around the torus."""
-        return any(isinstance(step, Shift) for step in parts_of(self.sampler)[1])
+        """Whether the sampler shifts points around the torus, to whose order that matters."""
+        base, steps = parts_of(self.sampler)
+        return any(isinstance(step, Shift) for step in steps) and not isinstance(base, Random)
 
     def each(self, name: str) -> Array:
         """An attribute of all lines."""
@@ -156,23 +171,25 @@ def _wrong_pdf(seen: Evidence) -> Cause | None:
 
 
 def _infinite_variance(seen: Evidence) -> Cause | None:
+    # Where no pole was climbed to, the bends of lines tell of one, less well
     poles = np.concatenate([lines.poles() for lines in seen.lines])
     order = -float(np.median(seen.each("exponent")[poles])) if poles.any() else 0.0
-    border = float(np.nanmax(seen.each("growth"), initial=0.0))
-    for exponent, near, what in (
-        (border, 0.02, "grows as t^−{:.2f} at the border"),
-        (order, 0.08, "has a pole of order {:.2f} inside"),
-    ):
-        if exponent >= _HALF - near:
+    found = [(seen.growth, 0.02, f"grows as t^−{seen.growth:.2f} at the border")]
+    if seen.pole is None:
+        found.append((order, 0.08, f"has a pole of order {order:.2f} inside"))
+    else:
+        found.append((seen.pole.tail, 0.02, _said(seen.pole)))
+    for index, near, what in found:
+        if index >= _HALF - near:
             said = (
                 "from ½ on ∫g² is infinite: errors fall more slowly than n^−½ and no interval holds"
             )
-            said = "from 1 on it has no integral" if exponent >= _ALL else said
+            said = "from 1 on it has no integral" if index >= _ALL else said
             return Cause(
                 "infinite-variance",
-                f"g {what.format(exponent)}, and {said}.",
-                {"exponent": exponent},
-                () if exponent >= _ALL else ("fitted", "warp"),
+                f"g {what}, and {said}.",
+                {"exponent": index},
+                () if index >= _ALL else ("fitted", "warp"),
             )
     if seen.estimator.infinite_weights and _tail(seen)[1] > _HALF:
         return Cause(
@@ -183,6 +200,17 @@ def _infinite_variance(seen: Evidence) -> Cause | None:
             ("warp", "fitted"),
         )
     return None
+
+
+def _said(pole: Pole) -> str:
+    """What g does at a pole, with its tail index."""
+    k, d = pole.codimension, len(pole.place)
+    where = "a point" if k == d else f"a set of {d - k} dims"
+    side = "of the border" if pole.border else "inside"
+    if pole.exponent == 0.0:
+        return f"grows without bound, as a logarithm, towards places {side}"
+    index = f", a tail index of {pole.exponent:.2f}/{k}" if k > 1 else ""
+    return f"grows as r^−{pole.exponent:.2f} with the distance r to {where} {side}{index}"
 
 
 def _tail(seen: Evidence) -> tuple[float, float, float]:
@@ -198,18 +226,27 @@ def _tail(seen: Evidence) -> tuple[float, float, float]:
 
 def _heavy_tail(seen: Evidence) -> Cause | None:
     share, index, kurtosis = _tail(seen)
-    poles = np.concatenate([lines.poles() for lines in seen.lines])
+    pole = seen.pole
+    inside = bool(np.concatenate([lines.poles() for lines in seen.lines]).any())
+    if pole is not None:
+        inside = not pole.border
     few = _sorted_share(seen.sets.pooled)
-    if not (share > _LARGE or (kurtosis > _HEAVY and few < _FEW) or poles.any()):
+    if not (share > _LARGE or (kurtosis > _HEAVY and few < _FEW) or inside):
         return None
-    pole = "g has a pole inside. " if poles.any() else ""
-    return Cause(
-        "heavy-tail",
-        f"{pole}Few evaluations make the variance: {100 * few:.2g} % of them hold nine tenths of it (kurtosis "
-        f"{kurtosis:.3g}, tail index {index:.2f}), so that most sets miss what matters.",
-        {"largest_share": share, "tail_index": index, "kurtosis": kurtosis, "nine_tenths": few},
-        ("fitted", "warp"),
+    found = "" if not inside else "g has a pole inside. " if pole is None else f"g {_said(pole)}. "
+    said = (
+        f"Few evaluations make the variance: {100 * few:.2g} % of them hold nine tenths of it (kurtosis "
+        f"{kurtosis:.3g}, tail index {index:.2f}), so that most sets miss what matters."
     )
+    evidence = {
+        "largest_share": share,
+        "tail_index": index,
+        "kurtosis": kurtosis,
+        "nine_tenths": few,
+    }
+    if inside and pole is not None:
+        evidence["exponent"] = pole.tail
+    return Cause("heavy-tail", f"{found}{said}", evidence, ("fitted", "warp"))
 
 
 def _sorted_share(values: Array) -> float:
@@ -232,9 +269,9 @@ def _deterministic(seen: Evidence) -> Cause | None:
 
 
 def sets_of(sampler: Sampler) -> float:
-    """How many sets a sampler has: no end of them, but of points that are given."""
+    """How many sets of an n a sampler has: no end of them, but of points that are given."""
     if isinstance(sampler, GivenPoints) and not sampler.cycle:
-        return len(sampler.points)
+        return min(map(len, sampler.sets.values()))
     return math.inf
 
 
@@ -342,6 +379,8 @@ def _slow_technique(seen: Evidence) -> Cause | None:
 
 def _jumps(seen: Evidence) -> Cause | None:
     meets = np.concatenate([lines.jumps(seen.scale) for lines in seen.lines])
+    if seen.pole is not None and not seen.pole.border:  # about which lines bend as at a jump
+        meets &= seen.pole.codimension > 1
     axis, place, height = (seen.each(name) for name in ("axis", "place", "height"))
     alike = len(np.unique(seen.sets.pooled))
     if not meets.any():
@@ -402,15 +441,45 @@ def _border_jump(seen: Evidence) -> Cause | None:
 
 
 def _border_growth(seen: Evidence) -> Cause | None:
-    border = float(np.nanmax(seen.each("growth"), initial=0.0))
-    if not _GROWS < border < _HALF - 0.02:
+    pole = seen.pole if seen.pole is not None and seen.pole.border else None
+    if seen.growth > _GROWS:
+        index, what = (
+            seen.growth,
+            f"grows without bound at the border, about as t^−{seen.growth:.2f}",
+        )
+    elif pole is not None and pole.tail > _GROWS:
+        index, what = pole.tail, _said(pole)
+    else:
         return None
     return Cause(
         "border-growth",
-        f"g grows without bound at the border, about as t^−{border:.2f}: the outermost strata keep noise "
-        "that no refinement inside removes.",
-        {"exponent": border},
+        f"g {what}: the outermost strata keep noise that no refinement inside removes.",
+        {"exponent": index},
         ("fitted", "warp"),
+    )
+
+
+def _high_frequency(seen: Evidence) -> Cause | None:
+    share = seen.each("spread")
+    turns, waves = (
+        seen.each(name) @ share / max(share.sum(), 1e-300) for name in ("turns", "waves")
+    )
+    varies = (seen.each("turns") > _TURNS) & (share > COARSE * share.max(initial=0.0))
+    axes = len(np.unique(seen.each("axis")[varies & (seen.each("axis") >= 0)]))
+    nets, random = seen.curves[NETS], seen.curves["random"]
+    gains = np.array([random.at(n)[0] / nets.at(n)[0] for n in nets.counts])
+    seeing = nets.counts[gains > _RESOLVED]
+    needed = float(seeing[0]) if len(seeing) else math.inf
+    if not (turns > _TURNS and waves > _WAVES and needed > _COARSE_CUBE * 2.0**axes):
+        return None
+    if math.isinf(needed):
+        needed = max((4.0 * waves) ** max(axes, 1), 2.0 * seen.sets.n)
+    return Cause(
+        "high-frequency",
+        f"g goes up and down about {waves:.2g} times along a line: sets of fewer than about {needed:,.2g} points "
+        "do not see this order, and are no better than random points.",
+        {"waves": float(waves), "resolved_by": float(needed)},
+        ("sampler",),
     )
 
 
@@ -446,6 +515,18 @@ def _kink(seen: Evidence) -> Cause | None:
     )
 
 
+def _slow_growth(seen: Evidence) -> Cause | None:
+    pole = seen.pole
+    if pole is None or not pole.border or max(pole.tail, seen.growth) > _GROWS:
+        return None
+    return Cause(
+        "border-growth",
+        f"g {_said(pole)}: the outermost strata keep noise that those of bounded functions have not.",
+        {"exponent": pole.tail},
+        ("fitted", "warp"),
+    )
+
+
 CAUSES: tuple[Callable[[Evidence], Cause | None], ...] = (
     _wrong_pdf,
     _infinite_variance,
@@ -458,8 +539,10 @@ CAUSES: tuple[Callable[[Evidence], Cause | None], ...] = (
     _jumps,
     _border_jump,
     _border_growth,
+    _high_frequency,
     _high_dimension,
     _kink,
+    _slow_growth,
 )
 """All detectors."""
 

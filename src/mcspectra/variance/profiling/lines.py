@@ -59,6 +59,11 @@ class Lines:
         chords.
     ends
         Difference of g between both ends: (K,); NaN of chords.
+    waves, turns
+        Of a cosine of the same spread as steep in its bend, how many there are along the line: (K,); and
+        the share of places that are higher or lower than those beside: (K,).
+    spread
+        Variance along the line: (K,).
     """
 
     axis: Array
@@ -67,6 +72,9 @@ class Lines:
     height: Array
     growth: Array
     ends: Array
+    waves: Array
+    turns: Array
+    spread: Array
 
     def jumps(self, scale: float) -> Array:
         """Which lines meet a jump that matters beside this spread of g, and nothing worse."""
@@ -105,7 +113,7 @@ def lines_of(g: Function, dims: int, evaluations: int, rng: np.random.Generator)
     pairs = evaluations // (LINE + (CHORD if dims > 1 else 0))
     if not pairs:
         none = np.empty(0)
-        return Lines(none.astype(int), none, none, none, np.empty((0, 2)), none)
+        return Lines(none.astype(int), none, none, none, np.empty((0, 2)), none, none, none, none)
     order = np.concatenate([rng.permutation(dims) for _ in range(pairs // dims + 1)])[:pairs]
     axis = np.concatenate([order, np.full(pairs if dims > 1 else 0, -1)]).astype(int)
     start, way = rng.random((len(axis), dims)), np.zeros((len(axis), dims))
@@ -126,10 +134,13 @@ def lines_of(g: Function, dims: int, evaluations: int, rng: np.random.Generator)
         x = np.clip(start[:, None] + t[..., None] * way[:, None], 0.0, np.nextafter(1.0, 0.0))
         return g(x.reshape(-1, dims)).reshape(t.shape)
 
-    # Equal steps, at an offset of the line's own
-    t = (np.arange(STEPS) + rng.uniform(0.2, 0.8, (len(axis), 1))) / STEPS
+    # Equal steps, of a size and at an offset of the line's own, so that none is in step with all waves
+    part = rng.uniform(0.75, 1.0, (len(axis), 1))
+    t = part * (np.arange(STEPS) + rng.uniform(0.2, 0.8, (len(axis), 1))) / STEPS
+    t += rng.random((len(axis), 1)) * (1.0 - part)
     y = at(t)
     spread = y.var(axis=1)
+    turns = (np.diff(np.sign(np.diff(y, axis=1)), axis=1) != 0).mean(axis=1)
     rows = np.arange(len(axis))
 
     # Halve the steps about the largest second difference; for every other line of an axis where it stands
@@ -156,6 +167,9 @@ def lines_of(g: Function, dims: int, evaluations: int, rng: np.random.Generator)
     slope = -np.polyfit(np.arange(_LATE + 1), np.log2(np.maximum(size, 1e-300)), 1)[0]
     exponent = np.where(rough, slope, 2.0)
 
+    bend = np.abs(np.diff(values, 2, axis=1))[:, 0] / (window[:, 1] - window[:, 0]) ** 2
+    waves = np.sqrt(bend / np.maximum(np.sqrt(2.0 * spread), 1e-300)) / (2.0 * math.pi)
+
     # The ends of lines along the axes; what grows there grows all the way, and beyond what is usual
     usual = np.abs(y).max()
     growth, ends = np.full((len(axis), 2), np.nan), np.full(len(axis), np.nan)
@@ -179,6 +193,9 @@ def lines_of(g: Function, dims: int, evaluations: int, rng: np.random.Generator)
         height=np.abs(np.diff(values, axis=1)).max(axis=1),
         growth=growth,
         ends=ends,
+        waves=waves,
+        turns=turns,
+        spread=spread,
     )
 
 

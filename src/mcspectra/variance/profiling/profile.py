@@ -45,6 +45,7 @@ from mcspectra.variance.doors import counted
 from mcspectra.variance.improved import CHANGES, Evaluations, Improvement, improvements
 from mcspectra.variance.profiling.causes import Cause, Evidence, Replicates, causes_of, sets_of
 from mcspectra.variance.profiling.lines import COARSE, Lines, grain, lines_of, mean_dimension
+from mcspectra.variance.profiling.poles import pole_of
 from mcspectra.variance.profiling.samples import NETS, Curve, Sets, curve_of
 
 if TYPE_CHECKING:
@@ -55,6 +56,8 @@ __all__ = ["Change", "Profile", "Profiling", "profile"]
 _LEAST = 256  # evaluations
 _NETS = 20  # at least; fewer tell little of errors
 _LINES, _GIVEN, _CHECK = 0.2, 0.25, 0.15  # of the budget
+_POLES = 0.8  # of what lines may take
+_CLIMBED = 300.0  # variances, of the largest square
 _FITTED = 64  # points of each net, that changes are fitted to
 _DEPENDENT = 0.7  # of all draws: fewer effective ones are a cause
 _LEAST_CHECKED = 4  # points that a change is measured at
@@ -62,6 +65,8 @@ _GIVEN_COUNTS = 5
 _LEAST_SETS = 3
 _PAIRS = "antithetic-jittered"
 _THEORY = 0.08  # of a rate, at counts of points that are not large
+_ALIKE = 0.4  # rates of estimators before and after a change, unless they are seen to differ
+_FEW_POINTS, _STEEPEST = 16, -2.0
 _WEIGHTED = 3  # functions: f, pdf and sample
 _FIGURES = ("rmse", "rmse_given", "gain", "samples_saved")
 _SIZES = 1e-120, 1e120  # of g, whose fourth powers float64 holds
@@ -75,7 +80,16 @@ class Profiling(Analysis, frozen=True, kw_only=True):
 
     function = "profile"
     verb = "profile"
-    variables = ("variance", "variance_ci", "rate", "rate_ci", "integral", "integral_ci", "calls")
+    variables = (
+        "variance",
+        "variance_ci",
+        "rmse",
+        "rate",
+        "rate_ci",
+        "integral",
+        "integral_ci",
+        "calls",
+    )
     provenance = ("estimator", "stream_key")
 
     budget: Annotated[
@@ -274,11 +288,15 @@ class Profile:
             variance[row, at] = curve.variance
             ends[row, at] = variance_interval(curve.variance, np.maximum(curve.relative_se, 1e-9))
         curves = self.samplers.values()
+        at_budget = [
+            math.inf if math.isinf(self.variance) else curve.at(self.points)[0] for curve in curves
+        ]
         plain = self.to_dict()
         return dataset(
             {
                 "variance": (("sampler", "n"), variance),
                 "variance_ci": (("sampler", "n", "bound"), ends),
+                "rmse": (("sampler",), np.sqrt(at_budget)),
                 "rate": (("sampler",), np.array([curve.rate for curve in curves])),
                 "rate_ci": (("sampler", "bound"), np.array([curve.rate_ci for curve in curves])),
                 "integral": ((), np.float64(self.integral)),
@@ -478,13 +496,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     each, n, nets = _shares(estimator, budget, apart=apart)
 
     # Nets
-    source = estimator.randomized(as_sampler(NETS, estimator.dims))
-    points = estimator.draw(source, n, stream.child(0), 0, nets)
-    sets = Sets(
-        [np.asarray(p) for p in points],
-        [_scalar(estimator, estimator.primary_values(t, u)) for t, u in enumerate(points)],
-        estimator.counts,
-    )
+    sets = _sets_of(estimator, n, nets, stream.child(0))
     calls = nets * n * each
     size = max(float(np.abs(v).max()) for v in sets.values)
     if size and not _SIZES[0] <= size <= _SIZES[1]:
@@ -493,9 +505,9 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         )
     curves = sets.curves()
 
-    # Lines of each technique, and the mean dimension of a single one
+    # The mean dimension and a pole of a single technique, then lines of each
     lines: list[Lines] = []
-    mean = math.nan
+    mean, pole = math.nan, None
     allowed = int(_LINES * budget) // len(estimator.counts) // estimator.evaluations_per_point
     for t in range(len(estimator.counts)):
         made = 0
@@ -506,10 +518,16 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
             return np.asarray(_scalar(estimator, estimator.primary_values(t, u[None]))[0])
 
         own, beside = stream.child(1 + t).generator(0), allowed // 4 // estimator.dims
-        if estimator.dims >= _MANY and len(estimator.counts) == 1 and beside > 1:
-            step = max(1, nets * n // beside)
-            some = sets.points[0].reshape(-1, estimator.dims)[::step][:beside]
-            mean = mean_dimension(g, some, sets.values[0].ravel()[::step][:beside], own)
+        if len(estimator.counts) == 1:
+            all_points, values = sets.points[0].reshape(-1, estimator.dims), sets.values[0].ravel()
+            if estimator.dims >= _MANY and beside > 1:
+                step = max(1, nets * n // beside)
+                some = all_points[::step][:beside]
+                mean = mean_dimension(g, some, values[::step][:beside], own)
+            # In many dims a pole that matters makes few evaluations matter
+            size = (values - values.mean()) ** 2
+            if estimator.dims < _MANY or size.max() > _CLIMBED * size.mean():
+                pole = pole_of(g, all_points, values, int(_POLES * allowed), own)
         lines.append(lines_of(g, estimator.dims, allowed - made, own))
         calls += made * estimator.evaluations_per_point
 
@@ -525,7 +543,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         except McspectraError as error:
             not_tried.append(f"{given.spec}: {error}")
 
-    evidence = Evidence(estimator, given, sets, curves, tuple(lines), mean, replicates)
+    evidence = Evidence(estimator, given, sets, curves, tuple(lines), pole, mean, replicates)
     causes = causes_of(evidence)
     # Pairs about the centres of strata, which nets do not tell of, have the exponent −1 − 4/d where g is
     # smooth: cubic stratification of second order
@@ -541,7 +559,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     # What is the same every time, or was not measured, is no reference
     fixed = any(cause.name == "deterministic-set" for cause in causes)
     reference = "random" if fixed or given.spec not in curves else given.spec
-    best, changed = None, ""
+    best, changed = None, list[str]()
     if all(c.name != "infinite-variance" or c.kinds for c in causes):  # there is an integral
         usable = {name: c for name, c in curves.items() if name == reference or name != given.spec}
         best = _best(estimator, usable, reference, budget // each)
@@ -578,10 +596,21 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         causes=causes,
         best=best,
         samplers=curves,
-        tried=[*curves, *([changed] if changed else [])],
+        tried=[*curves, *changed],
         not_tried=not_tried,
         points=budget // each,
         reference=reference,
+    )
+
+
+def _sets_of(estimator: AbstractEstimator, n: int, nets: int, stream: Stream) -> Sets:
+    """Evaluations at scrambled nets."""
+    source = estimator.randomized(as_sampler(NETS, estimator.dims))
+    points = estimator.draw(source, n, stream, 0, nets)
+    return Sets(
+        [np.asarray(p) for p in points],
+        [_scalar(estimator, estimator.primary_values(t, u)) for t, u in enumerate(points)],
+        estimator.counts,
     )
 
 
@@ -622,10 +651,10 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int) -> C
     names = {cause.name: cause for cause in causes}
     if "infinite-variance" in names:
         return replace(curve, rate=math.nan, rate_se=math.nan)
-    # Sets seldom reach what grows at the border
-    if "border-growth" in names:
-        slowest = -2.0 * (1.0 - names["border-growth"].evidence["exponent"])
-        return replace(curve, rate=max(curve.rate, slowest))
+    # Sets seldom reach what grows without bound
+    for cause in causes:
+        if cause.name in {"border-growth", "heavy-tail"} and "exponent" in cause.evidence:
+            return replace(curve, rate=max(curve.rate, -2.0 * (1.0 - cause.evidence["exponent"])))
     # Of n strata n^(1 − 1/d) meet a jump
     if causes[0].name == "interior-jump" and name in {NETS, "jittered"}:
         return curve.towards(-1.0 - 1.0 / dims, _THEORY)
@@ -698,7 +727,13 @@ def _best(
     name = min(curves, key=lambda c: curves[c].at(n)[0] * math.exp(curves[c].at(n)[1]))
     if name == given or not len(curves[given].counts):  # there is no variance to lower
         return None
-    found = _change(curves, given, n, name, f"use {name}", curves[name].at(n), (estimator, name))
+    source = as_sampler(name, estimator.dims)
+    count, change = n, f"use {name}"
+    if source.nearest_count(n) != n:
+        each = sum(estimator.counts) * estimator.evaluations_per_point
+        count = affordable_count(Setup(estimator, source), n * each) or n
+        change += f" with n = {count:,}"
+    found = _change(curves, given, n, name, change, curves[name].at(count), (estimator, name))
     return found if found.gain_ci[0] > 1.0 else None
 
 
@@ -738,16 +773,16 @@ def _improved(
     budget: int,
     left: int,
     stream: Stream,
-) -> tuple[Change | None, str, int]:
-    """The change of the estimator that answers its causes, measured with nets; its name and its calls.
+) -> tuple[Change | None, list[str], int]:
+    """The change of the estimator that answers its causes, measured with nets; names and calls of what was tried.
 
-    It is fitted to the evaluations at nets, and measured at as many points as what is left allows, beside
-    the best sampler at as many evaluations: by what ratio it is better there, it is at the budget.
+    It is fitted to the evaluations at nets, and measured at as many points as what is left allows; where it is
+    better than the best sampler at as many evaluations, its own curve tells of the budget.
     """
     estimator = evidence.estimator
     kinds = list(dict.fromkeys(k for cause in causes for k in cause.kinds if k in CHANGES))
     if not kinds or len(estimator.counts) > 1 or estimator.channels:
-        return best, "", 0
+        return best, [], 0
     points, values = (
         np.concatenate(list(each[0][:, :_FITTED]))
         for each in (evidence.sets.points, evidence.sets.values)
@@ -756,23 +791,32 @@ def _improved(
     for kind in kinds:
         with contextlib.suppress(McspectraError):  # it has nothing to offer here
             offers += improvements(estimator, seen, [kind])
-    sampler = as_sampler(NETS, estimator.dims)
-    for offer in sorted(offers, key=lambda offer: offer.ratio):
-        n = affordable_count(Setup(offer.estimator, sampler), left // _NETS)
+    # What takes a jump away gains with nets, which its variance at random points does not tell: it is first
+    jumps = causes[0].name == "interior-jump"
+    offers.sort(key=lambda offer: (not (jumps and offer.kind == "preintegrated"), offer.ratio))
+    sampler, tried, calls = as_sampler(NETS, estimator.dims), list[str](), 0
+    base = evidence.curves[given if best is None else best.name]
+    for offer in offers:
+        each, wanted = offer.estimator.evaluations_per_point, _NETS
+        if jumps and not tried and offer is not offers[-1]:  # leave as much for another one
+            wanted = _NETS if left >= 2 * _LEAST_CHECKED * each * _NETS else _NETS // 2
+        n = affordable_count(Setup(offer.estimator, sampler), (left - calls) // wanted)
         if n is None or n < _LEAST_CHECKED:
             continue
-        cost = n * offer.estimator.evaluations_per_point / estimator.evaluations_per_point
-        curve = curve_of([n], [_estimates(offer.estimator, sampler, n, _NETS, stream)[0]])
-        calls = n * _NETS * offer.estimator.evaluations_per_point
-        base = evidence.curves[given if best is None else best.name]
+        tried.append(offer.name)
+        calls += n * wanted * each
+        cost, at_budget = n * each / estimator.evaluations_per_point, budget // each
+        curve = _sets_of(offer.estimator, n, wanted, stream.child(len(tried))).curves()[NETS]
+        curve = curve.towards(base.rate, _ALIKE)
+        if n < _FEW_POINTS:  # which show no steep rate yet
+            curve = replace(curve, rate=max(curve.rate, _STEEPEST))
         (ours, ours_se), (other, other_se) = curve.at(n), base.at(cost)
-        if not ours < other * math.exp(-CONFIDENCE_Z * math.hypot(ours_se, other_se)):
-            return best, offer.name, calls
-        at_budget = budget // estimator.evaluations_per_point
-        value = base.at(at_budget)[0] * ours / other
-        change = f"{offer.change}, and sample with {NETS}"
-        error = math.hypot(ours_se, other_se, base.at(at_budget)[1])
-        setup, after = (offer.estimator, NETS), (value, error)
-        found = _change(evidence.curves, given, at_budget, offer.name, change, after, setup)
-        return found, offer.name, calls
-    return best, "", 0
+        if ours < other * math.exp(-CONFIDENCE_Z * math.hypot(ours_se, other_se)):
+            change = f"{offer.change}, and sample with {NETS}"
+            points_at_budget = budget // estimator.evaluations_per_point
+            after, setup = curve.at(at_budget), (offer.estimator, NETS)
+            found = _change(
+                evidence.curves, given, points_at_budget, offer.name, change, after, setup
+            )
+            return found, tried, calls
+    return best, tried, calls

@@ -22,7 +22,7 @@ from typing import final
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.estimators.moments import rounding_floor
+from mcspectra.estimators.moments import mean_interval, rounding_floor
 
 __all__ = ["NETS", "Curve", "Sets", "curve_of"]
 
@@ -49,6 +49,8 @@ class Curve:
         Slope over the last octaves and its standard error; NaN where there is none.
     degrees
         Degrees of freedom of the errors.
+    drift
+        By what the slope changes in an octave, as far as the curve tells: it goes on beyond.
     vanishes
         Count from which on the sets did not vary at all.
     """
@@ -59,6 +61,7 @@ class Curve:
     rate: float
     rate_se: float
     degrees: int
+    drift: float = 0.0
     vanishes: float = math.inf
 
     def at(self, n: float) -> tuple[float, float]:
@@ -75,7 +78,8 @@ class Curve:
         slope, error = (self.rate, self.rate_se) if known else (-1.0, _UNKNOWN)
         away = math.log(n / self.counts[-1])
         value = float(self.variance[-1]) * math.exp(slope * away)
-        return value, math.hypot(float(self.relative_se[-1]), away * error)
+        walk = self.drift * math.sqrt(away**3 / (3.0 * math.log(2.0)))
+        return value, math.hypot(float(self.relative_se[-1]), away * error, walk)
 
     def towards(self, rate: float, error: float) -> Curve:
         """The mean of its rate and one of theory, to so much, unless they contradict each other."""
@@ -83,7 +87,12 @@ class Curve:
             return self
         share = error**2 / (error**2 + self.rate_se**2)
         mean = share * self.rate + (1.0 - share) * rate
-        return replace(self, rate=mean, rate_se=math.sqrt(share) * self.rate_se)
+        return replace(
+            self,
+            rate=mean,
+            rate_se=math.sqrt(share) * self.rate_se,
+            drift=math.sqrt(share) * self.drift,
+        )
 
     @property
     def rate_ci(self) -> tuple[float, float]:
@@ -160,23 +169,8 @@ class Sets:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % interval of the mean over all nets.
-
-        The hull of Student's t and of Hall's transform of it, cubic in the skewness [Hall1992]_: both are the
-        same where nets' means are normal, and what is skewed reaches further to the side of its tail.
-        """
-        from scipy.special import stdtrit
-
-        found, count = self.estimates, len(self.estimates)
-        mean, spread = float(found.mean()), float(found.std(ddof=1))
-        below = above = t = float(stdtrit(count - 1, 0.975))
-        skew = math.sqrt(count) / ((count - 1) * (count - 2))
-        skew *= float((((found - mean) / max(spread, 1e-300)) ** 3).sum())
-        if spread**2 > rounding_floor(np.array(mean)) and skew:
-            below = max(t, 3.0 * (math.cbrt(1.0 + skew * (t - skew / 6.0)) - 1.0) / skew)
-            above = max(t, 3.0 * (1.0 - math.cbrt(1.0 - skew * (t + skew / 6.0))) / skew)
-        error = spread / math.sqrt(count)
-        return mean - below * error, mean + above * error
+        """95 % interval of the mean over all nets."""
+        return mean_interval(self.estimates)
 
     def curves(self) -> dict[str, Curve]:
         """The variance of each sampler that the evaluations tell of."""
@@ -240,14 +234,14 @@ def _fitted(
     vanishes = float(gone[0]) if exact and len(gone) else math.inf
     counts, found, left = counts[used], found[used], left[:, used]
     if not len(counts):
-        return Curve(counts, found, found, math.nan, math.nan, degrees, vanishes)
+        return Curve(counts, found, found, math.nan, math.nan, degrees, 0.0, vanishes)
     pseudo = np.log(np.maximum(left, np.maximum(floor, np.finfo(float).tiny))) - np.log(found)
     covariance = degrees * np.cov(pseudo.T, ddof=0).reshape(len(counts), -1)
     error = np.sqrt(np.diag(covariance))
     if rate is not None:
-        return Curve(counts, found, error, rate, 0.0, degrees, vanishes)
+        return Curve(counts, found, error, rate, 0.0, degrees, 0.0, vanishes)
     if len(counts) < 2:
-        return Curve(counts, found, error, math.nan, math.nan, degrees, vanishes)
+        return Curve(counts, found, error, math.nan, math.nan, degrees, 0.0, vanishes)
     x, y = np.log(counts / counts[-1]), np.log(found)
     line, octave = np.stack([np.ones_like(x), x], axis=1), math.log(2.0)
     turns = octave * np.arange(_OCTAVES, max(round(-x[0] / octave), _OCTAVES))
@@ -266,7 +260,8 @@ def _fitted(
     share /= share.sum()
     slope = float(share @ fits[1])
     spread = float(share @ (fits[2] + (fits[1] - slope) ** 2))
-    return Curve(counts, found, error, slope, math.sqrt(spread), degrees, vanishes)
+    drift = math.sqrt(share @ np.square(_DRIFTS))
+    return Curve(counts, found, error, slope, math.sqrt(spread), degrees, drift, vanishes)
 
 
 def _of_nets(part: _Part, n: int) -> float:

@@ -1,0 +1,254 @@
+"""The pages of a bench: one table of all samplers, overlays, projections; HTML, PDF, LaTeX, PGF, CSV."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import textwrap
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mcspectra.core.errors import FileFormatError, ParameterError
+from mcspectra.plots import backend_matplotlib
+from mcspectra.plots.description import Plot
+from mcspectra.plots.groups import Group
+from mcspectra.plots.kinds import describe
+from mcspectra.plots.points import point_sets
+from mcspectra.plots.scales import count_axis, log_axis
+from mcspectra.plots.style import INK, PAPER, labels, sampler_styles
+from mcspectra.plots.text import MISSING, number, rate
+from mcspectra.plots.variance import task_curves
+from mcspectra.report.page import Cell, Figure, Figures, Page, Section, Table, Text, write_page
+from mcspectra.report.result_files import csv_text, latex_table, result_table
+from mcspectra.variance.bench import BENCH_QUALITY
+from mcspectra.version import __version__
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure as Drawn
+
+__all__ = ["BENCH_FILES", "bench_plots", "bench_table", "check_bench_file", "write_bench"]
+
+BENCH_FILES = (".html", ".pdf", ".csv", ".tex", ".pgf")
+"""Extensions that `write_bench` knows."""
+
+_ROWS = 44  # on a sheet
+_MOST_AXES = 10
+_CURVES = ["points_made", "variance", "variance_ci", "rate", "rate_ci", "rank", "rank_ci"]
+
+
+def check_bench_file(file: str | None) -> None:
+    """Refuse a file of another extension, before anything is measured."""
+    if file is not None and Path(file).suffix not in BENCH_FILES:
+        raise ParameterError(
+            f"--out is {file!r}; it must end in {', '.join(BENCH_FILES[:-1])} or {BENCH_FILES[-1]}."
+        )
+
+
+def write_bench(bench: xr.Dataset, file: str) -> Path:
+    """Write a bench in the format of the file's extension.
+
+    Parameters
+    ----------
+    bench
+        What `mcspectra.sampler_bench` returned.
+    file
+        ``.html``: one page that stands alone; ``.pdf``: the table and all pictures, a sheet each, with
+        fonts of Type 42; ``.csv``: variances, rates and ranks, a row for each sampler, integrand and
+        n; ``.tex``: the table as a tabular; ``.pgf``: the convergence for LaTeX.
+
+    Raises
+    ------
+    ParameterError
+        It ends otherwise.
+    FileFormatError, StoreError, StorageError
+        It cannot be written.
+    """
+    check_bench_file(file)
+    path = Path(file)
+    try:
+        match path.suffix:
+            case ".csv":
+                head, lines = result_table(bench[_CURVES], ("sampler", "integrand", "n"))
+                path.write_text(csv_text(head, lines, bench.attrs), encoding="utf-8")
+            case ".tex":
+                columns, rows = bench_table(bench)
+                path.write_text(latex_table(columns, rows), encoding="utf-8")
+            case ".pgf":
+                backend_matplotlib.write(next(bench_plots(bench))[1], file)
+            case ".pdf":
+                backend_matplotlib.write_pages([*_sheets(bench), *bench_plots(bench)], file)
+            case _:
+                write_page(_page(bench), path)
+    except OSError as error:
+        raise FileFormatError(f"{file!r} cannot be written: {error.strerror}.") from None
+    return path
+
+
+def bench_table(bench: xr.Dataset) -> tuple[list[str], list[list[str]]]:
+    """Return the columns and rows of the summary, a row for each integrand.
+
+    For each sampler its rate, and in brackets the interval of its rank.
+    """
+    rows = []
+    for title in bench["integrand"].values:
+        of_task, cells = bench.sel(integrand=title), [str(title)]
+        for k in range(bench.sizes["sampler"]):
+            slope, rank = of_task["rate"][k], of_task["rank_ci"].values[k]
+            low, high = rank
+            place = f"{low:.0f}" if low == high else f"{low:.0f}–{high:.0f}"
+            shown = rate(float(slope), *map(float, of_task["rate_ci"].values[k]))
+            cells.append(f"{shown} ({place})" if math.isfinite(low) else MISSING)
+        rows.append(cells)
+    return ["Integrand", *_labels(bench)], rows
+
+
+def _sampler_table(bench: xr.Dataset) -> tuple[list[str], list[list[str]]]:
+    """What is known of each sampler alone: figures of quality at the largest n, and speed."""
+    names = [name for name in BENCH_QUALITY if name in bench]
+    last, rows = bench.isel(n=-1), []
+    for k, label in enumerate(_labels(bench)):
+        cells = [number(float(last[name][k])) for name in names]
+        speed = float(last["points_per_second"][k]) if "points_per_second" in bench else math.nan
+        n = float(bench["pictured_n"][k]) if "pictured_n" in bench else math.nan
+        rows.append([label, f"{n:.0f}" if n > 0 else MISSING, *cells, number(speed, 2)])
+    return ["Sampler", "n", *(name.replace("_", " ") for name in names), "points/s"], rows
+
+
+def _labels(bench: xr.Dataset) -> list[str]:
+    return list(labels([str(label) for label in bench["label"].values], 26).values())
+
+
+def bench_plots(bench: xr.Dataset) -> Iterator[tuple[str, Plot]]:
+    """Yield the pictures by the titles of their sections."""
+    ones = {name: bench.isel(sampler=k) for k, name in enumerate(_labels(bench))}
+    styles = sampler_styles(list(ones))
+
+    # Convergence, a sheet for each number of dims; each sampler at its own counts
+    for d in dict.fromkeys(bench["integrand_dims"].values.tolist()):
+        tasks: dict[str, Group] = {}
+        for title in bench["integrand"].values[bench["integrand_dims"].values == d]:
+            for name, each in ones.items():
+                curve = each.sel(integrand=title).dropna("n", subset=["variance"])
+                curve = curve.assign_coords(n=curve["points_made"].values.astype(int))
+                curve = curve.isel(n=np.unique(curve["n"].values, return_index=True)[1])
+                if curve.sizes["n"]:
+                    tasks.setdefault(str(title).rpartition(",")[0], {})[name] = curve  # type: ignore[index]
+        if tasks:
+            yield f"Convergence in {d}-D", task_curves(tasks, styles)
+
+    def of(*names: str) -> dict[str, xr.Dataset]:
+        """Results of those samplers that have the first of these variables."""
+        return {
+            name: each[list(names)].assign_attrs(n=int(each["pictured_n"]))
+            for name, each in ones.items()
+            if names[0] in each and each[names[0]].notnull().any()
+        }
+
+    spectra, where = of("power", "radial_power"), "Spectra and pairs"
+    if spectra:
+        if "m1" in bench.dims and "m2" not in bench.dims:
+            yield where, describe("spectrum", spectra, styles)
+        yield where, describe("radial", spectra, styles)
+    if "anisotropy_db" in bench and (rings := of("anisotropy_db", "anisotropy_noise_db")):
+        plot, panels = describe("anything", rings, styles), []
+        for panel, title in zip(plot.panels, ("anisotropy", "made by noise alone"), strict=True):
+            panels.append(replace(panel, y=replace(panel.y, label="dB"), title=title))
+        yield where, replace(plot, panels=tuple(panels), height=0.9)
+    if pairs := of("pair_correlation", "pair_correlation_ci"):
+        yield where, describe("pair-correlation", pairs, styles)
+
+    # Quality, on logarithmic axes where figures are positive
+    known = [name for name in BENCH_QUALITY if name in bench]
+    if known:
+        plot, panels = (
+            describe("anything", {k: each[known] for k, each in ones.items()}, styles),
+            [],
+        )
+        for name, panel in zip(known, plot.panels, strict=True):
+            values = bench[name].values
+            low, high = np.nanmin(values), np.nanmax(values)
+            y = log_axis("", low, high, 5) if low > 0 else replace(panel.y, label="")
+            x = count_axis("number of points n", bench["n"].values.tolist(), 4)
+            panels.append(replace(panel, x=x, y=y, title=name.replace("_", " ")))
+        yield "Quality", replace(plot, panels=tuple(panels), columns=3, height=0.8, wide=True)
+
+    # One set of each, on all pairs of axes
+    sets = {
+        name: each[["points"]].dropna("axis", how="all").dropna("point")
+        for name, each in ones.items()
+    }
+    flat = {name: each.assign_attrs(n=1) for name, each in sets.items() if each.sizes["axis"] <= 2}
+    if flat:
+        yield "Points", describe("points", flat, styles)
+    for name, each in sets.items():
+        if each.sizes["axis"] > 2:
+            caption = f"{name}, n = {each.sizes['point']}"
+            plot = point_sets(each["points"].values, caption, _MOST_AXES)
+            count = len(plot.panels)
+            columns = -(-count // -(-count // 5))
+            yield f"Projections: {name}", replace(plot, columns=columns, wide=True)
+
+
+def _said(bench: xr.Dataset) -> list[str]:
+    """How it was measured, in sentences."""
+    low, high = bench["n"].values[[0, -1]]
+    how = (
+        f"{bench.sizes['sampler']} samplers on {bench.sizes['integrand']} integrands, n = {low} … {high}, "
+        f"{bench.attrs['realizations']} realisations, seed {bench.attrs['seed']}; mcspectra {__version__}. "
+        "Rates are exponents of the variance in n with 95 % intervals (random: −1), unresolved beyond 0.5. "
+        "Ranks are by n · variance at the largest n, with 95 % intervals that hold for all ranks together; "
+        "speeds are of one thread that makes the points."
+    )
+    note = bench.attrs.get("note")
+    return [how, f"Note: {note}."] if note else [how]
+
+
+def _page(bench: xr.Dataset) -> Page:
+    tables = []
+    for caption, (heads, rows) in (
+        ("Samplers by themselves, at the largest n", _sampler_table(bench)),
+        ("Rates on each integrand, in brackets the rank", bench_table(bench)),
+    ):
+        cells = tuple(
+            tuple(Cell(text=text, numeric=k > 0) for k, text in enumerate(row)) for row in rows
+        )
+        tables.append(Table(caption=caption, columns=tuple(heads), rows=cells))
+    sections = [Section(title="Summary", anchor="summary", blocks=tuple(tables))]
+    plots = itertools.groupby(bench_plots(bench), key=lambda each: each[0].partition(":")[0])
+    for k, (title, found) in enumerate(plots):
+        live = title != "Projections"
+        block = Figures(figures=tuple(Figure(plot=plot, live=live) for _, plot in found))
+        sections.append(Section(title=title, anchor=f"part-{k}", blocks=(block,)))
+    lead = tuple(Text(text=sentence) for sentence in _said(bench))
+    return Page(title="Sampler bench", what="bench", lead=lead, sections=tuple(sections))
+
+
+def _sheets(bench: xr.Dataset) -> Iterator[Drawn]:
+    """The tables on sheets of paper, after what was measured."""
+    from matplotlib.figure import Figure as MatplotlibFigure
+
+    lines: list[tuple[str, bool]] = [("Sampler bench", True), ("", False)]
+    lines += [(line, False) for text in _said(bench) for line in textwrap.wrap(text, 108)]
+    for heads, rows in (_sampler_table(bench), bench_table(bench)):
+        # Long heads take several lines
+        broken = [textwrap.wrap(head, 26 if k == 0 else 14) or [""] for k, head in enumerate(heads)]
+        tall = max(map(len, broken))
+        above = [[([""] * (tall - len(b)) + b)[line] for b in broken] for line in range(tall)]
+        widths = [max(map(len, column)) for column in zip(*above, *rows, strict=True)]
+        lines.append(("", False))
+        for k, row in enumerate([*above, *rows]):
+            first, *others = (t.rjust(w) for t, w in zip(row, widths, strict=True))
+            lines.append(("  ".join([first.strip().ljust(widths[0]), *others]).rstrip(), k < tall))
+    size = min(8.5, 9.6 * 72 / (0.61 * max(len(line) for line, _ in lines)))
+    for start in range(0, len(lines), _ROWS):
+        figure = MatplotlibFigure(figsize=(11.0, 8.5), facecolor=PAPER)
+        for k, (line, bold) in enumerate(lines[start : start + _ROWS]):
+            text, weight = line.replace("$", r"\$"), "bold" if bold else "normal"
+            drawn = figure.text(0.04, 0.95 - 0.0205 * k, text, fontsize=size, color=INK)
+            drawn.set(family="monospace", weight=weight)
+        yield figure

@@ -1,0 +1,94 @@
+"""The how-to page for sampler designers: its three commands, from a program to a PDF."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "sampler-designer.md"
+TEXT = PAGE.read_text(encoding="utf-8")
+PROGRAM = re.search(r"```cpp\n(.*?)```", TEXT, re.DOTALL).group(1)
+COMMANDS = re.search(r"```bash\n(.*?)```", TEXT, re.DOTALL).group(1).splitlines()
+
+# The same program for machines without a compiler
+IN_PYTHON = f"""#!{sys.executable}
+import random, sys
+side = round(float(sys.argv[1]) ** 0.5)
+random.seed(int(sys.argv[2]))
+for row in range(side):
+    for column in range(side):
+        x = (column + 0.5 * row + random.random()) / side
+        print(repr(x % 1.0), repr((row + random.random()) / side))
+"""
+
+
+def test_there_are_three_commands():
+    assert [shlex.split(line)[0] for line in COMMANDS] == ["c++", "mcspectra", "mcspectra"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """The program, compiled by the first command where there is a compiler."""
+    root = tmp_path_factory.mktemp("designer")
+    (root / "mine.cpp").write_text(PROGRAM, encoding="utf-8")
+    compiler = next(filter(None, map(shutil.which, ("c++", "g++", "clang++"))), None)
+    if compiler:
+        _, *arguments = shlex.split(COMMANDS[0])
+        subprocess.run([compiler, *arguments], cwd=root, check=True, timeout=120)
+    else:
+        (root / "mine").write_text(IN_PYTHON, encoding="utf-8")
+        (root / "mine").chmod(0o755)
+    return root
+
+
+def run(folder, line, *more):
+    _, *arguments = shlex.split(line)
+    return subprocess.run(
+        [sys.executable, "-m", "mcspectra", *arguments, *more],
+        check=False,
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        capture_output=True,
+        text=True,
+        timeout=500,
+    )
+
+
+def test_a_new_user_gets_a_comparison_in_three_commands(folder):
+    looked = run(folder, COMMANDS[1])
+    assert (looked.returncode, looked.stderr) == (0, "")
+    assert (folder / "mine.png").read_bytes().startswith(b"\x89PNG")
+    done = run(folder, COMMANDS[2], "-m", "40", "--quiet", "--json")  # fewer sets than by default
+    assert done.returncode == 0, done.stderr
+    pdf = (folder / "report.pdf").read_bytes()
+    assert pdf.startswith(b"%PDF")
+    assert b"/Subtype /Type3" not in pdf
+    assert len(re.findall(rb"/Type /Page\b", pdf)) >= 7
+
+
+def test_without_leave_nothing_runs(folder):
+    line = re.sub(r" --allow-code \S+", "", COMMANDS[2])
+    refused = run(folder, line)
+    assert refused.returncode == 2
+    assert "--allow-code './mine {n} {seed}'" in refused.stderr
+    assert refused.stderr.count("\n") == 1
+
+
+def test_the_program_is_the_function_of_the_page(folder):
+    """Both make bricks: a row's points lie one in each of its cells, every second row half a cell on."""
+    source = mcs.Sampler.from_command(f"{folder / 'mine'} {{n}} {{seed}}", dims=2)
+    x = source.draw(64, realizations=20, rng=1)
+    cells = np.floor(((8 * x[..., 0] - 0.5 * np.floor(8 * x[..., 1])) % 8.0) + 1e-9)
+    for each, own in zip(x, cells, strict=True):
+        row = np.floor(8 * each[:, 1])
+        assert len({*zip(row, own % 8, strict=True)}) == 64

@@ -1,0 +1,93 @@
+"""The pages of a bench, in every format, and the verb that writes them."""
+
+from __future__ import annotations
+
+import csv
+import re
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.cli.main import main
+from mcspectra.plots import backend_matplotlib
+from mcspectra.report.bench_page import bench_plots, bench_table, write_bench
+
+
+@pytest.fixture(scope="module")
+def bench():
+    samplers = ["jittered", "sobol | owen", "pmj02"]
+    return mcs.sampler_bench(samplers, counts=(16, 64, 256), dims=(2, 3), realizations=30)
+
+
+def test_the_table_has_rates_and_ranks(bench):
+    columns, rows = bench_table(bench)
+    assert columns == ["Integrand", "jittered", "sobol | owen", "pmj02"]
+    assert [row[0] for row in rows] == bench["integrand"].values.tolist()
+    for j, row in enumerate(rows):
+        for i, text in enumerate(row[1:]):
+            low, high = bench["rank_ci"].values[i, j]
+            if np.isnan(low):
+                assert text == "–"
+            else:
+                assert text.endswith(f"({low:.0f})" if low == high else f"({low:.0f}–{high:.0f})")
+
+
+def test_every_part_is_pictured(bench):
+    titles = [title for title, _ in bench_plots(bench)]
+    assert list(dict.fromkeys(titles)) == [
+        "Convergence in 2-D", "Convergence in 3-D", "Spectra and pairs", "Quality", "Points",
+        "Projections: jittered", "Projections: sobol | owen",
+    ]  # fmt: skip
+    assert titles.count("Spectra and pairs") == 4
+    plots = dict(bench_plots(bench))
+    # Three pairs of axes, named
+    named = [(p.x.label, p.y.label) for p in plots["Projections: jittered"].panels]
+    assert named == [("x₀", "x₁"), ("x₀", "x₂"), ("x₁", "x₂")]
+    assert [p.title for p in plots["Points"].panels] == ["pmj02"]
+    assert len(plots["Convergence in 3-D"].panels) == 9
+    for _, plot in bench_plots(bench):
+        assert plot.words
+        backend_matplotlib.draw(plot)
+
+
+def test_files(bench, tmp_path):
+    for extension in ("html", "pdf", "csv", "tex", "pgf"):
+        write_bench(bench, str(tmp_path / f"r.{extension}"))
+    pdf = (tmp_path / "r.pdf").read_bytes()
+    assert b"/Subtype /Type3" not in pdf
+    assert b"/Subtype /CIDFontType2" in pdf  # TrueType within Type 42's Type 0
+    assert len(re.findall(rb"/Type /Page\b", pdf)) == 1 + len(list(bench_plots(bench)))
+    page = (tmp_path / "r.html").read_text()
+    for words in (
+        "Sampler bench",
+        "Spectra and pairs",
+        "jittered",
+        "points/s",
+        "Projections",
+    ):
+        assert words in page
+    lines = [s for s in (tmp_path / "r.csv").read_text().splitlines() if s[0] != "#"]
+    rows = list(csv.DictReader(lines))
+    data = bench
+    assert len(rows) == data["variance"].size
+    one = next(r for r in rows if r["sampler"] == "jittered" and r["n"] == "256")
+    assert float(one["variance"]) == float(data["variance"].isel(sampler=0, integrand=0, n=2))
+    assert one["rank_low"]
+    assert one["rate_high"]
+    assert (tmp_path / "r.tex").read_text().count(r"\\") == 1 + bench.sizes["integrand"]
+    assert r"\begin{pgfpicture}" in (tmp_path / "r.pgf").read_text()
+
+
+def test_the_verb(capsys, tmp_path):
+    arguments = ["bench", "jittered", "random", "-n", "16,64", "-m", "20", "--quiet"]
+    assert main([*arguments, "-o", str(tmp_path / "r.csv")]) == 0
+    assert "jittered" in (tmp_path / "r.csv").read_text()
+    assert main([*arguments[:-1]]) == 0
+    out = capsys.readouterr().out
+    assert "disk (jump), 2-D" in out
+    assert main([*arguments, "-o", "r.docx"]) == 2
+    said = capsys.readouterr().err
+    assert "it must end in .html, .pdf, .csv, .tex or .pgf" in said
+    assert main(["bench", "command('./none {n}')"]) == 2
+    assert "--allow-code './none {n}'" in capsys.readouterr().err

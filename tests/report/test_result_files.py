@@ -1,0 +1,88 @@
+"""Results as files: tables that programs and LaTeX read, pictures in every format."""
+
+import io
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core.errors import FileFormatError, ParameterError
+from mcspectra.report.result_files import latex_table, result_table, write_result_file
+
+
+@pytest.fixture(scope="module")
+def curve():
+    named = mcs.Sampler.from_points(np.random.default_rng(1).random((8, 16, 2)))
+    assert named.dims == 2
+    return mcs.convergence(
+        mcs.Estimator("gaussian"), ["random", "jittered"], [16, 64], realizations=50
+    )
+
+
+def test_a_table_has_a_row_for_each_place(curve, tmp_path):
+    columns, rows = result_table(curve)
+    assert columns[:5] == ["sampler", "n", "variance", "variance_low", "variance_high"]
+    assert [row[:2] for row in rows] == [
+        ["random", 16], ["random", 64], ["jittered", 16], ["jittered", 64]
+    ]  # fmt: skip
+    np.testing.assert_array_equal([row[2] for row in rows], curve["variance"].values.ravel())
+    np.testing.assert_array_equal(
+        [row[4] for row in rows], curve["variance_ci"].values[..., 1].ravel()
+    )
+    # What has fewer dims is repeated
+    at = columns.index("rate")
+    np.testing.assert_array_equal([row[at] for row in rows], np.repeat(curve["rate"].values, 2))
+
+    file = tmp_path / "c.csv"
+    write_result_file(curve, str(file), "t")
+    text = file.read_text()
+    body = "".join(line for line in text.splitlines(keepends=True) if line[0] != "#")
+    read = np.genfromtxt(io.StringIO(body), delimiter=",", names=True, dtype=None, encoding="utf-8")
+    np.testing.assert_array_equal(read["variance"], curve["variance"].values.ravel())
+    assert "# seed: 0" in text
+
+
+def test_single_numbers_stand_above_the_table(curve, tmp_path):
+    one = curve.isel(sampler=0)
+    write_result_file(one, str(tmp_path / "c.csv"), "t")
+    assert f"# rate: {float(one['rate'])}" in (tmp_path / "c.csv").read_text()
+
+
+def test_latex_is_plain_text_of_latex():
+    text = latex_table(
+        ["a_b", "x"], [["50 % & {more}", 1.25e-7], ["points(path='p', name='mine')", None]]
+    )
+    assert r"a b & x \\" in text
+    assert r"50 \% \& \{more\} & 1.25$\times10^{-7}$ \\" in text
+    assert r"mine & -- \\" in text
+    with pytest.raises(ParameterError, match="more than 500"):
+        latex_table(["a"], [[1.0]] * 501)
+
+
+@pytest.mark.parametrize("extension", ["png", "svg", "pdf", "pgf"])
+def test_pictures_in_every_format(curve, tmp_path, extension):
+    file = tmp_path / f"c.{extension}"
+    write_result_file(curve, str(file), "t")
+    head = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF", "pgf": b"% for LuaLaTeX"}[extension]
+    data = file.read_bytes()
+    assert data.startswith(head)
+    if extension == "pdf":
+        assert b"/Type /Font" in data
+        assert (
+            b"/Subtype /Type3" not in data
+        )  # Type 42 is TrueType, which editors and printers keep
+    again = tmp_path / f"d.{extension}"
+    write_result_file(curve, str(again), "t")
+    assert again.read_bytes() == data
+
+
+def test_maps_are_no_pgf(tmp_path):
+    result = mcs.power_spectrum("jittered", 16, half_width=4, realizations=4)
+    with pytest.raises(ParameterError, match="give a .pdf"):
+        write_result_file(result, str(tmp_path / "s.pgf"), "t")
+
+
+def test_a_place_that_is_none(curve, tmp_path):
+    for extension in ("csv", "tex", "npz", "pgf", "pdf"):
+        with pytest.raises(FileFormatError, match="cannot be written"):
+            write_result_file(curve, str(tmp_path / f"no/such.{extension}"), "t")
