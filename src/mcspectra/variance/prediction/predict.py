@@ -312,10 +312,13 @@ def predict(
     route evaluates f at their points, *extrapolated from measurements*: 2,000 realisations each of small
     counts other than n.
 
-    Limits are looked for at 4 times the last count, of strata up to n = 2^16, where that needs no drawn
-    sets (1 to 3 dims): jumps that count at larger n alone are not seen. The slope of the last octaves
-    stands for the exponent of theory that is near it, −1 − k/d, −2 or −3, and for itself where there is
-    none and it does not change.
+    Limits are known in theory for random points, −1, and at jumps of g in up to 5 dims: −1 − 1/d for strata
+    of the cube and for jumps along curves, −2 for other sets at jumps across an axis that are not at
+    borders of their cells at all counts. They stand where the last slopes are no slower. Else slopes over
+    the last octaves must agree, up to 4 times the last count, of strata up to n = 2^16, where that needs no
+    drawn sets (1 to 3 dims); they stand for the exponent of theory that is near them, −1 − k/d, −2 or −3,
+    and for themselves where there is none and they do not change. Where they do not agree ``limit_rate``
+    is NaN and the attribute ``note`` has the last rates. Jumps of less than 1e-4 of g are not seen.
 
     Examples
     --------

@@ -154,6 +154,7 @@ def slowest_of_jumps(g: Integrand, sampler: Sampler, counts: Sequence[int]) -> S
     return max(found, key=lambda each: each.exponent, default=Slowest())
 
 
+@np.errstate(over="ignore", invalid="ignore")  # next to poles
 def _jumps(g: Integrand) -> tuple[list[tuple[int, float]], bool]:
     """Jumps of g across an axis, at its breaks and the border, as (axis, place), and whether it has others.
 
