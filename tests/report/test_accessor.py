@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
+from mcspectra.plots.text import number
 from mcspectra.report import accessor
 
 FAST = {"realizations": 20}
@@ -200,3 +201,15 @@ def test_importing_the_module_registers_the_accessor():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "()\n"
     assert accessor.Result(xr.Dataset()).kinds == ()
+
+
+def test_summaries_of_predictions_have_values_routes_and_rates():
+    found = mcs.predict("disk", ["random", "jittered | shift"], [64, 256])
+    random, jittered = found["predicted_variance"].isel(n=-1).values
+    text = found.mcspectra.summary()
+    assert f"random: variance {number(random)} at n = 256 (exact), rate −1.00 now" in text
+    assert f"jittered | shift: variance {number(jittered)} at n = 256" in text
+    assert "and −1.50 at large n." in text
+    alone = mcs.predict("gaussian", "jittered", [16]).mcspectra.summary()
+    assert alone.startswith("jittered: variance ")
+    assert "over n" not in alone

@@ -1,6 +1,7 @@
 """The page: structure, escaping, self-containment, odd results, and the same bytes twice."""
 
 import math
+import re
 import socket
 from collections import Counter
 from collections.abc import Callable
@@ -197,6 +198,18 @@ def test_predictions_stand_in_the_measured_curves(make: Make, tmp_path: Path) ->
     text = " ".join(page.text.split())
     for n, value in zip(same["n"].values, same["predicted_variance"].values, strict=True):
         assert f"random {n} {number(float(value))}" in text
+
+
+def test_a_plan_and_a_prediction_have_files_of_their_own(make: Make, tmp_path: Path) -> None:
+    f = mcs.integrand("gaussian(width=0.3)")
+    found = {
+        "plan": mcs.plan(f, "random", target_error=0.1),
+        "predict": mcs.predict(f, "random", [4, 16]),
+    }
+    file = write_report(make["study"](tmp_path, {("e", "random"): found}))
+    cited = set(re.findall(r"figures/[^\s\"<]*prediction[^\s\"<]*\.pdf", file.read_text("utf-8")))
+    assert len(cited) == 2
+    assert all((file.parent / each).exists() for each in cited)
 
 
 def test_only_spectra(make: Make, tmp_path: Path) -> None:

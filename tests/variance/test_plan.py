@@ -7,6 +7,7 @@ import pytest
 
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
+from mcspectra.plots.kinds import describe
 
 
 def test_random_points_need_the_variance_over_the_squared_error():
@@ -76,6 +77,37 @@ def test_what_vanishes_reaches_every_error():
     found = mcs.plan(wave, "regular | shift", target_error=0.1)
     assert (float(found["planned_n"]), float(found["planned_error"])) == (2, 0)
     assert "note" not in found.attrs
+
+
+@pytest.mark.parametrize(
+    ("f", "dims", "sampler", "target", "most"),
+    [
+        ("formula(expression='(x0<1/3)*1.')", 1, "regular | shift", 3e-3, 158),
+        ("disk(center=0.47)", 2, "jittered", 2e-3, 1681),
+    ],
+)
+def test_no_count_nearby_is_less(f, dims, sampler, target, most):
+    """Curves go up and down; digits in base 2 alone are kept to powers of two."""
+    f = mcs.integrand(f, dims=dims)
+    assert float(mcs.predict(f, sampler, [most])["predicted_variance"][0]) <= target**2
+    found = mcs.plan(f, sampler, target_error=target)
+    assert float(found["planned_n"]) <= most
+    assert float(found["planned_error"]) <= target
+
+
+def test_plans_have_intervals():
+    """As wide as those of the predictions; of exact ones there is nothing to say."""
+    f = mcs.integrand("christensen-disk", dims=2)
+    found = mcs.plan(f, ["sobol | owen", "random"], target_error=1e-2)
+    low, high = found["planned_n_ci"].values.T
+    assert (low <= found["planned_n"]).all()
+    assert (found["planned_n"] <= high).all()
+    half = mcs.Integrand.from_function(lambda x: 1.0 * (x.sum(axis=-1) > 3.2), dims=6)
+    wide = mcs.plan(half, "rank1-lattice | shift", target_error=0.05)
+    low, high = wide["planned_n_ci"].values
+    assert high > 1.25 * low
+    assert f"({low:,.0f} to {high:,.0f}) with rank1" in wide.attrs["recommendation"]
+    assert f"({low:,.0f} … {high:,.0f})" in str(describe("prediction", wide).panels[0].marks)
 
 
 @pytest.mark.parametrize("target", [0.0, -1.0, math.nan, math.inf, "small", None])

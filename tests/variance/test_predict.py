@@ -278,11 +278,56 @@ def test_a_peak_bends_where_strata_resolve_it():
     assert (5 * 0.02) ** -2 < bend < 0.02**-2
 
 
-def test_limits_are_not_known_while_a_curve_still_bends():
-    f = mcs.integrand("formula(expression='exp(x0)+0.05*(x0>0.3)')", dims=1)
-    limit, bend = _limit(f, "sobol | owen", 1, (16, 64, 256))
-    assert math.isnan(limit)
-    assert math.isnan(bend)
+@pytest.mark.parametrize("sampler", ["rank1-lattice | shift", "korobov | shift"])
+def test_limits_are_not_known_where_slopes_do_not_agree(sampler):
+    """Lattices see half planes at −2.8, −2.0, −0.6 in turn, but never at the −3 of smooth functions."""
+    f = mcs.integrand("formula(expression='(x0+x1>1)*1.')", dims=2)
+    found = mcs.predict(f, sampler, [64, 1024])
+    assert math.isnan(float(found["limit_rate"]))
+    assert "limit_rate is not known: the last local rates are" in found.attrs["note"]
+
+
+def _board(x):
+    return (np.floor(7 * x[..., 0]) + np.floor(5 * x[..., 1])) % 2.0
+
+
+def _small_step(x, at=0.3):
+    return (x[..., 0] < at) * 0.05 + np.exp(-x.sum(axis=-1))
+
+
+def _cut_peak(x):
+    r2 = (x[..., 0] - 0.3) ** 2 + (x[..., 1] - 0.2) ** 2
+    return np.exp(-8 * r2) * (x[..., 0] < 0.6) + 0.2 * x[..., 1]
+
+
+def _small_disk(x):
+    return 0.02 * (((x - 0.45) ** 2).sum(axis=-1) < 0.1) + np.exp(-x.sum(axis=-1))
+
+
+@pytest.mark.parametrize(
+    ("f", "density", "sampler", "counts", "limit"),
+    [
+        (_board, None, "rank1-lattice | shift", [64, 1024], -2.0),
+        (_board, None, "sobol | digital-shift", [64, 256, 1024], -2.0),
+        (_small_step, None, "jittered", [16, 64, 256], -1.5),
+        (_small_step, None, "sobol | owen", [16, 64, 256], -2.0),
+        (lambda x: _small_step(x, 0.5), None, "jittered", [16, 64, 256], -2.0),  # at strata borders
+        (_cut_peak, "linear(slope=-1)", "jittered", [16, 256], -1.5),
+        (_small_disk, None, "jittered", [16, 64, 256], -1.5),
+    ],
+)
+def test_jumps_decide_on_limits(f, density, sampler, counts, limit):
+    """One of n strata is cut across an axis: −2; of strata of the cube n^(1 − 1/d): −1 − 1/d."""
+    f = mcs.Integrand.from_function(f, dims=2)
+    estimator = mcs.Estimator(f, density) if density else f
+    found = mcs.predict(estimator, sampler, counts)
+    assert float(found["limit_rate"]) == pytest.approx(limit, abs=1e-9)
+
+
+@pytest.mark.parametrize("dims", [5, 7])
+def test_random_points_have_their_rate_in_all_dims(dims):
+    f = mcs.Integrand.from_function(lambda x: np.exp(-x.sum(axis=-1)), dims=dims)
+    assert float(mcs.predict(f, "random", [64, 256])["limit_rate"]) == -1.0
 
 
 def test_rates_are_those_that_convergence_fits():

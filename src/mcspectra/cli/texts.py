@@ -373,6 +373,8 @@ def profiled(result: xr.Dataset) -> Answer:
 @_view("plan")
 def planned(result: xr.Dataset) -> Answer:
     """Prints the least n for the error, and the predicted errors at other n."""
+    if np.isnan(result["planned_n"]).all() and np.isnan(result["predicted_variance"]).all():
+        raise NoClosedForm(f"{_note(result)[:1].upper()}{_note(result)[1:]}.")
     variances = [one["predicted_variance"] for _, one in _by_sampler(result)]
     columns = [np.sqrt(v.values.reshape(result.sizes["n"], -1).max(axis=1)) for v in variances]
     rows = [

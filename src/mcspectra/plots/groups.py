@@ -216,9 +216,11 @@ def labelled(stored: xr.Dataset) -> xr.Dataset:
         for key, value in stored.attrs.items()
         if str(key).startswith("labels_")
     }
-    # Labels of a dim bear its name; further ones, such as verdicts, run along the same dim
-    own = {values.shape: name for name, values in texts.items() if name in stored.dims}
-    own |= {(size,): str(dim) for dim, size in stored.sizes.items() if (size,) not in own}
+    # Labels of a dim bear its name; further ones, such as verdicts, run along the same dim, of two
+    # counts too, not along the ends of intervals
+    dims = sorted(map(str, stored.dims), key=lambda dim: dim != "bound")
+    own = {texts[dim].shape: dim for dim in dims if dim in texts and dim != "bound"}
+    own |= {(stored.sizes[dim],): dim for dim in dims if (stored.sizes[dim],) not in own}
     return stored.assign_coords(
         {
             name: (name if name in stored.dims else own[values.shape], values)

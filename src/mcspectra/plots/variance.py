@@ -70,6 +70,7 @@ _TERMS = {
     "measured_variance": "measured",
 }
 _LEAST_SHOWN = 1e-3  # of a variance, as the lower end of its interval
+_WIDE = 1.25  # ratio of the ends of an interval of n that is shown
 _LINEAR_TOP = 4.0  # captured shares up to here are shown on a linear axis
 _VERDICTS = {"better": "#009E73", "worse": ACCENT, "given": INK}
 _CURVE = ("variance", "variance_ci", "rate", "rate_ci")
@@ -218,6 +219,8 @@ def _known_curves(group: Group, styles: Styles, kind: str, what: str, caption: s
                 marks.append(Rule(at=bend, axis="x", color=styles[name].color, dashes="--"))
         if "planned_n" in each and np.isfinite(each["planned_n"]):
             notes[name] = f": n = {int(each['planned_n']):,}"
+            low, high = each["planned_n_ci"].values if "planned_n_ci" in each else (1.0, 1.0)
+            notes[name] += f" ({low:,.0f} … {high:,.0f})" if high > _WIDE * low else ""
     for name, line in zip(curves, lines_of(curves, styles, ("n", what), notes=notes), strict=True):
         marker = styles[name].marker
         dots = Dots(x=line.x, y=line.y, color=line.color, marker=marker, label=line.label)

@@ -6,6 +6,7 @@ for datasets that were read in another way.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any, final
 
@@ -14,9 +15,9 @@ from mcspectra.core.display import register_accessor
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.results import VARIABLES
 from mcspectra.plots.backend_matplotlib import GivenAxes, draw, panel_axes
-from mcspectra.plots.groups import pairs, variant_dims
+from mcspectra.plots.groups import labelled, pairs, variant_dims
 from mcspectra.plots.kinds import KINDS, describe, kinds_of
-from mcspectra.plots.text import interval, number
+from mcspectra.plots.text import interval, number, rate
 from mcspectra.report.sentences import explain
 from mcspectra.studies import SummaryRow, summarize
 
@@ -100,13 +101,15 @@ class Result:
         return {kind: draw(describe(kind, self._data)) for kind in self.kinds}
 
     def summary(self) -> str:
-        """What the result says in sentences: rates, terms, or its numbers with their intervals."""
+        """What the result says in sentences: rates, terms, predictions, or its numbers with intervals."""
         attributes = (self._data.attrs.get(key, "") for key in _SENTENCES)
         said: Iterable[str] = ()
         if "map-variance" in self.kinds:
             from mcspectra.report.map_page import map_sentences
 
             said = map_sentences(self._data)
+        elif {"predicted_variance", "limit_rate"} <= set(self._data.data_vars):
+            said = _predictions(self._data)
         parts = [*_sentences(self._data), *said, *attributes]
         return " ".join(part for part in parts if part) or "; ".join(_numbers(self._data)) + "."
 
@@ -134,6 +137,29 @@ def _sentences(data: xr.Dataset) -> Iterator[str]:
             channel = each.isel(channel=k) if "channel" in each.dims else each
             said = explain(row, channel if analysis == "terms" else None)
             yield f"{row.estimator}, {row.sampler}: {said}" if several else said
+
+
+def _predictions(data: xr.Dataset) -> Iterator[str]:
+    """The last predicted variance of every sampler and channel, its route and its rates."""
+    for _, points, _, each in pairs(labelled(data)):
+        for channel in range(each.sizes.get("channel", 1)):
+            one = (each.isel(channel=channel) if "channel" in each.dims else each).isel(n=-1)
+            value, now, limit = (
+                float(one[v]) for v in ("predicted_variance", "local_rate", "limit_rate")
+            )
+            if math.isnan(value):
+                continue
+            name = f"{points} [{channel}]" if "channel" in each.dims else points
+            rates = [
+                f"{rate(slope, None, None)} {where}"
+                for slope, where in ((now, "now"), (limit, "at large n"))
+                if math.isfinite(slope)
+            ]
+            yield (
+                f"{name}: variance {number(value)} at n = {int(one['n']):,} ({one['route'].item()})"
+                + (f", rate {' and '.join(rates)}" if rates else "")
+                + "."
+            )
 
 
 def _numbers(data: xr.Dataset) -> Iterator[str]:

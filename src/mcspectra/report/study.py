@@ -417,6 +417,7 @@ def _estimator(
 
     # Figures; those of samples that an estimator before has as well are linked
     shown: list[Figure] = []
+    names: set[str] = set()  # of files: two analyses can have one kind of figure
     details: dict[str, list[Figure]] = {summary: [] for summary in _DETAILS}
     linked: dict[str, tuple[str, str]] = {}
     for analysis, found in _with_predictions(each.analyses).items():
@@ -425,8 +426,10 @@ def _estimator(
             linked[analysis] = same
             continue
         for figure in _figures(analysis, found, anchor, styles):
-            folds = (s for s, names in _DETAILS.items() if figure.plot.kind in names)
-            details.get(next(folds, ""), shown).append(figure)
+            folds = (s for s, kinds_in in _DETAILS.items() if figure.plot.kind in kinds_in)
+            own = f"{figure.name}-{analysis}" if figure.name in names else figure.name
+            names.add(own)
+            details.get(next(folds, ""), shown).append(replace(figure, name=own))
     if not shown:
         shown = [figure for figures in details.values() for figure in figures]
         details = {}

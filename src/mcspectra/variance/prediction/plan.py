@@ -16,6 +16,7 @@ from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator
 from mcspectra.samplers import Sampler
+from mcspectra.samplers.base import Structure
 from mcspectra.spectra.bases import parts_of
 from mcspectra.variance.doors import VANISHES, answer
 from mcspectra.variance.prediction.predict import Cells, Prediction, Predictor
@@ -31,7 +32,9 @@ _CURVE = tuple(2**k for k in range(17))
 _MARGIN = 4.0  # by which the curve goes below the wanted variance
 
 _MOST = 2**62  # points, that a plan still names
-_STEPS = 4  # of the search between two counts
+_SCAN = 2.0 ** (np.arange(-2, 3) / 16)  # about where a line between two counts reaches the target
+_STEPS = 4  # of the search between the last two of them
+_WIDE = 1.25  # ratio of the ends of an interval of n that is said
 _TINY = 1e-300  # in place of a variance of 0, for logarithms
 
 
@@ -42,7 +45,10 @@ class Plan(Counted, frozen=True, kw_only=True):
     function = "plan"
     verb = "plan"
     several = ("sampler",)
-    variables = ("planned_n", "planned_error", "predicted_variance", "predicted_variance_ci")
+    variables = (
+        *("planned_n", "planned_n_ci", "planned_error"),
+        *("predicted_variance", "predicted_variance_ci"),
+    )
 
     target_error: Annotated[
         float,
@@ -74,7 +80,7 @@ class Plan(Counted, frozen=True, kw_only=True):
             scale = np.atleast_1d(np.abs(np.asarray(estimator.integral, float)))
         target = np.asarray(self.target_error * scale) ** 2
         predictor = Predictor(estimator, stream)
-        planned, errors, routes, notes = [], [], [], []
+        planned, ranges, errors, routes, notes = [], [], [], [], []
         curves = np.full((len(samplers), len(_CURVE), max(1, estimator.channels)), np.nan)
         bounds = np.full((*curves.shape, 2), np.nan)
         for place, sampler in enumerate(samplers):
@@ -93,6 +99,7 @@ class Plan(Counted, frozen=True, kw_only=True):
                     break
             n, variance, how = self._least(predictor, sampler, counts, found, target)
             planned.append(n)
+            ranges.append(_range(sampler, n, counts, found, target))
             errors.append(np.sqrt(variance))
             routes.append(how)
             said = dict.fromkeys(str(each.notes[0]) for each in found)
@@ -100,8 +107,10 @@ class Plan(Counted, frozen=True, kw_only=True):
 
         # In words: the sampler that takes the fewest points, and the others beside it
         evaluations = sum(estimator.counts)
-        reached = [(n, s.spec) for n, s in zip(planned, samplers, strict=True) if np.isfinite(n)]
-        sizes = [f"{n:,.0f} with {name}" for n, name in sorted(reached)]
+        reached = sorted(zip(planned, (s.spec for s in samplers), ranges, strict=True))
+        sizes = [
+            f"{n:,.0f}{_within(ends)} with {name}" for n, name, ends in reached if np.isfinite(n)
+        ]
         none = "; ".join(dict.fromkeys(notes)) or "no sampler is predicted to reach the error"
         told = f"n = {' or '.join(sizes)}" if sizes else none
         if evaluations > 1 and sizes:
@@ -111,6 +120,7 @@ class Plan(Counted, frozen=True, kw_only=True):
         return dataset(
             {
                 "planned_n": (("sampler",), np.array(planned, float)),
+                "planned_n_ci": (("sampler", "bound"), np.array(ranges, float)),
                 "planned_error": (("sampler", "channel"), np.array(errors)),
                 "predicted_variance": (("sampler", "n", "channel"), curves),
                 "predicted_variance_ci": (("sampler", "n", "channel", "bound"), bounds),
@@ -162,20 +172,28 @@ class Plan(Counted, frozen=True, kw_only=True):
         if not before:
             return float(best[0]), best[1], best[2]
 
-        # Between the last count that misses the target and the first that reaches it: along the line
-        # through both; sequences in base 2 are balanced at powers of two alone
-        base, _ = parts_of(sampler)
-        balanced = base.fixed and set(sampler.digit_bases) == {2}
+        # Between the last count that misses the target and the first that reaches it: about where a
+        # line through both does, for curves go up and down; nets in base 2 are balanced at powers of two
+        if _doubles(sampler):
+            return float(best[0]), best[1], best[2]
         low, high = ((counts[k], np.maximum(variances[k], _TINY)) for k in (before[-1], first))
-        for _ in range(0 if balanced else _STEPS):
+
+        def crossing() -> float:
             slope = np.log(high[1] / low[1]) / math.log(high[0] / low[0])
             line = np.log(target / low[1]) / np.where(slope < 0.0, slope, -math.inf)
-            between = sampler.nearest_count(math.ceil(low[0] * math.exp(float(line.max()))))
+            return low[0] * math.exp(float(line.max()))
+
+        tried = list(crossing() * _SCAN)
+        for step in range(len(tried) + _STEPS):
+            wanted = tried[step] if step < len(tried) else crossing()
+            between = sampler.nearest_count(math.ceil(wanted))
             if not low[0] < between < high[0] or not _can(predictor.estimator, sampler, between):
-                break
+                continue
             each = _cells(predictor, sampler, between)
             if not np.isfinite(each.variance[0]).all():
                 break
+            counts.append(between)
+            found.append(each)
             if (each.variance[0] <= target).all():
                 high = between, np.maximum(each.variance[0], _TINY)
                 best = between, each.variance[0], str(each.routes[0])
@@ -209,6 +227,49 @@ class Plan(Counted, frozen=True, kw_only=True):
             more = sampler.nearest_count(2 * n)
             n, variance = more, ends[0] * (more / counts[last]) ** rate
         return float(n), variance, f"extrapolated from n = {counts[last]}"
+
+
+def _range(
+    sampler: Sampler, n: float, counts: list[int], found: list[Cells], target: Array
+) -> tuple[float, float]:
+    """Least counts from which on either end of the intervals reaches the target; beyond them along slopes.
+
+    Infinite where slopes never do.
+    """
+    order = [k for k in np.argsort(counts) if np.isfinite(found[k].variance[0]).all()]
+    if not np.isfinite(n) or not order:
+        return math.nan, math.nan
+    x = np.log([counts[k] for k in order])
+    over = np.log(np.maximum([found[k].variance[0] for k in order], _TINY) / target).max(axis=1)
+    slopes = np.diff(over[-4:]) / np.diff(x[-4:])
+    ends = []
+    for side, slope in ((0, slopes.min(initial=0.0)), (1, slopes.max(initial=-math.inf))):
+        limits = np.nan_to_num([found[k].ends()[side][0] for k in order])
+        off = np.log(np.maximum(limits, _TINY) / target).max(axis=1)
+        missed = np.flatnonzero(off > 0.0)
+        if not len(missed):
+            ends.append(x[0])
+        elif (k := missed[-1] + 1) == len(x):
+            ends.append(x[-1] + (off[-1] / -slope if slope < 0.0 else math.inf))
+        else:
+            ends.append(np.interp(0.0, -off[k - 1 : k + 1], x[k - 1 : k + 1]))
+    with np.errstate(over="ignore"):
+        low, high = np.exp(ends)
+        if _doubles(sampler):
+            low, high = np.exp2(np.ceil(np.log2([low, high]) - 1e-6))
+    return min(math.ceil(low - 1e-6), n), max(float(np.ceil(high - 1e-6)), n)
+
+
+def _doubles(sampler: Sampler) -> bool:
+    """Whether it is a net in base 2, balanced at powers of two alone."""
+    base, _ = parts_of(sampler)
+    digital = base.structure is Structure.DIGITS and base.fixed
+    return digital and set(sampler.digit_bases) == {2}
+
+
+def _within(ends: tuple[float, float]) -> str:
+    """An interval of n in words, where it is wide."""
+    return f" ({ends[0]:,.0f} to {ends[1]:,.0f})" if ends[1] > _WIDE * ends[0] else ""
 
 
 def _cells(predictor: Predictor, sampler: Sampler, n: int) -> Cells:
@@ -255,8 +316,11 @@ def plan(
     Returns
     -------
     xarray.Dataset
-        ``planned_n``, the least count with a predicted RMSE of at most the target, found to 1 % or to the
-        counts that the sampler can do, NaN where none is known; ``planned_error``, the RMSE there; the
+        ``planned_n``, the least count that was tried with a predicted RMSE of at most the target: powers
+        of two, and counts 4 % apart about the place where the line between two of them reaches it, for nets
+        in base 2 (sobol, pmj02 and the like, which other counts leave unbalanced) powers of two alone; NaN
+        where none is known. ``planned_n_ci(bound)``, this count if the variances were at the ends of their
+        95 % intervals, or fell as fast and as slowly as they did last; ``planned_error``, the RMSE there; the
         curve ``predicted_variance(n)`` with ``predicted_variance_ci(n, bound)`` at powers of two that the
         sampler can do, to a quarter of the wanted variance or 2^16. Beyond them n follows from the last slope, and ``route`` says so. A
         list adds the dim sampler. The attribute ``recommendation`` says it in words.

@@ -43,10 +43,11 @@ from mcspectra.variance.doors import NO_VARIANCE, VANISHES, answer, counted
 from mcspectra.variance.exact import of_integrand
 from mcspectra.variance.prediction.known import Known, Predicted
 from mcspectra.variance.prediction.levels import of_levels
-from mcspectra.variance.prediction.rates import rates_of
+from mcspectra.variance.prediction.rates import Slowest, rates_of, slowest_of_jumps
 from mcspectra.variance.prediction.subsets import of_subsets
 from mcspectra.variance.prediction.table import of_table
 from mcspectra.variance.prediction.torus import of_torus
+from mcspectra.variance.quadrature import looked_at
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -62,6 +63,7 @@ _MEMORY = 2**29  # bytes: coefficients and transforms of all regions
 _AHEAD = 4  # times as many
 _STRATA_AHEAD = 2**14  # at least, of strata, which are cheap
 _MOST_AHEAD = 2**16
+_LOOSE = 0.25  # half intervals, relative to the variance, that say nothing of rates
 _OFFSET = (
     0.5 - 0.5 / 3**0.5
 )  # where c(1 − c), the part of jumps at faces, has its mean over all shifts
@@ -157,7 +159,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
             return predictor.at(sampler, n, ROUTES if n <= self.counts[-1] else (of_limits,))
 
         def result(found: Cells) -> xr.Dataset:
-            return self._result(subject, samplers, found)
+            return self._result(predictor, subject, samplers, found)
 
         return Reduction(
             kind=Cells,
@@ -167,22 +169,27 @@ class Prediction(Counted, frozen=True, kw_only=True):
             result=result,
         )
 
-    def _result(self, subject: Subject, samplers: list[Sampler], found: Cells) -> xr.Dataset:
+    def _result(
+        self, predictor: Predictor, subject: Subject, samplers: list[Sampler], found: Cells
+    ) -> xr.Dataset:
         estimator = subject.estimator
         shape = (len(samplers), -1, found.variance.shape[1])
         n = np.array([_places(s, self.counts) for s in samplers], float)
 
         # Rates from the count before, of the first one to the next; not of intervals that reach 0
         known = np.where(found.ends()[0] > 0.0, found.variance, np.nan).reshape(shape)
+        loose = (found.error > _LOOSE * found.variance).reshape(shape)
+        known[:, 1 + len(self.counts) :][loose[:, 1 + len(self.counts) :]] = np.nan
         with np.errstate(divide="ignore", invalid="ignore"):
             slope = np.diff(np.log(known), axis=1) / np.diff(np.log(n), axis=1)[..., None]
         slope[:, 0] = np.where(n[:, :1] > 0.0, slope[:, 0], slope[:, 1])
         asked = slice(1, 1 + len(self.counts))
+        slowest = [predictor.slowest(each, self.counts) for each in samplers]
         rates = [
-            rates_of(n[s], known[s, :, c], asked.stop, estimator.dims)
+            rates_of(n[s], known[s, :, c], asked.stop, estimator.dims, slowest[s])
             for s, c in np.ndindex(shape[0], shape[2])
         ]
-        rate, limit, bend = np.array(rates).reshape(shape[0], shape[2], 3).transpose(2, 0, 1)
+        rate, limit, bend = np.reshape([r[:3] for r in rates], (shape[0], -1, 3)).transpose(2, 0, 1)
 
         # Leave out the counts that were not asked for
         variance, share, tail, low, high = (
@@ -193,10 +200,11 @@ class Prediction(Counted, frozen=True, kw_only=True):
             texts.reshape(shape[:2])[:, asked] for texts in (found.routes, found.notes)
         )
         alone = subject.sampler is samplers[0]
+        whys = [[r[3] for r in rates[k : k + shape[2]]] for k in range(0, len(rates), shape[2])]
         said = [
             note if alone else f"{s.spec}: {note}"
-            for s, each in zip(samplers, notes, strict=True)
-            for note in dict.fromkeys(filter(None, map(str, each)))
+            for s, each, why in zip(samplers, notes, whys, strict=True)
+            for note in dict.fromkeys(filter(None, [*map(str, each), *why]))
         ]
         each = ("sampler", "n", "channel")
         values = {
@@ -304,10 +312,13 @@ def predict(
     route evaluates f at their points, *extrapolated from measurements*: 2,000 realisations each of small
     counts other than n.
 
-    Limits are looked for at 4 times the last count, of strata up to n = 2^16, where that needs no drawn
-    sets (1 to 3 dims): jumps that count at larger n alone are not seen. The slope of the last octaves
-    stands for the exponent of theory that is near it, −1 − k/d, −2 or −3, and for itself where there is
-    none and it does not change.
+    Limits are known in theory for random points, −1, and at jumps of g in up to 5 dims: −1 − 1/d for strata
+    of the cube and for jumps along curves, −2 for other sets at jumps across an axis that are not at
+    borders of their cells at all counts. They stand where the last slopes are no slower. Else slopes over
+    the last octaves must agree, up to 4 times the last count, of strata up to n = 2^16, where that needs no
+    drawn sets (1 to 3 dims); they stand for the exponent of theory that is near them, −1 − k/d, −2 or −3,
+    and for themselves where there is none and they do not change. Where they do not agree ``limit_rate``
+    is NaN and the attribute ``note`` has the last rates. Jumps of less than 1e-4 of g are not seen.
 
     Examples
     --------
@@ -368,6 +379,22 @@ class Predictor:
             np.reshape(v, (1, -1)) for v in (variance, error, share, tail)
         )
         return Cells(variance, error, share, tail, np.array([route]), np.array([note]))
+
+    def slowest(self, sampler: Sampler, counts: Sequence[int]) -> Slowest:
+        """What theory knows of the rate at large n: of several techniques the slowest."""
+        source, found = self.estimator.randomized(sampler), []
+        for count, known in zip(self.estimator.counts, self._known, strict=True):
+            chain = source.as_chain(counts[-1] * count)
+            base, steps = parts_of(chain)
+            g = known.g
+            if steps and isinstance(steps[-1], Mirror):
+                chain = Randomized(base=base, steps=steps[:-1]) if steps[:-1] else base
+                g = looked_at(
+                    (FoldedIntegrand if steps[-1].mode == "fold" else SymmetrizedIntegrand)(g)
+                )
+            if not known.constant and np.isfinite(known.square[0]).all():
+                found.append(slowest_of_jumps(g, chain, [n * count for n in counts]))
+        return max(found, key=lambda each: each.exponent, default=Slowest())
 
     def _parts(
         self, source: Sampler, n: int, routes: tuple[Route, ...]

@@ -8,7 +8,9 @@ about the line; the interval is that of the scatter, with Student's t.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import final
 
 import numpy as np
@@ -18,7 +20,11 @@ from mcspectra.core.errors import ParameterError, PreasymptoticWarning, warn
 from mcspectra.core.fits import line_fit
 from mcspectra.core.tally import counting
 from mcspectra.integrands import Integrand
+from mcspectra.integrands._quadrature import PROBE, probe
 from mcspectra.integrands.registry import as_integrand
+from mcspectra.samplers import Sampler
+from mcspectra.samplers.base import Structure
+from mcspectra.spectra.bases import parts_of
 
 __all__ = ["DECAYS", "DecayFit", "fitted_decay", "integrand_decay", "predicted_rate"]
 
@@ -35,6 +41,14 @@ _LATE = 4  # octaves at the end of a curve, whose slope is its limit
 _AGREE = 0.2  # slopes within them
 _LEAVES = 0.05  # by which a slope that moves away from an exponent shows that this is no limit
 _STILL = 0.01  # change of slopes that have reached their limit: −1 − (1 − 2a)/d next to a pole t^-a
+# Jumps
+_LOOKED_DIMS = 5
+_LINES, _PLACES = 32, 512  # along each axis
+_LARGEST, _HALVED = 4, 30  # steps that are cut down, and how often
+_BESIDE = 1e-7  # distance from a break
+_JUMPS = 1e-4  # a step, relative to the root mean square of g, that is a jump
+_AT_BORDER = 1e-6  # of a stratum
+
 _CHANGE = 0.3  # of slopes, that is a bend
 _MOST_CHANGE = 4.0
 _BENDS = 101  # places and changes that are tried
@@ -87,7 +101,102 @@ def predicted_rate(b: float, decay: float | str, dims: int) -> float:
     return -1.0 - best / d
 
 
-def rates_of(n: Array, variance: Array, asked: int, dims: int) -> tuple[float, float, float]:
+@final
+@dataclass(frozen=True)
+class Slowest:
+    """What theory knows of the rate at large n.
+
+    Attributes
+    ----------
+    exponent
+        The limit is at least this; −∞ where nothing is known.
+    sure
+        Whether it is the limit wherever the curve falls at least as fast: else the slopes must agree.
+    """
+
+    exponent: float = -math.inf
+    sure: bool = True
+
+
+def slowest_of_jumps(g: Integrand, sampler: Sampler, counts: Sequence[int]) -> Slowest:
+    """The rate that jumps of g leave to stratified sets, lattices and nets.
+
+    Of n^(1 − 1/d) strata that a jump cuts each is as large as the others: −1 − 1/d. Across an axis it cuts
+    one of n strata of sets whose projections are stratified: −2; none where it is at a border of
+    strata at all counts. On the torus g may jump at the border of the cube. Lattices see a straight
+    line as well as an axis, and disks at −1 − 1/d in the mean over n alone.
+    """
+    d, (base, steps) = g.dims, parts_of(sampler)
+    curves = -1.0 - 1.0 / d
+    if base.name == "random":
+        return Slowest(-1.0)
+    if base.structure is Structure.UNKNOWN or g.costly or d > _LOOKED_DIMS:
+        return Slowest()
+    shifted = any(step.stationary for step in steps)
+    across, along = _jumps(g)
+    cut = False
+    for axis, place in across:
+        for n in counts:
+            cells = n if base.structure is Structure.STRATA else 0
+            if base.name in ("jittered", "regular"):
+                cells = round(n ** (1.0 / d))
+            elif base.structure is Structure.DIGITS:
+                digit = base.digit_bases[axis]
+                cells = digit ** int(math.log(n) / math.log(digit) + 1e-9)
+            off = abs(place * cells - round(place * cells)) if cells else 1.0
+            cut |= shifted or (0.0 < place < 1.0 and off > _AT_BORDER)
+    found = []
+    if cut:
+        of_axis = {"jittered": curves, "regular": -2.0 / d}.get(base.name, -2.0)
+        found.append(Slowest(of_axis))
+    if along and base.name != "regular":
+        found.append(Slowest(curves, base.structure is not Structure.TORUS))
+    return max(found, key=lambda each: each.exponent, default=Slowest())
+
+
+@np.errstate(over="ignore", invalid="ignore")  # next to poles
+def _jumps(g: Integrand) -> tuple[list[tuple[int, float]], bool]:
+    """Jumps of g across an axis, at its breaks and the border, as (axis, place), and whether it has others.
+
+    Largest steps along lines are cut down; what stays is a jump, what grows a pole.
+    """
+    x = probe(g.dims)[:: PROBE // _LINES]
+    size = math.sqrt(float(np.nanmean(np.abs(g(x)) ** 2)))
+    across, along = [], False
+    for axis in range(g.dims):
+
+        def at(t: Array, axis: int = axis) -> Array:
+            """Values (lines, places, channels) at places (lines or 1, places)."""
+            points = np.repeat(x[:, None], t.shape[1], axis=1)
+            points[..., axis] = t
+            return np.asarray(g(points)).reshape(*points.shape[:2], -1)
+
+        places = [0.0, *g.breaks[axis]]
+        pairs = at(np.array([[b + e for b in places for e in (_BESIDE, -_BESIDE)]]) % 1.0)
+        steps = np.sqrt(np.mean(np.abs(pairs[:, ::2] - pairs[:, 1::2]) ** 2, axis=0)).max(axis=-1)
+        across += [(axis, b) for b, step in zip(places, steps, strict=True) if step > _JUMPS * size]
+
+        grid = np.tile((np.arange(_PLACES) + 0.5) / _PLACES, (len(x), 1))
+        first = np.abs(np.diff(at(grid), axis=1)).max(axis=-1)
+        chosen = np.argsort(first, axis=1)[:, -_LARGEST:]
+        low, high, first = (np.take_along_axis(a, chosen, 1) for a in (grid, grid[:, 1:], first))
+        for _ in range(_HALVED):
+            middle = 0.5 * (low + high)
+            values = [at(t) for t in (low, middle, high)]
+            below, above = (np.abs(b - a).max(axis=-1) for a, b in pairwise(values))
+            low, high = (
+                np.where(below >= above, low, middle),
+                np.where(below >= above, middle, high),
+            )
+        step = np.maximum(below, above)
+        far = np.abs(low[..., None] - np.array(places)).min(axis=-1) > _BESIDE
+        along |= bool((far & (step > _JUMPS * size) & (step <= 2.0 * first)).any())
+    return across, along
+
+
+def rates_of(
+    n: Array, variance: Array, asked: int, dims: int, slowest: Slowest
+) -> tuple[float, float, float, str]:
     """Exponents of a predicted curve, and where it bends; each NaN where it is not known.
 
     Parameters
@@ -98,30 +207,39 @@ def rates_of(n: Array, variance: Array, asked: int, dims: int) -> tuple[float, f
         Number of counts, from the first, that the rate is fitted to; the others show the limit alone.
     dims
         Number of dims d.
+    slowest
+        What theory knows.
 
     Returns
     -------
-    tuple of float
-        Rate: the slope of a line through the counts that were asked for. Limit: the slope over the
-        last four octaves, if it hardly changes within them; in up to 3 dims the exponent of theory that is near
-        it, −1 − k/d (k = 0: white power, 1: a jump, 2: strata, 3: a kink), −2 or −3, the last with
-        log n to the d − 1. Bend: n where the power of n of the limit meets that of smaller n, if they
-        differ by more than 0.3.
+    tuple
+        Rate: the slope of a line through the counts that were asked for. Limit: what theory is sure of,
+        if the slope over the last four octaves is no slower. Else, if this hardly changes within them:
+        in up to 3 dims the exponent of theory that is near it, −1 − k/d (k = 0: white power, 1: a jump,
+        2: strata, 3: a kink), −2 or −3, the last with log n to the d − 1. Bend: n where the power of n of
+        the limit meets that of smaller n, if they differ by more than 0.3. And why there is no limit.
     """
     there = np.isfinite(variance) & (variance > 0.0)
     x, y, fitted = np.log(n[there]), np.log(variance[there]), int(there[:asked].sum())
     rate = limit = bend = math.nan
     if fitted >= 2:
         rate = line_fit(x[:fitted], y[:fitted], np.ones(fitted)).slope
-    if len(x) < 3:
-        return rate, limit, bend
+    if fitted and slowest.exponent == -1.0 and slowest.sure:
+        return rate, -1.0, bend, ""
+    if len(x) < 2:
+        return rate, limit, bend, ""
 
     # The slope over the last octaves, and those between their counts
-    late = max(2, int((x >= x[-1] - _LATE * math.log(2.0) - 1e-9).sum()))
+    late = min(len(x), max(3, int((x >= x[-1] - _LATE * math.log(2.0) - 1e-9).sum())))
     end = line_fit(x[-late:], y[-late:], np.ones(late)).slope
     steps = np.diff(y) / np.diff(x)
-    if np.ptp(steps[1 - late :]) <= _AGREE:
-        log = (dims - 1) / x[-late:].mean()
+    near_enough, log = min(0.2, 0.4 / dims), (dims - 1) / x[-late:].mean()
+    corners = (
+        log if slowest.exponent == -2.0 and dims in (2, 3) else 0.0
+    )  # of jumps across several axes
+    if end <= slowest.exponent + near_enough + corners and slowest.sure:
+        limit = slowest.exponent
+    elif len(x) > 2 and np.ptp(steps[1 - late :]) <= _AGREE:
         exponents = [(-1.0 - k / dims, 0.0) for k in range(4)] + [
             (-2.0, 0.0),
             (-3.0, log),
@@ -131,10 +249,16 @@ def rates_of(n: Array, variance: Array, asked: int, dims: int) -> tuple[float, f
         away = np.abs(steps[-3:] - sum(near))
         leaves = len(away) == 3 and (np.diff(away) > 0.0).all() and away[-1] > _LEAVES
         leaves |= len(away) == 3 and bool(np.ptp(away) <= _STILL and away.min() > _LEAVES)
-        if dims <= 3 and abs(end - sum(near)) <= min(0.2, 0.4 / dims) and not leaves:
+        if dims <= 3 and abs(end - sum(near)) <= near_enough and not leaves:
             limit = near[0]
         elif len(steps) >= 3 and np.ptp(steps[-max(3, late) :]) <= _LEAVES:
             limit = end
+        if limit < slowest.exponent - 1e-9:
+            limit = math.nan
+    why = ""
+    if math.isnan(limit):
+        last = ", ".join(f"{step:.2f}".replace("-", "−") for step in steps[-3:])
+        why = f"limit_rate is not known: the last local rates are {last}"
 
     # Fit two powers of n, the second that of the limit: their sum where the curve flattens, the sum
     # of their inverses where it gets steeper
@@ -147,7 +271,7 @@ def rates_of(n: Array, variance: Array, asked: int, dims: int) -> tuple[float, f
         straight = line_fit(x, y, np.ones(len(x))).residuals.var()
         if 0 < k < _BENDS - 1 and left[k, l] < _BETTER * straight:
             bend = math.exp(at[k, 0, 0])
-    return rate, limit, bend
+    return rate, limit, bend, why
 
 
 @final
