@@ -150,7 +150,8 @@ def _growth(estimator: AbstractEstimator) -> Array:
     if estimator.is_black_box:
         return np.zeros(max(1, estimator.channels))
     techniques = range(len(estimator.counts))
-    return np.max([growth(estimator.primary_integrand(t)) for t in techniques], axis=0)
+    found = [growth(estimator.primary_integrand(t)) for t in techniques]
+    return np.asarray(np.max(found, axis=0))
 
 
 def _random_variance(estimator: AbstractEstimator, *, by_quadrature: bool) -> Array:
