@@ -512,7 +512,10 @@ def _extrapolated(
     for count in sorted({sampler.nearest_count(c) for c in (*_SMALL, *near)}):
         sets = max(_REALIZATIONS, _POINTS // count) if count in near else _REALIZATIONS
         try:
-            estimator.check_sampler(sampler, count)
+            if (
+                sum(estimator.counts) > 1
+            ):  # a single one has its nearest counts, without more warnings
+                estimator.check_sampler(sampler, count)
         except CountError:
             continue
         moments = known.once(
