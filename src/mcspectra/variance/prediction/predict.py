@@ -306,7 +306,8 @@ def predict(
     f is evaluated at nodes and on grids of our own. Of samplers of which nothing is known but their sets,
     these measure a table of f in 1 to 3 dims (`n sets on a table of g`); in more, or where f is dear, the last
     route evaluates f at their points, *extrapolated from measurements*: 2,000 realisations each of small
-    counts other than n.
+    counts, or of those next to n where f is not dear, never of n. So it is, too, where jumps and kinks
+    across many axes leave sums of products an interval wider than a fifth, if it gives the narrower one.
 
     Limits are looked for at 4 times the last count, of strata up to n = 2^16, where that needs no drawn
     sets (1 to 3 dims): jumps that count at larger n alone are not seen. The slope of the last octaves
