@@ -226,6 +226,27 @@ def test_heavy_tails_are_named_at_every_smaller_count(sampler):
         assert not np.isfinite(d["rate_ci"]).any()
 
 
+@pytest.mark.parametrize("sampler", ["random", "jittered", "sobol | owen"])
+@pytest.mark.parametrize("pole", ["x ** -0.45", "x ** -0.4", "abs(x - 0.3) ** -0.3"])
+def test_where_the_kurtosis_diverges_nothing_bounds_the_variance(sampler, pole):
+    """200 estimates of x^-0.45: 30 of 33 finite upper bounds excluded the variance."""
+    for seed in range(4):
+        d = mcs.convergence(
+            f"formula(expression='{pole}', dims=1)", sampler, [16, 64], realizations=200, rng=seed
+        )
+        assert np.isinf(d["variance_ci"][:, 1]).all()
+        assert "none of these variances has a finite upper bound" in d.attrs["note"]
+    assert "∫g⁴ diverges, g grows as t^-0." in d.attrs["note"]
+
+
+def test_a_pole_with_a_kurtosis_is_not_named():
+    d = mcs.convergence(
+        "formula(expression='x ** -0.2', dims=1)", "random", [64, 256], realizations=500
+    )
+    assert "note" not in d.attrs
+    assert np.isfinite(d["variance_ci"]).all()
+
+
 def test_a_share_is_that_of_normal_estimates_at_few_realisations():
     """Of 1000 samples of 12 normal values, one in a thousand has a larger square: 1 ± 3."""
     from mcspectra.variance.blindness import _large_share

@@ -17,13 +17,14 @@ from mcspectra.estimators.moments import rounding_floor
 from mcspectra.estimators.tails import unsampled_note
 from mcspectra.samplers import Random, Sampler
 from mcspectra.variance.doors import NO_VARIANCE, VANISHES
-from mcspectra.variance.quadrature import square_integral
+from mcspectra.variance.quadrature import growth, square_integral
 
 __all__ = ["blindness", "blindness_of", "is_fixed"]
 
 _LARGE_SHARE = 0.2  # of Σ (estimate − mean)², in one square: the tail is not resolved
 _RARELY = 1e-3  # normal estimates have a larger square this often; of few, one is always large
 _PEAKED = 9.0  # κ − 1 of estimates whose variance may be infinite: it is worth a quadrature
+_NO_KURTOSIS = 0.2495  # exponent of poles whose ∫g⁴ diverges, less what slopes are off by
 _FAR = 5.0  # standard errors from the integral that are no chance
 
 
@@ -76,6 +77,7 @@ def blindness(
         unsampled = unsampled_note(e, int(counts[-1]) * realizations)
         if unsampled is not None:
             notes[f"{e.spec}: {unsampled}"] = None
+        peaks = _growth(e)
         of_random = _random_variance(e, by_quadrature=bool((suspect & varies)[i].any()))
         for j, sampler in enumerate(samplers):
             source, at = e.randomized(sampler), (i, j)
@@ -100,6 +102,8 @@ def blindness(
                  varies[at] & known & low, excess),
                 ("the mean is {worst:+.3g} standard errors off the integral{at}: what is rare was not met",
                  far[at] & source.unbiased, pull[at]),
+                ("∫g⁴ diverges, g grows as t^-{worst:.2g}: no estimates bound the variance",
+                 everywhere & (peaks >= _NO_KURTOSIS), everywhere * peaks),
                 ("tails not resolved{at}: a single estimate makes {worst:.3g} % of the variance",
                  heavy[at] & varies[at], 100 * of["largest_share"]),
                 ("tails not resolved{at}: few estimates make the variance, tail index k̂ = {worst:.2f}",
@@ -141,6 +145,15 @@ def blindness_of(
     return blind[0, 0, 0], notes
 
 
+def _growth(estimator: AbstractEstimator) -> Array:
+    """Largest exponent of poles of any technique, (channels or 1,); black boxes are not called for it."""
+    if estimator.is_black_box:
+        return np.zeros(max(1, estimator.channels))
+    techniques = range(len(estimator.counts))
+    found = [growth(estimator.primary_integrand(t)) for t in techniques]
+    return np.asarray(np.max(found, axis=0))
+
+
 def _random_variance(estimator: AbstractEstimator, *, by_quadrature: bool) -> Array:
     """n times the variance of random points, Σ_t (∫g_t² − (∫g_t)²)/counts[t]: (channels or 1,).
 
@@ -152,7 +165,7 @@ def _random_variance(estimator: AbstractEstimator, *, by_quadrature: bool) -> Ar
         found = g.box_moments(np.zeros((1, g.dims)), np.ones((1, g.dims)))
         if found is not None:
             mean, square = (np.asarray(each, float).reshape(-1) for each in found)
-        elif by_quadrature and g.dims <= 2 and not g.is_black_box:
+        elif (by_quadrature or g.dims == 1) and g.dims <= 2 and not g.is_black_box:
             mean = np.full(total.shape, np.nan)
             try:
                 square = square_integral(g)[0]

@@ -31,6 +31,7 @@ __all__ = [
     "blindness",
     "constant",
     "grid_values",
+    "growth",
     "in_closed_form",
     "looked_at",
     "mean_square",
@@ -385,7 +386,7 @@ def mean_square(g: Integrand) -> Array:
 def square_integral(g: Integrand) -> tuple[Array, Array]:
     """∫g² and an estimate of its absolute error, both (channels or 1,).
 
-    Infinite where g grows too fast across an axis (`_growth`). Else by `moments`; in 1-D and 2-D also by
+    Infinite where g grows too fast across an axis (`growth`). Else by `moments`; in 1-D and 2-D also by
     quadrature that records how much each level leaves unresolved (`mcspectra.densities.adaptive`), for f/p
     over the domain, ∫ f²/p: points next to 1 are few in double precision, those of the domain are not.
     The integral is infinite where that does not shrink, but for poles across an axis; else the smaller
@@ -396,12 +397,9 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
         return kept["_square"]
     width = max(1, g.channels)
     by_levels, level_errors = np.full(width, np.nan), np.full(width, np.inf)
-    inside = g.integrand if isinstance(g, _Cut) else g
-    warped = isinstance(inside, PrimaryIntegrand) and isinstance(inside.estimator, Estimator)
-    grows = np.zeros(width)
-    if not (warped or in_closed_form(g) or g.costly):
-        grows = _growth(g)
-        by_levels[grows >= _DIVERGES] = np.inf
+    inside, warped = _inside(g)
+    grows = growth(g)
+    by_levels[grows >= _DIVERGES] = np.inf
     over_domain = warped and inside.density.dims == g.dims  # type: ignore[attr-defined]
 
     def square(x: Array) -> Array:
@@ -453,14 +451,23 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
     return kept.setdefault("_square", (value, error))
 
 
-def _growth(g: Integrand) -> Array:
+def _inside(g: Integrand) -> tuple[Integrand, bool]:
+    """g as it was before cuts, and whether a density warps it."""
+    inside = g.integrand if isinstance(g, _Cut) else g
+    return inside, isinstance(inside, PrimaryIntegrand) and isinstance(inside.estimator, Estimator)
+
+
+def growth(g: Integrand) -> Array:
     """Largest exponent a of g ~ t^-a at distance t from the ends of an axis or a break; 0 without one.
 
     Per channel, (channels or 1,), along some lines: slopes of log |g| over the last distances, which must
-    agree. ∫g² diverges from a = ½ on.
+    agree. ∫g² diverges from a = ½ on, ∫g⁴ from ¼. Integrands in closed form have no such poles; those
+    that are costly or warped by a density are not looked at.
     """
-    lines = probe(g.dims)[:_GROWTH_LINES]
     found = np.zeros(max(1, g.channels))
+    if _inside(g)[1] or in_closed_form(g) or g.costly:
+        return found
+    lines = probe(g.dims)[:_GROWTH_LINES]
     for axis in range(g.dims):
         ends = [(0.0, 1.0, _FAR), (1.0, -1.0, _NEAR)]
         ends += [(b, way, _INSIDE) for b in looked_at(g).breaks[axis] for way in (1.0, -1.0)]

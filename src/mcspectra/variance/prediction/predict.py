@@ -70,10 +70,14 @@ _OFFSET = (
 
 _SETS, _T_SETS = 16, 2.13  # of pmj, that are scrambled; Student's t of their mean
 
+_WIDE = 0.2  # of a variance: an interval of sums of products that measurements may narrow
+
 # Measured extrapolation
 _SMALL = tuple(2**k for k in range(3, 9))
+_LARGEST = 2**12  # count, of f that is cheap
+_NEAR = 16  # parts of n, by which counts next to it are apart at most
 _FITTED = 4
-_REALIZATIONS = 2000
+_REALIZATIONS, _POINTS = 2000, 2**21  # sets of a count, and their points, of which the more counts
 _MOST_FACTOR = 30.0  # by which an extrapolation may be off at most
 
 
@@ -310,7 +314,8 @@ def predict(
     f is evaluated at nodes and on grids of our own. Of samplers of which nothing is known but their sets,
     these measure a table of f in 1 to 3 dims (`n sets on a table of g`); in more, or where f is dear, the last
     route evaluates f at their points, *extrapolated from measurements*: 2,000 realisations each of small
-    counts other than n.
+    counts, or of those next to n where f is not dear, never of n. So it is, too, where jumps and kinks
+    across many axes leave sums of products an interval wider than a fifth, if it gives the narrower one.
 
     Limits are known in theory for random points, −1, and at jumps of g in up to 5 dims: −1 − 1/d for strata
     of the cube and for jumps along curves, −2 for other sets at jumps across an axis that are not at
@@ -438,13 +443,18 @@ def _by_routes(
     if known.constant:  # a technique of several
         none = 0.0 * known.square[0]
         return Predicted(none, none, none + 1.0, none, "the same at all points")
+    best = None
     for route in routes:
         try:
             found = route(sampler, n, known, stream)
             # One route may see what others do not: none knows more than the probe
             if np.isfinite(found.variance).all():
                 found = replace(found, error=np.maximum(found.error, known.unseen / n))
-            return found
+            # Where products miss jumps and kinks across many axes the narrower interval counts
+            if best is None or found.error.sum() < best.error.sum():
+                best = found
+            if route is not of_subsets or not (found.error > _WIDE * found.variance).any():
+                return best
         except NoClosedForm as error:
             reason = error
         if route is routes[0]:
@@ -454,6 +464,8 @@ def _by_routes(
             if steps and isinstance(steps[-1], Mirror) and (steps[:-1] or not base.fixed):
                 inner = Randomized(base=base, steps=steps[:-1]) if steps[:-1] else base
                 return _mirrored(steps[-1].mode, inner, n, known, stream, routes)
+    if best is not None:
+        return best
     raise reason
 
 
@@ -524,15 +536,20 @@ def _extrapolated(
     from scipy.special import stdtrit
 
     counts, variances, errors = [], [], []
-    for count in sorted({sampler.nearest_count(c) for c in _SMALL}):
+    near = [] if known.g.costly else _counts_near(n)
+    for count in sorted({sampler.nearest_count(c) for c in (*_SMALL, *near)}):
+        sets = max(_REALIZATIONS, _POINTS // count) if count in near else _REALIZATIONS
         try:
-            estimator.check_sampler(sampler, count)
+            if (
+                sum(estimator.counts) > 1
+            ):  # a single one has its nearest counts, without more warnings
+                estimator.check_sampler(sampler, count)
         except CountError:
             continue
         moments = known.once(
             ("measured", sampler.spec, count),
-            lambda c=count: count_moments(  # type: ignore[misc]
-                estimator, sampler, c, _REALIZATIONS, count_stream(stream, c)
+            lambda c=count, sets=sets: count_moments(  # type: ignore[misc]
+                estimator, sampler, c, sets, count_stream(stream, c)
             ),
         )
         varies = moments.variance > rounding_floor(moments.mean)
@@ -562,6 +579,16 @@ def _extrapolated(
     listed = ", ".join(str(counts[k]) for k in sorted(nearest))
     route = f"extrapolated from measurements at {listed}"
     return Predicted(variance, error, np.zeros(len(variance)), variance.copy(), route)
+
+
+def _counts_near(n: int) -> list[int]:
+    """Counts about n that sets fill as n: of a power of two others, else in steps of one that divides n."""
+    if n & (n - 1) == 0:
+        near = [n // 4, n // 2, 2 * n, 4 * n]
+    else:
+        step = min(n & -n, 1 << max(0, (n // _NEAR).bit_length() - 1))
+        near = [n + k * step for k in (-2, -1, 1, 2)]
+    return [count for count in near if 1 < count <= _LARGEST]
 
 
 def _places(sampler: Sampler, counts: Sequence[int]) -> list[int]:

@@ -134,11 +134,15 @@ def of_subsets(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predic
         # What the fit misses: white to 100 %, and correlated with the fit by a half either way
         tail = p.residual / n
         half = tail + math.sqrt(max(ones[0] + more, 0.0) * tail)
-        if law.latin and p.half < p.residual:  # the energy of several axes is all that counts
-            joint = max(p.variance - float(np.sum(first[:, -1, 0])), 0.0) / n
+        # All that counts of Latin hypercubes but single axes: as points saw it, or of the whole energy
+        single = first[:, -1].sum(axis=0)
+        of_whole = p.variance - float(single[0]), math.hypot(p.half, float(_half(single[1:])))
+        joint, joint_half = min(p.joint, of_whole, key=lambda each: each[1])
+        if law.latin and joint_half < p.residual:
             # Its weight is 1 within strata and n/(n − 1) between them
+            joint = max(joint, 0.0) / n
             either = 0.5 * joint / max(n - 1.0, 1.0)
-            tail, half = joint + either - more, p.half / n + either
+            tail, half = joint + either - more, joint_half / n + either
         value = ones[0] + more + tail
         drawn = _half(sets) if len(sets) > 1 else 0.0
         seen = p.half / p.variance if p.variance > 0.0 else 0.0  # of peaks, that few points meet
@@ -203,6 +207,7 @@ class _Parts:
     main: list[Array]  # g_i, of all groups and of each: (1 + groups, nodes)
     factors: list[Array]  # h_ri: (products, nodes)
     residual: float  # energy that the products miss
+    joint: tuple[float, float]  # energy of several axes, and half of its 95 % interval
 
 
 @final
@@ -409,8 +414,8 @@ def _all_parts(known: Known) -> list[_Parts]:
             axes,
             [along[..., c] for along in found],
             through,
-            x[: _FITTED + 1],
-            values[: _FITTED + 1, :, c],
+            x,
+            values[..., c],
         )
         for c in range(values.shape[-1])
     ]
@@ -422,10 +427,11 @@ def _fitted(
     axes: list[_Curves],
     profiles: list[Array],
     through: Array,
-    x: Array,
-    values: Array,
+    every: Array,
+    all_values: Array,
 ) -> _Parts:
-    """Fit a sum of products to values (replicates, n) at x, by least squares along one axis in turn."""
+    """Fit a sum of products to values (replicates, n) at points, by least squares along one axis in turn."""
+    x, values = every[: _FITTED + 1], all_values[: _FITTED + 1]
     # Functions of each axis: 1 and the leading singular vectors of its profiles
     bases = []
     for given in profiles:
@@ -492,7 +498,15 @@ def _fitted(
         beside = (beside - beside.mean(axis=-1, keepdims=True)).mean(axis=1) - sums[i]
         own = np.prod(np.delete(means, i, axis=0), axis=0) @ factors[i] + sums[i]
         main.append(own + np.concatenate([beside.mean(axis=0)[None], beside]))
-    return _Parts(variance, half, axes, main, factors, residual)
+
+    # Several axes: what single ones leave, less what their own errors add to it
+    at_all = zip(axes, main, np.moveaxis(every, -1, 0), strict=True)
+    alone = np.sum([a.at(m[0], t.ravel()).reshape(t.shape) for a, m, t in at_all], axis=0)
+    left = ((all_values - alone - (all_values - alone).mean()) ** 2).mean(axis=1)
+    spread = [a.cells(m[1:], _CELLS).var(axis=0, ddof=1) for a, m in zip(axes, main, strict=True)]
+    errors = float(np.mean(spread, axis=1).sum()) / _GROUPS
+    joint = float(left.mean()) - errors, float(_half(left)) + errors
+    return _Parts(variance, half, axes, main, factors, residual, joint)
 
 
 def _energy(curves: list[Array]) -> float:
