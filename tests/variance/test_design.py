@@ -173,6 +173,33 @@ def test_the_same_seed_gives_the_same_sampler_from_the_cache_or_not(tmp_path, mo
     np.testing.assert_array_equal(fresh.draw(9, realizations=5, rng=1), first)
 
 
+def test_small_spots_are_classes_of_their_own(tmp_path, monkeypatch):
+    """64 probes met neither of these, and the design of one was taken for the other's."""
+    monkeypatch.setenv("MCSPECTRA_CACHE", str(tmp_path))
+
+    def spot(x, y, half):
+        return mcs.Integrand.from_function(
+            lambda u: 1.0 * (np.abs(u - [x, y]) < half).all(axis=-1), dims=2
+        )
+
+    for pair in (
+        ["disk(center=[0.22, 0.30], radius=0.1)", "disk(center=[0.81, 0.12], radius=0.1)"],
+        [[spot(0.22, 0.301, 0.09)], [spot(0.809, 0.2, 0.05)]],
+    ):
+        first, second = (mcs.design("strata", each, 16) for each in pair)
+        assert first.spec != second.spec
+
+
+def test_a_design_in_a_file_loads_from_any_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("MCSPECTRA_CACHE", str(tmp_path / "cache"))
+    (tmp_path / "sets").mkdir()
+    monkeypatch.chdir(tmp_path)
+    made = mcs.design("strata", "gaussians", 16, path="mine.json").draw(16, rng=3)
+    monkeypatch.chdir(tmp_path / "sets")
+    spec = json.loads((tmp_path / "mine.json").read_text())["spec"]
+    assert np.array_equal(mcs.sampler(spec, dims=2).draw(16, rng=3), made)
+
+
 def test_an_interrupt_keeps_the_best_and_is_not_cached(monkeypatch):
     def interrupted(objective, n, stream):
         yield from itertools.islice(searches.KINDS["lattice"](objective, n, stream), 1)

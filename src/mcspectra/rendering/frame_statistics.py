@@ -431,8 +431,11 @@ def _group(
     every, loss = _unbiased(every / every[0, 0], count)
     measured, curve = rings.mean(power), np.maximum(rings.mean(np.fft.rfft2(every).real), 0.0)
     half *= np.divide(curve, measured, out=np.ones_like(curve), where=measured > 0)
-    # The sum of their squares holds that of their errors, each the true sum / (pixels · (R − 1) · loss²)
+    # Deviations of two frames are each other's negatives, without spread: at least what normal noise has,
+    # the mean of (R − 1) exponentials for each pair of conjugate frequencies
     independent = (count - 1) * loss**2
+    half = np.maximum(half, CONFIDENCE_Z * measured * np.sqrt(2.0 / (rings.sizes * independent)))
+    # The sum of their squares holds that of their errors, each the true sum / (pixels · (R − 1) · loss²)
     alike = max(1.0, float((every**2).sum()) / (1.0 + 1.0 / independent))
     near, repeat, repeated = _lags(every, alike / (varied.sum() * independent))
     pair, relation = _related(sample, alike)
@@ -453,6 +456,7 @@ def _group(
         "repeat": repeat,
         "repeat_correlation": _number(repeated),
         "spp_known": int(spp is not None),
+        "correlation_error": math.sqrt(alike / (varied.sum() * independent)),
     }
     return _Group(
         spp=spp or 1,

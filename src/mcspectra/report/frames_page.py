@@ -43,6 +43,7 @@ _LOW, _BLUE, _RED = (
     1.25,
 )  # cycles a pixel; power below and above which noise is not white
 _ALIKE = 0.1  # correlation of neighbours that is worth a word
+_SURE = 2.24  # standard errors that the larger of two correlations of white noise exceeds in 5 %
 _HEAVY = 0.5  # tail index of infinite variance
 _CARRIED = 0.05  # share of the variance in fireflies that is worth a word
 
@@ -134,7 +135,7 @@ def _doubts(found: dict[str, Any]) -> Iterator[str]:
                 f"Fireflies: at {count} pixels one frame is far brighter ({number(expected, 2)} expected of normal "
                 f"noise); these pixels make {percent(share)} of the picture's variance"
                 + (
-                    f", whose tail index is {number(tail, 2)}: it may be infinite."
+                    f"; the errors of all pixels together have the tail index {number(tail, 2)}."
                     if tail and tail > _HEAVY
                     else "."
                 )
@@ -157,10 +158,13 @@ def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[str]:
             else f"The rate of the picture's variance is not resolved: {interval(low, high)}."
         )
     if "needed_median" in found:
+        known = found["spp_known"][-1]
+        times = "" if known else " times as many"
         yield (
-            f"{percent(found['reached_share'])} of the pixels reach σ / mean = {number(found['target'])} at "
-            f"{result['n'].values[-1]} samples; half of them need {number(found['needed_median'])}, "
-            f"95 % of them {number(found['needed_95'])}"
+            f"{percent(found['reached_share'])} of the pixels reach σ / mean = {number(found['target'])} "
+            + (f"at {result['n'].values[-1]} samples" if known else "in a frame")
+            + f"; half of them need {number(found['needed_median'])}{times}, "
+            f"95 % of them {number(found['needed_95'])}{times}"
             + (", by their rates." if "rate" in result else ", if the variance falls as 1/n.")
         )
     last = result.isel(n=-1)
@@ -188,7 +192,7 @@ def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[str]:
         )
     else:
         yield f"The noise is white between pixels: {number(level)} times at low frequencies."
-    if max(map(abs, beside)) > _ALIKE:
+    if max(map(abs, beside)) > max(_ALIKE, _SURE * found["correlation_error"][-1]):
         yield f"Errors of neighbours correlate by {number(beside[0])} across and {number(beside[1])} down."
     if lag := found["repeat"][-1]:
         yield (

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
 __all__ = ["map_layers", "map_note", "map_sentences", "map_summary", "shown_numbers", "write_map"]
 
+_TELLING = 0.1  # share of the pixels at which a cause is one of the picture
 _WORST = 5  # pixels that are listed
 _COLUMNS = {
     "mean": "Mean",
@@ -369,7 +370,7 @@ def _answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
     )
     slow = found.get("bottleneck", {})
     worse = max(names, key=lambda name: slow.get(name, 0.0))
-    if slow.get(worse, 0.0) > 0.0:
+    if slow.get(worse, 0.0) > _TELLING:
         text += f" Cause: {_STRATEGIES[worse]} has the slower rate in MIS at {percent(slow[worse])} of them."
     return text
 

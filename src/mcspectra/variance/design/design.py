@@ -33,7 +33,9 @@ if TYPE_CHECKING:
 __all__ = ["certificate", "design"]
 
 _VERSION = 1  # of the searches: samplers of another one are not taken from the cache
-_PROBES, _MEMBERS = 64, 256  # points and members whose values name a class in the cache
+# Points and members whose values name a class in the cache, beside its text: of functions alone the
+# values tell, and they may be 0 but for a small spot
+_PROBES, _MEMBERS = 2**13, 256
 _RIVALS = (
     "sobol | owen",
     "pmj02",
@@ -118,7 +120,7 @@ def design(
     # Take it from the cache, where a class is known by its values
     probes = Stream(0).uniforms(0, _PROBES, goal.dims)
     values = goal.functions(_MEMBERS, Stream(0).generator(0))(probes)
-    words = f"{_VERSION} {kind} {n} {stream.key} {values.shape} ".encode()
+    words = f"{_VERSION} {kind} {n} {stream.key} {values.shape} {goal.text} ".encode()
     name = hashlib.sha256(words + np.round(values, 12).astype("<f8").tobytes()).hexdigest()
     kept = cache_folder() / "designs" / f"{name[:32]}.json"
     with suppress(OSError, ValueError, KeyError, McspectraError):
@@ -156,7 +158,7 @@ def _saved(found: Sampler, target: Path) -> Sampler:
     spec = found.spec
     source = next((w for w in spec.split("'") if w.endswith(".npz")), None)
     if source is not None:
-        copy = str(target.with_suffix(".npz"))
+        copy = str(target.with_suffix(".npz").resolve())  # it loads from any folder
         shutil.copyfile(source, copy)
         spec = spec.replace(repr(source), repr(copy))
     target.write_text(json.dumps({"spec": spec, "dims": found.dims}) + "\n")
