@@ -144,7 +144,7 @@ def sampler_bench(
 
     Notes
     -----
-    The integrands are Genz's six families [Genz1987]_ (smooth, a kink, an axis-parallel jump) with his
+    The integrands are Genz's six families [Genz1984]_ (smooth, a kink, an axis-parallel jump) with his
     difficulties, a half-space whose border is oblique, a ball up to 3 dims and Sobol's g-function. All
     but ``points_per_second`` depend on samplers and seed alone; every sampler has a stream of its own.
     """

@@ -450,10 +450,12 @@ def _by_routes(
             # One route may see what others do not: none knows more than the probe
             if np.isfinite(found.variance).all():
                 found = replace(found, error=np.maximum(found.error, known.unseen / n))
-            # Where products miss jumps and kinks across many axes the narrower interval counts
+            # Where products miss jumps and kinks across many axes the narrower interval counts; but of
+            # lattices, a count tells nothing of those next to it
             if best is None or found.error.sum() < best.error.sum():
                 best = found
-            if route is not of_subsets or not (found.error > _WIDE * found.variance).any():
+            wide = route is of_subsets and (found.error > _WIDE * found.variance).any()
+            if not wide or (base.fixed and base.structure is Structure.TORUS):
                 return best
         except NoClosedForm as error:
             reason = error
