@@ -92,3 +92,12 @@ def test_what_cannot_be_is_refused(changes, error, match):
     }
     with pytest.raises(error, match=match):
         mcs.image_error_spectrum(**(given | changes))
+
+
+def test_a_tail_that_may_not_be_white_is_named():
+    """Of the bands of r2 with a lattice, what lies beyond was a sixth of the truth without a word."""
+    given = {"dims": 2, "images": 2, "half_width": 4}
+    chain = "rank1-lattice | decorrelate(mask='r2', width=16)"
+    assert "raise half_width" in mcs.image_error_spectrum("disk", chain, 16, **given).attrs["note"]
+    smooth = mcs.image_error_spectrum("cosine(frequency=[1, 2])", chain, 16, **given)
+    assert "note" not in smooth.attrs

@@ -33,6 +33,7 @@ __all__ = ["image_error_spectrum"]
 
 _MOST_DIMS = 3
 _MOST_VALUES = 2**24  # coefficients, or points of one image
+_BEYOND = 0.1  # of the power of a band, above which the note says what it is
 _LOW = 0.125  # cycles a pixel: what the eye does not blur away
 _PRECISION = 1e-9
 
@@ -71,7 +72,8 @@ def image_error_spectrum(
     xarray.Dataset
         On dim radius, in cycles a pixel: ``predicted_power``, from coefficients of f and spectra of the sets,
         and ``measured_power``, from f at their points, with ``measured_power_ci``; both f², white noise has
-        the variance of a pixel. ``tail_term``, the part of the prediction beyond the half width, and
+        the variance of a pixel. ``tail_term``, the part of the prediction beyond the half width, which the
+        attribute ``note`` names where it is large, and
         ``low_share``: predicted power below 1/8 cycle a pixel over its mean, by which masks are ranked (white
         noise 1).
 
@@ -172,6 +174,11 @@ def _spectra(
     half = stdtrit(images - 1, 0.975) * measured.std(axis=0, ddof=1) / math.sqrt(images)
     weight = rings.sizes
     level = float(np.average(spectrum, weights=weight))
+    beyond = tail / float(spectrum.min()) if tail else 0.0
+    note = (
+        f"up to {beyond:.0%} of a band is what lies beyond half width {half_width} and counts as white between "
+        "pixels, which masks with an order (r2) and lattices do not make of it: raise half_width"
+    )
     low = rings.radius < _LOW
     share = float(np.average(spectrum[low], weights=weight[low])) / level if level else math.nan
     return dataset(
@@ -192,6 +199,7 @@ def _spectra(
         half_width=half_width,
         images=images,
         seed=stream.key,
+        note=note if beyond > _BEYOND else None,
     )
 
 
