@@ -347,13 +347,17 @@ def _remedies_text(found: xr.Dataset) -> str:
     """The table of changes that were tried."""
     from mcspectra.plots.text import interval, number
 
-    ratios = []
+    ratios, pilots = [], []
     for name in found["remedy"].values:
         one = found.sel(remedy=name)
+        _, pilot, said = str(one["reason"].item()).partition("Its pilot")
+        if pilot:
+            pilots.append(textwrap.fill(f"{name}: {pilot}{said}", _WIDTH, subsequent_indent="  "))
         bounds = interval(*one["error_ratio_ci"].values.tolist())
         ratio = number(float(one["error_ratio"]))
         ratios.append([str(name), str(one["verdict"].item()), ratio, bounds])
-    return text_table(["remedy", "", "variance / given", "95 %"], ratios)
+    table = text_table(["remedy", "", "variance / given", "95 %"], ratios)
+    return "\n".join([table, *pilots])
 
 
 def _map_options(parser: argparse.ArgumentParser) -> None:

@@ -50,6 +50,7 @@ PATH_TABLES = {
 }
 """Columns of the tables of `path_rows`."""
 
+_TOGETHER = 0.3  # share of the variance that larger sets of decisions make
 _SHOWN = 0.005  # of the variance: smaller parts are not named
 _CHARGED = ("order", "roulette", "selection")  # which cost more than their paths, or less
 _ABOUT_CHARGED = (
@@ -145,7 +146,13 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
             for k in order
             if k == order[0] or shares[k] > _SHOWN
         ]
-        said.append((f"by {axes}", f"The largest parts of the variance are {', '.join(parts)}."))
+        text = f"The largest parts of the variance are {', '.join(parts)}."
+        if (together := 1.0 - float(shares.sum())) > _TOGETHER:
+            text += (
+                f" {percent(together)} are of more of them together, so that points must be good in all of "
+                "these at once."
+            )
+        said.append((f"by {axes}", text))
     if "coordinate" in tree["anova"].children:
         found = _parts(tree, "coordinate")
         least, ends = (found[f"effective_dimension_truncation{end}"].values for end in ("", "_ci"))
