@@ -8,7 +8,15 @@ from mcspectra.core.errors import UnknownName
 from mcspectra.samplers import SAMPLERS
 from mcspectra.samplers.facts import sampler_facts
 
-OWN = {"command", "points", "python", "scipy", "qmcpy", "mitsuba"}  # nothing to cite
+OWN = {
+    "command",
+    "points",
+    "python",
+    "scipy",
+    "qmcpy",
+    "mitsuba",
+    "shared-cells",
+}  # nothing to cite
 YEAR = re.compile(r"\((1[89]|20)\d\d\)|[A-Za-z](1[89]|20)\d\d\]")
 BUILT_IN = [name for name, target in SAMPLERS.items() if target.startswith("mcspectra.")]
 

@@ -486,16 +486,19 @@ class TestDirectionNumbersOfOthers:
         with pytest.raises(FileFormatError, match="must be|from 0 to 1"):
             DigitalNet(matrices=str(file))  # digits 2 in base 2
 
-    @pytest.mark.parametrize(
-        ("name", "base", "pairs"),
-        [("onetwo_init_tab.dat", 2, 1), ("quad_optimized_gf3.dat", 3, 0)],
-    )
-    def test_the_published_tables(self, name, base, pairs):
+
+# Their licences are not known, so that they are no files of ours: MCSPECTRA_NETS names their folder
+PUBLISHED = [
+    (Path(os.environ.get("MCSPECTRA_NETS", "nowhere")) / name, base, t)
+    for name, base, t in (("onetwo_init_tab.dat", 2, 1), ("quad_optimized_gf3.dat", 3, 0))
+]
+
+if all(file.is_file() for file, *_ in PUBLISHED):
+
+    @pytest.mark.parametrize(("file", "base", "t"), PUBLISHED)
+    def test_the_published_tables(file, base, t):
         """Consecutive pairs are (t, 2)-sequences of the t that the papers promise."""
-        file = Path(os.environ.get("MCSPECTRA_NETS", ".")) / name
-        if not file.is_file():
-            pytest.skip("the tables of others are not here")
         net = Sobol(directions=str(file), base=base, dims=24)
         points = net.draw(base**6)[0]
         for j in range(0, 24, 2):
-            assert net_t_value(points[:, j : j + 2], base) <= pairs
+            assert net_t_value(points[:, j : j + 2], base) <= t

@@ -159,3 +159,11 @@ def test_refusals(samplers, options, words):
     with pytest.raises(McspectraError, match=words) as caught:
         mcs.sampler_bench(samplers, **options)
     assert isinstance(caught.value, ParameterError)
+
+
+def test_dims_with_a_single_count_are_left_out_where_others_have_several():
+    """Strata in 6-D make one point or 64: a lone point said nothing and filled the pictures."""
+    found = mcs.sampler_bench(["jittered", "random"], counts=[16, 25], dims=[2, 6], realizations=4)
+    assert "jittered cannot do 6-D" in found.attrs["note"]
+    high = found.isel(integrand=found["integrand_dims"].values == 6).sel(sampler="jittered")
+    assert np.isnan(high["variance"].values).all()

@@ -15,7 +15,7 @@ from mcspectra.core.checks import Array
 from mcspectra.core.errors import StoreError
 from mcspectra.plots import kinds
 from mcspectra.plots.maps import bounce_name
-from mcspectra.plots.text import number, percent, rate
+from mcspectra.plots.text import MISSING, number, percent, rate
 from mcspectra.rendering.files import write_exr
 from mcspectra.rendering.scenes import SCENES, sized
 from mcspectra.report.page import (
@@ -218,13 +218,15 @@ def _worst_row(pixel: Mapping[str, Any], known: Mapping[str, Any], root: Path) -
     if known.get("integrator", "direct light") != "direct light":
         command += f" --integrator {shlex.quote(known['integrator'])}"
     command += f" --out {shlex.quote(str(root / Path(page).parent))}"
+    why = ""
     if scene == "dict" or not film:
-        command = "–"  # no file to name, or pixels that are not those of the film
+        command = MISSING
+        why = "The scene is no file, or the map's pixels are not those of its film."
     return (
         Cell(text=f"({x}, {y})", numeric=False, link=page if (root / page).is_file() else ""),
         Cell(text=number(pixel["variance"])),
         Cell(text=percent(pixel["share"])),
-        Cell(text=command, numeric=False),
+        Cell(text=command, why=why, numeric=False),
     )
 
 

@@ -166,6 +166,13 @@ def sampler_bench(
 
     # Make each in all dims that it can do
     made = [_in_dims(given, wanted) for given in samplers]
+    for (
+        _,
+        sources,
+    ) in made:  # but those in which all counts asked for are one, such as strata in 10-D
+        single = [d for d, each in sources.items() if len(_nearest(each, asked)) < 2]
+        for d in single if len(single) < len(sources) else ():
+            del sources[d]
     labels = [short_spec(spec) for spec, _ in made]
     for label in labels:
         if labels.count(label) > 1:
