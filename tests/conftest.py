@@ -7,6 +7,7 @@ from importlib.util import find_spec
 
 import pytest
 
+from mcspectra.samplers import external
 from tests.browser import chromium
 
 NO_BROWSER = (
@@ -28,6 +29,15 @@ def own_cache(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("MCSPECTRA_CACHE", str(folder / "mcspectra-cache"))
         yield
+
+
+@pytest.fixture(autouse=True)
+def own_trust():
+    """Keep what a test allows specs to run out of the tests after it."""
+    before = set(external._allowed)
+    yield
+    external._allowed.clear()
+    external._allowed.update(before)
 
 
 @pytest.fixture
