@@ -108,8 +108,8 @@ def design(
     Examples
     --------
     >>> import mcspectra as mcs
-    >>> mcs.design("lattice", "gaussian(width=0.3)", 5).spec
-    "rank1-lattice(vector=[1, 2]) | shift | mirror(mode='fold')"
+    >>> mcs.design("lattice", "gaussian(width=0.3)", 21).spec
+    'rank1-lattice(vector=[1, 8]) | shift'
     """
     kind = as_choice("kind", kind, tuple(KINDS))
     n = as_integer("n", n, least=1, most=2**16)
