@@ -33,6 +33,7 @@ NAMES = (
     "scaling",
     "app",
     "design",
+    "learned",
 )
 
 

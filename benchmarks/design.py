@@ -26,7 +26,7 @@ DIMS = (2, 4)
 KINDS = {
     16: ("points",),
     64: ("points",),
-    256: ("lattice", "digital-net", "strata"),
+    256: ("lattice", "digital-net", "points"),
     1024: ("lattice", "digital-net"),
 }
 RIVALS = ("sobol | owen", "korobov | shift", "rank1-lattice | shift")

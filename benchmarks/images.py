@@ -22,7 +22,7 @@ from mcspectra.rendering import (
     render,
     write_png,
 )
-from mcspectra.rendering.wavefront import _Places
+from mcspectra.rendering.techniques import sample_columns
 
 SCENE = "veach(width=384, height=256)"
 SPP = 4
@@ -54,8 +54,14 @@ def _tables(strategy: str) -> None:
 
 def _raw(waves: Wavefront, strategy: str, pixels: Any, u: Any) -> Any:
     """One lane a sample, points in Dr.Jit's memory, values to NumPy, no checks and no means."""
-    place = _Places(pixels, u.astype(np.float32), 1, len(pixels) * SPP)
-    return lambda: waves._color(strategy, place, None, 0).numpy()
+    import drjit
+
+    pixel = drjit.arange(load_mitsuba().UInt32, len(pixels) * SPP) // SPP
+    columns, color = (
+        sample_columns(u.reshape(-1, u.shape[-1])),
+        waves._colors(strategy, pixels, pixel),
+    )
+    return lambda: color(columns).numpy()
 
 
 def _image(strategy: str, sampler: str) -> None:

@@ -62,6 +62,7 @@ from .variance.design.design import design as design
 from .variance.exact import exact_variance as exact_variance
 from .variance.image_errors import image_error_spectrum as image_error_spectrum
 from .variance.integrate import integrate as integrate
+from .variance.learned import learned_density as learned_density
 from .variance.modes import covariance_modes as covariance_modes
 from .variance.prediction.plan import plan as plan
 from .variance.prediction.predict import predict as predict
@@ -126,6 +127,7 @@ __all__ = [
     "integrand_decay",
     "integrands",
     "integrate",
+    "learned_density",
     "low_frequency_exponent",
     "mirror_study",
     "nested_variances",

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.studies.conftest import predicted_bell
 
 from mcspectra.cli.main import main
 from mcspectra.estimators import Estimator
@@ -54,6 +55,7 @@ def small_effort() -> Iterator[None]:
         return made[key]
 
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pixel, "predict", predicted_bell)
         patch.setitem(EFFORTS, "quick", small)
         patch.setattr(pixel, "analyse_pixel", kept)
         yield

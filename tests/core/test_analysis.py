@@ -164,7 +164,7 @@ def test_a_tree_holds_few_states():
     tree = MergeTree()
     for i in range(1000):
         tree.add(Skewed(float(i)))
-        assert len(tree._nodes) <= 10  # ⌊log₂ 1000⌋ + 1
+        assert len(tree.nodes) <= 10  # ⌊log₂ 1000⌋ + 1
 
 
 # --- steps ------------------------------------------------------------------------------------------

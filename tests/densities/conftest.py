@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.densities import ImageDensity, PiecewiseConstant
+from mcspectra.densities import ImageDensity, Learned, PiecewiseConstant
+from mcspectra.densities.learned import DEGREE, SplineDensity
 
 
 def table(*shape: int) -> np.ndarray:
@@ -126,8 +129,28 @@ MADE = {
 }
 
 
-@pytest.fixture(scope="session", params=[*SPECS, *MADE, "picture"], ids=str)
-def density(request, picture):
+def splines(kind, dims):
+    """Tables of a density of splines, with narrow cells, small weights and a share of 0.02."""
+    rng = np.random.default_rng(dims)
+    inner = np.sort(10 ** rng.uniform(-1.5, 0, (dims, 6)), axis=1)
+    knots = np.concatenate([np.zeros((dims, 1)), inner, np.ones((dims, 1))], axis=1)
+    if kind == "flow":
+        gates = rng.normal(size=(dims, 9, 1 + dims * DEGREE))
+        return SplineDensity(knots=knots, defensive=0.02, gates=gates)
+    tables, shares = 10 ** rng.uniform(-4, 0, (3, dims, 9)), rng.random(3)
+    tables /= tables.sum(axis=-1, keepdims=True)
+    return SplineDensity(knots=knots, defensive=0.02, shares=shares / shares.sum(), tables=tables)
+
+
+LEARNED = [("mixture", 1), ("mixture", 2), ("mixture", 4), ("flow", 2), ("flow", 3)]
+
+
+@pytest.fixture(scope="session", params=[*SPECS, *MADE, "picture", *LEARNED], ids=str)
+def density(request, picture, tmp_path_factory):
+    if request.param in LEARNED:
+        path = tmp_path_factory.mktemp("learned") / "density.json"
+        path.write_text(json.dumps(splines(*request.param).to_dict()))
+        return Learned(path=path)
     if request.param in MADE:
         return MADE[request.param]()
     if request.param == "picture":

@@ -68,6 +68,13 @@ def test_invert_undoes_sample(density):
     assert (close | again).all()
 
 
+def test_samples_with_their_density_are_both(density):
+    u = dense(density.primary_dims, 500)
+    x, pdf = density.sample_pdf(u)
+    np.testing.assert_array_equal(x, density.sample(u))
+    np.testing.assert_allclose(pdf, density.pdf(x), rtol=1e-12, atol=0.0)
+
+
 def test_samples_follow_a_pdf_of_mass_one(density):
     """χ² of samples in cells against the integral of the pdf; the Jacobian in 3-D and more."""
     dims = density.dims

@@ -18,7 +18,7 @@ def test_errors_hold_for_what_is_narrow_or_oblique(family, dims):
     tried = 0
     for seed in range(8):
         case = make(family, dims, seed)
-        if case.volume < _FOUND or tried == 2:
+        if case.volume < _FOUND or tried == (2 if dims < 3 else 1):
             continue
         tried += 1
         f = case.integrand()

@@ -329,7 +329,7 @@ def test_files_that_are_no_pictures_or_cannot_be_written(tmp_path):
 
 
 def test_titles_of_narrow_panels_have_two_lines_before_they_are_shortened():
-    names = ["relative minimum distance", "points(path='a/very/long/name/without/any/gaps')"]
+    names = ["relative minimum distance", "points(path='a-very-long-name-without-any-gaps')"]
     panels = [Panel(marks=(Line(x=X, y=X, color="#0072B2"),), title=names[k % 2]) for k in range(6)]
     shown = texts(draw(plot(*panels, columns=3)))
     assert "relative minimum\ndistance" in shown

@@ -210,6 +210,7 @@ class TestPatterns:
         again = pickle.loads(pickle.dumps(source))
         np.testing.assert_array_equal(again.draw(16), source.draw(16))
         assert short_spec(f"{source.spec} | shift") == "mine | shift"
+        assert short_spec("sobol(directions='a/b c/joe.txt') | owen") == "sobol('joe.txt') | owen"
 
     def test_a_pattern_takes_what_it_says(self, folder):
         root, _ = folder

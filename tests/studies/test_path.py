@@ -19,7 +19,7 @@ from mcspectra.rendering.scenes import emitter_names
 from mcspectra.report.path_page import path_answer, path_sentences, path_summary, write_path
 from mcspectra.samplers import as_sampler
 from mcspectra.studies import analyse_path
-from mcspectra.studies.path_remedies import path_remedies, shares_by_light
+from mcspectra.studies.path import path_remedies, shares_by_light
 
 pytestmark = pytest.mark.render
 
@@ -102,7 +102,14 @@ def test_the_verb_prints_writes_and_refuses(
     assert {"by bounce", "by decision", "sampler", "padding", "remedies"} <= printed[
         "sentences"
     ].keys()
-    assert printed["answer"].startswith("Use sobol | owen: RMSE")
+    # The answer is the first change that is surely better, as the remedies and their sentence have it
+    ranked = printed["remedies"]["ranked"]
+    first = next(each for each in ranked if each["verdict"] == "better")
+    assert printed["answer"].startswith(f"Use sobol | owen with {first['remedy']}: RMSE")
+    change = first["change"][:1].upper() + first["change"][1:]
+    assert printed["sentences"]["remedies"].startswith(f"With sobol | owen as given: {change}: at")
+    assert printed["sentences"]["sampler"].startswith("With sobol | owen the variance at n = 256")
+    assert printed["remedies"]["recommendation"] in printed["sentences"]["remedies"]
     assert "Cause: the largest parts of the variance are " in printed["answer"]
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "good coordinates" in page
@@ -113,6 +120,13 @@ def test_the_verb_prints_writes_and_refuses(
     assert "roulette from depth 1" in told
     assert main([*asked, "--light", "lamp"]) == 2
     assert "--light is for direct light" in capsys.readouterr().err
+
+
+def test_remedies_and_rates_are_of_the_same_realisations(tree: xr.DataTree) -> None:
+    curves, found = tree["convergence"].to_dataset().isel(n=-1), tree["remedies"].to_dataset()
+    for sampler, remedy in (("random", "random"), ("sobol | owen", "as given")):
+        variance = float(curves["variance"].sel(sampler=sampler))
+        assert float(found["error"].sel(remedy=remedy)) == pytest.approx(variance, rel=1e-9)
 
 
 def test_remedies_are_at_equal_cost_and_say_what_could_not_be_tried(tree: xr.DataTree) -> None:

@@ -179,6 +179,22 @@ def test_consolidated_metadata_are_those_that_zarr_writes(copy: Path) -> None:
             assert ours[path].get(key) == expected.get(key)
 
 
+def test_documents_are_those_that_xarray_and_zarr_write() -> None:
+    kinds = ("?", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f2", "f4", "f8", "c8", "c16")
+    cell = numbers().assign({f"of_{kind}": ("b", np.zeros(3, kind)) for kind in kinds})
+    ours = dict(results._store_files({}, [("a/b/terms", cell)]))
+    for variable in cell.variables.values():
+        chunks = {"compressors": [zarr.codecs.Crc32cCodec()], "chunks": variable.shape}
+        variable.encoding = {**chunks, "_FillValue": None}
+    theirs: dict[str, Any] = {}
+    with warnings.catch_warnings(action="ignore"):  # of types that Zarr has not specified
+        store = zarr.storage.MemoryStore(theirs)
+        cell.to_zarr(store, group="a/b/terms", zarr_format=3, consolidated=False)
+    for name, content in theirs.items():
+        if name.startswith("a/b/terms/"):
+            assert ours[name] == content.to_bytes(), name
+
+
 def test_texts_become_labels(folder: Path) -> None:
     cell = open_results(folder)[PATHS[0]].to_dataset()
     assert sorted(cell.coords) == ["n"]

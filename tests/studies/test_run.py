@@ -33,14 +33,14 @@ seed = 3
 samplers = ["random", "jittered | shift"]
 [convergence]
 counts = [64, 256]
-realizations = 9000
+realizations = 3000
 [exact]
 counts = [4]
 [[estimators]]
 name = "smooth"
 integrand = "gaussian"
 dims = 2
-terms = { n = 64, half_width = 4, realizations = 9000 }
+terms = { n = 64, half_width = 4, realizations = 3000 }
 [[estimators]]
 name = "mis"
 integrand = "linear"
@@ -84,10 +84,10 @@ def test_stored_is_what_the_functions_return(finished):
     )
     expected = {
         "/smooth/jittered-shift/convergence": mcs.convergence(
-            smooth, "jittered | shift", [64, 256], realizations=9000, rng=3
+            smooth, "jittered | shift", [64, 256], realizations=3000, rng=3
         ),
         "/smooth/random/terms": mcs.variance_terms(
-            smooth, "random", 64, half_width=4, realizations=9000, rng=3
+            smooth, "random", 64, half_width=4, realizations=3000, rng=3
         ),
         "/mis/random/convergence": mcs.convergence(
             mis, "random", [16, 64], realizations=20000, relative_error=0.1, rng=3

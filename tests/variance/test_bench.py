@@ -161,6 +161,18 @@ def test_refusals(samplers, options, words):
     assert isinstance(caught.value, ParameterError)
 
 
+def test_files_of_one_name_are_told_apart_by_their_folders(tmp_path):
+    specs = []
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        for n in (4, 16):
+            points = mcs.sampler("random", dims=2).draw(n, realizations=8, rng=n)
+            np.savez(tmp_path / folder / f"n{n}.npz", points=points)
+        specs.append(f"points(path={str(tmp_path / folder / 'n*.npz')!r})")
+    found = mcs.sampler_bench(specs, counts=(4, 16), realizations=8)
+    assert found["label"].values.tolist() == specs
+
+
 def test_dims_with_a_single_count_are_left_out_where_others_have_several():
     """Strata in 6-D make one point or 64: a lone point said nothing and filled the pictures."""
     found = mcs.sampler_bench(["jittered", "random"], counts=[16, 25], dims=[2, 6], realizations=4)

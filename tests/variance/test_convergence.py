@@ -226,17 +226,44 @@ def test_heavy_tails_are_named_at_every_smaller_count(sampler):
         assert not np.isfinite(d["rate_ci"]).any()
 
 
-@pytest.mark.parametrize("sampler", ["random", "jittered", "sobol | owen"])
 @pytest.mark.parametrize("pole", ["x ** -0.45", "x ** -0.4", "abs(x - 0.3) ** -0.3"])
-def test_where_the_kurtosis_diverges_nothing_bounds_the_variance(sampler, pole):
+def test_where_the_kurtosis_diverges_nothing_bounds_the_variance(pole):
     """200 estimates of x^-0.45: 30 of 33 finite upper bounds excluded the variance."""
-    for seed in range(4):
+    f = mcs.integrand(f"formula(expression='{pole}', dims=1)")
+    for seed in range(2):
         d = mcs.convergence(
-            f"formula(expression='{pole}', dims=1)", sampler, [16, 64], realizations=200, rng=seed
+            f, ["random", "jittered", "sobol | owen"], [16, 64], realizations=200, rng=seed
         )
-        assert np.isinf(d["variance_ci"][:, 1]).all()
+        assert np.isinf(d["variance_ci"][..., 1]).all()
         assert "none of these variances has a finite upper bound" in d.attrs["note"]
     assert "∫g⁴ diverges, g grows as t^-0." in d.attrs["note"]
+
+
+@pytest.mark.parametrize(
+    ("sampler", "bounded"), [("random", (0.15, 0.45)), ("jittered", (0.15, 0.3))]
+)
+def test_poles_of_a_users_function_are_seen_at_its_points(sampler, bounded):
+    """x^-0.45: 37 and 80 % of single estimates tell at n = 64; its 12,800 values more. Of 50 runs, 3 σ."""
+    f = mcs.Integrand.from_function(lambda x: x[..., 0] ** -0.45, dims=1)
+    found = [mcs.convergence(f, sampler, [16, 64], realizations=200, rng=k) for k in range(50)]
+    high = np.array([np.isfinite(d["variance_ci"][:, 1]) for d in found]).mean(axis=0)
+    assert (high <= bounded).all()
+    told = [d.attrs.get("note", "") for d in found]
+    assert sum("tails not resolved" in note for note in told) >= 42
+
+
+@pytest.mark.parametrize("law", ["lognormal", "exponential", "pole", "smooth"])
+def test_users_functions_without_heavy_tails_are_bounded(law):
+    f = {
+        "lognormal": lambda x: np.exp(0.5 * ndtri(x[..., 0])),
+        "exponential": lambda x: -np.log1p(-x[..., 0]),
+        "pole": lambda x: x[..., 0] ** -0.2,
+        "smooth": lambda x: np.exp(x[..., 0]),
+    }[law]
+    f = mcs.Integrand.from_function(f, dims=1)
+    found = [mcs.convergence(f, "random", [64], realizations=200, rng=k) for k in range(50)]
+    # 2 % of 50 runs: more than 4 of them once in 300
+    assert sum(not np.isfinite(d["variance_ci"][0, 1]) for d in found) <= 4
 
 
 def test_a_pole_with_a_kurtosis_is_not_named():

@@ -95,6 +95,7 @@ ELSEWHERE = {
     "aligned",
     "anova_spectrum",
     "integrate",
+    "learned_density",
     "profile",
 }
 CALL_NOTHING = {

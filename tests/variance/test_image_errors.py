@@ -25,7 +25,7 @@ def bands(found, count=4):
     ],
 )
 def test_predictions_are_what_is_measured(integrand, chain):
-    found = mcs.image_error_spectrum(integrand, chain, 4, dims=2)
+    found = mcs.image_error_spectrum(integrand, chain, 4, dims=2, half_width=24)
     # Smooth: the same to what is left of ∫f². The disk: 2.5 % of ∫f² beyond the half width are taken as
     # white; within a band of 16 images that is known to about 1 %.
     assert np.abs(bands(found) - 1.0).max() < (0.1 if integrand == "disk" else 0.005)
@@ -94,10 +94,15 @@ def test_what_cannot_be_is_refused(changes, error, match):
         mcs.image_error_spectrum(**(given | changes))
 
 
-def test_a_tail_that_may_not_be_white_is_named():
+def test_a_tail_that_may_not_be_white_is_named_and_met_by_default():
     """Of the bands of r2 with a lattice, what lies beyond was a sixth of the truth without a word."""
-    given = {"dims": 2, "images": 2, "half_width": 4}
+    given = {"dims": 2, "images": 4, "half_width": 4}
     chain = "rank1-lattice | decorrelate(mask='r2', width=16)"
-    assert "raise half_width" in mcs.image_error_spectrum("disk", chain, 16, **given).attrs["note"]
+    few = mcs.image_error_spectrum("disk", chain, 16, **given)
+    assert "raise half_width" in few.attrs["note"]
+    assert np.abs(bands(few) - 1.0).max() > 0.3
     smooth = mcs.image_error_spectrum("cosine(frequency=[1, 2])", chain, 16, **given)
     assert "note" not in smooth.attrs
+    many = mcs.image_error_spectrum("disk", chain, 16, **(given | {"half_width": None}))
+    assert many.attrs["half_width"] > 24
+    assert np.abs(bands(many) - 1.0).max() < 0.1

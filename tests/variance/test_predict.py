@@ -31,7 +31,7 @@ def _measured(f, sampler, n, realizations):
         ("christensen-gaussian", "halton | shift", 256),
         ("half-space(normal=(1.0,0.37),offset=0.6)", "jittered | shift", 256),
         (DISK, "poisson-disk", 64),
-        ("christensen-gaussian", "poisson-disk", 256),
+        ("christensen-gaussian", "poisson-disk", 64),
     ],
 )
 def test_torus_invariant_sets_are_predicted_within_their_interval(f, sampler, n):
@@ -41,7 +41,7 @@ def test_torus_invariant_sets_are_predicted_within_their_interval(f, sampler, n)
         float(found["predicted_variance"][0]),
         *found["predicted_variance_ci"].values[0],
     )
-    measured, error = _measured(f, sampler, n, 20_000)
+    measured, error = _measured(f, sampler, n, 12_500)  # 4 √(2/12500) = 0.05, as below
     assert str(found["route"].values[0]).startswith(("torus", "exact"))
     # four standard errors of the reference, beyond the interval of the prediction
     assert low - 4 * error < measured < high + 4 * error
@@ -126,11 +126,9 @@ def test_techniques_add_up_and_dependent_ones_are_measured():
     assert float(found["predicted_variance"][0]) == pytest.approx(exact, rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("sampler", "n"), [("sobol | owen", 300), ("halton | owen", 300), ("halton | owen", 1024)]
-)
+@pytest.mark.parametrize(("sampler", "n"), [("sobol | owen", 300), ("halton | owen", 1024)])
 def test_jumps_across_many_axes_are_measured_at_counts_next_to_n(sampler, n):
-    """Sums of products miss them: 1.49, 1.11 and 1.33 times the variance, within intervals that reach 0."""
+    """Sums of products miss them: 1.49 and 1.33 times the variance, within intervals that reach 0."""
     f = mcs.Integrand.from_function(lambda x: (x @ np.arange(1.0, 7.0) > 11.3) * 1.0, dims=6)
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
@@ -138,12 +136,34 @@ def test_jumps_across_many_axes_are_measured_at_counts_next_to_n(sampler, n):
     assert all(str(each.message).startswith("300 Sobol'") for each in said)
     assert str(found["route"].values[0]).startswith("extrapolated from measurements at 2")
     with warnings.catch_warnings(action="ignore"):
-        measured, error = _measured(f, mcs.sampler(sampler, dims=6), n, 4000)
+        # 0.1 + 3 √(2/1500) = 0.21 is less than what was missed
+        measured, error = _measured(f, mcs.sampler(sampler, dims=6), n, 1500)
     variance = float(found["predicted_variance"][0])
     low, high = found["predicted_variance_ci"].values[0]
     assert low - 3 * error < measured < high + 3 * error
     assert low > 0.5 * variance
     assert abs(variance - measured) < 0.1 * measured + 3 * error
+
+
+@pytest.mark.parametrize(
+    ("sampler", "n"),
+    [("rank1-lattice | shift", 16), ("korobov | shift", 251), ("sobol | digital-shift", 256)],
+)
+@pytest.mark.parametrize(
+    "f",
+    [lambda x: 1.0 * (x.sum(-1) < 1.25), lambda x: np.abs(x.sum(-1) - 2.0)],
+    ids=["jump", "kink"],
+)
+def test_sets_that_one_offset_moves_are_moved_where_products_miss_what_f_has(f, sampler, n):
+    """Of the simplex on 16 points of a lattice 0.64 ± 0.26 of the variance; the worst were 6 times off."""
+    f = mcs.Integrand.from_function(f, dims=4)
+    found = mcs.predict(f, sampler, [n])
+    route = "digital shifts" if "sobol" in sampler else "offsets of a lattice"
+    assert route in str(found["route"].values[0])
+    measured, error = _measured(f, mcs.sampler(sampler, dims=4), n, 4000)
+    low, high = found["predicted_variance_ci"].values[0]
+    assert low - 4 * error < measured < high + 4 * error
+    assert high - low < 0.15 * float(found["predicted_variance"][0])
 
 
 def _strata(n, generator):

@@ -1,6 +1,7 @@
 """Predictions in many dims: exact cases, references drawn once, and what is refused."""
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -41,6 +42,13 @@ def peaked(x):
     return np.exp(-3.0 * np.abs(x - 0.37).sum(axis=-1))
 
 
+@cache
+def exact_of_a_line(spec, n):
+    """Exact variance of e^x in 1-D."""
+    line = mcs.Integrand.from_function(lambda x: np.exp(x[..., 0]), dims=1, integral=0.0)
+    return mcs.exact_variance(line, mcs.sampler(spec, dims=1), n)
+
+
 @pytest.fixture(scope="module")
 def sums():
     return known_of(additive, 5)
@@ -61,16 +69,20 @@ class TestExact:
     @pytest.mark.parametrize("n", [64, 1024])
     def test_sums_over_axes(self, sums, spec, of_axis, n):
         """The variance is the sum of those of the axes, which are exact in 1-D."""
-        exact = 0.0
-        for i in range(5):
-            line = mcs.Integrand.from_function(lambda x: np.exp(x[..., 0]), dims=1, integral=0.0)
-            exact += (i + 1) ** 2 * mcs.exact_variance(line, mcs.sampler(of_axis(i), dims=1), n)
+        exact = sum((i + 1) ** 2 * exact_of_a_line(of_axis(i), n) for i in range(5))
         found = predicted(sums, spec, n)
         assert found.variance[0] == pytest.approx(exact, rel=RESOLVED)
         assert abs(found.variance[0] - exact) <= max(found.error[0], 1e-3 * exact)
 
-    @pytest.mark.parametrize("function", [product, oscillating])
-    @pytest.mark.parametrize("spec", ["sobol | owen", "halton | owen", "sobol | digital-shift"])
+    @pytest.mark.parametrize(
+        ("function", "spec"),
+        [
+            (product, "sobol | owen"),
+            (oscillating, "sobol | owen"),
+            (product, "halton | owen"),
+            (oscillating, "sobol | digital-shift"),
+        ],
+    )
     def test_nets_in_three_dims(self, function, spec):
         """Where gains and Walsh spectra of all cells can still be summed."""
         known = known_of(function, 3)

@@ -45,9 +45,9 @@ def _toy_variance(n):
 
 
 def _cases():
-    for sets in ("independent", "shared", "joint"):
-        for heuristic in ("balance", "maximum", "optimal"):
-            yield mcs.MultipleImportance(CUBIC, PAIR, heuristic=heuristic, sets=sets, dims=1)
+    pairs = {"independent": "balance", "shared": "maximum", "joint": "optimal"}
+    for sets, heuristic in pairs.items():
+        yield mcs.MultipleImportance(CUBIC, PAIR, heuristic=heuristic, sets=sets, dims=1)
     yield mcs.MultipleImportance(CUBIC, [*PAIR, "uniform"], counts=(1, 3, 2), dims=1)
     yield mcs.TechniqueSum([CUBIC, "linear"], sets="shared", dims=1)
     yield mcs.MultipleImportance("gaussian", ["uniform", "linear(slope=1)"], dims=2)

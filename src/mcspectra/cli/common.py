@@ -8,13 +8,13 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, final
 
 from mcspectra.core.checks import as_integer, as_real
-from mcspectra.core.errors import FileFormatError, ParameterError
+from mcspectra.core.errors import ParameterError
 
 if TYPE_CHECKING:
+    from mcspectra.report.page import Table
     from mcspectra.samplers import Sampler
 
 __all__ = [
@@ -26,13 +26,13 @@ __all__ = [
     "index_or_name",
     "one_sentence_warnings",
     "option",
+    "page_table",
     "read_sampler",
     "real",
     "text_table",
     "verb",
     "whole",
     "wholes",
-    "writing",
 ]
 
 
@@ -196,15 +196,6 @@ def read_sampler(text: str, dims: int | None) -> Sampler:
     return given  # type: ignore[no-any-return]
 
 
-@contextmanager
-def writing(path: Path | str) -> Iterator[None]:
-    """Turn what the system says about a file that cannot be written into a sentence."""
-    try:
-        yield
-    except OSError as error:
-        raise FileFormatError(f"{str(path)!r} cannot be written: {error.strerror}.") from None
-
-
 def text_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Align columns with two blanks between; all but the first two to the right."""
     table = [header, *rows]
@@ -218,6 +209,12 @@ def text_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
         lines.append("  ".join(cells).rstrip())
     lines.insert(1, "  ".join("-" * width for width in widths))
     return "\n".join(lines)
+
+
+def page_table(table: Table, first: str = "") -> str:
+    """Align a table of a report; its first column may have another name."""
+    header = [first or table.columns[0], *table.columns[1:]]
+    return text_table(header, [[cell.text for cell in row] for row in table.rows])
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import mcspectra as mcs
 from mcspectra.cli.common import Answer, option, text_table, verb, whole
-from mcspectra.core.errors import FileFormatError
+from mcspectra.core.errors import writing
 
 __all__ = ["design_"]
 
@@ -67,8 +67,6 @@ def design_(options: argparse.Namespace) -> Answer:
         },
     }
     if options.out is not None:
-        try:
+        with writing(options.out):
             Path(options.out).write_text(json.dumps(data, indent=2) + "\n")
-        except OSError as error:
-            raise FileFormatError(f"{options.out} cannot be written: {error.strerror}.") from None
     return Answer(text, data)

@@ -57,6 +57,9 @@ _MODULES = {
     "design": {
         "design": "search a sampler of small variance over a class of integrands, and certify it",
     },
+    "learn": {
+        "learn": "learn an importance density for an integrand and a sampler, and measure what it gains",
+    },
     "chains": {
         "chains": "error of the means of Markov chains, its frequencies, and what is wrong",
     },

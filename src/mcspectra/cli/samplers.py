@@ -174,7 +174,10 @@ def points_(options: argparse.Namespace) -> Answer:
     option("--budget N", "most evaluations", whole(), required=True),
     option("-d, --dims D", "number of dims, where the spec leaves it open", whole()),
     option("--density SPEC", "importance density"),
-    option("--sampler SPEC", "a randomised sampler (default sobol | owen)"),
+    option(
+        "--sampler SPEC", "a randomised sampler (default sobol | owen, for the median sobol | lms)"
+    ),
+    option("--combine HOW", "mean of the replicates (default), or median for linear scrambles"),
     option("--cache FILE", "keep values by point, and go on where an earlier run stopped"),
 )
 def integrate_(options: argparse.Namespace) -> Answer:
@@ -183,6 +186,7 @@ def integrate_(options: argparse.Namespace) -> Answer:
         mcs.Estimator(options.integrand, options.density, dims=options.dims),
         budget=options.budget,
         sampler=options.sampler,
+        combine=options.combine or "mean",
         cache=options.cache,
         rng=options.seed or 0,
     )

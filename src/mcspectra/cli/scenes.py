@@ -15,15 +15,16 @@ from mcspectra.cli.common import (
     group,
     index_or_name,
     option,
+    page_table,
     read_sampler,
     real,
     text_table,
     verb,
     whole,
     wholes,
-    writing,
 )
-from mcspectra.core.errors import ParameterError
+from mcspectra.cli.texts import remedies_table
+from mcspectra.core.errors import ParameterError, writing
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -228,9 +229,6 @@ def pixel_(options: argparse.Namespace) -> Answer:
     variance by bounce, decision and light, how many coordinates deserve good points, and remedies. The pixel is X Y, counted from the left and from the top, or the name of one (figure1 has P and Q). With
     --out DIR, DIR/report.html, DIR/pixel.json and DIR/figures/ are written.
     """
-    from mcspectra.report.pixel_page import pixel_summary, write_pixel
-    from mcspectra.studies.pixel import analyse_pixel
-
     x: int | str = options.x
     if options.y is not None:
         x = whole(0)("X", options.x)
@@ -241,123 +239,83 @@ def pixel_(options: argparse.Namespace) -> Answer:
     passed = ("light", "channel", "dims", "samplers", "counts", "realizations", "budget")
     given = {name: getattr(options, name) for name in passed}
     given = {name: value for name, value in given.items() if value is not None}
-    effort = "full" if options.full else "quick"
-    if options.integrator is not None:
-        return _path(options, x, effort, given)
-    tree = analyse_pixel(
-        options.scene,
-        x,
-        options.y,
-        remedies=not options.no_remedies,
-        effort=effort,
-        rng=options.seed or 0,
+    asked = {
+        "remedies": not options.no_remedies,
+        "effort": "full" if options.full else "quick",
+        "rng": options.seed or 0,
         **given,
-    )
-    text, data = _pixel_text(tree), pixel_summary(tree)
-    if options.out is not None:
-        data["report"] = page = write_pixel(tree, options.out)
-        text += f"\n\nreport: {page}"
-    return Answer(text, data)
+    }
+    about = _direct_light if options.integrator is None else _whole_paths
+    return about(options, x, asked)
 
 
-def _path(options: argparse.Namespace, x: int | str, effort: str, given: dict[str, Any]) -> Answer:
+def _direct_light(options: argparse.Namespace, x: int | str, asked: dict[str, Any]) -> Answer:
+    """The noise of a pixel's direct light: what it sees, rates, terms, and sentences."""
+    from mcspectra.report import pixel_page as page
+    from mcspectra.report.page import columns_of
+    from mcspectra.report.tables import summary_table, terms_table
+    from mcspectra.studies.pixel import analyse_pixel
+
+    tree = analyse_pixel(options.scene, x, options.y, **asked)
+    head = [f"pixel ({tree.attrs['x']}, {tree.attrs['y']}) of {tree.attrs['scene']}"]
+    head += [f"  {name}: {text}" for name, text in page.about_pixel(tree)]
+    rates = summary_table(page.pixel_rows(tree))
+    rates = columns_of(rates, rates.columns[:5])
+    terms = terms_table(page.term_rows(tree))
+    parts = ["\n".join(head), page_table(rates, "Strategy"), page_table(terms, "Strategy; basis")]
+    data, said = page.pixel_summary(tree), page.pixel_sentences(tree)
+    written = None if options.out is None else page.write_pixel(tree, options.out)
+    return _pixel_answer(tree, parts, said, data, written)
+
+
+def _whole_paths(options: argparse.Namespace, x: int | str, asked: dict[str, Any]) -> Answer:
     """The noise of whole paths at a pixel."""
-    from mcspectra.report.path_page import (
-        PATH_TABLES,
-        path_answer,
-        path_rows,
-        path_sentences,
-        path_summary,
-        write_path,
-    )
+    from mcspectra.report import path_page as page
     from mcspectra.studies.path import analyse_path
 
-    refused = [f"--{name}" for name in ("light", "budget") if name in given]
+    refused = [f"--{name}" for name in ("light", "budget") if name in asked]
     if refused:
         raise ParameterError(f"{refused[0]} is for direct light; leave it out with --integrator.")
-    tree = analyse_path(
-        options.scene,
-        x,
-        options.y,
-        integrator=options.integrator,
-        remedies=not options.no_remedies,
-        effort=effort,
-        rng=options.seed or 0,
-        **given,
-    )
+    tree = analyse_path(options.scene, x, options.y, integrator=options.integrator, **asked)
     known = tree.attrs
     head = (
         f"pixel ({known['x']}, {known['y']}) of {known['scene']}, integrator {known['integrator']}: "
-        f"{known['dims']} random numbers a path"
+        f"{known['dims']} random numbers a path\n{textwrap.fill(page.path_answer(tree), _WIDTH)}"
     )
-    head += "\n" + textwrap.fill(path_answer(tree), _WIDTH)
-    tables = [text_table(list(PATH_TABLES[name]), rows) for name, rows in path_rows(tree).items()]
-    if "remedies" in tree.children:
-        tables.append(_remedies_text(tree["remedies"].to_dataset()))
-    said = [
-        textwrap.fill(f"{name}: {text}", _WIDTH, subsequent_indent="  ")
-        for name, text in path_sentences(tree)
-    ]
-    text, data = "\n\n".join([head, *tables, "\n".join(said)]), path_summary(tree)
-    if options.out is not None:
-        data["report"] = page = write_path(tree, options.out)
-        text += f"\n\nreport: {page}"
-    return Answer(text, data)
-
-
-def _pixel_text(tree: xr.DataTree) -> str:
-    """What it sees, the rates, the terms, and the sentences."""
-    from mcspectra.plots.text import interval, number, rate
-    from mcspectra.report.pixel_page import about_pixel, pixel_rows, pixel_sentences, term_rows
-
-    known = tree.attrs
-    head = [f"pixel ({known['x']}, {known['y']}) of {known['scene']}"]
-    head += [f"  {name}: {text}" for name, text in about_pixel(tree)]
-    said = [
-        textwrap.fill(f"{name}: {text}", _WIDTH, subsequent_indent="  ")
-        for name, text in pixel_sentences(tree)
-    ]
-    rates = [
-        [row.estimator, row.sampler, rate(row.rate, row.rate_low, row.rate_high), str(row.n),
-         number(row.variance), number(row.ratio), interval(row.ratio_low, row.ratio_high),
-         row.route or ""]
-        for row in pixel_rows(tree)
-    ]  # fmt: skip
-    terms = [
-        [row.sampler, f"n = {row.terms_n}",
-         *(number(v) for v in (row.dc, row.power, row.cross, row.predicted, row.measured)),
-         interval(row.measured_low, row.measured_high), number(row.captured)]
-        for row in term_rows(tree)
-    ]  # fmt: skip
-    about = ["terms", "", "dc", "power", "cross", "sum", "measured", "95 %", "captured"]
     tables = [
-        text_table(
-            ["strategy", "sampler", "rate", "n", "variance", "predicted / measured", "95 %", "by"],
-            rates,
-        ),
-        text_table(about, terms),
+        text_table(page.PATH_TABLES[name], rows) for name, rows in page.path_rows(tree).items()
     ]
+    data, said = page.path_summary(tree), page.path_sentences(tree)
+    written = None if options.out is None else page.write_path(tree, options.out)
+    return _pixel_answer(tree, [head, *tables], said, data, written)
+
+
+def _pixel_answer(
+    tree: xr.DataTree,
+    parts: list[str],
+    said: list[tuple[str, str]],
+    data: dict[str, Any],
+    page: Path | None,
+) -> Answer:
+    """The head and tables, the changes that were tried, sentences by name, and the page if there is one."""
+
+    def filled(named: list[tuple[str, str]]) -> list[str]:
+        return [textwrap.fill(f"{k}: {v}", _WIDTH, subsequent_indent="  ") for k, v in named]
+
     if "remedies" in tree.children:
-        tables.append(_remedies_text(tree["remedies"].to_dataset()))
-    parts = [head, *([table] for table in tables), said]
-    return "\n\n".join("\n".join(part) for part in parts)
-
-
-def _remedies_text(found: xr.Dataset) -> str:
-    """The table of changes that were tried."""
-    from mcspectra.plots.text import interval, number
-
-    ratios, pilots = [], []
-    for name in found["remedy"].values:
-        one = found.sel(remedy=name)
-        _, pilot, said = str(one["reason"].item()).partition("Its pilot")
-        if pilot:
-            pilots.append(textwrap.fill(f"{name}: {pilot}{said}", _WIDTH, subsequent_indent="  "))
-        bounds = interval(*one["error_ratio_ci"].values.tolist())
-        ratio = number(float(one["error_ratio"]))
-        ratios.append([str(name), str(one["verdict"].item()), ratio, bounds])
-    table = text_table(["remedy", "", "variance / given", "95 %"], ratios)
-    return "\n".join([table, *pilots])
+        found = tree["remedies"].to_dataset()
+        pilots = [
+            (name, pilot + costs)
+            for name, reason in zip(found["remedy"].values, found["reason"].values, strict=True)
+            for _, pilot, costs in [str(reason).partition("Its pilot")]
+            if pilot
+        ]
+        parts = [*parts, "\n".join([remedies_table(found), *filled(pilots)])]
+    parts = [*parts, "\n".join(filled(said))]
+    if page is not None:
+        data["report"] = page
+        parts.append(f"report: {page}")
+    return Answer("\n\n".join(parts), data)
 
 
 def _map_options(parser: argparse.ArgumentParser) -> None:

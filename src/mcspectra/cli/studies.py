@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,24 +14,23 @@ from mcspectra.cli.common import (
     group,
     one_sentence_warnings,
     option,
+    page_table,
     real,
     text_table,
     verb,
     whole,
 )
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.progress import report
-from mcspectra.variance.fit import UNRESOLVED, is_resolved
+from mcspectra.variance.fit import UNRESOLVED
 
 if TYPE_CHECKING:
-    from mcspectra.studies import CellEstimate, SummaryRow
+    from mcspectra.studies import CellEstimate
     from mcspectra.studies.executors import Dask
-    from mcspectra.studies.run import MakeExecutor, Progress
+    from mcspectra.studies.run import MakeExecutor
     from mcspectra.studies.tasks import StudyText
 
 __all__ = ["estimate_text", "export_", "init_", "report_", "run_", "schema_", "status_"]
 
-_FAR = 0.5
 _LISTED = 10  # paths of cells that are not done
 
 
@@ -88,6 +86,8 @@ def run_(options: argparse.Namespace) -> Answer:
 
     from mcspectra.core.parallel import available_workers
     from mcspectra.report import write_report
+    from mcspectra.report.page import columns_of
+    from mcspectra.report.tables import summary_table
     from mcspectra.studies import (
         Trust,
         estimate_study,
@@ -123,13 +123,7 @@ def run_(options: argparse.Namespace) -> Answer:
         return Answer(estimate_text(estimates, wall, count), data)
 
     # Run the cells; the report is written of what is there, even if some fail
-    failed = None
-
-    def told(progress: Progress) -> None:
-        share = progress.done_cost / max(progress.total_cost, 1e-300)
-        done = 1.0 if progress.done == progress.cells else share
-        report(f"study of {progress.cells} cells", done)
-
+    code = 0
     try:
         run_study(
             config,
@@ -142,7 +136,6 @@ def run_(options: argparse.Namespace) -> Answer:
             engine=engine,
             trust=trust,
             force=options.force,
-            report=None if options.json else told,
         )
     except KeyboardInterrupt:
         print(
@@ -151,10 +144,9 @@ def run_(options: argparse.Namespace) -> Answer:
         )
         return Answer(code=130)
     except CellFailed as error:
-        failed = error
-    if failed is not None:
-        print(f"mcspectra: {failed}", file=sys.stderr)
-    code, stored = int(failed is not None), len(results.result_paths(out))
+        code = 1
+        print(f"mcspectra: {error}", file=sys.stderr)
+    stored = len(results.result_paths(out))
     if stored > results.MOST_STORED:
         text = (
             f"{stored:,} results are in {out}; a report is for {results.MOST_STORED:,} at most: "
@@ -164,8 +156,12 @@ def run_(options: argparse.Namespace) -> Answer:
     rows = summarize(open_results(out))
     page = write_report(out)
     data = {"report": page, "rows": [msgspec.to_builtins(row) for row in rows]}
-    table = f"{_summary_text(rows)}\n\n" if rows else ""
-    return Answer(f"{table}report: {page}", data, code)
+    # Show the first columns of its first table: rates, variances, predictions
+    summary = summary_table(rows)
+    shown = page_table(columns_of(summary, summary.columns[:5]))
+    if "unresolved" in shown:
+        shown += f"\nunresolved: the rate is {UNRESOLVED}"
+    return Answer(f"{shown}\n\nreport: {page}" if rows else f"report: {page}", data, code)
 
 
 def _cluster_engine(options: argparse.Namespace, time_limit: float | None) -> MakeExecutor | None:
@@ -222,30 +218,6 @@ def estimate_text(estimates: Sequence[CellEstimate], wall: float, workers: int) 
         f"{table}\n\n{known}about {wall:.3g} s with {workers} workers; {tasks} tasks, {memory} of memory "
         f"at most, {storage} of storage"
     )
-
-
-def _summary_text(rows: list[SummaryRow]) -> str:
-    """The table that a person reads: rate, predicted/measured, largest term."""
-    cells, any_far, any_open = [], False, False
-    for row in rows:
-        rate = half = captured = "–"
-        if row.rate is not None and row.rate_low is not None and row.rate_high is not None:
-            wide = (row.rate_high - row.rate_low) / 2
-            rate, half = f"{row.rate:+.2f}", "infinite" if math.isinf(wide) else f"{wide:.2f}"
-            if not is_resolved(row.rate_low, row.rate_high):
-                any_open, rate = True, "unresolved"
-        if row.ratio is not None:
-            far = abs(row.ratio - 1.0) > _FAR
-            any_far, captured = any_far or far, f"{row.ratio:.3f}{'*' if far else ' '}"
-        term = "infinite" if row.note else "–"
-        if row.largest_term:
-            term = f"{row.largest_term} {getattr(row, row.largest_term):+.2e}"
-        cells.append([row.estimator, row.sampler, rate, half, captured, term])
-    header = ["estimator", "sampler", "rate", "±", "predicted/measured", "largest term"]
-    table = text_table(header, cells)
-    note = "* far from 1: the report says why"
-    rates = f"unresolved: the rate is {UNRESOLVED}"
-    return "\n".join([table, *[note] * any_far, *[rates] * any_open])
 
 
 @verb(

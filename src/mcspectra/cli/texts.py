@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mcspectra.cli.common import Answer, text_table
+from mcspectra.cli.common import Answer, page_table, text_table
 from mcspectra.core.errors import NoClosedForm
 from mcspectra.variance.fit import UNRESOLVED, is_resolved
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["VIEWS", "View", "data_of", "table_of_anything"]
+__all__ = ["VIEWS", "View", "data_of", "remedies_table", "table_of_anything"]
 
 _WIDTH = 100
 _ROUNDING = 1e-14  # of the variance: sums of terms that cancel
@@ -434,23 +434,10 @@ def prediction(result: xr.Dataset) -> Answer:
 @_view("remedies")
 def remedies(result: xr.Dataset) -> Answer:
     """Prints a table in the order of the variances, then what to do and why."""
-    known, rows, listed = result.attrs, [], []
+    known, listed = result.attrs, []
     for name in result["remedy"].values:
         one = result.sel(remedy=name)
         listed.append({str(key): v.values for key, v in one.variables.items()})
-        resolved = np.isnan(one["rate"]) or is_resolved(*one["rate_ci"].values)
-        rows.append(
-            [
-                str(name),
-                str(one["verdict"].item()),
-                f"{float(one['error']):.4g}",
-                f"{float(one['error_ratio']):.3g}",
-                _interval(one["error_ratio_ci"].values, 3),
-                f"{float(one['rate']):.2f}" if resolved else "unresolved",
-                " … ".join(f"{float(end):.2f}" for end in one["rate_ci"].values),
-            ]
-        )
-    table = text_table(["remedy", "", "variance", "ratio", "95 %", "rate", "95 %"], rows)
     title = f"{_title(result)},  {known['budget']} evaluations"
     said = [textwrap.fill(known[name], _WIDTH) for name in ("diagnosis", "recommendation")]
     left_out = [
@@ -458,7 +445,18 @@ def remedies(result: xr.Dataset) -> Answer:
         for reason in json.loads(known.get("not_tried", "[]"))
     ]
     heading = "not tried:" if left_out else ""
-    return _shown(title, table, *said, heading, *left_out, remedies=listed)
+    return _shown(title, remedies_table(result), *said, heading, *left_out, remedies=listed)
+
+
+def remedies_table(result: xr.Dataset) -> str:
+    """The changes that were tried, as a report has them, on a line each."""
+    from mcspectra.report.page import columns_of
+    from mcspectra.report.tables import analysis_table
+
+    made = analysis_table("remedies", {"": result})
+    assert made is not None
+    columns = ("Remedy", "Verdict", "Variance", "Ratio", "95 % interval", "Rate")
+    return page_table(columns_of(made[1], columns))
 
 
 @_view("modes")

@@ -16,7 +16,7 @@ generator: it yields lists of reductions, is sent their merged states, and retur
 from __future__ import annotations
 
 import numbers
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import (
     TYPE_CHECKING,
@@ -60,6 +60,7 @@ __all__ = [
     "chunks",
     "compute",
     "compute_chunk",
+    "driven",
     "finished",
     "in_step",
     "needed",
@@ -480,28 +481,36 @@ def compute(
     name = _name(clean)
     with counting(name, _most(clean)) as tally:
         check_memory(needed(clean, subject).memory, name)
-        steps = steps_of(clean, subject, Stream.from_rng(rng))
-        states: Any = None
-        try:
-            while True:
-                found = steps.send(states)
-                # Merge the states of all blocks; tell how much of the step's cost is done
-                total, before = max(sum(each.cost for each in found), 1e-300), 0.0
-                states = []
-                for each in found:
-                    tree: MergeTree[Any] = MergeTree()
-                    for done, state in enumerate(
-                        map_in_order(each.block, range(each.blocks), threads), 1
-                    ):
-                        tree.add(state)
-                        share = (before + done / each.blocks * each.cost) / total
-                        report(name, 1.0 if share > 1.0 - 1e-9 else share)
-                    states.append(tree.total())
-                    before += each.cost
-        except StopIteration as end:
-            tally.check()
-            result = finished(clean, end.value, rng)
+
+        def states_of(step: list[Reduction[Any]]) -> Iterator[Any]:
+            # Merge the states of all blocks; tell how much of the step's cost is done
+            total, before = max(sum(each.cost for each in step), 1e-300), 0.0
+            for each in step:
+                tree: MergeTree[Any] = MergeTree()
+                for done, state in enumerate(
+                    map_in_order(each.block, range(each.blocks), threads), 1
+                ):
+                    tree.add(state)
+                    share = (before + done / each.blocks * each.cost) / total
+                    report(name, 1.0 if share > 1.0 - 1e-9 else share)
+                yield tree.total()
+                before += each.cost
+
+        result = driven(steps_of(clean, subject, Stream.from_rng(rng)), states_of)
+        tally.check()
+        result = finished(clean, result, rng)
     return result.assign_attrs(evaluations=tally.made) if tally.made else result
+
+
+def driven(steps: Steps, states_of: Callable[[list[Reduction[Any]]], Iterable[Any]]) -> xr.Dataset:
+    """Result of steps, each of which is sent the merged states that `states_of` gives of it."""
+    states: list[Any] | None = None
+    try:
+        while True:
+            states = list(states_of(steps.send(states)))  # type: ignore[arg-type]
+    except StopIteration as end:
+        result: xr.Dataset = end.value
+        return result
 
 
 def compute_chunk(reduction: Reduction[State], chunk: Chunk) -> State:
@@ -514,28 +523,45 @@ def compute_chunk(reduction: Reduction[State], chunk: Chunk) -> State:
 
 
 class MergeTree(Generic[State]):
-    """Merges states of consecutive blocks as a binary counter does: neighbours of equal size first.
+    """Merges states of blocks as a binary counter does: neighbours of equal size first.
 
     What remains at the end merges from the right. The tree depends on the number of blocks alone,
-    not on the chunks they came in; only log₂ of their number are held at once.
+    not on the chunks they came in, nor on the order of these; of chunks in their order only log₂ of the
+    number of blocks are held at once.
+
+    Attributes
+    ----------
+    nodes
+        Number of blocks and state of what is merged so far, by the first block.
     """
 
     def __init__(self) -> None:
-        self._nodes: list[tuple[int, State]] = []
+        self.nodes: dict[int, tuple[int, State]] = {}
+        self._next = 0
 
     def add(self, state: State, blocks: int = 1) -> None:
         """Take in the state of the next `blocks` blocks, which make a `Chunk`."""
-        while self._nodes and self._nodes[-1][0] == blocks:
-            _, left = self._nodes.pop()
-            state, blocks = merged(left, state), 2 * blocks
-        self._nodes.append((blocks, state))
+        self.put((self._next, blocks), state)
+        self._next += blocks
+
+    def put(self, chunk: Chunk, state: State) -> int:
+        """Take in the state of any chunk; returns the first block of the node that it is in."""
+        first, count = chunk
+        while count & (count - 1) == 0 and self.nodes.get(first ^ count, (0,))[0] == count:
+            _, other = self.nodes.pop(first ^ count)
+            left, right = (state, other) if first & count == 0 else (other, state)
+            state = merged(left, right)
+            first, count = first & ~count, 2 * count
+        self.nodes[first] = count, state
+        return first
 
     def total(self) -> State:
         """State of all blocks together; of at least one."""
-        _, total = self._nodes.pop()
-        while self._nodes:
-            _, left = self._nodes.pop()
-            total = merged(left, total)
+        parts = [self.nodes[first][1] for first in sorted(self.nodes)]
+        self.nodes.clear()
+        total = parts.pop()
+        while parts:
+            total = merged(parts.pop(), total)
         return total
 
 

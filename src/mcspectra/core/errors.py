@@ -11,7 +11,9 @@ import difflib
 import os
 import sys
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from os import PathLike
 from pathlib import Path
 
 __all__ = [
@@ -44,6 +46,7 @@ __all__ = [
     "point_in_words",
     "reason_of",
     "warn",
+    "writing",
 ]
 
 _PACKAGE = str(Path(__file__).parents[1]) + os.sep
@@ -191,6 +194,17 @@ def reason_of(error: BaseException, most: int = 1000) -> str:
         words = ""
     shown = " ".join("".join(c if c.isprintable() else " " for c in words).split())
     return shown[:most].rstrip(".") or type(error).__name__
+
+
+@contextmanager
+def writing(
+    path: str | PathLike[str], kind: type[McspectraError] = FileFormatError
+) -> Iterator[None]:
+    """Make an error of this kind, one sentence, of what the system says of a file that it cannot write."""
+    try:
+        yield
+    except OSError as error:
+        raise kind(f"{str(path)!r} cannot be written: {error.strerror or error}.") from None
 
 
 def warn(message: str, category: type[Warning]) -> None:

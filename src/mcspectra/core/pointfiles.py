@@ -40,7 +40,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.decoding import check_decoded_size, known_path, opened, read_npy, read_npz
-from mcspectra.core.errors import FileFormatError
+from mcspectra.core.errors import FileFormatError, writing
 from mcspectra.core.registry import optional_package
 
 __all__ = [
@@ -180,12 +180,8 @@ def write_points(
     """
     file = known_path(path, "a point set", EXTENSIONS)
     content = _content(file.suffix.lower(), sets, meta, str(file))
-    try:
+    with writing(file):
         file.write_bytes(content)
-    except OSError as error:
-        raise FileFormatError(
-            f"{str(file)!r} cannot be written: {error.strerror or error}."
-        ) from None
 
 
 def parse_dat(text: str, name: str) -> list[Array]:

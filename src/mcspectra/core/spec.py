@@ -26,6 +26,7 @@ _NO_NUMBERS = ("nan", "inf", "infinity")
 _FIRST = {"command": "run", "python": "function"}  # what stands first may have no name: code
 _MAX_LENGTH = 20_000
 _MAX_SHOWN = 80
+_FOLDERS = re.compile(r"""(?:\w+=)?(['"])[^'"]*/(?=[^'"/]+\1)""")  # of a file, with its key
 _MARK = re.compile(
     r"""'(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|['"()\[\]{}|]""", re.DOTALL
 )  # texts are one
@@ -98,10 +99,13 @@ def parse(text: str) -> Call:
 
 
 def short_spec(text: str) -> str:
-    """Return a spec as pictures and tables show it: parts that have a ``name=`` are that name."""
+    """Return a spec as pictures and tables show it: ``name=`` in place of a part, files by their names."""
     try:
         parts = zip(parse_chain(text), _split(text), strict=True)
-        return " | ".join(str(call.arguments.get("name") or part.strip()) for call, part in parts)
+        return " | ".join(
+            str(call.arguments.get("name") or _FOLDERS.sub(r"\1", part.strip()))
+            for call, part in parts
+        )
     except SpecError:
         return text
 

@@ -20,6 +20,7 @@ from .directions import SphereDensity as SphereDensity
 from .environment import EnvironmentDensity as EnvironmentDensity
 from .environment import ImageDensity as ImageDensity
 from .environment import compensated as compensated
+from .learned import Learned as Learned
 from .lights import SphericalRectangle as SphericalRectangle
 from .lights import SphericalTriangle as SphericalTriangle
 from .pieces import AlignedStrata as AlignedStrata
@@ -46,6 +47,7 @@ __all__ = [
     "GridDensity",
     "HemisphereDensity",
     "ImageDensity",
+    "Learned",
     "Linear",
     "Mixture",
     "NumericalDensity",

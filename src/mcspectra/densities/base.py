@@ -106,6 +106,11 @@ class Density(Component, ABC):
         x = self._sample(as_points(u, self.primary_dims, "u"))
         return np.clip(x, 0.0, LARGEST_BELOW_ONE)
 
+    def sample_pdf(self, u: object) -> tuple[Array, Array]:
+        """Points x of `sample` (..., d) and the density there, (...), in one pass where that is cheaper."""
+        x, pdf = self._sample_pdf(as_points(u, self.primary_dims, "u"))
+        return np.clip(x, 0.0, LARGEST_BELOW_ONE), pdf
+
     def invert(self, x: object) -> Array:
         """Undo `sample`: primary points u of shape (..., d), in [0,1)."""
         u = self._invert(as_points(x, self.dims, "x"))
@@ -152,6 +157,11 @@ class Density(Component, ABC):
     @abstractmethod
     def _sample(self, u: Array) -> Array:
         """Warp float64 points (..., d)."""
+
+    def _sample_pdf(self, u: Array) -> tuple[Array, Array]:
+        """Warp float64 points (..., d), and give the density there."""
+        x = np.clip(self._sample(u), 0.0, LARGEST_BELOW_ONE)
+        return x, self._pdf(x)
 
     def _invert(self, x: Array) -> Array:  # noqa: ARG002
         """Undo `_sample` at float64 points (..., d)."""

@@ -24,6 +24,7 @@ DENSITIES = Registry(
         "disk": "mcspectra.densities.directions:DiskDensity",
         "grid": "mcspectra.densities.pieces:GridDensity",
         "hemisphere": "mcspectra.densities.directions:HemisphereDensity",
+        "learned": "mcspectra.densities.learned:Learned",
         "linear": "mcspectra.densities.analytic:Linear",
         "mixture": "mcspectra.densities.composite:Mixture",
         "piecewise-constant": "mcspectra.densities.tabulated:PiecewiseConstant",

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, final, runtime_checkable
 
@@ -209,9 +209,13 @@ class AbstractEstimator(ABC):
 
     def estimate(self, points: list[Array]) -> Array:
         """Estimates from primary points of each technique: float64 (R,) or (R, channels)."""
+        return self.estimate_of(self.primary_values(t, u) for t, u in enumerate(points))
+
+    def estimate_of(self, values: Iterable[Array]) -> Array:
+        """Estimates from the primary values of each technique, (R, n) or (R, n, channels)."""
         total: Any = 0.0
-        for technique, u in enumerate(points):
-            total = total + self.primary_values(technique, u).mean(axis=1)
+        for each in values:
+            total = total + each.mean(axis=1)
         if not np.isfinite(total).all():
             raise ParameterError(f"{self.spec} gave an estimate that is NaN or infinite.")
         return np.asarray(total)

@@ -102,11 +102,11 @@ class Estimator(DomainEstimator):
         own = self.density
         return self.integrand.breaks if own is None else carried_breaks(self.integrand, own)
 
-    def primary_values(self, technique: int, u: Array) -> Array:
+    def primary_values(self, technique: int, u: Array) -> Array:  # noqa: ARG002
         if self.density is None:
             return self.integrand(u)
-        x = self.warp(technique, u)
-        return divide_by_density(self.integrand(x), self.density.pdf(x), x, self.spec)
+        x, pdf = self.density.sample_pdf(u)
+        return divide_by_density(self.integrand(x), pdf, x, self.spec)
 
     def warp(self, technique: int, u: Array) -> Array:  # noqa: ARG002
         return u if self.density is None else self.density.sample(u)

@@ -7,7 +7,7 @@ cancel. All arrays have the realisation axis first.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -23,6 +23,8 @@ _LEAST = 10  # values that can show a tail at all
 _TAIL = 64  # smallest and largest values that are kept, and values that a tail index is fitted to
 _LEAST_TAIL = 300  # values of which these are the tail
 _CLUMPS = 4.0  # kurtosis, up to which far values are no tail
+_LEAST_POINTS = 3000  # whose 256 farthest are the tail
+_BEYOND = {16: 0.005, 64: 0.02, 256: 0.15}  # of the variance, by so many: what ends has a low one
 _MOST_ERROR = 2.0  # squared: fewer than one degree of freedom, an upper end above 100 s²
 
 
@@ -37,9 +39,12 @@ class Moments:
     m4: Array
     # The smallest and the largest values, sorted along the first axis, where tails are looked at
     extremes: Array | None = None
+    kept: int = field(default=_TAIL, kw_only=True)  # of each
+    # Of the values at single points that these are means of: they show tails that means hide
+    points: Moments | None = field(default=None, kw_only=True)
 
     @staticmethod
-    def of(values: Array, *, tails: bool = False) -> Moments:
+    def of(values: Array, *, tails: bool = False, kept: int = _TAIL) -> Moments:
         """Moments of values (R, ...) over their first axis, and with `tails` what `tail_index` needs."""
         mean = values.mean(axis=0)
         deviation = values - mean
@@ -50,8 +55,14 @@ class Moments:
             m2=square.sum(axis=0),
             m3=(square * deviation).sum(axis=0),
             m4=(square * square).sum(axis=0),
-            extremes=_outermost(values) if tails else None,
+            extremes=_outermost(values, kept) if tails else None,
+            kept=kept,
         )
+
+    @staticmethod
+    def of_points(values: Array) -> Moments:
+        """Moments of values (N, ...) at single points, with what `beyond` needs."""
+        return Moments.of(values, tails=True, kept=max(_BEYOND))
 
     def merge(self, other: Moments) -> Moments:
         """Moments of both sets of values together."""
@@ -61,9 +72,14 @@ class Moments:
         d2 = delta * delta
         extremes = None
         if self.extremes is not None and other.extremes is not None:
-            extremes = _outermost(np.concatenate([self.extremes, other.extremes]))
+            extremes = _outermost(np.concatenate([self.extremes, other.extremes]), self.kept)
+        points = self.points
+        if points is not None and other.points is not None:
+            points = points.merge(other.points)
         return Moments(
             extremes=extremes,
+            kept=self.kept,
+            points=points,
             count=n,
             mean=self.mean + delta * (b / n),
             m2=self.m2 + other.m2 + d2 * (a * b / n),
@@ -134,12 +150,15 @@ class Moments:
 
         Not if one or two of them make up most of it; nor if the tail index of their squares is more
         than 1 − 1/log10 R, above which a mean is far from normal [Vehtari2024]_, and their kurtosis more
-        than 4: values in a few clumps have a few far from others, too.
+        than 4: values in a few clumps have a few far from others, too. Nor if the values that they are
+        means of follow a power law, and much of their variance lies beyond all of them.
         """
         with np.errstate(invalid="ignore", divide="ignore"):
             few = self._log_errors()[1] ** 2 > _MOST_ERROR
             heavy = 2.0 * self.tail_index > 1.0 - 1.0 / np.log10(max(self.count, 2))
             heavy &= self.count * self.m4 > _CLUMPS * self.m2**2
+        if self.points is not None and self.points.count >= _LEAST_POINTS:
+            heavy |= np.all([self.points.beyond(m) > most for m, most in _BEYOND.items()], axis=0)
         return np.asarray((self.count < _LEAST) | ~(few | heavy))
 
     @property
@@ -152,8 +171,23 @@ class Moments:
         """
         if self.extremes is None or self.count < _LEAST_TAIL:
             return np.full_like(self.m2, np.nan)
-        below = (self.mean - self.extremes[:_TAIL])[::-1]
-        above = self.extremes[-_TAIL:] - self.mean
+        return self._farthest(_TAIL)[1]
+
+    def beyond(self, many: int) -> Array:
+        """Share of the variance beyond all values, if so many of the farthest tell their law.
+
+        Of values t^-k beyond a quantile that M of N exceed a part M^(2k − 1) of Σ t² is beyond them all.
+        """
+        far, index = self._farthest(many)
+        share = np.divide((far**2).sum(axis=0), self.m2, out=0.0 * self.m2, where=self.m2 > 0)
+        law = many ** np.minimum(2.0 * index - 1.0, 0.0)
+        return np.asarray(np.where(np.isfinite(index), share * law, 0.0))
+
+    def _farthest(self, many: int) -> tuple[Array, Array]:
+        """Distances of the farthest values from the mean, on its longer side, and their k̂."""
+        assert self.extremes is not None
+        below = (self.mean - self.extremes[:many])[::-1]
+        above = self.extremes[-many:] - self.mean
         far = np.where(above[-1] >= below[-1], above, below)
         excess = far[1:] - far[0]
 
@@ -164,7 +198,7 @@ class Moments:
         weight = np.linspace(1.0, 0.0, len(excess)).reshape(-1, *[1] * self.m2.ndim)
         first, second = excess.mean(axis=0), (weight * excess).mean(axis=0)
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.asarray(2.0 - first / (first - 2.0 * second))
+            return far, np.asarray(2.0 - first / (first - 2.0 * second))
 
     def _log_errors(self) -> tuple[Array, Array]:
         """Standard errors of log s² for the lower and the upper end."""
@@ -191,11 +225,12 @@ class Moments:
         return np.asarray(np.sqrt(self.variance / self.count))
 
 
-def _outermost(values: Array) -> Array:
+def _outermost(values: Array, kept: int) -> Array:
     """The smallest and the largest values (R, ...), in order."""
-    ordered = np.sort(values, axis=0)
-    few = len(ordered) <= 2 * _TAIL
-    return ordered if few else np.concatenate([ordered[:_TAIL], ordered[-_TAIL:]])
+    if len(values) > 2 * kept:
+        parted = np.partition(values, (kept, len(values) - kept - 1), axis=0)
+        values = np.concatenate([parted[:kept], parted[-kept:]])
+    return np.sort(values, axis=0)
 
 
 def variance_interval(variance: Array, relative_se: Array) -> Array:

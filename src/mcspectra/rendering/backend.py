@@ -222,7 +222,12 @@ def _start() -> Any:
 
 def _check_mapped() -> None:
     """Refuse what Dr.Jit has loaded, by the caller's own import of it, if that ends the process later."""
-    verdicts = [_verdict(library, fresh=False) for library in _mapped_libraries()]
+    try:  # where the system says what this process has loaded, as Linux does
+        lines = Path("/proc/self/maps").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return
+    mapped = {line.split(maxsplit=5)[5] for line in lines if "/libLLVM" in line}
+    verdicts = [_verdict(path, fresh=False) for path in sorted(mapped) if Path(path).is_file()]
     if not verdicts or any(verdict.works for verdict in verdicts):
         return
     best, _ = find_library()
@@ -236,16 +241,6 @@ def _check_mapped() -> None:
             else f"{_INSTALL}, and {order}."
         )
     )
-
-
-def _mapped_libraries() -> list[str]:
-    """Return the libLLVM that this process has loaded; none where the system does not say (Linux does)."""
-    try:
-        lines = Path("/proc/self/maps").read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
-        return []
-    paths = {line.split(maxsplit=5)[5] for line in lines if "/libLLVM" in line}
-    return sorted(path for path in paths if Path(path).is_file())
 
 
 def _imported() -> Any:

@@ -124,9 +124,27 @@ def render(
     warn_integrator(scene)
     warn_missed(scene, strategy, light)
     moments = _moments(plan, available_workers(workers))
-    return _as_dataset(
-        moments,
-        plan,
+    left, top, width, height = plan.crop
+    names = {"image": "mean"}
+    if plan.realizations > 1:
+        names |= {"variance": "variance", "image_se": "mean_se"}
+    joined = {
+        name: np.concatenate([getattr(m, of) for m in moments]).reshape(
+            height, width, len(CHANNELS)
+        )
+        for name, of in names.items()
+    }
+    return dataset(
+        {name: (("y", "x", "channel"), values) for name, values in joined.items()},
+        {
+            "y": np.arange(top, top + height),
+            "x": np.arange(left, left + width),
+            "channel": list(CHANNELS),
+        },
+        strategy=plan.strategy,
+        sampler=plan.sampler.spec,
+        spp=plan.spp,
+        realizations=plan.realizations,
         scene=scene_name(scene).strip("'\""),
         film=film,
         camera=camera_rays(scene),
@@ -258,32 +276,6 @@ def _moments(plan: _Plan, workers: int) -> list[Moments]:
         finished += len(means)
         progress.report("render", finished / total)
     return done
-
-
-def _as_dataset(moments: list[Moments], plan: _Plan, **provenance: Any) -> xr.Dataset:
-    left, top, width, height = plan.crop
-
-    def joined(name: str) -> tuple[tuple[str, ...], Array]:
-        parts = np.concatenate([getattr(m, name) for m in moments])
-        return ("y", "x", "channel"), parts.reshape(height, width, len(CHANNELS))
-
-    variables = {"image": joined("mean")}
-    if plan.realizations > 1:
-        variables |= {"variance": joined("variance"), "image_se": joined("mean_se")}
-    coords = {
-        "y": np.arange(top, top + height),
-        "x": np.arange(left, left + width),
-        "channel": list(CHANNELS),
-    }
-    return dataset(
-        variables,
-        coords,
-        strategy=plan.strategy,
-        sampler=plan.sampler.spec,
-        spp=plan.spp,
-        realizations=plan.realizations,
-        **provenance,
-    )
 
 
 def _as_crop(crop: object, waves: Wavefront) -> tuple[int, int, int, int]:

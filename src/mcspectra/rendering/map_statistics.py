@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -80,6 +80,8 @@ def fit_lines(
     error above `largest_se`: they come of very few realisations that met what is rare, and most
     often they are far too small.
     """
+    from scipy.special import chdtrc, stdtrit
+
     with np.errstate(invalid="ignore", divide="ignore"):
         floor = (_ULPS * np.finfo(np.float32).eps * mean) ** 2
         used = (variance > floor) & (relative_se > 0) & (relative_se <= largest_se)
@@ -97,7 +99,12 @@ def fit_lines(
         residual = y - level[:, None] - rate[:, None] * step
         degrees = used.sum(axis=1) - 2
         chi2 = np.where(degrees > 0, _over_counts(weight * residual**2) / degrees, np.nan)
-        widening = _widening(degrees, chi2)
+        # Lack of fit widens intervals, as in `mcspectra.variance.fit`: what errors do not explain is
+        # known from few counts only, Student's t over the normal quantile.
+        some, lack = np.maximum(degrees, 1), np.where(degrees > 0, chi2, 0.0)
+        student = stdtrit(some, 0.975) / CONFIDENCE_Z
+        significant = chdtrc(some, lack * some) < _LACK_OF_FIT
+        widening = np.maximum(np.where(significant, student, 1.0) * np.sqrt(lack), 1.0)
         return LineFits(
             rate=rate,
             rate_se=np.where(enough, widening / np.sqrt(spread), np.nan),
@@ -106,19 +113,6 @@ def fit_lines(
             centre=centre,
             chi2=chi2,
         )
-
-
-def _widening(degrees: Array, chi2: Array) -> Array:
-    """By what lack of fit widens intervals: as in `mcspectra.variance.fit`."""
-    from scipy.special import chdtrc, stdtrit
-
-    some = np.maximum(degrees, 1)
-    lack = np.where(degrees > 0, chi2, 0.0)
-    # What errors do not explain is known from few counts only: Student's t over the normal quantile.
-    student = stdtrit(some, 0.975) / CONFIDENCE_Z
-    significant = chdtrc(some, lack * some) < _LACK_OF_FIT
-    wide = np.where(significant, student, 1.0) * np.sqrt(lack)
-    return np.asarray(np.maximum(wide, 1.0))
 
 
 def smooth(rate: Array, rate_se: Array, window: int, independent: bool) -> tuple[Array, Array]:
@@ -157,19 +151,14 @@ def slowest(rate: Array, rate_se: Array) -> Array:
     They must have points of their own: then the standard errors add up as squares. Intervals that are
     apart would ask for 1.4 times the difference, at equal errors.
     """
-    difference = rate[0] - rate[1]
-    half = CONFIDENCE_Z * np.hypot(*rate_se)
-    unknown = np.asarray(np.isnan(rate).all(axis=0))
-    return _decided(difference > half, -difference > half, unknown)
+    return _larger(rate[0] - rate[1], rate_se, np.isnan(rate).all(axis=0))
 
 
 def dominant(variance: Array, relative_se: Array) -> Array:
     """Which of two techniques (2, y, x) has the larger variance, by the interval of their ratio."""
     with np.errstate(invalid="ignore", divide="ignore"):
         log_ratio = np.log(variance[0]) - np.log(variance[1])
-        half = CONFIDENCE_Z * np.hypot(relative_se[0], relative_se[1])
-        unknown = np.isnan(log_ratio)
-        return _decided(log_ratio > half, -log_ratio > half, np.asarray(unknown))
+        return _larger(log_ratio, relative_se, np.isnan(log_ratio))
 
 
 def least(variance: Array, relative_se: Array) -> Array:
@@ -265,9 +254,11 @@ def _over_counts(values: Array) -> Array:
     return np.asarray(functools.reduce(np.add, np.moveaxis(values, 1, 0)))
 
 
-def _decided(first: Array, second: Array, unknown: Array) -> Array:
-    """0, 1 or undecided; NaN where nothing is known."""
-    return np.select([unknown, first, second], [np.nan, 0.0, 1.0], UNDECIDED)
+def _larger(difference: Array, se: Array, unknown: Any) -> Array:
+    """0 or 1, whichever is larger by the interval of their difference, or undecided; NaN if unknown."""
+    half = CONFIDENCE_Z * np.hypot(*se)
+    sure = [unknown, difference > half, -difference > half]
+    return np.select(sure, [np.nan, 0.0, 1.0], UNDECIDED)
 
 
 def _box(image: Array, window: int) -> Array:

@@ -34,8 +34,9 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Final, Protocol, final
+from typing import Annotated, Any, Final, TypeAlias, final
 
 import numpy as np
 
@@ -59,6 +60,7 @@ from mcspectra.rendering.techniques import (
     chosen_channel,
     follow_camera,
     heuristic_weight,
+    pixel_sums,
     sample_bsdf,
     sample_columns,
     sample_light,
@@ -217,7 +219,7 @@ class Measurement:
             for first in range(0, self.realizations, self.block):
                 block = first, min(self.block, self.realizations - first)
                 if receivers is None:
-                    made = [self._paths(pixels, n, block)]
+                    made = [self._traced(pixels, *self._points(pixels, n, block))]
                 else:
                     drawn = zip(TECHNIQUES, self._points(receivers.pixels, n, block), strict=True)
                     both = {t: receivers.estimates(t, u) for t, u in drawn if t in self.techniques}
@@ -269,11 +271,6 @@ class Measurement:
         return self._traced(pixels, u if self.own else u[:, 0]).reshape(
             self.chains, -1, max(2, len(pixels))
         )
-
-    def _paths(self, pixels: Array, n: int, block: Block) -> Array:
-        """Estimates (R, P) by whole paths."""
-        (u,) = self._points(pixels, n, block)
-        return self._traced(pixels, u)
 
     def _traced(self, pixels: Array, u: Array) -> Array:
         """Means of paths, as of `Tracer`; a single pixel stands twice, as among receivers."""
@@ -417,40 +414,29 @@ class Receivers:
         at = drjit.gather(load_mitsuba().SurfaceInteraction3f, self._kept, pixel)
         return Hit(load_scene(self._lighting.scene), at, at.bsdf())
 
-    def _sums(self, technique: str, u: Array) -> tuple[Array, Array]:
+    def _sums(self, technique: str, u: Array) -> Array:
+        """Sums over samples, plain and weighted: (2, R, P)."""
         import drjit
 
-        mitsuba, lanes = load_mitsuba(), len(u) * len(self)
-        total: Any = drjit.float64_array_t(mitsuba.Float)
         columns = sample_columns(u.reshape(-1, u.shape[-1]))
-        # Opaque: numbers written into the kernel would have it compiled anew for each.
-        count, width = (drjit.opaque(mitsuba.UInt32, k) for k in (u.shape[-2], len(self)))
-        lane = drjit.arange(mitsuba.UInt32, lanes)
-        realization = lane // width
-        hits = self._gathered(lane - realization * width)
-        first = (lane if u.ndim == 4 else realization) * count
 
-        def add(k: Any, plain: Any, weighted: Any) -> tuple[Any, Any, Any]:
-            sample = [drjit.gather(mitsuba.Float, c, first + k) for c in columns]
-            value, weight = self._value(technique, hits, sample)
-            return k + 1, plain + total(value), weighted + total(value * weight)
+        def at(pixel: Any) -> Callable[[Any], tuple[Any, Any]]:
+            hits = self._gathered(pixel)
+            return lambda row: self._value(
+                technique, hits, [drjit.gather(type(c), c, row) for c in columns]
+            )
 
-        start = (mitsuba.UInt32(0), drjit.zeros(total, lanes), drjit.zeros(total, lanes))
-        sums: Any = drjit.while_loop(start, lambda k, *_: k < count, add)
-        plain, weighted = sums[1:]
-        drjit.eval(plain, weighted)
-        shape = (len(u), len(self))
-        return np.asarray(plain.numpy()).reshape(shape), np.asarray(weighted.numpy()).reshape(shape)
+        return pixel_sums(u, len(self), 2, at)
 
     def _value(self, technique: str, hits: Hit, sample: list[Any]) -> tuple[Any, Any]:
-        """Value of one sample in the chosen channel, and its weight."""
+        """Value of one sample in the chosen channel, plain and weighted."""
         mitsuba, own = load_mitsuba(), self._lighting
         emitter = None if own.light is None else find_emitter(own.scene, own.light)
         extra = sample[2] if len(sample) == 3 else None
         u = mitsuba.Point2f(sample[0], sample[1])
         color, density, other = _SAMPLE[technique](hits, emitter, u, extra)
         chosen = chosen_channel(color, own.channel)
-        return chosen, heuristic_weight(density, other, POWERS[own.heuristic])
+        return chosen, chosen * heuristic_weight(density, other, POWERS[own.heuristic])
 
 
 _REPEATS = 2  # predictions a stratum, for their standard error
@@ -458,28 +444,6 @@ _CELLS = 4096  # of all strata, about, to meet small lights; each has 2 or more 
 _GRIDS = {2: 64, 3: 16}  # dims to midpoints along each axis, an even number
 _POWER_REALIZATIONS = 1024
 _SURE = 3.0  # standard errors
-
-
-class Prediction(Protocol):
-    """How the variance of `n` points of a sampler is predicted."""
-
-    @property
-    def method(self) -> str:
-        """Name: strata, random, spectrum or gains."""
-
-    @property
-    def count(self) -> int:
-        """Number n of points of the sampler."""
-
-    @property
-    def samples(self) -> Array:
-        """Points at which the integrand is needed, (N, dims)."""
-
-    def variance(self, values: Array) -> tuple[Array, Array]:
-        """Variance and its standard error (P,) from values (N, P) at the samples."""
-
-    def mean(self, values: Array) -> tuple[Array, Array]:
-        """Integral and its standard error (P,) from values (N, P) at the samples."""
 
 
 def surely(prediction: Prediction, values: Array) -> Array:
@@ -576,23 +540,33 @@ class _Grid:
 
     def variance(self, values: Array) -> tuple[Array, Array]:
         """Variance, its error from the grids of half the resolution and from that of the power."""
+        grid, *coarse = self._grids(values)
+        whole, *parts = map(self._of_grid, (grid, *coarse))
+        if self.power is None:
+            return whole, _error_of_mean(parts)
+        # The powers of m and −m are one number: their errors add up, those of other pairs do not.
+        doubled = np.sqrt(2.0 * _sum(self.power_se**2, _energy(grid) ** 2))
+        return whole, np.hypot(_error_of_mean(parts), doubled)
+
+    def mean(self, values: Array) -> tuple[Array, Array]:
+        """Integral, and its error from the grids of half the resolution."""
+        parts = [part.reshape(-1, part.shape[-1]).mean(axis=0) for part in self._grids(values)[1:]]
+        return values.mean(axis=0), _error_of_mean(parts)
+
+    def _grids(self, values: Array) -> list[Array]:
+        """Values on the grid, and on those of half the resolution, every other node along each axis."""
         dims = self.samples.shape[-1]
         grid = values.reshape(*[_GRIDS[dims]] * dims, -1)
+        offsets = itertools.product((0, 1), repeat=dims)
+        return [grid, *(grid[tuple(slice(k, None, 2) for k in each)] for each in offsets)]
+
+    def _of_grid(self, grid: Array) -> Array:
+        """Variance by the values of one grid."""
         if self.gains is not None:
-            found = [self._by_levels(part) for part in (grid, *_coarse(grid, dims))]
-            return found[0], _error_of_mean(found[1:])
-        if self.power is None:
-            plain = [
-                part.reshape(-1, part.shape[-1]).var(axis=0) / self.count
-                for part in _coarse(grid, dims)
-            ]
-            whole: Array = values.var(axis=0) / self.count
-            return whole, _error_of_mean(plain)
-        energy = _energy(grid)
-        parts = [_sum(self.power, _energy(part)) for part in _coarse(grid, dims)]
-        # The powers of m and −m are one number: their errors add up, those of other pairs do not.
-        doubled = np.sqrt(2.0 * _sum(self.power_se**2, energy**2))
-        return _sum(self.power, energy), np.hypot(_error_of_mean(parts), doubled)
+            return self._by_levels(grid)
+        if self.power is not None:
+            return _sum(self.power, _energy(grid))
+        return np.asarray(grid.reshape(-1, grid.shape[-1]).var(axis=0) / self.count)
 
     def _by_levels(self, grid: Array) -> Array:
         """Σ_l Γ_l σ²_l / n of values (side, side, P)."""
@@ -606,18 +580,9 @@ class _Grid:
         gains: Any = self.gains
         return np.tensordot(gains[: len(levels), : len(levels)], parts, axes=2) / self.count
 
-    def mean(self, values: Array) -> tuple[Array, Array]:
-        """Integral, and its error from the grids of half the resolution."""
-        dims = self.samples.shape[-1]
-        grid = values.reshape(*[_GRIDS[dims]] * dims, -1)
-        parts = [part.reshape(-1, part.shape[-1]).mean(axis=0) for part in _coarse(grid, dims)]
-        return values.mean(axis=0), _error_of_mean(parts)
 
-
-def _coarse(grid: Array, dims: int) -> list[Array]:
-    """The grids of half the resolution, every other node along each axis."""
-    offsets = itertools.product((0, 1), repeat=dims)
-    return [grid[tuple(slice(k, None, 2) for k in each)] for each in offsets]
+Prediction: TypeAlias = _Strata | _Grid
+"""How the variance of `count` points of a sampler is predicted from values (N, P) at its `samples`."""
 
 
 def _student(squares: Array) -> Array:

@@ -465,23 +465,7 @@ def variance_map(
     pixel, of techniques with points of their own, at 95 %: where both rates are equal a pixel in 20 is
     decided all the same.
     """
-    analysis = Map(
-        scene=scene,  # type: ignore[arg-type]
-        strategies=strategies,  # type: ignore[arg-type]
-        counts=counts,  # type: ignore[arg-type]
-        realizations=realizations,
-        crop=crop,  # type: ignore[arg-type]
-        size=size,  # type: ignore[arg-type]
-        light=light,
-        heuristic=heuristic,  # type: ignore[arg-type]
-        channel=channel,
-        dims=dims,
-        integrator=integrator,
-        points=points,  # type: ignore[arg-type]
-        smoothing=smoothing,
-        predict_every=predict_every,
-        chains=chains,
-    )
+    analysis = Map.of(locals())
     given = analysis.default_sampler if sampler is None else sampler
     several = list(given) if isinstance(given, list | tuple) else [given]
     with _threads(workers):

@@ -51,7 +51,13 @@ from mcspectra.rendering.scenes import (
     scene_name,
     sensor_of,
 )
-from mcspectra.rendering.techniques import check_finite, check_pixel, chosen_channel
+from mcspectra.rendering.techniques import (
+    check_finite,
+    check_pixel,
+    chosen_channel,
+    corners_of,
+    pixel_sums,
+)
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.spectra.bases import parts_of
 
@@ -352,35 +358,21 @@ class Tracer:
         """Sums over samples, (R, P, channels), by a lane for each of R and P."""
         import drjit
 
-        mitsuba = load_mitsuba()
-        real: Any = drjit.float64_array_t(mitsuba.Float)
+        mitsuba, corners = load_mitsuba(), corners_of(pixels)
         table = np.minimum(u.astype(np.float32).ravel(), np.float32(LARGEST_SAMPLE))
-        numbers = mitsuba.Float(table)
-        width, count, dims = (
-            drjit.opaque(mitsuba.UInt32, k) for k in (len(pixels), u.shape[-2], u.shape[-1])
-        )
-        lane = drjit.arange(mitsuba.UInt32, len(u) * len(pixels))
-        realization = lane // width
-        place = lane - realization * width
-        x, y = (mitsuba.Float(np.ascontiguousarray(c, np.float32)) for c in pixels.T)
-        x, y = drjit.gather(mitsuba.Float, x, place), drjit.gather(mitsuba.Float, y, place)
-        first = (lane if u.ndim == 4 else realization) * count
+        numbers, dims = mitsuba.Float(table), drjit.opaque(mitsuba.UInt32, u.shape[-1])
 
-        def add(k: Any, *sums: Any) -> tuple[Any, ...]:
-            sampler = _sampler_class()(_Numbers(numbers, dims, (first + k) * dims))
-            color = self._trace(sampler, x, y)
-            picked = color if self.channel == "rgb" else [chosen_channel(color, self.channel)]
-            return (k + 1, *(s + real(c) for s, c in zip(sums, picked, strict=True)))
+        def at(pixel: Any) -> Callable[[Any], Sequence[Any]]:
+            x, y = (drjit.gather(mitsuba.Float, c, pixel) for c in corners)
 
-        channels = 3 if self.channel == "rgb" else 1
-        start = (
-            mitsuba.UInt32(0),
-            *(drjit.zeros(real, len(u) * len(pixels)) for _ in range(channels)),
-        )
-        _, *sums = drjit.while_loop(start, lambda k, *_: k < count, add)
-        drjit.eval(sums)
-        found = [np.broadcast_to(s.numpy(), len(u) * len(pixels)) for s in sums]
-        return np.stack(found, axis=-1).reshape(len(u), len(pixels), channels)
+            def values(row: Any) -> Sequence[Any]:
+                sampler = _sampler_class()(_Numbers(numbers, dims, row * dims))
+                color = self._trace(sampler, x, y)
+                return color if self.channel == "rgb" else [chosen_channel(color, self.channel)]
+
+            return values
+
+        return np.moveaxis(pixel_sums(u, len(pixels), 3 if self.channel == "rgb" else 1, at), 0, -1)
 
     def _trace(self, sampler: Any, x: Any, y: Any) -> Any:
         """Radiance along a path through pixels x and y, as Mitsuba's own loop over pixels has it."""
@@ -393,9 +385,10 @@ class Tracer:
             time = time + sampler.next_1d() * sensor.shutter_open_time()
         position = mitsuba.Point2f((film.x + x) / self.size[0], (film.y + y) / self.size[1])
         ray, weight = sensor.sample_ray_differential(time, 0.5, position, lens)
-        if _by_modes(integrator):
+        if isinstance(integrator, mitsuba.ad.integrators.common.ADIntegrator):
             import drjit
 
+            # One of Mitsuba's differentiable integrators, whose samples have a mode
             found = integrator.sample(
                 mode=drjit.ADMode.Primal, scene=loaded, sampler=sampler, ray=ray,
                 depth=mitsuba.UInt32(0), δL=None, δaovs=None, state_in=None, active=mitsuba.Bool(True),
@@ -460,11 +453,6 @@ def _kind(found: Any) -> str:
     """The class of an integrator, by Mitsuba or in Python."""
     name = str(found.class_name())
     return type(found).__name__ if name == "SamplingIntegrator" else name
-
-
-def _by_modes(integrator: Any) -> bool:
-    """Whether it is one of Mitsuba's differentiable integrators, whose samples have a mode."""
-    return isinstance(integrator, load_mitsuba().ad.integrators.common.ADIntegrator)
 
 
 class _Numbers:

@@ -70,7 +70,6 @@ from mcspectra.rendering.techniques import (
     heuristic_weight,
     look_at_sky,
     primary_hit,
-    sample_bsdf,
     sample_columns,
     sample_light,
 )
@@ -206,9 +205,8 @@ def pixel_strategies(
     dims: int = 2,
 ) -> dict[str, Integrand]:
     """Return all strategies of a pixel by name; parameters and errors as those of `Pixel`."""
-    same: dict[str, Any] = {"scene": scene, "x": x, "y": y, "light": light}
-    same |= {"heuristic": heuristic, "channel": channel, "dims": dims}
-    return {strategy: Pixel(strategy=strategy, **same) for strategy in STRATEGIES}
+    same: dict[str, Any] = locals()
+    return {strategy: Pixel(**same, strategy=strategy) for strategy in STRATEGIES}
 
 
 def check_view(view: View, *, bsdf: bool) -> View:
@@ -301,95 +299,77 @@ class View:
 
     def values(self, technique: Technique, u: Array, heuristic: str | None = None) -> Array:
         """f/p at u (..., dims), times the weight of a heuristic of `POWERS`: (...) or (..., 3)."""
-        samples = u.reshape(-1, self.dims)
-        out = np.empty((len(samples), 3) if self.channels else len(samples))
-        for start in range(0, len(samples), CHUNK):
+        found = self.draws(technique, u.reshape(-1, self.dims), (), heuristic).values
+        return found.reshape((*u.shape[:-1], *found.shape[1:]))
+
+    def draws(
+        self,
+        technique: Technique,
+        u: Array,
+        among: Sequence[Technique],
+        heuristic: str | None = None,
+    ) -> Draws:
+        """f/p, times the weight of a heuristic, and the densities of all techniques at u (M, dims)."""
+        values = np.empty((len(u), 3) if self.channels else len(u))
+        pdfs = np.zeros((len(among), len(u)))
+        for start in range(0, len(u), CHUNK):
             part = slice(start, start + CHUNK)
             with LOCK:
-                out[part] = self._values(technique, samples[part], heuristic)
-        self._check_finite(out)
-        return out.reshape((*u.shape[:-1], *out.shape[1:]))
+                chunk = self._drawn(technique, u[part], among, heuristic)
+                values[part], pdfs[:, part] = chunk.values, chunk.pdfs
+        check_finite(values[None], self.scene, np.array([[self.x, self.y]]))
+        return Draws(values, pdfs)
 
-    def draws(self, technique: Technique, u: Array, among: Sequence[Technique]) -> Draws:
-        """f/p and the densities of all techniques at u (M, dims)."""
-        found = []
-        for start in range(0, len(u), CHUNK):
-            with LOCK:
-                found.append(self._draws(technique, u[start : start + CHUNK], among))
-        if not found:
-            return Draws(np.empty((0, 3) if self.channels else 0), np.empty((len(among), 0)))
-        values = np.concatenate([d.values for d in found])
-        self._check_finite(values)
-        return Draws(values, np.concatenate([d.pdfs for d in found], axis=1))
+    def _drawn(
+        self, technique: Technique, u: Array, among: Sequence[Technique], heuristic: str | None
+    ) -> Draws:
+        """`draws` in one kernel."""
+        import drjit
 
-    def _values(self, technique: Technique, u: Array, heuristic: str | None) -> Array:
+        # Evaluate f/p, the densities of light and BSDF, and the directions if other techniques ask
+        mitsuba, hit, count = load_mitsuba(), self._hit(u), len(u)
+        pdfs: dict[Technique, Array] = {}
+        directions = np.empty((0, 3))
         if isinstance(technique, Sky):
-            return self._look(technique, u)[0]
-        hit, emitter, samples, extra = self._inputs(u)
-        sample = sample_light if technique == "light" else sample_bsdf
-        value, own, other = sample(hit, emitter, samples, extra, hit.active)
-        if heuristic is not None:
-            value *= heuristic_weight(own, other, POWERS[heuristic])
-        return _numbers(value, self.channel, len(u))
-
-    def _draws(self, technique: Technique, u: Array, among: Sequence[Technique]) -> Draws:
-        if isinstance(technique, Sky):
-            values, own, bsdf, directions = self._look(technique, u)
-            pdfs: dict[Technique, Array] = {technique: own, "bsdf": bsdf}
+            emitter = load_scene(self.scene).environment()
+            directions, own = technique.sample(u[:, self._first : self._first + 2])
+            towards = mitsuba.Vector3f(*(np.ascontiguousarray(c, np.float32) for c in directions.T))
+            value, bsdf = look_at_sky(hit, emitter, towards, hit.active)
+            drjit.eval(value, bsdf)  # one kernel, not one for each
+            f = np.asarray(_numbers(value, self.channel, count), np.float64)
+            scaled = own if f.ndim == 1 else own[:, None]
+            values = np.divide(f, scaled, out=np.zeros_like(f), where=scaled > 0)
+            pdfs |= {technique: own, "bsdf": _spread(bsdf.numpy(), count)}
         else:
-            values, pdfs, directions = self._sample(technique, u, among)
+            columns = sample_columns(u[:, self._first :])
+            emitter = None if self.light is None else find_emitter(self.scene, self.light)
+            extra = columns[2] if len(columns) > 2 else None
+            given = hit, emitter, mitsuba.Point2f(*columns[:2]), extra, hit.active
+            if technique == "light":
+                value, light, bsdf = sample_light(*given)
+                own, other = light, bsdf
+            else:
+                value, bsdf, light, towards = follow_bsdf(*given)
+                own, other = bsdf, light
+            if heuristic is not None:
+                value *= heuristic_weight(own, other, POWERS[heuristic])
+            if among:
+                drjit.eval(value, own, other, *([towards] if technique == "bsdf" else []))
+                pdfs |= {
+                    n: _spread(p.numpy(), count) for n, p in (("light", light), ("bsdf", bsdf))
+                }
+            if technique == "bsdf" and any(isinstance(t, Sky) for t in among):
+                directions = np.asarray(_spread(towards.numpy().T, (count, 3)), np.float64)
+            values = _numbers(value, self.channel, count)
+
+        # Where f is 0, none of the others is said to be able to make the direction
         lit = values != 0.0 if values.ndim == 1 else (values != 0.0).any(axis=1)
-        rows = np.zeros((len(among), len(u)))
+        rows = np.zeros((len(among), count))
         for row, other in zip(rows, among, strict=True):
             if isinstance(other, Sky) and other is not technique:
                 pdfs[other] = other.pdf(directions)
             row[:] = pdfs[other] if other == technique else np.where(lit, pdfs[other], 0.0)
-        return Draws(values, rows)
-
-    def _sample(
-        self, technique: str, u: Array, among: Sequence[Technique]
-    ) -> tuple[Array, dict[Technique, Array], Array]:
-        """f/p, densities of light and BSDF, and directions (M, 3) if `among` has skies."""
-        import drjit
-
-        hit, emitter, samples, extra = self._inputs(u)
-        directions = np.empty((0, 3))
-        if technique == "light":
-            value, light, bsdf = sample_light(hit, emitter, samples, extra, hit.active)
-            drjit.eval(value, light, bsdf)  # one kernel, not one for each
-        else:
-            value, bsdf, light, towards = follow_bsdf(hit, emitter, samples, extra, hit.active)
-            drjit.eval(value, light, bsdf, towards)
-            if any(isinstance(t, Sky) for t in among):
-                directions = np.asarray(_spread(towards.numpy().T, (len(u), 3)), np.float64)
-        pdfs: dict[Technique, Array] = {
-            "light": _spread(light.numpy(), len(u)),
-            "bsdf": _spread(bsdf.numpy(), len(u)),
-        }
-        return np.asarray(_numbers(value, self.channel, len(u)), np.float64), pdfs, directions
-
-    def _look(self, sky: Sky, u: Array) -> tuple[Array, Array, Array, Array]:
-        """f/p, the density of a sky and of the BSDF, and directions (M, 3)."""
-        import drjit
-
-        mitsuba, hit = load_mitsuba(), self._hit(u)
-        emitter = load_scene(self.scene).environment()
-        where = u[:, self._first : self._first + 2]
-        directions, own = sky.sample(where)
-        towards = mitsuba.Vector3f(*(np.ascontiguousarray(c, np.float32) for c in directions.T))
-        value, bsdf = look_at_sky(hit, emitter, towards, hit.active)
-        drjit.eval(value, bsdf)
-        f = np.asarray(_numbers(value, self.channel, len(u)), np.float64)
-        scaled = own if f.ndim == 1 else own[:, None]
-        over = np.divide(f, scaled, out=np.zeros_like(f), where=scaled > 0)
-        return over, own, _spread(bsdf.numpy(), len(u)), directions
-
-    def _inputs(self, u: Array) -> tuple[Hit, Any, Any, Any]:
-        """What is hit, the light that counts, and the kernel's samples of u (M, dims)."""
-        hit, columns = self._hit(u), sample_columns(u[:, self._first :])
-        emitter = None if self.light is None else find_emitter(self.scene, self.light)
-        extra = columns[2] if len(columns) > 2 else None
-        return hit, emitter, load_mitsuba().Point2f(*columns[:2]), extra
+        return Draws(np.asarray(values, np.float64), rows)
 
     def _hit(self, u: Array) -> Hit:
         scene = load_scene(self.scene)
@@ -401,9 +381,6 @@ class View:
     def _first(self) -> int:
         """The column at which the direction's two samples start."""
         return 2 if self.on_film else 0
-
-    def _check_finite(self, values: Array) -> None:
-        check_finite(values[None], self.scene, np.array([[self.x, self.y]]))
 
 
 def check_channel(channel: object, names: Sequence[str] = ("luminance", "rgb")) -> str | int:

@@ -141,19 +141,10 @@ class PixelMIS(AbstractEstimator):
 
     def alone(self, technique: int) -> Estimator:
         """One technique without the others."""
-        given, v = self.techniques[technique], self.view
-        named = isinstance(given, str) and given in (*_BY_NAME, ENVIRONMENT)
-        pixel = Pixel(
-            scene=v.scene,
-            x=v.x,
-            y=v.y,
-            strategy=str(given) if named else ENVIRONMENT,
-            light=v.light,
-            channel=v.channel,
-            dims=v.dims,
-            density=None if named else given,
-        )
-        return Estimator(pixel)
+        given = self.techniques[technique]
+        if isinstance(given, str) and given in (*_BY_NAME, ENVIRONMENT):
+            return Estimator(Pixel(strategy=given, **vars(self.view)))
+        return Estimator(Pixel(strategy=ENVIRONMENT, density=given, **vars(self.view)))
 
     def technique_name(self, technique: int) -> str:
         """``light``, ``bsdf`` or the spec of a density."""

@@ -90,17 +90,15 @@ def register_samplers(variant: str | Sequence[str] | None = None) -> tuple[str, 
         known = import_mitsuba().variants()
         given = [variant] if isinstance(variant, str) else variant
         wanted = [as_choice("variant", v, known) for v in given or PLUGIN_VARIANTS]
-        return tuple(v for v in wanted if _register(v, needed=variant is not None))
-
-
-def _register(variant: str, *, needed: bool) -> bool:
-    try:
-        _plugin_class(variant)
-    except MissingDependency:
-        if needed:
-            raise
-        return False
-    return True
+        found = []
+        for each in wanted:
+            try:
+                _plugin_class(each)
+                found.append(each)
+            except MissingDependency:
+                if variant is not None:
+                    raise
+        return tuple(found)
 
 
 @functools.cache
@@ -321,42 +319,56 @@ def seed_lanes(
 
     lane = drjit.arange(module.UInt32, wavefront_size)
     width = drjit.opaque(module.UInt32, per_pass)
-    nets = sets.nets
+    nets, rounds = sets.nets, Rounds.of(pixels, _REQUESTS, 2 * sets.count)
     pads: _TablePads | Pads = (
-        _TablePads(module, sets, stream, pixels)
+        _TablePads(module, sets, stream, rounds)
         if nets is None
         else Pads(module, nets, sets.count, stream)
     )
+    joint = None
+    if sets.joint:
+        joint = _Table(module, sets.joints(stream, 0, min(pixels, rounds.size)))
     return LaneState(
         module=module,
         count=sets.count,
         per_pass=per_pass,
         done=0,
         pads=pads,
-        joint=_Joint(module, sets, stream, pixels) if sets.joint else None,
+        joint=joint,
         pixel=lane // width,
         index=lane % width,
         **{name: drjit.opaque(module.UInt32, 0) for name in _TAKEN},
     )
 
 
-class _TablePads:
-    """Sets in Dr.Jit's memory; a request's offset is that of its set among those of its pixel.
+class _Table:
+    """Sets in Dr.Jit's memory, made of float32 (sets, count, dims); `size` of them.
 
     No dataclass, nor are the others: Dr.Jit would make tables part of a loop's state.
     """
 
-    def __init__(self, module: Any, sets: PaddedSets, stream: Stream, pixels: int) -> None:
+    def __init__(self, module: Any, sets: Array) -> None:
         import drjit
 
-        self._module = module
-        rounds = Rounds.of(pixels, _REQUESTS, 2 * sets.count)
-        self._count = drjit.opaque(module.UInt32, sets.count)
-        self._size = drjit.opaque(module.UInt32, rounds.size)
+        self.dims, self._numbers = sets.shape[2], module.Float(sets.ravel())
+        self.size, self._count = (drjit.opaque(module.UInt32, k) for k in sets.shape[:2])
+
+    def draw(self, dims: int, number: Any, start: Any, index: Any, active: Any) -> list[Any]:
+        """Coordinates from `start` on of one point of the set with this number."""
+        import drjit
+
+        first, kind = (number * self._count + index) * self.dims + start, type(self._numbers)
+        return [drjit.gather(kind, self._numbers, first + k, active) for k in range(dims)]
+
+
+class _TablePads:
+    """Sets for requests of one and of two numbers; a request's offset is among those of its pixel."""
+
+    def __init__(self, module: Any, sets: PaddedSets, stream: Stream, rounds: Rounds) -> None:
+        import drjit
+
         self._stride = drjit.opaque(module.UInt32, rounds.stride)
-        self._sets = {
-            dims: module.Float(sets.pads(dims, stream, 0, rounds.size).ravel()) for dims in (1, 2)
-        }
+        self._sets = {k: _Table(module, sets.pads(k, stream, 0, rounds.size)) for k in (1, 2)}
 
     def following(self, offset: Any) -> Any:
         """Offset of the next request."""
@@ -364,37 +376,14 @@ class _TablePads:
 
     def draw(self, dims: int, pixel: Any, offset: Any, index: Any, active: Any) -> list[Any]:
         """Numbers of requests with this offset."""
-        row = self._wrapped(pixel % self._size + offset) * self._count + index
-        return _gathered(self._module, self._sets[dims], dims, row * dims, active)
+        number = self._wrapped(pixel % self._sets[dims].size + offset)
+        return self._sets[dims].draw(dims, number, 0, index, active)
 
     def _wrapped(self, number: Any) -> Any:
         import drjit
 
-        return drjit.select(number >= self._size, number - self._size, number)
-
-
-class _Joint:
-    """Joint sets in Dr.Jit's memory."""
-
-    def __init__(self, module: Any, sets: PaddedSets, stream: Stream, pixels: int) -> None:
-        import drjit
-
-        self._module, self.dims = module, sets.joint
-        own = min(pixels, Rounds.of(pixels, _REQUESTS, 2 * sets.count).size)
-        self._sets = module.Float(sets.joints(stream, 0, own).ravel())
-        self._count = drjit.opaque(module.UInt32, sets.count)
-        self._size = drjit.opaque(module.UInt32, own)
-
-    def draw(self, dims: int, pixel: Any, start: Any, index: Any, active: Any) -> list[Any]:
-        """Coordinates from `start` on of the pixel's set."""
-        row = (pixel % self._size) * self._count + index
-        return _gathered(self._module, self._sets, dims, row * self.dims + start, active)
-
-
-def _gathered(module: Any, table: Any, dims: int, first: Any, active: Any) -> list[Any]:
-    import drjit
-
-    return [drjit.gather(module.Float, table, first + k, active) for k in range(dims)]
+        size = self._sets[1].size
+        return drjit.select(number >= size, number - size, number)
 
 
 @dataclass
@@ -410,7 +399,7 @@ class LaneState:
     per_pass: int
     done: int
     pads: _TablePads | Pads
-    joint: _Joint | None
+    joint: _Table | None
     pixel: Any
     index: Any
     coordinate: Any
@@ -455,7 +444,8 @@ class LaneState:
             return self.pads.draw(dims, self.pixel, offset, self.index, active), following
         start, self.coordinate = self.coordinate, self.coordinate + dims
         inside = start + dims <= self.joint.dims
-        joint = self.joint.draw(dims, self.pixel, start, self.index, inside & active)
+        own = self.pixel % self.joint.size
+        joint = self.joint.draw(dims, own, start, self.index, inside & active)
         pads = self.pads.draw(dims, self.pixel, offset, self.index, ~inside & active)
         values = [drjit.select(inside, a, b) for a, b in zip(joint, pads, strict=True)]
         return values, drjit.select(inside, offset, following)

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import functools
 import importlib
-import math
 import sys
-from collections.abc import Callable
+from bisect import bisect_left
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, final
 
@@ -28,8 +28,6 @@ from mcspectra.samplers.base import Sampler
 __all__ = ["MitsubaObject", "MitsubaSampler", "from_mitsuba"]
 
 _SEEDS = 2**32
-
-Counts = Callable[[int], tuple[int | None, int]]
 
 
 @final
@@ -84,13 +82,7 @@ class MitsubaSampler(Sampler):
         return self.jitter
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        start = int(stream.keys(0, 1)[0, 0])
-        source = self._source(n)
-        out = np.empty((count, n, self.dims))
-        for r in range(count):
-            source.seed((start + first + r) % _SEEDS)
-            _draw(source, out[r])
-        return np.minimum(out, LARGEST_SAMPLE, out=out)
+        return _drawn(self._source(n), (count, n, self.dims), stream, first)
 
     def _source(self, n: int) -> Any:
         options = {} if self.jitter else {"jitter": False}
@@ -100,7 +92,10 @@ class MitsubaSampler(Sampler):
             return parser.instantiate(config, state)
 
     def _counts_near(self, n: int) -> tuple[int | None, int]:
-        return _COUNTS[self.sampler](n)
+        counts = _COUNTS[self.sampler]
+        above = bisect_left(counts, n)
+        below = above if counts[above] == n else above - 1
+        return counts[below] if below >= 0 else None, counts[above]
 
 
 @functools.cache
@@ -111,14 +106,28 @@ def _parser() -> tuple[Any, Any]:
     return parser, parser.ParserConfig("scalar_rgb")
 
 
-def _draw(source: Any, points: Array) -> None:
-    pairs, odd = divmod(points.shape[1], 2)
-    for point in points:
-        for k in range(pairs):
-            point[2 * k : 2 * k + 2] = source.next_2d()
-        if odd:
-            point[-1] = source.next_1d()
-        source.advance()
+def _drawn(source: Any, shape: tuple[int, int, int], stream: Stream, first: int) -> Array:
+    """Points (R, n, d) of an object, each realisation with a seed of its own."""
+    (count, n, dims), out = shape, np.empty(shape)
+    start = int(stream.keys(0, 1)[0, 0]) + first
+    pairs, odd = divmod(dims, 2)
+    scalar = "scalar" in source.variant_name()
+    for r in range(count):
+        if not scalar:  # all points at once
+            source.set_samples_per_wavefront(n)
+            source.seed((start + r) % _SEEDS, n)
+            columns = [source.next_2d().numpy() for _ in range(pairs)]
+            columns += [source.next_1d().numpy()[np.newaxis] for _ in range(odd)]
+            out[r] = np.concatenate(columns).T
+            continue
+        source.seed((start + r) % _SEEDS)
+        for point in out[r]:
+            for k in range(pairs):
+                point[2 * k : 2 * k + 2] = source.next_2d()
+            if odd:
+                point[-1] = source.next_1d()
+            source.advance()
+    return np.minimum(out, LARGEST_SAMPLE, out=out)
 
 
 @final
@@ -148,20 +157,8 @@ class MitsubaObject(Sampler):
         return f"mitsuba-object({self.source.class_name()}, sample_count={count})"
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        start = int(stream.keys(0, 1)[0, 0])
-        out = np.empty((count, n, self.dims))
-        scalar = "scalar" in self.source.variant_name()
         with LOCK:
-            source = self._fork(n)
-            for r in range(count):
-                if scalar:
-                    source.seed((start + first + r) % _SEEDS)
-                    _draw(source, out[r])
-                else:
-                    source.set_samples_per_wavefront(n)
-                    source.seed((start + first + r) % _SEEDS, n)
-                    out[r] = _columns(source, self.dims)
-        return np.minimum(out, LARGEST_SAMPLE, out=out)
+            return _drawn(self._fork(n), (count, n, self.dims), stream, first)
 
     def _fork(self, n: int) -> Any:
         source = self.source.fork()
@@ -203,52 +200,12 @@ def from_mitsuba(source: Any, dims: int = DEFAULT_DIMS) -> MitsubaObject:
     return MitsubaObject(source=source, dims=dims)
 
 
-def _columns(source: Any, dims: int) -> Array:
-    """Draw all samples of one wavefront: (n, dims)."""
-    pairs, odd = divmod(dims, 2)
-    parts = [source.next_2d().numpy() for _ in range(pairs)]
-    if odd:
-        parts.append(source.next_1d().numpy()[np.newaxis])
-    points: Array = np.concatenate(parts).T
-    return points
-
-
-def _any(n: int) -> tuple[int | None, int]:
-    return n, n
-
-
-def _squares(n: int) -> tuple[int | None, int]:
-    s = math.isqrt(n)
-    return s * s, n if s * s == n else (s + 1) ** 2
-
-
-def _nearly_squares(n: int) -> tuple[int | None, int]:
-    s = math.isqrt(n)
-    counts = (s * s, s * (s + 1), s * (s + 2), (s + 1) ** 2)
-    return max(c for c in counts if c <= n), min(c for c in counts if c >= n)
-
-
-def _prime_squares(n: int) -> tuple[int | None, int]:
-    below = math.isqrt(n)
-    above = below if below * below == n else below + 1
-    while below > 1 and not is_prime(below):
-        below -= 1
-    while not is_prime(above):
-        above += 1
-    return (below * below if below > 1 else None), above * above
-
-
-def _powers_of_4(n: int) -> tuple[int | None, int]:
-    below = 4 ** ((n.bit_length() - 1) // 2)
-    above = max(4, below if below == n else 4 * below)
-    return (below if below > 1 else None), above
-
-
 _STRATA = ("stratified", "multijitter", "orthogonal")
-_COUNTS: dict[str, Counts] = {
-    "independent": _any,
-    "stratified": _squares,
-    "multijitter": _nearly_squares,
-    "orthogonal": _prime_squares,
-    "ldsampler": _powers_of_4,
+_ROOTS = range(1, 1032)  # to the first prime beyond 2^10
+_COUNTS: dict[str, Sequence[int]] = {
+    "independent": range(1, 2**20 + 1),
+    "stratified": [s * s for s in _ROOTS],
+    "multijitter": sorted({s * (s + k) for s in _ROOTS for k in range(3)}),
+    "orthogonal": [s * s for s in _ROOTS if is_prime(s)],
+    "ldsampler": [4**k for k in range(1, 12)],
 }

@@ -64,14 +64,15 @@ def check_scene(scene: Scene, *, light: int | str | None = None) -> list[str]:
     """
     with LOCK:
         loaded = load_scene(scene)
+        camera = f"The scene {scene_name(scene)} has no camera; add a <sensor>."
         return [
-            *_without_camera(scene, loaded),
+            *([] if loaded.sensors() else [camera]),
             *_lens(scene, loaded),
             *_media(scene, loaded),
             *_integrator(scene, loaded),
             *_lights(scene, light),
             *_environment(scene, light),
-            *_delta_bsdfs(loaded),
+            *(delta_bsdf(s.bsdf(), s.id()) for s in loaded.shapes() if _specular(s)),
         ]
 
 
@@ -194,14 +195,6 @@ def _listed(names: list[str]) -> str:
     return names[0] + (f" and {more} more" if more else "")
 
 
-def _without_camera(scene: Scene, loaded: Any) -> list[str]:
-    return (
-        []
-        if loaded.sensors()
-        else [f"The scene {scene_name(scene)} has no camera; add a <sensor>."]
-    )
-
-
 def _lens(scene: Scene, loaded: Any) -> list[str]:
     """What of the first camera is not sampled: rays start at the lens's centre at one time."""
     sensors = loaded.sensors()[:1]
@@ -228,7 +221,8 @@ def _aperture(sensor: Any) -> float:
 
 
 def _media(scene: Scene, loaded: Any) -> list[str]:
-    holders = [_called("shape", s.id()) for s in loaded.shapes() if _has_medium(s)]
+    filled = (s for s in loaded.shapes() if s.interior_medium() or s.exterior_medium())
+    holders = [_called("shape", s.id()) for s in filled]
     holders += [_called("camera", s.id()) for s in loaded.sensors() if s.get_medium()]
     where = f"The scene {scene_name(scene)} has participating media ({', '.join(holders)})"
     advice = "give an integrator for whole paths, or remove them"
@@ -245,10 +239,6 @@ def _integrator(scene: Scene, loaded: Any) -> list[str]:
         "scene)."
     )
     return [note]
-
-
-def _has_medium(shape: Any) -> bool:
-    return shape.interior_medium() is not None or shape.exterior_medium() is not None
 
 
 def _lights(scene: Scene, light: int | str | None) -> list[str]:
@@ -272,40 +262,25 @@ def _chosen(scene: Scene, light: int | str | None) -> list[Any]:
 
 
 def _environment(scene: Scene, light: int | str | None) -> list[str]:
-    """What is wrong with the environment, if it counts."""
-    found = [e for e in _chosen(scene, light) if e.is_environment()]
-    return [s for emitter in found for s in (_scaled(emitter), _no_radiance(emitter)) if s]
-
-
-def _scaled(emitter: Any) -> str:
-    """Say that an environment is scaled; one that is the same on all sides may be."""
-    if "to_world" not in load_mitsuba().traverse(emitter):
-        return ""
-    try:
-        rotation_of(emitter)
-    except ParameterError as error:
-        return str(error)
-    return ""
-
-
-def _no_radiance(emitter: Any) -> str:
-    """Say that a map has pixels that are NaN, infinite or negative."""
+    """What is wrong with the environment, if it counts: a scale, or pixels that are no radiance."""
+    found, chosen = [], _chosen(scene, light)
     import drjit
 
-    parameters = load_mitsuba().traverse(emitter)
-    if "data" not in parameters:
-        return ""
-    values = parameters["data"].array
-    if drjit.all(drjit.isfinite(values) & (values >= 0.0)):
-        return ""
-    return (
-        f"The map of the environment {emitter_name(emitter)!r} has pixels that are NaN, infinite or "
-        "negative; replace them."
-    )
-
-
-def _delta_bsdfs(loaded: Any) -> list[str]:
-    return [delta_bsdf(s.bsdf(), s.id()) for s in loaded.shapes() if _specular(s)]
+    for emitter in chosen:
+        parameters = load_mitsuba().traverse(emitter) if emitter.is_environment() else {}
+        if "to_world" in parameters:  # one that is the same on all sides may be scaled
+            try:
+                rotation_of(emitter)
+            except ParameterError as error:
+                found.append(str(error))
+        if "data" in parameters:
+            values = parameters["data"].array
+            if not drjit.all(drjit.isfinite(values) & (values >= 0.0)):
+                found.append(
+                    f"The map of the environment {emitter_name(emitter)!r} has pixels that are NaN, "
+                    "infinite or negative; replace them."
+                )
+    return found
 
 
 def _specular(shape: Any) -> bool:

@@ -148,7 +148,14 @@ def _pixels(emitter: Any, rows: int) -> Array:
         (np.arange(rows) + 0.5) / rows, (np.arange(2 * rows) + 0.5) / (2 * rows), indexing="ij"
     )
     x = np.stack([x_0.ravel(), x_1.ravel()], axis=-1)
-    return _radiance(emitter, _local(x) @ rotation_of(emitter).T).reshape(rows, 2 * rows, 3)
+    mitsuba = load_mitsuba()
+    import drjit
+
+    directions = _local(x) @ rotation_of(emitter).T
+    far = drjit.zeros(mitsuba.SurfaceInteraction3f, len(directions))
+    far.wi = -mitsuba.Vector3f(*(np.ascontiguousarray(c, np.float32) for c in directions.T))
+    color = np.asarray(emitter.eval(far).numpy(), np.float64).T
+    return np.broadcast_to(color, (len(directions), 3)).reshape(rows, 2 * rows, 3)
 
 
 def rotation_of(emitter: Any) -> Array:
@@ -167,15 +174,3 @@ def _local(x: Array) -> Array:
     phi, theta = 2.0 * np.pi * x[:, 0], np.pi * x[:, 1]
     sine = np.sin(theta)
     return np.stack([sine * np.sin(phi), np.cos(theta), -sine * np.cos(phi)], axis=-1)
-
-
-def _radiance(emitter: Any, directions: Array) -> Array:
-    """Radiance (M, 3) that arrives from unit vectors (M, 3) in the world."""
-    import drjit
-
-    mitsuba = load_mitsuba()
-    columns = (np.ascontiguousarray(c, np.float32) for c in directions.T)
-    far = drjit.zeros(mitsuba.SurfaceInteraction3f, len(directions))
-    far.wi = -mitsuba.Vector3f(*columns)
-    color = np.asarray(emitter.eval(far).numpy(), np.float64).T
-    return np.broadcast_to(color, (len(directions), 3))

@@ -67,10 +67,22 @@ def render_file(
     options = {"seed": as_integer("seed", seed, least=0, most=_SEEDS - 1)}
     if spp is not None:
         options["spp"] = as_integer("spp", spp, least=1, most=_MOST_SAMPLES)
-    target = None if out is None else _as_target(out)
+    target = None if out is None else Path(out).expanduser()
+    if target is not None and (target.suffix.lower() != ".exr" or not target.parent.is_dir()):
+        raise ParameterError(f"out is {str(out)!r}; give an .exr file in a folder that exists.")
     with LOCK, _variant(variant) as mitsuba, _plain_errors(str(file)):
-        scene = _loaded(mitsuba, file, definitions or {})
-        camera = _sensor(scene, sensor)
+        path = Path(file).expanduser()
+        if not path.is_file():
+            raise FileFormatError(f"There is no scene file {str(file)!r}; give a Mitsuba XML file.")
+        named = {name: str(value) for name, value in (definitions or {}).items()}
+        scene = mitsuba.load_file(str(path), **named)
+        if not isinstance(scene, mitsuba.Scene):
+            raise FileFormatError(
+                f"{str(file)!r} holds no scene; its root element must be <scene>."
+            )
+        if not (cameras := scene.sensors()):
+            raise ParameterError("The scene has no camera; add a <sensor> to it.")
+        camera = cameras[as_integer("sensor", sensor, least=0, most=len(cameras) - 1)]
         image = mitsuba.render(scene, sensor=camera, **options)
         if target is not None:
             camera.film().write(str(target))
@@ -89,30 +101,6 @@ def _variant(variant: str | None) -> Iterator[Any]:
     finally:
         if before is not None:
             mitsuba.set_variant(before)
-
-
-def _loaded(mitsuba: Any, file: str | Path, definitions: Mapping[str, object]) -> Any:
-    path = Path(file).expanduser()
-    if not path.is_file():
-        raise FileFormatError(f"There is no scene file {str(file)!r}; give a Mitsuba XML file.")
-    scene = mitsuba.load_file(str(path), **{k: str(v) for k, v in definitions.items()})
-    if not isinstance(scene, mitsuba.Scene):
-        raise FileFormatError(f"{str(file)!r} holds no scene; its root element must be <scene>.")
-    return scene
-
-
-def _sensor(scene: Any, index: int) -> Any:
-    sensors = scene.sensors()
-    if not sensors:
-        raise ParameterError("The scene has no camera; add a <sensor> to it.")
-    return sensors[as_integer("sensor", index, least=0, most=len(sensors) - 1)]
-
-
-def _as_target(out: str | Path) -> Path:
-    path = Path(out).expanduser()
-    if path.suffix.lower() != ".exr" or not path.parent.is_dir():
-        raise ParameterError(f"out is {str(out)!r}; give an .exr file in a folder that exists.")
-    return path
 
 
 @contextmanager

@@ -8,7 +8,7 @@ be one for all samples or one a sample. Hold `backend.LOCK` around every call.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,12 +30,15 @@ __all__ = [
     "check_single_lobe",
     "chooses_lobe",
     "chosen_channel",
+    "corners_of",
     "film_hits",
     "follow_bsdf",
     "follow_camera",
     "heuristic_weight",
     "hits_of",
+    "lane_sums",
     "look_at_sky",
+    "pixel_sums",
     "primary_hit",
     "sample_bsdf",
     "sample_columns",
@@ -227,6 +230,56 @@ def sample_columns(u: Array) -> list[Any]:
     return [load_mitsuba().Float(c) for c in columns]
 
 
+def corners_of(pixels: Array) -> list[Any]:
+    """x and y of pixels (P, 2) as `Float`."""
+    return [load_mitsuba().Float(np.ascontiguousarray(c, np.float32)) for c in pixels.T]
+
+
+def lane_sums(
+    lanes: int, count: int, numbers: int, values: Callable[[Any], Callable[[Any], Sequence[Any]]]
+) -> Array:
+    """Sums of float32 numbers over k below `count`, in float64, of each lane: (numbers, lanes).
+
+    One loop is recorded, so that memory does not grow with `count`; `values` of the lanes' numbers
+    gives the function of k.
+    """
+    import drjit
+
+    mitsuba = load_mitsuba()
+    real: Any = drjit.float64_array_t(mitsuba.Float)
+    # Opaque: numbers written into the kernel would have it compiled anew for each.
+    end, at = drjit.opaque(mitsuba.UInt32, count), values(drjit.arange(mitsuba.UInt32, lanes))
+
+    def add(k: Any, *sums: Any) -> tuple[Any, ...]:
+        return (k + 1, *(s + real(v) for s, v in zip(sums, at(k), strict=True)))
+
+    start = (mitsuba.UInt32(0), *(drjit.zeros(real, lanes) for _ in range(numbers)))
+    _, *sums = drjit.while_loop(start, lambda k, *_: k < end, add)
+    drjit.eval(sums)
+    return np.stack([np.broadcast_to(s.numpy(), lanes) for s in sums])
+
+
+def pixel_sums(
+    u: Array, pixels: int, numbers: int, values: Callable[[Any], Callable[[Any], Sequence[Any]]]
+) -> Array:
+    """Sums over samples u (R, n, D), of all pixels alike, or (R, P, n, D): (numbers, R, P).
+
+    A lane is a realisation of a pixel; `values` of the lanes' pixels gives the function of the row of u.
+    """
+    import drjit
+
+    count, width = (drjit.opaque(load_mitsuba().UInt32, k) for k in (u.shape[-2], pixels))
+
+    def of_lane(lane: Any) -> Callable[[Any], Sequence[Any]]:
+        realization = lane // width
+        at = values(lane - realization * width)
+        first = (lane if u.ndim == 4 else realization) * count
+        return lambda k: at(first + k)
+
+    found = lane_sums(len(u) * pixels, u.shape[-2], numbers, of_lane)
+    return found.reshape(numbers, len(u), pixels)
+
+
 def chosen_channel(color: Any, channel: str | int) -> Any:
     """The luminance of a color, or a channel by its number."""
     return load_mitsuba().luminance(color) if channel == "luminance" else color[channel]
@@ -256,7 +309,16 @@ def sample_light(
     import drjit
 
     mitsuba, at = load_mitsuba(), hit.interaction
-    sample, weight = _emitter_direction(hit, emitter, u, extra, active)
+    if emitter is not None:
+        sample, weight = emitter.sample_direction(at, u, active)
+    elif extra is None:
+        sample, weight = hit.scene.sample_emitter_direction(at, u, False, active)
+    else:
+        index, reciprocal, _ = hit.scene.sample_emitter(extra, active)
+        selected = drjit.gather(mitsuba.EmitterPtr, hit.scene.emitters_dr(), index, active)
+        sample, weight = selected.sample_direction(at, u, active)
+        sample.pdf *= hit.scene.pdf_emitter(index, active)
+        weight *= reciprocal
     towards = at.to_local(sample.d)
     value, bsdf_pdf = hit.bsdf.eval_pdf(mitsuba.BSDFContext(), at, towards, active)
     value *= weight
@@ -321,19 +383,3 @@ def heuristic_weight(own: Any, other: Any, power: int) -> Any:
 
     ratio = drjit.select(own > 0.0, other / own, 0.0)
     return 1.0 / (1.0 + ratio**power)
-
-
-def _emitter_direction(hit: Hit, emitter: Any, u: Any, extra: Any, active: Any) -> tuple[Any, Any]:
-    """Sample one light, or select one of all by the first or the extra coordinate."""
-    at = hit.interaction
-    if emitter is not None:
-        return emitter.sample_direction(at, u, active)  # type: ignore[no-any-return]
-    if extra is None:
-        return hit.scene.sample_emitter_direction(at, u, False, active)  # type: ignore[no-any-return]
-    import drjit
-
-    index, reciprocal, _ = hit.scene.sample_emitter(extra, active)
-    selected = drjit.gather(load_mitsuba().EmitterPtr, hit.scene.emitters_dr(), index, active)
-    sample, weight = selected.sample_direction(at, u, active)
-    sample.pdf *= hit.scene.pdf_emitter(index, active)
-    return sample, weight * reciprocal

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterator
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -37,8 +37,10 @@ from mcspectra.rendering.techniques import (
     POWERS,
     Hit,
     check_finite,
+    corners_of,
     follow_camera,
     heuristic_weight,
+    lane_sums,
     sample_bsdf,
     sample_light,
 )
@@ -50,40 +52,8 @@ FILMS = ("center", "sampled")
 CHUNK_SAMPLES = 2**20
 """Samples in one kernel: some 200 MiB of Dr.Jit's memory, and no faster if larger."""
 
-_Columns: TypeAlias = Callable[[Any], list[Any]]
 _LOOP_SAMPLES = 16  # most samples that a lane runs over: more would leave too few lanes
 _MOST_VALUES = 2**26  # lanes whose values are returned one by one: 768 MiB of float32
-
-
-class _Places:
-    """Which pixel and which points each lane takes, `each` of them in succession."""
-
-    def __init__(self, pixels: Array, points: Array | NetPoints, each: int, lanes: int) -> None:
-        import drjit
-
-        mitsuba = load_mitsuba()
-        self.pixels, self.corners = pixels, _corners(pixels)
-        lane = drjit.arange(mitsuba.UInt32, lanes)
-        count = drjit.opaque(mitsuba.UInt32, points.shape[-2])
-        # Opaque: a count written into the kernel would have it compiled anew for each.
-        self.each = drjit.opaque(mitsuba.UInt32, each)
-        self.pixel = lane // drjit.opaque(mitsuba.UInt32, points.shape[-2] // each)
-        own = self.pixel * count
-        if isinstance(points, NetPoints):
-            first, net = lane * self.each - own, points.lanes(mitsuba, self.pixel)
-            self.columns: _Columns = lambda sample: net(first + sample)
-        else:
-            row = lane * self.each - (0 if points.ndim == 3 else own)
-            table, dims = mitsuba.Float(points.ravel()), points.shape[-1]
-            self.columns = lambda sample: _row(table, (row + sample) * dims, dims)
-
-
-def _row(table: Any, first: Any, dims: int) -> list[Any]:
-    """Successive numbers of a table, in [0,1)."""
-    import drjit
-
-    columns = (drjit.gather(load_mitsuba().Float, table, first + k) for k in range(dims))
-    return [drjit.minimum(column, LARGEST_SAMPLE) for column in columns]
 
 
 class Wavefront:
@@ -127,11 +97,16 @@ class Wavefront:
         self.heuristic = as_choice("heuristic", heuristic, tuple(POWERS))
         self.emission = bool(emission)
         with LOCK:
+            load_mitsuba()
+            import drjit
+
             sensor_of(scene)
             self._request, self._scene = scene, load_scene(scene)
             check_media(scene)
             self.width, self.height = film_size(scene)
-            self._size = _opaque_floats(self.width, self.height)
+            # As data of kernels: division by a number written into one is rounded otherwise
+            sides = (float(side) for side in (self.width, self.height))
+            self._size = [drjit.opaque(load_mitsuba().Float, side) for side in sides]
             self._emitter = None if light is None else find_emitter(scene, light)
             if not self._scene.emitters():
                 raise ParameterError(
@@ -167,7 +142,8 @@ class Wavefront:
             )
         out = np.empty((len(pixels), count, 3), np.float32)
         for rows, columns in _chunks(len(pixels), count):
-            out[rows, columns] = self._lanes(strategy, pixels[rows], _part(u, rows, columns))
+            part = _as_samples(_part(u, rows, columns))
+            out[rows, columns] = self._parts(strategy, pixels[rows], part, 1)
         return out
 
     def means(self, strategy: str, pixels: Any, u: Any) -> Array:
@@ -210,8 +186,25 @@ class Wavefront:
 
     def _checked(self, strategy: str, pixels: Any, u: Any) -> tuple[Array, Array]:
         allowed = (self.dims(strategy, select=False), self.dims(strategy, select=True))
-        pixels = _as_pixels(pixels, self.width, self.height)
-        u = as_real_array("u", u)
+        given, u = np.asarray(pixels), as_real_array("u", u)
+        if (
+            given.dtype.kind not in "iu"
+            or given.ndim != 2
+            or given.shape[1:] != (2,)
+            or not len(given)
+        ):
+            raise ParameterError(
+                f"pixels have shape {given.shape} and type {given.dtype}; give integers (P, 2), "
+                "x and y of each."
+            )
+        outside = ((given < 0) | (given >= (self.width, self.height))).any(axis=1)
+        if outside.any():
+            x, y = given[outside][0]
+            raise ParameterError(
+                f"The pixel ({x}, {y}) is outside the film; x runs from 0 to {self.width - 1}, "
+                f"y from 0 to {self.height - 1}."
+            )
+        pixels = np.ascontiguousarray(given, np.int64)
         if u.ndim not in (2, 3) or u.shape[-1] not in allowed or u.shape[-2] == 0:
             raise ParameterError(
                 f"u has shape {u.shape}; {strategy!r} takes (pixels, samples, dims) or "
@@ -228,80 +221,75 @@ class Wavefront:
             )
         return pixels, u
 
-    def _lanes(self, strategy: str, pixels: Array, u: Array) -> Array:
-        """Estimates of one chunk: float32 (P, S, 3)."""
-        count = u.shape[-2]
-        with LOCK:
-            place = _Places(pixels, _as_samples(u), 1, len(pixels) * count)
-            color = self._color(strategy, place, self._center(place), 0)
-            lanes = np.asarray(color.numpy())
-        # Dr.Jit keeps constants at width 1.
-        lanes = np.broadcast_to(lanes, (3, len(pixels) * count)).T
-        lanes = lanes.reshape(len(pixels), count, 3)
-        check_finite(lanes, self._request, pixels)
-        return lanes
-
     def _sums(self, strategy: str, pixels: Array, points: Array | NetPoints) -> Array:
-        """Sums over the samples of each pixel of one chunk: float64 (P, 3).
-
-        A lane runs over some samples of its pixel in a recorded loop, so that one number a lane is
-        stored, in float64.
-        """
-        import drjit
-
-        mitsuba = load_mitsuba()
+        """Sums over the samples of each pixel of one chunk: float64 (P, 3)."""
         count = points.shape[-2]
         each = max(k for k in range(1, _LOOP_SAMPLES + 1) if count % k == 0)
-        lanes = len(pixels) * (count // each)
-        with LOCK:
-            place = _Places(pixels, points, each, lanes)
-            center = self._center(place)
-
-            def more(sample: Any, _: Any) -> Any:
-                return sample < place.each
-
-            def add(sample: Any, total: Any) -> tuple[Any, Any]:
-                color = self._color(strategy, place, center, sample)
-                return sample + 1, total + mitsuba.Color3d(color)
-
-            start = drjit.zeros(mitsuba.UInt32, lanes), drjit.zeros(mitsuba.Color3d, lanes)
-            _, total = drjit.while_loop(start, more, add, mode="symbolic")
-            parts: Array = total.numpy().T.reshape(len(pixels), -1, 3)
+        parts = self._parts(strategy, pixels, points, each)
         sums: Array = parts.sum(axis=1) if parts.shape[1] > 1 else parts[:, 0]
-        check_finite(sums, self._request, pixels)
         return sums
 
-    def _color(self, strategy: str, place: _Places, center: Hit | None, sample: Any) -> Any:
-        """Estimates of the lanes of a chunk, float32, each by one of its samples."""
-        columns = place.columns(sample)
-        hits = self._sampled(place, columns) if center is None else center
-        blocks = columns if center is not None else columns[2:]
-        color = self._direct(strategy, hits, blocks)
-        return color + self._seen(hits.interaction) if self.emission else color
-
-    def _center(self, place: _Places) -> Hit | None:
-        """What the lanes' rays through the centres of pixels meet; None if others are taken."""
+    def _parts(self, strategy: str, pixels: Array, points: Array | NetPoints, each: int) -> Array:
+        """Sums over `each` samples in succession, by a lane: float64 (P, n / each, 3)."""
         import drjit
 
-        if self.film == "sampled":
-            return None
-        kept = self._center_hits(place.pixels.tobytes())
-        at = drjit.gather(load_mitsuba().SurfaceInteraction3f, kept, place.pixel)
-        return Hit(self._scene, at, at.bsdf())
+        mitsuba, count = load_mitsuba(), points.shape[-2]
 
-    def _sampled(self, place: _Places, columns: list[Any]) -> Hit:
-        """What rays through the points of the film that the first two columns choose meet."""
+        def of_lane(lane: Any) -> Callable[[Any], Any]:
+            run, runs, own = (drjit.opaque(mitsuba.UInt32, k) for k in (each, count // each, count))
+            pixel = lane // runs
+            if isinstance(points, NetPoints):
+                first, columns = lane * run - pixel * own, points.lanes(mitsuba, pixel)
+            else:
+                first = lane * run - (0 if points.ndim == 3 else pixel * own)
+                table, dims = mitsuba.Float(points.ravel()), points.shape[-1]
+                kind, largest = type(table), LARGEST_SAMPLE
+                columns = lambda row: [
+                    drjit.minimum(drjit.gather(kind, table, row * dims + k), largest)
+                    for k in range(dims)
+                ]
+            color = self._colors(strategy, pixels, pixel)
+            return lambda k: color(columns(first + k))
+
+        with LOCK:
+            sums = lane_sums(len(pixels) * (count // each), each, 3, of_lane)
+        parts = np.ascontiguousarray(sums.T).reshape(len(pixels), -1, 3)
+        check_finite(parts, self._request, pixels)
+        return parts
+
+    def _colors(self, strategy: str, pixels: Array, pixel: Any) -> Callable[[list[Any]], Any]:
+        """The function of columns of samples that gives the estimate of each lane's pixel, float32."""
         import drjit
 
-        corner = (drjit.gather(load_mitsuba().Float, c, place.pixel) for c in place.corners)
-        at = self._trace(*(c + u for c, u in zip(corner, columns[:2], strict=True)))
-        return Hit(self._scene, at, at.bsdf())
+        mitsuba, at_center = load_mitsuba(), self.film == "center"
+        if at_center:
+            kept = self._center_hits(pixels.tobytes())
+            at = drjit.gather(mitsuba.SurfaceInteraction3f, kept, pixel)
+            center = Hit(self._scene, at, at.bsdf())
+        else:
+            x, y = (drjit.gather(mitsuba.Float, c, pixel) for c in corners_of(pixels))
+
+        def color(columns: list[Any]) -> Any:
+            if at_center:
+                hits, blocks = center, columns
+            else:
+                at = self._trace(x + columns[0], y + columns[1])
+                hits, blocks = Hit(self._scene, at, at.bsdf()), columns[2:]
+            if strategy == "mis":  # a block of columns for each technique
+                half = len(blocks) // 2
+                found = self._technique("mis-light", hits, blocks[:half])
+                found += self._technique("mis-bsdf", hits, blocks[half:])
+            else:
+                found = self._technique(strategy, hits, blocks)
+            return found + self._seen(hits.interaction) if self.emission else found
+
+        return color
 
     def _trace_centers(self, pixels: bytes) -> Any:
         """First hits through the centres of pixels, given as the bytes of int64 (P, 2)."""
         import drjit
 
-        x, y = _corners(np.frombuffer(pixels, np.int64).reshape(-1, 2))
+        x, y = corners_of(np.frombuffer(pixels, np.int64).reshape(-1, 2))
         found = self._trace(x + 0.5, y + 0.5)
         drjit.eval(found)
         return found
@@ -310,15 +298,6 @@ class Wavefront:
         """Follow rays through points of the film, in pixels."""
         position = load_mitsuba().Point2f(x / self._size[0], y / self._size[1])
         return follow_camera(self._scene, position)
-
-    def _direct(self, strategy: str, hits: Hit, blocks: list[Any]) -> Any:
-        """Reflected light by one technique, or by both, each with its own block of columns."""
-        if strategy != "mis":
-            return self._technique(strategy, hits, blocks)
-        half = len(blocks) // 2
-        return self._technique("mis-light", hits, blocks[:half]) + self._technique(
-            "mis-bsdf", hits, blocks[half:]
-        )
 
     def _technique(self, strategy: str, hits: Hit, block: list[Any]) -> Any:
         mitsuba = load_mitsuba()
@@ -347,23 +326,6 @@ def _has_lobes(bsdf: Any) -> bool:
     return any(sum(bool(part & side) for part in parts) > 1 for side in sides)
 
 
-def _as_pixels(pixels: Any, width: int, height: int) -> Array:
-    given = np.asarray(pixels)
-    if given.dtype.kind not in "iu" or given.ndim != 2 or given.shape[1] != 2 or len(given) == 0:
-        raise ParameterError(
-            f"pixels have shape {given.shape} and type {given.dtype}; give integers (P, 2), "
-            "x and y of each."
-        )
-    outside = ((given < 0) | (given >= (width, height))).any(axis=1)
-    if outside.any():
-        x, y = given[outside][0]
-        raise ParameterError(
-            f"The pixel ({x}, {y}) is outside the film; x runs from 0 to {width - 1}, "
-            f"y from 0 to {height - 1}."
-        )
-    return np.ascontiguousarray(given, np.int64)
-
-
 def _as_samples(u: Array) -> Array:
     """Return contiguous float32 samples after checking their range."""
     samples = np.ascontiguousarray(u, np.float32)
@@ -372,19 +334,6 @@ def _as_samples(u: Array) -> Array:
             "u has samples that are NaN or outside [0,1); give finite numbers in [0,1)."
         )
     return samples
-
-
-def _opaque_floats(*numbers: int) -> tuple[Any, ...]:
-    """Numbers as data of kernels: division by one written into a kernel is rounded otherwise."""
-    import drjit
-
-    return tuple(drjit.opaque(load_mitsuba().Float, float(number)) for number in numbers)
-
-
-def _corners(pixels: Array) -> tuple[Any, Any]:
-    mitsuba = load_mitsuba()
-    x, y = (mitsuba.Float(np.ascontiguousarray(c, np.float32)) for c in pixels.T)
-    return x, y
 
 
 def _chunks(pixels: int, samples: int) -> Iterator[tuple[slice, slice]]:

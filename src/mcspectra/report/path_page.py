@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -120,13 +121,46 @@ def path_rows(tree: xr.DataTree) -> dict[str, list[list[str]]]:
 
 
 def path_answer(tree: xr.DataTree) -> str:
-    """Which sampler to use for these paths instead of random numbers, and what makes the noise."""
-    curves = tree["convergence"].to_dataset()
-    samplers = {str(s): curves.sel(sampler=s) for s in curves["sampler"].values}
-    said = dict(path_sentences(tree))
+    """What to use for these paths, as the remedies say where they were tried, and what makes the noise."""
+    curves, said = tree["convergence"].to_dataset(), dict(path_sentences(tree))
     if "noise" in said:
         return said["noise"]
-    return answer(samplers, why=said.get("by decision", said.get("by bounce", "")))
+    why = said.get("by decision", said.get("by bounce", ""))
+    if "remedies" not in tree.children:
+        return answer({str(s): curves.sel(sampler=s) for s in curves["sampler"].values}, why=why)
+    best, other = _advised(tree)
+    budget = f"at {int(tree['remedies'].attrs['budget']):,} points"
+    cause = f" Cause: {why[:1].lower()}{why[1:]}" if why else ""
+    if best["remedy"].item() == "as given" and other["verdict"].item() != "worse":
+        return f"Keep {_setup(tree, best)}: nothing that was tried has surely less noise {budget}.{cause}"
+    after, before = (number(math.sqrt(float(each["error"]))) for each in (best, other))
+    return (
+        f"Use {_setup(tree, best)}: RMSE {after} instead of {before} with {_setup(tree, other)} "
+        f"{budget}.{cause}"
+    )
+
+
+def _advised(tree: xr.DataTree, *kinds: str) -> tuple[xr.Dataset, xr.Dataset]:
+    """The best change (of some kinds) that is surely one, or the path as given; and what it stands against.
+
+    That is random numbers, or else the path as given.
+    """
+    found = tree["remedies"].to_dataset()
+    given = found.sel(remedy="as given")
+    better = found["verdict"].values == "better"
+    if kinds:
+        better &= np.isin(found["kind"].values, kinds)
+    best = found.isel(remedy=int(np.argmax(better))) if better.any() else given
+    random = "random" in found["remedy"].values and best["remedy"].item() != "random"
+    return best, found.sel(remedy="random") if random else given
+
+
+def _setup(tree: xr.DataTree, row: xr.Dataset) -> str:
+    """A change as one names it: by its sampler, or that as given with the change."""
+    name, given = str(row["remedy"].item()), str(tree.attrs["sampler"])
+    if name == "as given":
+        return given
+    return name if row["kind"].item() == "sampler" else f"{given} with {name}"
 
 
 def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
@@ -164,16 +198,18 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
                 f"{percent(EFFECTIVE_SHARE)} of the variance of a path."
             )
             said.append(("effective dimension", text))
-    curves = tree["convergence"].to_dataset().isel(n=-1)
-    best = curves.isel(sampler=int(np.argmin(curves["variance"].values)))
-    text = (
-        f"The least variance at n = {int(best['n'])} is {number(float(best['variance']))}: "
-        f"{best['sampler'].item()}."
-    )
-    if "random" in curves["sampler"].values and best["sampler"].item() != "random":
-        ratio = float(curves["variance"].sel(sampler="random") / best["variance"])
-        text += f" Random numbers have {number(ratio)} times as much."
-    said.append(("sampler", text))
+    if "remedies" in tree.children:
+        best, other = _advised(tree, "sampler")
+        rows = {_setup(tree, each): float(each["error"]) for each in (best, other)}
+        name, n = _setup(tree, best), int(tree["remedies"].attrs["budget"])
+    else:
+        curves = tree["convergence"].to_dataset().isel(n=-1)
+        rows = dict(zip(curves["sampler"].values, curves["variance"].values.tolist(), strict=True))
+        name, n = min(rows, key=lambda each: rows[each]), int(curves["n"])
+    text = f"With {name} the variance at n = {n} is {number(rows[name])}"
+    if rows.get("random", 0.0) > rows[name] > 0.0:
+        text += f"; random numbers have {number(rows['random'] / rows[name])} times as much"
+    said.append(("sampler", f"{text}."))
 
     # Lights, and what was tried
     if "lights" in tree.children:

@@ -62,7 +62,8 @@ _MOST_TEXT = 10**8  # characters of what a grid makes of a table
 _LARGEST_FILE = 4 * 2**20
 _SINGLE = ("seed", "time_limit")  # a study has one
 _TABLE_NAME = re.compile(r"[a-z][a-z0-9]*(?:-[a-z0-9]+)*")
-_STEP = re.compile(r"([A-Za-z][A-Za-z0-9_-]*)((?:\[\d{1,6}\])*)")
+_STEP = r"[A-Za-z][A-Za-z0-9_-]*(?:\[\d{1,6}\])*"
+_PLACE = re.compile(rf"{_STEP}(?:\.{_STEP})*")
 _PLACEHOLDER = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
 _OWN, _HAS_OWN = ("n", "seed", "dims"), re.compile(r"\b(?:command|points)\(")
 _KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
@@ -570,15 +571,13 @@ def apply_overrides(table: dict[str, Any], overrides: Sequence[str]) -> dict[str
             raise ConfigError(f"--set {text!r} has no '='; write key=value.")
 
         # Read the place: keys between dots, each with its indices
-        steps: list[str | int] = []
-        for part in path.strip().split("."):
-            match = _STEP.fullmatch(part)
-            if match is None:
-                raise ConfigError(
-                    f"--set {text!r}: {path.strip()!r} is not a place in a study; write for example "
-                    "seed, samplers[0] or estimators[0].density."
-                )
-            steps += [match[1], *map(int, re.findall(r"\d+", match[2]))]
+        if not _PLACE.fullmatch(path.strip()):
+            raise ConfigError(
+                f"--set {text!r}: {path.strip()!r} is not a place in a study; write for example "
+                "seed, samplers[0] or estimators[0].density."
+            )
+        parts = re.findall(r"\[(\d+)\]|([\w-]+)", path)
+        steps = [key or int(index) for index, key in parts]
 
         # Read the value, one of TOML and nothing after it
         try:

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from mcspectra.core.errors import McspectraError
+from mcspectra.core.errors import McspectraError, reason_of
 from mcspectra.integrands import Integrand
 
 __all__ = ["FunctionFailed", "TookTooLong", "explain", "probed", "within"]
@@ -73,35 +73,25 @@ def probed(function: Callable[[Any], Any], *, dims: int, limit: float | None = N
         It raises, gives something else than finite real numbers, or takes too long.
     """
 
-    def make() -> Integrand | str:
+    def make() -> Integrand:
         try:
             return Integrand.from_function(function, dims=dims)
         # Here, in the thread: an interrupt that reaches the main thread is the user's.
         except BaseException as error:  # noqa: BLE001 - whatever the code of others does
-            return explain(error)
+            raise FunctionFailed(explain(error)) from None
 
     seconds = _PATIENCE if limit is None else min(limit, _PATIENCE)
     try:
-        made = within(seconds, make)
+        return within(seconds, make)
     except TookTooLong:
-        made = f"The function gave no values at its first few points within {seconds:g} s."
-    if isinstance(made, str):
-        raise FunctionFailed(made)
-    return made
+        raise FunctionFailed(
+            f"The function gave no values at its first few points within {seconds:g} s."
+        ) from None
 
 
 def explain(error: BaseException) -> str:
     """One sentence about why a task failed, which names exceptions that are not this package's."""
-    try:
-        words = str(error)
-    except BaseException:  # noqa: BLE001 - whatever the code of others does
-        words = ""
-
-    # One line that a terminal can show; whoever wrote it, it is short.
-    text = " ".join("".join(c if c.isprintable() else " " for c in words[: 2 * _LONGEST]).split())
-    if len(words) > 2 * _LONGEST or len(text) > _LONGEST:
-        text = f"{text[:_LONGEST]} …"
-    if isinstance(error, McspectraError) and text:
-        return text
-    reason = f": {text.rstrip('.')}" if text else ""
-    return f"It raised {type(error).__name__}{reason}."
+    name, reason = type(error).__name__, reason_of(error, _LONGEST)
+    if reason == name:  # it says nothing
+        return f"It raised {name}."
+    return f"{reason}." if isinstance(error, McspectraError) else f"It raised {name}: {reason}."

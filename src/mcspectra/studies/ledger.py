@@ -53,7 +53,7 @@ __all__ = [
     "Tally",
     "check_links",
     "is_held",
-    "linked",
+    "refuse_links",
     "scalars_of",
 ]
 
@@ -321,17 +321,28 @@ class Ledger:
         return self._listing[1].keys()
 
     def failures(self) -> dict[str, str]:
-        """Sentences of the cells that failed, by their paths."""
-        return dict(self._failures)
+        """Sentences of the cells that failed, by their paths in their order."""
+        self.commit()
+        found = {}
+        for path, text in self._texts("failure"):
+            if text is None:
+                self.damaged[f"failure of {path}"] = _DAMAGE
+            else:
+                found[path] = text
+        return {path: found[path] for path in self.paths if path in found} if found else {}
 
     def tasks(self, path: str) -> list[tuple[str, Chunk]]:
-        """What is recorded of a cell that is not finished: keys of runs, and blocks of them."""
-        return list(self._recorded.get(path, ()))
+        """What is recorded, and committed, of a cell: keys of runs, and blocks of them."""
+        with self._guard:
+            rows = self._rows("SELECT run, first, blocks FROM tasks WHERE path = ?", (path,))
+        return [(run, (first, blocks)) for run, first, blocks in rows]
 
     @property
     def recorded(self) -> int:
         """Number of recorded states."""
-        return sum(map(len, self._recorded.values()))
+        self.commit()
+        ((count,),) = self._rows("SELECT count(*) FROM tasks")
+        return int(count)
 
     def state(self, path: str, run: str, chunk: Chunk) -> bytes | None:
         """The recorded state of a task; None if it was never recorded, or is `damaged`."""
@@ -340,7 +351,7 @@ class Ledger:
             for row in self._rows(_ONE_TASK, (path, run, *chunk)):
                 if self._is_sound("task", row[:4], row[5], row[4]):
                     return bytes(row[5])
-            if self._recorded.get(path, {}).pop((run, chunk), False) is None:
+            if (run, chunk) in self.tasks(path):
                 self.damaged[_task_name(path, run, *chunk)] = _DAMAGE
             return None
 
@@ -358,7 +369,7 @@ class Ledger:
             raise StoreError(f"The study in {str(self.folder)!r} has no cell {path!r}.")
         _, digest, payload = rows[0]
         if digest is None:
-            reason = self._failures.get(path, "it is not finished.")
+            reason = self.failures().get(path, "it is not finished.")
             raise StoreError(f"{str(self.folder)!r} has no result of {path}: {reason}")
         if not self._is_sound("result", (path,), payload, digest):
             raise StoreError(
@@ -405,7 +416,6 @@ class Ledger:
         with self._guard:
             if host and host not in self.tally.hosts:
                 self.tally = msgspec.structs.replace(self.tally, hosts=(*self.tally.hosts, host))
-            self._recorded.setdefault(path, {})[run, chunk] = None
             self._tell(_Change(path, ((_PUT_TASK, row),), size=len(payload)))
 
     def finish(
@@ -427,21 +437,21 @@ class Ledger:
         with self._guard:
             if path in self.done:
                 raise StoreError(f"The cell {path} in {str(self.folder)!r} is finished already.")
-            self._tell(self._result(path, payload, digest, text, self._forgetting(path)))
+            self._tell(self._result(path, payload, digest, text))
             self._listing[1][path] = None
 
     def fail(self, path: str, sentence: str) -> None:
         """Note why a cell has failed."""
         text = sentence[:_MOST_SENTENCE].encode("utf-8", "replace").decode()
         with self._guard:
-            self._failures[path] = text
             self._tell(_Change(path, [self._text("failure", path, text)]))
 
     def forget(self, paths: Iterable[str]) -> None:
         """Drop failures and recorded states of cells, which are to be tried again."""
         with self._guard:
             for path in paths:
-                self._tell(_Change(path, self._forgetting(path)))
+                self._tell(_Change(path, _forgetting(path)))
+            self.commit()  # before anybody asks for their states
 
     def commit(self) -> None:
         """Write what was told since the last commit, all of it or nothing."""
@@ -490,24 +500,14 @@ class Ledger:
         if self._waiting > _COMMIT_BYTES:
             self.commit()
 
-    def _forgetting(self, path: str) -> tuple[_Step, ...]:
-        steps: list[_Step] = []
-        if self._recorded.pop(path, None) is not None:
-            steps.append(("DELETE FROM tasks WHERE path = ?", (path,)))
-        if self._failures.pop(path, None) is not None:
-            steps.append(("DELETE FROM texts WHERE kind = 'failure' AND name = ?", (path,)))
-        return tuple(steps)
-
-    def _result(
-        self, path: str, payload: bytes, digest: bytes, text: str, steps: tuple[_Step, ...] = ()
-    ) -> _Change:
-        """The result of a cell with its scalars, and what is to be done with it."""
+    def _result(self, path: str, payload: bytes, digest: bytes, text: str) -> _Change:
+        """The result of a cell with its scalars, in place of what was recorded of it."""
         put = (
             (_PUT_RESULT, (payload, path)),
             (_PUT_DIGEST, (digest, path)),
             self._text("scalars", path, text),
         )
-        return _Change(path, (*put, *steps), digest, len(payload))
+        return _Change(path, (*put, *_forgetting(path)), digest, len(payload))
 
     def _begin(
         self, study: StudyNote, paths: Sequence[str], outdated: Collection[str] | None
@@ -642,14 +642,12 @@ class Ledger:
                 _remove_partial(partial)
                 raise
             self._connection = _connected(self._file, "rw")
-        for name in ("_listing", "_recorded", "_failures"):
-            self.__dict__.pop(name, None)
+        self.__dict__.pop("_listing", None)
 
     def _open(self) -> None:
         """Open the file, and read which study it holds."""
         for file in (self._file, self._file.with_name(f"{LEDGER_NAME}-journal")):
-            if file.is_symlink():
-                raise linked(str(file))
+            refuse_links(str(file))
         if not self._file.is_file():
             raise StoreError(f"There are no results in {str(self.folder)!r}.")
         try:
@@ -720,23 +718,6 @@ class Ledger:
             self.damaged["list of cells"] = "it is not as it was written"
         return paths, done
 
-    @functools.cached_property
-    def _recorded(self) -> dict[str, dict[tuple[str, Chunk], None]]:
-        found: dict[str, dict[tuple[str, Chunk], None]] = {}
-        for path, run, *chunk in self._rows("SELECT path, run, first, blocks FROM tasks"):
-            found.setdefault(path, {})[run, (chunk[0], chunk[1])] = None
-        return found
-
-    @functools.cached_property
-    def _failures(self) -> dict[str, str]:
-        found = {}
-        for path, text in self._texts("failure"):
-            if text is None:
-                self.damaged[f"failure of {path}"] = _DAMAGE
-            else:
-                found[path] = text
-        return found
-
     def _look_for_damage(self, paths: Sequence[str]) -> None:
         """Read everything; what is not sound goes to `damaged`."""
         tally, before = Tally(), len(self.damaged)
@@ -780,7 +761,7 @@ class Ledger:
                         yield _Change(values[0], ((_PUT_TASK, task),))
                     else:
                         self.damaged[_task_name(*values)] = _DAMAGE
-            for path, sentence in self._failures.items():
+            for path, sentence in self.failures().items():
                 yield _Change(path, [self._text("failure", path, sentence)])
         except StoreError as error:
             self.damaged["recorded tasks and failures"] = str(error)
@@ -877,14 +858,28 @@ def check_links(folder: Path) -> None:
         raise StoreError(f"{str(folder)!r} cannot be read: {error.strerror}.") from None
     for entry in entries:
         if entry.name.removeprefix(".").startswith(_WRITTEN):
-            inside = (
-                os.path.join(base, name)  # noqa: PTH118 - of many thousands
-                for base, *names in os.walk(entry.path)
-                for name in (*names[0], *names[1])
+            refuse_links(entry.path)
+
+
+def refuse_links(place: str) -> None:
+    """Refuse a file that is a symbolic link, or a folder that is one or has one inside.
+
+    Raises
+    ------
+    StoreError
+        It names the link.
+    """
+    inside = (
+        os.path.join(base, name)  # noqa: PTH118 - of many thousands
+        for base, *names in os.walk(place)
+        for name in itertools.chain(*names)
+    )
+    for each in itertools.chain([place], inside):
+        if os.path.islink(each):  # noqa: PTH114
+            raise StoreError(
+                f"{each!r} is a symbolic link, and might lead to files of others; results hold files "
+                "only: remove it, or take another folder."
             )
-            for place in (entry.path, *inside):
-                if os.path.islink(place):  # noqa: PTH114
-                    raise linked(place)
 
 
 @contextlib.contextmanager
@@ -962,20 +957,18 @@ def _remove_partial(partial: Path) -> None:
         file.unlink(missing_ok=True)
 
 
+def _forgetting(path: str) -> tuple[_Step, ...]:
+    """What drops the failure and the recorded states of a cell."""
+    tables = ("tasks WHERE path = ?", "texts WHERE kind = 'failure' AND name = ?")
+    return tuple((f"DELETE FROM {each}", (path,)) for each in tables)
+
+
 def _plan_digest(paths: Iterable[str]) -> str:
     return hashlib.sha256("\n".join(paths).encode()).hexdigest()
 
 
 def _task_name(path: str, run: str, first: int, blocks: int) -> str:
     return f"task {path}/{run}/{first}+{blocks}"
-
-
-def linked(place: str) -> StoreError:
-    """The error that refuses a symbolic link."""
-    return StoreError(
-        f"{place!r} is a symbolic link, and might lead to files of others; results hold files only: "
-        "remove it, or take another folder."
-    )
 
 
 def _now() -> str:

@@ -1,33 +1,65 @@
-"""The noise of whole paths at one pixel: how fast it falls, what makes it, and what would lower it."""
+"""The noise of whole paths at one pixel: how fast it falls, what makes it, and what would lower it.
+
+Method
+------
+All changes are measured at the same counts on the same random numbers as the path as given, and compared at
+its largest count by `mcspectra.variance.remedies.ranked`. A path of another roulette costs as many more or
+fewer as it asks for numbers, that is by the turns of the integrator's loop, each a ray and at most one
+shadow ray. What is chosen by a pilot is compared with a path as given that has the pilot's paths, too.
+
+Lights are chosen best, as far as each path takes one light, in proportion to the root of the second moment
+of what they give when they are chosen, √(p_j E f_j²).
+"""
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Sequence
+import math
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mcspectra.core.analysis import Subject
-from mcspectra.core.checks import as_choice, as_integer
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.checks import Array, as_choice, as_integer
+from mcspectra.core.errors import McspectraError, ParameterError
 from mcspectra.core.parallel import available_workers
 from mcspectra.core.progress import report
+from mcspectra.core.results import dataset
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import Estimator
-from mcspectra.rendering.paths import Dimension, PathPixel
-from mcspectra.rendering.scenes import Scene, scene_name
+from mcspectra.integrands import Integrand
+from mcspectra.rendering.paths import (
+    SCENE_INTEGRATOR,
+    Dimension,
+    PathPixel,
+    find_integrator,
+    light_selection,
+    parts_by_light,
+)
+from mcspectra.rendering.scenes import Scene, emitter_names, scene_name
 from mcspectra.samplers import Sampler, as_sampler
-from mcspectra.studies.path_remedies import path_remedies, shares_by_light
-from mcspectra.studies.pixel import find_pixel
+from mcspectra.studies.pixel import check_compared, find_pixel
 from mcspectra.variance.anova import Anova, anova_variances
-from mcspectra.variance.convergence import convergence
+from mcspectra.variance.convergence import convergence, count_stream
+from mcspectra.variance.counterfactuals import NotTried
+from mcspectra.variance.diagnosis import Diagnosis
 from mcspectra.variance.prediction.predict import predict
+from mcspectra.variance.remedies import (
+    Errors,
+    Trial,
+    compare,
+    estimates_of,
+    ranked,
+    simultaneous_z,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["PATH_SAMPLERS", "analyse_path"]
+__all__ = ["PATH_SAMPLERS", "analyse_path", "path_remedies", "shares_by_light"]
 
 PATH_SAMPLERS = ("random", "latin-hypercube", "rank1-lattice | shift", "sobol | owen")
 """Samplers that are compared unless others are given: those that any number of dims leaves any count."""
@@ -40,7 +72,21 @@ _EFFORTS = {
 _MOST_GROUPS = 64
 _MOST_SAMPLES = 2**20
 _FEWEST = 100  # realisations that tell one change from another
-_LIGHTS, _REMEDIES = 1, 2  # stream labels
+_LIGHTS = 1  # stream label
+_MOST_LIGHTS = 64
+_PILOT = 2**10  # paths that lights are chosen by
+_LEAST = 0.05  # of all selections, alike for all lights
+_COUNTS = 5  # the largest
+_DEPTHS = (1, 2, 3, 5)  # from which paths end by roulette; and never
+_ENDLESS = 2**16  # depth: without roulette these paths may not end
+_PLUGINS = {
+    # what an integrator calls itself: its plugin
+    "PathIntegrator": "path",
+    "VolumetricSimplePathIntegrator": "volpath",
+    "VolumetricMisPathIntegrator": "volpathmis",
+    "PRBIntegrator": "prb",
+}
+_Z = 1.959963984540054
 
 
 def analyse_path(
@@ -103,18 +149,9 @@ def analyse_path(
     if channel == "rgb":
         raise ParameterError("channel is 'rgb'; give 'luminance', 0, 1 or 2, one at a time.")
     usual, repeats, pairs, paths, predicted = _EFFORTS[as_choice("effort", effort, tuple(_EFFORTS))]
-    asked = usual if counts is None else counts
-    ns = [as_integer("counts", n, least=1, most=_MOST_SAMPLES) for n in asked]
-    if len(ns) < 2 or any(b <= a for a, b in itertools.pairwise(ns)):
-        raise ParameterError(f"counts is {ns}; give at least two, ascending, for a rate.")
-    if isinstance(samplers, str) or not samplers:
-        raise ParameterError(f"samplers is {samplers!r}; give a list of samplers.")
     f = PathPixel(scene=scene, x=x, y=y, integrator=integrator, channel=channel, dims=dims)
-    sources = [as_sampler(s, f.dims) for s in samplers]
-    if len({s.spec for s in sources}) < len(sources):
-        raise ParameterError(f"samplers is {list(samplers)!r:.80}; give each only once.")
-    for source, n in itertools.product(sources, ns):
-        source.check_count(n)
+    asked = usual if counts is None else counts
+    sources, ns = check_compared(samplers, asked, f.dims, most=_MOST_SAMPLES)
     options: dict[str, Any] = {
         "rng": as_integer("rng", rng, least=0),
         "workers": available_workers(workers),
@@ -158,7 +195,7 @@ def analyse_path(
             )
             ranking = np.argsort(-shares, kind="stable"), made.evaluations
         parts["remedies"] = path_remedies(
-            f, sources[-1], ns, stream.child(_REMEDIES), realizations=max(_FEWEST, number),
+            f, sources[-1], ns, stream, realizations=max(_FEWEST, number),
             samplers=(*PATH_SAMPLERS, "halton | permute"), ends=ends, axes=ranking, lights=lights,
         )  # fmt: skip
     if predicted:
@@ -194,3 +231,216 @@ def _kinds(dimensions: Sequence[Dimension]) -> dict[str, tuple[int, list[str]]]:
         "request": (1, requests),
         "coordinate": (1, [f"{d}" for d in dimensions]),
     }
+
+
+def shares_by_light(f: PathPixel, paths: int, stream: Stream) -> xr.Dataset | None:
+    """Which lights make the variance of one random path, and how often each had better be chosen.
+
+    Parameters
+    ----------
+    f
+        The pixel.
+    paths
+        Random paths for the shares, each followed once for each light. The selection is from the first
+        1024, its pilot; as many others as `paths` show what it is worth.
+    stream
+        Random numbers.
+
+    Returns
+    -------
+    xarray.Dataset or None
+        On the dim ``light``: ``light_share``, Cov(f_j, f)/Var(f) of what a light gives to a path, which sum
+        to 1; ``light_mean``; ``light_probability``, how often it is chosen, and ``light_selection``, how
+        often it had better be; with intervals ``_ci``. ``selection_ratio``: variance of other random paths
+        with that selection over that as given. None for one light, over 64, or a pixel without noise.
+
+    Raises
+    ------
+    ParameterError
+        A light cannot be dimmed.
+    """
+    names = emitter_names(f.scene)
+    if not 1 < len(names) <= _MOST_LIGHTS:
+        return None
+    parts = parts_by_light(f, stream.generator(0).random((paths, f.dims)))
+    off = parts - parts.mean(axis=1, keepdims=True)
+    whole = off.sum(axis=0)
+    variance = float((whole**2).mean())
+    if variance == 0.0:
+        return None
+    shares = (off @ whole) / (paths * variance)
+    influence = (off * whole - shares[:, None] * whole**2) / variance
+    half = _Z * influence.std(axis=1) / math.sqrt(paths)
+
+    # Choose by second moments, none too rarely; and see on other paths what that is worth
+    known = light_selection(f.scene) if f.selection is None else np.array(f.selection)
+    pilot = min(paths, _PILOT)
+    wanted = np.sqrt(known * (parts[:, :pilot] ** 2).mean(axis=1))
+    wanted = (1.0 - _LEAST) * wanted / wanted.sum() + _LEAST / len(names)
+    u = stream.generator(1).random((paths, f.dims))
+    squares = []
+    for g in (replace(f, selection=wanted), f):
+        values = g(u)
+        squares.append((values - values.mean()) ** 2)
+    after, before = (float(s.mean()) for s in squares)
+    ratio = after / before if before else math.nan
+    spread = _Z * float((squares[0] / after - squares[1] / before).std()) / math.sqrt(paths)
+    return dataset(
+        {
+            "light_share": (("light",), shares),
+            "light_share_ci": (("light", "bound"), np.transpose([shares - half, shares + half])),
+            "light_mean": (("light",), parts.mean(axis=1)),
+            "light_probability": (("light",), known),
+            "light_selection": (("light",), wanted),
+            "selection_ratio": ((), ratio),
+            "selection_ratio_ci": (("bound",), ratio * np.exp([-spread, spread])),
+        },
+        {"light": names, "bound": ["low", "high"]},
+        paths=paths,
+        pilot=pilot * len(names),
+    )
+
+
+def path_remedies(
+    f: PathPixel,
+    sampler: Sampler,
+    counts: Sequence[int],
+    stream: Stream,
+    *,
+    realizations: int,
+    samplers: Sequence[str],
+    ends: Sequence[int],
+    axes: tuple[Array, int] | None = None,
+    lights: xr.Dataset | None = None,
+) -> xr.Dataset:
+    """Try changes to how the paths of a pixel are sampled, at equal cost, and rank them.
+
+    Parameters
+    ----------
+    f, sampler
+        The path as given.
+    counts, realizations
+        Paths of an estimate, ascending; the last is the budget, and five at most are measured. Estimates of each.
+    stream
+        Random numbers, the same for all, and those of `mcspectra.convergence` with its seed.
+    samplers, ends
+        Others to try; numbers of first coordinates to leave good points to.
+    axes
+        Coordinates in the order in which they deserve good points, and the paths that it took to find out.
+    lights
+        `shares_by_light`, if it is known.
+
+    Returns
+    -------
+    xarray.Dataset
+        As of `mcspectra.remedies`; ``kind`` is ``sampler``, ``padding``, ``order``, ``roulette``
+        or ``selection``. ``error`` is that at the budget, beside a pilot, ``error_ratio`` with it.
+    """
+    ns, budget = list(counts)[-_COUNTS:], int(counts[-1])
+    tried: list[Trial] = []
+    not_tried: list[NotTried] = []
+
+    def attempt(
+        kind: str,
+        name: str,
+        change: str,
+        make: Callable[[], Integrand] = lambda: f,
+        spec: str = "",
+        pilot: int = 0,
+    ) -> None:
+        try:
+            g = make()
+            points = sampler if g.dims == f.dims and not spec else spec or sampler.spec
+            points = as_sampler(points, g.dims)
+            for n in ns:
+                points.check_count(n)
+            estimates = [
+                estimates_of(Estimator(g), points, n, realizations, count_stream(stream, n))
+                for n in ns
+            ]
+        except McspectraError as error:
+            not_tried.append(NotTried(kind, name, str(error)))
+            return
+        cost, note = 1.0, ""
+        if kind == "roulette" and isinstance(g, PathPixel):
+            cost = g.numbers_per_path / f.numbers_per_path
+            note = f"Each of its paths costs {cost:.3g} of those as given."
+        mean = np.concatenate(estimates).mean(axis=0)
+        errors = Errors.of(np.multiply(cost, ns).tolist(), estimates, mean)
+        tried.append(Trial(kind, name, change, name, False, errors, pilot=pilot, note=note))
+
+    attempt("given", "as given", "leave everything as it is")
+
+    # Samplers; random numbers for the last coordinates; the best coordinates for the largest shares
+    for spec in dict.fromkeys(samplers):
+        if spec != sampler.spec:
+            attempt("sampler", spec, f"sample with {spec}", spec=spec)
+    for k in ends:
+        change = f"give points of {sampler.spec} to the first {k} coordinates, and random numbers to the others"
+        attempt("padding", f"{k} good coordinates", change, partial(replace, f, dims=k))
+    if axes is not None:
+        place = np.argsort(axes[0])  # of each coordinate among those of the points
+        ordered = Integrand.from_function(lambda u: f(u[..., place]), dims=f.dims)
+        change = "give the first coordinates of the points to what makes most of the variance"
+        attempt("order", "coordinates by share", change, lambda: ordered, pilot=axes[1])
+
+    # Roulette, lights, and the integrator's own heuristic
+    try:
+        for name, change, integrator in _other_roulettes(f):
+            attempt("roulette", name, change, partial(replace, f, integrator=integrator, dims=None))
+    except McspectraError as error:
+        not_tried.append(NotTried("roulette", "roulette", str(error)))
+    name = "lights by second moment"
+    if lights is None:
+        number = len(emitter_names(f.scene))
+        reason = f"2 to {_MOST_LIGHTS} lights can be chosen among, if it is known what each gives: the scene has {number}."
+        not_tried.append(NotTried("selection", name, reason))
+    else:
+        chosen = partial(replace, f, selection=lights["light_selection"].values)
+        change = "choose lights by the roots of the second moments of what they give"
+        attempt("selection", name, change, chosen, pilot=int(lights.attrs["pilot"]))
+    reason = f"{find_integrator(f.scene, f.integrator).class_name()} has no property that sets one."
+    not_tried.append(NotTried("heuristic", "heuristic of MIS", reason))
+
+    # Say of pilots what their changes are without them, and when they pay
+    given, z = tried[0].errors, simultaneous_z(2 * (len(tried) - 1))
+    for k, trial in enumerate(tried):
+        if trial.pilot:
+            tried[k] = replace(trial, note=_about_pilot(trial, given, budget, z))
+    found = ranked(tried, not_tried, budget, Diagnosis(False, False, None, "", None, None))
+    return found.assign_attrs(diagnosis="", estimator=f.spec, sampler=sampler.spec, budget=budget)
+
+
+def _about_pilot(trial: Trial, given: Errors, budget: int, z: float) -> str:
+    """What a change is worth beside its pilot, and from how many paths on the pilot pays."""
+    found, rate = compare(trial.errors, given, budget), given.rate()[0]
+    low, high = (found.log_ratio + side * z * found.log_ratio_se for side in (-1.0, 1.0))
+    ratio, ends = math.exp(found.log_ratio), f"{math.exp(low):.3g} to {math.exp(high):.3g}"
+    text = f"Its pilot takes {trial.pilot:,} paths; beside it, variance × {ratio:.3g} ({ends})"
+    if high < 0.0 and rate < 0.0:
+        # As given, n and the pilot's paths have the variance of this one's n: ((n + P)/n)^rate = ratio
+        pays = trial.pilot / math.expm1(found.log_ratio / rate)
+        return f"{text}: it pays from about {float(f'{pays:.2g}'):,.0f} paths on."
+    return f"{text}: it does not pay, as far as the interval tells."
+
+
+def _other_roulettes(f: PathPixel) -> Iterator[tuple[str, str, str]]:
+    """Names, changes and integrators that end paths by roulette from another depth on, or never."""
+    own = find_integrator(f.scene, f.integrator)
+    known = {k: int(v) for k, v in re.findall(r"(max_depth|rr_depth) = (\d+)", str(own))}
+    last, first = known.get("max_depth", 0), known.get("rr_depth", 0)
+    plugin, _, rest = f.integrator.strip().partition("(")
+    properties = [p for p in map(str.strip, rest.removesuffix(")").split(",")) if p]
+    if f.integrator == SCENE_INTEGRATOR:
+        plugin = _PLUGINS.get(str(own).partition("[")[0], "")
+        properties = [f"hide_emitters={own.hide_emitters}"]
+        properties += [f"max_depth={last}"] * (last < _ENDLESS)
+    if not (plugin and first and last):
+        raise ParameterError(f"{own.class_name()} is not known to have a roulette.")
+    properties = [p for p in properties if not p.startswith("rr_depth")]
+    for depth in sorted({*_DEPTHS, last}):
+        if depth <= min(last, _ENDLESS) and depth != min(first, last):
+            name = f"roulette from depth {depth}" if depth < last else "no roulette"
+            change = f"end paths by roulette from depth {depth} on"
+            change = change if depth < last else "end no path by roulette"
+            yield name, change, f"{plugin}({', '.join([*properties, f'rr_depth={depth}'])})"

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_choice, as_integer
+from mcspectra.core.checks import as_choice, as_integer
 from mcspectra.core.errors import ParameterError, close_match_hint
 from mcspectra.core.parallel import available_workers
 from mcspectra.core.progress import report
@@ -52,6 +52,7 @@ __all__ = [
     "PIXEL_STRATEGIES",
     "Effort",
     "analyse_pixel",
+    "check_compared",
     "find_pixel",
 ]
 
@@ -190,17 +191,8 @@ def analyse_pixel(
     view = check_view(View(request, x, y, light, channel, dims), bsdf=True)
     warn_integrator(request)
     chosen = EFFORTS[as_choice("effort", effort, tuple(EFFORTS))]
-    if isinstance(samplers, str) or not samplers:
-        raise ParameterError(f"samplers is {samplers!r}; give a list of samplers.")
-    sources = tuple(as_sampler(s, dims) for s in samplers)
-    if len({s.spec for s in sources}) < len(sources):
-        raise ParameterError(f"samplers is {list(samplers)!r:.80}; give each only once.")
     asked = chosen.counts[dims] if counts is None else counts
-    ns = [as_integer("counts", n, least=1, most=_MOST_SAMPLES) for n in asked]
-    for source, n in itertools.product(sources, ns):
-        source.check_count(n)
-    if len(ns) < 2 or any(b <= a for a, b in itertools.pairwise(ns)):
-        raise ParameterError(f"counts is {ns}; give at least two, ascending, for a rate.")
+    sources, ns = check_compared(samplers, asked, dims, most=_MOST_SAMPLES)
     number = chosen.realizations if realizations is None else realizations
     options: dict[str, Any] = {
         "realizations": as_integer("realizations", number, least=4),
@@ -235,14 +227,14 @@ def analyse_pixel(
             else None
         )
         report("pixel: rates", 0.0)
-        curves = convergence(list(strategies.values()), list(sources), ns, **options)
+        curves = convergence(list(strategies.values()), sources, ns, **options)
         curves = curves.rename(estimator="strategy").assign_coords(strategy=list(strategies))
         specs = [estimator.spec for estimator in strategies.values()]
         parts: Parts = {"convergence": curves.assign_coords(spec=("strategy", specs))}
         report("pixel: predictions", 0.2)
         shared = {name: options[name] for name in ("rng", "workers")}
         for strategy, estimator in strategies.items():
-            parts[f"predict/{strategy}"] = predict(estimator, list(sources), ns, **shared)
+            parts[f"predict/{strategy}"] = predict(estimator, sources, ns, **shared)
         report("pixel: terms", 0.4)
         terms = {"half_width": chosen.half_width[dims], "space": "primary", **options}
         # The middle count: a spectrum of a given half width captures more of the noise of few strata
@@ -321,6 +313,30 @@ def find_pixel(scene: Scene, x: int | str, y: int | None) -> tuple[int, int]:
     )
 
 
+def check_compared(
+    samplers: Sequence[Sampler | str], counts: Sequence[int], dims: int, *, most: int
+) -> tuple[list[Sampler], list[int]]:
+    """Return samplers that are to be compared, and their counts, of at most `most` points.
+
+    Raises
+    ------
+    McspectraError
+        These are no lists, a sampler is listed twice, counts do not ascend or are fewer than two, or a
+        sampler cannot do one of them.
+    """
+    if isinstance(samplers, str) or not samplers:
+        raise ParameterError(f"samplers is {samplers!r}; give a list of samplers.")
+    sources = [as_sampler(s, dims) for s in samplers]
+    if len({s.spec for s in sources}) < len(sources):
+        raise ParameterError(f"samplers is {list(samplers)!r:.80}; give each only once.")
+    ns = [as_integer("counts", n, least=1, most=most) for n in counts]
+    for source, n in itertools.product(sources, ns):
+        source.check_count(n)
+    if len(ns) < 2 or any(b <= a for a, b in itertools.pairwise(ns)):
+        raise ParameterError(f"counts is {ns}; give at least two, ascending, for a rate.")
+    return sources, ns
+
+
 def _jumps(strategy: str, kind: str, parts: Parts) -> Jumps | None:
     """Jumps of all of a strategy's integrands; None where there is no picture of them."""
     head = f"pictures/{strategy}"
@@ -343,11 +359,7 @@ def _without_rounding(picture: xr.Dataset) -> xr.Dataset:
         )
     inside, faces = kept["primary_jump"].values, kept["face_jump"].values
     lengths = [curve_length(inside > 0), np.count_nonzero(faces) / faces.shape[1]]
-    heights = [_mean_jump(inside), _mean_jump(faces)]
+    heights = [float(h[h > 0].mean()) if h.any() else 0.0 for h in (inside, faces)]
     for name, values in (("length", lengths), ("height", heights)):
         kept[f"primary_jump_{name}"] = picture[f"primary_jump_{name}"].copy(data=values)
     return kept.assign_attrs(smallest_jump=floor)
-
-
-def _mean_jump(heights: Array) -> float:
-    return float(heights[heights > 0].mean()) if heights.any() else 0.0

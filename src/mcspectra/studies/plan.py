@@ -18,6 +18,7 @@ from mcspectra.core.analysis import (
     Need,
     Subject,
     compute_chunk,
+    driven,
     finished,
     needed,
     steps_of,
@@ -111,13 +112,10 @@ class Cell:
         The plan has checked, and warned of, what `mcspectra.core.analysis.compute` would again.
         """
         steps = steps_of(self.analysis, self.subject, Stream.from_rng(seed))
-        states: list[Any] | None = None
-        try:
-            while True:
-                found = next(steps) if states is None else steps.send(states)
-                states = [compute_chunk(each, (0, each.blocks)) for each in found]
-        except StopIteration as end:
-            return self.finished(end.value, seed)
+        result = driven(
+            steps, lambda step: (compute_chunk(each, (0, each.blocks)) for each in step)
+        )
+        return self.finished(result, seed)
 
     def finished(self, result: xr.Dataset, seed: int) -> xr.Dataset:
         """What is kept of a result of the analysis: checked, with the seed and what cell it is of."""

@@ -21,7 +21,6 @@ import json
 import math
 import os
 import shutil
-import warnings
 import zipfile
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -40,6 +39,7 @@ from mcspectra.core.errors import (
     ParameterError,
     StorageError,
     StoreError,
+    reason_of,
 )
 from mcspectra.core.memory import available_memory, check_memory, shown_bytes
 from mcspectra.core.records import unpack
@@ -51,7 +51,7 @@ from mcspectra.studies.ledger import (
     Ledger,
     check_links,
     is_held,
-    linked,
+    refuse_links,
     scalars_of,
 )
 
@@ -503,26 +503,20 @@ def _root_attributes(ledger: Ledger, *, whole: bool = True) -> dict[str, Any]:
 def _store_files(
     attributes: Mapping[Any, Any], cells: Iterable[tuple[str, xr.Dataset]]
 ) -> Iterator[tuple[str, bytes]]:
-    """Files of a store, cell by cell; those of the root come last.
+    """Files of a store, cell by cell; those of the root come last."""
+    from xarray.conventions import encode_dataset_coordinates
 
-    What xarray writes of a cell but for its numbers and its own attributes is the same for all cells of
-    a form, and takes 20 ms: it is asked once for each form.
-    """
-    forms: dict[str, dict[str, bytes]] = {}
     documents: dict[str, Any] = {}
     digests: dict[str, str] = {}
     for path, cell in cells:
-        described = ((v.dims, v.dtype.str, v.shape, v.attrs) for v in cell.variables.values())
-        form = repr((list(cell.variables), list(cell.coords), *described))
-        if form not in forms:
-            forms[form] = _documents(cell)
-        own = json.loads(forms[form][_DOCUMENT])
-        own["attributes"] = {**cell.attrs, **own["attributes"]}
+        variables, own = encode_dataset_coordinates(cell)
+        made = {path: {"attributes": own, "zarr_format": 3, "node_type": "group"}}
+        made |= {f"{path}/{name}": _array_document(each) for name, each in variables.items()}
         files = {
-            f"{path}/{_DOCUMENT}": json.dumps(own, indent=2).encode(),
-            **{f"{path}/{name}": each for name, each in forms[form].items() if name != _DOCUMENT},
+            f"{name}/{_DOCUMENT}": json.dumps(each, indent=2).encode()
+            for name, each in made.items()
         }
-        for name, variable in cell.variables.items():
+        for name, variable in variables.items():
             if variable.size:
                 content = np.asarray(variable.values, variable.dtype.newbyteorder("<")).tobytes()
                 checksum = google_crc32c.value(content).to_bytes(4, "little")
@@ -549,25 +543,23 @@ def _store_files(
     yield _DOCUMENT, json.dumps(root).encode()
 
 
-def _documents(cell: xr.Dataset) -> dict[str, bytes]:
-    """The documents that xarray writes of a cell without its attributes, in the order of its variables."""
-    from zarr.codecs import Crc32cCodec
-    from zarr.storage import MemoryStore
-
-    kept: dict[str, Any] = {}
-    bare = cell.drop_encoding()
-    bare.attrs = {}
-    # One chunk as it is; plain readers notice most changes of it by its checksum
-    for variable in bare.variables.values():
-        variable.encoding = {
-            "compressors": [Crc32cCodec()],
-            "chunks": variable.shape,
-            "_FillValue": None,
-        }
-    with warnings.catch_warnings(action="ignore"):  # of types that Zarr has not specified
-        bare.to_zarr(MemoryStore(kept), mode="w", zarr_format=3, consolidated=False)
-    names = ["", *(f"{name}/" for name in cell.variables)]
-    return {f"{name}{_DOCUMENT}": kept[f"{name}{_DOCUMENT}"].to_bytes() for name in names}
+def _array_document(variable: xr.Variable) -> dict[str, Any]:
+    """What Zarr says of an array: one chunk as it is, whose checksum shows changes to plain readers."""
+    kind, shape = variable.dtype, list(variable.shape)
+    order = {"configuration": {"endian": "little"}} if kind.itemsize > 1 else {}
+    return {
+        "shape": shape,
+        "data_type": kind.name,
+        "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": shape}},
+        "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
+        "fill_value": {"f": "NaN", "c": [0.0, 0.0], "b": False}.get(kind.kind, 0),
+        "codecs": [{"name": "bytes", **order}, {"name": "crc32c"}],
+        "attributes": dict(variable.attrs),
+        **({"dimension_names": list(variable.dims)} if shape else {}),
+        "zarr_format": 3,
+        "node_type": "array",
+        "storage_transformers": [],
+    }
 
 
 def _write_folder(files: Iterable[tuple[str, bytes]], folder: Path) -> None:
@@ -596,10 +588,8 @@ def _read_store(
     more memory than its file.
     """
     import xarray as xr
-    from zarr.core.buffer import cpu
-    from zarr.storage import MemoryStore
 
-    cells: dict[str, dict[str, bytes]] = {}
+    cells: dict[str, dict[str, Any]] = {}
     try:
         # The root has all arrays in the order in which they were written, if they are not too many.
         root = json.loads(files[_DOCUMENT]).get("consolidated_metadata", {"metadata": {}})
@@ -610,35 +600,33 @@ def _read_store(
             cell, _, array = path.rpartition("/")
             if document["node_type"] != "array" or (select and not fnmatch.fnmatch(cell, select)):
                 continue
-            chunk = "/".join([array, "c", *("0" for _ in document["shape"])])
-            content = files.get(f"{cell}/{chunk}", b"")
-            size = math.prod(document["shape"]) * np.dtype(document["data_type"]).itemsize
+            kind, shape = np.dtype(document["data_type"]), document["shape"]
+            content = files.get("/".join([path, "c", *("0" for _ in shape)]), b"")
+            size = math.prod(shape) * kind.itemsize
             codecs = [codec["name"] for codec in document["codecs"]]
-            if codecs != ["bytes", "crc32c"] or len(content) != size + 4 * (size > 0):
+            plain = kind.kind in "biufc" and codecs == ["bytes", "crc32c"]  # numbers, no objects
+            whole = document["chunk_grid"]["configuration"]["chunk_shape"] == shape
+            if not (plain and whole and len(content) == size + 4 * (size > 0)):
                 raise StoreError(
                     f"{source}: the array {path} is not one chunk of {shown_bytes(size)}, with a "
                     "checksum and without compression, as results are written."
                 )
-            group = cells.setdefault(cell, {_DOCUMENT: files[cell + end]})
-            group[array + end] = files[path + end]
-            if size:
-                group[chunk] = content
-        opened = {}
-        for cell, group in cells.items():
-            buffers: Any = {key: cpu.Buffer.from_bytes(value) for key, value in group.items()}
-            opened[cell] = xr.open_dataset(
-                MemoryStore(buffers),  # type: ignore[arg-type]
-                engine="zarr",
-                zarr_format=3,
-                consolidated=False,
+            values = np.frombuffer(content or bytes(16), kind.newbyteorder("<"), math.prod(shape))
+            values = values.astype(kind).reshape(shape)
+            dims = document.get("dimension_names", ())
+            cells.setdefault(cell, {})[array] = (dims, values, document["attributes"])
+        return {
+            cell: xr.decode_cf(
+                xr.Dataset(variables, attrs=json.loads(files[cell + end])["attributes"]),
                 mask_and_scale=False,
                 decode_times=False,
-            ).load()[[key.removesuffix(end) for key in group if key.endswith(end)]]
-        return opened
-    except (ValueError, KeyError, TypeError, OSError, RuntimeError, RecursionError) as error:
+            )
+            for cell, variables in cells.items()
+        }
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         if isinstance(error, StoreError):
             raise
-        raise StoreError(f"{source!r} is damaged: {_first_line(error)}.") from None
+        raise StoreError(f"{source!r} is damaged: {reason_of(error, 200)}.") from None
 
 
 def _files(source: str | Path) -> dict[str, bytes]:
@@ -676,21 +664,15 @@ def _files(source: str | Path) -> dict[str, bytes]:
         except StoreError:
             raise
         except Exception as error:  # noqa: BLE001 - zipfile raises much else for damaged directories
-            raise StoreError(f"{shown!r} is damaged: {_first_line(error)}.") from None
+            raise StoreError(f"{shown!r} is damaged: {reason_of(error, 200)}.") from None
     else:
         root = place if place.suffix == ".zarr" else place / STORE_NAME
         if not (root / _DOCUMENT).exists():
             raise StoreError(f"There are no results in {shown!r}.")
         try:
-            inside = [
-                Path(base, name)
-                for base, *names in os.walk(root)
-                for name in itertools.chain(*names)
-            ]
-            for path in inside:
-                if path.is_symlink():
-                    raise linked(str(path))
-            inside = [path for path in inside if path.is_file()]
+            for inner in root.iterdir():
+                refuse_links(str(inner))
+            inside = [path for path in root.rglob("*") if path.is_file()]
             _check_size(sum(path.stat().st_size for path in inside), shown)
             files = {path.relative_to(root).as_posix(): path.read_bytes() for path in inside}
         except OSError as error:
@@ -741,9 +723,9 @@ def _remote(url: str, *, writing: bool = False) -> Iterator[tuple[Any, str]]:
     except StoreError:
         raise
     except ImportError as error:
-        raise MissingDependency(f"{opening} {url!r} needs more: {_first_line(error)}.") from None
+        raise MissingDependency(f"{opening} {url!r} needs more: {reason_of(error, 200)}.") from None
     except Exception as error:  # noqa: BLE001 - file systems of fsspec raise what their libraries do
-        raise kind(f"{url!r} cannot be {opened}: {_first_line(error)}.") from None
+        raise kind(f"{url!r} cannot be {opened}: {reason_of(error, 200)}.") from None
 
 
 def _check_size(size: int, source: str) -> None:
@@ -751,11 +733,6 @@ def _check_size(size: int, source: str) -> None:
         raise StoreError(
             f"{source!r} has {shown_bytes(size)}, more than the memory of this machine."
         )
-
-
-def _first_line(error: BaseException) -> str:
-    """What an error says, in one line without its full stop."""
-    return " ".join(str(error).split())[:200].rstrip(".") or type(error).__name__
 
 
 def _replaced(target: Path, write: Callable[[Path], Any]) -> Path:

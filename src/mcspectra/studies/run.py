@@ -10,6 +10,7 @@ from typing import Any
 
 import msgspec
 
+from mcspectra.core import progress
 from mcspectra.core.errors import DamagedResultsWarning, McspectraError, StoreError, warn
 from mcspectra.core.parallel import available_workers
 from mcspectra.studies.executors import Cluster, Dask, Executor, Threads, check_time_limit
@@ -32,13 +33,11 @@ _NAMED = 5  # in a warning
 
 @dataclass(frozen=True)
 class Progress:
-    """State after a cell: costs in the plan's units."""
+    """State after a cell."""
 
     cell: Cell
     done: int
     cells: int
-    done_cost: float
-    total_cost: float
 
 
 class CellFailed(McspectraError, RuntimeError):
@@ -63,7 +62,7 @@ def run_study(
     force: bool = False,
     report: Callable[[Progress], Any] | None = None,
 ) -> None:
-    """Run all cells of a study that are not in its folder yet.
+    """Run all cells of a study that are not in its folder yet; tell `mcspectra.core.progress` how far.
 
     Parameters
     ----------
@@ -155,8 +154,10 @@ def run_study(
                     else:
                         ledger.finish(cell.path, settled.payload, settled.scalars)
                     left -= cell.need.cost
+                    share = 1.0 if done == len(plan.cells) else 1.0 - left / max(total, 1e-300)
+                    progress.report(f"study of {len(plan.cells)} cells", share)
                     if report is not None:
-                        report(Progress(cell, done, len(plan.cells), total - left, total))
+                        report(Progress(cell, done, len(plan.cells)))
         failed = ledger.failures()
         ledger.commit()
         write_zarr(out)

@@ -20,7 +20,7 @@ import xarray as xr
 
 from mcspectra.core.analysis import Chunk, MergeTree, Reduction, compute_chunk, steps_of
 from mcspectra.core.errors import StoreError
-from mcspectra.core.records import merged, pack, unpack
+from mcspectra.core.records import pack, unpack
 from mcspectra.core.streams import Stream
 from mcspectra.studies.foreign_code import explain
 from mcspectra.studies.ledger import Ledger, scalars_of
@@ -55,7 +55,7 @@ class PartialRun(Generic[State]):
 
     def __init__(self, reduction: Reduction[State]) -> None:
         self.reduction = reduction
-        self._nodes: dict[int, tuple[int, State]] = {}
+        self._tree: MergeTree[State] = MergeTree()
         self._gaps: deque[Chunk] = deque([(0, reduction.blocks)])
         self._missing = reduction.blocks
         self._fresh: set[int] = set()  # first blocks of nodes that are not recorded
@@ -76,7 +76,8 @@ class PartialRun(Generic[State]):
             state = load((first, count))
             if state is not None:
                 self._leave(position, first)
-                self._merge((first, count), state)
+                self._missing -= count
+                self._tree.put((first, count), state)
                 position = first + count
         self._leave(position, self.reduction.blocks)
 
@@ -96,36 +97,20 @@ class PartialRun(Generic[State]):
 
     def add(self, chunk: Chunk, state: State) -> None:
         """Take in the state of a chunk that was computed."""
-        self._fresh.add(self._merge(chunk, state))
+        self._missing -= chunk[1]
+        self._fresh.add(self._tree.put(chunk, state))
 
     def fresh(self) -> Iterator[tuple[Chunk, State]]:
         """Merged chunks in which something is that was computed since the last call."""
         while self._fresh:
             first = self._fresh.pop()
-            if first in self._nodes:
-                count, state = self._nodes[first]
+            if first in self._tree.nodes:
+                count, state = self._tree.nodes[first]
                 yield (first, count), state
 
     def total(self) -> State:
         """State of all blocks; of a complete one."""
-        tree: MergeTree[State] = MergeTree()
-        for first in sorted(self._nodes):
-            count, state = self._nodes[first]
-            tree.add(state, count)
-        self._nodes.clear()
-        return tree.total()
-
-    def _merge(self, chunk: Chunk, state: State) -> int:
-        """Merge a chunk with its neighbours; returns the first block of the node that it is in."""
-        first, count = chunk
-        self._missing -= count
-        while count & (count - 1) == 0 and self._nodes.get(first ^ count, (0,))[0] == count:
-            other = self._nodes.pop(first ^ count)[1]
-            left, right = (state, other) if first & count == 0 else (other, state)
-            state = merged(left, right)
-            first, count = first & ~count, 2 * count
-        self._nodes[first] = count, state
-        return first
+        return self._tree.total()
 
     def _aligned(self, first: int, count: int) -> bool:
         """Whether blocks are a `Chunk` of this run."""

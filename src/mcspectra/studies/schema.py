@@ -31,6 +31,8 @@ _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _PLACEHOLDER = {"type": "string", "pattern": r"^\{[A-Za-z_][A-Za-z0-9_]*\}$"}
 _NO_TEXT = ("integer", "number", "boolean")
 _NO_PLACEHOLDER = ("grid", "seed", "time_limit")  # a study has one
+_TEMPLATE = Path(__file__).with_name("template.toml")
+_OTHERS = "# {other analyses}\n"  # where those come in it that it does not show
 
 
 def study_schema() -> dict[str, Any]:
@@ -150,86 +152,15 @@ def _type(value: dict[str, Any]) -> str:
     return " ".join([words.get(kind, kind), ", ".join(rules)]).rstrip()
 
 
-_HEAD = """\
-# A study: estimators × samplers × analyses. Run it with
-#   mcspectra run study.toml            results, figures and report.html in out/study
-#   mcspectra run study.toml --dry-run  what it would take
-#   mcspectra run study.toml --set convergence.realizations=100
-# All keys: docs/studies.md, or the schema that `mcspectra schema` prints.
-# Names of samplers, densities and integrands: mcspectra list samplers, ...
-
-title = "my study"
-seed = 1
-samplers = ["random", "jittered", "jittered | shift"]
-
-# Analyses of all estimators; a table inside an estimator replaces the one here.
-[convergence]                  # variance against n and its rate
-counts = [16, 64, 256]
-realizations = 200
-# relative_error = 0.1         # stop early, once the variance is known this well
-# fit_last = "auto"            # fit the rate to those counts that lie on a line
-
-[terms]                        # dc, power and cross term, predicted and measured
-n = 64
-half_width = 16
-realizations = 200
-# basis = "auto"               # fourier, cosine, walsh, haar, or what fits the sampler
-# bands = "anova"              # radial, dyadic, anova, wedge
-
-"""
-
-_ESTIMATORS = """\
-[[estimators]]
-name = "plain"
-integrand = "gaussian(width=0.25)"
-dims = 2
-
-[[estimators]]
-name = "importance-sampled"
-integrand = "gaussian(width=0.25)"
-dims = 2
-density = "truncated-normal(mean=0.5, sigma=0.35)"
-
-[[estimators]]
-name = "multiple importance sampling"
-integrand = "gaussian(width=0.25)"
-dims = 2
-densities = ["uniform", "truncated-normal(mean=0.5, sigma=0.35)"]
-heuristic = "balance"          # power(beta=2), cutoff, maximum, optimal, variance-aware
-# technique_counts = [1, 4]
-# one_sample = true            # each point chooses its technique
-
-# One estimator for each value; names get the values.
-# [[estimators]]
-# name = "step at {at}"
-# integrand = "step(at={at})"
-# dims = 1
-# grid = { at = [0.25, 0.3] }
-# mirror = "integrand"         # or "random", "uniform"
-# smoothed = 0.05              # ramps in place of jumps
-
-# Pixels and maps of scenes need the extra render: pip install 'mcspectra[render]'
-# [[estimators]]
-# name = "a pixel"
-# integrand = "pixel(scene='veach', x=568, y=100, light='light-3', strategy='light')"
-
-# [[maps]]
-# name = "map of the penumbra"
-# scene = "penumbra"
-# samplers = ["jittered"]
-# size = [32, 32]
-"""
-
-
 def template() -> str:
     """Return a study to begin with: it runs as it is, and says in comments what else there is."""
-    lines = []
+    text, lines = _TEMPLATE.read_text(encoding="utf-8"), []
     for key, kind in analysis_tables().items():
-        if kind.about != "scene" and f"[{key}]" not in _HEAD:
+        if kind.about != "scene" and f"[{key}]" not in text:
             lines += [f"{f'# [{key}]':<31}# {kind.summary()}"]
             needed = [option for option in options_of(kind) if option.required]
             lines += [f"# {option.name} = {_example(option)}" for option in needed] + [""]
-    return _HEAD + "\n".join([*lines, _ESTIMATORS])
+    return text.replace(_OTHERS, "\n".join([*lines, ""]))
 
 
 def _example(option: Option) -> str:

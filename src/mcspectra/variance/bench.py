@@ -173,12 +173,13 @@ def sampler_bench(
         single = [d for d, each in sources.items() if len(_nearest(each, asked)) < 2]
         for d in single if len(single) < len(sources) else ():
             del sources[d]
-    labels = [short_spec(spec) for spec, _ in made]
-    for label in labels:
-        if labels.count(label) > 1:
-            raise ParameterError(
-                f"The sampler {label} is listed twice; list each once, or set name=."
-            )
+    specs = [spec for spec, _ in made]
+    for spec in specs:
+        if specs.count(spec) > 1:
+            raise ParameterError(f"The sampler {short_spec(spec)} is listed twice; list each once.")
+    labels = list(map(short_spec, specs))
+    if len(set(labels)) < len(labels):  # files of one name in several folders, say
+        labels = specs
 
     tasks = [task for d in wanted for task in standard_tasks(d)]
     titles = [task.title for task in tasks]

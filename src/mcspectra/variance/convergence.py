@@ -13,10 +13,11 @@ end, the rate none at all, and the attribute ``note`` says why (`mcspectra.varia
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, final
 
 import numpy as np
@@ -374,7 +375,8 @@ def convergence(
         fit per degree of freedom). A set that is the same every time has the variance 0 and no
         rate. The attribute ``note`` says so, and where the estimates missed what makes their variance:
         none varies, their tails are not resolved (a fifth or more of it is one square, or the tail
-        index k̂ is that of a variance that is hardly finite), the mean is five standard errors off the
+        index k̂ is that of a variance that is hardly finite, or values of a user's function of one technique
+        follow a power law that has much of their variance beyond all of them), the mean is five standard errors off the
         integral, ∫g² diverges or is more than random points met, or most of it lies where no
         sample falls (`mcspectra.estimators.tails`). The upper end of ``variance_ci`` is then infinite, and
         both ends of ``rate_ci``. Lists add the dims estimator and sampler, several channels the dim
@@ -475,13 +477,27 @@ class MomentsCell:
         numbers = evaluations * self.estimators[0].dims  # of a realisation
         blocks = realization_blocks(realizations, _PARTS * numbers, first=first)
 
-        def estimates(block: Block) -> list[Array]:
+        def estimates(block: Block) -> list[tuple[Array, Moments | None]]:
             points = self.estimators[0].draw(self.sampler, self.n, self.stream, *block)
-            return [e.estimate(points).reshape(block[1], -1) for e in self.estimators]
+            return [of_estimator(e, points) for e in self.estimators]
+
+        def of_estimator(e: AbstractEstimator, points: list[Array]) -> tuple[Array, Moments | None]:
+            """Estimates (R, channels or 1); of others' functions only values at points tell of poles."""
+            if len(points) > 1 or not e.is_black_box:
+                return e.estimate(points).reshape(len(points[0]), -1), None
+            values = e.primary_values(0, points[0])
+            alone = values.reshape(values.shape[0] * values.shape[1], -1)
+            return e.estimate_of([values]).reshape(len(values), -1), Moments.of_points(alone)
 
         def moments(index: int) -> list[Moments]:
             parts = zip(*map(estimates, slices(blocks[index], numbers)), strict=True)
-            return [Moments.of(np.concatenate(part), tails=True) for part in parts]
+            found = []
+            for each in parts:
+                values, points = zip(*each, strict=True)
+                whole = Moments.of(np.concatenate(values), tails=True)
+                alone = None if points[0] is None else functools.reduce(Moments.merge, points)
+                found.append(replace(whole, points=alone))
+            return found
 
         return Reduction(
             kind=list[Moments],

@@ -33,10 +33,11 @@ from mcspectra.integrands.smoothing import BoxSmoothed, smoothed
 from mcspectra.samplers import Jittered, Sampler, Shift, StrataShift
 from mcspectra.samplers.base import Structure
 from mcspectra.samplers.registry import sampler as make_sampler
+from mcspectra.samplers.stratified import root
 from mcspectra.spectra.bases import parts_of
 from mcspectra.variance.alignment import aligned, best_alignment
 from mcspectra.variance.diagnosis import jumps_of
-from mcspectra.variance.improved import CHANGES, evaluated, improvements
+from mcspectra.variance.improved import CHANGES, Cubic, evaluated, improvements
 from mcspectra.variance.variants import smoothing_scan
 
 __all__ = [
@@ -62,6 +63,7 @@ _SAMPLERS = (
 )
 _COUNT_TRIES = 256
 _MOST_ALIGNED = 2
+_MOST_CUBIC = 3  # dims
 _PILOT = 8  # it takes one part in so many of the budget, so that the last two of the steps can be measured
 _LEAST_PILOT, _MOST_PILOT = 64, 4096
 _PILOTS = 2  # stream label, after those of the searches
@@ -178,6 +180,7 @@ Kind: TypeAlias = Literal[
     "techniques",
     "compensated",
     "channels",
+    "cubic",
     "sampler",
 ]
 """Kinds of change, in the order in which they are tried."""
@@ -489,6 +492,23 @@ def improve(kind: str, given: Setup, budget: Budget) -> _Offers:
         yield _Offer(made.name, made.change, lambda e=made.estimator: e)  # type: ignore[misc]
 
 
+def stratify_cubes(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
+    """Cubic stratification ([Chopin2024]_) of orders 3 and 4; of 1 and 2 it is samplers: jittered ones."""
+    d = given.estimator.dims
+    if d > _MOST_CUBIC:
+        raise ParameterError(
+            f"In {d} dims cubes are too many for higher orders, which are tried in 1 to {_MOST_CUBIC}."
+        )
+
+    def of_order(order: int) -> Setup:
+        cubic, sampler = Cubic.of(given.estimator, order), make_sampler("jittered", d)
+        return Setup(Estimator(cubic), sampler, lambda n: Estimator(cubic.in_cells(root(n, d))))
+
+    for order in (3, 4):
+        change = f"subtract polynomials of degree {order - 1} in the cells of jittered points"
+        yield _Offer(f"cubic: order {order}", change, partial(of_order, order))
+
+
 KINDS: Mapping[Kind, Callable[[Setup, Budget], _Offers]] = {
     "unshifted": leave_shift_out,
     "mirrored": mirror,
@@ -503,6 +523,7 @@ KINDS: Mapping[Kind, Callable[[Setup, Budget], _Offers]] = {
     "techniques": single_techniques,
     "compensated": compensate,
     "channels": separate_channels,
+    "cubic": stratify_cubes,
     "sampler": change_sampler,
 }
 """What makes the changes of each kind."""

@@ -155,6 +155,10 @@ class Diagnosis:
                 )
             case "preintegrated":
                 return "Its means are over the parts on both sides of the place where g jumps."
+            case "cubic":
+                return (
+                    "What polynomials in each cube explain of g is left out, as far as g is smooth."
+                )
             case "heuristic" if self.slow is not None:
                 return f"It changes what technique {self.slow}, the slowest, contributes."
             case "techniques" if self.slow is not None and not name.endswith(self.slow_name):

@@ -84,7 +84,14 @@ from mcspectra.variance.quadrature import (
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Exact", "estimated_variance", "exact_variance", "level_variances", "of_integrand"]
+__all__ = [
+    "Exact",
+    "estimated_variance",
+    "exact_variance",
+    "level_variances",
+    "of_integrand",
+    "paired",
+]
 
 _TOLERANCE = 1e-6
 _NEGLIGIBLE = 1e-9  # of ∫g²/n: an error that no use of the variance is worse for
@@ -424,6 +431,12 @@ def _mirrored(mode: str, inner: Sampler, n: int, g: Integrand, rule: Rule) -> tu
 def _antithetic(g: Integrand, n: int, rule: Rule) -> tuple[Array, Array]:
     """One jittered point in each of n/2 cells, with the mean of g at it and at its reflection."""
     side = round((n // 2) ** (1.0 / g.dims))
+    _, spread, unseen = strata(paired(g, side), (side,) * g.dims, np.zeros(g.dims), rule)
+    return spread / (n // 2), unseen / (n // 2)
+
+
+def paired(g: Integrand, side: int) -> Integrand:
+    """The mean of g at a point and at its reflection through the centre of its cell of `side`^d."""
 
     def reflected(x: Array) -> Array:
         cell = np.minimum(np.floor(x * side), side - 1.0)
@@ -434,11 +447,8 @@ def _antithetic(g: Integrand, n: int, rule: Rule) -> tuple[Array, Array]:
         tuple(sorted({*axis, *reflected(np.asarray(axis, float)).tolist(), *borders}))
         for axis in g.breaks
     )
-    mean = Pointwise(
-        g, lambda x: 0.5 * (g(x) + g(reflected(x))), breaks, f"{g.spec}, symmetrised in cells"
-    )
-    _, spread, unseen = strata(mean, (side,) * g.dims, np.zeros(g.dims), rule)
-    return spread / (n // 2), unseen / (n // 2)
+    label = f"{g.spec}, symmetrised in cells"
+    return Pointwise(g, lambda x: 0.5 * (g(x) + g(reflected(x))), breaks, label)
 
 
 def _latin(

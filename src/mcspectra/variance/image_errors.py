@@ -36,6 +36,8 @@ _MOST_VALUES = 2**24  # coefficients, or points of one image
 _BEYOND = 0.1  # of the power of a band, above which the note says what it is
 _LOW = 0.125  # cycles a pixel: what the eye does not blur away
 _PRECISION = 1e-9
+_FIRST, _LOST = 24, 0.01  # half width, doubled until less than this part of every band is beyond
+_MOST_MODES = 2**21  # up to which it is: two seconds in two dims
 
 
 def image_error_spectrum(
@@ -44,7 +46,7 @@ def image_error_spectrum(
     n: int,
     *,
     dims: int | None = None,
-    half_width: int = 24,
+    half_width: int | None = None,
     images: int = 16,
     rng: RngLike = 0,
     max_evaluations: int | None = None,
@@ -61,7 +63,8 @@ def image_error_spectrum(
         Samples of a pixel.
     half_width
         Frequencies m in {−half_width … half_width}^d are predicted term by term; the rest of ∫f² as if
-        points were random to it and pixels to each other.
+        points were random to it and pixels to each other. By default 24, and where coefficients are
+        known in closed form doubled until the rest is under 1 % of every band, or there are 2^21.
     images
         Independent images, at least 2: shared sets and places of the mask.
     max_evaluations
@@ -98,7 +101,8 @@ def image_error_spectrum(
     white 0.9
     blue-noise 0.1
     """
-    half_width = as_integer("half_width", half_width, least=1)
+    if half_width is not None:
+        half_width = as_integer("half_width", half_width, least=1)
     images = as_integer("images", images, least=2)
     if max_evaluations is not None:
         max_evaluations = as_integer("max_evaluations", max_evaluations, least=1)
@@ -120,7 +124,7 @@ def image_error_spectrum(
             f"There are {len(functions)} integrands for {width} × {width} pixels; give one, or one for each, "
             f"of one channel in {d} dims."
         )
-    sizes = (len(functions) * (2 * half_width + 1) ** d, pixels * n)
+    sizes = (len(functions) * (2 * (half_width or _FIRST) + 1) ** d, pixels * n)
     if d > _MOST_DIMS or max(sizes) > _MOST_VALUES:
         raise ParameterError(
             f"{sizes[0]:,} coefficients in {d} dims and {sizes[1]:,} points are too many: 1 to {_MOST_DIMS} "
@@ -138,45 +142,50 @@ def _spectra(
     source: Sampler,
     n: int,
     width: int,
-    half_width: int,
+    half_width: int | None,
     images: int,
     stream: Stream,
 ) -> xr.Dataset:
     from scipy.special import stdtrit
 
+    # Images of errors as they are, of shared sets and shifts that the prediction takes, too
     pixels, d = width * width, source.dims
-
-    # Coefficients without f_0, and the part of ∫f² that is not among them
-    known = np.stack([f.fourier_grid(half_width) for f in functions])
-    mean: Any = (slice(None), *[half_width] * d)
-    known[mean] = 0.0
-    energy = (np.abs(known) ** 2).reshape(len(functions), -1).sum(axis=1)
-    whole = np.array([float(mean_square(f)[0] - f.integral**2) for f in functions])
-    tail = float(np.maximum(whole - energy, 0.0).mean()) / n
-
-    # Images of errors by both ways, from the same sets and shifts
-    rings = Rings(width, width)
-    predicted, measured = (np.empty((images, rings.radius.size)) for _ in range(2))
-    integrals = np.array([f.integral for f in functions])
+    rings, integrals = Rings(width, width), np.array([f.integral for f in functions])
+    sets, shifts = np.empty((images, n, d)), np.empty((images, pixels, d))
+    measured = np.empty((images, rings.radius.size))
     for k in range(images):
         x = source.draw_stream(n, stream.child(k), 0, pixels)
-        shifts = (x[:, 0] - x[0, 0]) % 1.0
-        guessed = _errors(known, x[0], shifts)
+        sets[k], shifts[k] = x[0], (x[:, 0] - x[0, 0]) % 1.0
         if len(functions) == 1:
             values = functions[0](x).mean(axis=1)
         else:
             values = np.array([f(own).mean() for f, own in zip(functions, x, strict=True)])
-        for curve, errors in ((predicted, guessed), (measured, values - integrals)):
-            power = np.abs(np.fft.rfft2(errors.reshape(width, width))) ** 2 / pixels
-            curve[k] = rings.mean(power)
-    spectrum = predicted.mean(axis=0) + tail
+        measured[k] = rings.mean(_power(values - integrals, width))
+
+    # The same from coefficients without f_0, until the rest of ∫f² is lost in the weakest band
+    whole = np.array([float(mean_square(f)[0] - f.integral**2) for f in functions])
+    exact = all(f.fourier_source == "exact" for f in functions)
+    reach, grows = half_width or _FIRST, half_width is None and exact
+    while True:
+        known = np.stack([f.fourier_grid(reach) for f in functions])
+        flat = known.reshape(len(functions), -1)
+        flat[:, flat.shape[1] // 2] = 0.0
+        energy = (np.abs(flat) ** 2).sum(axis=1)
+        tail = float(np.maximum(whole - energy, 0.0).mean()) / n
+        guessed = (_errors(known, *each) for each in zip(sets, shifts, strict=True))
+        spectrum = np.mean([rings.mean(_power(each, width)) for each in guessed], axis=0) + tail
+        beyond = tail / float(spectrum.min()) if tail else 0.0
+        modes = (4 * reach + 1) ** d
+        if not grows or beyond < _LOST or modes > min(_MOST_MODES, _MOST_VALUES // len(functions)):
+            break
+        reach *= 2
+
     found = measured.mean(axis=0)
     half = stdtrit(images - 1, 0.975) * measured.std(axis=0, ddof=1) / math.sqrt(images)
     weight = rings.sizes
     level = float(np.average(spectrum, weights=weight))
-    beyond = tail / float(spectrum.min()) if tail else 0.0
     note = (
-        f"up to {beyond:.0%} of a band is what lies beyond half width {half_width} and counts as white between "
+        f"up to {beyond:.0%} of a band is what lies beyond half width {reach} and counts as white between "
         "pixels, which masks with an order (r2) and lattices do not make of it: raise half_width"
     )
     low = rings.radius < _LOW
@@ -196,11 +205,16 @@ def _spectra(
         sampler=source.spec,
         integrand=functions[0].spec if len(functions) == 1 else f"{pixels} integrands",
         n=n,
-        half_width=half_width,
+        half_width=reach,
         images=images,
         seed=stream.key,
         note=note if beyond > _BEYOND else None,
     )
+
+
+def _power(errors: Array, width: int) -> Array:
+    """Power of an image over the frequencies of `numpy.fft.rfft2`; white noise has its variance."""
+    return np.asarray(np.abs(np.fft.rfft2(errors.reshape(width, width))) ** 2 / width**2)
 
 
 def _errors(known: Array, points: Array, shifts: Array) -> Array:

@@ -3,8 +3,8 @@
 All changes are of the primary-space integrand g on the unit cube, so that they apply to any estimator
 of one technique, and leave its integral as it is, whatever was evaluated:
 
-* *fitted*: g(T(u))/q(T(u)), u uniform, with q a product of piecewise linear densities, a bilinear one,
-  or a normal one of z = Φ⁻¹(u), moved and stretched, all with the moments of |g|;
+* *fitted*: g(T(u))/q(T(u)), u uniform, with q of splines (`mcspectra.variance.learned`), or a normal one
+  of z = Φ⁻¹(u), moved and stretched to the moments of |g|;
 * *order*: the same with an orthogonal matrix, whose q is 1: the directions of z along which g varies
   most come first ([Liu2023]_), where nets are best;
 * *regression*: g less polynomials of mean 0 that are fitted to it;
@@ -12,16 +12,17 @@ of one technique, and leave its integral as it is, whatever was evaluated:
   over the bracket of that place. Where the place is depends on the other coordinates only, so that
   the sum of means over the parts, each of one or two points, has the expectation of g.
 
+`Cubic` needs no pilot: it is g less polynomials through its values at the centres of cells.
+
 What a change is expected to bring is from evaluations that it was not fitted to.
 """
 
 from __future__ import annotations
 
-import itertools
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import ClassVar, TypeAlias, final
 
 import numpy as np
@@ -29,18 +30,21 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
-from mcspectra.densities import Bilinear, Density, PiecewiseLinear, Product
+from mcspectra.densities import Density
 from mcspectra.densities.base import LARGEST_BELOW_ONE
 from mcspectra.estimators import AbstractEstimator, Estimator
 from mcspectra.integrands import integral_accuracy
 from mcspectra.integrands.base import Breaks, Derived, Estimate, Integrand
+from mcspectra.variance.learned import fit_splines, in_rounds
 
-__all__ = ["CHANGES", "Evaluations", "Improvement", "evaluated", "improvements"]
+__all__ = ["CHANGES", "Cubic", "Evaluations", "Improvement", "evaluated", "improvements"]
 
 _ROUNDS = 4
-_CELLS = (2, 4, 8, 16, 32, 64)  # of linear densities, along each axis
-_GRIDS = (4, 8, 16)
-_DEFENSIVE = 0.05  # of each factor of a density, uniform
+# (cells, parts, smoothness) of `fit_splines`, that of the rounds first
+_JOINT = ((16, 0, 1e-4), (12, 4, 1e-3))
+_PRODUCTS = ((12, 1, 1e-3), (24, 1, 1e-4))
+_MOST_JOINT = 5
+_DEFENSIVE = 0.05  # share of the uniform density
 _LEAST_SPREAD = 1.0  # of variances: narrower densities make g/q grow at the border
 _EACH = 4  # evaluations of each coefficient
 _RIDGE = 1e-9
@@ -325,6 +329,86 @@ class _Controlled(_Changed):
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Cubic(_Changed):
+    """g less a polynomial of degree r − 1 along each axis in each of side^d cells ([Chopin2024]_).
+
+    The polynomial goes through g at the centres of the r nearest cells along each axis; its mean over the
+    cell is added again. Where r is even, means over a point and its image about the centre of
+    the cell leave even powers only, and r = 2 takes no centres. Jittered points in the same cells have
+    a variance ∝ n^(−1 − 2r/d) if g has r derivatives.
+
+    Attributes
+    ----------
+    order
+        r.
+    side
+        Cells along each axis; 0 until `in_cells`.
+    centres
+        g at the centres, (side^d, channels or 1).
+    """
+
+    name: ClassVar[str] = "cubic"
+    text = "{0.integrand.spec}, stratified to order {0.order} in cells of 1/{0.side}"
+    order: int
+    side: int = 0
+    centres: Array | None = None
+
+    @staticmethod
+    def of(estimator: AbstractEstimator, order: int) -> Cubic:
+        """Of the primary-space integrand of an estimator of one technique."""
+        return Cubic(integrand=_single(estimator), order=order)
+
+    @property
+    def evaluations_per_point(self) -> int:
+        return self.integrand.evaluations_per_point * (1 + (self.order % 2 == 0) + (self.order > 2))
+
+    def in_cells(self, side: int) -> Cubic:
+        """The same in so many cells along each axis, at whose centres g is evaluated."""
+        if side < self.order:
+            raise ParameterError(
+                f"{side} cells along an axis are too few for order {self.order}; give as many."
+            )
+        if self.order <= 2:
+            return replace(self, side=side)
+        grid = (np.indices((side,) * self.dims).reshape(self.dims, -1).T + 0.5) / side
+        return replace(self, side=side, centres=self.integrand(grid).reshape(len(grid), -1))
+
+    def _at(self, u: Array) -> Array:
+        cell, places = np.minimum((u * self.side).astype(np.int64), self.side - 1), [u]
+        if self.order % 2 == 0:
+            image = (2 * cell + 1) / self.side - u
+            places.append(np.clip(image, 0.0, LARGEST_BELOW_ONE))
+        values = np.mean([self.integrand(x) for x in places], axis=0)
+        if self.centres is None:
+            return np.asarray(values)
+
+        # Polynomials of Lagrange through nodes 0 … r − 1 along each axis, (…, r): at the points, and their
+        # means over cells
+        nodes = np.arange(self.order)
+        first = np.clip(cell - (self.order - 1) // 2, 0, self.side - self.order)
+
+        def lagrange(x: Array) -> Array:
+            others = ((m, np.delete(nodes, m)) for m in nodes)
+            return np.stack([((x[..., None] - o) / (m - o)).prod(axis=-1) for m, o in others], -1)
+
+        at, weights = np.polynomial.legendre.leggauss(self.order)
+        means = lagrange((cell - first)[..., None] + 0.5 * at).swapaxes(-1, -2) @ (0.5 * weights)
+
+        # Their products over the axes, less the products of means: (k, r^d)
+        stencil = np.indices((self.order,) * self.dims).reshape(self.dims, -1)
+        axes = np.arange(self.dims)
+        found = [lagrange(x * self.side - 0.5 - first) for x in places]
+        products = [f[:, axes, stencil.T].prod(axis=-1) for f in (*found, means)]
+        shares = np.mean(products[:-1], axis=0) - products[-1]
+        place = np.ravel_multi_index(
+            tuple(first.T[:, :, None] + stencil[:, None, :]), (self.side,) * self.dims
+        )
+        taken = np.einsum("kj,kjc->kc", shares, self.centres[place])
+        return np.asarray(values - taken.reshape(values.shape))
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Preintegrated(_Changed):
     """Means of g along an axis over the sides of a jump, or of where g leaves 0, that is looked for."""
 
@@ -371,31 +455,26 @@ _Found: TypeAlias = Iterator[tuple[str, str, _Changed, float]]
 
 def _fitted(g: Integrand, seen: Evaluations) -> _Found:
     """The best density of each family."""
-    for label, change, density, ratio in _densities(seen):
+    for label, change, density, ratio in _densities(seen, _settings(g.dims)):
         yield label, change, _Warped(integrand=g, density=density, label=label), ratio
 
 
-def _densities(seen: Evaluations) -> Iterator[tuple[str, str, _Map, float]]:
+def _densities(
+    seen: Evaluations, settings: Sequence[tuple[int, int, float]]
+) -> Iterator[tuple[str, str, _Map, float]]:
     """The best of each family of densities, with what it is expected to leave of the variance."""
-    d = seen.points.shape[1]
     families: list[tuple[str, str, list[Callable[[Evaluations], _Map]]]] = [
         (
-            "product density",
-            "sample by a density fitted to the integrand, a product of piecewise linear ones",
-            [lambda e, m=m: _product(e, m) for m in _CELLS],  # type: ignore[misc]
+            "splines",
+            "sample by a density of splines fitted to the integrand",
+            [partial(_splines, setting=s) for s in settings],
         ),
         (
             "normal density",
             "move and stretch the normal inputs to where the integrand is large",
-            [lambda e, s=s: _normal(e, s) for s in ("move", "axes", "all")],  # type: ignore[misc]
+            [partial(_normal, stretch=s) for s in ("move", "axes", "all")],
         ),
     ]
-    if d == 2:
-        families.append((
-            "bilinear density",
-            "sample by a bilinear density fitted to the integrand",
-            [lambda e, m=m: _grid(e, m) for m in _GRIDS],  # type: ignore[misc]
-        ))  # fmt: skip
     both = seen.halves
     for label, change, candidates in families:
         scores = [
@@ -411,31 +490,16 @@ def _densities(seen: Evaluations) -> Iterator[tuple[str, str, _Map, float]]:
         )
 
 
-def _product(seen: Evaluations, cells: int) -> _Map:
-    """Marginals of |g|, linear between nodes."""
-    parts = [
-        PiecewiseLinear(values=_table(x, seen.weights, cells)) for x in seen.points.T[:, :, None]
-    ]
-    return parts[0] if len(parts) == 1 else Product(parts=parts)
+def _settings(dims: int) -> Sequence[tuple[int, int, float]]:
+    """Of splines, joint ones in few dims only."""
+    return _JOINT + _PRODUCTS if 1 < dims <= _MOST_JOINT else _PRODUCTS
 
 
-def _grid(seen: Evaluations, cells: int) -> _Map:
-    """|g| between the nodes of a grid in 2-D."""
-    return Bilinear(values=_table(seen.points[:, ::-1], seen.weights, cells), nodes="corners")
-
-
-def _table(x: Array, weights: Array, cells: int) -> Array:
-    """Densities at the nodes of a grid: points (k, d) are shared among the corners of their cells."""
-    cell = np.minimum((x * cells).astype(np.int64), cells - 1)
-    shape = (cells + 1,) * x.shape[1]
-    table = np.zeros(shape)
-    for corner in itertools.product((0, 1), repeat=len(shape)):
-        share = weights * np.abs(1.0 - np.array(corner) - (x * cells - cell)).prod(axis=1)
-        place = np.ravel_multi_index(tuple((cell + corner).T), shape)
-        table += np.bincount(place, share, table.size).reshape(shape)
-    for axis in range(len(shape)):  # nodes of a border have half of a cell
-        np.moveaxis(table, axis, 0)[[0, -1]] *= 2.0
-    return np.asarray((1.0 - _DEFENSIVE) * table / table.mean() + _DEFENSIVE)
+def _splines(seen: Evaluations, setting: tuple[int, int, float]) -> _Map:
+    """Splines that follow |g|, or the power of it that the points are enough for."""
+    size = (seen.weights * seen.pdf)[:, None]
+    places = np.random.default_rng(0)
+    return fit_splines(seen.points, size, seen.pdf, setting, _DEFENSIVE, places)
 
 
 def _normal(seen: Evaluations, stretch: str) -> _Map:
@@ -589,24 +653,15 @@ def evaluated(
     g = _single(estimator)
     rounds = _ROUNDS if adapt else 1
     sizes = [count // rounds] * (rounds - 1) + [count - (rounds - 1) * (count // rounds)]
-    seen: Evaluations | None = None
-    maps: list[_Map | None] = []
-    parts: list[tuple[Array, Array]] = []
-    for index, size in enumerate(sizes):
-        u = stream.generator(index).random((size, g.dims))
-        # Uniform ones until g is seen
-        known = seen is not None and all(half.values.any() for half in seen.halves)
-        best = min(_densities(seen), key=lambda f: f[3])[2] if seen and known else None
-        maps.append(best)
-        x = u if best is None else best.sample(u)
-        parts.append((x, g(x).reshape(size, -1)))
-        points, values = (np.concatenate(part) for part in zip(*parts, strict=True))
-        # All points are one sample of the mixture of all densities
-        shares = np.array(sizes[: index + 1]) / sum(sizes[: index + 1])
-        pdfs = [np.ones(len(points)) if m is None else m.pdf(points) for m in maps]
-        seen = Evaluations(points, values, shares @ np.array(pdfs))
-    assert seen is not None
-    return seen
+
+    def follow(points: Array, values: Array, pdf: Array) -> _Map | None:
+        """Uniform ones until g is seen."""
+        seen = Evaluations(points, values, pdf)
+        if not all(half.values.any() for half in seen.halves):
+            return None
+        return min(_densities(seen, _settings(g.dims)[:1]), key=lambda found: found[3])[2]
+
+    return Evaluations(*in_rounds(g, g.dims, sizes, follow, stream))
 
 
 def _turned(g: Integrand, directions: Array) -> _Warped:

@@ -13,6 +13,11 @@ Both are asymptotic in R, and eight replicates are the least. What has a chance 
 may be missed, such as a step along an axis just beside a line of the net: then the interval is too short
 [Owen2025]_. Intervals that hold for any bounded function would take n = Θ(N^{1/(θ+1)}) [Jain2026]_, that is
 most of the budget for replicates: for a smooth function an error ten times as large.
+
+Of linear scrambles of nets most sets have far smaller errors than the few that make the variance: the *median* of
+replicates leaves those out, and its error falls faster than any power of n where f is smooth ([Pan2024]_). Half
+of the estimates are above their median: order statistics bound it, whatever their distribution. Nested scrambles
+have no such sets, and their mean is better.
 """
 
 from __future__ import annotations
@@ -24,7 +29,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import Array, as_choice
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.memory import check_memory, memory_of
 from mcspectra.core.results import dataset
@@ -33,7 +38,8 @@ from mcspectra.estimators import AbstractEstimator, Estimator, Moments, as_estim
 from mcspectra.estimators.moments import mean_interval, rounding_floor
 from mcspectra.estimators.tails import tail_note
 from mcspectra.integrands import Calls, FunctionIntegrand, Integrand
-from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.samplers import Lms, Owen, Sampler, as_sampler
+from mcspectra.spectra.bases import parts_of
 from mcspectra.variance.counterfactuals import Setup, affordable_count
 
 if TYPE_CHECKING:
@@ -41,9 +47,11 @@ if TYPE_CHECKING:
 
 __all__ = ["integrate"]
 
-_LEAST = 8  # replicates
+_LEAST, _LEAST_OF_MEDIAN = 8, 11  # replicates
 _PILOT = 4  # a part of the budget: the first replicates at this part of their longest sets
 _LEVELS = 4  # prefixes of a replicate, each half of the next
+_SIDE = 0.025  # chance, on either side of an interval
+_STANDS_OUT = 2.0  # width of the interval of the mean, over that of the median
 _RATES = 1.0, 3.0  # random points, and smooth functions under scrambled nets
 
 
@@ -53,6 +61,7 @@ def integrate(
     budget: int,
     sampler: Sampler | str | None = None,
     dims: int | None = None,
+    combine: str = "mean",
     vectorized: bool = True,
     workers: int = 1,
     cache: str | os.PathLike[str] | None = None,
@@ -68,9 +77,12 @@ def integrate(
     budget
         Most calls of f, each of one point: none is made beyond it, and no other but these.
     sampler
-        A randomised one; by default ``"sobol | owen"``.
+        A randomised one; by default ``"sobol | owen"``, for the median ``"sobol | lms"``.
     dims
         Number of dims, where neither f nor the sampler say it.
+    combine
+        ``"mean"`` of the replicates or, for linear scrambles such as ``lms``, ``"median"``: far better where
+        f is smooth, in few dims and at many points.
     vectorized, workers, cache
         Of functions that are slow: as of `mcspectra.integrands.Calls`. What was interrupted goes on where
         it was when it is called again with the same cache, to the same bits.
@@ -80,7 +92,8 @@ def integrate(
     Returns
     -------
     xarray.Dataset
-        ``value``, ``interval(bound)`` (95 %, over the replicates), ``calls`` that were made,
+        ``value``, ``interval(bound)`` (95 %, over the replicates; for the median at least, of that of
+        all replicates, which are as often too large as too small), ``calls`` that were made,
         ``replicates``, ``n`` points of each, and ``rate``, of the variance as it was measured for the
         split, NaN where it was not. Where all replicates are alike the interval is infinite, and the
         attribute ``note`` says why.
@@ -89,7 +102,8 @@ def integrate(
     ------
     ParameterError
         A value is out of range, the sampler is not random, f has channels or several techniques, the
-        budget is too small for eight replicates; as of `mcspectra.integrands.Calls`.
+        budget is too small for eight replicates (a median of eleven), a median of other sets than linear
+        scrambles; as of `mcspectra.integrands.Calls`.
     ConfigError
         The budget's points and values are more than this machine's memory.
 
@@ -115,7 +129,20 @@ def integrate(
         raise ParameterError(
             "dims is missing; give dims=, the number of dims of the function's points."
         )
-    source = as_sampler("sobol | owen" if sampler is None else sampler, known)
+    median = as_choice("combine", combine, ("mean", "median")) == "median"
+    usual = "sobol | lms" if median else "sobol | owen"
+    source = as_sampler(usual if sampler is None else sampler, known)
+    if source.fixed:
+        raise ParameterError(
+            f"{source.spec} is the same every time, which says nothing of its error; add owen or shift."
+        )
+    kinds = {type(step) for step in parts_of(source)[1]}
+    linear = Lms in kinds and Owen not in kinds and source.unbiased
+    if median and not linear:
+        raise ParameterError(
+            f"combine is 'median', and {source.spec} is no linear scramble, few of whose sets make the "
+            "variance: take the mean, which is better, or a sampler such as sobol | lms."
+        )
     calls = Calls(
         inner,  # type: ignore[arg-type]
         dims=known,
@@ -125,14 +152,11 @@ def integrate(
         cache=cache,
     )
     setup = Setup(Estimator(FunctionIntegrand(function=calls, dims=known)), source)
-    if source.fixed:
-        raise ParameterError(
-            f"{source.spec} is the same every time, which says nothing of its error; add owen or shift."
-        )
-    most = affordable_count(setup, calls.budget // _LEAST)
+    least = _LEAST_OF_MEDIAN if median else _LEAST
+    most = affordable_count(setup, calls.budget // least)
     if most is None:
         raise ParameterError(
-            f"budget is {calls.budget}, too small for {_LEAST} replicates of {source.spec}; give more."
+            f"budget is {calls.budget}, too small for {least} replicates of {source.spec}; give more."
         )
     check_memory(memory_of(calls.budget, known), "integrate")
     stream = Stream.from_rng(rng)
@@ -140,7 +164,8 @@ def integrate(
     with calls:
         # Measure the rate by prefixes of the first replicates
         first, rate = np.empty((_LEAST, 0)), math.nan
-        pilot = affordable_count(setup, most // _PILOT) if source.sequence else None
+        splits = source.sequence and not median
+        pilot = affordable_count(setup, most // _PILOT) if splits else None
         if pilot is not None and pilot >= 2**_LEVELS:
             first = calls(source.draw_stream(pilot, stream, 0, _LEAST))
             rate = _rate(first)
@@ -163,7 +188,22 @@ def integrate(
     means = values.mean(axis=1)
     moments = Moments.of(means, tails=True)
     value, note, interval = float(moments.mean), tail_note(moments), mean_interval(means)
-    if float(moments.variance) <= rounding_floor(moments.mean):
+    # The median, and whether some sets stand out from those about it: else f is rough, or n small
+    from scipy.special import bdtr
+
+    outer = int((bdtr(np.arange(replicates), replicates, 0.5) < _SIDE).sum()) - 1
+    ends = np.sort(means)[[outer, -1 - outer]]
+    stand_out = linear and 0.0 < _STANDS_OUT * np.ptp(ends) < np.ptp(interval)
+    if median:
+        value, note = float(np.median(means)), None
+        low, high = (float(ends[0]), float(ends[1])) if stand_out else interval
+        interval = min(low, float(ends[0])), max(high, float(ends[1]))
+        if not stand_out:
+            note = "no replicate stands out: the mean is as good, unless n is larger or f smoother"
+    elif stand_out:
+        note = "few replicates make the variance, as linear scrambles do: combine='median' leaves them out"
+    alike = float(moments.variance) <= rounding_floor(moments.mean)
+    if alike and not (median and np.ptp(values)):
         interval = -math.inf, math.inf
         note = "all replicates are alike: f is constant, or what varies was not met"
     return dataset(

@@ -7,7 +7,6 @@ Gauss-Legendre or, for integrands that know their moments over boxes, exactly.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -74,14 +73,20 @@ _GRADED = {
 @final
 @dataclass(frozen=True, eq=False)
 class Pointwise(Derived):
-    """What is made of an integrand point by point."""
+    """What is made of an integrand point by point, of as many channels or `width`."""
 
     name: ClassVar[str] = "pointwise"
     text = "{0.label}"
+    is_black_box = False
     integrand: Integrand
     values: Callable[[Array], Array]  # of points
     cuts: Breaks
     label: str
+    width: int | None = None
+
+    @property
+    def channels(self) -> int:  # type: ignore[override]
+        return self.integrand.channels if self.width is None else self.width
 
     @property
     def breaks(self) -> Breaks:
@@ -131,29 +136,6 @@ def looked_at(g: Integrand) -> Integrand:
     return cut
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class _Moments(Derived):
-    """g − a and (g − a)², channel by channel."""
-
-    name: ClassVar[str] = "moments"
-    text = "moments of {0.integrand.spec}"
-    integrand: Integrand
-    middle: Array
-
-    @property
-    def channels(self) -> int:  # type: ignore[override]
-        return 2 * len(self.middle)
-
-    def _evaluate(self, x: Array) -> Array:
-        centered = self.integrand(x).reshape(*x.shape[:-1], -1) - self.middle
-        with np.errstate(over="ignore"):  # next to a pole
-            return np.concatenate([centered, centered**2], axis=-1)
-
-    def _integral(self) -> None:
-        return None
-
-
 def blindness(g: Integrand, means: Array, squares: Array) -> Array:
     """How far a rule's ∫g and ∫g² are off, as a variance: (channels,).
 
@@ -198,7 +180,14 @@ def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
         exact = g.box_moments(box, box + 1.0)
         if exact is None:
             middle = g(probe(g.dims)[:_CENTER]).reshape(_CENTER, -1).mean(axis=0)
-            both = _Moments(g, middle)
+
+            def centered(x: Array) -> Array:
+                first = g(x).reshape(*x.shape[:-1], -1) - middle
+                with np.errstate(over="ignore"):  # next to a pole
+                    return np.concatenate([first, first**2], axis=-1)
+
+            label, width = f"moments of {g.spec}", 2 * len(middle)
+            both = Pointwise(g, centered, g.breaks, label, width)
             if g.dims <= _LOOKED_DIMS:  # in more there are no boxes to cut
                 both.__dict__["_found_breaks"] = found_breaks(g)
             first, second = np.split(numeric_integral(both), 2)
@@ -367,9 +356,8 @@ def offset_rule(g: Integrand, sides: tuple[int, ...], order: int) -> tuple[Array
         low, width = ends[:-1, None], np.diff(ends)[:, None]
         nodes = (low + width * node).ravel()
         per_axis.append((nodes, (width / side * weight).ravel()))
-    combos = list(itertools.product(*(zip(*axis, strict=True) for axis in per_axis)))
-    nodes = np.array([[x for x, _ in combo] for combo in combos])
-    return nodes, np.array([np.prod([w for _, w in combo]) for combo in combos])
+    nodes, weights = (mesh(*each).reshape(-1, g.dims) for each in zip(*per_axis, strict=True))
+    return nodes, weights.prod(axis=1)
 
 
 def grid_values(g: Integrand, sides: tuple[int, ...], offset: Array) -> Array:

@@ -11,6 +11,7 @@ from contextlib import suppress
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from uuid import uuid4
 
 import numpy as np
 
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 
 __all__ = ["certificate", "design"]
 
-_VERSION = 1  # of the searches: samplers of another one are not taken from the cache
+_VERSION = 2  # of the searches: samplers of another one are not taken from the cache
 # Points and members whose values name a class in the cache, beside its text: of functions alone the
 # values tell, and they may be 0 but for a small spot
 _PROBES, _MEMBERS = 2**13, 256
@@ -123,24 +124,27 @@ def design(
     words = f"{_VERSION} {kind} {n} {stream.key} {values.shape} {goal.text} ".encode()
     name = hashlib.sha256(words + np.round(values, 12).astype("<f8").tobytes()).hexdigest()
     kept = cache_folder() / "designs" / f"{name[:32]}.json"
+    if chosen is not None and not chosen.parent.is_dir():
+        raise FileFormatError(
+            f"The sampler cannot be written to {chosen}: there is no such folder."
+        )
     with suppress(OSError, ValueError, KeyError, McspectraError):
         found = sampler_of(json.loads(kept.read_text())["spec"], goal.dims)
         return found if chosen is None else _saved(found, chosen)
 
-    best: Candidate | None = None
-    finished = False
+    # Where nothing is found before an interrupt there is a usual sampler
+    usual = sampler_of("korobov | shift", goal.dims)
+    best, finished = Candidate(math.inf, 0.0, lambda _: usual), False
     try:
         for candidate in KINDS[kind](goal, n, stream):
             report(f"design of {kind}, {n} points", candidate.done)
-            if best is None or candidate.variance < best.variance:
+            if candidate.variance <= best.variance:
                 best = candidate
         finished = True
     except KeyboardInterrupt:
-        if best is None:
-            raise
+        pass
     report(f"design of {kind}, {n} points", 1.0)
-    assert best is not None  # every search yields something
-    target = kept if finished else kept.with_name(f"{name[:24]}-interrupted.json")
+    target = kept if finished else kept.with_name(f"{name[:24]}-interrupted-{uuid4().hex[:8]}.json")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         made = best.make(target.with_suffix(".npz"))

@@ -8,8 +8,9 @@ functions are continuous on the torus [Hickernell2002]_; each search takes what 
 
 Sets that share out the cells of a grid need no shift. With features φ_t, Σ_t φ_t(x) φ_t(y) =
 Cov(f(x), f(y)) at the centres of cells, their variance is the mean over sets of Σ_t (mean φ_t)²,
-which exchanges of cells between sets lower. What is left are offsets within cells, alike in a
-set but for reflections: these are chosen so that the sum of the signed slopes is small.
+which exchanges of cells between sets lower, from the cosets of a designed digital net where that is a
+better start than random sets. What is left are offsets within cells, alike in a set but for
+reflections: these are chosen so that the sum of the signed slopes is small.
 """
 
 from __future__ import annotations
@@ -43,14 +44,14 @@ _BITS = 18  # of the codes of all axes together, at most
 _FREQUENCIES = 2**16  # points of a table of them
 _MEMBERS, _VALUES = 1024, 2**25  # members at most, and values of a table of them
 _BLOCK = 2**13  # points at once
-_STARTS = 6
+_STARTS, _VECTORS, _JUDGED = 6, 48, 12  # of nets; of lattices in many dims, and those measured
 _TREES, _TRIED = 64, 8
 _MEASURED, _JUDGES = 2**16, 256  # points and members that samplers are measured with
 _TORUS = 2**14  # frequencies of sets on the torus
 _CELLS = 2**16
 _FEATURES = 160
 _TRIALS = 2**20
-_ROUNDS, _LEAST_GAIN = 24, 0.003
+_FIRST_ROUNDS, _ROUNDS, _LEAST_GAIN = 4, 24, 0.003
 _SHAPES, _REALIZATIONS = 12, 32
 _FOLD = " | mirror(mode='fold')"
 
@@ -153,7 +154,7 @@ def _best_vector(
 ) -> Iterator[tuple[float, Array]]:
     """Vectors of small dual sums: all in 2-D; else axis after axis, then again while it helps."""
     sums = np.empty(n)
-    for start in range(_STARTS if dims > 2 else 1):
+    for start in range(_VECTORS if dims > 2 else 1):
         vector = np.ones(dims, np.int64)
         if start:
             vector[1:] = generator.integers(1, max(n, 2), dims - 1)
@@ -183,17 +184,27 @@ def _lattices(objective: Objective, n: int, stream: Stream) -> Iterator[Candidat
     few, judge = objective.dims <= 3, _judge(objective, n, stream)
     size = _FREQUENCIES if few else 2 * _FREQUENCIES
     values = objective.functions(min(_MEMBERS, _VALUES // size), stream.generator(0))
+
+    def made_of(vector: Array, fold: bool) -> Sampler:
+        text = f"rank1-lattice(vector={vector.tolist()}) | shift{_FOLD if fold else ''}"
+        return sampler(text, objective.dims)
+
     for fold in (False, True):
         m, power = _fourier_power(values, objective.dims, fold, size)
         most = max(2**12, 2**27 // n)
-        found = _best_vector(m[:most], power[:most], objective.dims, n, stream.generator(1))
-        for start, (value, vector) in enumerate(found):
-            text = f"rank1-lattice(vector={vector.tolist()}) | shift{_FOLD if fold else ''}"
-            done = (fold + (start + 1) / _STARTS) / 2
-            made = sampler(text, objective.dims)
+        found = list[tuple[float, Array]]()
+        for value, vector in _best_vector(
+            m[:most], power[:most], objective.dims, n, stream.generator(1)
+        ):
+            if not found:  # what there is if the search is interrupted
+                yield Candidate(math.inf, fold / 2, partial(_as_made, made_of(vector, fold)))
+            found.append((value, vector))
+            report("lattice", (fold + len(found) / _VECTORS) / 2)
+        for value, vector in sorted(found, key=lambda each: each[0])[: 1 if few else _JUDGED]:
+            made = made_of(vector, fold)
             if not few:  # frequencies that are not counted may be those that matter
                 value = judge(made)
-            yield Candidate(value, done, partial(_as_made, made))
+            yield Candidate(value, (fold + 1) / 2, partial(_as_made, made))
 
 
 def _as_made(made: Sampler, path: Path) -> Sampler:
@@ -240,7 +251,9 @@ def _tables(
             yield f" | owen{tail}", hadamard(means[level])
 
 
-def _nets(objective: Objective, n: int, stream: Stream, *, polynomial: bool) -> Iterator[Candidate]:
+def _nets(
+    objective: Objective, n: int, stream: Stream, *, polynomial: bool, frames: int | None = None
+) -> Iterator[Candidate]:
     dims, bits = objective.dims, _axis_bits(n, objective.dims)
     m = _power_of_two(n, "polynomial-lattice" if polynomial else "digital-net", 2**12)
     rows, modulus = max(m, bits), next(p for p in _irreducible() if p.bit_length() == m + 1)
@@ -258,8 +271,8 @@ def _nets(objective: Objective, n: int, stream: Stream, *, polynomial: bool) -> 
         return np.array([series >> m - c & (1 << rows) - 1 for c in range(m)])
 
     judge = _judge(objective, n, stream)
-    frames = list(_tables(objective, bits, stream, owen=True))
-    for frame, (tail, table) in enumerate(frames):
+    tables = list(itertools.islice(_tables(objective, bits, stream, owen=True), frames))
+    for frame, (tail, table) in enumerate(tables):
         generator = stream.generator(1)
         for start in range(_STARTS):
             if polynomial:
@@ -286,7 +299,7 @@ def _nets(objective: Objective, n: int, stream: Stream, *, polynomial: bool) -> 
                         columns[j] = top << rows - bits | columns[j] & (1 << rows - bits) - 1
             text = f"digital-net(matrices={columns.tolist()}, digits={rows}){tail}"
             made = sampler(text, dims)
-            done = (frame + (start + 1) / _STARTS) / len(frames)
+            done = (frame + (start + 1) / _STARTS) / len(tables)
             yield Candidate(judge(made), done, partial(_as_made, made))
 
 
@@ -352,7 +365,10 @@ def _shared(objective: Objective, n: int, stream: Stream, *, free: bool) -> Iter
         return float(found.mean(axis=2).var(axis=1).sum())
 
     shape = np.array(min(_shapes(n, dims)[:_SHAPES], key=jittered))
-    parts = np.maximum(1, np.rint(_CELLS ** (1.0 / dims) / shape)).astype(np.int64)
+    wanted = np.full(dims, _CELLS ** (1.0 / dims))
+    if free and n & (n - 1) == 0:  # a grid that cosets of nets share out
+        wanted = 2.0 ** ((_CELLS.bit_length() + dims - 2 - np.arange(dims)) // dims)
+    parts = np.maximum(1, np.rint(wanted / shape)).astype(np.int64)
     sides, sets = shape * parts, int(parts.prod())
     cells = np.stack(np.unravel_index(np.arange(sides.prod()), sides), axis=-1)
 
@@ -365,24 +381,57 @@ def _shared(objective: Objective, n: int, stream: Stream, *, free: bool) -> Iter
     features = np.ascontiguousarray((turned[:, kept].T.astype(np.float32) @ table).T)
     del table
 
-    # Begin with one random cell of each stratum in each set
+    # Begin with one random cell of each stratum in each set, or with cosets of a net, which are sets
     place = np.ravel_multi_index(tuple((cells // parts).T), tuple(shape))
-    owner = np.empty(len(cells), np.int64)
     order = np.lexsort((stream.generator(1).random(len(cells)), place))
+    owner = np.empty(len(cells), np.int64)
     owner[order] = np.tile(np.arange(sets), n)
-    sums = np.zeros((sets, len(kept)), np.float32)
-    np.add.at(sums, owner, features)
-    last = math.inf
+    yield Candidate(math.inf, 0.0, partial(_of_cells, features, owner.copy(), cells, sides))
+    begun = [owner]
+    if free and (cosets := _cosets(objective, n, sides, stream)) is not None:
+        begun.append(cosets)
     keys = stream.child(2).keys(0, _ROUNDS)
-    for turn in range(_ROUNDS):
+
+    def exchanged(owner: Array, sums: Array, turn: int) -> float:
+        """The variance after a round of exchanges."""
         _kernels.swap_cells(features, owner, place, sums, sides, free, keys[turn], _TRIALS)
-        variance = float((sums.astype(np.float64) ** 2).sum()) / (sets * n**2)
-        finished = variance > (1.0 - _LEAST_GAIN) * last
+        return float((sums.astype(np.float64) ** 2).sum()) / (sets * n**2)
+
+    # The one that is better after some rounds goes on
+    tried = []
+    for owner in begun:
+        sums = np.zeros((sets, len(kept)), np.float32)
+        np.add.at(sums, owner, features)
+        first = min(exchanged(owner, sums, turn) for turn in range(_FIRST_ROUNDS))
+        tried.append((first, owner, sums))
+    last, owner, sums = min(tried, key=lambda each: each[0])
+    for turn in range(_FIRST_ROUNDS, _ROUNDS):
+        variance = exchanged(owner, sums, turn)
+        finished = turn + 1 == _ROUNDS or variance > (1.0 - _LEAST_GAIN) * last
         done = 1.0 if finished else (turn + 1) / _ROUNDS
         yield Candidate(variance, done, partial(_of_cells, features, owner.copy(), cells, sides))
         if finished:
             return
         last = variance
+
+
+def _cosets(objective: Objective, n: int, sides: Array, stream: Stream) -> Array | None:
+    """Which coset of a designed digital net each cell is in, (N,); None where the grid is no power of two."""
+    if n < 4 or (np.append(sides, n) & np.append(sides, n) - 1).any():
+        return None
+    nets = (c for c in _nets(objective, n, stream, polynomial=False, frames=1))
+    spec = min(nets, key=lambda c: c.variance).make(Path()).spec
+    points = sampler(spec.partition(" | ")[0], len(sides)).draw(n)[0]
+    codes = np.ravel_multi_index(tuple((points * sides).astype(np.int64).T), tuple(sides))
+    if len(np.unique(codes)) < n:
+        return None
+
+    # Clear the leading digit of each vector of the span's echelon form from all codes
+    rest, left = np.arange(sides.prod()), codes
+    while left.max() > 0:
+        vector = left.max()
+        left, rest = (np.minimum(c, c ^ vector) for c in (left, rest))
+    return np.unique(rest, return_inverse=True)[1]
 
 
 def _of_cells(features: Array, owner: Array, cells: Array, sides: Array, path: Path) -> Sampler:

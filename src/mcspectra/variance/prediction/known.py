@@ -6,17 +6,20 @@ does not lead anywhere. It may evaluate g where it likes, but for the sampler's 
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeVar, cast, final
 
+import numpy as np
+
 from mcspectra.core.checks import Array
 from mcspectra.integrands import Integrand
 from mcspectra.variance.quadrature import constant, looked_at, square_integral, unseen
 
-__all__ = ["Known", "Predicted"]
+__all__ = ["Known", "Predicted", "half_interval"]
 
 Made = TypeVar("Made")
 
@@ -32,19 +35,19 @@ class Predicted:
         Its value, positive.
     error
         Half of its 95 % interval: of quadrature, of sampled spectra, and what the tail may be off by.
+    route
+        A few words that name it.
     share
         Part of ∫g² that was counted term by term.
     tail
         Part of `variance` that stands for the rest, in the same units as `variance`.
-    route
-        A few words that name it.
     """
 
     variance: Array
     error: Array
-    share: Array
-    tail: Array
     route: str
+    share: Array | float = 1.0
+    tail: Array | float = 0.0
 
 
 @final
@@ -80,3 +83,12 @@ class Known:
             if key not in self._made:
                 self._made[key] = make()
             return cast(Made, self._made[key])
+
+
+def half_interval(values: Array) -> Array:
+    """Half of the 95 % interval of the mean over the first axis, by Student's t."""
+    from scipy.special import stdtrit
+
+    count = len(values)
+    half = stdtrit(count - 1, 0.975) * values.std(axis=0, ddof=1) / math.sqrt(count)
+    return np.asarray(half)

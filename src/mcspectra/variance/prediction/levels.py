@@ -8,7 +8,7 @@ levels, about those of at most n cells: of Σ l_j near log n, not of all l_j nea
 
 with ω²_T the mean variance within the cells of one table T and σ²_l from some tables of as many cells
 that are longer along some axes. A digital shift has weights that depend on g: it is one of our own
-shifts at a time (`moved_variance`).
+shifts at a time (`of_moves`).
 
 Cells are integrated in closed form where g knows its moments over boxes, else by Gauss-Legendre, cut
 at the breaks of g, and once more by a composite rule where g varies most from cell to cell: there
@@ -18,7 +18,6 @@ curves of jumps are. Both are done twice, by a fine and a coarse rule; the error
 from __future__ import annotations
 
 import functools
-import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -30,14 +29,15 @@ from mcspectra.core.checks import Array
 from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.integrands import Integrand
+from mcspectra.integrands._quadrature import gauss_rule
 from mcspectra.samplers import Jittered, Sampler, StrataShift
 from mcspectra.spectra.bases import parts_of
 from mcspectra.spectra.gain import gain_coefficients
 from mcspectra.variance.doors import NO_VARIANCE
-from mcspectra.variance.exact import level_variances
+from mcspectra.variance.exact import level_variances, paired
 from mcspectra.variance.prediction.known import Known, Predicted
-from mcspectra.variance.prediction.torus import moved_variance
-from mcspectra.variance.quadrature import Pointwise, in_closed_form, stratum_moments
+from mcspectra.variance.prediction.torus import of_moves
+from mcspectra.variance.quadrature import in_closed_form, mesh, stratum_moments
 
 __all__ = ["of_levels"]
 
@@ -52,7 +52,6 @@ _PARTS = {1: 16, 2: 4, 3: 2}  # per axis, of a cell with a jump
 _MOST_ROUGH = {1: 2**8, 2: 2**14, 3: 2**15}
 _ROUGH = 3.0  # variation of g, relative to that of the mean cell, from which on there may be a jump
 _BLOCK = 2**20  # evaluations at a time
-_BITS = 2.0**53
 _ROUNDING = 4e-15  # of ∫g², absolute
 _CLEAR, _DOUBT = 2.0, 0.5  # what tables miss of ∫g²: errors it must exceed, and doubt of its weight
 _MOST_ERROR, _NOISE = 0.2, 1e-12  # of the variance, from where on it is refused, and of ∫g²
@@ -60,7 +59,7 @@ _KEEP_LAW = frozenset({"digital-shift", "permute"})
 _LATIN = ("latin-hypercube", "n-rooks")
 
 
-def of_levels(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
+def of_levels(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
     """Predict the variance of scrambled nets and of strata from means of g over cells.
 
     Parameters
@@ -97,9 +96,11 @@ def of_levels(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predict
         if nested and names <= _KEEP_LAW | {"owen", "lms"}:
             return _scrambled(base, n, known)
         if names <= _KEEP_LAW and set(base.digit_bases) == {2}:
-            return _of_shifts(base, n, known)
+            return of_moves(chain, n, known, stream)
     if base.name == "antithetic-jittered" and not steps:
-        return _antithetic(n, known)
+        side = round((n // 2) ** (1.0 / dims))
+        mean, sides = Known(paired(known.g, side)), (side,) * dims
+        return _strata(sides, np.zeros(dims), n // 2, mean, "strata, pairs of points", whole=False)
     if base.name in _LATIN and dims == 1 and names <= {"shuffle"}:
         return _strata((n,), np.zeros(1), n, known, "strata")
     if isinstance(base, Jittered) and all(isinstance(step, StrataShift) for step in steps):
@@ -169,18 +170,6 @@ def _scrambled(net: Sampler, n: int, known: Known) -> Predicted:
     doubt = np.abs(gains[missing] - 1.0).max(initial=0.0) * rest[-1]
     doubt = first.error + _DOUBT * missed + doubt
     return _predicted(weighed + rest, n, square[-1], "gains by level", rest=rest[-1], doubt=doubt)
-
-
-def _of_shifts(net: Sampler, n: int, known: Known) -> Predicted:
-    """A digital shift in base 2, at shifts that are spread evenly."""
-    words = (net.draw_stream(n, Stream.from_rng(0), 0, 1)[0] * _BITS).astype(np.uint64)
-
-    def shifted(u: Array) -> Array:
-        return np.asarray((words ^ (u[:, None] * _BITS).astype(np.uint64)) / _BITS)
-
-    value, error = moved_variance(known.g, n, shifted)
-    ones = np.ones(len(value))
-    return Predicted(value, error, ones, 0.0 * ones, "digital shifts of the net")
 
 
 def _tables(wanted: Array, bases: Sequence[int], most: int) -> Iterator[Levels]:
@@ -263,12 +252,11 @@ def _cell_moments(g: Integrand, sides: tuple[int, ...], offset: Array) -> tuple[
     # Integrate over parts of these
     channels = means.shape[-1]
     for q, order in enumerate(_ORDERS[dims]):
-        node, weight = np.polynomial.legendre.leggauss(order)
-        part = np.arange(_PARTS[dims])[:, None]
-        nodes = ((part + 0.5 * (node + 1.0)) / _PARTS[dims]).ravel()
-        weights = np.tile(0.5 * weight / _PARTS[dims], _PARTS[dims])
-        inside = np.array(list(itertools.product(nodes, repeat=dims)))
-        shares = np.array([math.prod(w) for w in itertools.product(weights, repeat=dims)])
+        node, weight = gauss_rule(order)
+        nodes = ((np.arange(_PARTS[dims])[:, None] + node) / _PARTS[dims]).ravel()
+        weights = np.tile(weight / _PARTS[dims], _PARTS[dims])
+        inside, shares = (mesh(*[each] * dims).reshape(-1, dims) for each in (nodes, weights))
+        shares = shares.prod(axis=1)
         step = max(1, _BLOCK // len(shares))
         for start in range(0, len(chosen), step):
             some = chosen[start : start + step]
@@ -328,26 +316,6 @@ def _merged(moment: Array, sides: tuple[int, ...]) -> Array:
     return np.asarray(moment)
 
 
-def _antithetic(n: int, known: Known) -> Predicted:
-    """One jittered point in each of n/2 cells, with the mean of g at it and at its reflection."""
-    g, side = known.g, round((n // 2) ** (1.0 / known.g.dims))
-
-    def reflected(x: Array) -> Array:
-        cell = np.minimum(np.floor(x * side), side - 1.0)
-        return np.asarray(np.clip((2.0 * cell + 1.0) / side - x, 0.0, 1.0))
-
-    breaks = tuple(
-        tuple(sorted({*axis, *reflected(np.asarray(axis, float)).tolist()})) for axis in g.breaks
-    )
-    mean = Pointwise(
-        g, lambda x: 0.5 * (g(x) + g(reflected(x))), breaks, f"{g.spec}, symmetrised in cells"
-    )
-    offset = np.zeros(g.dims)
-    return _strata(
-        (side,) * g.dims, offset, n // 2, Known(mean), "strata, pairs of points", whole=False
-    )
-
-
 def _predicted(
     scaled: Array, n: int, square: Array, route: str, *, rest: Any = 0.0, doubt: Any = 0.0
 ) -> Predicted:
@@ -362,4 +330,4 @@ def _predicted(
         )
     rest = np.broadcast_to(np.asarray(rest, float), value.shape)
     share = 1.0 - rest / np.maximum(square, 1e-300)
-    return Predicted(value / n, error / n, share, np.minimum(rest, value) / n, route)
+    return Predicted(value / n, error / n, route, share, np.minimum(rest, value) / n)

@@ -167,15 +167,13 @@ class Plan(Counted, frozen=True, kw_only=True):
         first = next((k for k in known if (variances[k] <= target).all()), None)
         if first is None:
             return self._beyond(sampler, counts, found, known, target)
-        best = counts[first], variances[first], str(found[first].routes[0])
+        best = float(counts[first]), variances[first], str(found[first].routes[0])
         before = [k for k in known if k < first]
-        if not before:
-            return float(best[0]), best[1], best[2]
 
         # Between the last count that misses the target and the first that reaches it: about where a
         # line through both does, for curves go up and down; nets in base 2 are balanced at powers of two
-        if _doubles(sampler):
-            return float(best[0]), best[1], best[2]
+        if not before or _doubles(sampler):
+            return best
         low, high = ((counts[k], np.maximum(variances[k], _TINY)) for k in (before[-1], first))
 
         def crossing() -> float:
@@ -194,12 +192,12 @@ class Plan(Counted, frozen=True, kw_only=True):
                 break
             counts.append(between)
             found.append(each)
+            place = between, np.maximum(each.variance[0], _TINY)
             if (each.variance[0] <= target).all():
-                high = between, np.maximum(each.variance[0], _TINY)
-                best = between, each.variance[0], str(each.routes[0])
+                high, best = place, (float(between), each.variance[0], str(each.routes[0]))
             else:
-                low = between, np.maximum(each.variance[0], _TINY)
-        return float(best[0]), best[1], best[2]
+                low = place
+        return best
 
     def _beyond(
         self,
@@ -211,16 +209,12 @@ class Plan(Counted, frozen=True, kw_only=True):
     ) -> tuple[float, Array, str]:
         """The count by the slope of the last predictions, rounded to one that the sampler can do."""
         last, earlier = known[-1], known[max(0, len(known) - 4)]
-        unknown = np.full(len(target), math.nan)
-        if last == earlier:
-            return math.nan, unknown, "out of reach"
         ends = found[last].variance[0], found[earlier].variance[0]
-        rate = np.log(ends[0] / ends[1]) / math.log(counts[last] / counts[earlier])
-        if (rate >= 0.0).any():
-            return math.nan, unknown, "out of reach"
-        wanted = counts[last] * float(np.exp(np.max(np.log(target / ends[0]) / rate)))
-        if not wanted < min(_MOST, sampler.max_count):
-            return math.nan, unknown, "out of reach"
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            rate = np.log(ends[0] / ends[1]) / np.log(counts[last] / counts[earlier])
+            wanted = counts[last] * float(np.exp(np.max(np.log(target / ends[0]) / rate)))
+        if not ((rate < 0.0).all() and wanted < min(_MOST, sampler.max_count)):
+            return math.nan, np.full(len(target), math.nan), "out of reach"
         n = sampler.nearest_count(math.ceil(wanted))
         variance = ends[0] * (n / counts[last]) ** rate
         if (variance > target * (1.0 + 1e-9)).any():  # the nearest is below

@@ -22,7 +22,7 @@ from mcspectra.core.options import COUNTS, Counts
 from mcspectra.core.records import JOIN
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Estimator
+from mcspectra.estimators import AbstractEstimator
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.estimators.reflected import FoldedIntegrand, SymmetrizedIntegrand
 from mcspectra.samplers import (
@@ -38,15 +38,14 @@ from mcspectra.samplers import (
 from mcspectra.samplers.base import FixedSet, Structure
 from mcspectra.samplers.stratified import root
 from mcspectra.spectra.bases import parts_of
-from mcspectra.variance.convergence import count_moments, count_stream
 from mcspectra.variance.doors import NO_VARIANCE, VANISHES, answer, counted
 from mcspectra.variance.exact import of_integrand
 from mcspectra.variance.prediction.known import Known, Predicted
 from mcspectra.variance.prediction.levels import of_levels
+from mcspectra.variance.prediction.measured import extrapolated, of_measurements, of_table
 from mcspectra.variance.prediction.rates import Slowest, rates_of, slowest_of_jumps
 from mcspectra.variance.prediction.subsets import of_subsets
-from mcspectra.variance.prediction.table import of_table
-from mcspectra.variance.prediction.torus import of_torus
+from mcspectra.variance.prediction.torus import of_moves, of_torus
 from mcspectra.variance.quadrature import looked_at
 
 if TYPE_CHECKING:
@@ -64,21 +63,10 @@ _AHEAD = 4  # times as many
 _STRATA_AHEAD = 2**14  # at least, of strata, which are cheap
 _MOST_AHEAD = 2**16
 _LOOSE = 0.25  # half intervals, relative to the variance, that say nothing of rates
-_OFFSET = (
-    0.5 - 0.5 / 3**0.5
-)  # where c(1 − c), the part of jumps at faces, has its mean over all shifts
+# Where c(1 − c), the part of jumps at faces, has its mean over all shifts
+_OFFSET = 0.5 - 0.5 / 3**0.5
 
 _SETS, _T_SETS = 16, 2.13  # of pmj, that are scrambled; Student's t of their mean
-
-_WIDE = 0.2  # of a variance: an interval of sums of products that measurements may narrow
-
-# Measured extrapolation
-_SMALL = tuple(2**k for k in range(3, 9))
-_LARGEST = 2**12  # count, of f that is cheap
-_NEAR = 16  # parts of n, by which counts next to it are apart at most
-_FITTED = 4
-_REALIZATIONS, _POINTS = 2000, 2**21  # sets of a count, and their points, of which the more counts
-_MOST_FACTOR = 30.0  # by which an extrapolation may be off at most
 
 
 def of_quadrature(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
@@ -88,14 +76,7 @@ def of_quadrature(sampler: Sampler, n: int, known: Known, stream: Stream) -> Pre
     dear = g.box_moments(box, box + 1) is None or sum(map(len, g.breaks)) > _MOST_BREAKS
     if g.dims > 1 and any(isinstance(s, Shift) for s in steps) and dear:
         raise NoClosedForm("A quadrature for every offset of the strata would take long.")
-    variance, error = of_integrand(sampler, n, known.g, _TOLERANCE, _EVALUATIONS)
-    ones = np.ones(len(variance))
-    return Predicted(variance, error, ones, 0.0 * ones, "exact")
-
-
-def of_measurements(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
-    """Extrapolate the variances of the sampler's small sets."""
-    return _extrapolated(Estimator(known.g), sampler, n, known, stream)
+    return Predicted(*of_integrand(sampler, n, known.g, _TOLERANCE, _EVALUATIONS), "exact")
 
 
 def of_limits(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
@@ -119,6 +100,7 @@ ROUTES: tuple[Route, ...] = (
     of_torus,
     of_levels,
     of_subsets,
+    of_moves,
     of_table,
     of_measurements,
 )
@@ -126,6 +108,9 @@ ROUTES: tuple[Route, ...] = (
 
 _OF_COSTLY = (of_torus, of_levels, of_quadrature, of_subsets, of_measurements)
 """A quadrature asks an integrand anew at every count; tables, as precise, serve all of them."""
+
+_WORTH: dict[Route, float] = {of_moves: 0.03, of_table: 0.2, of_measurements: 0.2}
+"""Half intervals of sums of products, relative to the variance, that a route may narrow."""
 
 
 @final
@@ -311,7 +296,9 @@ def predict(
     probe of 2^17 points saw and the nodes did not; f that is the same at all of them has no prediction,
     unless its integral is known.
 
-    f is evaluated at nodes and on grids of our own. Of samplers of which nothing is known but their sets,
+    f is evaluated at nodes and on grids of our own. Lattices with shift and nets with digital-shift, which one
+    offset moves as a whole, are moved by up to 8,192 offsets of our own (`offsets of a lattice`, `digital
+    shifts of the net`): in 1 to 3 dims, and in more where sums of products leave a half interval over 3 %. Of samplers of which nothing is known but their sets,
     these measure a table of f in 1 to 3 dims (`n sets on a table of g`); in more, or where f is dear, the last
     route evaluates f at their points, *extrapolated from measurements*: 2,000 realisations each of small
     counts, or of those next to n where f is not dear, never of n. So it is, too, where jumps and kinks
@@ -348,9 +335,8 @@ class Predictor:
         """The prediction of one count: the sum over the techniques; NaN where no route leads there."""
         estimator = self.estimator
         source, width = estimator.randomized(sampler), max(1, estimator.channels)
-        unknown = np.full(width, math.nan)
+        total = np.full((4, width), math.nan)
         note, route = "", "none"
-        variance = error = share = tail = unknown
         try:
             if not n:
                 raise NoClosedForm("there is no such count")
@@ -358,31 +344,26 @@ class Predictor:
                 raise NoClosedForm(f"a deterministic sampler {NO_VARIANCE}")
             parts, squares = self._parts(source, n, routes)
             route = "; ".join(dict.fromkeys(part.route for part in parts))
-            variance = sum((p.variance for p in parts), np.zeros(width))
-            tail = sum((p.tail for p in parts), np.zeros(width))
-            error = np.sqrt(sum((p.error**2 for p in parts), np.zeros(width)))
             weights = [square / len(parts) + np.where(square > 0.0, 0.0, 1.0) for square in squares]
             with np.errstate(invalid="ignore"):
-                share = sum(
-                    (w * p.share for w, p in zip(weights, parts, strict=True)), np.zeros(width)
-                ) / sum(weights, np.zeros(width))
+                variance, error, share, tail, weight = np.sum([
+                    np.broadcast_arrays(p.variance, p.error**2, w * p.share, p.tail, w)
+                    for w, p in zip(weights, parts, strict=True)
+                ], axis=0)  # fmt: skip
+                total = np.stack([variance, np.sqrt(error), share / weight, tail])
             if np.isinf(variance).any():
                 note = "∫g² diverges: the variance is infinite"
         except (NoClosedForm, CountError) as reason:
             note = str(reason).rstrip(".")
 
         # A variance of rounding size is none
-        if np.isfinite(variance).any():
+        if np.isfinite(total[0]).any():
             size = np.atleast_1d(np.asarray(estimator.integral, float))
-            vanishes = variance <= rounding_floor(size)
+            vanishes = total[0] <= rounding_floor(size)
             if vanishes.any():
                 note = VANISHES
-                variance, error, tail = (
-                    np.where(vanishes, np.nan, v) for v in (variance, error, tail)
-                )
-        variance, error, share, tail = (
-            np.reshape(v, (1, -1)) for v in (variance, error, share, tail)
-        )
+                total[np.ix_([0, 1, 3], vanishes)] = math.nan
+        variance, error, share, tail = total[:, None]
         return Cells(variance, error, share, tail, np.array([route]), np.array([note]))
 
     def slowest(self, sampler: Sampler, counts: Sequence[int]) -> Slowest:
@@ -394,9 +375,8 @@ class Predictor:
             g = known.g
             if steps and isinstance(steps[-1], Mirror):
                 chain = Randomized(base=base, steps=steps[:-1]) if steps[:-1] else base
-                g = looked_at(
-                    (FoldedIntegrand if steps[-1].mode == "fold" else SymmetrizedIntegrand)(g)
-                )
+                seen = FoldedIntegrand if steps[-1].mode == "fold" else SymmetrizedIntegrand
+                g = looked_at(seen(g))
             if not known.constant and np.isfinite(known.square[0]).all():
                 found.append(slowest_of_jumps(g, chain, [n * count for n in counts]))
         return max(found, key=lambda each: each.exponent, default=Slowest())
@@ -414,7 +394,7 @@ class Predictor:
         except NoClosedForm:
             if routes is not ROUTES:
                 raise
-            joint = _extrapolated(estimator, source, n, known[0], stream)
+            joint = extrapolated(estimator, source, n, known[0], stream)
             return [joint], [np.ones(len(joint.variance))]
         parts = [
             _by_routes(source.as_chain(n * count), n * count, each, stream.child(technique), routes)
@@ -442,27 +422,31 @@ def _by_routes(
         routes = _OF_COSTLY
     if known.constant:  # a technique of several
         none = 0.0 * known.square[0]
-        return Predicted(none, none, none + 1.0, none, "the same at all points")
+        return Predicted(none, none, "the same at all points")
     best = None
+    lattice = base.fixed and base.structure is Structure.TORUS
     for route in routes:
+        # Where products miss jumps and kinks across many axes the narrower interval counts; but of
+        # lattices, a count tells nothing of those next to it
+        if best is not None:
+            good = (best.error <= _WORTH.get(route, math.inf) * best.variance).all()
+            if good or (lattice and route is of_measurements):
+                continue
         try:
             found = route(sampler, n, known, stream)
             # One route may see what others do not: none knows more than the probe
             if np.isfinite(found.variance).all():
                 found = replace(found, error=np.maximum(found.error, known.unseen / n))
-            # Where products miss jumps and kinks across many axes the narrower interval counts; but of
-            # lattices, a count tells nothing of those next to it
             if best is None or found.error.sum() < best.error.sum():
                 best = found
-            wide = route is of_subsets and (found.error > _WIDE * found.variance).any()
-            if not wide or (base.fixed and base.structure is Structure.TORUS):
+            if route is not of_subsets:
                 return best
         except NoClosedForm as error:
             reason = error
         if route is routes[0]:
             if sampler.unbiased and np.isinf(known.square[0]).any():
                 infinite = np.where(np.isinf(known.square[0]), math.inf, math.nan)
-                return Predicted(infinite, infinite, 0.0 * known.square[1], infinite, "∫g² = ∞")
+                return Predicted(infinite, infinite, "∫g² = ∞", 0.0, infinite)
             if steps and isinstance(steps[-1], Mirror) and (steps[:-1] or not base.fixed):
                 inner = Randomized(base=base, steps=steps[:-1]) if steps[:-1] else base
                 return _mirrored(steps[-1].mode, inner, n, known, stream, routes)
@@ -528,69 +512,7 @@ def _mirrored(
     found = _by_routes(inner, n, average, stream, routes)
     coins = np.maximum(known.square[0] - average.square[0], 0.0) / n
     error = np.hypot(found.error, (known.square[1] + average.square[1]) / n)
-    return Predicted(found.variance + coins, error, found.share, found.tail, found.route)
-
-
-def _extrapolated(
-    estimator: AbstractEstimator, sampler: Sampler, n: int, known: Known, stream: Stream
-) -> Predicted:
-    """A line through the logarithms of variances measured at small counts other than n."""
-    from scipy.special import stdtrit
-
-    counts, variances, errors = [], [], []
-    near = [] if known.g.costly else _counts_near(n)
-    for count in sorted({sampler.nearest_count(c) for c in (*_SMALL, *near)}):
-        sets = max(_REALIZATIONS, _POINTS // count) if count in near else _REALIZATIONS
-        try:
-            if (
-                sum(estimator.counts) > 1
-            ):  # a single one has its nearest counts, without more warnings
-                estimator.check_sampler(sampler, count)
-        except CountError:
-            continue
-        moments = known.once(
-            ("measured", sampler.spec, count),
-            lambda c=count, sets=sets: count_moments(  # type: ignore[misc]
-                estimator, sampler, c, sets, count_stream(stream, c)
-            ),
-        )
-        varies = moments.variance > rounding_floor(moments.mean)
-        if count != n and (varies & moments.resolved).all():
-            counts.append(count)
-            variances.append(moments.variance)
-            errors.append(moments.relative_se)
-    if len(counts) < _FITTED - 1:
-        raise NoClosedForm(
-            f"No route predicts {sampler.spec}, and its small sets show no variance or are too few."
-        )
-
-    # Fit the counts next to n; the scatter about the line is at least that of the measurements
-    nearest = np.argsort(np.abs(np.log(np.array(counts) / n)), kind="stable")[:_FITTED]
-    x = np.log(np.array(counts, float))[nearest]
-    y, noise = np.log(np.array(variances))[nearest], np.array(errors)[nearest]
-    middle, spread = x.mean(), ((x - x.mean()) ** 2).sum()
-    slope = ((x - middle)[:, None] * y).sum(axis=0) / spread
-    left = y - y.mean(axis=0) - slope * (x - middle)[:, None]
-    degrees = len(x) - 2
-    scatter = np.sqrt((left**2).sum(axis=0) / degrees)
-    size = np.maximum(scatter, np.sqrt((noise**2).mean(axis=0)))
-    away = math.log(n) - middle
-    half = stdtrit(degrees, 0.975) * size * math.sqrt(1.0 + 1.0 / len(x) + away**2 / spread)
-    variance = np.exp(y.mean(axis=0) + slope * away)
-    error = variance * np.expm1(np.minimum(half, math.log(_MOST_FACTOR)))
-    listed = ", ".join(str(counts[k]) for k in sorted(nearest))
-    route = f"extrapolated from measurements at {listed}"
-    return Predicted(variance, error, np.zeros(len(variance)), variance.copy(), route)
-
-
-def _counts_near(n: int) -> list[int]:
-    """Counts about n that sets fill as n: of a power of two others, else in steps of one that divides n."""
-    if n & (n - 1) == 0:
-        near = [n // 4, n // 2, 2 * n, 4 * n]
-    else:
-        step = min(n & -n, 1 << max(0, (n // _NEAR).bit_length() - 1))
-        near = [n + k * step for k in (-2, -1, 1, 2)]
-    return [count for count in near if 1 < count <= _LARGEST]
+    return replace(found, variance=found.variance + coins, error=error)
 
 
 def _places(sampler: Sampler, counts: Sequence[int]) -> list[int]:

@@ -184,10 +184,8 @@ def _jumps(g: Integrand) -> tuple[list[tuple[int, float]], bool]:
             middle = 0.5 * (low + high)
             values = [at(t) for t in (low, middle, high)]
             below, above = (np.abs(b - a).max(axis=-1) for a, b in pairwise(values))
-            low, high = (
-                np.where(below >= above, low, middle),
-                np.where(below >= above, middle, high),
-            )
+            left = below >= above
+            low, high = np.where(left, low, middle), np.where(left, middle, high)
         step = np.maximum(below, above)
         far = np.abs(low[..., None] - np.array(places)).min(axis=-1) > _BESIDE
         along |= bool((far & (step > _JUMPS * size) & (step <= 2.0 * first)).any())
@@ -234,17 +232,12 @@ def rates_of(
     end = line_fit(x[-late:], y[-late:], np.ones(late)).slope
     steps = np.diff(y) / np.diff(x)
     near_enough, log = min(0.2, 0.4 / dims), (dims - 1) / x[-late:].mean()
-    corners = (
-        log if slowest.exponent == -2.0 and dims in (2, 3) else 0.0
-    )  # of jumps across several axes
-    if end <= slowest.exponent + near_enough + corners and slowest.sure:
+    corners = slowest.exponent == -2.0 and dims in (2, 3)  # of jumps across several axes
+    if end <= slowest.exponent + near_enough + corners * log and slowest.sure:
         limit = slowest.exponent
     elif len(x) > 2 and np.ptp(steps[1 - late :]) <= _AGREE:
-        exponents = [(-1.0 - k / dims, 0.0) for k in range(4)] + [
-            (-2.0, 0.0),
-            (-3.0, log),
-            (-3.0, 0.0),
-        ]
+        exponents = [(-1.0 - k / dims, 0.0) for k in range(4)]
+        exponents += [(-2.0, 0.0), (-3.0, log), (-3.0, 0.0)]
         near = min(exponents, key=lambda each: abs(end - sum(each)))
         away = np.abs(steps[-3:] - sum(near))
         leaves = len(away) == 3 and (np.diff(away) > 0.0).all() and away[-1] > _LEAVES

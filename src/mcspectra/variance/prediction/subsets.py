@@ -31,8 +31,9 @@ from __future__ import annotations
 import functools
 import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -44,7 +45,8 @@ from mcspectra.integrands import Integrand
 from mcspectra.samplers import Jittered, Random, Randomized, Sampler, as_sampler
 from mcspectra.samplers.base import Structure
 from mcspectra.spectra.bases import hadamard, parts_of
-from mcspectra.variance.prediction.known import Known, Predicted
+from mcspectra.variance.prediction.known import Known, Predicted, half_interval
+from mcspectra.variance.prediction.torus import lattice_basis
 
 __all__ = ["of_subsets"]
 
@@ -69,6 +71,7 @@ _CELLS = 1 << 12  # along an axis, for correlations
 _FINE, _FINEST = 1 << 14, 1 << 18  # and for single axes, where smooth and with jumps
 _TORUS = 1 << 15  # differences on the torus
 _START = 0.3  # spread of what a new product begins with
+_ADDS_UP = 20.0  # times its part of white points, kinks on lattices
 _RESOLVED = (2e-3, 0.01)  # relative error of curves between their nodes: smooth, and with jumps
 _MOST_WORK = 2.0**34  # pairs of points times axes times groups
 _DRAWS = 8  # of a set that is random before its shift or scramble
@@ -111,7 +114,7 @@ def of_subsets(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predic
     parts = known.once("subsets: parts", lambda: _all_parts(known))
     if isinstance(base, Random) and names <= _KEEP_LAW | {"shift", "shuffle", "lms"}:
         variance, half = np.array([[p.variance, p.half] for p in parts]).T / n
-        return Predicted(variance, half, np.ones(len(parts)), np.zeros(len(parts)), "energy of g")
+        return Predicted(variance, half, "energy of g")
     law, codes, rows = _law_of(source, n, stream)
     work = float(len(rows)) * codes[..., 0].size * _RANK**2
     if work > _MOST_WORK:
@@ -126,17 +129,19 @@ def of_subsets(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predic
         mode = ("digits", "xor", "torus").index(law.kind)
         sums = [pair_sums(x, rows, mode, law.bases[0], first, rest, means, weights) for x in codes]
         by_set = np.array(sums).mean(axis=1) / n  # (sets, 1 + groups + 1)
-        sets, ones, more = (
-            by_set[:, 0] + by_set[:, -1],
-            by_set.mean(axis=0)[:-1],
-            by_set[:, -1].mean(),
-        )
-        # What the fit misses: white to 100 %, and correlated with the fit by a half either way
+        sets, mean = by_set[:, 0] + by_set[:, -1], by_set.mean(axis=0)
+        ones, more = mean[:-1], mean[-1]
+        # What the fit misses: white to 100 %, and correlated with the fit by a half either way; where one
+        # offset moves all points, it may add up
         tail = p.residual / n
-        half = tail + math.sqrt(max(ones[0] + more, 0.0) * tail)
+        together = law.kind != "digits" and len(codes) == 1
+        half = (_ADDS_UP if together else 1.0) * tail + math.sqrt(max(ones[0] + more, 0.0) * tail)
         # All that counts of Latin hypercubes but single axes: as points saw it, or of the whole energy
         single = first[:, -1].sum(axis=0)
-        of_whole = p.variance - float(single[0]), math.hypot(p.half, float(_half(single[1:])))
+        of_whole = (
+            p.variance - float(single[0]),
+            math.hypot(p.half, float(half_interval(single[1:]))),
+        )
         joint, joint_half = min(p.joint, of_whole, key=lambda each: each[1])
         if law.latin and joint_half < p.residual:
             # Its weight is 1 within strata and n/(n − 1) between them
@@ -144,16 +149,16 @@ def of_subsets(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predic
             either = 0.5 * joint / max(n - 1.0, 1.0)
             tail, half = joint + either - more, joint_half / n + either
         value = ones[0] + more + tail
-        drawn = _half(sets) if len(sets) > 1 else 0.0
+        drawn = half_interval(sets) if len(sets) > 1 else 0.0
         seen = p.half / p.variance if p.variance > 0.0 else 0.0  # of peaks, that few points meet
         rough = any(len(axis.knots) > 2 for axis in p.axes)
         rough |= law.leaves_cells and 32 * n > _FINEST
         between = _RESOLVED[rough] * value
-        error = math.hypot(float(_half(ones[1:])), half, drawn, between, seen * value)
+        error = math.hypot(float(half_interval(ones[1:])), half, drawn, between, seen * value)
         share = max(0.0, 1.0 - p.residual / p.variance) if p.variance > 0.0 else 0.0
         found.append((value, error, share, tail))
     variance, error, share, tail = np.array(found).T
-    return Predicted(variance, error, share, tail, "subsets of axes")
+    return Predicted(variance, error, "subsets of axes", share, tail)
 
 
 @final
@@ -166,34 +171,30 @@ class _Curves:
 
     def at(self, values: Array, x: Array) -> Array:
         """Values (…, nodes) interpolated piece by piece at x: (…, len(x))."""
-        from scipy.interpolate import PchipInterpolator
-
         out = np.empty((*values.shape[:-1], len(x)))
-        for low, high in itertools.pairwise(self.knots):
-            own, there = (self.nodes > low) & (self.nodes < high), (x >= low) & (x <= high)
-            if own.sum() > 1:
-                line = PchipInterpolator(self.nodes[own], values[..., own], -1)
-                out[..., there] = line(x[there])
-            elif there.any():
-                nearest = int(np.abs(self.nodes - 0.5 * (low + high)).argmin())
-                out[..., there] = values[..., nearest, None]
+        for low, high, line in self._pieces(values):
+            there = (x >= low) & (x <= high)
+            out[..., there] = line(x[there])
         return out
 
     def cells(self, values: Array, count: int) -> Array:
         """Means over equal cells."""
+        ends, total = np.arange(count + 1) / count, np.zeros((*values.shape[:-1], count + 1))
+        for low, high, line in self._pieces(values):
+            total += line.antiderivative()(np.clip(ends, low, high))
+        return np.diff(total) * count
+
+    def _pieces(self, values: Array) -> Iterator[tuple[float, float, Any]]:
+        """Ends of each smooth piece, and its curve: a constant where it has one node or none."""
         from scipy.interpolate import PchipInterpolator
 
-        ends = np.arange(count + 1) / count
-        total = np.zeros((*values.shape[:-1], count + 1))
         for low, high in itertools.pairwise(self.knots):
-            own, up_to = (self.nodes > low) & (self.nodes < high), np.clip(ends, low, high)
-            if own.sum() > 1:
-                line = PchipInterpolator(self.nodes[own], values[..., own], -1)
-                total += line.antiderivative()(up_to)
-            else:
+            own = (self.nodes > low) & (self.nodes < high)
+            x, y = self.nodes[own], values[..., own]
+            if len(x) < 2:
                 nearest = int(np.abs(self.nodes - 0.5 * (low + high)).argmin())
-                total += values[..., nearest, None] * up_to
-        return np.diff(total) * count
+                x, y = np.array([low, high]), np.repeat(values[..., [nearest]], 2, axis=-1)
+            yield low, high, PchipInterpolator(x, y, -1)
 
 
 @final
@@ -323,10 +324,7 @@ def _of_strata(base: Jittered, n: int, g: Integrand) -> Predicted:
     within = (np.floor(x * sides) + other) / sides
     change = _values(g, x) - _values(g, np.minimum(within, np.nextafter(1.0, 0.0)))
     spread = 0.5 * (change**2).mean(axis=1) / n
-    error = _half(spread)
-    return Predicted(
-        spread.mean(axis=0), error, np.ones(len(error)), 0.0 * error, "pairs in strata"
-    )
+    return Predicted(spread.mean(axis=0), half_interval(spread), "pairs in strata")
 
 
 def _all_parts(known: Known) -> list[_Parts]:
@@ -336,10 +334,10 @@ def _all_parts(known: Known) -> list[_Parts]:
     values = _values(g, x)
     mean = values.mean(axis=(0, 1))
     squares = ((values - mean) ** 2).mean(axis=1)
-    energy, half = squares.mean(axis=0), _half(squares)
+    energy, half = squares.mean(axis=0), half_interval(squares)
     if d <= _FEW_DIMS:  # a quadrature knows more of poles
         square, error = known.square
-        error = np.hypot(error, 2.0 * np.abs(mean) * _half(values.mean(axis=1)))
+        error = np.hypot(error, 2.0 * np.abs(mean) * half_interval(values.mean(axis=1)))
         better = error < half
         energy, half = np.where(better, (square - mean**2, error), (energy, half))
     count = max(4, 1 << round(math.log2(_PROFILE_WORK / (_GROUPS * _NODES * d))))
@@ -505,7 +503,7 @@ def _fitted(
     left = ((all_values - alone - (all_values - alone).mean()) ** 2).mean(axis=1)
     spread = [a.cells(m[1:], _CELLS).var(axis=0, ddof=1) for a, m in zip(axes, main, strict=True)]
     errors = float(np.mean(spread, axis=1).sum()) / _GROUPS
-    joint = float(left.mean()) - errors, float(_half(left)) + errors
+    joint = float(left.mean()) - errors, float(half_interval(left)) + errors
     return _Parts(variance, half, axes, main, factors, residual, joint)
 
 
@@ -589,7 +587,7 @@ def _law_of(source: Sampler, n: int, stream: Stream) -> tuple[_Law, Array, Array
         return (
             _Law("torus", (cells,) * d, (1,) * d),
             codes,
-            one if lattice and _is_group(x[0], n) else every,
+            one if lattice and lattice_basis(x[0]) is not None else every,
         )
     if "owen" not in names:
         cells = 1 << (n - 1).bit_length()
@@ -604,14 +602,6 @@ def _law_of(source: Sampler, n: int, stream: Stream) -> tuple[_Law, Array, Array
         for level in range(most):
             codes[..., axis, level] = whole // b ** (most - 1 - level) % b
     return _Law("digits", bases, levels), codes, one if net and set(bases) == {2} else every
-
-
-def _is_group(x: Array, n: int) -> bool:
-    """Whether the differences of a set on the torus are the set again: multiples of one point."""
-    whole = np.rint(x * n).astype(np.int64) % n
-    return bool(
-        (np.arange(n)[:, None] * (whole[1 % n] - whole[0]) % n == (whole - whole[0]) % n).all()
-    )
 
 
 def _tables(law: _Law, parts: _Parts) -> tuple[Array, Array, Array, Array]:
@@ -639,12 +629,3 @@ def _net(dims: int, n: int, replicates: int, label: int) -> Array:
 def _values(g: Integrand, x: Array) -> Array:
     """g at points (…, d): (…, channels or 1)."""
     return np.asarray(g(x)).reshape(*x.shape[:-1], -1)
-
-
-def _half(replicates: Array) -> Array:
-    """Half of the 95 % interval of the mean over the first axis, by Student's t."""
-    from scipy.special import stdtrit
-
-    count = len(replicates)
-    half = stdtrit(count - 1, 0.975) * replicates.std(axis=0, ddof=1) / math.sqrt(count)
-    return np.asarray(half)

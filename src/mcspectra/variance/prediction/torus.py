@@ -21,9 +21,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import final
 
 import numpy as np
@@ -37,9 +37,9 @@ from mcspectra.samplers import Randomized, Regular, Sampler, UniformJitter
 from mcspectra.samplers.base import Structure
 from mcspectra.spectra.bases import parts_of
 from mcspectra.spectra.closed_forms import closed_form_power
-from mcspectra.variance.prediction.known import Known, Predicted
+from mcspectra.variance.prediction.known import Known, Predicted, half_interval
 
-__all__ = ["Energies", "moved_variance", "of_torus"]
+__all__ = ["lattice_basis", "of_moves", "of_torus"]
 
 
 @dataclass(frozen=True)
@@ -93,18 +93,16 @@ _AGREES = 2.0  # standard errors
 _STEPS = 12
 _LOW = 32  # half width up to which all sets are transformed
 _DUAL = 2**19  # frequencies of a dual lattice in a box
-_PERIODS, _STRIP = (
-    2**8,
-    2**18,
-)  # ends of strips in units of n, and frequencies of the dual lattice there
-_JUMP = (
-    0.5  # energy of one octave relative to that before it, where there are jumps; less elsewhere
-)
+# Ends of strips in units of n, and frequencies of the dual lattice there
+_PERIODS, _STRIP = 2**8, 2**18
+_JUMP = 0.5  # energy of an octave relative to that before it, where there are jumps; less elsewhere
 _WHOLE = 1e-6  # differences of lattice points from multiples of 1/n, times n
 _RELATIVE = 1e-9  # of sums that do not cancel
 _LEAST_OFFSETS, _OFFSETS, _MOST_EVALUATIONS = 2**6, 2**13, 2**23  # of a lattice that is moved
 _AT_ONCE = 2**20  # evaluations
 _SPREADS = 16  # parts of the offsets, whose variances tell the error
+_KEEP_LAW = frozenset({"digital-shift", "permute"})  # in base 2 the same thing
+_BITS = 2.0**53
 _LEAST_BOX, _BOX = 32, 6.0  # half width of the box of a homogeneous set, and in units of n^(1/d)
 
 
@@ -170,66 +168,60 @@ class Region:
         return np.concatenate(blocks).reshape(self.shape)
 
 
-@final
-@dataclass(frozen=True)
-class Energies:
-    """|g_m|² over all regions that are counted, the box first; those of m = 0 are 0."""
+def _energies(g: Integrand) -> tuple[Region, ...]:
+    """|g_m|² over all regions that are counted, the box first; those of m = 0 are 0.
 
-    regions: tuple[Region, ...]
+    Coefficients where they are known exactly, else from two tables of g.
+    """
+    exact, d = g.fourier_source == "exact", g.dims
+    reach = (_EXACT if exact else _TABLE)[d]
 
-    @staticmethod
-    def of(g: Integrand) -> Energies:
-        """Coefficients where they are known exactly, else from two tables of g."""
-        exact, d = g.fourier_source == "exact", g.dims
-        reach = (_EXACT if exact else _TABLE)[d]
+    def region(vectors: Array, low: list[int], high: list[int], *, near: bool = True) -> Region:
+        if exact:
+            found = [_energy(g.fourier(_listed(vectors, low, high)), low, high, g.channels)]
+        else:
+            found = _tables(g, vectors, low, high)
+        for energy in found:
+            if low[0] > 0:
+                energy *= 2.0
+            else:  # the box has both m and −m where k_0 = 0
+                energy[:, 1:] *= 2.0
+                middle = math.prod(-2 * l + 1 for l in low[1:]) // 2
+                energy[:, 0].reshape(len(energy), -1)[:, middle] = 0.0
+        table = None if exact else found[1]
+        return Region(vectors, tuple(low), tuple(high), found[0], table, near)
 
-        def region(vectors: Array, low: list[int], high: list[int], *, near: bool = True) -> Region:
-            if exact:
-                found = [_energy(g.fourier(_listed(vectors, low, high)), low, high, g.channels)]
-            else:
-                found = _tables(g, vectors, low, high)
-            for energy in found:
-                if low[0] > 0:
-                    energy *= 2.0
-                else:  # the box has both m and −m where k_0 = 0
-                    energy[:, 1:] *= 2.0
-                    energy[:, 0].reshape(len(energy), -1)[
-                        :, math.prod(-2 * l + 1 for l in low[1:]) // 2
-                    ] = 0.0
-            table = None if exact else found[1]
-            return Region(vectors, tuple(low), tuple(high), found[0], table, near)
+    one = np.eye(d, dtype=np.int64)
+    regions = [region(one, [0] + [-reach.box] * (d - 1), [reach.box] * d)]
+    for axis in range(d):
+        vectors, start = np.roll(one, -axis, axis=0), reach.box
+        for stop, width in reach.strips:
+            low, high = [start + 1] + [-width] * (d - 1), [stop] + [width] * (d - 1)
+            regions.append(region(vectors, low, high, near=start == reach.box))
+            start = stop
+    for direction in _DIAGONALS[d] if reach.diagonal else ():
+        most = max(map(abs, direction))
+        low, high = [reach.box // most + 1], [reach.diagonal // most]
+        regions.append(region(np.array([direction]), low, high))
+    return tuple(regions)
 
-        one = np.eye(d, dtype=np.int64)
-        regions = [region(one, [0] + [-reach.box] * (d - 1), [reach.box] * d)]
-        for axis in range(d):
-            vectors, start = np.roll(one, -axis, axis=0), reach.box
-            for stop, width in reach.strips:
-                low, high = [start + 1] + [-width] * (d - 1), [stop] + [width] * (d - 1)
-                regions.append(region(vectors, low, high, near=start == reach.box))
-                start = stop
-        for direction in _DIAGONALS[d] if reach.diagonal else ():
-            most = max(map(abs, direction))
-            low, high = [reach.box // most + 1], [reach.diagonal // most]
-            regions.append(region(np.array([direction]), low, high))
-        return Energies(tuple(regions))
 
-    def symmetrized(self) -> Energies:
-        """The box alone, averaged over the symmetries of the cube."""
+def _symmetrized(box: Region) -> Region:
+    """The box averaged over the symmetries of the cube."""
 
-        def mean(half: Array) -> Array:
-            axes = range(1, half.ndim)
-            beyond = 0.5 * half[:, 1:]
-            whole = np.concatenate([np.flip(beyond, tuple(axes)), half[:, :1], beyond], axis=1)
-            for axis in axes:
-                whole = 0.5 * (whole + np.flip(whole, axis))
-            turned = [whole.transpose(0, *order) for order in itertools.permutations(axes)]
-            found = np.asarray(sum(turned) / len(turned))[:, half.shape[1] - 1 :].copy()
-            found[:, 1:] *= 2.0
-            return found
+    def mean(half: Array) -> Array:
+        axes = range(1, half.ndim)
+        beyond = 0.5 * half[:, 1:]
+        whole = np.concatenate([np.flip(beyond, tuple(axes)), half[:, :1], beyond], axis=1)
+        for axis in axes:
+            whole = 0.5 * (whole + np.flip(whole, axis))
+        turned = [whole.transpose(0, *order) for order in itertools.permutations(axes)]
+        found = np.asarray(sum(turned) / len(turned))[:, half.shape[1] - 1 :].copy()
+        found[:, 1:] *= 2.0
+        return found
 
-        box = self.regions[0]
-        table = None if box.table is None else mean(box.table)
-        return Energies((replace(box, energy=mean(box.energy), table=table),))
+    table = None if box.table is None else mean(box.table)
+    return replace(box, energy=mean(box.energy), table=table)
 
 
 def of_torus(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
@@ -240,7 +232,7 @@ def of_torus(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicte
     NoClosedForm
         The set is another, or has more dims, or ∫g² diverges.
     """
-    inner = _before_shift(sampler)
+    inner = _before_shift(sampler, n)
     if inner is None or (sampler.dims > 3 and inner.name != "random"):
         raise NoClosedForm(
             f"{sampler.spec} is not known to be the same after any translation, or has over 3 dims."
@@ -255,34 +247,30 @@ def of_torus(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicte
         error = square_error / n + _ROUNDING * square / n
         if sampler.dims > 3 and (error > _VAGUE * spread / n).any():
             raise NoClosedForm(f"∫g² of {known.g.spec} is not known well enough by quadrature.")
-        return Predicted(spread / n, error, np.ones(len(spread)), np.zeros(len(spread)), "∫g²")
+        return Predicted(spread / n, error, "∫g²")
 
-    base, steps = parts_of(inner)
-    if isinstance(base, UniformJitter) and all(step.name in _STILL for step in steps):
-        inner = Regular(dims=inner.dims, sides_=base.sides(n))
     if inner.fixed:
         points = inner.draw_stream(n, Stream.from_rng(0), 0, 1)[0]
-        if (basis := _basis(points)) is not None:
+        if lattice_basis(points) is not None:
             if known.g.fourier_source == "exact":
                 return _of_dual(points, known)
             if n <= _MOST_EVALUATIONS // _LEAST_OFFSETS:
-                return _of_offsets(points, basis, known)
-    energies = known.once("torus", lambda: Energies.of(known.g))
+                return of_moves(sampler, n, known, stream)
+    regions = known.once("torus", lambda: _energies(known.g))
     if inner.fixed:
-        regions, powers = energies.regions, [r.power_of(points) for r in energies.regions]
+        powers = [r.power_of(points) for r in regions]
         sampling, how = np.zeros(len(spread)), "one transform"
     else:
         try:
-            regions = energies.regions
             powers = [r.power(sampler, n) for r in regions]
             sampling, how = np.zeros(len(spread)), "closed form"
         except NoClosedForm:
             if inner is sampler:
-                box = known.once("torus, symmetrised", energies.symmetrized)
+                box = known.once("torus, symmetrised", partial(_symmetrized, regions[0]))
                 width = max(_LEAST_BOX, math.ceil(_BOX * n ** (1.0 / sampler.dims)))
-                regions = (_cropped(box.regions[0], width),)
+                regions = (_cropped(box, width)[0],)
             else:
-                regions = tuple(r for r in energies.regions if r.near)
+                regions = tuple(r for r in regions if r.near)
             powers, sampling, count = _drawn(inner, n, regions, stream, isotropic=inner is sampler)
             how = f"{count} sets"
 
@@ -299,10 +287,10 @@ def of_torus(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicte
         errors.append(np.abs(_total(coarse, powers) + np.maximum(rest, 0.0) / n - variance - tail))
     error = np.sqrt(sum(e**2 for e in errors)) + _ROUNDING * square / n
     share = np.clip((counted + mean**2) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
-    return Predicted(variance + tail, error, share, tail, f"torus ({how})")
+    return Predicted(variance + tail, error, f"torus ({how})", share, tail)
 
 
-def _basis(points: Array) -> Array | None:
+def lattice_basis(points: Array) -> Array | None:
     """n times a basis of the lattice of n points, an upper triangle of int64; None for other sets."""
     n, dims = points.shape
     exact = np.remainder(points - points[0], 1.0) * n
@@ -331,7 +319,7 @@ def _of_dual(points: Array, known: Known) -> Predicted:
 
     def listed(axis: int, low: list[int], high: list[int]) -> Array:
         """Vectors of the dual lattice between bounds, those of `axis` first: int64 (F, d)."""
-        basis = _basis(np.roll(points, -axis, axis=1))
+        basis = lattice_basis(np.roll(points, -axis, axis=1))
         assert basis is not None
         dual, m = _dual(basis, n), np.zeros((1, dims), np.int64)
         for j in reversed(range(dims)):
@@ -366,63 +354,70 @@ def _of_dual(points: Array, known: Known) -> Predicted:
     square = np.maximum(known.square[0], 1e-300)
     share = np.clip(1.0 - n * tail / square, 0.0, 1.0)
     error = tail + _RELATIVE * value
-    return Predicted(value + tail, error, share, tail, "torus (dual lattice)")
+    return Predicted(value + tail, error, "torus (dual lattice)", share, tail)
 
 
-def _of_offsets(points: Array, basis: Array, known: Known) -> Predicted:
-    """The variance of the mean of g over a lattice, at offsets of a Kronecker sequence in a cell."""
-    g, (n, dims) = known.g, points.shape
+def of_moves(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
+    """The variance of the mean of g over a fixed set that one random offset moves, in any dims.
 
-    # Short vectors of the lattice, in which the mean is the smoothest
-    cell = basis.astype(float)
-    for _ in range(_STEPS):
-        for i, j in itertools.permutations(range(dims), 2):
-            cell[i] -= np.rint(cell[i] @ cell[j] / (cell[j] @ cell[j])) * cell[j]
-    value, error = moved_variance(g, n, lambda u: (points + (u @ cell / n)[:, None]) % 1.0)
-    ones = np.ones(len(value))
-    return Predicted(value, error, ones, 0.0 * ones, "torus (offsets of a lattice)")
-
-
-def moved_variance(g: Integrand, n: int, moved: Callable[[Array], Array]) -> tuple[Array, Array]:
-    """Variance of the mean of g over n points that an offset moves, and half its 95 % interval.
-
-    `moved` takes offsets (N, d) in the unit cube, here those of a Kronecker sequence, to points
-    (N, n, d).
+    The means at offsets of our own, of a Kronecker sequence, have this variance to a share that does not
+    depend on n; of a lattice those in one of its cells are all there are. The interval is by Student's t of
+    successive parts. Pairs, E g(u) g(u + x_k) over independent u, need more: the square of the mean is
+    their mean over all pairs of points.
 
     Raises
     ------
     NoClosedForm
-        n is so large that too few offsets are left.
+        The last step is no shift, or no digital shift in base 2, of a fixed set; or n is so large that
+        too few offsets are left.
     """
-    from scipy.special import stdtrit
+    base, steps = parts_of(sampler)
+    inner = _before_shift(sampler, n)
+    shifted, fixed = (True, inner) if inner is not None and inner.fixed else (False, base)
+    digits = base.fixed and set(base.digit_bases) == {2} and {s.name for s in steps} <= _KEEP_LAW
+    g, count = known.g, min(_OFFSETS, _MOST_EVALUATIONS // n)
+    if not (shifted or (digits and steps)) or count < _LEAST_OFFSETS:
+        raise NoClosedForm(f"{sampler.spec} does not move {n} points at once, or too many of them.")
+    points = fixed.draw_stream(n, Stream.from_rng(0), 0, 1)[0]
+    words, cell, route = (points * _BITS).astype(np.uint64), np.eye(g.dims), "offsets of the set"
+    if shifted and (basis := lattice_basis(points)) is not None:
+        # Short vectors of the lattice, in which the mean is the smoothest
+        cell, route = basis.astype(float), "torus (offsets of a lattice)"
+        for _ in range(_STEPS):
+            for i, j in itertools.permutations(range(g.dims), 2):
+                cell[i] -= np.rint(cell[i] @ cell[j] / (cell[j] @ cell[j])) * cell[j]
+        cell = cell / n
+    elif not shifted:
+        route = "digital shifts of the net"
 
-    count = min(_OFFSETS, _MOST_EVALUATIONS // n)
-    if count < _LEAST_OFFSETS:
-        raise NoClosedForm(f"{n} points are too many to move all over {g.spec}.")
+    # Means of g over the moved sets
     root = float(np.roots([1.0, *[0.0] * (g.dims - 1), -1.0, -1.0]).real.max())
     offsets = np.arange(1, count + 1)[:, None] * root ** -np.arange(1.0, g.dims + 1) % 1.0
-    step = max(1, _AT_ONCE // n)
-    means = np.concatenate(
-        [
-            g(moved(some)).reshape(len(some), n, -1).mean(axis=1)
-            for some in np.split(offsets, range(step, count, step))
-        ]
-    )
-    spreads = np.stack([part.var(axis=0, ddof=1) for part in np.array_split(means, _SPREADS)])
-    half = float(stdtrit(_SPREADS - 1, 0.975)) / math.sqrt(_SPREADS)
-    return np.asarray(means.var(axis=0)), half * np.asarray(spreads.std(axis=0, ddof=1))
+    means = []
+    for some in np.array_split(offsets, max(1, count * n // _AT_ONCE)):
+        if shifted:
+            x = (points + (some @ cell)[:, None]) % 1.0
+        else:
+            x = (words ^ (some[:, None] * _BITS).astype(np.uint64)) / _BITS
+        means.append(g(x).reshape(len(some), n, -1).mean(axis=1))
+    of_offsets = np.concatenate(means)
+    value = of_offsets.var(axis=0)
+    spreads = [part.var(axis=0, ddof=1) for part in np.array_split(of_offsets, _SPREADS)]
+    return Predicted(value, half_interval(np.array(spreads)), route)
 
 
-def _before_shift(sampler: Sampler) -> Sampler | None:
+def _before_shift(sampler: Sampler, n: int) -> Sampler | None:
     """The sampler whose sets have the power of this one's, itself where it is homogeneous; else None."""
     base, steps = parts_of(sampler)
     while steps and steps[-1].name in _STILL:
         steps = steps[:-1]
-    if not steps:
-        homogeneous = base.structure is Structure.TORUS and base.unbiased and not base.fixed
-        return sampler if homogeneous or base.name == "random" else None
-    if not steps[-1].stationary:
+    homogeneous = base.structure is Structure.TORUS and base.unbiased and not base.fixed
+    if not (steps[-1].stationary if steps else homogeneous or base.name == "random"):
         return None
+    if isinstance(base, UniformJitter) and all(step.name in _STILL for step in steps[:-1]):
+        return Regular(dims=base.dims, sides_=base.sides(n))
+    if not steps:
+        return sampler
     return Randomized(base=base, steps=steps[:-1]) if steps[:-1] else base
 
 
@@ -441,10 +436,7 @@ def _drawn(
     points, first = (_DEAR_POINTS, _LEAST_SETS // 2) if dear else (_SET_POINTS, _LEAST_SETS)
     most = min(max(points // n, first), _MOST_SETS)
     box = regions[0]
-    low = _cropped(box, _LOW)
-    part = tuple(
-        slice(l - k, h - k + 1) for l, h, k in zip(low.low, low.high, box.low, strict=True)
-    )
+    low, part = _cropped(box, _LOW)
     length = np.linalg.norm(low.frequencies(), axis=1).reshape(low.shape) / n ** (1.0 / box.dims)
     inside = (length > 0.0) & (length <= _LAW_LENGTH)
     lawful = isotropic and len(np.unique(np.rint(length[inside] ** 2 * n))) >= _LEAST_LENGTHS
@@ -521,14 +513,14 @@ def _standard_error(values: list[Array]) -> Array:
     return np.asarray(np.std(values, axis=0, ddof=1) / math.sqrt(len(values)))
 
 
-def _cropped(box: Region, width: int) -> Region:
-    """The part of a box of at most this half width."""
+def _cropped(box: Region, width: int) -> tuple[Region, tuple[slice, ...]]:
+    """The part of a box of at most this half width, and where it is on the grid."""
     k = min(width, box.high[0])
     low, high = tuple(max(l, -k) for l in box.low), tuple(min(h, k) for h in box.high)
     starts = zip(low, high, box.low, strict=True)
-    part = (slice(None), *(slice(l - first, h - first + 1) for l, h, first in starts))
-    table = None if box.table is None else box.table[part]
-    return replace(box, low=low, high=high, energy=box.energy[part], table=table)
+    part = tuple(slice(l - first, h - first + 1) for l, h, first in starts)
+    table = None if box.table is None else box.table[:, *part]
+    return replace(box, low=low, high=high, energy=box.energy[:, *part], table=table), part
 
 
 def _total(regions: tuple[Region, ...], powers: list[Array]) -> Array:

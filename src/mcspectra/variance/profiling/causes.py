@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Literal, TypeAlias, final
 
 import numpy as np
@@ -401,7 +402,7 @@ def _jumps(seen: Evidence) -> Cause | None:
             straight.append(_clustered(place[own]))
     evidence = {"met_by": share, "height": size}
     met = f"{100 * share:.0f} % of all lines through the cube meet a jump of g, by {size:.2g} of its spread"
-    if straight and all(straight):
+    if (straight and all(straight)) or seen.sets.dims == 1:
         return Cause(
             "axis-parallel-jump",
             f"{met}, always across planes normal to an axis: a border of strata there takes it away.",
@@ -440,21 +441,19 @@ def _border_jump(seen: Evidence) -> Cause | None:
     )
 
 
-def _border_growth(seen: Evidence) -> Cause | None:
+def _border_growth(seen: Evidence, *, slow: bool) -> Cause | None:
     pole = seen.pole if seen.pole is not None and seen.pole.border else None
-    if seen.growth > _GROWS:
-        index, what = (
-            seen.growth,
-            f"grows without bound at the border, about as t^−{seen.growth:.2f}",
-        )
-    elif pole is not None and pole.tail > _GROWS:
-        index, what = pole.tail, _said(pole)
-    else:
+    index = max(pole.tail if pole else 0.0, seen.growth)
+    if (index <= _GROWS) != slow or (pole is None and not index):
         return None
+    said = f"grows without bound at the border, about as t^−{index:.2f}"
+    if pole is not None and (slow or seen.growth <= _GROWS):
+        said = _said(pole)
+    what = "those of bounded functions have not" if slow else "no refinement inside removes"
     return Cause(
         "border-growth",
-        f"g {what}: the outermost strata keep noise that no refinement inside removes.",
-        {"exponent": index},
+        f"g {said}: the outermost strata keep noise that {what}.",
+        {"slow_exponent" if slow else "exponent": index},
         ("fitted", "warp"),
     )
 
@@ -515,18 +514,6 @@ def _kink(seen: Evidence) -> Cause | None:
     )
 
 
-def _slow_growth(seen: Evidence) -> Cause | None:
-    pole = seen.pole
-    if pole is None or not pole.border or max(pole.tail, seen.growth) > _GROWS:
-        return None
-    return Cause(
-        "border-growth",
-        f"g {_said(pole)}: the outermost strata keep noise that those of bounded functions have not.",
-        {"exponent": pole.tail},
-        ("fitted", "warp"),
-    )
-
-
 CAUSES: tuple[Callable[[Evidence], Cause | None], ...] = (
     _wrong_pdf,
     _infinite_variance,
@@ -538,11 +525,11 @@ CAUSES: tuple[Callable[[Evidence], Cause | None], ...] = (
     _heavy_tail,
     _jumps,
     _border_jump,
-    _border_growth,
+    partial(_border_growth, slow=False),
     _high_frequency,
     _high_dimension,
     _kink,
-    _slow_growth,
+    partial(_border_growth, slow=True),
 )
 """All detectors."""
 
@@ -557,11 +544,11 @@ def causes_of(seen: Evidence) -> list[Cause]:
     # What is left of a tail is said by its cause
     if names & {"infinite-variance", "border-growth"}:
         found = [c for c in found if c.name != "heavy-tail"]
-    # Few values matter because many dims must agree, unless very few do
+    # Few values matter because many dims must agree or g is 0 beyond a plane, unless very few do
     heavy = next((c for c in found if c.name == "heavy-tail"), None)
     if (
         heavy is not None
-        and "high-dimension" in names
+        and names & {"high-dimension", "axis-parallel-jump"}
         and heavy.evidence["nine_tenths"] > _VERY_FEW
     ):
         found = sorted(found, key=lambda c: c.name == "heavy-tail")

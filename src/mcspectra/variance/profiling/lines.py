@@ -1,6 +1,6 @@
 """What is rough about a function: along lines, zoomed in on where it bends most.
 
-A line is looked at in equal steps. Where the second difference is largest the steps are halved, two
+A line is looked at in equal steps, and close to its ends. Where the second difference is largest the steps are halved, two
 evaluations each time: it shrinks with the square of the step where the function is smooth, with the
 step at a kink, not at all at a jump, and grows at a pole. Towards the ends of lines along the axes steps
 shrink faster: the slope of log |g| there is how fast g grows at the border.
@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -25,6 +25,7 @@ _LATE = 6  # halvings that an exponent is fitted to
 _POLE, _JUMP, _KINK = -0.15, 0.4, 1.6  # exponents below which there is one
 _NEGLIGIBLE = 1e-9  # of the spread of g: rounding
 _GRAINS = 32.0  # of the numbers that values are: rounding, too
+_GOES_ON = 0.65  # of the last gain towards an end: what is bounded gains 2^-10 of it
 _ENDS = 2.0 ** -np.array([4.0, 12.0, 20.0, 30.0, 40.0])
 
 LINE = STEPS + 2 * HALVINGS + 2 * len(_ENDS)
@@ -129,10 +130,10 @@ def lines_of(g: Function, dims: int, evaluations: int, rng: np.random.Generator)
                 (far.min() - near.max()) * direction,
             )
 
-    def at(t: Array) -> Array:
-        """Values at places (K, m) along the lines."""
-        x = np.clip(start[:, None] + t[..., None] * way[:, None], 0.0, np.nextafter(1.0, 0.0))
-        return g(x.reshape(-1, dims)).reshape(t.shape)
+    def at(t: Array, which: Any = slice(None)) -> Array:
+        """Values at places (K, m) along the lines, or some of them."""
+        x = start[which, None] + t[..., None] * way[which, None]
+        return g(np.clip(x, 0.0, np.nextafter(1.0, 0.0)).reshape(-1, dims)).reshape(t.shape)
 
     # Equal steps, of a size and at an offset of the line's own, so that none is in step with all waves
     part = rng.uniform(0.75, 1.0, (len(axis), 1))
@@ -143,49 +144,53 @@ def lines_of(g: Function, dims: int, evaluations: int, rng: np.random.Generator)
     turns = (np.diff(np.sign(np.diff(y, axis=1)), axis=1) != 0).mean(axis=1)
     rows = np.arange(len(axis))
 
-    # Halve the steps about the largest second difference; for every other line of an axis where it stands
-    # out from those beside it, as at a kink of a function that is steep elsewhere
-    second = np.abs(np.diff(y, 2, axis=1))
-    beside = np.abs(np.diff(y, 4, axis=1))
-    middle = 1 + np.argmax(second, axis=1)
-    middle[1::2] = 2 + np.argmax(beside, axis=1)[1::2]
+    # The ends of lines along the axes; what grows there grows all the way, and beyond what is usual
+    usual, straight = np.abs(y).max(), axis >= 0
+    growth, ends = np.full((len(axis), 2), np.nan), np.full(len(axis), np.nan)
+    near = np.broadcast_to(_ENDS, (straight.sum(), len(_ENDS)))
+    outer = np.stack([at(t, straight) for t in (near, 1.0 - near)])
+    size = np.maximum(np.abs(outer), 1e-300)
+    slope = np.log(size[..., -1] / size[..., -2]) / math.log(_ENDS[-2] / _ENDS[-1])
+    gains = np.diff(size, axis=-1)
+    grows = (gains > 0).all(axis=-1) & (size[..., -1] > usual)
+    grows &= gains[..., -1] > _GOES_ON * gains[..., -2]
+    growth[straight] = np.where(grows, slope, 0.0).T
+    ends[straight] = outer[1, :, 0] - outer[0, :, 0]
+
+    # Halve the steps about the largest second difference, places near an end that does not grow included; for
+    # every other line of an axis where it stands out from those beside it, as at a kink of a function that is
+    # steep elsewhere
+    wide = np.full((2, len(axis)), np.nan)
+    wide[:, straight] = np.where(grows, np.nan, outer[..., 1])
+    t = np.column_stack([np.full(len(axis), _ENDS[1]), t, np.full(len(axis), 1.0 - _ENDS[1])])
+    y = np.column_stack([wide[0], y, wide[1]])
+    middle = 1 + np.argmax(np.nan_to_num(_bends(t, y), nan=-1.0), axis=1)
+    middle[1::2] = 3 + np.argmax(np.abs(np.diff(y[1::2, 1:-1], 4, axis=1)), axis=1)
     window, values = (a[rows[:, None], middle[:, None] + (-1, 0, 1)] for a in (t, y))
-    sizes = [np.abs(np.diff(values, 2, axis=1))[:, 0]]
+    sizes = [_bends(window, values)[:, 0]]
     for _ in range(HALVINGS):
         between = 0.5 * (window[:, 1:] + window[:, :-1])
         new = at(between)
         five = np.stack([window[:, 0], between[:, 0], window[:, 1], between[:, 1], window[:, 2]], 1)
         y5 = np.stack([values[:, 0], new[:, 0], values[:, 1], new[:, 1], values[:, 2]], 1)
-        second = np.abs(np.diff(y5, 2, axis=1))
+        second = _bends(five, y5)
         chosen = np.argmax(second, axis=1)
         sizes.append(second[rows, chosen])
         pick = chosen[:, None] + np.arange(3)
         window, values = five[rows[:, None], pick], y5[rows[:, None], pick]
     size = np.array(sizes)[-_LATE - 1 :]
     scale = max(float(np.sqrt(spread.mean())), 1e-300)
-    rough = size[-1] > max(_NEGLIGIBLE * scale, _GRAINS * grain(y))
+    rough = size[-1] > max(_NEGLIGIBLE * scale, _GRAINS * grain(y[:, 1:-1]))
     slope = -np.polyfit(np.arange(_LATE + 1), np.log2(np.maximum(size, 1e-300)), 1)[0]
     exponent = np.where(rough, slope, 2.0)
+    # What grows at one end may be steep at the other, which is no kink
+    edge = (middle == 1) | (middle == STEPS)
+    exponent[edge & (exponent >= _JUMP) & grows.any()] = 2.0
 
-    bend = np.abs(np.diff(values, 2, axis=1))[:, 0] / (window[:, 1] - window[:, 0]) ** 2
-    waves = np.sqrt(bend / np.maximum(np.sqrt(2.0 * spread), 1e-300)) / (2.0 * math.pi)
+    bend = 4.0 * _bends(window, values)[:, 0] / (window[:, 2] - window[:, 0]) ** 2
+    varies = np.where(spread > 0.0, np.sqrt(2.0 * spread), np.inf)
+    waves = np.sqrt(bend / varies) / (2.0 * math.pi)
 
-    # The ends of lines along the axes; what grows there grows all the way, and beyond what is usual
-    usual = np.abs(y).max()
-    growth, ends = np.full((len(axis), 2), np.nan), np.full(len(axis), np.nan)
-    straight = axis >= 0
-    if straight.any():
-        keep = start, way
-        start, way = start[straight], way[straight]
-        near = np.broadcast_to(_ENDS, (len(start), len(_ENDS)))
-        low, high = at(near), at(1.0 - near)
-        start, way = keep
-        for side, found in enumerate((low, high)):
-            size = np.maximum(np.abs(found), 1e-300)
-            slope = np.log(size[:, -1] / size[:, -2]) / math.log(_ENDS[-2] / _ENDS[-1])
-            grows = (np.diff(size, axis=1) > 0).all(axis=1) & (size[:, -1] > usual)
-            growth[straight, side] = np.where(grows, slope, 0.0)
-        ends[straight] = high[:, 0] - low[:, 0]
     return Lines(
         axis=axis,
         exponent=exponent,
@@ -197,6 +202,12 @@ def lines_of(g: Function, dims: int, evaluations: int, rng: np.random.Generator)
         turns=turns,
         spread=spread,
     )
+
+
+def _bends(t: Array, y: Array) -> Array:
+    """Second differences of values at places (K, m), as if these were in equal steps: (K, m − 2)."""
+    span = t[:, 2:] - t[:, :-2]
+    return np.asarray(0.5 * span * np.abs(np.diff(np.diff(y) / np.diff(t))))
 
 
 def mean_dimension(g: Function, points: Array, values: Array, rng: np.random.Generator) -> float:

@@ -212,7 +212,10 @@ class Profile:
         if self.best is None and math.isinf(self.variance):
             return f"Nothing that was tried helps.{why}"
         if self.best is None:
-            return f"Keep {self.given}: nothing that was tried is better.{why}"
+            untried = ""
+            if cause.evidence.get("resolved_by", math.inf) <= self.points:
+                untried = " One set of as many points as resolve the waves was not tried."
+            return f"Keep {self.given}: nothing that was tried is better.{why}{untried}"
         best = self.best
         given = f"{best.rmse_given:.2g}" if math.isfinite(best.rmse_given) else "an infinite one"
         if math.isnan(best.gain):
@@ -256,9 +259,18 @@ class Profile:
             known = curve.rate_se == 0.0
             rate = f"{curve.rate:.2f}" + ("" if known else f" ({low:.2f} to {high:.2f})")
             rate = "none" if math.isnan(curve.rate) else rate
-            rmse = math.inf if math.isinf(self.variance) else math.sqrt(curve.at(self.points)[0])
-            rows.append((name, f"{rmse:.3g}", rate.replace("-", "−")))
+            rmse = self._rmse(curve)
+            shown = "not known" if math.isnan(rmse) else f"{rmse:.3g}"
+            rows.append((name, shown, rate.replace("-", "−")))
         return rows
+
+    def _rmse(self, curve: Curve) -> float:
+        """At the budget; NaN where nothing is known beyond the counts."""
+        if math.isinf(self.variance):
+            return math.inf
+        if math.isnan(curve.rate) and max(curve.counts, default=math.inf) < self.points:
+            return 0.0 if self.points >= curve.vanishes else math.nan
+        return math.sqrt(curve.at(self.points)[0])
 
     def __str__(self) -> str:
         return self.text
@@ -288,15 +300,12 @@ class Profile:
             variance[row, at] = curve.variance
             ends[row, at] = variance_interval(curve.variance, np.maximum(curve.relative_se, 1e-9))
         curves = self.samplers.values()
-        at_budget = [
-            math.inf if math.isinf(self.variance) else curve.at(self.points)[0] for curve in curves
-        ]
         plain = self.to_dict()
         return dataset(
             {
                 "variance": (("sampler", "n"), variance),
                 "variance_ci": (("sampler", "n", "bound"), ends),
-                "rmse": (("sampler",), np.sqrt(at_budget)),
+                "rmse": (("sampler",), np.array([self._rmse(curve) for curve in curves])),
                 "rate": (("sampler",), np.array([curve.rate for curve in curves])),
                 "rate_ci": (("sampler", "bound"), np.array([curve.rate_ci for curve in curves])),
                 "integral": ((), np.float64(self.integral)),
@@ -554,7 +563,8 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
             calls += cost
             curves |= {_PAIRS: curve} if math.isfinite(curve.rate) else {}
     curves |= {
-        name: _by_theory(name, curve, causes, estimator.dims) for name, curve in curves.items()
+        name: _by_theory(name, curve, causes, estimator.dims, budget // each)
+        for name, curve in curves.items()
     }
     # What is the same every time, or was not measured, is no reference
     fixed = any(cause.name == "deterministic-set" for cause in causes)
@@ -646,8 +656,8 @@ def _same_everywhere(estimator: AbstractEstimator, sets: Sets) -> Cause | None:
     )
 
 
-def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int) -> Curve:
-    """A curve with what its causes say of its rate."""
+def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, points: int) -> Curve:
+    """A curve with what its causes say of its rate, up to so many points."""
     names = {cause.name: cause for cause in causes}
     if "infinite-variance" in names:
         return replace(curve, rate=math.nan, rate_se=math.nan)
@@ -655,6 +665,11 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int) -> C
     for cause in causes:
         if cause.name in {"border-growth", "heavy-tail"} and "exponent" in cause.evidence:
             return replace(curve, rate=max(curve.rate, -2.0 * (1.0 - cause.evidence["exponent"])))
+    # Small sets do not tell of larger ones that resolve the waves
+    waves = names.get("high-frequency")
+    resolved_by = math.inf if waves is None else waves.evidence["resolved_by"]
+    if name != "random" and max(curve.counts, default=math.inf) < resolved_by <= points:
+        return replace(curve, rate=math.nan, rate_se=math.nan)
     # Of n strata n^(1 − 1/d) meet a jump
     if causes[0].name == "interior-jump" and name in {NETS, "jittered"}:
         return curve.towards(-1.0 - 1.0 / dims, _THEORY)

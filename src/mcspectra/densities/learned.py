@@ -1,0 +1,334 @@
+"""Densities of splines, one axis after the other, with a share of the uniform density: all smooth.
+
+p(x) = δ + (1 − δ) Π_i q_i(x_i | x_1 … x_{i−1}), where q_i = Σ_m a_m B_m is a quadratic spline, B_m are
+B-splines of integral 1, and the weights a ≥ 0 of sum 1 depend on the coordinates before:
+
+* *mixtures* of K products, a = Σ_k ω_k c_ki, where ω_k ∝ w_k Π_{j<i} Σ_m c_kjm B_m(x_j); K = 1 is a product;
+* *flows*, a = softmax(θ_i φ), with φ Legendre polynomials of each x_j before.
+
+The warp is Rosenblatt's [Rosenblatt1952]_ of p itself: given x_1 … x_{i−1}, of which q has the density Q,
+u_i = ω F_i(x_i) + (1 − ω) x_i with ω = (1 − δ) Q/((1 − δ) Q + δ) and F_i a monotone cubic spline. No
+coordinate chooses a part: T is continuous, twice differentiable, and has an exact inverse.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_real, as_real_array
+from mcspectra.core.decoding import known_path
+from mcspectra.core.errors import FileFormatError, McspectraError, ParameterError
+from mcspectra.core.fields import settle
+from mcspectra.core.jit import kernel
+from mcspectra.densities.base import Density, Wrapper
+from mcspectra.densities.tabulated import flat
+
+__all__ = ["DEGREE", "Learned", "SplineDensity", "flow_features", "spline_basis", "spline_lengths"]
+
+DEGREE = 4  # of the polynomials of a flow
+_FORMAT = "mcspectra density 1"
+_PDF, _SAMPLE, _INVERT = 0, 1, 2
+_SETTLED = 1e-14  # a step of Newton's method: the next one would be rounding
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SplineDensity(Density):
+    """Given by its tables.
+
+    Attributes
+    ----------
+    knots
+        Ends of C cells of each axis, (d, C + 1), from 0 to 1. There are M = C + 2 splines.
+    shares, tables
+        Of a mixture: w (K,) of sum 1, and c (K, d, M), rows of sum 1. Empty for a flow.
+    gates
+        Of a flow: θ (d, M, 1 + d·DEGREE), 0 for coordinates that are not before. Empty for a mixture.
+    defensive
+        δ: the density is δ at least, so that f/p is |f|/δ at most.
+    """
+
+    name: ClassVar[str] = "spline"
+    spec = "spline"
+    knots: Array
+    defensive: float
+    shares: Array = field(default_factory=lambda: np.empty(0))
+    tables: Array = field(default_factory=lambda: np.empty((0, 0, 0)))
+    gates: Array = field(default_factory=lambda: np.empty((0, 0, 0)))
+
+    @property
+    def dims(self) -> int:  # type: ignore[override]
+        """Rows of knots."""
+        return len(self.knots)
+
+    @property
+    def breaks(self) -> tuple[tuple[float, ...], ...]:
+        """Of the first axis, the shares left of the knots; those of others depend on the first."""
+        middle = np.full((self.knots.shape[1] - 2, self.dims), 0.5)
+        middle[:, 0] = self.knots[0, 1:-1]
+        found = np.unique(self._walked(middle, _INVERT)[:, 0])
+        return (tuple(found[(found > 0) & (found < 1)].tolist()), *((),) * (self.dims - 1))
+
+    def to_dict(self) -> dict[str, Any]:
+        """What `Learned` reads."""
+        arrays = {n: getattr(self, n).tolist() for n in ("knots", "shares", "tables", "gates")}
+        return {"format": _FORMAT, "defensive": self.defensive, **arrays}
+
+    @cached_property
+    def _pieces(self) -> Array:
+        return np.stack([_cumulative(line) for line in self.knots])
+
+    def _walked(self, given: Array, mode: int) -> Array:
+        wide = self.dims + 1 if mode == _SAMPLE else 1 if mode == _PDF else self.dims
+        out = np.empty((math.prod(given.shape[:-1]), wide))
+        pieces = self._pieces
+        tables = (self.knots, pieces, pieces.sum(axis=-1), self.shares, self.tables, self.gates)
+        _walk(mode, *tables, self.defensive, flat(given), out)
+        return out.reshape(*given.shape[:-1], wide)
+
+    def _pdf(self, x: Array) -> Array:
+        return self._walked(x, _PDF)[..., 0]
+
+    def _sample(self, u: Array) -> Array:
+        return self._sample_pdf(u)[0]
+
+    def _sample_pdf(self, u: Array) -> tuple[Array, Array]:
+        found = self._walked(u, _SAMPLE)
+        return found[..., :-1], found[..., -1]
+
+    def _invert(self, x: Array) -> Array:
+        return self._walked(x, _INVERT)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Learned(Wrapper):
+    """A density that `mcspectra.learned_density` made, read from its file.
+
+    Attributes
+    ----------
+    path
+        The .json file.
+
+    Raises
+    ------
+    FileFormatError
+        It cannot be read, or holds something else.
+    """
+
+    name: ClassVar[str] = "learned"
+    path: str | os.PathLike[str]
+
+    def _check(self) -> None:
+        known_path(self.path, "a learned density", (".json",))
+        settle(self, path=os.fspath(self.path))
+        self._inside  # noqa: B018 - refuses other files
+
+    @property
+    def dims(self) -> int:  # type: ignore[override]
+        """As the file says."""
+        return self._inside.dims
+
+    def _sample_pdf(self, u: Array) -> tuple[Array, Array]:
+        return self._inside._sample_pdf(u)
+
+    @cached_property
+    def _inside(self) -> SplineDensity:
+        try:
+            found = json.loads(Path(self.path).read_text())
+            if found["format"] != _FORMAT:
+                raise ParameterError("it has another format")
+            share = as_real("defensive", found["defensive"], above=0.0, most=1.0)
+            knots, shares, tables, gates = (
+                as_real_array(n, found[n]) for n in ("knots", "shares", "tables", "gates")
+            )
+            (d, cells), size = np.subtract(knots.shape, (0, 1)), shares.size
+            splines = cells + 2
+            if size:
+                fits = tables.shape == (size, d, splines) and not gates.size
+                fits &= np.allclose([*tables.sum(-1).ravel(), shares.sum()], 1.0)
+                fits &= bool((tables >= 0.0).all() and (shares >= 0.0).all())
+            else:
+                fits = gates.shape == (d, splines, 1 + d * DEGREE) and not tables.size
+            ends = (knots[:, 0] == 0.0) & (knots[:, -1] == 1.0)
+            if not (fits and ends.all() and (np.diff(knots) > 0.0).all()):
+                raise ParameterError("its tables do not fit together")
+            return SplineDensity(
+                knots=knots,
+                defensive=share,
+                shares=shares,
+                tables=tables.reshape(size, d, splines),
+                gates=gates.reshape(-1, splines, 1 + d * DEGREE),
+            )
+        except OSError as error:
+            raise FileFormatError(f"{self.path} cannot be read: {error.strerror}.") from None
+        except (ValueError, KeyError, TypeError, McspectraError) as error:
+            raise FileFormatError(
+                f"{self.path} is not a learned density ({error!s:.80}); give a file that "
+                "mcs.learned_density(…, path=…) wrote."
+            ) from None
+
+
+def _splines(knots: Array) -> Any:
+    """Quadratic B-splines of integral 1 on knots (C + 1,): a scipy spline of C + 2 functions."""
+    from scipy.interpolate import BSpline
+
+    ends = np.concatenate([[0.0, 0.0], knots, [1.0, 1.0]])
+    return BSpline(ends, np.diag(1.0 / spline_lengths(knots)), 2)
+
+
+def spline_lengths(knots: Array) -> Array:
+    """Weights of the splines that make the uniform density, (C + 2,)."""
+    ends = np.concatenate([[0.0, 0.0], knots, [1.0, 1.0]])
+    return np.asarray((ends[3:] - ends[:-3]) / 3.0)
+
+
+def spline_basis(knots: Array, x: Array) -> Array:
+    """Values of B-splines of integral 1 at points (k,): (k, C + 2)."""
+    return np.asarray(_splines(knots)(x))
+
+
+def flow_features(x: Array) -> Array:
+    """φ of points (k, d): 1, then the polynomials of each coordinate, (k, 1 + d·DEGREE)."""
+    t = 2.0 * x - 1.0
+    found = [np.ones_like(t), t]
+    for n in range(1, DEGREE):
+        found.append(((2 * n + 1) * t * found[n] - n * found[n - 1]) / (n + 1))
+    columns = np.stack(found[1:], axis=-1).reshape(len(x), -1)
+    return np.concatenate([np.ones((len(x), 1)), columns], axis=1)
+
+
+def _cumulative(knots: Array) -> Array:
+    """Integrals of the three splines on each cell, as cubics in its coordinate from 0 to 1: (C, 3, 4)."""
+    total, width, cells = (
+        _splines(knots).antiderivative(),
+        np.diff(knots),
+        np.arange(len(knots) - 1),
+    )
+    # Taylor's, at the left ends
+    found = [total(knots[:-1], p) * (width**p / math.factorial(p))[:, None] for p in range(4)]
+    return np.stack([np.array(found)[:, cells, cells + r].T for r in range(3)], axis=1)
+
+
+@kernel
+def _walk(
+    mode: int,
+    knots: Array,
+    pieces: Array,
+    ends: Array,
+    shares: Array,
+    tables: Array,
+    gates: Array,
+    defensive: float,
+    given: Array,
+    out: Array,
+) -> None:  # pragma: no cover - compiled
+    # Fill out with pdf (N, 1) at x, with x and pdf (N, d + 1) from u, or with u from x; a: weights of the splines of an axis
+    d, cells, parts = knots.shape[0], knots.shape[1] - 1, shares.size
+    a, held, x = np.empty(cells + 2), np.empty(parts), np.empty(d)
+    degree = (gates.shape[2] - 1) // d if parts == 0 else 0
+    features = np.empty(1 + d * degree)
+    features[0] = 1.0
+    for n in range(given.shape[0]):
+        joint = 1.0
+        held[:] = shares
+        for i in range(d):
+            # Weights of the splines given the coordinates before
+            a[:] = 0.0
+            if parts:
+                for k in range(parts):
+                    for m in range(cells + 2):
+                        a[m] += held[k] * tables[k, i, m]
+            else:
+                for m in range(cells + 2):
+                    for r in range(1 + i * degree):
+                        a[m] += gates[i, m, r] * features[r]
+                a[:] = np.exp(a - a.max())
+                a /= a.sum()
+            spread = (1.0 - defensive) * joint
+            spread /= spread + defensive
+
+            # The cell of x_i: by the cdf of its end, or by its end
+            left, c = 0.0, 0
+            while c < cells - 1:
+                end = knots[i, c + 1]
+                if mode == _SAMPLE:
+                    share = left
+                    for r in range(3):
+                        share += a[c + r] * ends[i, c, r]
+                    end = spread * share + (1.0 - spread) * end
+                if given[n, i] < end:
+                    break
+                left += a[c]
+                c += 1
+
+            # The cubic of the cdf there
+            low, width = knots[i, c], knots[i, c + 1] - knots[i, c]
+            k0, k1, k2, k3 = left, 0.0, 0.0, 0.0
+            for r in range(3):
+                piece = pieces[i, c, r]
+                k0 += a[c + r] * piece[0]
+                k1 += a[c + r] * piece[1]
+                k2 += a[c + r] * piece[2]
+                k3 += a[c + r] * piece[3]
+            if mode == _SAMPLE:
+                # Newton's method within a bracket
+                t0 = spread * k0 + (1.0 - spread) * low - given[n, i]
+                t1 = spread * k1 + (1.0 - spread) * width
+                t2, t3 = spread * k2, spread * k3
+                below, above = 0.0, 1.0
+                t = min(max(-t0 / (t1 + t2 + t3), 0.0), 1.0)
+                for _ in range(60):
+                    off = t0 + t * (t1 + t * (t2 + t * t3))
+                    if off > 0.0:
+                        above = t
+                    else:
+                        below = t
+                    moved = t - off / (t1 + t * (2.0 * t2 + 3.0 * t * t3))
+                    if not below <= moved <= above:
+                        moved = 0.5 * (below + above)
+                    step, t = abs(moved - t), moved
+                    if step <= _SETTLED:
+                        break
+                x[i] = low + t * width
+                out[n, i] = x[i]
+            else:
+                x[i] = given[n, i]
+                t = (x[i] - low) / width
+                if mode == _INVERT:
+                    share = k0 + t * (k1 + t * (k2 + t * k3))
+                    out[n, i] = spread * share + (1.0 - spread) * x[i]
+
+            # What the coordinates after see of this one
+            if mode == _INVERT and i == d - 1:
+                break
+            here = max((k1 + t * (2.0 * k2 + 3.0 * t * k3)) / width, 0.0)
+            joint *= here
+            if parts and here > 0.0:
+                for k in range(parts):
+                    own = 0.0
+                    for r in range(3):
+                        piece = pieces[i, c, r]
+                        slope = piece[1] + t * (2.0 * piece[2] + 3.0 * t * piece[3])
+                        own += tables[k, i, c + r] * slope
+                    held[k] *= max(own / (width * here), 0.0)
+            elif not parts:
+                s = 2.0 * x[i] - 1.0
+                before, current = 1.0, s
+                for r in range(degree):
+                    features[1 + i * degree + r] = current
+                    order = r + 1.0
+                    before, current = (
+                        current,
+                        ((2.0 * order + 1.0) * s * current - order * before) / (order + 1.0),
+                    )
+        if mode != _INVERT:
+            out[n, -1] = (1.0 - defensive) * joint + defensive

@@ -1,0 +1,474 @@
+"""Importance densities learned from evaluations of an integrand, for the sampler that will be used.
+
+A density p of `mcspectra.densities.learned` is fitted to evaluations f(x_k) at points of density π, by
+the least of
+
+    log Σ_k ρ_k p(x_k) − Σ_k w_k log p(x_k) + smoothness,   ρ_k = 1/π(x_k),   w_k ∝ ρ_k |f(x_k)|,
+
+the relative entropy of |f| and p with both integrals as seen by the *same* points: where |f| is of the
+family, the least is |f| itself at any number of points, whereas the mean of log p alone has the noise of
+the points. Smoothness is a penalty on second differences of the logarithms of the splines' weights
+(as of P-splines, [Eilers1996]_). Numbers of cells and parts and the weight of the penalty make candidates, and
+those are compared by the variance of f/p with points of the sampler itself, of evaluations not fitted to:
+∫f²/p alone does not see how rough f/p is, which is what nets and strata do not remove.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from typing import Any, final
+
+import numpy as np
+
+from mcspectra.core.cache import cache_folder
+from mcspectra.core.checks import Array, as_choice, as_integer, as_real
+from mcspectra.core.decoding import known_path
+from mcspectra.core.errors import FileFormatError, ParameterError
+from mcspectra.core.progress import report
+from mcspectra.core.streams import RngLike, Stream
+from mcspectra.densities import Density, Uniform, vegas_density
+from mcspectra.densities.learned import (
+    DEGREE,
+    Learned,
+    SplineDensity,
+    flow_features,
+    spline_basis,
+    spline_lengths,
+)
+from mcspectra.integrands.base import FunctionIntegrand, Integrand
+from mcspectra.integrands.registry import as_integrand
+from mcspectra.samplers import Sampler
+from mcspectra.samplers.registry import as_sampler
+
+__all__ = ["LEARNED", "fit_splines", "in_rounds", "learned_density"]
+
+_MOST_DIMS = 24
+_LEAST, _USUAL = 256, 2**14  # evaluations
+_EACH = 10  # evaluations for each of n points
+_MOST_FITTED = 2**13
+_BLOCK = 128
+_BINS = 512  # of the marginals that the knots come from
+_STEPS = 120  # of L-BFGS
+_REPLICATES = 6  # at least, of each candidate
+_ITERATIONS = 5  # of VEGAS
+_GRID = 64
+_LEAST_WEIGHT = 1e-6  # of a spline to start from
+_WORTH = 0.5  # of the variance of uniform points: six sets tell no better, and these are safe
+_PARTS = 2**16  # stream label of where parts start
+
+# (cells, parts, smoothness) of the candidates of each kind, the one for the first rounds first; 0 parts: a flow
+LEARNED: dict[str, tuple[tuple[int, int, float], ...]] = {
+    "piecewise": ((12, 1, 1e-3), (8, 1, 1e-1), (12, 1, 1e-2), (24, 1, 1e-4)),
+    "vegas": ((16, 1, 0.0), (4, 1, 0.0), (8, 1, 0.0), (32, 1, 0.0)),
+    "mixture": ((12, 4, 1e-3), (8, 4, 1e-1), (12, 4, 1e-2), (12, 8, 1e-3)),
+    "spline-flow": ((12, 0, 1e-3), (8, 0, 1e-1), (8, 0, 1e-2), (16, 0, 1e-4)),
+}
+"""Kinds of learned densities, with their candidates."""
+
+
+def fit_splines(
+    points: Array,
+    values: Array,
+    pdf: Array,
+    setting: tuple[int, int, float],
+    defensive: float,
+    generator: np.random.Generator,
+) -> SplineDensity:
+    """Fit a density of splines to values at points.
+
+    Parameters
+    ----------
+    points, values, pdf
+        (N, d); (N, channels), not all 0; density of the points, (N,).
+    setting
+        Cells of each axis; parts of a mixture, or 0 for a flow; weight of the smoothness.
+    defensive
+        δ, share of the uniform density.
+    generator
+        Of the places that parts start from.
+    """
+    cells, parts, smooth = setting
+    # In blocks, whose products are too small for threads: the same bits on every machine's cores
+    points, pdf = _padded(points, 0.5), _padded(pdf, np.inf)
+    values = _padded(values, 0.0)
+    rho = 1.0 / pdf
+    w = rho * np.abs(values / np.abs(values).max()).sum(axis=1)
+    w, rho = w / w.sum(), rho / rho.sum()
+
+    # Half of the knots where |f| has its mass, and half of them equally spaced
+    at, knots = np.linspace(0.0, 1.0, _BINS + 1), np.empty((points.shape[1], cells + 1))
+    for line, x in zip(knots, points.T, strict=True):
+        mass = np.bincount(np.minimum((x * _BINS).astype(int), _BINS - 1), w, _BINS)
+        blend = 0.5 * (at + np.concatenate([[0.0], np.cumsum(mass)]))
+        line[:] = np.interp(np.linspace(0.0, 1.0, cells + 1), blend, at)
+    knots[:, 0], knots[:, -1] = 0.0, 1.0
+
+    seen = _Seen(
+        basis=[_in_blocks(spline_basis(line, x)) for line, x in zip(knots, points.T, strict=True)],
+        rho=_in_blocks(rho),
+        weight=_in_blocks(w),
+        uniform=np.log([spline_lengths(line) for line in knots]),
+        defensive=defensive,
+        smooth=smooth,
+    )
+    own = _grouped(points, w, max(parts, 1), generator)
+    shares, tables = seen.mixture(own, max(parts, 1), _STEPS if parts else _STEPS // 4)
+    if parts:
+        return SplineDensity(knots=knots, defensive=defensive, shares=shares, tables=np.exp(tables))
+    gates = seen.flow(_in_blocks(flow_features(points)), tables[0])
+    return SplineDensity(knots=knots, defensive=defensive, gates=gates)
+
+
+def _grouped(points: Array, w: Array, count: int, generator: np.random.Generator) -> Array:
+    """Groups (N,) of points with the mass of |f|, by Lloyd's method, from which parts start."""
+    own = np.zeros(len(points), np.int64)
+    if count == 1:
+        return own
+    known = min(count, int(np.count_nonzero(w)))
+    seeds = points[generator.choice(len(points), known, p=w, replace=False)]
+    for _ in range(8):
+        own = ((points[:, None] - seeds) ** 2).sum(axis=-1).argmin(axis=1)
+        heavy = np.bincount(own, w, known)
+        for j, x in enumerate(points.T):
+            sums = np.bincount(own, w * x, known)
+            seeds[:, j] = np.where(heavy > 0.0, sums / np.maximum(heavy, 1e-300), seeds[:, j])
+    return own
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Seen:
+    """What fits minimise, of points in blocks."""
+
+    basis: list[Array]  # splines of each axis at the points, (blocks, size, M)
+    rho: Array  # ρ and w, (blocks, size), both of sum 1
+    weight: Array
+    uniform: Array  # logarithms of the weights of the uniform density, (d, M)
+    defensive: float
+    smooth: float
+
+    def mixture(self, own: Array, count: int, steps: int) -> tuple[Array, Array]:
+        """Shares (K,) and logarithms of the tables (K, d, M), from groups of points."""
+        from scipy.special import log_softmax, softmax
+
+        # Start from the splines' means over the groups
+        tables = np.empty((count, *self.uniform.shape))
+        whole = np.maximum(np.bincount(own, self.weight.ravel(), count), 0.1 / count)
+        for k in range(count):
+            mine = self.weight * _in_blocks(own == k)
+            for i, b in enumerate(self.basis):
+                found = (mine[..., None] * b).sum(axis=(0, 1)) * np.exp(self.uniform[i])
+                found = found / max(found.sum(), 1e-300) + np.exp(self.uniform[i])
+                tables[k, i] = np.log(found + _LEAST_WEIGHT)
+
+        def loss(given: Array) -> tuple[float, Array]:
+            shares, logits = log_softmax(given[:count]), given[count:].reshape(tables.shape)
+            c = softmax(logits, axis=-1)
+            inner = [  # of parts, at the points
+                np.maximum(np.moveaxis(b @ c[:, i].T, -1, 0), 1e-300).copy()
+                for i, b in enumerate(self.basis)
+            ]
+            each = shares[:, None, None] + sum(np.log(v) for v in inner)
+            most = each.max(axis=0)
+            parts = np.exp(each - most)
+            total = parts.sum(axis=0)
+            value, slope = self._entropy(most + np.log(total))
+            mine = slope / total * parts
+            held = mine.sum(axis=(1, 2))
+            penalty, gradient = self._bent(logits - self.uniform, 2)
+            for i, b in enumerate(self.basis):
+                seen = ((mine / inner[i]).swapaxes(0, 1) @ b).sum(axis=0)
+                gradient[:, i] += c[:, i] * (seen - held[:, None])
+            by_shares = held - np.exp(shares) * held.sum()
+            return value + penalty, np.concatenate([by_shares, gradient.ravel()])
+
+        best = _least(loss, np.concatenate([np.log(whole), tables.ravel()]), steps)
+        return softmax(best[:count]), log_softmax(best[count:].reshape(tables.shape), axis=-1)
+
+    def flow(self, features: Array, start: Array) -> Array:
+        """Gates (d, M, 1 + d·DEGREE), from the logarithms of a product's tables (d, M)."""
+        from scipy.special import softmax
+
+        sizes = [1 + i * DEGREE for i in range(len(start))]
+        used = np.arange(features.shape[-1]) < np.array(sizes)[:, None, None]
+        used = np.broadcast_to(used, (*start.shape, features.shape[-1]))
+
+        def loss(given: Array) -> tuple[float, Array]:
+            gates = np.zeros(used.shape)
+            gates[used] = given
+            chosen, ratios, joint = [], [], np.zeros(self.rho.shape)
+            for b, gate, n in zip(self.basis, gates, sizes, strict=True):
+                a = softmax(features[..., :n] @ gate[:, :n].T, axis=-1)
+                q = np.maximum((a * b).sum(axis=-1), 1e-300)
+                chosen.append(a)
+                ratios.append(b / q[..., None] - 1.0)
+                joint += np.log(q)
+            value, slope = self._entropy(joint)
+            gates[:, :, 0] -= self.uniform
+            penalty, gradient = self._bent(gates, 1)
+            size_of = 0.1 * self.smooth * gates
+            size_of[:, :, 0] = 0.0
+            gradient += 2.0 * size_of
+            for i, (a, ratio, n) in enumerate(zip(chosen, ratios, sizes, strict=True)):
+                seen = (slope[..., None] * a * ratio).swapaxes(1, 2)
+                gradient[i, :, :n] += (seen @ features[..., :n]).sum(axis=0)
+            return value + penalty + float((size_of * gates).sum()), gradient[used]
+
+        gates = np.zeros(used.shape)
+        gates[:, :, 0] = start
+        gates[used] = _least(loss, gates[used], _STEPS)
+        return gates
+
+    def _entropy(self, logarithm: Array) -> tuple[float, Array]:
+        """The entropy, and its derivatives by log q at the points."""
+        q = np.exp(logarithm)
+        p = (1.0 - self.defensive) * q + self.defensive
+        mass = float((self.rho * p).sum())
+        slope = (self.rho * p / mass - self.weight) * (1.0 - self.defensive) * q / p
+        return math.log(mass) - float((self.weight * np.log(p)).sum()), slope
+
+    def _bent(self, logits: Array, axis: int) -> tuple[float, Array]:
+        """The penalty, and its derivatives."""
+        bend = np.diff(logits, 2, axis=axis)
+        back = np.moveaxis(np.zeros_like(logits), axis, 0)
+        for shift, factor in enumerate((1.0, -2.0, 1.0)):
+            back[shift : len(back) - 2 + shift] += factor * np.moveaxis(bend, axis, 0)
+        return self.smooth * float((bend**2).sum()), 2.0 * self.smooth * np.moveaxis(back, 0, axis)
+
+
+def learned_density(
+    f: Any,
+    kind: str,
+    sampler: Sampler | str,
+    n: int,
+    *,
+    dims: int | None = None,
+    evaluations: int | None = None,
+    defensive: float = 0.05,
+    rng: RngLike = 0,
+    path: str | PathLike[str] | None = None,
+) -> Density:
+    """Learn an importance density for an integrand, a sampler and a number of points.
+
+    Parameters
+    ----------
+    f
+        An integrand, its spec, or a function of points (k, d) to (k,) or (k, channels).
+    kind
+        ``"piecewise"`` (a product of splines), ``"vegas"`` (that of the map of VEGAS, smoothed; needs the
+        package vegas), ``"mixture"`` (of products) or ``"spline-flow"`` (splines of each coordinate whose
+        weights depend on those before).
+    sampler, n
+        The points that will be used. The sampler is random.
+    dims
+        Number of dims, up to 24, where neither f nor the sampler say it.
+    evaluations
+        Most evaluations of f, 256 or more: half of them, 8192 at most, to fit to, the others to choose by.
+        By default 10 n, 16384 at least.
+    defensive
+        Least value δ of the density, above 0, below 1: |f|/p is at most |f|/δ.
+    rng
+        Seed. The same seed gives the same density.
+    path
+        File to keep the density in, .json. By default in the cache folder.
+
+    Returns
+    -------
+    Density
+        Continuous, with an exact inverse and a continuous warp; its `spec` makes it again from its file.
+        ``uniform`` where no candidate halves its variance.
+
+    Raises
+    ------
+    ParameterError
+        Unknown kind; a value out of range; a sampler that is not random; f is NaN or infinite at a point,
+        or 0 wherever it was tried; evaluations too few for the sampler's counts.
+    CountError
+        The sampler has no sets of n points.
+    FileFormatError
+        The density cannot be written.
+    MissingDependency
+        The package vegas is not installed.
+
+    Notes
+    -----
+    Candidates (`mcspectra.variance.learned.LEARNED`), from smooth to fine, are compared by the variance of f/p with
+    six realisations or more of the sampler, at n or the largest count that the evaluations allow; by default that is
+    n/4 or more. The method of fitting is described in `mcspectra.variance.learned`.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> f = mcs.integrand("gaussian(width=0.1)", dims=2)
+    >>> p = mcs.learned_density(f, "piecewise", "sobol | owen", 64, evaluations=4096)
+    >>> float(p.pdf([[0.5, 0.5]])) > 4.0
+    True
+    """
+    kind = as_choice("kind", kind, tuple(LEARNED))
+    defensive = as_real("defensive", defensive, above=0.0, below=1.0)
+    chosen = None if path is None else known_path(path, "a file for the density", (".json",))
+    given = getattr(sampler, "dims", None) if dims is None else dims
+    if isinstance(f, str | Integrand):
+        f = as_integrand(f, given)
+        given = f.dims
+    elif not callable(f):
+        raise ParameterError(
+            f"f is {f!r:.80}; give an integrand, its spec, or a function of points."
+        )
+    if given is None:
+        raise ParameterError(
+            "dims is missing; give dims=, the number of dims of the function's points."
+        )
+    d = as_integer("dims", given, least=1, most=_MOST_DIMS)
+    source = as_sampler(sampler, d)
+    n = source.check_count(n)
+    asked = max(_USUAL, _EACH * n) if evaluations is None else evaluations
+    evaluations = as_integer("evaluations", asked, least=_LEAST, most=2**28)
+    if source.fixed:
+        raise ParameterError(
+            f"{source.spec} is the same every time, so that it has no variance; add owen or shift."
+        )
+    integrand = f if isinstance(f, Integrand) else FunctionIntegrand(function=f, dims=d)
+    stream = Stream.from_rng(rng)
+
+    def values_at(x: Array) -> Array:
+        """f at points (k, d): (k, channels or 1)."""
+        return integrand(x).reshape(len(x), -1)
+
+    # Fit the candidates to a part of the evaluations, from densities that follow f better and better
+    half, made = min(evaluations // 2, _MOST_FITTED), list[Density]()
+    if kind == "vegas":
+        each, seed = half // _ITERATIONS, int(stream.child(0).key) >> 1
+        grid = vegas_density(
+            values_at, dims=d, increments=_GRID, iterations=_ITERATIONS, evaluations=each, seed=seed
+        )
+        made = [_smoothed(np.array(grid.nodes), s[0], defensive) for s in LEARNED[kind]]
+    else:
+        first = LEARNED[kind][0]
+
+        def follow(points: Array, values: Array, pdf: Array) -> Density | None:
+            if not values.any():
+                return None
+            return fit_splines(points, values, pdf, first, defensive, stream.generator(_PARTS))
+
+        sizes = [half // 4, half // 4, half - 2 * (half // 4)]
+        seen = in_rounds(values_at, d, sizes, follow, stream)
+        if not seen[1].any():
+            raise ParameterError(
+                f"f is 0 at all {half} points that were tried; give more evaluations, or an integrand "
+                "that says where it is not."
+            )
+        for place, setting in enumerate(LEARNED[kind]):
+            report(f"density of {integrand.spec}", 0.3 + 0.1 * place)
+            made.append(fit_splines(*seen, setting, defensive, stream.generator(_PARTS)))
+
+    # Choose by the rest
+    left = [Uniform(dims=d), *made]
+    allowed = (evaluations - half) // (_REPLICATES * len(left))
+    size = min(n, max(allowed, 1))
+    while (count := source.nearest_count(size)) > allowed and size > 1:
+        size //= 2
+    if count > allowed:
+        raise ParameterError(
+            f"{evaluations} evaluations are too few for {_REPLICATES} sets of {source.spec} for each of "
+            f"{len(left)} candidates; give more."
+        )
+    replicates = (evaluations - half) // (count * len(left))
+    u = source.draw_stream(count, stream.child(1), 0, replicates).reshape(-1, d)
+    variances = []
+    for p in left:
+        x = p.sample(u)
+        ratio = values_at(x) / p.pdf(x)[:, None]
+        means = ratio.reshape(replicates, count, -1).mean(axis=1)
+        variances.append(float(means.var(axis=0, ddof=1).sum()))
+    place = int(np.argmin(variances))
+    best = left[place if variances[place] < _WORTH * variances[0] else 0]
+    report(f"density of {integrand.spec}", 1.0)
+    if not isinstance(best, SplineDensity):
+        if chosen is None:
+            return best
+        best = SplineDensity(
+            knots=np.tile([0.0, 1.0], (d, 1)),
+            defensive=1.0,
+            shares=np.ones(1),
+            tables=np.full((1, d, 3), 1.0 / 3.0),
+        )
+
+    # Keep it in a file named by what it holds
+    text = json.dumps(best.to_dict()) + "\n"
+    name = hashlib.sha256(text.encode()).hexdigest()[:32]
+    target = cache_folder() / "densities" / f"{name}.json" if chosen is None else chosen
+    try:
+        if chosen is None:
+            target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_text(text)
+    except OSError as error:
+        raise FileFormatError(
+            f"The density cannot be written to {target}: {error.strerror}; give a folder that exists "
+            "and can be written, as path= or MCSPECTRA_CACHE."
+        ) from None
+    return Learned(path=str(target))
+
+
+def in_rounds(
+    values_at: Callable[[Array], Array],
+    dims: int,
+    sizes: Sequence[int],
+    follow: Callable[[Array, Array, Array], Any],
+    stream: Stream,
+) -> tuple[Array, Array, Array]:
+    """Points (N, d), values and densities of points that follow a function better and better.
+
+    After a round `follow` makes of all that is known what the next points come from, with `sample` and
+    `pdf`, or None for uniform ones. All points are one sample of the mixture of all densities.
+    """
+    points, values = np.empty((0, dims)), np.empty((0, 1))
+    pdf = np.empty(0)
+    maps: list[Any] = []
+    for index, size in enumerate(sizes):
+        u = stream.generator(index).random((size, dims))
+        maps.append(follow(points, values, pdf) if index else None)
+        x = u if maps[-1] is None else maps[-1].sample(u)
+        found = values_at(x).reshape(size, -1)
+        points = np.concatenate([points, x])
+        values = np.concatenate([values, found]) if index else found
+        shares = np.array(sizes[: index + 1]) / sum(sizes[: index + 1])
+        pdf = shares @ [np.ones(len(points)) if m is None else m.pdf(points) for m in maps]
+    return points, values, pdf
+
+
+def _least(function: Any, start: Array, steps: int) -> Array:
+    """Where a function that gives its value and its gradient is least, by L-BFGS."""
+    from scipy.optimize import minimize
+
+    options: Any = {"maxiter": steps, "maxcor": 20}
+    return np.asarray(minimize(function, start, jac=True, method="L-BFGS-B", options=options).x)
+
+
+def _padded(given: Array, by: float) -> Array:
+    """With further entries, so that their number is one of whole blocks."""
+    more = [(0, -len(given) % _BLOCK)] + [(0, 0)] * (given.ndim - 1)
+    return np.pad(given, more, constant_values=by)
+
+
+def _in_blocks(given: Array) -> Array:
+    return given.reshape(-1, _BLOCK, *given.shape[1:])
+
+
+def _smoothed(nodes: Array, cells: int, defensive: float) -> SplineDensity:
+    """A density of splines that follows the histograms of VEGAS, on every so many of their borders."""
+    knots = nodes[:, :: (nodes.shape[1] - 1) // cells]
+    tables = np.empty((1, len(knots), cells + 2))
+    for table, line in zip(tables[0], knots, strict=True):
+        # Weights are densities where the splines lie, times their lengths
+        ends = np.concatenate([[0.0, 0.0], line, [1.0, 1.0]])
+        middle = 0.5 * (line[1:] + line[:-1])
+        place = 0.5 * (ends[1:-2] + ends[2:-1])
+        table[:] = np.exp(np.interp(place, middle, -np.log(np.diff(line)))) * spline_lengths(line)
+    tables /= tables.sum(axis=-1, keepdims=True)
+    return SplineDensity(knots=knots, defensive=defensive, shares=np.ones(1), tables=tables)

@@ -1,0 +1,180 @@
+"""Learned densities: fitted to what is of the family exactly, chosen for the sampler, kept in files."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core.errors import FileFormatError, ParameterError
+from mcspectra.densities import Learned
+from mcspectra.densities.learned import SplineDensity
+from mcspectra.variance.learned import LEARNED, fit_splines
+
+OWEN = "sobol | owen"
+KINDS = [k for k in LEARNED if k != "vegas"]  # that package may be missing
+REALIZATIONS = 200
+# F of two estimated variances of REALIZATIONS each: quantile of log F at 4 sigma, Var(log s²) = 2/(R − 1)
+NOISE = math.exp(4.0 * math.sqrt(2.0 * 2.0 / (REALIZATIONS - 1)))
+
+
+def peaks(x):
+    """Two bells on the diagonal, which no product follows."""
+    return sum(np.exp(-((x - c) ** 2).sum(-1) / 0.02) for c in (1 / 3, 2 / 3))
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("MCSPECTRA_CACHE", str(tmp_path / "cache"))
+
+
+def variance(density, n, sampler=OWEN, f=peaks):
+    u = mcs.sampler(sampler, dims=2).draw(n, realizations=REALIZATIONS, rng=5)
+    x = u if density is None else density.sample(u)
+    ratio = f(x) if density is None else f(x) / density.pdf(x)
+    return ratio.mean(axis=1).var(ddof=1)
+
+
+def test_what_is_of_the_family_is_met_whatever_the_points():
+    """Of a density of the same cells the entropy is 0 there: no noise of 2000 points is left, which of a
+    mean of log p would be Σ (M − 1)/2N = 1e-2 of the entropy."""
+    rng = np.random.default_rng(0)
+    x = rng.random((2000, 2))
+    knots = np.tile(np.linspace(0.0, 1.0, 2), (2, 1))
+    table = np.array([[[0.2, 0.3, 0.5], [0.6, 0.3, 0.1]]])
+    true = SplineDensity(knots=knots, defensive=0.1, shares=np.ones(1), tables=table)
+    values = 7.0 * true.pdf(x)[:, None]
+    found = fit_splines(x, values, np.ones(len(x)), (1, 1, 0.0), 0.1, rng)
+    # L-BFGS ends where steps gain 2e-9 of the entropy, quadratic in what p is off
+    assert np.abs(found.pdf(x) / true.pdf(x) - 1.0).max() < 1e-3
+    np.testing.assert_allclose(found.tables, table, atol=1e-3)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_variance_under_the_sampler_is_smaller(kind):
+    calls = 0
+
+    def f(x):
+        nonlocal calls
+        calls += x[..., 0].size
+        return peaks(x)
+
+    p = mcs.learned_density(f, kind, OWEN, 256, dims=2, evaluations=6000)
+    assert 5000 < calls <= 6000
+    assert variance(p, 256) * NOISE < variance(None, 256)
+    # Bounded weights, and unbiased: the integral is within 4 standard errors
+    x = np.random.default_rng(0).random((4096, 2))
+    assert p.pdf(x).min() >= 0.05
+    u = mcs.sampler(OWEN, dims=2).draw(256, realizations=REALIZATIONS, rng=6)
+    means = (peaks(p.sample(u)) / p.pdf(p.sample(u))).mean(axis=1)
+    truth = (
+        2.0
+        * (
+            0.5
+            * math.sqrt(0.02 * math.pi)
+            * (math.erf((1 / 3) / math.sqrt(0.02)) + math.erf((2 / 3) / math.sqrt(0.02)))
+        )
+        ** 2
+    )
+    assert abs(means.mean() - truth) < 4.0 * means.std() / math.sqrt(REALIZATIONS)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_warps_keep_the_rate_of_nets(kind):
+    """T is continuous: from n to 16 n the variance falls faster than by 16^1.5, which is what a jump
+    across a curve would leave."""
+    p = mcs.learned_density(peaks, kind, OWEN, 1024, dims=2)
+    assert variance(p, 2**14) * NOISE < variance(p, 2**10) * 16.0**-1.5
+
+
+def test_the_same_seed_gives_the_same_density_and_its_spec_makes_it_again(tmp_path):
+    def made(seed, **more):
+        return mcs.learned_density(
+            peaks, "mixture", OWEN, 64, dims=2, evaluations=1024, rng=seed, **more
+        )
+
+    first = made(1)
+    assert made(1).spec == first.spec
+    assert made(2).spec != first.spec
+    kept = made(1, path=tmp_path / "mine.json")
+    assert kept.spec == f"learned(path={str(tmp_path / 'mine.json')!r})"
+    x = np.random.default_rng(0).random((100, 2))
+    again = mcs.density(kept.spec)
+    np.testing.assert_array_equal(again.pdf(x), first.pdf(x))
+    found = mcs.convergence(
+        mcs.Estimator(mcs.Integrand.from_function(peaks, dims=2), again), OWEN, [64]
+    )
+    assert float(found["variance"][0]) < variance(None, 64)
+
+
+def test_where_nothing_is_gained_it_is_uniform(tmp_path):
+    """A constant has no variance."""
+    path = tmp_path / "uniform.json"
+    p = mcs.learned_density("constant", "piecewise", OWEN, 64, dims=2, evaluations=2048)
+    assert p.spec == "uniform"
+    kept = mcs.learned_density(
+        "constant", "piecewise", OWEN, 64, dims=2, evaluations=2048, path=path
+    )
+    x = np.random.default_rng(0).random((100, 2))
+    np.testing.assert_array_equal(kept.pdf(x), 1.0)
+    np.testing.assert_allclose(kept.sample(x), x, atol=1e-15)
+
+
+def test_errors_say_what_to_do(tmp_path):
+    def learn(f=peaks, kind="mixture", sampler=OWEN, n=64, **options):
+        return mcs.learned_density(
+            f, kind, sampler, n, **{"dims": 2, "evaluations": 512, **options}
+        )
+
+    for options, error, words in [
+        ({"kind": "flow"}, ParameterError, "spline-flow"),
+        ({"sampler": "sobol"}, ParameterError, "add owen or shift"),
+        ({"evaluations": 100}, ParameterError, "evaluations"),
+        ({"defensive": 0.0}, ParameterError, "defensive"),
+        ({"dims": None}, ParameterError, "dims is missing"),
+        ({"f": 3}, ParameterError, "a function of points"),
+        ({"f": lambda x: 0.0 * x[:, 0]}, ParameterError, "f is 0 at all 256"),
+        ({"f": lambda x: np.log(x[:, 0] - 0.5)}, ParameterError, "NaN or infinite"),
+        ({"path": tmp_path / "no" / "x.json"}, FileFormatError, "cannot be written"),
+        ({"path": tmp_path / "x.npz"}, FileFormatError, ".json"),
+    ]:
+        with pytest.raises(error, match=words), np.errstate(invalid="ignore"):
+            learn(**options)
+
+
+@pytest.mark.parametrize("text", ["{}", "[1]", "no", '{"format": "mcspectra density 1"}'])
+def test_other_files_are_refused(tmp_path, text):
+    path = tmp_path / "density.json"
+    path.write_text(text)
+    with pytest.raises(FileFormatError, match="is not a learned density"):
+        Learned(path=path)
+    with pytest.raises(FileFormatError, match="cannot be read"):
+        mcs.density(f"learned(path={str(tmp_path / 'none.json')!r})")
+
+
+def test_tables_that_do_not_fit_are_refused(tmp_path):
+    path = tmp_path / "density.json"
+    mcs.learned_density("constant", "mixture", OWEN, 4, dims=1, evaluations=512, path=path)
+    good = json.loads(path.read_text())
+    for name, value in [
+        ("defensive", 0.0),
+        ("knots", [[0.0, 0.5]]),
+        ("shares", [0.5]),
+        ("tables", [[[0.5, 0.7, -0.2]]]),
+        ("gates", [[[1.0]]]),
+    ]:
+        path.write_text(json.dumps({**good, name: value}))
+        with pytest.raises(FileFormatError, match="is not a learned density"):
+            Learned(path=path)
+
+
+def test_the_verb_measures_what_is_gained(tmp_path):
+    from mcspectra.cli.main import main
+
+    path = tmp_path / "density.json"
+    words = (
+        f"learn gaussian(width=0.05) -k piecewise -n 64 --evaluations 2048 -m 200 -o {path} --json"
+    )
+    assert main(words.split()) == 0
+    assert mcs.density(f"learned(path={str(path)!r})").dims == 2
