@@ -28,6 +28,7 @@ NAMES = (
     "maps",
     "paths",
     "images",
+    "blender",
     "findings",
     "studies",
     "scaling",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -37,11 +38,8 @@ if TYPE_CHECKING:
 __all__ = ["frame_findings", "frame_layers", "frame_summary", "frame_table", "write_frames"]
 
 _COLUMNS = ("Samples a pixel", "Frames", "Variance", "95 %", "σ / mean", "FLIP")
-_LOW, _BLUE, _RED = (
-    0.125,
-    0.8,
-    1.25,
-)  # cycles a pixel; power below and above which noise is not white
+_LOW = 0.125  # cycles a pixel
+_BLUE, _RED = 0.8, 1.25  # power there, below and above which noise is not called white
 _ALIKE = 0.1  # correlation of neighbours that is worth a word
 _SURE = 2.24  # standard errors that the larger of two correlations of white noise exceeds in 5 %
 _HEAVY = 0.5  # tail index of infinite variance
@@ -170,28 +168,25 @@ def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[str]:
     last = result.isel(n=-1)
     lowest = last["radius"].values < _LOW
     power, ends = last["error_spectrum"].values[lowest], last["error_spectrum_ci"].values[lowest]
-    level, half = (
-        float(power.mean()),
-        float(np.mean(ends[:, 1] - power)) / np.sqrt(max(lowest.sum(), 1)),
-    )
+    level = float(power.mean())
+    half = float(np.linalg.norm(ends[:, 1] - power)) / max(power.size, 1)
     near = last["error_correlation"]
     beside = (
         [float(near.sel(lag_y=0, lag_x=1)), float(near.sel(lag_y=1, lag_x=0))]
         if near.size > 1
         else [0]
     )
-    if level + half < _BLUE:
+    have = f"{number(level)} ± {number(half, 2)} times the power of white noise"
+    below = f"below {_LOW} cycles a pixel the errors have {have}"
+    factor = math.exp(half / level) if level > 0 else math.inf  # errors of powers are relative
+    if level < _BLUE and level * factor < 1.0:
+        yield f"Blue noise: {below}, which the eye, and a denoiser, blurs away."
+    elif level > _RED and level > factor:
         yield (
-            f"Blue noise: below {_LOW} cycles a pixel the errors have {number(level)} times the power of white "
-            "noise, which the eye, and a denoiser, blurs away."
-        )
-    elif level - half > _RED:
-        yield (
-            f"Neighbours err together: below {_LOW} cycles a pixel the errors have {number(level)} times the power "
-            "of white noise; a wide reconstruction filter, or points shared by pixels."
+            f"Neighbours err together: {below}; a wide reconstruction filter, or points shared by pixels."
         )
     else:
-        yield f"The noise is white between pixels: {number(level)} times at low frequencies."
+        yield f"The noise is {'white' if 1.0 < level * factor < factor**2 else 'nearly white'} between pixels: {below}."
     if max(map(abs, beside)) > max(_ALIKE, _SURE * found["correlation_error"][-1]):
         yield f"Errors of neighbours correlate by {number(beside[0])} across and {number(beside[1])} down."
     if lag := found["repeat"][-1]:
