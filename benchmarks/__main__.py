@@ -28,6 +28,7 @@ NAMES = (
     "maps",
     "paths",
     "images",
+    "masks",
     "blender",
     "findings",
     "studies",
