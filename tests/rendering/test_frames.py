@@ -137,6 +137,9 @@ def test_fireflies_are_named_and_leave_no_upper_bound(tmp_path):
     single = frames(write(tmp_path / "c", change=lambda k, i: i + (k == 3) * 500.0 * (TRUTH.max() == TRUTH) * (np.arange(HEIGHT) == 7)[:, None]))  # fmt: skip
     assert np.isinf(single["picture_variance_ci"].values[:, 1]).all()
     assert "no upper bound" in said(single)
+    plain = tmp_path / "b"
+    assert np.isinf(frames(tmp_path / "c", against=plain)["picture_ratio_ci"][1])
+    assert frames(plain, against=tmp_path / "c")["picture_ratio_ci"][0] == 0.0
 
 
 def test_pixels_without_numbers_are_counted_and_left_out(tmp_path):

@@ -614,6 +614,8 @@ def _compared(
     error = math.hypot(a.picture_relative_se, b.picture_relative_se)
     level = math.log(a.picture_variance / b.picture_variance)
     value, bounds = ratio(np.asarray(level), np.asarray(error))
+    # A variance without an upper end bounds no ratio on that side
+    bounds = np.where([b.resolved, a.resolved], bounds, [0.0, np.inf])
     found: dict[str, tuple[tuple[str, ...], Any]] = {
         "difference": (("y", "x"), a.moments.mean - b.moments.mean),
         "difference_z": (("y", "x"), z),
