@@ -19,7 +19,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, final
+from typing import final
 
 import numpy as np
 
@@ -257,7 +257,6 @@ class Power(Heuristic):
         β ≥ 0; 1 is `balance`.
     """
 
-    name: ClassVar[str] = "power"
     beta: float = real(2.0, least=0.0)
 
     @property
@@ -281,8 +280,6 @@ class Power(Heuristic):
 class Balance(Heuristic):
     """q_t / Σ q_s: the balance heuristic."""
 
-    name: ClassVar[str] = "balance"
-
     def ratio(self, q: Array, technique: int) -> Array:
         del technique
         return _divided(np.ones(q.shape[1:]), q.sum(axis=0))
@@ -299,7 +296,6 @@ class Cutoff(Heuristic):
         α from 0, which is `balance`, to 1, which is `maximum`.
     """
 
-    name: ClassVar[str] = "cutoff"
     alpha: float = real(0.1, least=0.0, most=1.0)
 
     @property
@@ -317,8 +313,6 @@ class Cutoff(Heuristic):
 @dataclass(frozen=True, kw_only=True)
 class Maximum(Heuristic):
     """All weight to the largest q_t, shared equally where several are largest."""
-
-    name: ClassVar[str] = "maximum"
 
     @property
     def smooth(self) -> bool:

@@ -144,7 +144,6 @@ class Pixel(Integrand):
         Mitsuba or LLVM is missing.
     """
 
-    name: ClassVar[str] = "pixel"
     costly: ClassVar[bool] = True
     scene: Any = checked(lambda _, given: as_scene(given), "veach")
     x: int

@@ -99,7 +99,6 @@ class VoidAndCluster(OptimisedSampler):
     [Ulichney1993]_.
     """
 
-    name: ClassVar[str] = "void-and-cluster"
     min_dims: ClassVar[int] = 2
     max_dims: ClassVar[int | None] = 2
     other_dims: ClassVar[str] = "for other dims use poisson-disk"

@@ -86,7 +86,6 @@ class Rank1Lattice(_Lattice):
     [Sloan2002]_
     """
 
-    name: ClassVar[str] = "rank1-lattice"
     dims: int = DEFAULT_DIMS
     vector: Sequence[int] | None = None
 
@@ -155,7 +154,6 @@ class Korobov(_Lattice):
     [Korobov1959]_, [SloanJoe1994]_, section 4.5
     """
 
-    name: ClassVar[str] = "korobov"
     dims: int = DEFAULT_DIMS
     a: int | None = whole(None, least=1)
 
@@ -218,7 +216,6 @@ class Fibonacci(_Lattice):
     [SloanJoe1994]_, section 4.3, [NiederreiterSloan1994]_
     """
 
-    name: ClassVar[str] = "fibonacci"
     min_dims: ClassVar[int] = 2
     max_dims: ClassVar[int | None] = 2
     other_dims: ClassVar[str] = "for other dims use korobov or rank1-lattice"
@@ -262,7 +259,6 @@ class Kronecker(FixedSet):
     [Roberts2018]_, [Niederreiter1992]_
     """
 
-    name: ClassVar[str] = "kronecker"
     structure: ClassVar[Structure] = Structure.TORUS
     sequence: ClassVar[bool] = True
     dims: int = DEFAULT_DIMS

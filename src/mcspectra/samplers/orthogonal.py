@@ -45,7 +45,6 @@ class LatinHypercube(Sampler):
     [McKay1979]_, [Tang1993]_
     """
 
-    name: ClassVar[str] = "latin-hypercube"
     structure: ClassVar[Structure] = Structure.STRATA
     dims: int = DEFAULT_DIMS
     strength: int = whole(1, least=1, most=2)
@@ -124,7 +123,6 @@ class OrthogonalArray(Sampler):
     [Jarosz2019]_, [Bush1952]_, [Owen1992]_, [Tang1993]_
     """
 
-    name: ClassVar[str] = "orthogonal-array"
     structure: ClassVar[Structure] = Structure.STRATA
     max_dims: ClassVar[int | None] = MAX_DIMS
     dims: int = DEFAULT_DIMS

@@ -68,7 +68,6 @@ class PMJ(_PlaneSequence):
     [Christensen2018]_.
     """
 
-    name: ClassVar[str] = "pmj"
     sequence: ClassVar[bool] = True
     dims: int = 2
 
@@ -97,7 +96,6 @@ class PMJ02(_PlaneSequence):
     [Christensen2018]_, [Helmer2021]_.
     """
 
-    name: ClassVar[str] = "pmj02"
     sequence: ClassVar[bool] = True
     dims: int = 2
 
@@ -137,7 +135,6 @@ class PMJ02BlueNoise(_PlaneSequence):
     [Christensen2018]_, [Helmer2021]_.
     """
 
-    name: ClassVar[str] = "pmj02-blue-noise"
     unbiased: ClassVar[bool] = False
     max_count: ClassVar[int] = 2**18
     dims: int = 2

@@ -95,7 +95,6 @@ class Lloyd(_CentroidSampler):
     [Lloyd1982]_, [McCoolFiume1992]_.
     """
 
-    name: ClassVar[str] = "lloyd"
     dims: int = 2
     iterations: int = whole(100, least=1, most=10**6)
     tolerance: float = real(0.0, least=0.0, most=1.0)
@@ -135,7 +134,6 @@ class Bnot(_CentroidSampler):
     [deGoes2012]_, [Balzer2009]_.
     """
 
-    name: ClassVar[str] = "bnot"
     dims: int = 2
     iterations: int = whole(200, least=1, most=10**6)
     tolerance: float = real(0.01, least=0.0, most=1.0)
@@ -241,7 +239,6 @@ class GaussianBlueNoise(OptimisedSampler):
     [Ahmed2022]_.
     """
 
-    name: ClassVar[str] = "gaussian-blue-noise"
     dims: int = DEFAULT_DIMS
     sigma: float = real(1.0, least=0.2, most=2.0)
     iterations: int = whole(400, least=1, most=10**6)
@@ -316,7 +313,6 @@ class FarthestPoint(OptimisedSampler):
     [Schloemer2011]_.
     """
 
-    name: ClassVar[str] = "farthest-point"
     min_dims: ClassVar[int] = 2
     max_dims: ClassVar[int | None] = 2
     other_dims: ClassVar[str] = "for other dims use best-candidate or dart-throwing"

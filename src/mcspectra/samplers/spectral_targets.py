@@ -97,7 +97,6 @@ class StepBlueNoise(_MatchedSampler):
     [Heck2013]_.
     """
 
-    name: ClassVar[str] = "step-blue-noise"
     dims: int = 2
     cutoff: float = real(0.55, above=0.0)
     iterations: int = whole(200, least=1, most=10**6)
@@ -142,7 +141,6 @@ class TargetSpectrum(_MatchedSampler):
     [Heck2013]_, [Zhou2012]_.
     """
 
-    name: ClassVar[str] = "target-spectrum"
     dims: int = 2
     frequencies: tuple[float, ...] = (0.2, 0.8)
     power: tuple[float, ...] = (0.0, 1.0)
@@ -187,7 +185,6 @@ class TargetPcf(_MatchedSampler):
     [Oztireli2012]_, [Heck2013]_.
     """
 
-    name: ClassVar[str] = "target-pcf"
     dims: int = 2
     distances: tuple[float, ...] = (0.4, 0.6)
     pcf: tuple[float, ...] = (0.0, 1.0)

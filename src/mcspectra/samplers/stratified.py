@@ -62,7 +62,6 @@ class Random(Sampler):
     [Metropolis1949]_.
     """
 
-    name: ClassVar[str] = "random"
     structure: ClassVar[Structure] = Structure.NONE
     sequence: ClassVar[bool] = True
     dims: int = DEFAULT_DIMS
@@ -131,7 +130,6 @@ class Regular(FixedSet, GridSampler):
     [Ramamoorthi2012]_.
     """
 
-    name: ClassVar[str] = "regular"
     structure: ClassVar[Structure] = Structure.STRATA
     dims: int = DEFAULT_DIMS
     position: str = choice("center", "corner")
@@ -160,7 +158,6 @@ class UniformJitter(GridSampler):
     [Ramamoorthi2012]_.
     """
 
-    name: ClassVar[str] = "uniform-jitter"
     structure: ClassVar[Structure] = Structure.TORUS
     dims: int = DEFAULT_DIMS
     sides_: Sequence[int] | None = None
@@ -186,7 +183,6 @@ class Jittered(GridSampler):
     [Haber1966]_, [Cook1986]_.
     """
 
-    name: ClassVar[str] = "jittered"
     structure: ClassVar[Structure] = Structure.STRATA
     dims: int = DEFAULT_DIMS
     sides_: Sequence[int] | None = None
@@ -225,7 +221,6 @@ class BoxJitter(GridSampler):
     [Ramamoorthi2012]_.
     """
 
-    name: ClassVar[str] = "box-jitter"
     structure: ClassVar[Structure] = Structure.TORUS
     dims: int = DEFAULT_DIMS
     width: float = real(0.5, least=0.0, most=_MOST_WIDTH)
@@ -264,7 +259,6 @@ class GaussianJitter(GridSampler):
     [Balakrishnan1962]_.
     """
 
-    name: ClassVar[str] = "gaussian-jitter"
     structure: ClassVar[Structure] = Structure.TORUS
     unbiased: ClassVar[bool] = False
     dims: int = DEFAULT_DIMS
@@ -295,7 +289,6 @@ class AntitheticJittered(Sampler):
     [Haber1967]_, [Haber1970]_.
     """
 
-    name: ClassVar[str] = "antithetic-jittered"
     structure: ClassVar[Structure] = Structure.STRATA
     antithetic: ClassVar[bool] = True
     dims: int = DEFAULT_DIMS
@@ -342,7 +335,6 @@ class MultiJittered(Sampler):
     [Chiu1994]_.
     """
 
-    name: ClassVar[str] = "multi-jittered"
     structure: ClassVar[Structure] = Structure.STRATA
     min_dims: ClassVar[int] = 2
     max_dims: ClassVar[int | None] = 2
@@ -385,7 +377,6 @@ class CorrelatedMultiJittered(Sampler):
     [Kensler2013]_.
     """
 
-    name: ClassVar[str] = "correlated-multi-jittered"
     structure: ClassVar[Structure] = Structure.STRATA
     min_dims: ClassVar[int] = 2
     max_dims: ClassVar[int | None] = 2
@@ -468,7 +459,6 @@ class Hexagonal(FixedSet):
     [Petersen1962]_.
     """
 
-    name: ClassVar[str] = "hexagonal"
     structure: ClassVar[Structure] = Structure.TORUS
     min_dims: ClassVar[int] = 2
     max_dims: ClassVar[int | None] = 2
