@@ -7,18 +7,15 @@ sampler; where there are neither, single numbers stand beside each other.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
+import xarray as xr
 
 from mcspectra.core.checks import Array
 from mcspectra.plots.description import Axis, Dots, Image, Line, Mark, Panel, Plot, Scale
 from mcspectra.plots.groups import Group, Styles, abreast, intervals, numbers
 from mcspectra.plots.scales import name_axis
 from mcspectra.plots.style import LineStyle, labels
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["anything", "shown_variables"]
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import xarray as xr
 
 from mcspectra.core.errors import FileFormatError, ParameterError
 from mcspectra.plots import backend_matplotlib
@@ -28,7 +29,6 @@ from mcspectra.variance.bench import BENCH_QUALITY
 from mcspectra.version import __version__
 
 if TYPE_CHECKING:
-    import xarray as xr
     from matplotlib.figure import Figure as Drawn
 
 __all__ = ["BENCH_FILES", "bench_plots", "bench_table", "check_bench_file", "write_bench"]

@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import StoreError
@@ -30,9 +31,6 @@ from mcspectra.report.page import (
     write_page,
 )
 from mcspectra.variance.fit import is_resolved
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["frame_findings", "frame_layers", "frame_summary", "frame_table", "write_frames"]
 

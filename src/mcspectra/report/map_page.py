@@ -7,9 +7,10 @@ import math
 import shlex
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import StoreError
@@ -32,9 +33,6 @@ from mcspectra.report.page import (
     write_json,
     write_page,
 )
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["map_layers", "map_note", "map_sentences", "map_summary", "shown_numbers", "write_map"]
 

@@ -8,9 +8,10 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from mcspectra.core.errors import FileFormatError, ParameterError
 from mcspectra.core.spec import short_spec
@@ -18,9 +19,6 @@ from mcspectra.plots import backend_matplotlib
 from mcspectra.plots.kinds import describe, kinds_of
 from mcspectra.plots.text import number
 from mcspectra.report.result_page import write_result
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = [
     "RESULT_FILES",

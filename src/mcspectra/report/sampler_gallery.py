@@ -9,8 +9,9 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, final
+from typing import final
 
+import xarray as xr
 from markupsafe import Markup, escape
 
 from mcspectra.core.checks import Array, as_choice
@@ -55,9 +56,6 @@ from mcspectra.spectra.power import power_spectrum
 from mcspectra.variance.bench import SHARED_SETS, making_seconds, randomized, shared_sets
 from mcspectra.variance.convergence import convergence
 from mcspectra.version import __version__
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = [
     "FORMATS",
