@@ -11,7 +11,6 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import StoreError
 from mcspectra.core.results import strict_json
 from mcspectra.plots import kinds
 from mcspectra.plots.text import interval, number, percent, rate
@@ -249,12 +248,8 @@ def write_frames(result: xr.Dataset, folder: str | Path) -> Path:
     """
     root = Path(folder)
     found, said = frame_summary(result), frame_findings(result)
-    try:
-        root.mkdir(parents=True, exist_ok=True)
-        write_exr(root / "frames.exr", frame_layers(result), comment=json.dumps(strict_json(found)))
-    except OSError as error:
-        raise StoreError(f"{str(root)!r} cannot be written: {error.strerror}.") from None
     write_json(root / "frames.json", {**found, "findings": said})
+    write_exr(root / "frames.exr", frame_layers(result), comment=json.dumps(strict_json(found)))
     columns, rows = frame_table(found)
     table = Table(
         caption="Variance of one frame, mean over the pixels; median over the pixels of σ / mean"
