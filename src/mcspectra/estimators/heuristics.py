@@ -49,20 +49,6 @@ _GRID = 2049
 _BISECTIONS = 45
 _EDGE = 1e-12  # from the ends of [0,1], where there are breaks anyway
 
-HEURISTICS = Registry(
-    "heuristic",
-    "mcspectra.heuristics",
-    {
-        "balance": "mcspectra.estimators.heuristics:Balance",
-        "cutoff": "mcspectra.estimators.heuristics:Cutoff",
-        "maximum": "mcspectra.estimators.heuristics:Maximum",
-        "optimal": "mcspectra.estimators.pilots:Optimal",
-        "power": "mcspectra.estimators.heuristics:Power",
-        "variance-aware": "mcspectra.estimators.pilots:VarianceAware",
-    },
-)
-"""Heuristics that spec strings can name."""
-
 _FEW_CELLS = 2**12  # whether an integral diverges shows long before its value is known
 
 
@@ -101,6 +87,22 @@ class Heuristic(Component, ABC):
     @abstractmethod
     def ratio(self, q: Array, technique: int) -> Array:
         """w_t/q_t for q (T, ...) of all techniques: (...), 0 where all q are."""
+
+
+HEURISTICS = Registry(
+    "heuristic",
+    "mcspectra.heuristics",
+    {
+        "balance": "mcspectra.estimators.heuristics:Balance",
+        "cutoff": "mcspectra.estimators.heuristics:Cutoff",
+        "maximum": "mcspectra.estimators.heuristics:Maximum",
+        "optimal": "mcspectra.estimators.pilots:Optimal",
+        "power": "mcspectra.estimators.heuristics:Power",
+        "variance-aware": "mcspectra.estimators.pilots:VarianceAware",
+    },
+    base=Heuristic,
+)
+"""Heuristics that spec strings can name."""
 
 
 class Pilot(ABC):
@@ -353,9 +355,7 @@ def as_heuristic(given: object) -> Heuristic:
             f"heuristic is {given!r:.80}; give a spec string such as 'balance', one of "
             f"{', '.join(HEURISTICS)}."
         )
-    made = HEURISTICS.build(parse(given))
-    if not isinstance(made, Heuristic):
-        raise ParameterError(f"{given!r:.80} is registered as a heuristic but does not make one.")
+    made: Heuristic = HEURISTICS.build(parse(given))
     return made
 
 
