@@ -40,6 +40,10 @@ class Call:
     name: str
     arguments: dict[str, Any]
 
+    def __str__(self) -> str:
+        shown = ", ".join(f"{key}={value!r}" for key, value in self.arguments.items())
+        return f"{self.name}({shown})" if shown else self.name
+
 
 class _NameOfClass:
     """The class's own name in kebab case: ``latin-hypercube`` of LatinHypercube."""
