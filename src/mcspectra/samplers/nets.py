@@ -24,7 +24,7 @@ from mcspectra.core.fields import settle, whole
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.samplers import _digital_kernels
 from mcspectra.samplers._primes import LARGEST_BASE, is_prime, power_from, prime_from
-from mcspectra.samplers.base import MAX_COUNT, FixedSet, Sampler, Structure
+from mcspectra.samplers.base import MAX_COUNT, FixedSet, PlaneSampler, Sampler, Structure
 
 __all__ = ["DigitalNet", "Faure", "LarcherPillichshammer", "Niederreiter", "Sobol"]
 
@@ -302,7 +302,7 @@ def _irreducible() -> tuple[int, ...]:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class LarcherPillichshammer(_BinaryNet):
+class LarcherPillichshammer(PlaneSampler, _BinaryNet):
     """Larcher and Pillichshammer's (0, m, 2)-net of n = 2^m points, deterministic (2-D).
 
     The first coordinate is i/n; the matrix of the second is the upper triangle of ones, which
@@ -313,8 +313,6 @@ class LarcherPillichshammer(_BinaryNet):
     [LarcherPillichshammer2001]_, [KolligKeller2002]_
     """
 
-    min_dims: ClassVar[int] = 2
-    max_dims: ClassVar[int | None] = 2
     other_dims: ClassVar[str] = "for other dims use sobol or niederreiter"
     dims: int = 2
 

@@ -18,6 +18,7 @@ import numpy as np
 from mcspectra.core.checks import Array, as_real_array, as_unit_points
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.fields import real, settle, whole
+from mcspectra.samplers.base import PlaneSampler
 from mcspectra.samplers.optimised import OptimisedSampler, Report, minimize, random_points, wrap
 
 __all__ = [
@@ -44,11 +45,9 @@ _EPS = 1e-9  # of the non-uniform transforms
 _NODES = 48  # of Gauss and Legendre, on each piece: products with J0 up to 2π·4·4 are smooth there
 
 
-class _MatchedSampler(OptimisedSampler):
+class _MatchedSampler(PlaneSampler, OptimisedSampler):
     """Points whose radial mean power descends to that of a target."""
 
-    min_dims: ClassVar[int] = 2
-    max_dims: ClassVar[int | None] = 2
     other_dims: ClassVar[str] = "for other dims use gaussian-blue-noise"
     iterations: int
 

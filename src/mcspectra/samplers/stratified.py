@@ -25,7 +25,7 @@ from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream, mix_uniform
 from mcspectra.samplers._kernels import _shuffle, fill_jittered
-from mcspectra.samplers.base import MAX_COUNT, FixedSet, Sampler, Structure
+from mcspectra.samplers.base import MAX_COUNT, FixedSet, PlaneSampler, Sampler, Structure
 
 __all__ = [
     "AntitheticJittered",
@@ -320,7 +320,7 @@ def _fill_antithetic(keys: Array, corners: Array, side: float, out: Array) -> No
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class MultiJittered(Sampler):
+class MultiJittered(PlaneSampler):
     """Jittered in a × b cells, with one point in each of n strata of either axis too (2-D).
 
     2-D. The counts are those n = a·b with a ≤ b ≤ 2a; the most nearly square such a × b is taken.
@@ -336,8 +336,6 @@ class MultiJittered(Sampler):
     """
 
     structure: ClassVar[Structure] = Structure.STRATA
-    min_dims: ClassVar[int] = 2
-    max_dims: ClassVar[int | None] = 2
     other_dims: ClassVar[str] = "for other dims use orthogonal-array, jittered or latin-hypercube"
     dims: int = 2
 
@@ -358,7 +356,7 @@ class MultiJittered(Sampler):
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class CorrelatedMultiJittered(Sampler):
+class CorrelatedMultiJittered(PlaneSampler):
     """Multi-jittered with one shuffle for all columns and one for all rows, any count (2-D).
 
     2-D, any count.
@@ -378,8 +376,6 @@ class CorrelatedMultiJittered(Sampler):
     """
 
     structure: ClassVar[Structure] = Structure.STRATA
-    min_dims: ClassVar[int] = 2
-    max_dims: ClassVar[int | None] = 2
     other_dims: ClassVar[str] = "for other dims use orthogonal-array, jittered or latin-hypercube"
     dims: int = 2
 
@@ -440,7 +436,7 @@ def _fill_correlated(
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Hexagonal(FixedSet):
+class Hexagonal(PlaneSampler, FixedSet):
     """Triangular lattice (hexagonal cells) stretched to fit the torus; randomise with shift.
 
     2-D; counts n = 2ab for a = 1, 2, 3, … and b the whole number nearest to a/√3, at least 1:
@@ -460,8 +456,6 @@ class Hexagonal(FixedSet):
     """
 
     structure: ClassVar[Structure] = Structure.TORUS
-    min_dims: ClassVar[int] = 2
-    max_dims: ClassVar[int | None] = 2
     other_dims: ClassVar[str] = "for other dims use rank1-lattice or regular"
     dims: int = 2
 
