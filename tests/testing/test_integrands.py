@@ -65,9 +65,12 @@ def one_axis(_, m):
 
 FAULTS = {
     "raises": ({"_evaluate": raising}, "fails in its values: ZeroDivisionError: no luck"),
-    "shape": ({"_evaluate": lambda _, x: x}, r"gives shape \(3, 5, 2\), not \(3, 5\)"),
-    "type": ({"_evaluate": lambda _, x: WAVE(x).astype("f4")}, "gives float32, not float64"),
-    "no array": ({"_evaluate": lambda _, x: WAVE(x).tolist()}, "gives list, not an array"),
+    "shape": (
+        {"_evaluate": lambda _, x: x},
+        r"gives shape \(3, 5, 2\) in its values, not \(3, 5\)",
+    ),
+    "type": ({"_evaluate": lambda _, x: WAVE(x).astype("f4")}, "gives float32 in its values, not"),
+    "no array": ({"_evaluate": lambda _, x: WAVE(x).tolist()}, "gives list in its values, not"),
     "infinite": ({"_evaluate": lambda _, x: WAVE(x) / 0.0}, "not finite"),
     "input changed": ({"_evaluate": scribbling}, "changes the points"),
     "others": ({"_evaluate": lambda _, x: WAVE(x) + x.mean()}, "a point alone"),

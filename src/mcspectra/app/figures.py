@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+import xarray as xr
 
 from mcspectra.core.checks import Array
 from mcspectra.plots.description import Axis, Image, Line, Panel, Plot, Scale
@@ -12,9 +11,6 @@ from mcspectra.plots.kinds import describe, kinds_of
 from mcspectra.plots.scales import signed_scale, unit_axis
 from mcspectra.plots.style import PALETTE
 from mcspectra.plots.text import number
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["FIGURES", "figures_of"]
 

@@ -17,6 +17,7 @@ from mcspectra.core.pointfiles import matching_files
 from mcspectra.core.spec import Call, parse, parse_chain
 from mcspectra.samplers.external import check_code
 from mcspectra.samplers.registry import RUN_CODE
+from mcspectra.studies.vetting import FILE_KEYS
 
 __all__ = [
     "FORMULA",
@@ -43,14 +44,6 @@ _MOST_TECHNIQUES = 8
 _MOST_TEXT = 2000  # characters of a spec: browsers and servers cut URLs off at about 8000
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 _FILE = re.compile(r"[/\\]|\.[A-Za-z]\w*\Z")
-_FILE_KEYS = (
-    "path",
-    "filename",
-    "matrices",
-    "directions",
-    "generating_matrices",
-    "generating_vector",
-)
 _CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff]")
 
 
@@ -143,7 +136,7 @@ def base_and_steps(text: str) -> tuple[str, list[str]]:
 def chain(base: str, steps: Sequence[str], text: str) -> str:
     """Write a chain of these names; those that `text` has already keep their parameters."""
     try:
-        known = {call.name: _format(call) for call in parse_chain(text)}
+        known = {call.name: str(call) for call in parse_chain(text)}
     except McspectraError:
         known = {}
     return " | ".join(known.get(name, name) for name in (base, *steps))
@@ -152,12 +145,7 @@ def chain(base: str, steps: Sequence[str], text: str) -> str:
 def changed(text: str, key: str, value: float | str) -> str:
     """Return the spec with one parameter changed."""
     call = parse(text)
-    return _format(Call(call.name, {**call.arguments, key: value}))
-
-
-def _format(call: Call) -> str:
-    shown = ", ".join(f"{key}={value!r}" for key, value in call.arguments.items())
-    return f"{call.name}({shown})" if shown else call.name
+    return str(Call(call.name, {**call.arguments, key: value}))
 
 
 def _plain(name: str, text: object) -> str:
@@ -185,7 +173,7 @@ def _check_call(call: Call) -> None:
 
 def _check_value(name: str, key: Any, value: object) -> None:
     """Refuse file names, also within the lists and specs that a value may hold."""
-    if key in _FILE_KEYS and isinstance(value, str | list | tuple):
+    if key in FILE_KEYS and isinstance(value, str | list | tuple):
         if _folders and _allowed(value):
             return
         raise SpecError(

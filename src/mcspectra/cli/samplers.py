@@ -245,9 +245,10 @@ def bench_(options: argparse.Namespace) -> Answer:
     that stands alone, FILE.pdf has a sheet for each picture. A sampler that cannot do some of the dims is
     left out there.
     """
-    from mcspectra.report.bench_page import bench_table, check_bench_file, write_bench
+    from mcspectra.report.bench_page import BENCH_FILES, bench_table, write_bench
+    from mcspectra.report.result_files import check_result_file
 
-    check_bench_file(options.out)
+    check_result_file(options.out, BENCH_FILES)
     given = {
         name: getattr(options, name)
         for name in ("counts", "dims", "realizations")

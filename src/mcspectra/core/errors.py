@@ -8,6 +8,7 @@ that code which knows nothing of this package can catch them.
 from __future__ import annotations
 
 import difflib
+import errno
 import os
 import sys
 import warnings
@@ -50,6 +51,7 @@ __all__ = [
 ]
 
 _PACKAGE = str(Path(__file__).parents[1]) + os.sep
+_FAILING = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
 _COORDINATES = 6  # of a point in a message
 
 
@@ -200,11 +202,15 @@ def reason_of(error: BaseException, most: int = 1000) -> str:
 def writing(
     path: str | PathLike[str], kind: type[McspectraError] = FileFormatError
 ) -> Iterator[None]:
-    """Make an error of this kind, one sentence, of what the system says of a file that it cannot write."""
+    """Make an error of this kind, one sentence, of what the system says of a file that it cannot write.
+
+    Of a disk that is full or fails, which is not what the user has given, it is a StorageError.
+    """
     try:
         yield
     except OSError as error:
-        raise kind(f"{str(path)!r} cannot be written: {error.strerror or error}.") from None
+        found = StorageError if error.errno in _FAILING else kind
+        raise found(f"{str(path)!r} cannot be written: {error.strerror or error}.") from None
 
 
 def warn(message: str, category: type[Warning]) -> None:

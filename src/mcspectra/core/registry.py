@@ -36,10 +36,8 @@ class Registry(Mapping[str, str]):
         Entry-point group in which other packages register ``name = "module:Class"``.
     builtin
         Name to ``"module:Class"``.
-    functions
-        Whether a name may also stand for a function that makes the component.
     base
-        Class that what is registered derives from.
+        Class that what is registered derives from; None of functions that make it.
     """
 
     def __init__(
@@ -48,10 +46,8 @@ class Registry(Mapping[str, str]):
         group: str,
         builtin: Mapping[str, str],
         *,
-        functions: bool = False,
-        base: type = Component,
+        base: type | None = Component,
     ) -> None:
-        self.functions = functions
         self.base = base
         self.kind = kind
         self.group = group
@@ -90,10 +86,10 @@ class Registry(Mapping[str, str]):
             raise MissingDependency(
                 f"The {self.kind} {name!r} ({target}) cannot be loaded: {reason_of(error)}."
             ) from error
-        component = isinstance(found, type) and issubclass(found, self.base)
-        if not (component or (self.functions and callable(found))):
+        known = isinstance(found, type) and issubclass(found, self.base or object)
+        if not (known if self.base else callable(found)):
             raise MissingDependency(
-                f"The {self.kind} {name!r} ({target}) is {found!r}, not a class of mcspectra's; "
+                f"The {self.kind} {name!r} ({target}) is {found!r}, not a class that makes one; "
                 "mend the package that registers it."
             )
         return found  # type: ignore[no-any-return]

@@ -21,6 +21,7 @@ from mcspectra.core.fields import check_fields
 __all__ = ["Call", "Component", "format_call", "parse", "parse_chain", "short_spec"]
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(?:-[a-z0-9]+)*")
+_CAPITALS = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")  # within a name
 _WORD = re.compile(r"[A-Za-z_][\w.-]*")
 _NO_NUMBERS = ("nan", "inf", "infinity")
 _FIRST = {"command": "run", "python": "function"}  # what stands first may have no name: code
@@ -39,15 +40,27 @@ class Call:
     name: str
     arguments: dict[str, Any]
 
+    def __str__(self) -> str:
+        shown = ", ".join(f"{key}={value!r}" for key, value in self.arguments.items())
+        return f"{self.name}({shown})" if shown else self.name
+
+
+class _NameOfClass:
+    """The class's own name in kebab case: ``latin-hypercube`` of LatinHypercube."""
+
+    def __get__(self, component: object, cls: type) -> str:
+        return _CAPITALS.sub("-", cls.__name__).lower()
+
 
 class Component:
     """What samplers, randomisations, densities and integrands share: a name and a spec string.
 
     Subclasses are dataclasses; `spec` lists the fields that differ from their defaults. Those declared
-    by `mcspectra.core.fields` are checked when an instance is made, then all of it by `_check`.
+    by `mcspectra.core.fields` are checked when an instance is made, then all of it by `_check`. A class
+    whose name in spec strings is not its own in kebab case declares `name`.
     """
 
-    name: ClassVar[str] = ""
+    name: ClassVar[str] = _NameOfClass()  # type: ignore[assignment]
     costly: ClassVar[bool] = False
     """Whether a first look would take seconds, so that notebooks show no picture."""
 

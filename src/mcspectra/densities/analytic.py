@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, NamedTuple, final
+from typing import NamedTuple, final
 
 import numpy as np
 
@@ -54,8 +54,6 @@ class _Separable(Density):
 class Uniform(_Separable):
     """Uniform density, p = 1; the warp is the identity."""
 
-    name: ClassVar[str] = "uniform"
-
     def reciprocal_integral(self) -> float:
         """1."""
         return 1.0
@@ -88,7 +86,6 @@ class Linear(_Separable):
     are sums of positive terms, so that nothing cancels at s → 0 nor at s = ±2.
     """
 
-    name: ClassVar[str] = "linear"
     slope: float | tuple[float, ...] = per_dim(1.0, least=-2.0, most=2.0)
 
     @cached_property
@@ -161,7 +158,6 @@ class TruncatedNormal(_Separable):
     the right tail is never met. Rounding of u costs about 1e-14 at 10 sigma, 1e-12 at 100.
     """
 
-    name: ClassVar[str] = "truncated-normal"
     mean: float | tuple[float, ...] = per_dim(0.5)
     sigma: float | tuple[float, ...] = per_dim(0.2, above=0.0, most=_MAX_SIGMA)
 
@@ -239,7 +235,6 @@ class Power(_Separable):
         unbounded at 0; above 0 it is 0 there, and from 1 on ∫1/p diverges.
     """
 
-    name: ClassVar[str] = "power"
     exponent: float | tuple[float, ...] = per_dim(1.0, least=_LEAST_EXPONENT, most=_MOST_EXPONENT)
 
     @cached_property
@@ -279,7 +274,6 @@ class Exponential(_Separable):
         it is uniform.
     """
 
-    name: ClassVar[str] = "exponential"
     rate: float | tuple[float, ...] = per_dim(1.0, least=-_MOST_RATE, most=_MOST_RATE)
 
     @cached_property
@@ -328,8 +322,6 @@ class CosineWeighted(_Separable):
     and ∫1/p diverges.
     """
 
-    name: ClassVar[str] = "cosine-weighted"
-
     def reciprocal_integral(self) -> float:
         """Infinite."""
         return math.inf
@@ -358,7 +350,6 @@ class Tent(_Separable):
         Position of the peak, from 0 to 1: one number for all dims or one a dim.
     """
 
-    name: ClassVar[str] = "tent"
     peak: float | tuple[float, ...] = per_dim(0.5, least=0.0, most=1.0)
 
     @cached_property

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
@@ -64,7 +64,6 @@ class Bilinear(Density):
     rows grows by a large factor, as the rounding of x_1 then moves the line along which u_0 is found.
     """
 
-    name: ClassVar[str] = "bilinear"
     dims: int = field(default=2, init=False)
     values: Any = checked(lambda _, values: shown(as_table(values)))
     nodes: str = choice("centers", "corners")

@@ -21,7 +21,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import numpy as np
 
@@ -73,7 +73,6 @@ class Product(Density):
         ``product(parts=["linear(slope=1)", "tent"])`` is in 2-D.
     """
 
-    name: ClassVar[str] = "product"
     parts: Any = checked(lambda _, given: _as_parts(given, 1))
 
     def _check(self) -> None:
@@ -184,7 +183,6 @@ class Mixture(Density):
     not depend on the selection.
     """
 
-    name: ClassVar[str] = "mixture"
     dims: int = None  # type: ignore[assignment]  # the parts' own
     parts: Any
     weights: Any = None
@@ -321,7 +319,6 @@ class Defensive(Wrapper):
         As in `Mixture`; the uniform part is chosen by the upper end of the coordinate.
     """
 
-    name: ClassVar[str] = "defensive"
     dims: int = None  # type: ignore[assignment]  # the density's own
     density: Any
     share: float = 0.1

@@ -15,7 +15,7 @@ from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar, final
+from typing import final
 
 import numpy as np
 
@@ -109,7 +109,6 @@ class SphericalRectangle(_Light):
         The point that is lit; not in the plane of the light.
     """
 
-    name: ClassVar[str] = "spherical-rectangle"
     corner: Vector = checked(as_vector, (-0.5, -0.5, 1.0))
     edge0: Vector = checked(as_vector, (1.0, 0.0, 0.0))
     edge1: Vector = checked(as_vector, (0.0, 1.0, 0.0))
@@ -189,7 +188,6 @@ class SphericalTriangle(_Light):
         The point that is lit; not in the plane of the light.
     """
 
-    name: ClassVar[str] = "spherical-triangle"
     a: Vector = checked(as_vector, (-0.5, -0.5, 1.0))
     b: Vector = checked(as_vector, (0.5, -0.5, 1.0))
     c: Vector = checked(as_vector, (-0.5, 0.5, 1.0))

@@ -74,7 +74,6 @@ class AlignedStrata(Density):
         s, strata along each axis, one number or one for each dim; n = s^d for jittered samples.
     """
 
-    name: ClassVar[str] = "aligned-strata"
     edges: Any = checked(_as_edges)
     strata: int | Sequence[int] = 16
 
@@ -289,7 +288,6 @@ class PiecewiseLinear(Density):
     positive terms, so that nothing cancels for a → b nor where a or b is 0.
     """
 
-    name: ClassVar[str] = "piecewise-linear"
     dims: int = field(default=1, init=False)
     values: Any = checked(_as_nodes)
 

@@ -39,6 +39,7 @@ DENSITIES = Registry(
         "uniform": "mcspectra.densities.analytic:Uniform",
         "vegas": "mcspectra.estimators.vegas_:VegasDensity",
     },
+    base=Density,
 )
 """Densities that spec strings can name."""
 
@@ -67,10 +68,7 @@ def density(spec: str, dims: int | None = None) -> Density:
     0.5
     """
     asked = None if dims is None else as_integer("dims", dims, least=1, most=MAX_DIMS)
-    call = parse(spec)
-    made = DENSITIES.build(call, asked)
-    if not isinstance(made, Density):
-        raise ParameterError(f"{call.name} is registered as a density but does not make one.")
+    made: Density = DENSITIES.build(parse(spec), asked)
     return made
 
 

@@ -122,7 +122,6 @@ class PiecewiseConstant(Density):
         (see the module). In 1-D all but ``"alias"`` are the same.
     """
 
-    name: ClassVar[str] = "piecewise-constant"
     warps: ClassVar[tuple[str, ...]] = WARPS
     values: Any = checked(lambda _, values: shown(as_table(values)))
     warp: str = choice(*WARPS)

@@ -19,7 +19,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, final
+from typing import final
 
 import numpy as np
 
@@ -48,20 +48,6 @@ __all__ = [
 _GRID = 2049
 _BISECTIONS = 45
 _EDGE = 1e-12  # from the ends of [0,1], where there are breaks anyway
-
-HEURISTICS = Registry(
-    "heuristic",
-    "mcspectra.heuristics",
-    {
-        "balance": "mcspectra.estimators.heuristics:Balance",
-        "cutoff": "mcspectra.estimators.heuristics:Cutoff",
-        "maximum": "mcspectra.estimators.heuristics:Maximum",
-        "optimal": "mcspectra.estimators.pilots:Optimal",
-        "power": "mcspectra.estimators.heuristics:Power",
-        "variance-aware": "mcspectra.estimators.pilots:VarianceAware",
-    },
-)
-"""Heuristics that spec strings can name."""
 
 _FEW_CELLS = 2**12  # whether an integral diverges shows long before its value is known
 
@@ -101,6 +87,22 @@ class Heuristic(Component, ABC):
     @abstractmethod
     def ratio(self, q: Array, technique: int) -> Array:
         """w_t/q_t for q (T, ...) of all techniques: (...), 0 where all q are."""
+
+
+HEURISTICS = Registry(
+    "heuristic",
+    "mcspectra.heuristics",
+    {
+        "balance": "mcspectra.estimators.heuristics:Balance",
+        "cutoff": "mcspectra.estimators.heuristics:Cutoff",
+        "maximum": "mcspectra.estimators.heuristics:Maximum",
+        "optimal": "mcspectra.estimators.pilots:Optimal",
+        "power": "mcspectra.estimators.heuristics:Power",
+        "variance-aware": "mcspectra.estimators.pilots:VarianceAware",
+    },
+    base=Heuristic,
+)
+"""Heuristics that spec strings can name."""
 
 
 class Pilot(ABC):
@@ -257,7 +259,6 @@ class Power(Heuristic):
         β ≥ 0; 1 is `balance`.
     """
 
-    name: ClassVar[str] = "power"
     beta: float = real(2.0, least=0.0)
 
     @property
@@ -281,8 +282,6 @@ class Power(Heuristic):
 class Balance(Heuristic):
     """q_t / Σ q_s: the balance heuristic."""
 
-    name: ClassVar[str] = "balance"
-
     def ratio(self, q: Array, technique: int) -> Array:
         del technique
         return _divided(np.ones(q.shape[1:]), q.sum(axis=0))
@@ -299,7 +298,6 @@ class Cutoff(Heuristic):
         α from 0, which is `balance`, to 1, which is `maximum`.
     """
 
-    name: ClassVar[str] = "cutoff"
     alpha: float = real(0.1, least=0.0, most=1.0)
 
     @property
@@ -317,8 +315,6 @@ class Cutoff(Heuristic):
 @dataclass(frozen=True, kw_only=True)
 class Maximum(Heuristic):
     """All weight to the largest q_t, shared equally where several are largest."""
-
-    name: ClassVar[str] = "maximum"
 
     @property
     def smooth(self) -> bool:
@@ -359,9 +355,7 @@ def as_heuristic(given: object) -> Heuristic:
             f"heuristic is {given!r:.80}; give a spec string such as 'balance', one of "
             f"{', '.join(HEURISTICS)}."
         )
-    made = HEURISTICS.build(parse(given))
-    if not isinstance(made, Heuristic):
-        raise ParameterError(f"{given!r:.80} is registered as a heuristic but does not make one.")
+    made: Heuristic = HEURISTICS.build(parse(given))
     return made
 
 

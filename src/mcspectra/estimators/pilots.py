@@ -78,8 +78,6 @@ class Optimal(_Piloted):
         Seed of the pilot points.
     """
 
-    name: ClassVar[str] = "optimal"
-
     def adapt(self, pilot: Pilot) -> tuple[tuple[float, ...], Array]:
         """The counts as they are, and α: (T,) or (T, channels)."""
         if self.pilot == "quadrature":
@@ -119,8 +117,6 @@ class VarianceAware(_Piloted):
         Seed of the pilot points.
     """
 
-    name: ClassVar[str] = "variance-aware"
-
     def adapt(self, pilot: Pilot) -> tuple[tuple[float, ...], None]:
         """The counts times the factors v_t, and no control variate."""
         techniques = len(pilot.shares)
@@ -145,7 +141,6 @@ class VarianceAware(_Piloted):
 class Residual(Derived):
     """The residual f − Σ α_t p_t of the control variate: the domain view of optimal weights."""
 
-    name: ClassVar[str] = "residual"
     text = "{0.integrand.spec} less its control variate"
     integrand: Integrand
     combination: Combination

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import ClassVar, final
+from typing import final
 
 import numpy as np
 
@@ -57,7 +57,6 @@ class Constant(Integrand):
         Number of dims.
     """
 
-    name: ClassVar[str] = "constant"
     value: float = real(1.0)
     dims: int = any_dims()
 
@@ -90,7 +89,6 @@ class Linear(Integrand):
         Number of dims.
     """
 
-    name: ClassVar[str] = "linear"
     gradient: float | Sequence[float] = per_axis(1.0)
     offset: float = real(0.0)
     dims: int = any_dims()
@@ -131,7 +129,6 @@ class Polynomial(Integrand):
         Number of dims.
     """
 
-    name: ClassVar[str] = "polynomial"
     coefficients: Sequence[float] = checked(_as_coefficients, (0.0, 1.0))
     dims: int = any_dims()
 
@@ -183,7 +180,6 @@ class Gaussian(Integrand):
         Number of dims.
     """
 
-    name: ClassVar[str] = "gaussian"
     center: float | Sequence[float] = per_axis(0.5)
     width: float = real(0.25, above=0.0)
     dims: int = any_dims()
@@ -227,7 +223,6 @@ class Cosine(Integrand):
         Number of dims.
     """
 
-    name: ClassVar[str] = "cosine"
     frequency: int | Sequence[int] = checked(_as_cycles, 1, using="dims")
     phase: float = real(0.0)
     dims: int = any_dims()

@@ -388,7 +388,6 @@ class Channel(Derived):
         f is scalar, or has no such channel, or not three for the luminance.
     """
 
-    name: ClassVar[str] = "channel"
     text = "{0.integrand.spec}[{0.channel}]"
     channels = 0
     integrand: Integrand

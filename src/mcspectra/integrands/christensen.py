@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import ClassVar, final
+from typing import final
 
 from mcspectra.core.checks import Array
 from mcspectra.core.spec import Component
@@ -51,7 +51,6 @@ class NamedFunction(Derived):
 class ChristensenDisk(NamedFunction):
     """A quarter disk, 1 where x² + y² < 2/π; its integral is ½."""
 
-    name: ClassVar[str] = "christensen-disk"
     integrand = Disk(center=0.0, radius=math.sqrt(2.0 / math.pi), dims=2)
 
 
@@ -59,7 +58,6 @@ class ChristensenDisk(NamedFunction):
 class ChristensenTriangle(NamedFunction):
     """A triangle, 1 where y > x; its integral is ½."""
 
-    name: ClassVar[str] = "christensen-triangle"
     integrand = HalfSpace(normal=(1.0, -1.0), offset=0.0, dims=2)
 
 
@@ -67,7 +65,6 @@ class ChristensenTriangle(NamedFunction):
 class ChristensenStep(NamedFunction):
     """A step, 1 where x < 1/π; its integral is 1/π."""
 
-    name: ClassVar[str] = "christensen-step"
     integrand = Step(at=1.0 / math.pi, dims=2)
 
 
@@ -75,7 +72,6 @@ class ChristensenStep(NamedFunction):
 class ChristensenGaussian(NamedFunction):
     """A Gaussian, exp(−x² − y²); its integral is (π/4) erf(1)² = 0.5577462853510337."""
 
-    name: ClassVar[str] = "christensen-gaussian"
     integrand = Gaussian(center=0.0, width=math.sqrt(0.5), dims=2)
 
 
@@ -83,5 +79,4 @@ class ChristensenGaussian(NamedFunction):
 class ChristensenBilinear(NamedFunction):
     """A bilinear function, x y; its integral is ¼."""
 
-    name: ClassVar[str] = "christensen-bilinear"
     integrand = Polynomial(coefficients=(0.0, 1.0), dims=2)

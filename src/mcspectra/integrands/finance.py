@@ -14,7 +14,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, final
+from typing import final
 
 import numpy as np
 
@@ -198,7 +198,6 @@ class AsianOption(Option):
         ``"geometric"``, whose value is exact, or ``"arithmetic"``; others as of ``Option``.
     """
 
-    name: ClassVar[str] = "asian-option"
     average: str = choice("geometric", "arithmetic")
 
     def _planes(self) -> list[tuple[Array, float]]:
@@ -234,8 +233,6 @@ class DigitalOption(Option):
     [BlackScholes1973]_. Parameters are those of ``Option``.
     """
 
-    name: ClassVar[str] = "digital-option"
-
     def _planes(self) -> list[tuple[Array, float]]:
         return [(np.eye(self.dims)[-1], self.strike)]
 
@@ -260,7 +257,6 @@ class BarrierOption(Option):
         Less than the spot; others as of ``Option``.
     """
 
-    name: ClassVar[str] = "barrier-option"
     barrier: float = real(90.0, above=0.0)
 
     def _check(self) -> None:

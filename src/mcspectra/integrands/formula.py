@@ -14,7 +14,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, ClassVar, TypeAlias, final
+from typing import Any, TypeAlias, final
 
 import numpy as np
 
@@ -84,7 +84,6 @@ class Formula(Integrand):
     array([0.5 , 0.75])
     """
 
-    name: ClassVar[str] = "formula"
     expression: str
     dims: int = any_dims()
 

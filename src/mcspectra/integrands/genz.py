@@ -6,7 +6,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, final
+from typing import final
 
 import numpy as np
 
@@ -87,7 +87,6 @@ class GenzProduct(Genz):
 class GenzOscillatory(Genz):
     """Genz's oscillatory function, f(x) = cos(2π u + Σ_i a_i x_i)."""
 
-    name: ClassVar[str] = "genz-oscillatory"
     u: float = real(0.3)
     dims: int = any_dims()
 
@@ -111,8 +110,6 @@ class GenzOscillatory(Genz):
 class GenzProductPeak(GenzProduct):
     """Genz's product peak, f(x) = Π_i 1/(a_i⁻² + (x_i − u_i)²)."""
 
-    name: ClassVar[str] = "genz-product-peak"
-
     def _factors(self, x: Array) -> Array:
         return np.asarray(1.0 / (self._a**-2.0 + (x - self._u) ** 2))
 
@@ -126,7 +123,6 @@ class GenzProductPeak(GenzProduct):
 class GenzCornerPeak(Genz):
     """Genz's corner peak, f(x) = (1 + Σ_i a_i x_i)^−(d+1)."""
 
-    name: ClassVar[str] = "genz-corner-peak"
     dims: int = any_dims()
 
     def _evaluate(self, x: Array) -> Array:
@@ -148,8 +144,6 @@ class GenzCornerPeak(Genz):
 class GenzGaussian(GenzProduct):
     """Genz's Gaussian, f(x) = exp(−Σ_i a_i² (x_i − u_i)²)."""
 
-    name: ClassVar[str] = "genz-gaussian"
-
     def _factors(self, x: Array) -> Array:
         return np.asarray(np.exp(-((self._a * (x - self._u)) ** 2)))
 
@@ -163,8 +157,6 @@ class GenzGaussian(GenzProduct):
 @final
 class GenzContinuous(GenzProduct):
     """Genz's continuous function with kinks at u, f(x) = exp(−Σ_i a_i |x_i − u_i|)."""
-
-    name: ClassVar[str] = "genz-continuous"
 
     @property
     def breaks(self) -> Breaks:
@@ -185,8 +177,6 @@ class GenzDiscontinuous(GenzProduct):
 
     Places u of further axes do not count.
     """
-
-    name: ClassVar[str] = "genz-discontinuous"
 
     @property
     def _ends(self) -> Array:

@@ -15,7 +15,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import numpy as np
 import numpy.typing as npt
@@ -97,7 +97,6 @@ class Image(_Picture):
         The file is missing or cannot be read.
     """
 
-    name: ClassVar[str] = "image"
     path: str | os.PathLike[str] | None = _path()
     values: npt.ArrayLike | None = None
     channel: int | str | None = None
@@ -204,7 +203,6 @@ class Environment(_Picture):
         The file is missing or cannot be read.
     """
 
-    name: ClassVar[str] = "environment"
     path: str | os.PathLike[str] | None = _path()
     values: npt.ArrayLike | None = None
     channel: int | str | None = None

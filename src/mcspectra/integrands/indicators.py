@@ -10,7 +10,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, final
+from typing import final
 
 import numpy as np
 
@@ -66,7 +66,6 @@ class Step(_Indicator):
         Number of dims.
     """
 
-    name: ClassVar[str] = "step"
     at: float = real(0.5, least=0.0, most=1.0)
     axis: int = axis_number()
     dims: int = any_dims()
@@ -103,7 +102,6 @@ class SmoothedStep(Integrand):
         Number of dims.
     """
 
-    name: ClassVar[str] = "smoothed-step"
     at: float = real(0.5, least=0.0, most=1.0)
     width: float = real(0.1, above=0.0)
     axis: int = axis_number()
@@ -168,7 +166,6 @@ class Disk(_Indicator):
         Number of dims.
     """
 
-    name: ClassVar[str] = "disk"
     center: float | Sequence[float] = per_axis(0.5)
     radius: float = real(0.25, above=0.0)
     dims: int = any_dims()
@@ -247,7 +244,6 @@ class HalfSpace(_Indicator):
         Number of dims.
     """
 
-    name: ClassVar[str] = "half-space"
     normal: float | Sequence[float] = per_axis(1.0)
     offset: float = real(0.75)
     dims: int = any_dims()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import numpy as np
 
@@ -65,7 +65,6 @@ class RectangleLight(Integrand):
     light. Its rounding error is about 1e-15 L, whatever the size of the light.
     """
 
-    name: ClassVar[str] = "rectangle-light"
     dims: int = field(default=2, init=False)
     corner: Vector = checked(as_vector, (-0.5, -0.5, 1.0))
     edge0: Vector = checked(as_vector, (1.0, 0.0, 0.0))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, final
+from typing import final
 
 import numpy as np
 
@@ -39,7 +39,6 @@ class Keister(Integrand):
         Number of dims.
     """
 
-    name: ClassVar[str] = "keister"
     dims: int = any_dims()
 
     def _evaluate(self, x: Array) -> Array:
@@ -69,7 +68,6 @@ class GaussianPeaks(Integrand):
         Number of dims.
     """
 
-    name: ClassVar[str] = "gaussian-peaks"
     centers: Sequence[float] = checked(_as_centers, (0.23, 0.39, 0.74))
     width: float = real(0.05, above=0.0)
     dims: int = any_dims()
@@ -113,7 +111,6 @@ class GaussianRidge(Integrand):
         Number of dims.
     """
 
-    name: ClassVar[str] = "gaussian-ridge"
     start: float = real(0.25, least=0.0, most=1.0)
     stop: float = real(0.75, least=0.0, most=1.0)
     width: float = real(0.05, above=0.0)
@@ -174,7 +171,6 @@ class RatioTracking(Integrand):
         Number of tentative collisions.
     """
 
-    name: ClassVar[str] = "ratio-tracking"
     extinction: float = real(2.0, above=0.0)
     contrast: float = real(0.8, least=0.0, most=1.0)
     cycles: float = real(3.0, least=0.0)

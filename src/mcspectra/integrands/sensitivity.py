@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, final
+from typing import final
 
 import numpy as np
 
@@ -33,7 +33,6 @@ class Ishigami(Integrand):
         Weights of the second and third input.
     """
 
-    name: ClassVar[str] = "ishigami"
     dims = 3
     a: float = real(7.0)
     b: float = real(0.1)
@@ -70,7 +69,6 @@ class SobolG(Integrand):
         Number of dims.
     """
 
-    name: ClassVar[str] = "sobol-g"
     a: float | Sequence[float] | None = per_axis(None, least=0.0)
     dims: int = any_dims()
 

@@ -12,7 +12,7 @@ import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import numpy as np
 
@@ -103,7 +103,6 @@ class EdgeSmoothed(Integrand):
         Width of the ramp, > 0, normal to the border; for a ball less than its diameter.
     """
 
-    name: ClassVar[str] = "edge-smoothed"
     edge: Disk | HalfSpace
     width: float = real(above=0.0)
 
@@ -194,7 +193,6 @@ class BoxSmoothed(Derived):
     Even continuation and an even kernel, the rule's nodes included, keep the integral: ∫ f_δ = ∫ f.
     """
 
-    name: ClassVar[str] = "box-smoothed"
     text = "{0.integrand.spec} averaged over boxes of side {0.width:g}"
     integrand: Integrand
     width: float = real(above=0.0, most=1.0)

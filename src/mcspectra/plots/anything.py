@@ -7,18 +7,16 @@ sampler; where there are neither, single numbers stand beside each other.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from mcspectra.core.checks import Array
 from mcspectra.plots.description import Axis, Dots, Image, Line, Mark, Panel, Plot, Scale
 from mcspectra.plots.groups import Group, Styles, abreast, intervals, numbers
 from mcspectra.plots.scales import name_axis
 from mcspectra.plots.style import LineStyle, labels
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["anything", "shown_variables"]
 
@@ -57,15 +55,9 @@ def anything(group: Group, styles: Styles) -> Plot:
         marks: list[Mark] = []
         for row, (sampler, each) in enumerate(there.items()):
             x, ticks = (np.array([float(row)]), None) if not dims else _places(each[name])
-            ends = _ends(each, name)
-            marks += _curve(
-                names[sampler],
-                styles[sampler],
-                x,
-                np.atleast_1d(each[name].values),
-                ends,
-                ticks is None and bool(dims),
-            )
+            joined = ticks is None and bool(dims)
+            y, ends = np.atleast_1d(each[name].values), _ends(each, name)
+            marks.append(_curve(names[sampler], styles[sampler], x, y, ends, joined))
         if dims:
             axis = Axis(label=over[0], ticks=ticks)
         else:
@@ -101,35 +93,14 @@ def _ends(data: xr.Dataset, name: str) -> Array | None:
 
 def _curve(
     label: str, style: LineStyle, x: Array, y: Array, ends: Array | None, joined: bool
-) -> list[Mark]:
+) -> Mark:
     low, high = (None, None) if ends is None else ends.T
     shown = {"sampler": [label] * x.size, "x": numbers(x), "value": numbers(y)}
     shown |= {} if ends is None else {"interval": intervals(ends)}
+    both: dict[str, Any] = {"low": low, "high": high, "label": label, "hover": shown}
     if joined:  # names are no axis that a line could run along
-        return [
-            Line(
-                x=x,
-                y=y,
-                color=style.color,
-                dashes=style.dashes,
-                low=low,
-                high=high,
-                label=label,
-                hover=shown,
-            )
-        ]
-    return [
-        Dots(
-            x=x,
-            y=y,
-            color=style.color,
-            marker=style.marker,
-            low=low,
-            high=high,
-            label=label,
-            hover=shown,
-        )
-    ]
+        return Line(x=x, y=y, color=style.color, dashes=style.dashes, **both)
+    return Dots(x=x, y=y, color=style.color, marker=style.marker, **both)
 
 
 def _map(name: str, title: str, label: str, values: xr.DataArray) -> Panel:

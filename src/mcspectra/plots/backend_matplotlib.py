@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import FileFormatError, ParameterError
+from mcspectra.core.errors import FileFormatError, ParameterError, writing
 from mcspectra.plots.description import (
     Axis,
     Bars,
@@ -168,17 +168,12 @@ def write(plot: Plot, path: str | PathLike[str], *, captioned: bool = False) -> 
         text = _plain(shorten(plot.caption, int(17 * figure.get_figwidth())))
         figure.supxlabel(text, x=0.02, ha="left", fontsize=_SMALL, color=INK)
     stamps: dict[str, Any] = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
-    try:
-        # Names of parts of an SVG are random without a salt
-        with mpl.rc_context({"svg.hashsalt": "mcspectra", "pdf.fonttype": 42}):
-            if extension == ".pgf":
-                _write_pgf(figure, file)
-            else:
-                figure.savefig(file, format=extension[1:], dpi=_PDF_DPI, metadata=stamps[extension])
-    except OSError as error:
-        raise FileFormatError(
-            f"{str(file)!r} cannot be written: {error.strerror or error}."
-        ) from None
+    # Names of parts of an SVG are random without a salt
+    with writing(file), mpl.rc_context({"svg.hashsalt": "mcspectra", "pdf.fonttype": 42}):
+        if extension == ".pgf":
+            _write_pgf(figure, file)
+        else:
+            figure.savefig(file, format=extension[1:], dpi=_PDF_DPI, metadata=stamps[extension])
 
 
 def write_pages(pages: Iterable[tuple[str, Plot] | Figure], path: str | PathLike[str]) -> None:
@@ -192,19 +187,15 @@ def write_pages(pages: Iterable[tuple[str, Plot] | Figure], path: str | PathLike
     import matplotlib as mpl
     from matplotlib.backends.backend_pdf import PdfPages
 
-    metadata = {"CreationDate": None, "Creator": "mcspectra"}
-    try:
-        with mpl.rc_context({"pdf.fonttype": 42}), PdfPages(path, metadata=metadata) as pdf:
-            for page in pages:
-                if isinstance(page, tuple):
-                    title, plot = page
-                    page = draw(plot)
-                    page.suptitle(_plain(title), x=0.02, ha="left", fontsize=11, color=INK)
-                pdf.savefig(page, dpi=_PDF_DPI)
-    except OSError as error:
-        raise FileFormatError(
-            f"{str(path)!r} cannot be written: {error.strerror or error}."
-        ) from None
+    about = {"CreationDate": None, "Creator": "mcspectra"}
+    fonts = mpl.rc_context({"pdf.fonttype": 42})
+    with writing(path), fonts, PdfPages(path, metadata=about) as pdf:
+        for page in pages:
+            if isinstance(page, tuple):
+                title, plot = page
+                page = draw(plot)
+                page.suptitle(_plain(title), x=0.02, ha="left", fontsize=11, color=INK)
+            pdf.savefig(page, dpi=_PDF_DPI)
 
 
 def _write_pgf(figure: Figure, file: Path) -> None:

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+import xarray as xr
 
 from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, Plot
 from mcspectra.plots.groups import Group, Styles, for_each, intervals, numbers
 from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import labels, sampler_styles
 from mcspectra.plots.text import number
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["chains"]
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from mcspectra.core.checks import Array
 from mcspectra.plots.description import Axis, Image, Line, Mark, Panel, Plot, Rule, Scale
@@ -16,9 +17,6 @@ from mcspectra.plots.maps import image_map, logarithmic, picture, rates, ratios
 from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import PALETTE
 from mcspectra.plots.text import number
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["FRAMES"]
 

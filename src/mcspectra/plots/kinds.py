@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, final
+from typing import final
+
+import xarray as xr
 
 from mcspectra.core.checks import as_choice
 from mcspectra.core.errors import ParameterError
@@ -13,9 +15,6 @@ from mcspectra.plots.anything import anything, shown_variables
 from mcspectra.plots.description import Plot
 from mcspectra.plots.groups import Data, Group, Styles, as_group, frequency_dims
 from mcspectra.plots.style import sampler_styles
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["KINDS", "Kind", "describe", "kinds_of"]
 

@@ -6,9 +6,10 @@ import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from mcspectra.core.checks import Array, as_real
 from mcspectra.core.errors import ParameterError
@@ -17,9 +18,6 @@ from mcspectra.plots.groups import Group, Styles, abreast, shared
 from mcspectra.plots.scales import log_scale
 from mcspectra.plots.style import PALETTE
 from mcspectra.plots.text import number, percent
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = [
     "MAPS",

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+import xarray as xr
 
 from mcspectra.core.checks import Array
 from mcspectra.estimators.moments import CONFIDENCE_Z
@@ -42,9 +42,6 @@ from mcspectra.plots.style import (
     sampler_styles,
 )
 from mcspectra.plots.text import MISSING, NEGLIGIBLE, number, number_beside, percent, rate, shorten
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = [
     "anova",

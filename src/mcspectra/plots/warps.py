@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+import xarray as xr
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
@@ -12,9 +11,6 @@ from mcspectra.plots.description import Axis, Image, Line, Mark, Panel, Plot, Ru
 from mcspectra.plots.groups import Group, Styles, abreast, for_each, numbers
 from mcspectra.plots.scales import log_scale, unit_axis
 from mcspectra.plots.style import ACCENT, GRAY, INK
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["primary", "warp"]
 

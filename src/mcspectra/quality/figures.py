@@ -7,9 +7,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
-from typing import TYPE_CHECKING, Any, final
+from typing import Any, final
 
 import numpy as np
+import xarray as xr
 
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import McspectraError, ParameterError, close_match_hint
@@ -25,9 +26,6 @@ from mcspectra.quality.sets import (
     star_discrepancy,
 )
 from mcspectra.samplers import GivenPoints, Sampler, as_sampler
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = [
     "FIGURES",

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+import xarray as xr
 
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import ParameterError
@@ -12,9 +11,6 @@ from mcspectra.core.results import dataset
 from mcspectra.densities import Density
 from mcspectra.densities import density as make_density
 from mcspectra.quality.jumps import find_jumps, grid_centers
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["warp_quality"]
 

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_choice, as_integer, as_real
+from mcspectra.core.checks import as_choice, as_integer, as_real
 from mcspectra.core.environments import synthetic_sky
 from mcspectra.core.errors import ParameterError
 from mcspectra.rendering.backend import load_mitsuba
@@ -155,17 +155,14 @@ def _turned_square() -> dict[str, Any]:
 
 
 def _smooth_texture(edge: float) -> dict[str, Any]:
-    profile = _profile((np.arange(_TEXELS) + 0.5) / _TEXELS, edge)
+    # Rise from 0 at the ends of [0,1] to 1 at the distance edge / 2 as a smoothstep
+    u = (np.arange(_TEXELS) + 0.5) / _TEXELS
+    t = np.minimum(2.0 * np.minimum(u, 1.0 - u), edge) / edge
+    profile = np.asarray(t * t * (3.0 - 2.0 * t))
     values = _RADIANCE * np.outer(profile, profile).astype(np.float32)
     bitmap = load_mitsuba().Bitmap(np.repeat(values[..., None], 3, axis=2))
     # Raw: radiance is linear, no colour to be decoded; clamp: no wrapping at the borders.
     return {"type": "bitmap", "bitmap": bitmap, "raw": True, "wrap_mode": "clamp"}
-
-
-def _profile(u: Array, edge: float) -> Array:
-    """Rise from 0 at the ends of [0,1] to 1 at the distance `edge` / 2 as a smoothstep."""
-    t = np.minimum(2.0 * np.minimum(u, 1.0 - u), edge) / edge
-    return np.asarray(t * t * (3.0 - 2.0 * t))
 
 
 _LIGHT_Y, _LIGHT_HALF_SIDE, _PENUMBRA_RADIANCE = 3.0, 0.8, 16.0

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mcspectra.core.checks import Array, as_real
-from mcspectra.core.errors import FileFormatError, ParameterError
+from mcspectra.core.errors import FileFormatError, ParameterError, writing
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -137,11 +137,8 @@ def write_exr(path: str | PathLike[str], layers: Mapping[str, Array], *, comment
             values = finite if plane.ndim == 2 else finite[..., i]
             full = f"{name}.{letter}" if name else letter
             channels[full] = np.ascontiguousarray(values, np.float32)
-    try:
-        with file.open("ab"):
-            pass  # OpenEXR does not say why it could not open a file
-    except OSError as error:
-        raise FileFormatError(f"{str(file)!r} cannot be written: {error.strerror}.") from None
+    with writing(file), file.open("ab"):
+        pass  # OpenEXR does not say why it could not open a file
     try:
         OpenEXR.File({**header, "comments": comment}, channels).write(str(file))
     except (OSError, RuntimeError) as error:
@@ -174,10 +171,8 @@ def write_png(path: str | PathLike[str], image: Array, *, exposure: float = 0.0)
     stops = as_real("exposure", exposure, least=-_MOST_STOPS, most=_MOST_STOPS)
     plane = next(iter(_checked({"": image}).values()))
     encoded = encode_srgb(plane * 2.0**stops)
-    try:
+    with writing(file):
         Image.fromarray(np.rint(255.0 * encoded).astype(np.uint8)).save(file, format="PNG")
-    except OSError as error:
-        raise FileFormatError(f"{str(file)!r} cannot be written: {error.strerror}.") from None
 
 
 def encode_srgb(linear: Array) -> Array:

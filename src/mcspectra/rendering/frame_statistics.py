@@ -16,9 +16,10 @@ from dataclasses import dataclass, replace
 from glob import glob
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import Any, final
 
 import numpy as np
+import xarray as xr
 
 from mcspectra.core.checks import Array, as_integer, as_real, is_path
 from mcspectra.core.errors import FileFormatError, ParameterError
@@ -28,9 +29,6 @@ from mcspectra.core.results import dataset
 from mcspectra.core.rings import Rings
 from mcspectra.estimators.moments import CONFIDENCE_Z, Moments
 from mcspectra.rendering.map_statistics import fit_lines, interval, ratio, smooth
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["Frames", "frames"]
 

@@ -11,9 +11,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from mcspectra.core import progress
 from mcspectra.core.checks import Array, as_integer
@@ -33,9 +34,6 @@ from mcspectra.rendering.scene_checks import (
 from mcspectra.rendering.scenes import Scene, scene_name
 from mcspectra.rendering.wavefront import Wavefront
 from mcspectra.samplers import Sampler, as_sampler
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["CHANNELS", "compare_strategies", "reference", "render"]
 

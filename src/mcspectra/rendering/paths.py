@@ -156,7 +156,6 @@ class PathPixel(Integrand):
         Mitsuba or LLVM is missing.
     """
 
-    name: ClassVar[str] = "path-pixel"
     costly: ClassVar[bool] = True
     scene: Any = checked(lambda _, given: as_scene(given), "veach")
     x: int

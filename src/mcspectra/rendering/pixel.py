@@ -144,7 +144,6 @@ class Pixel(Integrand):
         Mitsuba or LLVM is missing.
     """
 
-    name: ClassVar[str] = "pixel"
     costly: ClassVar[bool] = True
     scene: Any = checked(lambda _, given: as_scene(given), "veach")
     x: int
@@ -451,7 +450,11 @@ def incident_light(
         check_lights(request, light)
         hit = check_receiver(request, x, y)
         emitter = None if light is None else find_emitter(request, light)
-        seen = _look_around(hit, emitter, _directions(elevation, azimuth), chosen)
+        # Unit vectors (3, rows · columns) in the frame of the surface
+        up, around = np.meshgrid(np.radians(elevation), np.radians(azimuth), indexing="ij")
+        level = np.cos(up)
+        vectors = np.stack([level * np.cos(around), level * np.sin(around), np.sin(up)])
+        seen = _look_around(hit, emitter, vectors.reshape(3, -1), chosen)
     shape = (elevation.size, azimuth.size)
     names = ("incident_radiance", "reflected_radiance")
     dims = ("elevation", "azimuth")
@@ -464,14 +467,6 @@ def incident_light(
         light=light,
         channel=chosen,
     )
-
-
-def _directions(elevation: Array, azimuth: Array) -> Array:
-    """Unit vectors (3, rows · columns) in the frame of the surface."""
-    up, around = np.meshgrid(np.radians(elevation), np.radians(azimuth), indexing="ij")
-    level = np.cos(up)
-    vectors = np.stack([level * np.cos(around), level * np.sin(around), np.sin(up)])
-    return vectors.reshape(3, -1)
 
 
 def _look_around(

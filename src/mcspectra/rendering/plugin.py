@@ -198,7 +198,9 @@ def _class_for(module: Any, seed_state: Any) -> Any:
             per_pass = self.per_pass or self.options.samples_per_pass or self.sets.count
             # Mitsuba's own integrators set the samples of a pass where Python cannot see it.
             self.per_pass = None
-            stream = self.options.stream(_as_int(seed))
+            stream = self.options.stream(
+                int(seed) if isinstance(seed, int) else int(seed.numpy()[0])
+            )
             self.state = seed_state(module, self.sets, stream, self.wavefront_size(), per_pass)
 
         def fork(self) -> Any:
@@ -237,11 +239,6 @@ def _seeded(state: LaneState | PixelState | None) -> LaneState | PixelState:
     if state is None:
         raise ParameterError("The sampler has no seed; call seed(seed, wavefront_size) first.")
     return state
-
-
-def _as_int(seed: Any) -> int:
-    """Return a seed of a vectorised variant, an array of one number, or of a scalar one."""
-    return int(seed) if isinstance(seed, int) else int(seed.numpy()[0])
 
 
 _TAKEN = ("coordinate", "single_offset", "pair_offset")

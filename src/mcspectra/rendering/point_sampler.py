@@ -135,7 +135,6 @@ def _drawn(source: Any, shape: tuple[int, int, int], stream: Stream, first: int)
 class MitsubaObject(Sampler):
     """A sampler object of Mitsuba, of any variant and any class; see `from_mitsuba`."""
 
-    name: ClassVar[str] = "mitsuba-object"
     costly: ClassVar[bool] = True
     max_dims: ClassVar[int | None] = 1024
     max_count: ClassVar[int] = 2**20

@@ -56,7 +56,7 @@ SCENES = Registry(
         "smooth-light": "mcspectra.rendering.builtin:smooth_light",
         "veach": "mcspectra.rendering.builtin:veach",
     },
-    functions=True,
+    base=None,
 )
 """Names to functions that return a scene as a Mitsuba dictionary."""
 

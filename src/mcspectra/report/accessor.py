@@ -10,6 +10,8 @@ import math
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any, final
 
+import xarray as xr
+
 from mcspectra.core.checks import as_choice
 from mcspectra.core.display import register_accessor
 from mcspectra.core.errors import ParameterError
@@ -22,7 +24,6 @@ from mcspectra.report.sentences import explain
 from mcspectra.studies import SummaryRow, summarize
 
 if TYPE_CHECKING:
-    import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -122,8 +123,6 @@ class Result:
 
 def _sentences(data: xr.Dataset) -> Iterator[str]:
     """`explain` of every estimator, sampler and channel; nothing for other results."""
-    import xarray as xr
-
     analysis = next((kind for kind in ("convergence", "terms") if KINDS[kind].fits(data)), None)
     if analysis is None:
         return

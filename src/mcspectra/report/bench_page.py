@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import xarray as xr
 
-from mcspectra.core.errors import FileFormatError, ParameterError
+from mcspectra.core.errors import writing
 from mcspectra.plots import backend_matplotlib
 from mcspectra.plots.description import Plot
 from mcspectra.plots.groups import Group
@@ -23,15 +24,14 @@ from mcspectra.plots.style import INK, PAPER, labels, sampler_styles
 from mcspectra.plots.text import MISSING, number, rate
 from mcspectra.plots.variance import task_curves
 from mcspectra.report.page import Cell, Figure, Figures, Page, Section, Table, Text, write_page
-from mcspectra.report.result_files import csv_text, latex_table, result_table
+from mcspectra.report.result_files import check_result_file, csv_text, latex_table, result_table
 from mcspectra.variance.bench import BENCH_QUALITY
 from mcspectra.version import __version__
 
 if TYPE_CHECKING:
-    import xarray as xr
     from matplotlib.figure import Figure as Drawn
 
-__all__ = ["BENCH_FILES", "bench_plots", "bench_table", "check_bench_file", "write_bench"]
+__all__ = ["BENCH_FILES", "bench_plots", "bench_table", "write_bench"]
 
 BENCH_FILES = (".html", ".pdf", ".csv", ".tex", ".pgf")
 """Extensions that `write_bench` knows."""
@@ -39,14 +39,6 @@ BENCH_FILES = (".html", ".pdf", ".csv", ".tex", ".pgf")
 _ROWS = 44  # on a sheet
 _MOST_AXES = 10
 _CURVES = ["points_made", "variance", "variance_ci", "rate", "rate_ci", "rank", "rank_ci"]
-
-
-def check_bench_file(file: str | None) -> None:
-    """Refuse a file of another extension, before anything is measured."""
-    if file is not None and Path(file).suffix not in BENCH_FILES:
-        raise ParameterError(
-            f"--out is {file!r}; it must end in {', '.join(BENCH_FILES[:-1])} or {BENCH_FILES[-1]}."
-        )
 
 
 def write_bench(bench: xr.Dataset, file: str) -> Path:
@@ -68,9 +60,9 @@ def write_bench(bench: xr.Dataset, file: str) -> Path:
     FileFormatError, StoreError, StorageError
         It cannot be written.
     """
-    check_bench_file(file)
+    check_result_file(file, BENCH_FILES)
     path = Path(file)
-    try:
+    with writing(file):
         match path.suffix:
             case ".csv":
                 head, lines = result_table(bench[_CURVES], ("sampler", "integrand", "n"))
@@ -84,8 +76,6 @@ def write_bench(bench: xr.Dataset, file: str) -> Path:
                 backend_matplotlib.write_pages([*_sheets(bench), *bench_plots(bench)], file)
             case _:
                 write_page(_page(bench), path)
-    except OSError as error:
-        raise FileFormatError(f"{file!r} cannot be written: {error.strerror}.") from None
     return path
 
 

@@ -7,9 +7,10 @@ import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, final
+from typing import final
 
 import numpy as np
+import xarray as xr
 from markupsafe import Markup
 
 from mcspectra.core.errors import ParameterError
@@ -31,9 +32,6 @@ from mcspectra.report.page import (
 from mcspectra.report.study import collect, provenance
 from mcspectra.report.tables import first_channel
 from mcspectra.studies import open_results
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["COMPARISON_NAME", "Difference", "compare_curves", "write_comparison"]
 

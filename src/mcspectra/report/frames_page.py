@@ -6,12 +6,12 @@ import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import StoreError
 from mcspectra.core.results import strict_json
 from mcspectra.plots import kinds
 from mcspectra.plots.text import interval, number, percent, rate
@@ -31,9 +31,6 @@ from mcspectra.report.page import (
     write_page,
 )
 from mcspectra.variance.fit import is_resolved
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["frame_findings", "frame_layers", "frame_summary", "frame_table", "write_frames"]
 
@@ -246,12 +243,8 @@ def write_frames(result: xr.Dataset, folder: str | Path) -> Path:
     """
     root = Path(folder)
     found, said = frame_summary(result), frame_findings(result)
-    try:
-        root.mkdir(parents=True, exist_ok=True)
-        write_exr(root / "frames.exr", frame_layers(result), comment=json.dumps(strict_json(found)))
-    except OSError as error:
-        raise StoreError(f"{str(root)!r} cannot be written: {error.strerror}.") from None
     write_json(root / "frames.json", {**found, "findings": said})
+    write_exr(root / "frames.exr", frame_layers(result), comment=json.dumps(strict_json(found)))
     columns, rows = frame_table(found)
     table = Table(
         caption="Variance of one frame, mean over the pixels; median over the pixels of σ / mean"

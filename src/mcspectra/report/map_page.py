@@ -7,12 +7,12 @@ import math
 import shlex
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import StoreError
 from mcspectra.plots import kinds
 from mcspectra.plots.maps import bounce_name
 from mcspectra.plots.text import MISSING, number, percent, rate
@@ -32,9 +32,6 @@ from mcspectra.report.page import (
     write_json,
     write_page,
 )
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["map_layers", "map_note", "map_sentences", "map_summary", "shown_numbers", "write_map"]
 
@@ -123,12 +120,8 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
     """
     root = Path(folder)
     summary = map_summary(result)
-    try:
-        root.mkdir(parents=True, exist_ok=True)
-        write_exr(root / "maps.exr", map_layers(result), comment=json.dumps(result.attrs))
-    except OSError as error:
-        raise StoreError(f"{str(root)!r} cannot be written: {error.strerror}.") from None
     write_json(root / "map.json", summary)
+    write_exr(root / "maps.exr", map_layers(result), comment=json.dumps(result.attrs))
 
     # The page
     known = result.attrs

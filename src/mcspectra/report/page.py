@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, final
 
-from mcspectra.core.errors import StorageError, StoreError
+from mcspectra.core.errors import StoreError, writing
 from mcspectra.core.results import strict_json
 from mcspectra.plots.description import Plot
 from mcspectra.plots.text import slug
@@ -44,14 +44,6 @@ __all__ = [
     "write_json",
     "write_page",
 ]
-
-_WRONG_PLACE = (
-    FileNotFoundError,
-    NotADirectoryError,
-    IsADirectoryError,
-    FileExistsError,
-    PermissionError,
-)
 
 
 @final
@@ -249,7 +241,7 @@ def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:
     StorageError
         The disk is full, or fails.
     """
-    try:
+    with writing(file, StoreError):
         if figures is not None:
             figures.mkdir(exist_ok=True)
         text = _html(page, figures, file.parent)
@@ -259,21 +251,15 @@ def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:
             partial.replace(file)
         finally:
             partial.unlink(missing_ok=True)
-    except OSError as error:
-        raise (StoreError if isinstance(error, _WRONG_PLACE) else StorageError)(
-            f"{str(file)!r} cannot be written: {error.strerror}."
-        ) from None
     return file
 
 
 def write_json(file: Path, value: Any) -> None:
     """Write numbers for programs: NaN is null, infinite ends are texts."""
     text = json.dumps(strict_json(value), indent=1, ensure_ascii=False, allow_nan=False)
-    try:
+    with writing(file, StoreError):
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise StoreError(f"{str(file)!r} cannot be written: {error.strerror}.") from None
 
 
 def _html(page: Page, figures: Path | None, root: Path) -> str:

@@ -7,9 +7,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.text import interval, number, percent, rate
@@ -31,9 +32,6 @@ from mcspectra.report.page import (
 from mcspectra.report.pixel_page import remedies_section, remedies_summary
 from mcspectra.report.sentences import answer
 from mcspectra.variance.anova import EFFECTIVE_SHARE
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = [
     "PATH_TABLES",

@@ -6,7 +6,9 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import xarray as xr
 
 from mcspectra.plots.description import Plot
 from mcspectra.plots.kinds import describe
@@ -33,9 +35,6 @@ from mcspectra.report.sentences import answer, basis_name, explain
 from mcspectra.report.tables import analysis_table, summary_table, terms_table
 from mcspectra.studies import SummaryRow, summarize
 from mcspectra.variance.fit import UNRESOLVED, is_resolved
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = [
     "STRATEGY_NAMES",
@@ -197,8 +196,6 @@ def term_rows(tree: xr.DataTree) -> list[SummaryRow]:
 
 
 def _summarized(parts: dict[str, xr.Dataset]) -> list[SummaryRow]:
-    import xarray as xr
-
     tree: xr.DataTree = xr.DataTree.from_dict(dict(parts))
     return summarize(tree)
 

@@ -116,19 +116,17 @@ def _smallest_distance(points: Array) -> float:
 
 def _density(density: Density) -> tuple[Pictures, Rows]:
     values = None if _is_costly(density) else _values(density.pdf, density.dims)
-    rows = [("dims", _density_dims(density)), ("inverse", _yes(density.has_inverse))]
+    extra = density.primary_dims - density.dims
+    dims = f"{density.dims}, and {extra} for the warp" if extra else f"{density.dims}"
+    rows = [("dims", dims), ("inverse", _yes(density.has_inverse))]
     if density.warps:
         rows.append(("warps", ", ".join(density.warps)))
     if values is not None:
         rows.append(("pdf", f"{_range(values)} (in the picture)"))
-    if not _is_costly(density) and _overrides(density, Density, "reciprocal_integral"):
+    own = type(density).reciprocal_integral is not Density.reciprocal_integral
+    if own and not _is_costly(density):
         rows.append(("∫ 1/p", number(density.reciprocal_integral())))
     return _picture(values, "p(x)", density.dims), rows
-
-
-def _density_dims(density: Density) -> str:
-    extra = density.primary_dims - density.dims
-    return f"{density.dims}" + (f", and {extra} for the warp" if extra else "")
 
 
 def _integrand(integrand: Integrand) -> tuple[Pictures, Rows]:
@@ -218,10 +216,6 @@ def _is_costly(component: object, depth: int = 8) -> bool:
     for value in getattr(component, "__dict__", {}).values():
         held += value[:_POINTS] if isinstance(value, tuple | list) else [value]
     return any(_is_costly(each, depth - 1) for each in held)
-
-
-def _overrides(component: object, base: type, method: str) -> bool:
-    return getattr(type(component), method) is not getattr(base, method)
 
 
 def _yes(holds: bool) -> str:

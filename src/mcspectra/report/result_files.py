@@ -8,19 +8,17 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
-from mcspectra.core.errors import FileFormatError, ParameterError
+from mcspectra.core.errors import ParameterError, writing
 from mcspectra.core.spec import short_spec
 from mcspectra.plots import backend_matplotlib
 from mcspectra.plots.kinds import describe, kinds_of
 from mcspectra.plots.text import number
 from mcspectra.report.result_page import write_result
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = [
     "RESULT_FILES",
@@ -43,10 +41,10 @@ _TEX = str.maketrans({
 })  # fmt: skip
 
 
-def check_result_file(file: str | None) -> None:
-    """Refuse a file of another extension than `RESULT_FILES`, before anything is computed."""
-    if file is not None and Path(file).suffix not in RESULT_FILES:
-        allowed = f"{', '.join(RESULT_FILES[:-1])} or {RESULT_FILES[-1]}"
+def check_result_file(file: str | None, known: tuple[str, ...] = RESULT_FILES) -> None:
+    """Refuse a file of another extension than those known, before anything is computed."""
+    if file is not None and Path(file).suffix not in known:
+        allowed = f"{', '.join(known[:-1])} or {known[-1]}"
         raise ParameterError(f"--out is {file!r}; it must end in {allowed}.")
 
 
@@ -71,7 +69,7 @@ def write_result_file(result: xr.Dataset, file: str, title: str) -> None:
         The file cannot be written.
     """
     path = Path(file)
-    try:
+    with writing(file):
         match path.suffix:
             case ".npz":
                 np.savez(file, **{str(k): v.values for k, v in result.variables.items()})  # type: ignore[arg-type]
@@ -91,8 +89,6 @@ def write_result_file(result: xr.Dataset, file: str, title: str) -> None:
                         f"--out is {file!r}; no picture shows this result, give a .npz file."
                     )
                 backend_matplotlib.write(describe(kinds[0], result), file)
-    except OSError as error:
-        raise FileFormatError(f"{file!r} cannot be written: {error.strerror}.") from None
 
 
 def result_table(

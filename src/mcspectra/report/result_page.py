@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import xarray as xr
 
 from mcspectra.plots import kinds
 from mcspectra.plots.text import MISSING, interval, number
@@ -27,9 +27,6 @@ from mcspectra.report.page import (
     write_page,
 )
 from mcspectra.variance.fit import is_resolved
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["write_result"]
 

@@ -9,8 +9,9 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, final
+from typing import final
 
+import xarray as xr
 from markupsafe import Markup, escape
 
 from mcspectra.core.checks import Array, as_choice
@@ -19,6 +20,7 @@ from mcspectra.core.errors import (
     MissingDependency,
     ParameterError,
     StoreError,
+    writing,
 )
 from mcspectra.core.progress import report
 from mcspectra.core.references import ADDRESS
@@ -55,9 +57,6 @@ from mcspectra.spectra.power import power_spectrum
 from mcspectra.variance.bench import SHARED_SETS, making_seconds, randomized, shared_sets
 from mcspectra.variance.convergence import convergence
 from mcspectra.version import __version__
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = [
     "FORMATS",
@@ -242,7 +241,7 @@ def write_gallery(
     # Markdown, and a picture of each
     names, page = anchors(card.name for card in cards), root / "index.md"
     lines = ["# Samplers", "", _settings(effort), ""]
-    try:
+    with writing(root, StoreError):
         for card, name in zip(cards, names, strict=True):
             plot, summary = _card_plot(card), card.facts.summary if card.facts else ""
             png, _ = backend_matplotlib.encode(backend_matplotlib.draw(plot))
@@ -251,10 +250,6 @@ def write_gallery(
             facts = "\n".join(f"* {name}: {value}" for name, value in _card_facts(card))
             lines += [ADDRESS.sub(r"<\g<0>>", facts), ""]
         page.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
-    except OSError as error:
-        raise StoreError(
-            f"The gallery cannot be written to {str(root)!r}: {error.strerror}."
-        ) from None
     return page
 
 

@@ -5,18 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from statistics import NormalDist
-from typing import TYPE_CHECKING
 
 import numpy as np
+import xarray as xr
 
 from mcspectra.core.checks import Array
 from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.plots.text import NEGLIGIBLE, number, percent, rate, with_error
 from mcspectra.studies import SummaryRow
 from mcspectra.variance.fit import UNRESOLVED, is_resolved
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["answer", "basis_name", "bottleneck", "explain", "further_sentences", "headline"]
 

@@ -7,8 +7,9 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import Any, final
 
+import xarray as xr
 from markupsafe import Markup
 
 from mcspectra.core.errors import StoreError
@@ -35,9 +36,6 @@ from mcspectra.report.sentences import answer, basis_name, explain, further_sent
 from mcspectra.report.tables import analysis_table, summary_of, summary_table, terms_table
 from mcspectra.studies import SummaryRow, open_results, study_status, summarize
 from mcspectra.studies.ledger import LEDGER_NAME, Ledger, check_links
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["REPORT_NAME", "Estimates", "collect", "provenance", "study_toml", "write_report"]
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from mcspectra.core.analysis import ANALYSES
 from mcspectra.core.errors import McspectraError
@@ -24,9 +25,6 @@ from mcspectra.plots.text import (
 from mcspectra.report.page import Cell, Table, text_cells
 from mcspectra.report.sentences import basis_name, bottleneck, headline
 from mcspectra.studies import SummaryRow
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["analysis_table", "first_channel", "summary_of", "summary_table", "terms_table"]
 

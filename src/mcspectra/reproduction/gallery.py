@@ -25,6 +25,7 @@ from mcspectra.core.errors import (
     StoreError,
     UnknownName,
     close_match_hint,
+    writing,
 )
 from mcspectra.core.progress import report
 from mcspectra.plots.description import Plot
@@ -241,7 +242,7 @@ def reproduce(
     if not str(folder).strip():
         raise ParameterError("The output folder has no name; give one, such as out/reproduce.")
     root = Path(folder)
-    try:
+    with writing(root, StoreError):
         (root / _FIGURES).mkdir(parents=True, exist_ok=True)
         entries = []
         for i, name in enumerate(chosen):
@@ -254,10 +255,6 @@ def reproduce(
         _write_pdf(root / PDF_NAME, entries)
         write_page(_page(entries, command, quick, seed), root / PAGE_NAME, root / _FIGURES)
         report("reproduce", 1.0)
-    except OSError as error:
-        raise StoreError(
-            f"The figures cannot be written to {str(root)!r}: {error.strerror or error}."
-        ) from None
     return Reproduction(page=root / PAGE_NAME, entries=tuple(entries))
 
 

@@ -27,6 +27,7 @@ __all__ = [
     "FIRST_STEP",
     "MAX_COUNT",
     "FixedSet",
+    "PlaneSampler",
     "Randomization",
     "Randomized",
     "Sampler",
@@ -255,6 +256,13 @@ class Sampler(Component, ABC):
     def from_qmcpy(generator: object, **arguments: object) -> Sampler:
         """Make a sampler of a QMCPy generator: an instance, its class with arguments, or a name."""
         return samplers.QmcpySampler.from_generator(generator, **arguments)
+
+
+class PlaneSampler(Sampler):
+    """A sampler of points in 2-D alone."""
+
+    min_dims: ClassVar[int] = 2
+    max_dims: ClassVar[int | None] = 2
 
 
 class FixedSet(Sampler):

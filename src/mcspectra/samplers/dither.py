@@ -28,7 +28,7 @@ from mcspectra.core.fields import whole
 from mcspectra.core.jit import kernel
 from mcspectra.core.streams import mix_uniform
 from mcspectra.samplers._kernels import _mix_below, _shuffle
-from mcspectra.samplers.base import Structure
+from mcspectra.samplers.base import PlaneSampler, Structure
 from mcspectra.samplers.optimised import OptimisedSampler, Report, random_points
 
 __all__ = ["LowDiscrepancyBlueNoise", "VoidAndCluster", "dither_mask", "snap_in_chunks"]
@@ -81,7 +81,7 @@ def dither_mask(size: int, keys: Array) -> Array:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class VoidAndCluster(OptimisedSampler):
+class VoidAndCluster(PlaneSampler, OptimisedSampler):
     """Void and cluster: blue noise in cells of a fine grid, jittered within; 2-D, progressive.
 
     Up to 65,536 points. They come in the order of their ranks: the first k of them are spread evenly
@@ -99,9 +99,6 @@ class VoidAndCluster(OptimisedSampler):
     [Ulichney1993]_.
     """
 
-    name: ClassVar[str] = "void-and-cluster"
-    min_dims: ClassVar[int] = 2
-    max_dims: ClassVar[int | None] = 2
     other_dims: ClassVar[str] = "for other dims use poisson-disk"
     dims: int = 2
     cells: int = whole(16, least=4, most=256)
@@ -262,7 +259,7 @@ def _jitter_cells(k0: np.uint64, k1: np.uint64, cells: Array, side: int, out: Ar
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class LowDiscrepancyBlueNoise(OptimisedSampler):
+class LowDiscrepancyBlueNoise(PlaneSampler, OptimisedSampler):
     """Low-discrepancy blue noise in s × s cells, s a power of two (2-D).
 
     Counts 4^k up to 65,536. Points come in row-major order of their cells. A set of 1024 points takes
@@ -297,8 +294,6 @@ class LowDiscrepancyBlueNoise(OptimisedSampler):
     name: ClassVar[str] = "ldbn"
     structure: ClassVar[Structure] = Structure.STRATA
     unbiased: ClassVar[bool] = False
-    min_dims: ClassVar[int] = 2
-    max_dims: ClassVar[int | None] = 2
     other_dims: ClassVar[str] = "for other dims use projective-blue-noise or sobol | owen"
     dims: int = 2
     chunk: int = whole(16, least=2, most=64)

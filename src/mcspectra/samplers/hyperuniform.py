@@ -69,7 +69,6 @@ class PerturbedLattice(GridSampler):
     [Gabrielli2002]_, [Gabrielli2004]_.
     """
 
-    name: ClassVar[str] = "perturbed-lattice"
     structure: ClassVar[Structure] = Structure.TORUS
     dims: int = DEFAULT_DIMS
     width: float = real(0.25, least=0.0, most=1e3)
@@ -154,7 +153,6 @@ class StealthyHyperuniform(OptimisedSampler):
     [Uche2004]_, [Torquato2015]_, [Morse2023]_.
     """
 
-    name: ClassVar[str] = "stealthy-hyperuniform"
     max_dims: ClassVar[int | None] = 64
     max_count: ClassVar[int] = 2**14  # work grows like n²
     dims: int = DEFAULT_DIMS
@@ -276,7 +274,6 @@ class Determinantal(Sampler):
     [Hough2006]_, [Lavancier2015]_, [Bardenet2020]_.
     """
 
-    name: ClassVar[str] = "determinantal"
     structure: ClassVar[Structure] = Structure.TORUS
     max_dims: ClassVar[int | None] = 64
     max_count: ClassVar[int] = 2**12  # work grows like n³ log n, memory like n²

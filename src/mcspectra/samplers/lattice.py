@@ -16,7 +16,7 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.core.fields import settle, whole
 from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
-from mcspectra.samplers.base import MAX_COUNT, FixedSet, Structure
+from mcspectra.samplers.base import MAX_COUNT, FixedSet, PlaneSampler, Structure
 
 __all__ = ["Fibonacci", "Korobov", "Kronecker", "Rank1Lattice", "golden_steps"]
 
@@ -86,7 +86,6 @@ class Rank1Lattice(_Lattice):
     [Sloan2002]_
     """
 
-    name: ClassVar[str] = "rank1-lattice"
     dims: int = DEFAULT_DIMS
     vector: Sequence[int] | None = None
 
@@ -155,7 +154,6 @@ class Korobov(_Lattice):
     [Korobov1959]_, [SloanJoe1994]_, section 4.5
     """
 
-    name: ClassVar[str] = "korobov"
     dims: int = DEFAULT_DIMS
     a: int | None = whole(None, least=1)
 
@@ -208,7 +206,7 @@ def _first_least(errors: Sequence[float]) -> int:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Fibonacci(_Lattice):
+class Fibonacci(PlaneSampler, _Lattice):
     """Fibonacci lattice: n = F_m points {k (1, F_(m−1)) / n}, deterministic (2-D).
 
     The counts are the Fibonacci numbers 1, 2, 3, 5, 8, …. Randomise with shift.
@@ -218,9 +216,6 @@ class Fibonacci(_Lattice):
     [SloanJoe1994]_, section 4.3, [NiederreiterSloan1994]_
     """
 
-    name: ClassVar[str] = "fibonacci"
-    min_dims: ClassVar[int] = 2
-    max_dims: ClassVar[int | None] = 2
     other_dims: ClassVar[str] = "for other dims use korobov or rank1-lattice"
     dims: int = 2
 
@@ -262,7 +257,6 @@ class Kronecker(FixedSet):
     [Roberts2018]_, [Niederreiter1992]_
     """
 
-    name: ClassVar[str] = "kronecker"
     structure: ClassVar[Structure] = Structure.TORUS
     sequence: ClassVar[bool] = True
     dims: int = DEFAULT_DIMS

@@ -24,7 +24,7 @@ from mcspectra.core.fields import settle, whole
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.samplers import _digital_kernels
 from mcspectra.samplers._primes import LARGEST_BASE, is_prime, power_from, prime_from
-from mcspectra.samplers.base import MAX_COUNT, FixedSet, Sampler, Structure
+from mcspectra.samplers.base import MAX_COUNT, FixedSet, PlaneSampler, Sampler, Structure
 
 __all__ = ["DigitalNet", "Faure", "LarcherPillichshammer", "Niederreiter", "Sobol"]
 
@@ -86,7 +86,6 @@ class Sobol(_BinaryNet):
     [JoeKuo2008]_: table new-joe-kuo-6, its first 1,111 dims; [Ostromoukhov2024]_: base 3
     """
 
-    name: ClassVar[str] = "sobol"
     sequence: ClassVar[bool] = True
     max_dims: ClassVar[int | None] = 1111
     dims: int = DEFAULT_DIMS
@@ -234,7 +233,6 @@ class Niederreiter(_BinaryNet):
     [Niederreiter1988]_, [BratleyFoxNiederreiter1992]_
     """
 
-    name: ClassVar[str] = "niederreiter"
     sequence: ClassVar[bool] = True
     max_dims: ClassVar[int | None] = 1377
     dims: int = DEFAULT_DIMS
@@ -304,7 +302,7 @@ def _irreducible() -> tuple[int, ...]:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class LarcherPillichshammer(_BinaryNet):
+class LarcherPillichshammer(PlaneSampler, _BinaryNet):
     """Larcher and Pillichshammer's (0, m, 2)-net of n = 2^m points, deterministic (2-D).
 
     The first coordinate is i/n; the matrix of the second is the upper triangle of ones, which
@@ -315,9 +313,6 @@ class LarcherPillichshammer(_BinaryNet):
     [LarcherPillichshammer2001]_, [KolligKeller2002]_
     """
 
-    name: ClassVar[str] = "larcher-pillichshammer"
-    min_dims: ClassVar[int] = 2
-    max_dims: ClassVar[int | None] = 2
     other_dims: ClassVar[str] = "for other dims use sobol or niederreiter"
     dims: int = 2
 
@@ -377,7 +372,6 @@ class Faure(_AnyBaseNet):
     [Faure1982]_
     """
 
-    name: ClassVar[str] = "faure"
     sequence: ClassVar[bool] = True
     max_dims: ClassVar[int | None] = 1000
     dims: int = DEFAULT_DIMS
@@ -451,7 +445,6 @@ class DigitalNet(_AnyBaseNet):
     [Niederreiter1987]_, [Paulin2022]_
     """
 
-    name: ClassVar[str] = "digital-net"
     matrices: str | Sequence[Any]
     base: int = 2
     digits: int | None = None

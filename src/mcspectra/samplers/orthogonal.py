@@ -16,7 +16,7 @@ from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream, mix_uniform
 from mcspectra.samplers._kernels import _shuffle, fill_latin
 from mcspectra.samplers._primes import is_prime, prime_from
-from mcspectra.samplers.base import MAX_COUNT, Sampler, Structure
+from mcspectra.samplers.base import MAX_COUNT, PlaneSampler, Sampler, Structure
 from mcspectra.samplers.stratified import cell_side, root
 
 __all__ = ["LatinHypercube", "NRooks", "OrthogonalArray"]
@@ -45,7 +45,6 @@ class LatinHypercube(Sampler):
     [McKay1979]_, [Tang1993]_
     """
 
-    name: ClassVar[str] = "latin-hypercube"
     structure: ClassVar[Structure] = Structure.STRATA
     dims: int = DEFAULT_DIMS
     strength: int = whole(1, least=1, most=2)
@@ -67,7 +66,7 @@ class LatinHypercube(Sampler):
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class NRooks(Sampler):
+class NRooks(PlaneSampler):
     """N rooks that do not threaten each other: the Latin hypercube in 2-D.
 
     2-D, any count.
@@ -79,8 +78,6 @@ class NRooks(Sampler):
 
     name: ClassVar[str] = "n-rooks"
     structure: ClassVar[Structure] = Structure.STRATA
-    min_dims: ClassVar[int] = 2
-    max_dims: ClassVar[int | None] = 2
     other_dims: ClassVar[str] = "for other dims use latin-hypercube"
     dims: int = 2
 
@@ -124,7 +121,6 @@ class OrthogonalArray(Sampler):
     [Jarosz2019]_, [Bush1952]_, [Owen1992]_, [Tang1993]_
     """
 
-    name: ClassVar[str] = "orthogonal-array"
     structure: ClassVar[Structure] = Structure.STRATA
     max_dims: ClassVar[int | None] = MAX_DIMS
     dims: int = DEFAULT_DIMS

@@ -82,7 +82,6 @@ class PoissonDisk(Sampler):
     [Cook1986]_, [Bridson2007]_, [Ebeida2012]_.
     """
 
-    name: ClassVar[str] = "poisson-disk"
     structure: ClassVar[Structure] = Structure.TORUS
     max_dims: ClassVar[int | None] = 4
     max_count: ClassVar[int] = 2**26  # grids of cells take many times the memory of the points
@@ -185,7 +184,6 @@ class DartThrowing(Sampler):
     [Cook1986]_, [Lagae2008]_.
     """
 
-    name: ClassVar[str] = "dart-throwing"
     structure: ClassVar[Structure] = Structure.TORUS
     max_dims: ClassVar[int | None] = 8
     max_count: ClassVar[int] = 2**22
@@ -231,7 +229,6 @@ class BestCandidate(Sampler):
     [Mitchell1991]_.
     """
 
-    name: ClassVar[str] = "best-candidate"
     structure: ClassVar[Structure] = Structure.TORUS
     max_count: ClassVar[int] = 2**16
     dims: int = DEFAULT_DIMS

@@ -23,7 +23,7 @@ from mcspectra.core.fields import whole
 from mcspectra.core.jit import kernel
 from mcspectra.core.streams import Stream, mix_bits
 from mcspectra.samplers._kernels import _mix_below
-from mcspectra.samplers.base import Sampler, Structure
+from mcspectra.samplers.base import PlaneSampler, Structure
 
 __all__ = ["PMJ", "PMJ02", "PMJ02BlueNoise", "pairings"]
 
@@ -35,12 +35,10 @@ _UNIT_53 = 2.0**-53
 _CHOICES, _SHUFFLES = 1 << 40, 1 << 41  # where the addresses of other random numbers begin
 
 
-class _PlaneSequence(Sampler):
+class _PlaneSequence(PlaneSampler):
     """Points in the plane that are balanced at powers of two."""
 
     structure: ClassVar[Structure] = Structure.DIGITS
-    min_dims: ClassVar[int] = 2
-    max_dims: ClassVar[int | None] = 2
     other_dims: ClassVar[str] = "for other dims use sobol | owen"
 
     def _count_warning(self, n: int) -> str | None:
@@ -68,7 +66,6 @@ class PMJ(_PlaneSequence):
     [Christensen2018]_.
     """
 
-    name: ClassVar[str] = "pmj"
     sequence: ClassVar[bool] = True
     dims: int = 2
 
@@ -97,7 +94,6 @@ class PMJ02(_PlaneSequence):
     [Christensen2018]_, [Helmer2021]_.
     """
 
-    name: ClassVar[str] = "pmj02"
     sequence: ClassVar[bool] = True
     dims: int = 2
 
@@ -137,7 +133,6 @@ class PMJ02BlueNoise(_PlaneSequence):
     [Christensen2018]_, [Helmer2021]_.
     """
 
-    name: ClassVar[str] = "pmj02-blue-noise"
     unbiased: ClassVar[bool] = False
     max_count: ClassVar[int] = 2**18
     dims: int = 2

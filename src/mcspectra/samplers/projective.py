@@ -55,7 +55,6 @@ class ProjectiveBlueNoise(Sampler):
     [Reinert2016]_
     """
 
-    name: ClassVar[str] = "projective-blue-noise"
     structure: ClassVar[Structure] = Structure.TORUS
     max_dims: ClassVar[int | None] = 6
     max_count: ClassVar[int] = 2**12  # the time grows with n² and more

@@ -84,7 +84,6 @@ class Halton(_RadicalInverses):
     [Halton1960]_, [Owen2017]_
     """
 
-    name: ClassVar[str] = "halton"
     sequence: ClassVar[bool] = True
     max_dims: ClassVar[int | None] = 1000
     dims: int = DEFAULT_DIMS
@@ -127,7 +126,6 @@ class VanDerCorput(_RadicalInverses):
     [VanDerCorput1935]_
     """
 
-    name: ClassVar[str] = "van-der-corput"
     sequence: ClassVar[bool] = True
     max_dims: ClassVar[int | None] = 1
     other_dims: ClassVar[str] = "for other dims use halton or hammersley"
@@ -176,7 +174,6 @@ class Hammersley(_RadicalInverses):
     [Hammersley1960]_
     """
 
-    name: ClassVar[str] = "hammersley"
     max_dims: ClassVar[int | None] = 1000
     dims: int = DEFAULT_DIMS
     scramble: str = choice("none", "permute", "owen")

@@ -50,7 +50,6 @@ class Shift(Randomization):
     [CranleyPatterson1976]_
     """
 
-    name: ClassVar[str] = "shift"
     pointwise: ClassVar[bool] = True
     fits: ClassVar[Mapping[Structure, Structure]] = _TRANSLATED
     stationary: ClassVar[bool] = True
@@ -93,7 +92,6 @@ class StrataShift(Randomization):
     [Ramamoorthi2012]_
     """
 
-    name: ClassVar[str] = "strata-shift"
     fixed: ClassVar[bool] = True
     fits: ClassVar[Mapping[Structure, Structure]] = _TRANSLATED
     offset: float | Sequence[float] = checked(_as_offset, 0.5)
@@ -142,7 +140,6 @@ class RandomRotation(Randomization):
     a random place; for it every point is exactly uniform.
     """
 
-    name: ClassVar[str] = "random-rotation"
     fits: ClassVar[Mapping[Structure, Structure]] = _TURNED
     pointwise: ClassVar[bool] = True
     boundary: str = choice("toroidal", "clipped")
@@ -272,7 +269,6 @@ class Mirror(Randomization):
     uniform one is the antithetic variate of [HammersleyMorton1956]_ in every coordinate.
     """
 
-    name: ClassVar[str] = "mirror"
     pointwise: ClassVar[bool] = True
     fits: ClassVar[Mapping[Structure, Structure]] = _NOTHING
     mode: str = choice("random", "uniform", "fold")
@@ -380,7 +376,6 @@ class Decorrelate(Randomization):
     [GeorgievFajardo2016]_, [Roberts2018]_
     """
 
-    name: ClassVar[str] = "decorrelate"
     pointwise: ClassVar[bool] = True
     fits: ClassVar[Mapping[Structure, Structure]] = _TRANSLATED
     debiases: ClassVar[bool] = True

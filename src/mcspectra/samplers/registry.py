@@ -72,6 +72,7 @@ SAMPLERS = Registry(
         "van-der-corput": "mcspectra.samplers.radical:VanDerCorput",
         "void-and-cluster": "mcspectra.samplers.dither:VoidAndCluster",
     },
+    base=Sampler,
 )
 
 RUN_CODE = ("command", "python")
@@ -94,6 +95,7 @@ RANDOMIZATIONS = Registry(
         "strata-shift": "mcspectra.samplers.randomizations:StrataShift",
         "subset": "mcspectra.samplers.selection:Subset",
     },
+    base=Randomization,
 )
 
 
@@ -186,7 +188,7 @@ def _built(registry: Registry, call: Call, dims: int | None = None) -> Any:
 
         check_code(call)
     try:
-        made = registry.build(call, dims)
+        return registry.build(call, dims)
     except UnknownName:
         if first and call.name in RANDOMIZATIONS:
             raise SpecError(
@@ -199,6 +201,3 @@ def _built(registry: Registry, call: Call, dims: int | None = None) -> Any:
                 f"is a sampler, after '|' come {', '.join(RANDOMIZATIONS)}."
             ) from None
         raise
-    if not isinstance(made, Sampler if first else Randomization):
-        raise ParameterError(f"{call.name!r} is registered as a {registry.kind}, but is not one.")
-    return made

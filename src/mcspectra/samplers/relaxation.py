@@ -24,6 +24,7 @@ from mcspectra.core.errors import DomainError
 from mcspectra.core.fields import real, whole
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.samplers import _cell_kernels as kernels
+from mcspectra.samplers.base import PlaneSampler
 from mcspectra.samplers.optimised import OptimisedSampler, Report, minimize, random_points, wrap
 
 __all__ = [
@@ -48,11 +49,9 @@ _SERIES_END = 6.0  # e^(−½ 6²), of the terms of the Fourier series in many d
 _CELLS = 4  # along a cut-off
 
 
-class _CentroidSampler(OptimisedSampler):
+class _CentroidSampler(PlaneSampler, OptimisedSampler):
     """Points moved to the centroids of their cells until they are near."""
 
-    min_dims: ClassVar[int] = 2
-    max_dims: ClassVar[int | None] = 2
     other_dims: ClassVar[str] = "for other dims use gaussian-blue-noise"
     iterations: int
     tolerance: float
@@ -95,7 +94,6 @@ class Lloyd(_CentroidSampler):
     [Lloyd1982]_, [McCoolFiume1992]_.
     """
 
-    name: ClassVar[str] = "lloyd"
     dims: int = 2
     iterations: int = whole(100, least=1, most=10**6)
     tolerance: float = real(0.0, least=0.0, most=1.0)
@@ -135,7 +133,6 @@ class Bnot(_CentroidSampler):
     [deGoes2012]_, [Balzer2009]_.
     """
 
-    name: ClassVar[str] = "bnot"
     dims: int = 2
     iterations: int = whole(200, least=1, most=10**6)
     tolerance: float = real(0.01, least=0.0, most=1.0)
@@ -241,7 +238,6 @@ class GaussianBlueNoise(OptimisedSampler):
     [Ahmed2022]_.
     """
 
-    name: ClassVar[str] = "gaussian-blue-noise"
     dims: int = DEFAULT_DIMS
     sigma: float = real(1.0, least=0.2, most=2.0)
     iterations: int = whole(400, least=1, most=10**6)
@@ -296,7 +292,7 @@ def series_energy(sigma: float, points: Array) -> tuple[float, Array]:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class FarthestPoint(OptimisedSampler):
+class FarthestPoint(PlaneSampler, OptimisedSampler):
     """Farthest-point optimised points: minimum distance near that of the densest packing (2-D torus).
 
     From random points on, every point in turn is taken out and put into the centre of the largest
@@ -316,9 +312,6 @@ class FarthestPoint(OptimisedSampler):
     [Schloemer2011]_.
     """
 
-    name: ClassVar[str] = "farthest-point"
-    min_dims: ClassVar[int] = 2
-    max_dims: ClassVar[int | None] = 2
     other_dims: ClassVar[str] = "for other dims use best-candidate or dart-throwing"
     dims: int = 2
     sweeps: int = whole(30, least=1, most=100_000)

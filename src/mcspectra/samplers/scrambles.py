@@ -194,7 +194,6 @@ class DigitalShift(_OfPlaces):
     [DickPillichshammer2010]_, section 4.4
     """
 
-    name: ClassVar[str] = "digital-shift"
     shift: ClassVar[bool] = True
     base: Base = checked(_as_base, None)
 
@@ -217,7 +216,6 @@ class Permute(_OfPlaces):
     [Matousek1998]_
     """
 
-    name: ClassVar[str] = "permute"
     base: Base = checked(_as_base, None)
 
 
@@ -255,7 +253,6 @@ class Owen(_OfDigits):
     [Owen1995]_, [Owen1997]_, [Burley2020]_, [Vegdahl2021]_
     """
 
-    name: ClassVar[str] = "owen"
     keeps_pairs: ClassVar[bool] = False
     method: str = choice("nested", "hash")
     base: Base = checked(_as_base, None)
@@ -312,7 +309,6 @@ class Lms(_OfDigits):
     [Matousek1998]_
     """
 
-    name: ClassVar[str] = "lms"
     keeps_pairs: ClassVar[bool] = False
     shift: bool = flag(default=True)
     base: Base = checked(_as_base, None)

@@ -52,7 +52,6 @@ class Subset(Randomization):
     [Knuth1997]_, section 3.4.2, algorithm S.
     """
 
-    name: ClassVar[str] = "subset"
     fits: ClassVar[Mapping[Structure, Structure]] = _PARTS
     of: int | None = whole(None, least=1, most=MAX_COUNT)
     pick: str = choice("random", "run")
@@ -120,7 +119,6 @@ class Skip(Randomization):
     [Owen2022]_.
     """
 
-    name: ClassVar[str] = "skip"
     fixed: ClassVar[bool] = True
     pointwise: ClassVar[bool] = True
     count: int = whole(0, least=0, most=MAX_COUNT)
@@ -185,8 +183,6 @@ class Shuffle(Randomization):
     ----------
     [Knuth1997]_, section 3.4.2, algorithm P.
     """
-
-    name: ClassVar[str] = "shuffle"
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
         """Reorder each realisation by its own permutation."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from os import PathLike
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import numpy as np
 
@@ -45,7 +45,6 @@ class SharedCells(Sampler):
         The file holds no such array, or a cell of the grid is not in exactly one set.
     """
 
-    name: ClassVar[str] = "shared-cells"
     path: str
     dims: int = None  # type: ignore[assignment]
     _cells: Array = field(init=False, repr=False, compare=False)

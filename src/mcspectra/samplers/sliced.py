@@ -47,7 +47,6 @@ class SlicedOptimalTransport(OptimisedSampler):
     [Paulin2020]_
     """
 
-    name: ClassVar[str] = "sliced-optimal-transport"
     min_dims: ClassVar[int] = 2
     other_dims: ClassVar[str] = "in 1-D use jittered"
     dims: int = 2

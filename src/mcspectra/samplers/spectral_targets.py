@@ -18,6 +18,7 @@ import numpy as np
 from mcspectra.core.checks import Array, as_real_array, as_unit_points
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.fields import real, settle, whole
+from mcspectra.samplers.base import PlaneSampler
 from mcspectra.samplers.optimised import OptimisedSampler, Report, minimize, random_points, wrap
 
 __all__ = [
@@ -44,11 +45,9 @@ _EPS = 1e-9  # of the non-uniform transforms
 _NODES = 48  # of Gauss and Legendre, on each piece: products with J0 up to 2π·4·4 are smooth there
 
 
-class _MatchedSampler(OptimisedSampler):
+class _MatchedSampler(PlaneSampler, OptimisedSampler):
     """Points whose radial mean power descends to that of a target."""
 
-    min_dims: ClassVar[int] = 2
-    max_dims: ClassVar[int | None] = 2
     other_dims: ClassVar[str] = "for other dims use gaussian-blue-noise"
     iterations: int
 
@@ -97,7 +96,6 @@ class StepBlueNoise(_MatchedSampler):
     [Heck2013]_.
     """
 
-    name: ClassVar[str] = "step-blue-noise"
     dims: int = 2
     cutoff: float = real(0.55, above=0.0)
     iterations: int = whole(200, least=1, most=10**6)
@@ -142,7 +140,6 @@ class TargetSpectrum(_MatchedSampler):
     [Heck2013]_, [Zhou2012]_.
     """
 
-    name: ClassVar[str] = "target-spectrum"
     dims: int = 2
     frequencies: tuple[float, ...] = (0.2, 0.8)
     power: tuple[float, ...] = (0.0, 1.0)
@@ -187,7 +184,6 @@ class TargetPcf(_MatchedSampler):
     [Oztireli2012]_, [Heck2013]_.
     """
 
-    name: ClassVar[str] = "target-pcf"
     dims: int = 2
     distances: tuple[float, ...] = (0.4, 0.6)
     pcf: tuple[float, ...] = (0.0, 1.0)

@@ -25,7 +25,7 @@ from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream, mix_uniform
 from mcspectra.samplers._kernels import _shuffle, fill_jittered
-from mcspectra.samplers.base import MAX_COUNT, FixedSet, Sampler, Structure
+from mcspectra.samplers.base import MAX_COUNT, FixedSet, PlaneSampler, Sampler, Structure
 
 __all__ = [
     "AntitheticJittered",
@@ -62,7 +62,6 @@ class Random(Sampler):
     [Metropolis1949]_.
     """
 
-    name: ClassVar[str] = "random"
     structure: ClassVar[Structure] = Structure.NONE
     sequence: ClassVar[bool] = True
     dims: int = DEFAULT_DIMS
@@ -131,7 +130,6 @@ class Regular(FixedSet, GridSampler):
     [Ramamoorthi2012]_.
     """
 
-    name: ClassVar[str] = "regular"
     structure: ClassVar[Structure] = Structure.STRATA
     dims: int = DEFAULT_DIMS
     position: str = choice("center", "corner")
@@ -160,7 +158,6 @@ class UniformJitter(GridSampler):
     [Ramamoorthi2012]_.
     """
 
-    name: ClassVar[str] = "uniform-jitter"
     structure: ClassVar[Structure] = Structure.TORUS
     dims: int = DEFAULT_DIMS
     sides_: Sequence[int] | None = None
@@ -186,7 +183,6 @@ class Jittered(GridSampler):
     [Haber1966]_, [Cook1986]_.
     """
 
-    name: ClassVar[str] = "jittered"
     structure: ClassVar[Structure] = Structure.STRATA
     dims: int = DEFAULT_DIMS
     sides_: Sequence[int] | None = None
@@ -225,7 +221,6 @@ class BoxJitter(GridSampler):
     [Ramamoorthi2012]_.
     """
 
-    name: ClassVar[str] = "box-jitter"
     structure: ClassVar[Structure] = Structure.TORUS
     dims: int = DEFAULT_DIMS
     width: float = real(0.5, least=0.0, most=_MOST_WIDTH)
@@ -264,7 +259,6 @@ class GaussianJitter(GridSampler):
     [Balakrishnan1962]_.
     """
 
-    name: ClassVar[str] = "gaussian-jitter"
     structure: ClassVar[Structure] = Structure.TORUS
     unbiased: ClassVar[bool] = False
     dims: int = DEFAULT_DIMS
@@ -295,7 +289,6 @@ class AntitheticJittered(Sampler):
     [Haber1967]_, [Haber1970]_.
     """
 
-    name: ClassVar[str] = "antithetic-jittered"
     structure: ClassVar[Structure] = Structure.STRATA
     antithetic: ClassVar[bool] = True
     dims: int = DEFAULT_DIMS
@@ -327,7 +320,7 @@ def _fill_antithetic(keys: Array, corners: Array, side: float, out: Array) -> No
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class MultiJittered(Sampler):
+class MultiJittered(PlaneSampler):
     """Jittered in a × b cells, with one point in each of n strata of either axis too (2-D).
 
     2-D. The counts are those n = a·b with a ≤ b ≤ 2a; the most nearly square such a × b is taken.
@@ -342,10 +335,7 @@ class MultiJittered(Sampler):
     [Chiu1994]_.
     """
 
-    name: ClassVar[str] = "multi-jittered"
     structure: ClassVar[Structure] = Structure.STRATA
-    min_dims: ClassVar[int] = 2
-    max_dims: ClassVar[int | None] = 2
     other_dims: ClassVar[str] = "for other dims use orthogonal-array, jittered or latin-hypercube"
     dims: int = 2
 
@@ -366,7 +356,7 @@ class MultiJittered(Sampler):
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class CorrelatedMultiJittered(Sampler):
+class CorrelatedMultiJittered(PlaneSampler):
     """Multi-jittered with one shuffle for all columns and one for all rows, any count (2-D).
 
     2-D, any count.
@@ -385,10 +375,7 @@ class CorrelatedMultiJittered(Sampler):
     [Kensler2013]_.
     """
 
-    name: ClassVar[str] = "correlated-multi-jittered"
     structure: ClassVar[Structure] = Structure.STRATA
-    min_dims: ClassVar[int] = 2
-    max_dims: ClassVar[int | None] = 2
     other_dims: ClassVar[str] = "for other dims use orthogonal-array, jittered or latin-hypercube"
     dims: int = 2
 
@@ -449,7 +436,7 @@ def _fill_correlated(
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Hexagonal(FixedSet):
+class Hexagonal(PlaneSampler, FixedSet):
     """Triangular lattice (hexagonal cells) stretched to fit the torus; randomise with shift.
 
     2-D; counts n = 2ab for a = 1, 2, 3, … and b the whole number nearest to a/√3, at least 1:
@@ -468,10 +455,7 @@ class Hexagonal(FixedSet):
     [Petersen1962]_.
     """
 
-    name: ClassVar[str] = "hexagonal"
     structure: ClassVar[Structure] = Structure.TORUS
-    min_dims: ClassVar[int] = 2
-    max_dims: ClassVar[int | None] = 2
     other_dims: ClassVar[str] = "for other dims use rank1-lattice or regular"
     dims: int = 2
 

@@ -18,9 +18,10 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from mcspectra.core.analysis import Subject
 from mcspectra.core.checks import Array, as_choice, as_integer
@@ -55,9 +56,6 @@ from mcspectra.variance.remedies import (
     ranked,
     simultaneous_z,
 )
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["PATH_SAMPLERS", "analyse_path", "path_remedies", "shares_by_light"]
 
@@ -142,8 +140,6 @@ def analyse_path(
     McspectraError
         As of `PathPixel`; or no such named pixel; or a sampler cannot do a count.
     """
-    import xarray as xr
-
     # Check the plan before any work
     x, y = find_pixel(scene, x, y)
     if channel == "rgb":

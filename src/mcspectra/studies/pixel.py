@@ -12,9 +12,10 @@ import itertools
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias, final
+from typing import Any, TypeAlias, final
 
 import numpy as np
+import xarray as xr
 
 from mcspectra.core.checks import as_choice, as_integer
 from mcspectra.core.errors import ParameterError, close_match_hint
@@ -42,9 +43,6 @@ from mcspectra.variance.primary import primary_picture
 from mcspectra.variance.remedies import remedies as find_remedies
 from mcspectra.variance.techniques import technique_terms
 from mcspectra.variance.terms import variance_terms
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = [
     "EFFORTS",
@@ -180,8 +178,6 @@ def analyse_pixel(
     McspectraError
         As of `Pixel`; or no such named pixel; or a sampler cannot do a count.
     """
-    import xarray as xr
-
     # Find the pixel, and check the plan before any work
     x, y = find_pixel(scene, x, y)
     request = as_scene(scene)

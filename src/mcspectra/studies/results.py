@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import errno
 import fnmatch
 import hashlib
 import importlib
@@ -40,6 +39,7 @@ from mcspectra.core.errors import (
     StorageError,
     StoreError,
     reason_of,
+    writing,
 )
 from mcspectra.core.memory import available_memory, check_memory, shown_bytes
 from mcspectra.core.records import unpack
@@ -86,7 +86,6 @@ _DOCUMENT = "zarr.json"
 _MOST_DOCUMENTS = 100_000  # that readers take all at once, from the root
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the first that a zip file can hold: same results, same bytes
 _GROUP = {"attributes": {}, "zarr_format": 3, "node_type": "group"}
-_FAILING = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)  # not what the user has given
 _INLINE = {"kind": "inline", "must_understand": False}
 
 
@@ -738,17 +737,15 @@ def _check_size(size: int, source: str) -> None:
 def _replaced(target: Path, write: Callable[[Path], Any]) -> Path:
     """Write a file, or a folder, beside its place and put it there when it is whole."""
     partial = target.with_name(f".{target.name}.partial")
-    try:
-        _remove(partial)
-        write(partial)
-        if partial.is_dir():
-            _remove(target)
-        partial.replace(target)
-    except OSError as error:
-        kind = StorageError if error.errno in _FAILING else StoreError
-        raise kind(f"{str(target)!r} cannot be written: {error.strerror}.") from None
-    finally:
-        _remove(partial)
+    with writing(target, StoreError):
+        try:
+            _remove(partial)
+            write(partial)
+            if partial.is_dir():
+                _remove(target)
+            partial.replace(target)
+        finally:
+            _remove(partial)
     return target
 
 

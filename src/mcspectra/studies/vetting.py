@@ -33,14 +33,21 @@ from mcspectra.core.spec import Call, parse_chain
 from mcspectra.samplers import allow_code
 from mcspectra.samplers.external import FUNCTION, check_code, loaded_function
 
-__all__ = ["Inputs", "Trust", "Vetting", "changed_inputs", "check_inputs"]
+__all__ = ["FILE_KEYS", "Inputs", "Trust", "Vetting", "changed_inputs", "check_inputs"]
 
 Inputs: TypeAlias = tuple[str, ...]
 """Names of files, ascending."""
 
 _CODE = re.compile(rf"{FUNCTION.pattern}|.*[/{{].*", re.DOTALL)  # or a command, or a program's path
 # Files of point sets and images, of Mitsuba's plugins, of digital nets, and of QMCPy's generators.
-_FILES = ("path", "filename", "matrices", "directions", "generating_matrices", "generating_vector")
+FILE_KEYS = (
+    "path",
+    "filename",
+    "matrices",
+    "directions",
+    "generating_matrices",
+    "generating_vector",
+)
 _NAMED = 3  # in a message
 
 
@@ -203,7 +210,7 @@ class Vetting:
             return value
         name = value.partition("(")[0]  # of a scene, with parameters after it, unless it is a file
         is_file = value.lower().endswith(".xml") or "/" in name or "\\" in name
-        if key in _FILES or (key == "scene" and is_file):
+        if key in FILE_KEYS or (key == "scene" and is_file):
             file = self._file(value, files)
             if key == "path" and not file.is_file():
                 with suppress(FileFormatError):  # there are no such files
@@ -217,9 +224,7 @@ class Vetting:
         found = [self._call(call, files) for call in given]
         if found == given:
             return value
-        shown = [", ".join(f"{k}={v!r}" for k, v in call.arguments.items()) for call in found]
-        written = zip(found, shown, strict=True)
-        return " | ".join(f"{call.name}({of})" if of else call.name for call, of in written)
+        return " | ".join(map(str, found))
 
     def _file(self, path: str, files: dict[Path, str]) -> Path:
         """The file, found from the folder; links are followed to see where it is.

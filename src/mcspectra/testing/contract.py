@@ -11,9 +11,18 @@ from mcspectra.core.checks import Array
 from mcspectra.core.errors import McspectraError
 from mcspectra.core.streams import Stream
 
-__all__ = ["BrokenContract", "breaks_problem", "called", "demand", "mean_and_error", "point_sets"]
+__all__ = [
+    "BrokenContract",
+    "called",
+    "check_breaks",
+    "demand",
+    "mean_and_error",
+    "point_sets",
+    "values_at",
+]
 
 _SETS, _SET_SIZE = 32, 4096
+_ROUNDING = 1e-9
 
 
 class BrokenContract(McspectraError, AssertionError):
@@ -38,14 +47,34 @@ def called(who: str, what: str, function: Callable[..., Any], *arguments: Any) -
         raise BrokenContract(f"{who} fails in {what}: {type(error).__name__}: {reason}.") from error
 
 
-def breaks_problem(breaks: Any, axes: int) -> str | None:
-    """A sentence where `breaks` are not one ascending run within (0, 1) for each axis, else None."""
-    if len(breaks) != axes:
-        return f"has breaks for {len(breaks)} axes, not {axes}"
+def values_at(
+    who: str, what: str, function: Callable[[Array], Any], points: Array, shape: tuple[int, ...]
+) -> Array:
+    """Return the values of a function, float64 of a shape, at points (sets, points, d).
+
+    It leaves its input alone, and treats every point by itself.
+    """
+    before = points.copy()
+    found = called(who, what, function, points)
+    demand(np.array_equal(points, before), who, f"changes the points given to {what}")
+    demand(
+        isinstance(found, np.ndarray), who, f"gives {type(found).__name__} in {what}, not an array"
+    )
+    demand(found.shape == shape, who, f"gives shape {found.shape} in {what}, not {shape}")
+    demand(found.dtype == np.float64, who, f"gives {found.dtype} in {what}, not float64")
+    alone = called(who, what, function, points[1, 2])
+    largest = float(np.max(np.abs(found), where=np.isfinite(found), initial=0.0))
+    same = np.allclose(alone, found[1, 2], rtol=0.0, atol=_ROUNDING * largest, equal_nan=True)
+    demand(same, who, f"gives different values in {what} for a point alone and among others")
+    return np.asarray(found)
+
+
+def check_breaks(who: str, breaks: Any, axes: int) -> None:
+    """Demand one ascending run of breaks within (0, 1) for each axis."""
+    demand(len(breaks) == axes, who, f"has breaks for {len(breaks)} axes, not {axes}")
     for axis in breaks:
-        if list(axis) != sorted(set(axis)) or not all(0.0 < b < 1.0 for b in axis):
-            return f"has breaks {axis!r}, which do not ascend within (0, 1)"
-    return None
+        fits = list(axis) == sorted(set(axis)) and all(0.0 < b < 1.0 for b in axis)
+        demand(fits, who, f"has breaks {axis!r}, which do not ascend within (0, 1)")
 
 
 def point_sets(dims: int) -> Array:

@@ -10,11 +10,12 @@ from mcspectra.densities import Density
 from mcspectra.densities.registry import as_density
 from mcspectra.testing.contract import (
     BrokenContract,
-    breaks_problem,
     called,
+    check_breaks,
     demand,
     mean_and_error,
     point_sets,
+    values_at,
 )
 
 __all__ = ["check_density"]
@@ -62,10 +63,11 @@ def check_density(density: Density | str, *, dims: int | None = None) -> None:
     u[0, 0] = 0.0
     u[0, 1] = np.nextafter(1.0, 0.0)
     _check_shapes(given, u[:3, :5])
-    problem = breaks_problem(given.breaks, given.primary_dims)
-    demand(problem is None, given.spec, problem or "")
+    check_breaks(given.spec, given.breaks, given.primary_dims)
     _check_consistency(given)
-    _check_support(given, u[0])
+    x = given.sample(u[0, 2:])  # the corners of the cube may lie on a zero of the pdf
+    zero = ~(given.pdf(x) > 0.0)
+    demand(not zero.any(), given.spec, f"gives the sample {x[zero][:1].tolist()} of density 0")
     if given.dims <= 2:
         _check_counts(given)
     _check_reciprocal(given)
@@ -74,31 +76,12 @@ def check_density(density: Density | str, *, dims: int | None = None) -> None:
 def _check_shapes(density: Density, u: Array) -> None:
     """Types and shapes of all three functions for stacked points, and untouched input."""
     who = density.spec
-    x = _kept(density, "sample", u, (*u.shape[:-1], density.dims))
+    x = values_at(who, "sample", density.sample, u, (*u.shape[:-1], density.dims))
     low, high = float(x.min()), float(x.max())
     demand(low >= 0.0 and high < 1.0, who, f"gives samples from {low} to {high}, not in [0,1)")
-    _kept(density, "pdf", x, x.shape[:-1])
+    values_at(who, "pdf", density.pdf, x, x.shape[:-1])
     if density.has_inverse:
-        _kept(density, "invert", x, u.shape)
-
-
-def _kept(density: Density, what: str, points: Array, shape: tuple[int, ...]) -> Array:
-    """The values of a function, which leaves its input alone and treats every point by itself."""
-    who, before = density.spec, points.copy()
-    found = called(who, what, getattr(density, what), points)
-    demand(np.array_equal(points, before), who, f"changes the points given to {what}")
-    demand(
-        isinstance(found, np.ndarray), who, f"gives {type(found).__name__} in {what}, not an array"
-    )
-    demand(found.shape == shape, who, f"gives shape {found.shape} in {what}, not {shape}")
-    demand(found.dtype == np.float64, who, f"gives {found.dtype} in {what}, not float64")
-    alone = called(who, what, getattr(density, what), points[1, 2])
-    demand(
-        np.allclose(alone, found[1, 2], rtol=_ROUNDING, atol=_ROUNDING),
-        who,
-        f"gives different values in {what} for a point alone and among others",
-    )
-    return np.asarray(found)
+        values_at(who, "invert", density.invert, x, u.shape)
 
 
 def _check_consistency(density: Density) -> None:
@@ -109,12 +92,6 @@ def _check_consistency(density: Density) -> None:
         if isinstance(error.__cause__, DensityError):
             raise BrokenContract(str(error.__cause__)) from error.__cause__
         raise
-
-
-def _check_support(density: Density, u: Array) -> None:
-    x = density.sample(u[2:])  # the corners of the cube may lie on a zero of the pdf
-    zero = ~(density.pdf(x) > 0.0)
-    demand(not zero.any(), density.spec, f"gives the sample {x[zero][:1].tolist()} of density 0")
 
 
 def _check_counts(density: Density) -> None:
