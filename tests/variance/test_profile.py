@@ -466,8 +466,10 @@ def test_the_same_everywhere_is_constant_or_was_not_met():
     assert found.interval == (-math.inf, math.inf)
     assert "either it is constant" in found.causes[0].sentence
     assert found.best is None
+    assert found.dataset["rmse"].isnull().all()
     known = mcs.Integrand.from_function(lambda x: 3.0 + 0.0 * x[..., 0], dims=2, integral=3.0)
     assert mcs.profile(known).causes[0].name == "none"
+    assert (mcs.profile(known).dataset["rmse"] == 0.0).all()
 
 
 @pytest.mark.parametrize("offset", [0.0, 1e8, 1e10])

@@ -266,12 +266,13 @@ class Profile:
         return rows
 
     def _rmse(self, curve: Curve) -> float:
-        """At the budget; NaN where nothing is known beyond the counts."""
+        """At the budget; NaN where nothing is known beyond the counts, or nothing was met that varies."""
         if math.isinf(self.variance):
             return math.inf
         if math.isnan(curve.rate) and max(curve.counts, default=math.inf) < self.points:
             return 0.0 if self.points >= curve.vanishes else math.nan
-        return math.sqrt(curve.at(self.points)[0])
+        rmse = math.sqrt(curve.at(self.points)[0])
+        return rmse if rmse or math.isfinite(self.interval[1]) else math.nan
 
     def __str__(self) -> str:
         return self.text
