@@ -151,7 +151,7 @@ def test_pixels_without_numbers_are_counted_and_left_out(tmp_path):
     result = frames(write(tmp_path / "a", change=spoil))
     assert np.isnan(result["variance"].values[:, [3, 5], [4, 6]]).all()
     assert np.isfinite(result["variance"].values).sum() == 2 * (HEIGHT * WIDTH - 2)
-    assert "2 pixels are NaN or infinite" in said(result)
+    assert "NaN or infinite in some frame, and have no numbers: 2." in said(result)
 
 
 def test_two_sets_are_held_against_each_other(tmp_path):

@@ -89,6 +89,18 @@ def test_panels_abreast_alone_scroll_on_a_phone(tmp_path: Path, count: int, clas
     assert Parsed(file.read_text("utf-8")).all("figure") == [{"class": classes}]
 
 
+def test_no_half_of_a_page_stays_empty(tmp_path: Path) -> None:
+    """What has no neighbour takes both columns, as do rows of live panels."""
+    rows = Figure(plot=replace(plot(), panels=plot().panels * 4, columns=2), live=True)
+    three = Figure(plot=replace(plot(), panels=plot().panels * 3, columns=3))
+    figures = tuple(Figure(plot=plot()) for _ in range(3))
+    blocks = (Figures(figures=(figures[0], rows, figures[1], figures[2], three)),)
+    section = Section(title="a", anchor="a", blocks=blocks)
+    file = write_page(Page(title="p", what="test", sections=(section,)), tmp_path / "x.html")
+    classes = [each.get("class", "") for each in Parsed(file.read_text("utf-8")).all("figure")]
+    assert classes == ["", "wide abreast", "", "alone", "wide abreast"]
+
+
 def test_all_text_is_escaped_and_all_tags_close(tmp_path: Path) -> None:
     text = write_page(page(), tmp_path / "x.html").read_text(encoding="utf-8")
     found = Parsed(text)

@@ -271,11 +271,33 @@ def test_shared_cells_are_uniform_and_refused_else(tmp_path):
         ("lattice", {"power": 1}, 16, 2, ParameterError, "'spectrum' or"),
         ("lattice", 3.5, 16, 2, ParameterError, "3.5"),
         ("lattice", lambda rng: "disk(radius=0)", 16, 2, ParameterError, "radius"),
+        ("lattice", lambda x: x.sum(-1), 16, 2, ParameterError, "from_function"),
+        ("lattice", "gaussian(dims=9)", 16, None, ParameterError, "dims is 9"),
     ],
 )
 def test_doors_refuse_with_a_sentence(kind, objective, n, dims, error, words):
     with pytest.raises(error, match=words):
         mcs.design(kind, objective, n, dims=dims)
+
+
+F3 = mcs.Integrand.from_function(lambda x: x.prod(axis=-1), dims=3)
+
+
+@pytest.mark.parametrize(
+    ("objective", "dims"),
+    [
+        (lambda rng: F3, 3),
+        (F3, 3),
+        (["gaussians", F3], 3),
+        ("gaussian(center=[0.1, 0.2, 0.3], width=uniform(0.1, 0.2), dims=3)", 3),
+        ({"spectrum": np.ones((3, 3, 3, 3))}, 4),
+        ({"spectrum": spectrum}, 2),
+        ("half-spaces", 2),
+        (GAUSSIANS, 2),
+    ],
+)
+def test_a_class_that_has_dims_says_them(objective, dims):
+    assert as_objective(objective).dims == dims
 
 
 def test_values_that_are_not_finite_are_refused():

@@ -242,6 +242,24 @@ def test_the_change_that_is_advised_keeps_the_integral_and_lowers_the_variance(n
     assert float(changed["variance"][0]) < float(given["variance"][0])
 
 
+@pytest.mark.parametrize(("exponent", "helps"), [(0.6, True), (0.7, False)])
+def test_an_infinite_variance_is_left_to_densities_that_make_it_finite(exponent, helps):
+    found = mcs.profile(lambda x: inner(x[..., 0]) ** -exponent, dims=1)
+    assert (found.best is not None) == helps
+    if found.best is not None:
+        spread = np.linalg.norm(found.best.estimator.integrand.density.matrix, 2)
+        assert 2 * exponent - (1 - spread**-2) < 1  # ∫g²/q, q ∝ u^(1/s² − 1) to logarithms
+    else:
+        assert found.answer.startswith("Nothing that was tried helps")
+
+
+@pytest.mark.parametrize("budget", [4096, 16384])
+def test_what_is_advised_is_better_than_all_samplers_shown_beside_it(budget):
+    found = mcs.profile(FUNCTIONS["logarithm"][1], dims=1, budget=budget, rng=1)
+    assert found.best.name.startswith("fitted")
+    assert found.best.rmse < float(found.dataset["rmse"].min())
+
+
 def test_pairs_in_strata_are_tried_where_g_is_smooth_and_their_error_is_as_said():
     f = mcs.Integrand.from_function(smooth, dims=1, integral=math.e - 1.0)
     for seed in range(5):
@@ -426,6 +444,15 @@ def test_sets_that_do_not_vary_at_all_have_no_error(dims):
     assert found.best.rmse_given == pytest.approx(0.5 / 64, rel=0.1)
 
 
+def test_what_has_no_error_has_no_rate():
+    """Of two points on the variance of nets is known, of four and more it is 0."""
+    found = mcs.profile(lambda x: np.sign(x - 0.5).prod(axis=-1), dims=2)
+    assert found.best.rmse == 0.0
+    assert np.isnan(found.dataset["rate"].sel(sampler="sobol | owen"))
+    (row,) = (line.split(maxsplit=4) for line in found.text.splitlines() if "  sobol" in line)
+    assert row[3:] == ["0", "no error seen"]
+
+
 @pytest.mark.parametrize("spec", ["half-space", "disk"])
 def test_what_no_point_met_is_not_called_smooth(spec):
     found = mcs.profile(spec, dims=8)
@@ -439,8 +466,10 @@ def test_the_same_everywhere_is_constant_or_was_not_met():
     assert found.interval == (-math.inf, math.inf)
     assert "either it is constant" in found.causes[0].sentence
     assert found.best is None
+    assert found.dataset["rmse"].isnull().all()
     known = mcs.Integrand.from_function(lambda x: 3.0 + 0.0 * x[..., 0], dims=2, integral=3.0)
     assert mcs.profile(known).causes[0].name == "none"
+    assert (mcs.profile(known).dataset["rmse"] == 0.0).all()
 
 
 @pytest.mark.parametrize("offset", [0.0, 1e8, 1e10])

@@ -20,7 +20,7 @@ __all__ = ["design_"]
         "class: gaussians, disks, half-spaces, or an integrand spec with uniform(a, b) or normal(mean, sd)",
     ),
     option("n", "number of points", whole(1)),
-    option("-d, --dims D", "number of dims (default 2)", whole(1)),
+    option("-d, --dims D", "number of dims (default: those of the spec, or 2)", whole(1)),
     option("-o, --out FILE", "write the sampler and its certificate to this .json file"),
     option("--members M", "fresh members of the certificate (default 2000)", whole(20)),
 )
@@ -30,9 +30,9 @@ def design_(options: argparse.Namespace) -> Answer:
     Prints its spec and the mean variances over fresh members of the class, beside those of usual
     samplers. Ctrl-C keeps the best sampler so far.
     """
-    seed, dims = options.seed or 0, options.dims or 2
+    seed = options.seed or 0
     sampler = mcs.design(
-        options.kind, options.objective, options.n, dims=dims, rng=seed, path=options.out
+        options.kind, options.objective, options.n, dims=options.dims, rng=seed, path=options.out
     )
     found = mcs.certificate(
         sampler, options.objective, options.n, members=options.members or 2000, rng=seed + 1
@@ -55,7 +55,7 @@ def design_(options: argparse.Namespace) -> Answer:
     )
     data = {
         "spec": sampler.spec,
-        "dims": dims,
+        "dims": sampler.dims,
         "n": options.n,
         "certificate": {
             **{str(name): found[name].values.tolist() for name in found},

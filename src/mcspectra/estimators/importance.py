@@ -130,9 +130,10 @@ def as_estimator(given: Any, dims: int | None = None) -> AbstractEstimator:
         return given
     if isinstance(given, Integrand | str):
         return Estimator(given, dims=dims)
+    made = ", or make one with Integrand.from_function" if callable(given) else ""
     raise ParameterError(
         f"{given!r:.80} is not an estimator; give Estimator(integrand, density), an integrand, or "
-        "an integrand's spec."
+        f"an integrand's spec{made}."
     )
 
 

@@ -198,7 +198,14 @@ class Calls:
         blocks = [fresh[i : i + self._block] for i in range(0, fresh.size, self._block)]
         if self._pool is None:
             for where in blocks:
-                yield where, self._values(x[where])
+                try:
+                    found = self._values(x[where])
+                except ParameterError as error:  # of a shape: it failed, or gave another one
+                    if self.made or self._block == _FEW or "shape" not in str(error):
+                        raise
+                    hint = "If it takes one point at a time, give vectorized=False."
+                    raise ParameterError(f"{error} {hint}") from error.__cause__
+                yield where, found
             return
         tasks: dict[Future[Array], Array] = {}
         try:

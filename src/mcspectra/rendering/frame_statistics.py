@@ -363,7 +363,9 @@ def _listed(paths: Any) -> list[Path]:
     for kinds in (_LINEAR, _ENCODED):  # pictures beside the frames are their previews
         if files := [file for file in inside if file.suffix.lower() in kinds]:
             return files
-    raise FileFormatError(f"{place} holds no {', '.join(_LINEAR)} files; give a folder of frames.")
+    raise FileFormatError(
+        f"{place} holds no {', '.join(_LINEAR + _ENCODED)} files; give a folder of frames."
+    )
 
 
 def _said(paths: Frames) -> str:

@@ -192,7 +192,8 @@ def _said(bench: xr.Dataset) -> list[str]:
         f"{bench.attrs['realizations']} realisations, seed {bench.attrs['seed']}; mcspectra {__version__}. "
         "Rates are exponents of the variance in n with 95 % intervals (random: −1), unresolved beyond 0.5. "
         "Ranks are by n · variance at the largest n, with 95 % intervals that hold for all ranks together; "
-        "speeds are of one thread that makes the points."
+        "speeds are of one thread that makes sets of the largest n. Curves lie over one another in the order "
+        "of the legend: one that is not seen is hidden by a later one that coincides with it."
     )
     note = bench.attrs.get("note")
     return [how, f"Note: {note}."] if note else [how]

@@ -138,7 +138,7 @@ def _doubts(found: dict[str, Any]) -> Iterator[str]:
             break
     missing = max(found["missing"])
     if missing:
-        yield f"{missing} pixels are NaN or infinite in some frame; they have no numbers."
+        yield f"Pixels that are NaN or infinite in some frame, and have no numbers: {missing}."
     if not np.isfinite([row["picture_variance_ci"][1] for row in found["samples"]]).all():
         yield "One pixel of one frame makes over 5 % of all squared errors: the variance has no upper bound yet."
 

@@ -135,6 +135,13 @@ class Figure:
     name: str = ""
     live: bool = False
 
+    @property
+    def is_broad(self) -> bool:
+        """Whether it takes the whole width; half of it holds one column of panels that are live."""
+        abreast = min(self.plot.columns, len(self.plot.panels))
+        several_rows = 1 < abreast < len(self.plot.panels)
+        return self.plot.wide or abreast > 2 or (self.live and several_rows)
+
 
 @final
 @dataclass(frozen=True, kw_only=True)
@@ -325,7 +332,7 @@ def _drawn(figure: Figure, folder: Path | None, root: Path) -> Mapping[str, Any]
         "height": int.from_bytes(png[20:24], "big"),
         "words": plot.words or plot.caption,
         "caption": plot.caption,
-        "wide": plot.wide,
+        "wide": figure.is_broad,
         "abreast": min(plot.columns, len(plot.panels)) > 1,
         "file": file,
         "live": live,

@@ -176,7 +176,8 @@ def _from_object(source: Any, dims: int | None) -> Sampler:
         return Sampler.from_qmcpy(source, **({"dims": dims} if sized else {}))
     raise ParameterError(
         f"{source!r} is not a sampler; give a Sampler, a spec such as 'jittered | shift', an array "
-        "of points (n, d) or (R, n, d), a scipy.stats.qmc engine, or a QMCPy generator."
+        "of points (n, d) or (R, n, d), a scipy.stats.qmc engine, a QMCPy generator, or make one of a "
+        "function with Sampler.from_function."
     )
 
 

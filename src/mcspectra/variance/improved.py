@@ -155,6 +155,8 @@ class Improvement:
     ratio
         Its variance over that of the one given at equal cost, with random points; for *order* what main
         effects leave over, which is what nets do not remove. From evaluations that it was not fitted to.
+    finite_below
+        Where g grows as t^−a at the border its variance is finite for a below this.
     """
 
     kind: str
@@ -162,6 +164,7 @@ class Improvement:
     change: str
     estimator: Estimator
     ratio: float
+    finite_below: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -170,6 +173,11 @@ class _Changed(Derived):
 
     integrand: Integrand
     pilot_evaluations: int = 0
+
+    @property
+    def finite_below(self) -> float:
+        """Of `Improvement`."""
+        return 0.5
 
     @property
     def breaks(self) -> Breaks:
@@ -199,6 +207,13 @@ class _Warped(_Changed):
     text = "{0.integrand.spec}, {0.label}"
     density: Density | _Normal
     label: str
+
+    @property
+    def finite_below(self) -> float:
+        if not isinstance(self.density, _Normal):
+            return 0.5
+        # It grows as t^−(1 − 1/s²) along the direction of its largest spread s
+        return 1.0 - 0.5 / float(np.linalg.norm(self.density.matrix, 2) ** 2)
 
     def _at(self, u: Array) -> Array:
         x = self.density.sample(u)
@@ -471,7 +486,7 @@ def _densities(
         ),
         (
             "normal density",
-            "move and stretch the normal inputs to where the integrand is large",
+            "move and stretch the normal quantiles Φ⁻¹(u) of the inputs to where the integrand is large",
             [partial(_normal, stretch=s) for s in ("move", "axes", "all")],
         ),
     ]
@@ -538,7 +553,7 @@ def _regression(g: Integrand, seen: Evaluations) -> _Found:
     halves = ((first, second), (second, first))
     lefts = [0.5 * sum(fit(a).left(a, b) for a, b in halves) for fit in fits]
     left, basis = min(lefts), fits[int(np.argmin(lefts))](seen)
-    what = "coordinates" if basis.turn is None and not basis.normal else "normal inputs"
+    what = "coordinates" if basis.turn is None and not basis.normal else "normal quantiles Φ⁻¹(u)"
     yield (
         "regression",
         f"subtract the regression on {len(basis.axes)} polynomials of the {what}",
@@ -558,7 +573,7 @@ def _order(g: Integrand, seen: Evaluations) -> _Found:
     before, after = basis.left(first, second), basis.left(first.turned(turn), second.turned(turn))
     yield (
         "order by variation",
-        "turn the normal inputs, so that the integrand varies most along the first ones",
+        "turn the normal quantiles Φ⁻¹(u) of the inputs, so that the integrand varies most along the first ones",
         _turned(g, seen.directions),
         after / max(before, 1e-300),
     )
@@ -643,7 +658,7 @@ def improvements(
             if left < _WORTH:
                 own = replace(changed, pilot_evaluations=charged)
                 cost = own.evaluations_per_point / g.evaluations_per_point
-                yield Improvement(kind, name, change, Estimator(own), left * cost)
+                yield Improvement(kind, name, change, Estimator(own), left * cost, own.finite_below)
 
 
 def evaluated(

@@ -82,7 +82,7 @@ def integrate(
         Number of dims, where neither f nor the sampler say it.
     combine
         ``"mean"`` of the replicates or, for linear scrambles such as ``lms``, ``"median"``: far better where
-        f is smooth, in few dims and at many points.
+        f is smooth, in one dim, and in two from about 2,000 calls on.
     vectorized, workers, cache
         Of functions that are slow: as of `mcspectra.integrands.Calls`. What was interrupted goes on where
         it was when it is called again with the same cache, to the same bits.

@@ -53,7 +53,7 @@ def design(
     objective: Any,
     n: int,
     *,
-    dims: int = 2,
+    dims: int | None = None,
     rng: RngLike = 0,
     path: str | PathLike[str] | None = None,
 ) -> Sampler:
@@ -77,7 +77,7 @@ def design(
     n
         Number of points. Nets and trees take powers of two.
     dims
-        Number of dims, up to 8.
+        Number of dims, up to 8; by default those of the integrands, or 2 where they have any.
     rng
         Seed. The same seed gives the same sampler.
     path

@@ -18,7 +18,13 @@ from typing import Any, TypeAlias, final
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
-from mcspectra.core.errors import DomainError, ParameterError, SpecError, close_match_hint
+from mcspectra.core.errors import (
+    DomainError,
+    McspectraError,
+    ParameterError,
+    SpecError,
+    close_match_hint,
+)
 from mcspectra.core.spec import Call, parse
 from mcspectra.integrands import Integrand
 from mcspectra.integrands.registry import INTEGRANDS, as_integrand
@@ -66,8 +72,8 @@ class Objective:
         return self.whole or self.draw(members, rng)
 
 
-def as_objective(given: object, dims: int) -> Objective:
-    """Read an objective; see `design`.
+def as_objective(given: object, dims: int | None = None) -> Objective:
+    """Read an objective; see `design`. Without dims it has those of its integrands, else 2.
 
     Raises
     ------
@@ -76,14 +82,12 @@ def as_objective(given: object, dims: int) -> Objective:
     DomainError
         Values are not finite.
     """
-    dims = as_integer("dims", dims, least=1, most=_MAX_DIMS)
-    if isinstance(given, Objective):
-        if given.dims != dims:
-            raise ParameterError(f"The objective has {given.dims} dims, but {dims} are needed.")
-        return given
+    if dims is not None:
+        dims = as_integer("dims", dims, least=1, most=_MAX_DIMS)
     objective = _read(given, dims)
+    as_integer("dims", objective.dims, least=1, most=_MAX_DIMS)
     probe = objective.draw(_PROBE_MEMBERS, np.random.default_rng(0))
-    values = probe(Random(dims=dims).draw(_PROBE_POINTS, rng=0)[0])
+    values = probe(Random(dims=objective.dims).draw(_PROBE_POINTS, rng=0)[0])
     if not np.ptp(values, axis=1).any():
         raise ParameterError(
             f"All members of {objective.text} looked at are constant, so that every sampler has a "
@@ -92,7 +96,7 @@ def as_objective(given: object, dims: int) -> Objective:
     return objective
 
 
-def _read(given: Any, dims: int) -> Objective:
+def _read(given: Any, dims: int | None) -> Objective:
     if isinstance(given, str):
         return _of_text(given.strip(), dims)
     if isinstance(given, Integrand):
@@ -102,13 +106,10 @@ def _read(given: Any, dims: int) -> Objective:
     if isinstance(given, Sequence):
         return _of_list(given, dims)
     if isinstance(given, np.ndarray):
-        return _of_waves({"covariance" if given.ndim > dims else "spectrum": given}, dims)
+        squared = given.ndim > (dims or given.ndim)
+        return _of_waves({"covariance" if squared else "spectrum": given}, dims)
     if callable(given):
-        return _drawn(
-            getattr(given, "__name__", "the class"),
-            dims,
-            lambda rng: as_integrand(given(rng), dims),
-        )
+        return _of_function(given, dims)
     raise ParameterError(
         f"The objective is {given!r:.80}; give a spec with uniform(a, b) or normal(mean, sd) for "
         "parameters, a function of a generator that makes an integrand, a list of these, or "
@@ -121,11 +122,31 @@ def _of_one(f: Integrand) -> Objective:
     return Objective(f.spec, f.dims, lambda count, rng: values, values)  # noqa: ARG005
 
 
-def _of_list(given: Sequence[Any], dims: int) -> Objective:
+def _of_function(given: Callable[[np.random.Generator], Any], dims: int | None) -> Objective:
+    name = getattr(given, "__name__", "the class")
+
+    def one(rng: np.random.Generator) -> Integrand:
+        try:
+            found = given(rng)
+        except McspectraError:
+            raise
+        except (AttributeError, TypeError, ValueError) as error:  # one of points, perhaps
+            raise ParameterError(
+                f"{name} raised {type(error).__name__} of a generator: {error}; give a function of a "
+                "generator that makes an integrand, or for one function Integrand.from_function."
+            ) from error
+        return as_integrand(found, dims)
+
+    return _drawn(name, dims or one(np.random.default_rng(0)).dims, one)
+
+
+def _of_list(given: Sequence[Any], dims: int | None) -> Objective:
     """Each part has the same share; a list of single integrands is the whole class."""
-    parts = [_read(part, dims) for part in given]
-    if not parts:
+    if not given:
         raise ParameterError("The objective is an empty list; give one integrand at least.")
+    # Specs take the dims of the others
+    dims = dims or _read(min(given, key=lambda part: isinstance(part, str)), None).dims
+    parts = [_read(part, dims) for part in given]
     if len(parts) == 1:
         return parts[0]
     share = len(parts) ** -0.5
@@ -143,10 +164,10 @@ def _of_list(given: Sequence[Any], dims: int) -> Objective:
     return Objective(text, dims, draw, whole)
 
 
-def _of_text(text: str, dims: int) -> Objective:
+def _of_text(text: str, dims: int | None) -> Objective:
     """A family or an integrand spec, parameters of which may be uniform(a, b) or normal(mean, sd)."""
     if text == _HALF_SPACES:
-        return _drawn(text, dims, partial(_half_space, dims))
+        return _drawn(text, dims or 2, partial(_half_space, dims or 2))
     call = parse(_RANDOM.sub(r"=['\1', \2]", _FAMILIES.get(text, text)))
     laws = {
         name: value
@@ -177,6 +198,8 @@ def _of_text(text: str, dims: int) -> Objective:
         drawn = {name: x if len(x) > 1 else x[0] for name, x in drawn.items()}
         found: Integrand = INTEGRANDS.build(Call(call.name, call.arguments | drawn), dims)
         return found
+
+    dims = dims or make(dict.fromkeys(laws, 1), np.random.default_rng(0)).dims
 
     # A parameter takes a number for each axis if it can
     error: Exception | None = None
@@ -216,7 +239,7 @@ def _members(integrands: Sequence[Integrand], x: Array) -> Array:
     return np.asarray(np.concatenate(rows) * len(integrands) ** -0.5)
 
 
-def _of_waves(given: Mapping[str, Any], dims: int) -> Objective:
+def _of_waves(given: Mapping[str, Any], dims: int | None) -> Objective:
     """{'spectrum': P} or {'covariance': C}, arrays or callables of frequencies, and 'half_width'."""
     kinds = [kind for kind in ("spectrum", "covariance") if kind in given]
     if len(kinds) != 1 or set(given) - {*kinds, "half_width"}:
@@ -227,9 +250,11 @@ def _of_waves(given: Mapping[str, Any], dims: int) -> Objective:
     (kind,) = kinds
     source = given[kind]
     if callable(source):
+        dims = dims or 2
         half = as_integer("half_width", given.get("half_width", 8), least=1, most=64)
     else:
         source = np.asarray(source)
+        dims = dims or (source.ndim if kind == "spectrum" else 2)
         half = (round(len(source) ** (1.0 if kind == "spectrum" else 1.0 / dims)) - 1) // 2
     m = np.array(list(itertools.product(range(-half, half + 1), repeat=dims)))
     if not callable(source):

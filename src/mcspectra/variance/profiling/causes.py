@@ -175,12 +175,12 @@ def _infinite_variance(seen: Evidence) -> Cause | None:
     # Where no pole was climbed to, the bends of lines tell of one, less well
     poles = np.concatenate([lines.poles() for lines in seen.lines])
     order = -float(np.median(seen.each("exponent")[poles])) if poles.any() else 0.0
-    found = [(seen.growth, 0.02, f"grows as t^−{seen.growth:.2f} at the border")]
+    found = [(seen.growth, 0.02, f"grows as t^−{seen.growth:.2f} at the border", True)]
     if seen.pole is None:
-        found.append((order, 0.08, f"has a pole of order {order:.2f} inside"))
+        found.append((order, 0.08, f"has a pole of order {order:.2f} inside", False))
     else:
-        found.append((seen.pole.tail, 0.02, _said(seen.pole)))
-    for index, near, what in found:
+        found.append((seen.pole.tail, 0.02, _said(seen.pole), seen.pole.border))
+    for index, near, what, border in found:
         if index >= _HALF - near:
             said = (
                 "from ½ on ∫g² is infinite: errors fall more slowly than n^−½ and no interval holds"
@@ -190,7 +190,7 @@ def _infinite_variance(seen: Evidence) -> Cause | None:
                 "infinite-variance",
                 f"g {what}, and {said}.",
                 {"exponent": index},
-                () if index >= _ALL else ("fitted", "warp"),
+                ("fitted", "warp") if border and index < _ALL else (),
             )
     if seen.estimator.infinite_weights and _tail(seen)[1] > _HALF:
         return Cause(

@@ -258,19 +258,21 @@ class Profile:
             low, high = curve.rate_ci
             known = curve.rate_se == 0.0
             rate = f"{curve.rate:.2f}" + ("" if known else f" ({low:.2f} to {high:.2f})")
-            rate = "none" if math.isnan(curve.rate) else rate
+            if math.isnan(curve.rate):
+                rate = "no error seen" if curve.vanishes <= self.points else "none"
             rmse = self._rmse(curve)
             shown = "not known" if math.isnan(rmse) else f"{rmse:.3g}"
             rows.append((name, shown, rate.replace("-", "−")))
         return rows
 
     def _rmse(self, curve: Curve) -> float:
-        """At the budget; NaN where nothing is known beyond the counts."""
+        """At the budget; NaN where nothing is known beyond the counts, or nothing was met that varies."""
         if math.isinf(self.variance):
             return math.inf
         if math.isnan(curve.rate) and max(curve.counts, default=math.inf) < self.points:
             return 0.0 if self.points >= curve.vanishes else math.nan
-        return math.sqrt(curve.at(self.points)[0])
+        rmse = math.sqrt(curve.at(self.points)[0])
+        return rmse if rmse or math.isfinite(self.interval[1]) else math.nan
 
     def __str__(self) -> str:
         return self.text
@@ -583,7 +585,8 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     infinite = "infinite-variance" in names
     if infinite and best is not None:
         endless = dict.fromkeys(("rmse_given", "gain", "samples_saved"), math.inf)
-        best = replace(best, **endless, gain_ci=(math.inf, math.inf))  # type: ignore[arg-type]
+        endless_best = replace(best, **endless, gain_ci=(math.inf, math.inf))  # type: ignore[arg-type]
+        best = None if best.estimator is estimator else endless_best  # no sampler makes it finite
     resolved = bool(Moments.of(sets.pooled, tails=True).resolved)
     known = not infinite and "wrong-pdf" not in names
     known &= resolved or "border-growth" in names
@@ -806,6 +809,11 @@ def _improved(
     for kind in kinds:
         with contextlib.suppress(McspectraError):  # it has nothing to offer here
             offers += improvements(estimator, seen, [kind])
+    # Few densities make an infinite variance finite
+    for cause in causes:
+        if cause.name == "infinite-variance":
+            index = cause.evidence.get("exponent", cause.evidence.get("tail_index", 0.0))
+            offers = [offer for offer in offers if offer.finite_below > index]
     # What takes a jump away gains with nets, which its variance at random points does not tell: it is first
     jumps = causes[0].name == "interior-jump"
     offers.sort(key=lambda offer: (not (jumps and offer.kind == "preintegrated"), offer.ratio))
@@ -826,12 +834,18 @@ def _improved(
         if n < _FEW_POINTS:  # which show no steep rate yet
             curve = replace(curve, rate=max(curve.rate, _STEEPEST))
         (ours, ours_se), (other, other_se) = curve.at(n), base.at(cost)
-        if ours < other * math.exp(-CONFIDENCE_Z * math.hypot(ours_se, other_se)):
+        # Few points carry neither its rate nor its gain far: the mean of both, half their difference unsure
+        points_at_budget = budget // estimator.evaluations_per_point
+        (value, error), at_best = curve.at(at_budget), base.at(points_at_budget)[0]
+        kept = ours / other * at_best if other > 0.0 else 0.0
+        error = math.hypot(error, 0.5 * math.log(value / kept)) if value > 0.0 < kept else error
+        after = math.sqrt(value * kept)
+        sure = math.exp(-CONFIDENCE_Z * math.hypot(ours_se, other_se))
+        if ours < other * sure and after < at_best:
             change = f"{offer.change}, and sample with {NETS}"
-            points_at_budget = budget // estimator.evaluations_per_point
-            after, setup = curve.at(at_budget), (offer.estimator, NETS)
+            setup = (offer.estimator, NETS)
             found = _change(
-                evidence.curves, given, points_at_budget, offer.name, change, after, setup
+                evidence.curves, given, points_at_budget, offer.name, change, (after, error), setup
             )
             return found, tried, calls
     return best, tried, calls

@@ -46,7 +46,7 @@ class Curve:
     counts, variance, relative_se
         (N,); the standard error is that of log variance.
     rate, rate_se
-        Slope over the last octaves and its standard error; NaN where there is none.
+        Slope over the last octaves and its standard error; NaN where there is none, as of what vanishes.
     degrees
         Degrees of freedom of the errors.
     drift
@@ -240,7 +240,7 @@ def _fitted(
     error = np.sqrt(np.diag(covariance))
     if rate is not None:
         return Curve(counts, found, error, rate, 0.0, degrees, 0.0, vanishes)
-    if len(counts) < 2:
+    if len(counts) < 2 or math.isfinite(vanishes):
         return Curve(counts, found, error, math.nan, math.nan, degrees, 0.0, vanishes)
     x, y = np.log(counts / counts[-1]), np.log(found)
     line, octave = np.stack([np.ones_like(x), x], axis=1), math.log(2.0)
