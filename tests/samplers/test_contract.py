@@ -20,7 +20,6 @@ from mcspectra.core.errors import CountError, NotPowerOfTwoWarning, ParameterErr
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import RANDOMIZATIONS, SAMPLERS, Randomized, Structure, sampler
 from mcspectra.samplers.base import MAX_COUNT
-from mcspectra.samplers.optimised import OptimisedSampler
 
 FALSE_ALARMS = 1e-6  # for the whole file
 GIVEN_SETS = 5
@@ -230,8 +229,7 @@ def p_of_uniformity(source, n, dims):
 
     5 × 7 cells are not those of any set here, so that strata do not hide what is within them.
     """
-    # 40 a cell, or 20 where sets are large or take an optimisation each
-    realizations = 700 if n > 100 or isinstance(source, OptimisedSampler) else 1400
+    realizations = 700  # 20 a cell
     points = source.draw(n, realizations=realizations, rng=20)
     picked = np.random.default_rng(dims).integers(n, size=realizations)
     x = points[np.arange(realizations), picked]
