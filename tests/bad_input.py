@@ -26,6 +26,15 @@ name = "a"
 integrand = "gaussian"
 """
 
+HEAD = [
+    "# Bad input and its answers",
+    "",
+    "Made by `python -m tests.bad_input`; every row is a test. Commands exit with 2.",
+    "",
+    "| door | given | answer | sentence |",
+    "|---|---|---|---|",
+]
+
 
 @dataclass(frozen=True)
 class Row:
@@ -514,29 +523,19 @@ def _command_answer(arguments: list[str], folder: Path) -> tuple[str, str]:
     return str(code), (err.getvalue() or out.getvalue()).strip()
 
 
+def line(row: Row, code: str, text: str) -> str:
+    """The row of the page, of what the program says."""
+    given = _difference(row.given) if row.door == "toml" else row.given
+    first = text.splitlines()[0].replace("mcspectra: ", "", 1)
+    given = f"`{_cell(given if len(given) < 200 else given[:40] + ' …')}`"
+    return "| " + " | ".join([row.door, given, _cell(code), _cell(first)]) + " |"
+
+
 def page() -> str:
     """The table as Markdown, from what the program says now."""
-    lines = [
-        "# Bad input and its answers",
-        "",
-        "Made by `python -m tests.bad_input`; every row is a test. Commands exit with 2.",
-        "",
-        "| door | given | answer | sentence |",
-        "|---|---|---|---|",
-    ]
     with tempfile.TemporaryDirectory() as name:
-        for row in ROWS:
-            code, text = answer(row, Path(name))
-            given = _difference(row.given) if row.door == "toml" else row.given
-            first = text.splitlines()[0].replace("mcspectra: ", "", 1)
-            cells = [
-                row.door,
-                f"`{_cell(given if len(given) < 200 else given[:40] + ' …')}`",
-                _cell(code),
-                _cell(first),
-            ]
-            lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+        lines = [line(row, *answer(row, Path(name))) for row in ROWS]
+    return "\n".join([*HEAD, *lines]) + "\n"
 
 
 def _difference(text: str) -> str:

@@ -7,6 +7,10 @@ from importlib.util import find_spec
 
 import pytest
 
+# Before workers, one a core, load numpy: two threads of BLAS in each wait for one another, which was three
+# quarters of the processor time of fits.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 from mcspectra.samplers import external
 from tests.browser import chromium
 

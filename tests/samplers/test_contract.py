@@ -20,10 +20,9 @@ from mcspectra.core.errors import CountError, NotPowerOfTwoWarning, ParameterErr
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import RANDOMIZATIONS, SAMPLERS, Randomized, Structure, sampler
 from mcspectra.samplers.base import MAX_COUNT
-from mcspectra.samplers.optimised import OptimisedSampler
 
 FALSE_ALARMS = 1e-6  # for the whole file
-GIVEN_SETS = 8
+GIVEN_SETS = 5
 
 CHAINS = {
     "": False,
@@ -174,7 +173,7 @@ def test_randomizations_that_break_a_set_are_refused_with_a_reason(case, make):
 
 
 @every_case
-def test_points_are_the_same_bits_in_any_call_and_thread(case, make):
+def test_points_are_the_same_bits_in_any_call_and_thread_and_as_said(case, make):
     source = make(case)
     whole = source.draw(case.n, realizations=GIVEN_SETS, rng=7)
     assert whole.shape == (GIVEN_SETS, case.n, case.dims)
@@ -189,30 +188,20 @@ def test_points_are_the_same_bits_in_any_call_and_thread(case, make):
         parts = list(pool.map(lambda r: again.draw(case.n, rng=7, first=r)[0], range(GIVEN_SETS)))
     np.testing.assert_array_equal(parts, whole)
 
-
-@every_case
-def test_realizations_and_seeds_differ_unless_the_set_is_fixed(case, make):
-    source = make(case)
-    seven = source.draw(case.n, realizations=4, rng=7)
-    eight = source.draw(case.n, realizations=4, rng=8)
-    same = len(np.unique(seven.reshape(4, -1), axis=0)) == 1
-    assert same == case.fixed
     # That a subset of all points is no choice is not known before the count is.
+    assert (len(np.unique(whole.reshape(GIVEN_SETS, -1), axis=0)) == 1) == case.fixed
     assert source.fixed == (case.fixed and case.chain != " | subset")
     given = case.row.spec.startswith("points") and case.chain in FIXED
-    assert np.array_equal(seven, eight) == (case.fixed or given)
+    assert np.array_equal(whole[:1], source.draw(case.n, rng=8)) == (case.fixed or given)
 
-
-@every_case
-def test_what_a_sampler_says_of_itself_is_true(case, make):
-    source = make(case)
+    # What it says of itself
     assert source.unbiased == case.unbiased
     assert source.check_count(case.n) == case.n
     assert source.nearest_count(case.n) == case.n
-    again = sampler(source.spec, case.dims)
-    assert again == source
-    assert again.spec == source.spec
-    assert again.dims == case.dims
+    same = sampler(source.spec, case.dims)
+    assert same == source
+    assert same.spec == source.spec
+    assert same.dims == case.dims
 
 
 @pytest.mark.parametrize("case", UNIFORM, ids=str)
@@ -240,8 +229,7 @@ def p_of_uniformity(source, n, dims):
 
     5 × 7 cells are not those of any set here, so that strata do not hide what is within them.
     """
-    # 40 a cell, or 20 where sets are large or take an optimisation each
-    realizations = 700 if n > 100 or isinstance(source, OptimisedSampler) else 1400
+    realizations = 700  # 20 a cell
     points = source.draw(n, realizations=realizations, rng=20)
     picked = np.random.default_rng(dims).integers(n, size=realizations)
     x = points[np.arange(realizations), picked]

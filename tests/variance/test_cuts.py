@@ -9,6 +9,7 @@ import pytest
 import xarray as xr
 
 import mcspectra as mcs
+from mcspectra.core import analysis as core_analysis
 from mcspectra.core import parallel
 from mcspectra.core.analysis import Reduction, compute, compute_chunk, needed, steps_of
 from mcspectra.core.errors import InfiniteWeightVarianceWarning, McspectraError, ParameterError
@@ -90,10 +91,15 @@ def test_cuts_and_threads_change_nothing(case, monkeypatch):
     analysis, estimator, sampler, numbers = CASES[case]
     monkeypatch.setattr(parallel, "_BLOCK_NUMBERS", numbers)
     check_analysis(analysis, estimator, sampler)
-    subject = as_subject(estimator, sampler, lists=True)
-    sizes = [each.blocks for stage in _stages(analysis, subject)[0] for each in stage]
-    assert max(sizes) >= 5
+    subject, sizes = as_subject(estimator, sampler, lists=True), []
+
+    def counted(work, blocks, threads):
+        sizes.append(len(blocks))
+        return parallel.map_in_order(work, blocks, threads)
+
+    monkeypatch.setattr(core_analysis, "map_in_order", counted)
     one, two = (compute(analysis, subject, 3, workers) for workers in (1, 2))
+    assert max(sizes) >= 5
     xr.testing.assert_identical(one, two)
 
 

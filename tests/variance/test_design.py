@@ -36,6 +36,7 @@ def small(tmp_path, monkeypatch):
     monkeypatch.setattr(searches, "_TRIALS", 2**18)
     monkeypatch.setattr(searches, "_FREQUENCIES", 2**14)
     monkeypatch.setattr(searches, "_TREES", 16)
+    monkeypatch.setattr(searches, "_STARTS", 2)
 
 
 def spectrum(m):

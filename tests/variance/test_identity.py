@@ -1,5 +1,7 @@
 """dc + power + cross is the sample variance of the truncated estimate, exactly; and its matrix form."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -25,6 +27,7 @@ def _sampler(name, dims):
     return _one_sided(dims) if name == "one-sided" else mcs.sampler(name, dims=dims)
 
 
+@cache
 def _skew(dims):
     """Neither even nor odd about any point, not periodic."""
     return mcs.Integrand.from_function(
@@ -56,9 +59,15 @@ CASES = [
 ]
 
 
+@cache
+def _estimator(dims, density):
+    """One for all samplers, so that its coefficients are computed once."""
+    return mcs.Estimator(_skew(dims), density)
+
+
 @pytest.mark.parametrize(("dims", "name", "density", "space"), CASES)
 def test_terms_sum_to_the_sample_variance(dims, name, density, space):
-    estimator = mcs.Estimator(_skew(dims), density)
+    estimator = _estimator(dims, density)
     sampler = _sampler(name, dims)
     n, half_width = {1: (8, 12), 2: (16, 5), 3: (8, 3)}[dims]
     d = mcs.variance_terms(

@@ -14,14 +14,15 @@ def bands(found, count=4):
     return np.array([p.mean() / m.mean() for p, m in zip(*parts, strict=True)])
 
 
-@pytest.mark.parametrize("integrand", ["gaussian(width=0.3)", "gaussian(width=0.1)", "disk"])
 @pytest.mark.parametrize(
-    "chain",
+    ("integrand", "chain"),
     [
-        "sobol | decorrelate(mask='white', width=32)",
-        "sobol | shift | decorrelate(mask='blue-noise', width=32)",
-        "jittered | decorrelate(mask='blue-noise', width=32)",
-        "random | decorrelate(mask='r2', width=32)",
+        ("gaussian(width=0.3)", "sobol | decorrelate(mask='white', width=32)"),
+        ("gaussian(width=0.1)", "sobol | shift | decorrelate(mask='blue-noise', width=32)"),
+        ("gaussian(width=0.3)", "jittered | decorrelate(mask='blue-noise', width=32)"),
+        ("gaussian(width=0.1)", "random | decorrelate(mask='r2', width=32)"),
+        ("disk", "sobol | shift | decorrelate(mask='blue-noise', width=32)"),
+        ("disk", "jittered | decorrelate(mask='blue-noise', width=32)"),
     ],
 )
 def test_predictions_are_what_is_measured(integrand, chain):
@@ -33,13 +34,13 @@ def test_predictions_are_what_is_measured(integrand, chain):
 
 def test_white_masks_make_white_noise_of_the_variance_of_a_pixel():
     chain = "sobol | decorrelate(mask='white', width=32)"
-    found = mcs.image_error_spectrum("cosine(frequency=1)", chain, 1, dims=1, images=64)
+    found = mcs.image_error_spectrum("cosine(frequency=1)", chain, 1, dims=1, images=16)
     # One frequency of one point: 2 |f_1|²
     variance = 2 * abs(mcs.integrand("cosine(frequency=1)", dims=1).fourier([[1]]).item()) ** 2
     values = found["predicted_power"].values
     sizes = np.pi * 2 * found["radius"].values * 32**2 / 32 / 2 / 2  # of each ring, in pairs
-    assert abs(values.mean() / variance - 1) < 4 / np.sqrt(64 * sizes.sum())
-    assert abs(float(found["low_share"]) - 1.0) < 4 / np.sqrt(64 * sizes[:4].sum())
+    assert abs(values.mean() / variance - 1) < 4 / np.sqrt(16 * sizes.sum())
+    assert abs(float(found["low_share"]) - 1.0) < 4 / np.sqrt(16 * sizes[:4].sum())
 
 
 def test_a_mask_of_blue_noise_has_less_at_low_frequencies():
@@ -47,7 +48,7 @@ def test_a_mask_of_blue_noise_has_less_at_low_frequencies():
         mask: mcs.image_error_spectrum(
             "gaussian(width=0.3)", f"jittered | decorrelate(mask={mask!r}, width=32)", 4, dims=2
         )["low_share"].item()
-        for mask in ("white", "blue-noise", "r2")
+        for mask in ("white", "blue-noise")
     }
     assert low["blue-noise"] < 0.5
     assert low["white"] > 0.8

@@ -46,20 +46,20 @@ class Counting:
 @pytest.mark.parametrize("budget", [256, 2000])
 @pytest.mark.parametrize("f", KNOWN, ids=lambda f: f.__name__)
 def test_intervals_cover(f, budget):
-    """Of 1,000 intervals of Student's t 950 cover with σ = 6.9, and from 930 on is 2.9 σ.
+    """Of 400 intervals of Student's t 380 cover with σ = 4.4, and from 367 on is 3 σ.
 
     The hull with Hall's covers more where few replicates are skewed by chance; it must not be had by
     width: its median half is at most half as much again as Student's t times the error there is.
     """
     covered, replicates, halves, values = 0, [], [], []
-    for seed in range(1000):
+    for seed in range(400):
         found = mcs.integrate(f, dims=2, budget=budget, rng=seed)
         low, high = found["interval"].values
         covered += low <= KNOWN[f] <= high
         halves.append((high - low) / 2)
         values.append(float(found["value"]))
         replicates.append(int(found["replicates"]))
-    assert covered >= 930
+    assert covered >= 367
     assert min(replicates) >= 8
     error = np.sqrt(np.mean((np.array(values) - KNOWN[f]) ** 2))
     assert np.median(halves) < 1.5 * student.ppf(0.975, min(replicates) - 1) * error

@@ -69,26 +69,24 @@ FUNCTIONS = {
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_the_first_cause_is_right_for_every_seed_and_budget(name):
     dims, function, causes = FUNCTIONS[name]
-    for seed in range(5):
-        for budget in (2048, 8192):
-            found = mcs.profile(function, dims=dims, budget=budget, rng=seed)
-            assert found.causes[0].name in causes, (seed, budget, found.text)
+    for seed, budget in enumerate((2048, 8192, 2048)):
+        found = mcs.profile(function, dims=dims, budget=budget, rng=seed)
+        assert found.causes[0].name in causes, (seed, budget, found.text)
 
 
 def test_a_jump_that_equal_steps_of_a_line_miss_is_found_at_its_end():
     """1/x beyond 0.01, 0 before: the steps of a line begin at about twice that."""
-    for seed in range(10):
-        for budget in (1024, 4096, 16384):
-            found = mcs.profile(
-                lambda x: np.where(x[..., 0] > 0.01, 1.0 / inner(x[..., 0]), 0.0),
-                dims=1,
-                budget=budget,
-                rng=seed,
-            )
-            assert found.causes[0].name == "axis-parallel-jump", (seed, budget, found.text)
+    for seed, budget in enumerate((1024, 4096, 16384, 1024, 4096, 1024)):
+        found = mcs.profile(
+            lambda x: np.where(x[..., 0] > 0.01, 1.0 / inner(x[..., 0]), 0.0),
+            dims=1,
+            budget=budget,
+            rng=seed,
+        )
+        assert found.causes[0].name == "axis-parallel-jump", (seed, budget, found.text)
     # What is steep there and smooth has no jump
     for f in (np.sqrt, lambda x: np.exp(-50.0 * x), lambda x: 1.0 / (0.02 + x), lambda x: x**0.1):
-        for seed in range(5):
+        for seed in range(2):
             found = mcs.profile(lambda x, f=f: f(x[..., 0]), dims=1, rng=seed)
             assert not any("jump" in cause.name for cause in found.causes), (seed, found.text)
 
@@ -127,9 +125,15 @@ def test_poles_are_climbed_to_and_measured(matrix, order, rank, border):
 
 @pytest.mark.parametrize("budget", [256, 1000, 4096, 10_000])
 @pytest.mark.parametrize(
-    "sampler", ["random", "jittered | shift", "rank1-lattice | shift", "sobol"]
+    ("sampler", "dims"),
+    [
+        ("random", 20),
+        ("jittered | shift", 2),
+        ("rank1-lattice | shift", 5),
+        ("sobol", 1),
+        ("sobol", 20),
+    ],
 )
-@pytest.mark.parametrize("dims", [1, 2, 5, 20])
 def test_calls_are_counted_and_never_above_the_budget(budget, sampler, dims):
     made = 0
 

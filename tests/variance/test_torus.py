@@ -8,6 +8,9 @@ from mcspectra.core.streams import Stream
 from mcspectra.variance.prediction.known import Known
 from mcspectra.variance.prediction.torus import of_torus
 
+DISK = "disk(center=(0.45, 0.52), radius=0.27)"
+HALF = "half-space(normal=(0.8, 0.6), offset=0.63)"
+
 
 def predicted(f, sampler, n):
     source = mcs.sampler(sampler, f.dims).as_chain(n)
@@ -35,20 +38,17 @@ def test_additive_functions_on_lattices(sampler, dims, n):
 
 
 @pytest.mark.parametrize(
-    ("sampler", "n"),
+    ("spec", "sampler", "n"),
     [
-        ("rank1-lattice | shift", 64),
-        ("rank1-lattice | shift", 1000),
-        ("rank1-lattice(vector=[4, 3]) | shift", 256),
-        ("fibonacci | shift", 610),
-        ("hexagonal | shift", 270),
-        ("regular | shift", 1024),
-        ("uniform-jitter", 256),
-        ("uniform-jitter | strata-shift(offset=0.3)", 256),
+        (DISK, "rank1-lattice | shift", 64),
+        (HALF, "rank1-lattice | shift", 1000),
+        (DISK, "rank1-lattice(vector=[4, 3]) | shift", 256),
+        (HALF, "fibonacci | shift", 610),
+        (DISK, "hexagonal | shift", 270),
+        (HALF, "regular | shift", 1024),
+        (DISK, "uniform-jitter", 256),
+        (HALF, "uniform-jitter | strata-shift(offset=0.3)", 256),
     ],
-)
-@pytest.mark.parametrize(
-    "spec", ["half-space(normal=(0.8, 0.6), offset=0.63)", "disk(center=(0.45, 0.52), radius=0.27)"]
 )
 def test_dual_lattices_and_offsets_agree(spec, sampler, n):
     f = mcs.integrand(spec, dims=2)
