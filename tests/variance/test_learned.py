@@ -2,6 +2,9 @@
 
 import json
 import math
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -108,6 +111,49 @@ def test_the_same_seed_gives_the_same_density_and_its_spec_makes_it_again(tmp_pa
     assert float(found["variance"][0]) < variance(None, 64)
 
 
+def test_the_size_and_the_sign_of_f_do_not_matter():
+    """Powers of two, which round nothing: the same bits."""
+
+    def spec(factor, kind="mixture"):
+        return mcs.learned_density(
+            lambda x: factor * peaks(x), kind, OWEN, 64, dims=2, evaluations=1024
+        ).spec
+
+    specs = [spec(factor) for factor in (1.0, -1.0, 2.0**-530, 2.0**530)]
+    assert specs == specs[:1] * 4
+    assert specs[0] != "uniform"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_threads_and_blocks_do_not_matter(kind):
+    """Neither those of BLAS to the fit, nor how points are shared out to what uses it."""
+    code = (
+        "import mcspectra as mcs; print(mcs.learned_density('gaussian(width=0.1, center=0.3)', "
+        f"{kind!r}, {OWEN!r}, 256, dims=3, evaluations=8192).spec)"
+    )
+    specs = [
+        subprocess.run(
+            [sys.executable, "-c", code],
+            env={**os.environ, "OPENBLAS_NUM_THREADS": threads},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for threads in ("1", "2")
+    ]
+    assert specs[0] == specs[1] != "uniform"
+    p = mcs.density(specs[0].strip())
+    u = np.random.default_rng(0).random((1000, 3))
+    whole, parts = p.sample_pdf(u), [p.sample_pdf(block) for block in np.split(u, [1, 300])]
+    for a, b in zip(whole, zip(*parts, strict=True), strict=True):
+        np.testing.assert_array_equal(a, np.concatenate(b))
+    found = [
+        mcs.convergence(mcs.Estimator("gaussian(width=0.1)", p), OWEN, [64, 256], workers=w)
+        for w in (1, 2)
+    ]
+    np.testing.assert_array_equal(found[0]["variance"], found[1]["variance"])
+
+
 def test_where_nothing_is_gained_it_is_uniform(tmp_path):
     """A constant has no variance."""
     path = tmp_path / "uniform.json"
@@ -127,6 +173,11 @@ def test_errors_say_what_to_do(tmp_path):
             f, kind, sampler, n, **{"dims": 2, "evaluations": 512, **options}
         )
 
+    def never(x):
+        raise AssertionError("evaluated before all else was checked")
+
+    folder = tmp_path / "folder.json"
+    folder.mkdir()
     for options, error, words in [
         ({"kind": "flow"}, ParameterError, "spline-flow"),
         ({"sampler": "sobol"}, ParameterError, "add owen or shift"),
@@ -136,18 +187,23 @@ def test_errors_say_what_to_do(tmp_path):
         ({"f": 3}, ParameterError, "a function of points"),
         ({"f": lambda x: 0.0 * x[:, 0]}, ParameterError, "f is 0 at all 256"),
         ({"f": lambda x: np.log(x[:, 0] - 0.5)}, ParameterError, "NaN or infinite"),
-        ({"path": tmp_path / "no" / "x.json"}, FileFormatError, "cannot be written"),
-        ({"path": tmp_path / "x.npz"}, FileFormatError, ".json"),
+        ({"f": lambda x: np.ones((len(x), 2))}, ParameterError, "must give"),
+        ({"f": never, "n": 2**14}, ParameterError, "give 65536 or more"),
+        ({"f": never, "path": tmp_path / "no" / "x.json"}, FileFormatError, "cannot be written"),
+        ({"f": never, "path": folder}, FileFormatError, "cannot be written"),
+        ({"f": never, "path": tmp_path / "x.npz"}, FileFormatError, ".json"),
     ]:
         with pytest.raises(error, match=words), np.errstate(invalid="ignore"):
             learn(**options)
 
 
-@pytest.mark.parametrize("text", ["{}", "[1]", "no", '{"format": "mcspectra density 1"}'])
+@pytest.mark.parametrize(
+    "text", ["{}", "[1]", "no", "[" * 10**5, '{"format": "mcspectra density 1"}']
+)
 def test_other_files_are_refused(tmp_path, text):
     path = tmp_path / "density.json"
     path.write_text(text)
-    with pytest.raises(FileFormatError, match="is not a learned density"):
+    with pytest.raises(FileFormatError, match="json is not a learned density, or is damaged; give"):
         Learned(path=path)
     with pytest.raises(FileFormatError, match="cannot be read"):
         mcs.density(f"learned(path={str(tmp_path / 'none.json')!r})")
@@ -160,6 +216,9 @@ def test_tables_that_do_not_fit_are_refused(tmp_path):
     for name, value in [
         ("defensive", 0.0),
         ("knots", [[0.0, 0.5]]),
+        ("knots", [0.0, 1.0]),
+        ("knots", [[]]),
+        ("tables", [[[0.5, 0.5], [1.0]]]),
         ("shares", [0.5]),
         ("tables", [[[0.5, 0.7, -0.2]]]),
         ("gates", [[[1.0]]]),

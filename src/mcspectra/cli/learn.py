@@ -18,7 +18,9 @@ __all__ = ["learn_"]
     option("-n N", "number of points (default 256)", whole(1)),
     option("-d, --dims D", "number of dims (default: the integrand's own, or 2)", whole(1)),
     option(
-        "--evaluations E", "most evaluations to learn from (default 10 n, 16384 at least)", whole(1)
+        "--evaluations E",
+        "most evaluations to learn from (default 8 n + 8192, 16384 at least)",
+        whole(1),
     ),
     option(
         "--defensive SHARE", "least value of the density (default 0.05)", real(above=0.0, below=1.0)

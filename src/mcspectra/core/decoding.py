@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import math
+import os
 import stat
 import zipfile
 from collections.abc import Iterator, Sequence
@@ -20,7 +21,7 @@ import numpy as np
 from mcspectra.core.checks import Array, is_path
 from mcspectra.core.errors import FileFormatError, McspectraError, reason_of
 
-__all__ = ["check_decoded_size", "known_path", "opened", "read_npy", "read_npz"]
+__all__ = ["check_decoded_size", "known_path", "opened", "path_to_write", "read_npy", "read_npz"]
 
 _MOST_BYTES = 2**31
 _MOST_RATIO = 64  # bytes of memory for each byte of a file
@@ -42,6 +43,24 @@ def known_path(path: object, what: str, extensions: Sequence[str] = ()) -> Path:
     if extensions and file.suffix.lower() not in extensions:
         raise FileFormatError(
             f"{file} does not end in one of {', '.join(extensions)}; give {what}."
+        )
+    return file
+
+
+def path_to_write(path: object, what: str, extensions: Sequence[str]) -> Path | None:
+    """Return the path of a file that can be written, before the work that fills it; None for None.
+
+    Raises
+    ------
+    FileFormatError
+        As of `known_path`; it is a folder, or there is no folder to write it in.
+    """
+    if path is None:
+        return None
+    file = known_path(path, what, extensions)
+    if file.is_dir() or not os.access(file if file.exists() else file.parent, os.W_OK):
+        raise FileFormatError(
+            f"{str(file)!r} cannot be written; give {what}, in a folder that exists and can be written."
         )
     return file
 

@@ -25,7 +25,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_real, as_real_array
 from mcspectra.core.decoding import known_path
-from mcspectra.core.errors import FileFormatError, McspectraError, ParameterError
+from mcspectra.core.errors import FileFormatError, McspectraError
 from mcspectra.core.fields import settle
 from mcspectra.core.jit import kernel
 from mcspectra.densities.base import Density, Wrapper
@@ -35,6 +35,7 @@ __all__ = ["DEGREE", "Learned", "SplineDensity", "flow_features", "spline_basis"
 
 DEGREE = 4  # of the polynomials of a flow
 _FORMAT = "mcspectra density 1"
+_MOST_GATE = 1e6  # no weight that was fitted is beyond it
 _PDF, _SAMPLE, _INVERT = 0, 1, 2
 _SETTLED = 1e-14  # a step of Newton's method: the next one would be rounding
 
@@ -144,8 +145,6 @@ class Learned(Wrapper):
     def _inside(self) -> SplineDensity:
         try:
             found = json.loads(Path(self.path).read_text())
-            if found["format"] != _FORMAT:
-                raise ParameterError("it has another format")
             share = as_real("defensive", found["defensive"], above=0.0, most=1.0)
             knots, shares, tables, gates = (
                 as_real_array(n, found[n]) for n in ("knots", "shares", "tables", "gates")
@@ -158,9 +157,11 @@ class Learned(Wrapper):
                 fits &= bool((tables >= 0.0).all() and (shares >= 0.0).all())
             else:
                 fits = gates.shape == (d, splines, 1 + d * DEGREE) and not tables.size
+                fits &= bool((np.abs(gates) < _MOST_GATE).all())
             ends = (knots[:, 0] == 0.0) & (knots[:, -1] == 1.0)
-            if not (fits and ends.all() and (np.diff(knots) > 0.0).all()):
-                raise ParameterError("its tables do not fit together")
+            fits &= found["format"] == _FORMAT and bool((np.diff(knots) > 0.0).all())
+            if not (fits and ends.all()):
+                raise ValueError
             return SplineDensity(
                 knots=knots,
                 defensive=share,
@@ -170,9 +171,9 @@ class Learned(Wrapper):
             )
         except OSError as error:
             raise FileFormatError(f"{self.path} cannot be read: {error.strerror}.") from None
-        except (ValueError, KeyError, TypeError, McspectraError) as error:
+        except (ValueError, LookupError, TypeError, RecursionError, McspectraError):
             raise FileFormatError(
-                f"{self.path} is not a learned density ({error!s:.80}); give a file that "
+                f"{self.path} is not a learned density, or is damaged; give a file that "
                 "mcs.learned_density(…, path=…) wrote."
             ) from None
 

@@ -542,12 +542,11 @@ def _slivers(values: Array, corners: Array) -> Array:
     inverse = np.linalg.inv(legendre(2.0 * node - 1.0, order - 1))
     inside = 1.0 - 2.0 * _INSET[dims > 1]
     at_ends = legendre(np.array([-inside, inside]), order - 1) @ inverse
-    by_axis = values.reshape(len(values), *(order,) * dims, -1)
-    last, ends = np.zeros(values[:, 0].shape), by_axis
-    for axis in range(1, dims + 1):
-        tail = np.abs(np.tensordot(by_axis, inverse[-2:], axes=(axis, 1)))
-        last += tail.max(axis=(*range(1, dims), -1))
-        ends = np.moveaxis(np.tensordot(ends, at_ends, axes=(axis, 1)), -1, axis)
+    last, ends = np.zeros(values[:, 0].shape), values
+    for axis in range(dims):
+        tail = inverse[-2:] @ values.reshape(len(values) * order**axis, order, -1)
+        last += np.abs(tail).reshape(len(values), -1, last.shape[1]).max(axis=1)
+        ends = at_ends @ ends.reshape(len(values) * 2**axis, order, -1)
     missed = np.abs(corners - ends.reshape(corners.shape))
     missed[missed <= _SMOOTH * last[:, None]] = 0.0
     return np.asarray(missed.sum(axis=1) * node[0] * 2.0 ** (1 - dims))

@@ -18,6 +18,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -27,8 +28,8 @@ import numpy as np
 
 from mcspectra.core.cache import cache_folder
 from mcspectra.core.checks import Array, as_choice, as_integer, as_real
-from mcspectra.core.decoding import known_path
-from mcspectra.core.errors import FileFormatError, ParameterError
+from mcspectra.core.decoding import path_to_write
+from mcspectra.core.errors import ParameterError, writing
 from mcspectra.core.progress import report
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.densities import Density, Uniform, vegas_density
@@ -49,16 +50,23 @@ __all__ = ["LEARNED", "fit_splines", "in_rounds", "learned_density"]
 
 _MOST_DIMS = 24
 _LEAST, _USUAL = 256, 2**14  # evaluations
-_EACH = 10  # evaluations for each of n points
+_EACH = 8  # evaluations for each of n points, beside those to fit to: sets of n/4 at least
+_FEWEST = 16  # n over the least count to compare candidates at
 _MOST_FITTED = 2**13
 _BLOCK = 128
 _BINS = 512  # of the marginals that the knots come from
 _STEPS = 120  # of L-BFGS
+_MEMORY, _SHORTENED = 20, 20  # moves that it remembers, and tries of a length
+_GAIN = 2e-9  # of the function, below which it ends
+_ALL_STEPS = (
+    4  # dims up to which flows take them; with more, longer fits cost more and are no better
+)
 _REPLICATES = 6  # at least, of each candidate
 _ITERATIONS = 5  # of VEGAS
 _GRID = 64
 _LEAST_WEIGHT = 1e-6  # of a spline to start from
 _WORTH = 0.5  # of the variance of uniform points: six sets tell no better, and these are safe
+_EACH_GATE = 4  # evaluations of each weight of a flow
 _PARTS = 2**16  # stream label of where parts start
 
 # (cells, parts, smoothness) of the candidates of each kind, the one for the first rounds first; 0 parts: a flow
@@ -109,7 +117,7 @@ def fit_splines(
     knots[:, 0], knots[:, -1] = 0.0, 1.0
 
     seen = _Seen(
-        basis=[_in_blocks(spline_basis(line, x)) for line, x in zip(knots, points.T, strict=True)],
+        basis=[_columns(spline_basis(line, x)) for line, x in zip(knots, points.T, strict=True)],
         rho=_in_blocks(rho),
         weight=_in_blocks(w),
         uniform=np.log([spline_lengths(line) for line in knots]),
@@ -120,7 +128,7 @@ def fit_splines(
     shares, tables = seen.mixture(own, max(parts, 1), _STEPS if parts else _STEPS // 4)
     if parts:
         return SplineDensity(knots=knots, defensive=defensive, shares=shares, tables=np.exp(tables))
-    gates = seen.flow(_in_blocks(flow_features(points)), tables[0])
+    gates = seen.flow(_columns(flow_features(points)), tables[0])
     return SplineDensity(knots=knots, defensive=defensive, gates=gates)
 
 
@@ -145,7 +153,7 @@ def _grouped(points: Array, w: Array, count: int, generator: np.random.Generator
 class _Seen:
     """What fits minimise, of points in blocks."""
 
-    basis: list[Array]  # splines of each axis at the points, (blocks, size, M)
+    basis: list[Array]  # splines of each axis at the points, (blocks, M, size)
     rho: Array  # ρ and w, (blocks, size), both of sum 1
     weight: Array
     uniform: Array  # logarithms of the weights of the uniform density, (d, M)
@@ -162,7 +170,7 @@ class _Seen:
         for k in range(count):
             mine = self.weight * _in_blocks(own == k)
             for i, b in enumerate(self.basis):
-                found = (mine[..., None] * b).sum(axis=(0, 1)) * np.exp(self.uniform[i])
+                found = (mine[:, None] * b).sum(axis=(0, 2)) * np.exp(self.uniform[i])
                 found = found / max(found.sum(), 1e-300) + np.exp(self.uniform[i])
                 tables[k, i] = np.log(found + _LEAST_WEIGHT)
 
@@ -170,7 +178,7 @@ class _Seen:
             shares, logits = log_softmax(given[:count]), given[count:].reshape(tables.shape)
             c = softmax(logits, axis=-1)
             inner = [  # of parts, at the points
-                np.maximum(np.moveaxis(b @ c[:, i].T, -1, 0), 1e-300).copy()
+                np.maximum(np.moveaxis(c[:, i] @ b, 1, 0), 1e-300).copy()
                 for i, b in enumerate(self.basis)
             ]
             each = shares[:, None, None] + sum(np.log(v) for v in inner)
@@ -182,7 +190,7 @@ class _Seen:
             held = mine.sum(axis=(1, 2))
             penalty, gradient = self._bent(logits - self.uniform, 2)
             for i, b in enumerate(self.basis):
-                seen = ((mine / inner[i]).swapaxes(0, 1) @ b).sum(axis=0)
+                seen = ((mine / inner[i]).swapaxes(0, 1) @ b.swapaxes(1, 2)).sum(axis=0)
                 gradient[:, i] += c[:, i] * (seen - held[:, None])
             by_shares = held - np.exp(shares) * held.sum()
             return value + penalty, np.concatenate([by_shares, gradient.ravel()])
@@ -192,36 +200,53 @@ class _Seen:
 
     def flow(self, features: Array, start: Array) -> Array:
         """Gates (d, M, 1 + d·DEGREE), from the logarithms of a product's tables (d, M)."""
-        from scipy.special import softmax
+        shape, before = (*start.shape, features.shape[1]), np.tri(len(start), k=-1, dtype=bool)
 
-        sizes = [1 + i * DEGREE for i in range(len(start))]
-        used = np.arange(features.shape[-1]) < np.array(sizes)[:, None, None]
-        used = np.broadcast_to(used, (*start.shape, features.shape[-1]))
+        def loss_of(followed: Array) -> tuple[Array, Callable[[Array], tuple[float, Array]]]:
+            """Which gates are used, where each axis follows these axes (d, d), and the loss of them."""
+            columns = np.insert(np.repeat(followed, DEGREE, axis=1), 0, True, axis=1)
+            used = np.broadcast_to(columns[:, None], shape)
+            seen = [features[:, c] for c in columns]
+            # An axis that follows no other has the same weights at all points
+            shown = [f if f.shape[1] > 1 else f[:1, :, :1] for f in seen]
 
-        def loss(given: Array) -> tuple[float, Array]:
-            gates = np.zeros(used.shape)
-            gates[used] = given
-            chosen, ratios, joint = [], [], np.zeros(self.rho.shape)
-            for b, gate, n in zip(self.basis, gates, sizes, strict=True):
-                a = softmax(features[..., :n] @ gate[:, :n].T, axis=-1)
-                q = np.maximum((a * b).sum(axis=-1), 1e-300)
-                chosen.append(a)
-                ratios.append(b / q[..., None] - 1.0)
-                joint += np.log(q)
-            value, slope = self._entropy(joint)
-            gates[:, :, 0] -= self.uniform
-            penalty, gradient = self._bent(gates, 1)
-            size_of = 0.1 * self.smooth * gates
-            size_of[:, :, 0] = 0.0
-            gradient += 2.0 * size_of
-            for i, (a, ratio, n) in enumerate(zip(chosen, ratios, sizes, strict=True)):
-                seen = (slope[..., None] * a * ratio).swapaxes(1, 2)
-                gradient[i, :, :n] += (seen @ features[..., :n]).sum(axis=0)
-            return value + penalty + float((size_of * gates).sum()), gradient[used]
+            def loss(given: Array) -> tuple[float, Array]:
+                gates = np.zeros(shape)
+                gates[used] = given
+                chosen, own, joint = [], [], np.zeros(self.rho.shape)
+                for b, gate, c, f in zip(self.basis, gates, columns, shown, strict=True):
+                    a = gate[:, c] @ f
+                    a -= a.max(axis=1, keepdims=True)
+                    np.exp(a, out=a)
+                    a /= a.sum(axis=1, keepdims=True)
+                    chosen.append(a)
+                    own.append(np.maximum((a * b).sum(axis=1), 1e-300))
+                    joint += np.log(own[-1])
+                value, slope = self._entropy(joint)
+                gates[:, :, 0] -= self.uniform
+                penalty, gradient = self._bent(gates, 1)
+                size_of = 0.1 * self.smooth * gates
+                size_of[:, :, 0] = 0.0
+                gradient += 2.0 * size_of
+                for i, (b, a, q) in enumerate(zip(self.basis, chosen, own, strict=True)):
+                    rise = b * (slope / q)[:, None]
+                    rise -= slope[:, None]
+                    rise *= a
+                    gradient[i][:, columns[i]] += (rise @ seen[i].swapaxes(1, 2)).sum(axis=0)
+                return value + penalty + float((size_of * gates).sum()), gradient[used]
 
-        gates = np.zeros(used.shape)
+            return used, loss
+
+        # Follow the axes whose gates would change the product most, as many as the points are enough for
+        gates, most = np.zeros(shape), self.rho.size // (_EACH_GATE * shape[1] * DEGREE)
         gates[:, :, 0] = start
-        gates[used] = _least(loss, gates[used], _STEPS)
+        used, loss = loss_of(before)
+        slopes = np.zeros(shape)
+        slopes[used] = loss(gates[used])[1]
+        gain = (slopes[:, :, 1:].reshape(*start.shape, -1, DEGREE) ** 2).sum(axis=(1, 3))
+        followed = before & (gain >= np.sort(gain, axis=None)[-min(max(most, 1), gain.size)])
+        used, loss = loss_of(followed)
+        gates[used] = _least(loss, gates[used], min(_STEPS, _STEPS * _ALL_STEPS // len(start)))
         return gates
 
     def _entropy(self, logarithm: Array) -> tuple[float, Array]:
@@ -258,7 +283,7 @@ def learned_density(
     Parameters
     ----------
     f
-        An integrand, its spec, or a function of points (k, d) to (k,) or (k, channels).
+        An integrand, also of several channels, its spec, or a function of points (k, d) to (k,).
     kind
         ``"piecewise"`` (a product of splines), ``"vegas"`` (that of the map of VEGAS, smoothed; needs the
         package vegas), ``"mixture"`` (of products) or ``"spline-flow"`` (splines of each coordinate whose
@@ -269,7 +294,7 @@ def learned_density(
         Number of dims, up to 24, where neither f nor the sampler say it.
     evaluations
         Most evaluations of f, 256 or more: half of them, 8192 at most, to fit to, the others to choose by.
-        By default 10 n, 16384 at least.
+        By default 8 n + 8192, 16384 at least.
     defensive
         Least value δ of the density, above 0, below 1: |f|/p is at most |f|/δ.
     rng
@@ -287,7 +312,7 @@ def learned_density(
     ------
     ParameterError
         Unknown kind; a value out of range; a sampler that is not random; f is NaN or infinite at a point,
-        or 0 wherever it was tried; evaluations too few for the sampler's counts.
+        or 0 wherever it was tried; evaluations too few to compare candidates near n.
     CountError
         The sampler has no sets of n points.
     FileFormatError
@@ -298,8 +323,8 @@ def learned_density(
     Notes
     -----
     Candidates (`mcspectra.variance.learned.LEARNED`), from smooth to fine, are compared by the variance of f/p with
-    six realisations or more of the sampler, at n or the largest count that the evaluations allow; by default that is
-    n/4 or more. The method of fitting is described in `mcspectra.variance.learned`.
+    six realisations or more of the sampler, at n or the largest count that the evaluations allow: n/16 or more, by
+    default usually n/4. The method of fitting is described in `mcspectra.variance.learned`.
 
     Examples
     --------
@@ -311,7 +336,7 @@ def learned_density(
     """
     kind = as_choice("kind", kind, tuple(LEARNED))
     defensive = as_real("defensive", defensive, above=0.0, below=1.0)
-    chosen = None if path is None else known_path(path, "a file for the density", (".json",))
+    chosen = path_to_write(path, "a file for the density", (".json",))
     given = getattr(sampler, "dims", None) if dims is None else dims
     if isinstance(f, str | Integrand):
         f = as_integrand(f, given)
@@ -327,12 +352,16 @@ def learned_density(
     d = as_integer("dims", given, least=1, most=_MOST_DIMS)
     source = as_sampler(sampler, d)
     n = source.check_count(n)
-    asked = max(_USUAL, _EACH * n) if evaluations is None else evaluations
+    asked = max(_USUAL, _EACH * n + _MOST_FITTED) if evaluations is None else evaluations
     evaluations = as_integer("evaluations", asked, least=_LEAST, most=2**28)
     if source.fixed:
         raise ParameterError(
             f"{source.spec} is the same every time, so that it has no variance; add owen or shift."
         )
+    cached = cache_folder() / "densities"
+    if chosen is None:
+        with writing(cached):
+            cached.mkdir(parents=True, exist_ok=True)
     integrand = f if isinstance(f, Integrand) else FunctionIntegrand(function=f, dims=d)
     stream = Stream.from_rng(rng)
 
@@ -340,8 +369,20 @@ def learned_density(
         """f at points (k, d): (k, channels or 1)."""
         return integrand(x).reshape(len(x), -1)
 
-    # Fit the candidates to a part of the evaluations, from densities that follow f better and better
-    half, made = min(evaluations // 2, _MOST_FITTED), list[Density]()
+    # Share out the evaluations: a part to fit to, the rest for sets of the sampler for each candidate
+    half, candidates = min(evaluations // 2, _MOST_FITTED), 1 + len(LEARNED[kind])
+    allowed = (evaluations - half) // (_REPLICATES * candidates)
+    size = min(n, max(allowed, 1))
+    while (count := source.nearest_count(size)) > allowed and size > 1:
+        size //= 2
+    if count > allowed or allowed < n / _FEWEST:
+        raise ParameterError(
+            f"{evaluations} evaluations are too few to compare {candidates} candidates by {_REPLICATES} "
+            f"sets of n/{_FEWEST} points of {source.spec}, n = {n}, or more; give {4 * n} or more."
+        )
+
+    # Fit the candidates to their part, from densities that follow f better and better
+    made = list[Density]()
     if kind == "vegas":
         each, seed = half // _ITERATIONS, int(stream.child(0).key) >> 1
         grid = vegas_density(
@@ -369,23 +410,15 @@ def learned_density(
 
     # Choose by the rest
     left = [Uniform(dims=d), *made]
-    allowed = (evaluations - half) // (_REPLICATES * len(left))
-    size = min(n, max(allowed, 1))
-    while (count := source.nearest_count(size)) > allowed and size > 1:
-        size //= 2
-    if count > allowed:
-        raise ParameterError(
-            f"{evaluations} evaluations are too few for {_REPLICATES} sets of {source.spec} for each of "
-            f"{len(left)} candidates; give more."
-        )
     replicates = (evaluations - half) // (count * len(left))
     u = source.draw_stream(count, stream.child(1), 0, replicates).reshape(-1, d)
-    variances = []
+    means = []
     for p in left:
-        x = p.sample(u)
-        ratio = values_at(x) / p.pdf(x)[:, None]
-        means = ratio.reshape(replicates, count, -1).mean(axis=1)
-        variances.append(float(means.var(axis=0, ddof=1).sum()))
+        x, pdf = p.sample_pdf(u)
+        ratio = values_at(x) / pdf[:, None]
+        means.append(ratio.reshape(replicates, count, -1).mean(axis=1))
+    scale = np.abs(means).max() or 1.0  # squares of 1e200 would overflow
+    variances = (np.array(means) / scale).var(axis=1, ddof=1).sum(axis=-1)
     place = int(np.argmin(variances))
     best = left[place if variances[place] < _WORTH * variances[0] else 0]
     report(f"density of {integrand.spec}", 1.0)
@@ -402,16 +435,9 @@ def learned_density(
     # Keep it in a file named by what it holds
     text = json.dumps(best.to_dict()) + "\n"
     name = hashlib.sha256(text.encode()).hexdigest()[:32]
-    target = cache_folder() / "densities" / f"{name}.json" if chosen is None else chosen
-    try:
-        if chosen is None:
-            target.parent.mkdir(parents=True, exist_ok=True)
+    target = cached / f"{name}.json" if chosen is None else chosen
+    with writing(target):
         target.write_text(text)
-    except OSError as error:
-        raise FileFormatError(
-            f"The density cannot be written to {target}: {error.strerror}; give a folder that exists "
-            "and can be written, as path= or MCSPECTRA_CACHE."
-        ) from None
     return Learned(path=str(target))
 
 
@@ -442,12 +468,45 @@ def in_rounds(
     return points, values, pdf
 
 
-def _least(function: Any, start: Array, steps: int) -> Array:
-    """Where a function that gives its value and its gradient is least, by L-BFGS."""
-    from scipy.optimize import minimize
+def _least(function: Callable[[Array], tuple[float, Array]], start: Array, steps: int) -> Array:
+    """Where a function that gives its value and its gradient is least, by L-BFGS.
 
-    options: Any = {"maxiter": steps, "maxcor": 20}
-    return np.asarray(minimize(function, start, jac=True, method="L-BFGS-B", options=options).x)
+    scipy's asks BLAS for threads at each step, which takes 15 times as long as all else here.
+    """
+    x, (value, slope) = start, function(start)
+    past: deque[tuple[Array, Array, float]] = deque(maxlen=_MEMORY)
+    for _ in range(steps):
+        # Newton's direction by the last moves and what they changed the gradient by
+        way, shares = -slope, list[float]()
+        for moved, bent, scale in reversed(past):
+            shares.append(scale * float(moved @ way))
+            way -= shares[-1] * bent
+        if past:
+            way /= past[-1][2] * float(past[-1][1] @ past[-1][1])
+        else:
+            way /= math.sqrt(float(slope @ slope)) + 1e-300
+        for (moved, bent, scale), share in zip(past, reversed(shares), strict=True):
+            way += (share - scale * float(bent @ way)) * moved
+
+        # Shorten it, by a parabola, until the function falls
+        fall, length = float(slope @ way), 1.0
+        for _ in range(_SHORTENED):
+            new = x + length * way
+            found, rise = function(new)
+            if found <= value + 1e-4 * length * fall:
+                break
+            parabola = -0.5 * fall * length**2 / (found - value - fall * length)
+            length = min(max(parabola, 0.1 * length), 0.5 * length)
+        else:
+            break
+        moved, bent = new - x, rise - slope
+        along = float(moved @ bent)
+        if along > 1e-10 * float(bent @ bent):
+            past.append((moved, bent, 1.0 / along))
+        gained, x, value, slope = value - found, new, found, rise
+        if gained <= _GAIN * max(abs(value), 1.0):
+            break
+    return x
 
 
 def _padded(given: Array, by: float) -> Array:
@@ -457,7 +516,12 @@ def _padded(given: Array, by: float) -> Array:
 
 
 def _in_blocks(given: Array) -> Array:
-    return given.reshape(-1, _BLOCK, *given.shape[1:])
+    return given.reshape(-1, _BLOCK)
+
+
+def _columns(given: Array) -> Array:
+    """Functions at points (N, M), in blocks: (blocks, M, size)."""
+    return np.ascontiguousarray(given.reshape(-1, _BLOCK, given.shape[1]).swapaxes(1, 2))
 
 
 def _smoothed(nodes: Array, cells: int, defensive: float) -> SplineDensity:

@@ -17,7 +17,7 @@ import numpy as np
 
 from mcspectra.core.cache import cache_folder
 from mcspectra.core.checks import as_choice, as_integer
-from mcspectra.core.decoding import known_path
+from mcspectra.core.decoding import path_to_write
 from mcspectra.core.errors import FileFormatError, McspectraError, ParameterError
 from mcspectra.core.progress import report
 from mcspectra.core.results import dataset
@@ -116,7 +116,7 @@ def design(
     n = as_integer("n", n, least=1, most=2**16)
     goal = as_objective(objective, dims)
     stream = Stream.from_rng(rng)
-    chosen = None if path is None else known_path(path, "a file for the sampler", (".json",))
+    chosen = path_to_write(path, "a file for the sampler", (".json",))
 
     # Take it from the cache, where a class is known by its values
     probes = Stream(0).uniforms(0, _PROBES, goal.dims)
@@ -124,10 +124,6 @@ def design(
     words = f"{_VERSION} {kind} {n} {stream.key} {values.shape} {goal.text} ".encode()
     name = hashlib.sha256(words + np.round(values, 12).astype("<f8").tobytes()).hexdigest()
     kept = cache_folder() / "designs" / f"{name[:32]}.json"
-    if chosen is not None and not chosen.parent.is_dir():
-        raise FileFormatError(
-            f"The sampler cannot be written to {chosen}: there is no such folder."
-        )
     with suppress(OSError, ValueError, KeyError, McspectraError):
         found = sampler_of(json.loads(kept.read_text())["spec"], goal.dims)
         return found if chosen is None else _saved(found, chosen)

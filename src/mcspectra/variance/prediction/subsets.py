@@ -61,6 +61,7 @@ _FITTED = 2  # of the replicates, for the fit; one more tests it
 _BASIS, _NEGLIGIBLE = 8, 1e-8  # functions of an axis at most, and energy that is left out
 _RANK, _SWEEPS, _SETTLED = 6, 30, 0.98  # products at most; sweeps of a fit, and when it has settled
 _FEW_RANK = 3  # in few dims, where jumps across axes come here, which more would not follow either
+_BLOCK = 64  # points
 _RIDGE = 1e-8
 _GOOD = 1e-7  # residual energy that is good enough
 _STANDS_OUT, _HALVINGS = 4.0, 40  # a jump: a change so many times those beside it
@@ -445,9 +446,11 @@ def _fitted(
         for i, (axis, basis) in enumerate(zip(axes, bases, strict=True))
     ]
     cells = [axis.cells(basis, _CELLS) for axis, basis in zip(axes, bases, strict=True)]
-    train = [basis[:, :-1].reshape(len(basis), -1) for basis in known]
+    # In blocks, whose products are too small for threads of BLAS: the most of the time goes by waiting for them
+    blocks = [basis[:, :-1].reshape(len(basis), -1, _BLOCK) for basis in known]
+    train = [np.ascontiguousarray(basis.swapaxes(0, 1)) for basis in blocks]
     scale = float(np.abs(values).max()) or 1.0
-    target = values[:-1].ravel() / scale
+    target = values[:-1].reshape(-1, _BLOCK) / scale
 
     # One product more after the other, with and without sums of functions of one axis
     rng = np.random.default_rng(_OWN.child(4).key)
@@ -522,37 +525,38 @@ def _energy(curves: list[Array]) -> float:
 def _least_squares(
     bases: list[Array], target: Array, weights: list[Array], *, additive: bool
 ) -> list[Array]:
-    """Σ_i f_i(x_i), if `additive`, and Σ_r Π_i h_ri(x_i) nearest to `target` (n,), one axis in turn.
+    """Σ_i f_i(x_i), if `additive`, and Σ_r Π_i h_ri(x_i) nearest to `target` (blocks, size), one axis in turn.
 
-    bases of each axis (functions, n); weights (1 + products, functions), those of f_i first.
+    bases of each axis (blocks, functions, size); weights (1 + products, functions), those of f_i first.
     """
     weights = [w.copy() for w in weights]
-    curves = [w @ b for w, b in zip(weights, bases, strict=True)]  # (1 + products, n)
+    curves = [w @ b for w, b in zip(weights, bases, strict=True)]  # (blocks, 1 + products, size)
     last = math.inf
     for _ in range(_SWEEPS):
         # Products over the axes after each, and as the sweep goes on over those before it
-        after = [np.ones((len(weights[0]) - 1, len(target)))]
+        after = [np.ones_like(curves[0][:, 1:])]
         for c in curves[:0:-1]:
-            after.append(after[-1] * c[1:])
+            after.append(after[-1] * c[:, 1:])
         before = np.ones(after[0].shape)
-        sums = np.sum([c[0] for c in curves], axis=0)
+        sums = np.sum([c[:, 0] for c in curves], axis=0)
         for i, basis in enumerate(bases):
             others = before * after[len(bases) - 1 - i]
             if additive:
-                others = np.concatenate([np.ones((1, len(target))), others])
-            sums = sums - curves[i][0]
-            design = (others[:, None] * basis).reshape(-1, len(target))
-            gram = design @ design.T
+                others = np.concatenate([np.ones_like(target)[:, None], others], axis=1)
+            sums = sums - curves[i][:, 0]
+            design = (others[:, :, None] * basis[:, None]).reshape(len(target), -1, _BLOCK)
+            gram = (design @ design.swapaxes(1, 2)).sum(axis=0)
             gram[np.diag_indices(len(gram))] += _RIDGE * np.trace(gram) / len(gram)
-            solved = np.linalg.solve(gram, design @ (target - sums)).reshape(len(others), -1)
+            right = (design @ (target - sums)[..., None]).sum(axis=0)
+            solved = np.linalg.solve(gram, right).reshape(others.shape[1], -1)
             weights[i] = solved if additive else np.concatenate([0.0 * weights[i][:1], solved])
             if i < len(bases) - 1:
-                size = np.sqrt(((weights[i][1:] @ basis) ** 2).mean(axis=1, keepdims=True))
-                weights[i][1:] /= size + 1e-300
+                size = np.sqrt(((weights[i][1:] @ basis) ** 2).mean(axis=(0, 2)))
+                weights[i][1:] /= size[:, None] + 1e-300
             curves[i] = weights[i] @ basis
-            before = before * curves[i][1:]
-            sums = sums + curves[i][0]
-        left = float(((target - sums - before.sum(axis=0)) ** 2).mean())
+            before = before * curves[i][:, 1:]
+            sums = sums + curves[i][:, 0]
+        left = float(((target - sums - before.sum(axis=1)) ** 2).mean())
         if left > _SETTLED * last:
             break
         last = left
