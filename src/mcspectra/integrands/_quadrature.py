@@ -542,7 +542,8 @@ def _slivers(values: Array, corners: Array) -> Array:
     inverse = np.linalg.inv(legendre(2.0 * node - 1.0, order - 1))
     inside = 1.0 - 2.0 * _INSET[dims > 1]
     at_ends = legendre(np.array([-inside, inside]), order - 1) @ inverse
-    last, ends = np.zeros(values[:, 0].shape), values
+    last: Array = np.zeros(values[:, 0].shape)
+    ends = values
     for axis in range(dims):
         tail = inverse[-2:] @ values.reshape(len(values) * order**axis, order, -1)
         last += np.abs(tail).reshape(len(values), -1, last.shape[1]).max(axis=1)
