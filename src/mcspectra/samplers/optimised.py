@@ -158,8 +158,9 @@ def minimize(
     *,
     iterations: int,
     longest: float,
-    report: Report,
+    report: Report = lambda _: None,
     goal: float = -np.inf,
+    gain: float = 0.0,
 ) -> Array:
     """Return points near `start` where `function` is small.
 
@@ -177,6 +178,8 @@ def minimize(
         Called now and then with the fraction of the iterations done.
     goal
         A value that is small enough.
+    gain
+        What a step must gain, relative to the value or 1.
     """
     x, (value, gradient) = start, function(start)
     memory: deque[tuple[Array, Array, float]] = deque(maxlen=_MEMORY)
@@ -208,7 +211,9 @@ def minimize(
         product = _dot(step, change)
         if product > 1e-10 * _dot(change, change) ** 0.5 * _dot(step, step) ** 0.5:
             memory.append((step, change, product))
-        x, value, gradient = moved, trial, changed
+        gained, x, value, gradient = value - trial, moved, trial, changed
+        if gained < gain * max(abs(value), 1.0):
+            break
     return x
 
 

@@ -18,7 +18,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -44,6 +43,7 @@ from mcspectra.densities.learned import (
 from mcspectra.integrands.base import FunctionIntegrand, Integrand
 from mcspectra.integrands.registry import as_integrand
 from mcspectra.samplers import Sampler
+from mcspectra.samplers.optimised import minimize
 from mcspectra.samplers.registry import as_sampler
 
 __all__ = ["LEARNED", "fit_splines", "in_rounds", "learned_density"]
@@ -56,8 +56,8 @@ _MOST_FITTED = 2**13
 _BLOCK = 128
 _BINS = 512  # of the marginals that the knots come from
 _STEPS = 120  # of L-BFGS
-_MEMORY, _SHORTENED = 20, 20  # moves that it remembers, and tries of a length
-_GAIN = 2e-9  # of the function, below which it ends
+_LONGEST = 1.0  # step of a logarithm
+_GAIN = 2e-9  # of the function, below which fits end
 _ALL_STEPS = (
     4  # dims up to which flows take them; with more, longer fits cost more and are no better
 )
@@ -469,44 +469,12 @@ def in_rounds(
 
 
 def _least(function: Callable[[Array], tuple[float, Array]], start: Array, steps: int) -> Array:
-    """Where a function that gives its value and its gradient is least, by L-BFGS.
+    """Where a function that gives its value and its gradient is least.
 
-    scipy's asks BLAS for threads at each step, which takes 15 times as long as all else here.
+    By the L-BFGS of samplers: scipy's asks BLAS for threads at each step, which takes 15 times as long as
+    all else here.
     """
-    x, (value, slope) = start, function(start)
-    past: deque[tuple[Array, Array, float]] = deque(maxlen=_MEMORY)
-    for _ in range(steps):
-        # Newton's direction by the last moves and what they changed the gradient by
-        way, shares = -slope, list[float]()
-        for moved, bent, scale in reversed(past):
-            shares.append(scale * float(moved @ way))
-            way -= shares[-1] * bent
-        if past:
-            way /= past[-1][2] * float(past[-1][1] @ past[-1][1])
-        else:
-            way /= math.sqrt(float(slope @ slope)) + 1e-300
-        for (moved, bent, scale), share in zip(past, reversed(shares), strict=True):
-            way += (share - scale * float(bent @ way)) * moved
-
-        # Shorten it, by a parabola, until the function falls
-        fall, length = float(slope @ way), 1.0
-        for _ in range(_SHORTENED):
-            new = x + length * way
-            found, rise = function(new)
-            if found <= value + 1e-4 * length * fall:
-                break
-            parabola = -0.5 * fall * length**2 / (found - value - fall * length)
-            length = min(max(parabola, 0.1 * length), 0.5 * length)
-        else:
-            break
-        moved, bent = new - x, rise - slope
-        along = float(moved @ bent)
-        if along > 1e-10 * float(bent @ bent):
-            past.append((moved, bent, 1.0 / along))
-        gained, x, value, slope = value - found, new, found, rise
-        if gained <= _GAIN * max(abs(value), 1.0):
-            break
-    return x
+    return minimize(function, start, iterations=steps, longest=_LONGEST, gain=_GAIN)
 
 
 def _padded(given: Array, by: float) -> Array:

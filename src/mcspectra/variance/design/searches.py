@@ -467,9 +467,7 @@ def _points(objective: Objective, n: int, stream: Stream) -> Iterator[Candidate]
         moved = lattice + 0.02 / n ** (1 / dims) * stream.generator(2).standard_normal((n, dims))
         function = _energy(m, power, dims)
         for start in (moved, stream.generator(3).random((n, dims)))[: 1 if n > 256 else 2]:
-            found_set = minimize(
-                function, start, iterations=60, longest=0.2 / n ** (1 / dims), report=lambda _: None
-            )
+            found_set = minimize(function, start, iterations=60, longest=0.2 / n ** (1 / dims))
             value = function(found_set)[0]
             tail = f" | shift{_FOLD if fold else ''}"
             sets = np.remainder(found_set, 1.0)[None] % 1.0
