@@ -167,6 +167,19 @@ def test_where_nothing_is_gained_it_is_uniform(tmp_path):
     np.testing.assert_allclose(kept.sample(x), x, atol=1e-15)
 
 
+def test_exact_variances_are_those_measured():
+    """Of 2-D, where knots lie along curves of primary space."""
+    f = mcs.Integrand.from_function(peaks, dims=2)
+    estimator = mcs.Estimator(f, mcs.learned_density(f, "piecewise", OWEN, 64, evaluations=4096))
+    for sampler in ("jittered", OWEN):
+        exact = mcs.exact_variance(estimator, sampler, 64, tolerance=0.01)
+        found = mcs.convergence(estimator, sampler, [64], realizations=4 * REALIZATIONS)
+        # Var(s²) = 2 σ⁴/(R − 1) of means of 64 values, at 4 sigma
+        assert float(found["variance"][0]) == pytest.approx(
+            exact, rel=4.0 * math.sqrt(2.0 / (4 * REALIZATIONS - 1))
+        )
+
+
 def test_errors_say_what_to_do(tmp_path):
     def learn(f=peaks, kind="mixture", sampler=OWEN, n=64, **options):
         return mcs.learned_density(

@@ -138,6 +138,13 @@ class Learned(Wrapper):
         """As the file says."""
         return self._inside.dims
 
+    def cuts(self, others: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
+        """Places across each axis of the domain where the pdf is not smooth, and others, up to 2-D."""
+        if self.dims > 2:
+            return others
+        ends = self._inside.knots[:, 1:-1]
+        return tuple((*line.tolist(), *more) for line, more in zip(ends, others, strict=True))
+
     def _sample_pdf(self, u: Array) -> tuple[Array, Array]:
         return self._inside._sample_pdf(u)
 

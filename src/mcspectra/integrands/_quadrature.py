@@ -546,7 +546,7 @@ def _slivers(values: Array, corners: Array) -> Array:
     ends = values
     for axis in range(dims):
         tail = inverse[-2:] @ values.reshape(len(values) * order**axis, order, -1)
-        last += np.abs(tail).reshape(len(values), -1, last.shape[1]).max(axis=1)
+        last += np.abs(tail).reshape(len(values), -1, values.shape[-1]).max(axis=1)
         ends = at_ends @ ends.reshape(len(values) * 2**axis, order, -1)
     missed = np.abs(corners - ends.reshape(corners.shape))
     missed[missed <= _SMOOTH * last[:, None]] = 0.0

@@ -16,6 +16,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import NoClosedForm
+from mcspectra.densities import Learned
 from mcspectra.densities.adaptive import positive_integral
 from mcspectra.estimators import Estimator
 from mcspectra.estimators.base import PrimaryIntegrand
@@ -173,22 +174,29 @@ def blindness(g: Integrand, means: Array, squares: Array) -> Array:
 def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
     """A number a near to ∫g, ∫(g − a), ∫(g − a)² and the error of both, each (channels or 1,).
 
-    In closed form, else by the rule that looks for what nodes miss; found once for each g.
+    In closed form, else by the rule that looks for what nodes miss; found once for each g. Of f by a learned
+    density over the domain, where its knots lie across the axes: those of g lie along curves.
     """
     if "_moments" not in g.__dict__:
         box = np.zeros((1, g.dims))
         exact = g.box_moments(box, box + 1.0)
         if exact is None:
             middle = g(probe(g.dims)[:_CENTER]).reshape(_CENTER, -1).mean(axis=0)
+            inside: Any = _inside(g)[0]
+            density: Any = inside.density if _inside(g)[1] else None
+            over_domain = isinstance(density, Learned)
+            breaks = density.cuts(inside.integrand.breaks) if over_domain else g.breaks
 
             def centered(x: Array) -> Array:
-                first = g(x).reshape(*x.shape[:-1], -1) - middle
+                p = density.pdf(x)[..., None] if over_domain else 1.0
+                values = (inside.integrand if over_domain else g)(x).reshape(*x.shape[:-1], -1)
+                first = values / p - middle
                 with np.errstate(over="ignore"):  # next to a pole
-                    return np.concatenate([first, first**2], axis=-1)
+                    return np.concatenate([first * p, first**2 * p], axis=-1)
 
             label, width = f"moments of {g.spec}", 2 * len(middle)
-            both = Pointwise(g, centered, g.breaks, label, width)
-            if g.dims <= _LOOKED_DIMS:  # in more there are no boxes to cut
+            both = Pointwise(g, centered, breaks, label, width)
+            if g.dims <= _LOOKED_DIMS and not over_domain:  # in more there are no boxes to cut
                 both.__dict__["_found_breaks"] = found_breaks(g)
             first, second = np.split(numeric_integral(both), 2)
             error = np.full(middle.shape, integral_accuracy(both)[1])
