@@ -66,7 +66,7 @@ _TABLE = {
     3: _Reach(16, ((128, 1),)),
 }
 _NODES = {1: 8, 2: 8, 3: 8}  # of the finer table for a wave of the highest frequency
-_LEAST_NODES = {1: 256, 2: 256, 3: 64}
+_LEAST_NODES = {1: 256, 2: 256, 3: 32}
 _DIAGONALS = {
     1: (),
     2: ((1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1)),
