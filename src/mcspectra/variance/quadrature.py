@@ -292,10 +292,13 @@ def stratum_moments(
     g: Integrand,
     sides: tuple[int, ...],
     offset: Array,
-    order: int,
+    order: int | Array,
     most: float = MOST_EVALUATIONS,
 ) -> tuple[Array, Array]:
-    """Means of g and g² over strata, displaced by `offset` on the torus: (strata, channels or 1)."""
+    """Means of g and g² over strata, displaced by `offset` on the torus: (strata, channels or 1).
+
+    By Gauss-Legendre of this order, or of one for each axis.
+    """
 
     def cut(graded: tuple[float, ...]) -> list[tuple[Array, Array]]:
         """Ends of the pieces between strata borders (j + offset)/sides, breaks and the seam 0."""
@@ -311,16 +314,21 @@ def stratum_moments(
     exact = in_closed_form(g)
     axes = cut(() if exact else _GRADED.get(g.dims, ()))
     boxes = math.prod(float(len(low)) for low, _ in axes)
-    rule = Rule(order, most)
-    rule.check(f"The quadrature of the strata of {g.spec}", boxes * rule.each(g))
+    orders = [2] * g.dims if exact else np.broadcast_to(order, g.dims).tolist()
+    Rule(max(orders), most).check(
+        f"The quadrature of the strata of {g.spec}", boxes * math.prod(orders)
+    )
     if exact:
         box = [mesh(*ends) for ends in zip(*axes, strict=True)]
         both = np.stack([np.asarray(m) for m in g.box_moments(*box) or ()])
         both = both.reshape(2, *(len(low) for low, _ in axes), -1)
     else:
         # A tensor Gauss-Legendre rule over each piece, summed axis by axis but for the first
-        node, weight = gauss_rule(order)
-        grids = [(low[:, None] + (high - low)[:, None] * node).ravel() for low, high in axes]
+        rules = [gauss_rule(each) for each in orders]
+        grids = [
+            (low[:, None] + (high - low)[:, None] * node).ravel()
+            for (low, high), (node, _) in zip(axes, rules, strict=True)
+        ]
         step = max(1, _BLOCK // math.prod(len(grid) for grid in grids[1:]))
         parts = []
         for start in range(0, len(grids[0]), step):
@@ -328,9 +336,9 @@ def stratum_moments(
             values = np.asarray(g(x)).reshape(*x.shape[:-1], -1)
             part = np.stack([values, values**2])
             for i in range(g.dims, 1, -1):
-                part = _sums(part, i, weight)
+                part = _sums(part, i, rules[i - 1][1])
             parts.append(part)
-        both = _sums(np.concatenate(parts, axis=1), 1, weight)
+        both = _sums(np.concatenate(parts, axis=1), 1, rules[0][1])
 
     # Means over strata: pieces count by their share of the stratum, an axis after the other
     for i, (low, high) in enumerate(axes):

@@ -44,12 +44,12 @@ __all__ = ["of_levels"]
 Levels = tuple[int, ...]
 
 _MOST_DIMS = 3
-_EXACT_CELLS = 2**18  # of a table
-_CELLS = {1: 2**16, 2: 2**18, 3: 2**18}  # where g is integrated by quadrature
+_CELLS = {1: 2**16, 2: 2**16, 3: 2**15}  # of a table
+_LONG, _MOST_CELLS = 8, 2**18  # of one that is longer along some axes: times n Π b_j, and at most
 _MORE = 3
 _ORDERS = {1: (6, 10), 2: (2, 3), 3: (2, 3)}  # coarse and fine
-_PARTS = {1: 16, 2: 4, 3: 2}  # per axis, of a cell with a jump
-_MOST_ROUGH = {1: 2**8, 2: 2**14, 3: 2**15}
+_PARTS = {1: 16, 2: 8, 3: 3}  # per axis, of a cell with a jump
+_MOST_ROUGH = {1: 2**8, 2: 2**12, 3: 2**12}
 _ROUGH = 3.0  # variation of g, relative to that of the mean cell, from which on there may be a jump
 _BLOCK = 2**20  # evaluations at a time
 _ROUNDING = 4e-15  # of ∫g², absolute
@@ -140,7 +140,9 @@ def _scrambled(net: Sampler, n: int, known: Known) -> Predicted:
     wanted[origin] = False
 
     # Σ Γ_l σ²_l and Σ σ²_l over the levels of the tables
-    held = list(_tables(wanted, bases, _most_cells(known.g)))
+    least = _CELLS[dims]
+    most = max(least, min(_LONG * n * math.prod(bases), _MOST_CELLS))
+    held = list(_tables(wanted, bases, least, most))
     counted = np.zeros(np.max(held, axis=0) + 1, bool)
     first, plain, weighed = None, 0.0, 0.0
     for cells in held:
@@ -172,10 +174,10 @@ def _scrambled(net: Sampler, n: int, known: Known) -> Predicted:
     return _predicted(weighed + rest, n, square[-1], "gains by level", rest=rest[-1], doubt=doubt)
 
 
-def _tables(wanted: Array, bases: Sequence[int], most: int) -> Iterator[Levels]:
-    """Levels of tables of up to `most` cells: one of about cubes, then until all wanted are held."""
+def _tables(wanted: Array, bases: Sequence[int], least: int, most: int) -> Iterator[Levels]:
+    """Levels of tables: one of about cubes, `least` of them, then of `most` until all wanted are held."""
 
-    def grown(levels: Levels) -> Levels:
+    def grown(levels: Levels, most: int = most) -> Levels:
         while True:
             sides = [b**level for b, level in zip(bases, levels, strict=True)]
             axis = int(np.argmin(sides))
@@ -183,7 +185,7 @@ def _tables(wanted: Array, bases: Sequence[int], most: int) -> Iterator[Levels]:
                 return levels
             levels = tuple(level + (i == axis) for i, level in enumerate(levels))
 
-    first = grown((0,) * len(bases))
+    first = grown((0,) * len(bases), least)
     yield first
     left = [tuple(map(int, level)) for level in np.argwhere(wanted)]
     left = [levels for levels in left if math.prod(map(pow, bases, levels)) <= most]
@@ -196,7 +198,7 @@ def _tables(wanted: Array, bases: Sequence[int], most: int) -> Iterator[Levels]:
 
 def _table(g: Integrand, bases: Sequence[int], levels: Levels, *, whole: bool) -> _Table:
     sides = tuple(map(pow, bases, levels))
-    means, squares = _cell_moments(g, sides, np.zeros(g.dims))
+    means, squares = _cell_moments(g, sides, np.zeros(g.dims), refined=whole)
 
     # Squares of means and the variance within the cells are both off by what the rules err at jumps,
     # in all by nothing. In long cells without these products are right: errors of two rules are
@@ -219,17 +221,26 @@ def _spread(means: Array, squares: Array) -> tuple[Array, Array]:
     return within.mean(axis=1), error
 
 
-def _cell_moments(g: Integrand, sides: tuple[int, ...], offset: Array) -> tuple[Array, Array]:
-    """Means of g and of g² over cells, displaced by `offset`, both (Q, *sides, channels)."""
+def _cell_moments(
+    g: Integrand, sides: tuple[int, ...], offset: Array, *, refined: bool = True
+) -> tuple[Array, Array]:
+    """Means of g and of g² over cells, displaced by `offset`, both (Q, *sides, channels).
+
+    `refined` where g varies most, if it is not known in closed form.
+    """
     dims = g.dims
     if in_closed_form(g):
         mean, square = stratum_moments(g, sides, offset, 1)
         return mean.reshape(1, *sides, -1), square.reshape(1, *sides, -1)
-    by_order = [stratum_moments(g, sides, offset, order) for order in _ORDERS[dims]]
+    # Axes that are cut more finely than those of a cube take a node less
+    fine = np.array([not refined and side**dims > _CELLS[dims] for side in sides])
+    by_order = [stratum_moments(g, sides, offset, order - fine) for order in _ORDERS[dims]]
     means = np.stack([m for m, _ in by_order]).reshape(2, *sides, -1)
     squares = np.stack([s for _, s in by_order]).reshape(2, *sides, -1)
     if not (np.isfinite(means).all() and np.isfinite(squares).all()):
         raise NoClosedForm(f"{g.spec} is not finite everywhere; use convergence or variance_terms.")
+    if not refined:
+        return means, squares
 
     # Find where g varies most, within a cell and to its neighbours, but for cells that breaks cut
     from scipy.ndimage import maximum_filter, minimum_filter
@@ -261,10 +272,10 @@ def _cell_moments(g: Integrand, sides: tuple[int, ...], offset: Array) -> tuple[
         for start in range(0, len(chosen), step):
             some = chosen[start : start + step]
             corner = np.stack(np.unravel_index(some, sides), axis=-1)
-            x = ((corner[:, None] + inside) / sides + offset) % 1.0
-            values = g(x).reshape(len(some), len(shares), channels)
-            means[q].reshape(-1, channels)[some] = np.einsum("kqc,q->kc", values, shares)
-            squares[q].reshape(-1, channels)[some] = np.einsum("kqc,q->kc", values**2, shares)
+            x = (corner[:, None] + inside) / sides + offset
+            values = g(np.where(x < 1.0, x, x - 1.0)).reshape(len(some), len(shares), channels)
+            means[q].reshape(-1, channels)[some] = shares @ values
+            squares[q].reshape(-1, channels)[some] = shares @ values**2
     return means, squares
 
 
@@ -275,7 +286,7 @@ def _strata(
 
     `whole` where g is the same for all n, so that ∫g² is worth to be known by itself.
     """
-    grid = sides if in_closed_form(known.g) else _refined(sides, _most_cells(known.g))
+    grid = sides if in_closed_form(known.g) else _refined(sides, _CELLS[known.g.dims])
     means, squares = known.once(
         ("moments", grid, *offset), lambda: _cell_moments(known.g, grid, offset)
     )
@@ -283,11 +294,6 @@ def _strata(
     value, error = _spread(_merged(means, sides), _merged(squares, sides))
     missed = _missed(known, square) if whole else 0.0 * square
     return _predicted(value + missed, n, square + missed, route, doubt=error + _DOUBT * missed)
-
-
-def _most_cells(g: Integrand) -> int:
-    """Cells of one table."""
-    return _EXACT_CELLS if in_closed_form(g) else _CELLS[g.dims]
 
 
 def _missed(known: Known, square: Array) -> Array:

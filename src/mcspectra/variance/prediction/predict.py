@@ -60,8 +60,7 @@ _MEMORY = 2**29  # bytes: coefficients and transforms of all regions
 
 # Counts beyond the last one, that show the limit of rates
 _AHEAD = 4  # times as many
-_STRATA_AHEAD = 2**14  # at least, of strata, which are cheap
-_MOST_AHEAD = 2**16
+_MOST_AHEAD = 16  # log2 of the largest
 _LOOSE = 0.25  # half intervals, relative to the variance, that say nothing of rates
 # Where c(1 − c), the part of jumps at faces, has its mean over all shifts
 _OFFSET = 0.5 - 0.5 / 3**0.5
@@ -521,8 +520,9 @@ def _places(sampler: Sampler, counts: Sequence[int]) -> list[int]:
     half = sampler.nearest_count(max(1, last // 2)) if len(counts) == 1 else last
     base, _ = parts_of(sampler)
     ahead = [_AHEAD * last]
-    if isinstance(base, Jittered):
-        ahead = [max(ahead[0], _STRATA_AHEAD), _AHEAD * max(ahead[0], _STRATA_AHEAD)]
-    beyond = [sampler.nearest_count(n) for n in ahead if n <= _MOST_AHEAD]
+    if isinstance(base, Jittered):  # which are cheap where one table has the cells of all
+        top = sampler.dims * (_MOST_AHEAD // sampler.dims)
+        ahead = [2 ** (top - max(sampler.dims, 2)), 2**top]
+    beyond = [sampler.nearest_count(n) for n in ahead if n <= 2**_MOST_AHEAD]
     beyond = [n if n > last else 0 for n in beyond]
     return [half if half < last else 0, *counts, *beyond, *[0] * (2 - len(beyond))]

@@ -13,8 +13,7 @@ it is the mean over sets that are drawn. Of lattices P is 1 on the dual lattice 
 frequencies alone are counted, n times as many as of a box, and what is beyond goes on as the last
 shells do; or, where coefficients are not known exactly, the mean over the lattice is a function of the
 offset within one of its cells, whose variance a quadrature finds. Of homogeneous sets, whose law has the symmetries of the
-cube, |g_m|² is averaged over these, which is the same as to average P. Sets that are dear to make are
-drawn at fewer points: P(m) = h(m/n^(1/d))/n.
+cube, |g_m|² is averaged over these, which is the same as to average P.
 """
 
 from __future__ import annotations
@@ -66,7 +65,7 @@ _TABLE = {
     3: _Reach(16, ((128, 1),)),
 }
 _NODES = {1: 8, 2: 8, 3: 8}  # of the finer table for a wave of the highest frequency
-_LEAST_NODES = {1: 256, 2: 256, 3: 64}
+_LEAST_NODES = {1: 256, 2: 256, 3: 32}
 _DIAGONALS = {
     1: (),
     2: ((1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1)),
