@@ -124,9 +124,8 @@ class Drawn:
         self._shown: Plot | None = None
         self._structure = _structure(plot)
         self._figures = [_figure(panel, _options(plot, k)) for k, panel in enumerate(plot.panels)]
-        for (
-            each
-        ) in self._figures:  # of panels with tools of their own those show them that are pointed at
+        # Of panels with tools of their own those show them that are pointed at
+        for each in self._figures:
             each.toolbar.autohide = len(self._figures) > 1 and not _stacked(plot)
         if _stacked(plot):
             for frame in self._figures[:-1]:
