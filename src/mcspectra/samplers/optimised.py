@@ -162,14 +162,14 @@ def minimize(
     goal: float = -np.inf,
     gain: float = 0.0,
 ) -> Array:
-    """Return points near `start` where `function` is small.
+    """Return a place near `start` where `function` is small, by L-BFGS.
 
     Parameters
     ----------
     function
-        Value and gradient (n, d) at points (n, d), which are not wrapped into [0,1).
+        Value and gradient at an array of any shape; points (n, d) are not wrapped into [0,1).
     start
-        Points to begin with, (n, d).
+        The array to begin with.
     iterations
         Most steps taken.
     longest
@@ -179,7 +179,7 @@ def minimize(
     goal
         A value that is small enough.
     gain
-        What a step must gain, relative to the value or 1.
+        A step that gains less, relative to the value or 1, is the last.
     """
     x, (value, gradient) = start, function(start)
     memory: deque[tuple[Array, Array, float]] = deque(maxlen=_MEMORY)
