@@ -433,6 +433,20 @@ def test_sets_that_are_few_alike_or_share_an_error_are_a_cause():
         assert name == "none" or abs(found.evidence["away"]) > 6.0
 
 
+@pytest.mark.parametrize("size", [1e-3, 1.0])
+def test_a_function_that_is_random_itself_is_a_cause_and_has_no_shape(size):
+    own = np.random.default_rng(1)
+
+    def noisy(x):
+        return x.sum(axis=-1) + size * own.standard_normal(x.shape[:-1])
+
+    cause, *others = mcs.profile(noisy, dims=2, budget=1024).causes
+    assert cause.name == "noisy-function" and not others
+    # Of χ² of 8 degrees; g without noise has the variance 1/6
+    share = size**2 / (size**2 + 1 / 6)
+    assert 0.02 * share < cause.evidence["share"] < 5 * share
+
+
 def test_rounded_estimates_are_a_cause():
     draws = np.random.default_rng(0).random(500)
     assert mcs.profile(draws.astype(np.float32)).causes[0].name == "none"

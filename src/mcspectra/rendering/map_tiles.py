@@ -67,7 +67,7 @@ from mcspectra.rendering.techniques import (
 )
 from mcspectra.samplers import Jittered, Random, Sampler
 from mcspectra.spectra.bases import fitting_basis, parts_of
-from mcspectra.spectra.gain import gain_coefficients
+from mcspectra.spectra.gain import gains_at
 
 __all__ = [
     "MAP_STRATEGIES",
@@ -482,7 +482,7 @@ def prediction_for(sampler: Sampler, n: int, stream: Stream) -> Prediction | Non
     if nested and base.fixed and set(base.digit_bases) == {2}:
         side = _GRIDS[2]
         levels = side.bit_length() - 1
-        gains = gain_coefficients(base, n, levels=levels)["gain"].to_numpy()
+        gains = gains_at(base, n, levels)
         # Points anywhere in their cells see what varies within these, too
         return _Grid(method="gains", count=n, samples=_in_cells((side, side), stream), gains=gains)
     return None

@@ -28,7 +28,7 @@ from mcspectra.spectra.closed_forms import points_at
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["closed_form_walsh_power", "gain_coefficients", "nested_variances"]
+__all__ = ["closed_form_walsh_power", "gain_coefficients", "gains_at", "nested_variances"]
 
 _MAX_WORK = 2**28  # points times levels to be counted: about a minute
 _BITS = 32
@@ -81,15 +81,54 @@ def gain_coefficients(
         digits += 1
     default = min(digits + 1, most)
     levels = default if levels is None else as_integer("levels", levels, least=1, most=most)
-    _check_work(n, levels, base)
     names = tuple(f"level{i}" for i in range(base.dims))
     attributes = {"long_name": "level of the digits, 0: not varying", "units": "1"}
     return dataset(
-        {"gain": (names, _gains(base, n, levels))},
+        {"gain": (names, gains_at(base, n, levels))},
         {name: (name, np.arange(levels + 1), attributes) for name in names},
         sampler=source.spec,
         n=n,
     )
+
+
+def gains_at(sampler: Sampler, n: int, levels: int) -> Array:
+    """Return the gains of n points that are known to be possible, (levels + 1, …).
+
+    From the numbers of pairs that agree: a difference of levels along each axis. Errors are those
+    of `gain_coefficients`.
+    """
+    sampler = _net_inside(sampler.as_chain(n))
+    work = float(n) * float(levels + 1) ** sampler.dims
+    if work > _MAX_WORK:
+        raise ParameterError(
+            f"{levels} levels in {sampler.dims} dims of {n} points are {work:.2g} counts, more than "
+            f"{_MAX_WORK:.2g}; lower levels, n or dims."
+        )
+    points = sampler.draw_stream(n, Stream.from_rng(0), 0, 1)[0]
+    bases = sampler.digit_bases
+    gains = np.empty((levels + 1,) * len(bases))
+
+    def fill(cells: Array, axis: int, at: tuple[int, ...]) -> None:
+        """Count ordered pairs that agree in the first l_j digits of coordinate j, for all l."""
+        if axis == len(bases):
+            gains[at] = np.sum(np.bincount(cells).astype(float) ** 2) / n
+            return
+        for level in range(levels + 1):
+            # The first digits as whole numbers; coordinates rounded down to below k/b^level count as k
+            base, scale = bases[axis], float(bases[axis] ** level)
+            nudge = 0.0 if base & (base - 1) == 0 else scale * 2.0**-50
+            digits = np.floor(points[:, axis] * scale + nudge)
+            prefix = np.minimum(digits, scale - 1.0).astype(np.int64)
+            inner = cells * base**level + prefix if n > 1 else cells
+            fill(np.unique(inner, return_inverse=True)[1], axis + 1, (*at, level))
+
+    fill(np.zeros(n, np.int64), 0, ())
+    for axis, base in enumerate(bases):
+        values = np.moveaxis(gains, axis, 0)
+        finer = (base * values[1:] - values[:-1]) / (base - 1)
+        gains = np.moveaxis(np.concatenate([values[:1], finer]), 0, axis)
+    gains[(0,) * sampler.dims] = 0.0
+    return gains
 
 
 def nested_variances(
@@ -182,8 +221,7 @@ def closed_form_walsh_power(sampler: Sampler | str, n: int, indices: Any) -> Arr
         )
     level = np.frexp(given)[1]
     levels = max(1, int(level.max()))
-    _check_work(n, levels, source)
-    power = _gains(_net_inside(source), n, levels) / n
+    power = gains_at(source, n, levels) / n
     power[(0,) * source.dims] = 1.0
     return np.asarray(power[tuple(np.moveaxis(level, -1, 0))])
 
@@ -197,44 +235,6 @@ def _net_inside(sampler: Sampler) -> Sampler:
             "time, such as sobol, alone or with owen."
         )
     return base
-
-
-def _check_work(n: int, levels: int, sampler: Sampler) -> None:
-    work = float(n) * float(levels + 1) ** sampler.dims
-    if work > _MAX_WORK:
-        raise ParameterError(
-            f"{levels} levels in {sampler.dims} dims of {n} points are {work:.2g} counts, more than "
-            f"{_MAX_WORK:.2g}; lower levels, n or dims."
-        )
-
-
-def _gains(sampler: Sampler, n: int, levels: int) -> Array:
-    """Γ_l from the numbers of pairs that agree: a difference of levels along each axis."""
-    points = sampler.draw_stream(n, Stream.from_rng(0), 0, 1)[0]
-    bases = sampler.digit_bases
-    gains = np.empty((levels + 1,) * len(bases))
-
-    def fill(cells: Array, axis: int, at: tuple[int, ...]) -> None:
-        """Count ordered pairs that agree in the first l_j digits of coordinate j, for all l."""
-        if axis == len(bases):
-            gains[at] = np.sum(np.bincount(cells).astype(float) ** 2) / n
-            return
-        for level in range(levels + 1):
-            # The first digits as whole numbers; coordinates rounded down to below k/b^level count as k
-            base, scale = bases[axis], float(bases[axis] ** level)
-            nudge = 0.0 if base & (base - 1) == 0 else scale * 2.0**-50
-            digits = np.floor(points[:, axis] * scale + nudge)
-            prefix = np.minimum(digits, scale - 1.0).astype(np.int64)
-            inner = cells * base**level + prefix if n > 1 else cells
-            fill(np.unique(inner, return_inverse=True)[1], axis + 1, (*at, level))
-
-    fill(np.zeros(n, np.int64), 0, ())
-    for axis, base in enumerate(bases):
-        values = np.moveaxis(gains, axis, 0)
-        finer = (base * values[1:] - values[:-1]) / (base - 1)
-        gains = np.moveaxis(np.concatenate([values[:1], finer]), 0, axis)
-    gains[(0,) * sampler.dims] = 0.0
-    return gains
 
 
 def _columns(sampler: Sampler, n: int) -> Array:

@@ -60,7 +60,7 @@ from mcspectra.samplers import (
     UniformJitter,
 )
 from mcspectra.spectra.bases import hadamard, parts_of
-from mcspectra.spectra.gain import gain_coefficients
+from mcspectra.spectra.gain import gains_at
 from mcspectra.variance.ordered import weighted_sum
 from mcspectra.variance.prediction.known import Known
 from mcspectra.variance.prediction.subsets import of_subsets
@@ -508,7 +508,7 @@ def _nested(net: Sampler, points: Array, g: Integrand, rule: Rule) -> tuple[Arra
     boxes = math.prod(map(float, sides))
     rule.check(f"The exact variance of {net.spec}", boxes * rule.each(g))
     try:
-        gains = gain_coefficients(net, n, levels=max(1, *digits))["gain"].to_numpy()
+        gains = gains_at(net, n, max(1, *digits))
     except ParameterError as error:
         raise NoClosedForm(f"{error} Or use convergence or variance_terms.") from None
     gains = gains[tuple(slice(level + 1) for level in digits)]

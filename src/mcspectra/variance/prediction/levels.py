@@ -32,7 +32,7 @@ from mcspectra.integrands import Integrand
 from mcspectra.integrands._quadrature import gauss_rule
 from mcspectra.samplers import Jittered, Sampler, StrataShift
 from mcspectra.spectra.bases import parts_of
-from mcspectra.spectra.gain import gain_coefficients
+from mcspectra.spectra.gain import gains_at
 from mcspectra.variance.doors import NO_VARIANCE
 from mcspectra.variance.exact import level_variances, paired
 from mcspectra.variance.prediction.known import Known, Predicted
@@ -133,7 +133,7 @@ def _scrambled(net: Sampler, n: int, known: Known) -> Predicted:
     # Gains, a few digits further than n has: as a rule all coordinates differ there
     levels = math.ceil(math.log(max(n, 2), min(bases)) - 1e-9) + _MORE
     try:
-        gains = gain_coefficients(net, n, levels=levels)["gain"].to_numpy()
+        gains = gains_at(net, n, levels)
     except ParameterError as error:
         raise NoClosedForm(f"{error} Or use convergence or variance_terms.") from None
     wanted = np.abs(gains - 1.0) > 1e-9

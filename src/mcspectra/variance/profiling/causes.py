@@ -27,6 +27,7 @@ __all__ = ["CAUSES", "Cause", "Evidence", "Name", "Replicates", "causes_of", "se
 
 Name: TypeAlias = Literal[
     "wrong-pdf",
+    "noisy-function",
     "infinite-variance",
     "heavy-tail",
     "deterministic-set",
@@ -65,6 +66,16 @@ _FEW_SETS = 8
 _SERIAL = 0.75  # correlation of sets that follow each other; of twenty independent ones ± 0.22
 _GRAINS = 32.0  # of the numbers that estimates are: less is rounding
 _AWAY = 6.0  # standard errors; by Student's t of nineteen degrees a chance of 1e-5
+# What else is said of a function that is noise itself, whose lines show no shape
+_SHAPELESS = frozenset(
+    {
+        "wrong-pdf",
+        "noisy-function",
+        "deterministic-set",
+        "few-realizations",
+        "correlated-replicates",
+    }
+)
 
 
 @final
@@ -120,6 +131,8 @@ class Evidence:
         Of g, NaN where it was not looked for.
     replicates
         Sets of the sampler, where these were drawn.
+    noise
+        Variance of g at one and the same point, where values at a point differ; else 0.
     """
 
     estimator: AbstractEstimator
@@ -130,6 +143,7 @@ class Evidence:
     pole: Pole | None = None
     mean_dimension: float = math.nan
     replicates: Replicates | None = None
+    noise: float = 0.0
 
     @property
     def scale(self) -> float:
@@ -169,6 +183,18 @@ def _wrong_pdf(seen: Evidence) -> Cause | None:
                 {"of_one": found},
             )
     return None
+
+
+def _noisy_function(seen: Evidence) -> Cause | None:
+    if not seen.noise:
+        return None
+    share = min(seen.noise / max(seen.scale, 1e-300) ** 2, 1.0)
+    return Cause(
+        "noisy-function",
+        f"g has other values at the same point: random numbers of its own make about {share:.2g} of its variance, "
+        "which falls as 1/n with any points. Take them from further dims of the points.",
+        {"share": share},
+    )
 
 
 def _infinite_variance(seen: Evidence) -> Cause | None:
@@ -516,6 +542,7 @@ def _kink(seen: Evidence) -> Cause | None:
 
 CAUSES: tuple[Callable[[Evidence], Cause | None], ...] = (
     _wrong_pdf,
+    _noisy_function,
     _infinite_variance,
     _deterministic,
     _few_realizations,
@@ -538,9 +565,11 @@ def causes_of(seen: Evidence) -> list[Cause]:
     """All causes that are found, at least one: `none` where nothing is."""
     found = [cause for detect in CAUSES if (cause := detect(seen)) is not None]
     names = {cause.name for cause in found}
-    # Steps between numbers are no jumps
+    # Steps between numbers are no jumps, and noise has no shape
     if "float-drift" in names:
         found = [c for c in found if c.name not in {"interior-jump", "axis-parallel-jump"}]
+    if "noisy-function" in names:
+        found = [c for c in found if c.name in _SHAPELESS]
     # What is left of a tail is said by its cause
     if names & {"infinite-variance", "border-growth"}:
         found = [c for c in found if c.name != "heavy-tail"]

@@ -56,6 +56,8 @@ __all__ = ["Change", "Profile", "Profiling", "profile"]
 _LEAST = 256  # evaluations
 _NETS = 20  # at least; fewer tell little of errors
 _LINES, _GIVEN, _CHECK = 0.2, 0.25, 0.15  # of the budget
+_AGAIN = 8  # points whose values are asked for twice
+_SAME_VALUE = 1e-6  # of the size of values: rounding of sums whose order changes
 _POLES = 0.8  # of what lines may take
 _CLIMBED = 300.0  # variances, of the largest square
 _FITTED = 64  # points of each net, that changes are fitted to
@@ -518,7 +520,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
 
     # The mean dimension and a pole of a single technique, then lines of each
     lines: list[Lines] = []
-    mean, pole = math.nan, None
+    mean, pole, noise = math.nan, None, 0.0
     allowed = int(_LINES * budget) // len(estimator.counts) // estimator.evaluations_per_point
     for t in range(len(estimator.counts)):
         made = 0
@@ -527,6 +529,13 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
             nonlocal made
             made += len(u)
             return np.asarray(_scalar(estimator, estimator.primary_values(t, u[None]))[0])
+
+        # Values at some of the points again
+        first = sets.points[t].reshape(-1, estimator.dims)[: max(1, min(_AGAIN, allowed // _AGAIN))]
+        known = sets.values[t].ravel()[: len(first)]
+        off = np.abs(g(first) - known)
+        if off.max(initial=0.0) > _SAME_VALUE * max(np.ptp(sets.pooled), np.abs(known).max()):
+            noise = max(noise, 0.5 * float((off**2).mean()))
 
         own, beside = stream.child(1 + t).generator(0), allowed // 4 // estimator.dims
         if len(estimator.counts) == 1:
@@ -554,7 +563,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         except McspectraError as error:
             not_tried.append(f"{given.spec}: {error}")
 
-    evidence = Evidence(estimator, given, sets, curves, tuple(lines), pole, mean, replicates)
+    evidence = Evidence(estimator, given, sets, curves, tuple(lines), pole, mean, replicates, noise)
     causes = causes_of(evidence)
     # Pairs about the centres of strata, which nets do not tell of, have the exponent −1 − 4/d where g is
     # smooth: cubic stratification of second order
