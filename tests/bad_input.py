@@ -303,6 +303,7 @@ PYTHON = _rows(
 
 COMMAND = _rows(
     "command",
+    ("gallery jittered --out page.html", "the name of a file; give a folder"),
     ("frobnicate", "no verb"),
     ("points no-such-sampler -n 16", "no sampler"),
     ("points jittered -n 250", "225 and 256"),

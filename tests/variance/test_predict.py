@@ -10,7 +10,7 @@ import pytest
 import xarray as xr
 
 import mcspectra as mcs
-from mcspectra.core.errors import CountError, ParameterError
+from mcspectra.core.errors import CountError, NotPowerOfTwoWarning, ParameterError
 
 DISK = "disk(center=(0.4,0.55),radius=0.3)"
 
@@ -380,3 +380,9 @@ def test_rates_are_those_that_convergence_fits():
     measured = mcs.convergence(f, "jittered", counts, realizations=4000, rng=5)
     low, high = measured["rate_ci"].values
     assert low - 0.1 < float(found["predicted_rate"]) < high + 0.1
+
+
+def test_warnings_are_of_the_counts_that_were_asked_for():
+    with pytest.warns(NotPowerOfTwoWarning) as said:
+        mcs.predict("gaussian(width=0.25)", "sobol | owen", [100])
+    assert {str(each.message).split()[0] for each in said} == {"100"}

@@ -8,6 +8,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, final
 
 from mcspectra.core.checks import as_integer, as_real
@@ -34,6 +35,8 @@ __all__ = [
     "whole",
     "wholes",
 ]
+
+_PAGES = frozenset({".html", ".md", ".json", ".csv", ".png", ".svg", ".pdf", ".exr"})
 
 
 class Answer(NamedTuple):
@@ -105,6 +108,8 @@ def option(
     argparse.
     """
     *names, last = (word.rstrip(",") for word in usage.split())
+    if names and last == "DIR":
+        read = _folder
     if not names and last.startswith("-"):
         return lambda parser: parser.add_argument(last, action="store_true", help=help)
     further |= {"metavar": last, "action": Read, "read": read, "help": help}
@@ -167,6 +172,15 @@ def _number(kind: Callable[[str], int | float], text: str) -> int | float | str:
         return kind(text)
     except ValueError:
         return text
+
+
+def _folder(name: str, text: str) -> str:
+    """Read the name of a folder, which no page or picture has."""
+    if Path(text).suffix.lower() in _PAGES and not Path(text).is_dir():
+        raise ParameterError(
+            f"{name} is {text!r}, the name of a file; give a folder, which gets several."
+        )
+    return text
 
 
 def index_or_name(name: str, text: str) -> int | str:
