@@ -381,13 +381,15 @@ def test_memory_is_flat_over_thousands_of_tasks():
             under_way.append(schedule.under_way)
             self._inner.submit(task, compute)
 
-    schedule = Schedule([OneCell("a/s/k", Sums(), Need())], 0, Empty(), 1e-12)
-    executor = Watched()
-    tracemalloc.start()
-    (settled,) = drive(schedule, executor)
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    executor.close(cancel=False)
+    for _ in range(2):  # what the first one imports is not its own
+        under_way.clear()
+        schedule = Schedule([OneCell("a/s/k", Sums(), Need())], 0, Empty(), 1e-12)
+        executor = Watched()
+        tracemalloc.start()
+        (settled,) = drive(schedule, executor)
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        executor.close(cancel=False)
     assert unpack(xr.Dataset, settled.payload)["x"][0] == 4_000 * 3_999 / 2
     assert len(under_way) == 4_000
     assert max(under_way) <= 6
