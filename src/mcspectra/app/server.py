@@ -7,6 +7,7 @@ every request must name this server as its Host, and as its Origin where it has 
 
 from __future__ import annotations
 
+import logging
 import socket
 import threading
 import warnings
@@ -126,6 +127,13 @@ def serve(port: int = 0, *, open_browser: bool = True, quiet: bool = False) -> N
     server = make_server(port)
     # Components repeat, on standard error, what the page says in its own words.
     warnings.simplefilter("ignore")
+    # Tabs that close early are no errors; bokeh warns of them, and asserts that their session is made.
+    logging.getLogger("bokeh.server.views.ws").setLevel(logging.ERROR)
+    logging.getLogger("tornado.application").addFilter(
+        lambda record: (
+            "GET /ws" not in record.getMessage() or "AssertionError" not in repr(record.exc_info)
+        )
+    )
     address = f"http://{ADDRESS}:{server.port}/"
     if not quiet:
         print(f"The explorer is at {address}; stop it by Ctrl-C.", flush=True)
