@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -33,17 +32,63 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         f"{name}: {number(counted.value)} from pairs, {number(measured.value)} measured"
         for name, (counted, measured) in variances.items()
     )
+    n, ramp = 16, mcs.Estimator("linear", dims=1)
+    value = float(mcs.variance_from_pair_correlation(ramp, "jittered", n)["variance"])
+
+    # Look for pairs of Poisson-disk points in bins below the radius
+    disk, radius = pairs["poisson-disk"], mcs.samplers.PoissonDisk(dims=2).radius(N)
+    width = float(disk["r"][1] - disk["r"][0])
+    inside = disk["pair_correlation"].values[disk["r"].values + width / 2 < radius]
+
+    # Draw g(r), and the closed form where there is one
+    marks: list[Mark] = []
+    for k, (name, data) in enumerate(pairs.items()):
+        r, g = data["r"].values, data["pair_correlation"].values
+        half = CONFIDENCE_Z * data["pair_correlation_se"].values
+        line = g if name == "poisson-disk" else mcs.closed_form_pair_correlation(name, N, r)
+        marks.append(Line(x=r, y=line, color=PALETTE[k], width=1.2, label=name))
+        marks.append(whiskers(r, g, np.stack([g - half, g + half], axis=-1), k, name, 3.0))
+    x = Axis(label="distance r (sides of the domain)", low=0.0, high=0.4)
+    y = Axis(label="pair correlation g(r)", low=0.0)
+    rows = {name: [each / 1e-4 for each in pair] for name, pair in variances.items()}
     return Exhibit(
         numbers={"N": N, "both": both},
-        plots=(_curves(pairs), _comparison(variances)),
+        plots=(
+            Plot(
+                kind="pair-correlation",
+                panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),),
+                height=0.42,
+                wide=True,
+            ),
+            Plot(
+                kind="variance-from-pairs",
+                panels=(
+                    interval_panel(rows, ("from pairs", "measured"), "variance of I_N, times 10⁴"),
+                ),
+                height=0.32,
+            ),
+        ),
         claims=(
             *(_as_closed(name, pairs[name]) for name in ("random", "jittered")),
-            _hole(pairs["poisson-disk"]),
+            Claim(
+                f"No two Poisson-disk points are nearer than their radius {number(radius)}: largest g(r) below it.",
+                float(inside.max()),
+                expected=0.0,
+            ),
             *(_transformed(name) for name in ("random", "jittered")),
-            _one_dim(),
+            Claim(
+                f"From pairs, the variance of f = x with {n} jittered points is 1/(12N³): relative difference.",
+                12 * n**3 * value - 1,
+                at_most=1e-6,
+            ),
             *(_known_pairs(name) for name in ("random", "jittered")),
             *(_counted_pairs(name, *pair) for name, pair in variances.items()),
-            _shifted(variances["jittered | shift"][0]),
+            Claim(
+                "From counted pairs of jittered | shift points the variance is that of quadrature.",
+                variances["jittered | shift"][0],
+                expected=float(mcs.exact_variance(_SMOOTH, "jittered | shift", N)),
+                digits=4,
+            ),
         ),
     )
 
@@ -83,17 +128,6 @@ def _as_closed(name: str, data: xr.Dataset) -> Claim:
     )
 
 
-def _hole(data: xr.Dataset) -> Claim:
-    radius = mcs.samplers.PoissonDisk(dims=2).radius(N)
-    width = float(data["r"][1] - data["r"][0])
-    inside = data["pair_correlation"].values[data["r"].values + width / 2 < radius]
-    return Claim(
-        f"No two Poisson-disk points are nearer than their radius {number(radius)}: largest g(r) below it.",
-        float(inside.max()),
-        expected=0.0,
-    )
-
-
 def _transformed(name: str) -> Claim:
     """N⟨|S_m|²⟩ = 1 + (N − 1) ∫ g(|h|) cos(2πmh) dh over the torus, m ≠ 0, in 1-D."""
     n, m = 16, np.arange(1, 49)
@@ -108,17 +142,6 @@ def _transformed(name: str) -> Claim:
         "difference of N⟨|S_m|²⟩.",
         float(np.abs(found - n * mcs.closed_form_power(name, n, m[:, None])).max()),
         at_most=1e-11,
-    )
-
-
-def _one_dim() -> Claim:
-    n = 16
-    line = mcs.Estimator("linear", dims=1)
-    value = float(mcs.variance_from_pair_correlation(line, "jittered", n)["variance"])
-    return Claim(
-        f"From pairs, the variance of f = x with {n} jittered points is 1/(12N³): relative difference.",
-        12 * n**3 * value - 1,
-        at_most=1e-6,
     )
 
 
@@ -144,40 +167,4 @@ def _counted_pairs(name: str, counted: Measured, measured: Measured) -> Claim:
         Measured.normal(times, times * float(np.hypot(*errors))),
         expected=1.0,
         shown="1",
-    )
-
-
-def _shifted(counted: Measured) -> Claim:
-    return Claim(
-        "From counted pairs of jittered | shift points the variance is that of quadrature.",
-        counted,
-        expected=float(mcs.exact_variance(_SMOOTH, "jittered | shift", N)),
-        digits=4,
-    )
-
-
-def _curves(pairs: Mapping[str, xr.Dataset]) -> Plot:
-    marks: list[Mark] = []
-    for k, (name, data) in enumerate(pairs.items()):
-        r, g = data["r"].values, data["pair_correlation"].values
-        half = CONFIDENCE_Z * data["pair_correlation_se"].values
-        line = g if name == "poisson-disk" else mcs.closed_form_pair_correlation(name, N, r)
-        marks.append(Line(x=r, y=line, color=PALETTE[k], width=1.2, label=name))
-        marks.append(whiskers(r, g, np.stack([g - half, g + half], axis=-1), k, name, 3.0))
-    x = Axis(label="distance r (sides of the domain)", low=0.0, high=0.4)
-    y = Axis(label="pair correlation g(r)", low=0.0)
-    return Plot(
-        kind="pair-correlation",
-        panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),),
-        height=0.42,
-        wide=True,
-    )
-
-
-def _comparison(variances: Mapping[str, tuple[Measured, Measured]]) -> Plot:
-    rows = {name: [each / 1e-4 for each in pair] for name, pair in variances.items()}
-    return Plot(
-        kind="variance-from-pairs",
-        panels=(interval_panel(rows, ("from pairs", "measured"), "variance of I_N, times 10⁴"),),
-        height=0.32,
     )
