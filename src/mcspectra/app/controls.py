@@ -92,49 +92,6 @@ class Controls:
         self._on_change, self._on_error, self._later = on_change, on_error, later
         self._filling = self._refused = False
         self._density_sliders: Any = Column(sizing_mode="stretch_width")
-        self._widgets = w = self._made()
-        scene = Button(label=f"Show Veach's scene, {side}", stylesheets=[sheet])
-        scene.on_click(on_scene)
-        self._fill()
-
-        def heading(text: str, level: str = "h2") -> Any:
-            return Div(text=f"<{level}>{text}</{level}>", stylesheets=[sheet])
-
-        self.layout = Column(
-            children=[
-                heading("Sampler"), w["base"], heading("Randomisations", "h3"), w["steps"],
-                w["sampler"], w["count"], w["n"], w["strata_shift"],
-                heading("Density"), w["density_name"], self._density_sliders, w["density"],
-                heading("Integrand"), w["integrand_name"], w["formula"], w["integrand"], w["upload"], scene,
-                w["channel"], w["dims"], w["smoothing"], w["mirror"],
-                heading("Analysis"), w["realizations"], w["seed"], *(w[name] for name in OPTIONS),
-            ],
-            sizing_mode="stretch_width",
-        )  # fmt: skip
-
-    def show(self, setup: Setup) -> None:
-        """Show another set-up without calling back."""
-        self.setup, self._refused = setup, False
-        self._fill()
-
-    def refuse(self, sentence: str) -> None:
-        """Say why an entry is refused, which stays where it was typed."""
-        self._refused = True
-        self._on_error(sentence)
-
-    def change(self, **values: Any) -> None:
-        """Change fields of the set-up as if by hand; texts are read as those of an address."""
-        try:
-            read = {k: Setup.read(k, v) if isinstance(v, str) else v for k, v in values.items()}
-            setup = replace(self.setup, **read)
-        except McspectraError as error:
-            self.refuse(str(error))
-            return
-        if setup != self.setup or self._refused:
-            self.show(setup)
-            self._on_change(setup)
-
-    def _made(self) -> dict[str, Any]:
         # What is chosen beside its spec
         make, density, integrand = self._make, self._named("density"), self._named("integrand")
         steps = CheckboxGroup(labels=_STEPS, stylesheets=[self._sheet])
@@ -178,7 +135,47 @@ class Controls:
                 widget = make(TextInput, label, self._entered(name), placeholder=shown)
             widget.description = option.meaning
             made[name] = widget
-        return made
+        self._widgets = w = made
+        scene = Button(label=f"Show Veach's scene, {side}", stylesheets=[sheet])
+        scene.on_click(on_scene)
+        self._fill()
+
+        def heading(text: str, level: str = "h2") -> Any:
+            return Div(text=f"<{level}>{text}</{level}>", stylesheets=[sheet])
+
+        self.layout = Column(
+            children=[
+                heading("Sampler"), w["base"], heading("Randomisations", "h3"), w["steps"],
+                w["sampler"], w["count"], w["n"], w["strata_shift"],
+                heading("Density"), w["density_name"], self._density_sliders, w["density"],
+                heading("Integrand"), w["integrand_name"], w["formula"], w["integrand"], w["upload"], scene,
+                w["channel"], w["dims"], w["smoothing"], w["mirror"],
+                heading("Analysis"), w["realizations"], w["seed"], *(w[name] for name in OPTIONS),
+            ],
+            sizing_mode="stretch_width",
+        )  # fmt: skip
+
+    def show(self, setup: Setup) -> None:
+        """Show another set-up without calling back."""
+        self.setup, self._refused = setup, False
+        self._fill()
+
+    def refuse(self, sentence: str) -> None:
+        """Say why an entry is refused, which stays where it was typed."""
+        self._refused = True
+        self._on_error(sentence)
+
+    def change(self, **values: Any) -> None:
+        """Change fields of the set-up as if by hand; texts are read as those of an address."""
+        try:
+            read = {k: Setup.read(k, v) if isinstance(v, str) else v for k, v in values.items()}
+            setup = replace(self.setup, **read)
+        except McspectraError as error:
+            self.refuse(str(error))
+            return
+        if setup != self.setup or self._refused:
+            self.show(setup)
+            self._on_change(setup)
 
     def _make(
         self,
@@ -264,28 +261,25 @@ class Controls:
                 w[name].value = setup.text(name)
             for name in _PARTS:
                 w[name].value = getattr(setup, name)
-            self._fill_density()
+            # Sliders for the numbers of the density; made anew when it is another one
+            call = parse(self.setup.density)
+            ranges = _SLIDERS.get(call.name, ())
+            sliders = self._density_sliders
+            titles = [f"Density {key}, {self._side}" for key, *_ in ranges]
+            if [slider.title for slider in sliders.children] != titles:
+                sliders.children = [
+                    self._make(
+                        Slider, f"Density {key}", self._moved(key), "value_throttled",
+                        start=low, end=high, step=0.05, value=start,
+                    )
+                    for key, low, high, start in ranges
+                ]  # fmt: skip
+            for slider, (key, low, high, start) in zip(sliders.children, ranges, strict=True):
+                value = call.arguments.get(key, start)
+                known = isinstance(value, int | float) and low <= value <= high
+                slider.value = float(value) if known else start
         finally:
             self._filling = False
-
-    def _fill_density(self) -> None:
-        """Sliders for the numbers of the density; made anew when it is another one."""
-        call = parse(self.setup.density)
-        ranges = _SLIDERS.get(call.name, ())
-        sliders = self._density_sliders
-        titles = [f"Density {key}, {self._side}" for key, *_ in ranges]
-        if [slider.title for slider in sliders.children] != titles:
-            sliders.children = [
-                self._make(
-                    Slider, f"Density {key}", self._moved(key), "value_throttled",
-                    start=low, end=high, step=0.05, value=start,
-                )
-                for key, low, high, start in ranges
-            ]  # fmt: skip
-        for slider, (key, low, high, start) in zip(sliders.children, ranges, strict=True):
-            value = call.arguments.get(key, start)
-            known = isinstance(value, int | float) and low <= value <= high
-            slider.value = float(value) if known else start
 
     def _moved(self, key: str) -> Callable[[float], None]:
         return lambda value: self.change(density=changed(self.setup.density, key, round(value, 6)))

@@ -76,8 +76,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "bias": number(found[0]),
         },
         plots=(
-            Plot(kind="bias-coefficients", panels=tuple(panels), columns=3, height=0.85, wide=True),
-            Plot(kind="bias", panels=(scaled,), height=0.4, wide=True),
+            Plot(kind="bias-coefficients", panels=tuple(panels)),
+            Plot(kind="bias", panels=(scaled,)),
         ),
         claims=(
             *(

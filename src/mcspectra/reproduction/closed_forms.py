@@ -77,16 +77,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         panels.append(Panel(marks=tuple(marks), x=x, y=y_axis, title=title, grid=True))
     return Exhibit(
         numbers={"N": N, "random": random, "jittered": jittered, "frequencies": nu.size},
-        plots=(
-            Plot(
-                kind="closed-forms",
-                panels=tuple(panels),
-                columns=2,
-                height=0.8,
-                share="y",
-                wide=True,
-            ),
-        ),
+        plots=(Plot(kind="closed-forms", panels=tuple(panels)),),
         claims=(
             *(
                 Claim(

@@ -237,9 +237,4 @@ def _sizes() -> Plot:
     ticks = {float(d): str(int(d)) for d in dims}
     x = Axis(label="number of dims d", low=0.8, high=6.2, ticks=ticks)
     y = log_axis("numbers to store", 10.0, float(entries(6, 256)))
-    return Plot(
-        kind="dimensionality",
-        panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),),
-        height=0.42,
-        wide=True,
-    )
+    return Plot(kind="dimensionality", panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),))

@@ -53,9 +53,6 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             Plot(
                 kind="direct-illumination-integrands",
                 panels=tuple(primary_panel(g, f"{p}, {_NAMES[s]}") for (p, s), g in f.items()),
-                columns=2,
-                height=1.0,
-                share="both",
             ),
             Plot(
                 kind="direct-illumination",
@@ -70,10 +67,6 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                     )
                     for case in _CASES
                 ),
-                columns=2,
-                height=0.66,
-                share="x",
-                wide=True,
             ),
         ),
         claims=(
@@ -137,5 +130,4 @@ def _scene(spp: int, seed: int) -> Plot:
             ),
         ),
         height=2 / 3,
-        wide=True,
     )

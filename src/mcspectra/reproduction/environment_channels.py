@@ -81,14 +81,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         },
         plots=(
             _map(),
-            Plot(
-                kind="environment-channels",
-                panels=tuple(panels),
-                columns=3,
-                height=1.1,
-                share="y",
-                wide=True,
-            ),
+            Plot(kind="environment-channels", panels=tuple(panels)),
         ),
         claims=(
             *(_rate_of(way, c, curves[way], exact[way]) for way in _WAYS for c in range(3)),
@@ -195,7 +188,4 @@ def _map() -> Plot:
             )
             for (title, each), (x, y) in zip(marks.items(), labels, strict=True)
         ),
-        columns=3,
-        height=0.9,
-        wide=True,
     )

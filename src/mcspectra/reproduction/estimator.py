@@ -43,7 +43,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         numbers={"integral": number(integral(), 4), "N": N, "means": means, "variances": variances},
         plots=(
             _combs(seed),
-            Plot(kind="points", panels=tuple(panels), columns=3, height=1.0, share="y", wide=True),
+            Plot(kind="points", panels=tuple(panels)),
         ),
         claims=(
             *(
@@ -135,11 +135,4 @@ def _combs(seed: int) -> Plot:
                 title=name,
             )
         )
-    return Plot(
-        kind="estimator",
-        panels=(top, *rows),
-        height=0.11,
-        rows=(2.2, 1.0, 1.0, 1.0),
-        share="x",
-        wide=True,
-    )
+    return Plot(kind="estimator", panels=(top, *rows), rows=(2.2, 1.0, 1.0, 1.0))

@@ -96,9 +96,6 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                     term_panel(data, 1e-5, title, "" if k % 3 else "terms · 10⁵")
                     for k, (title, data) in enumerate(shown.items())
                 ),
-                columns=3,
-                height=0.8,
-                wide=True,
             ),
         ),
         claims=(

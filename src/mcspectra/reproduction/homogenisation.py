@@ -87,14 +87,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         numbers={"N": N, "pair": _PAIR, "c0": c0, "c1": c1},
         plots=(
             _steps(seed),
-            Plot(
-                kind="homogenisation-correlation",
-                panels=tuple(panels),
-                columns=2,
-                height=0.75,
-                share="both",
-                wide=True,
-            ),
+            Plot(kind="homogenisation-correlation", panels=tuple(panels)),
         ),
         claims=(
             Claim(
@@ -211,11 +204,4 @@ def _steps(seed: int) -> Plot:
                 square=True,
             )
         )
-    return Plot(
-        kind="homogenisation-steps",
-        panels=tuple(panels),
-        columns=3,
-        height=1.0,
-        share="y",
-        wide=True,
-    )
+    return Plot(kind="homogenisation-steps", panels=tuple(panels))

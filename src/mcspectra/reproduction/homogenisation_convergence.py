@@ -68,9 +68,6 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                     variance_panel(curves[case], exact=known[case], title=case.title)
                     for case in curves
                 ),
-                columns=2,
-                height=0.66,
-                wide=True,
             ),
         ),
         claims=(

@@ -53,8 +53,6 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             Plot(
                 kind="homogenised-formula",
                 panels=(interval_panel(rows, ("as they are", "shifted"), x, at=1.0),),
-                height=0.32,
-                wide=True,
             ),
             replace(in_columns(describe("cross-matrix", matrices)), kind="homogenised-matrix"),
         ),

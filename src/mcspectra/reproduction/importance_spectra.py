@@ -80,9 +80,6 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                         for k, d in enumerate(spectra.values())
                     ),
                 ),
-                columns=3,
-                height=1.0,
-                wide=True,
             ),
             Plot(
                 kind="importance-radial", panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),)

@@ -128,9 +128,6 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                     term_panel(data, 1e-3, case.title, "" if k % 3 else "terms · 10³")
                     for k, (case, data) in enumerate(of.items())
                 ),
-                columns=3,
-                height=0.8,
-                wide=True,
             ),
         ),
         claims=(

@@ -68,17 +68,9 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             Plot(
                 kind="smoothed-light",
                 panels=tuple(primary_panel(g, f"{name} edge") for name, g in pixels.items()),
-                columns=2,
-                height=1.0,
-                share="y",
             ),
             Plot(kind="light-smoothing", panels=(panel,)),
-            Plot(
-                kind="smoothing-widths",
-                panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),),
-                height=0.45,
-                wide=True,
-            ),
+            Plot(kind="smoothing-widths", panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),)),
         ),
         claims=(
             *(

@@ -101,22 +101,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         },
         plots=(
             _integrands(),
-            Plot(
-                kind="mirrored-samples",
-                panels=tuple(panels),
-                columns=3,
-                height=1.0,
-                share="y",
-                wide=True,
-            ),
-            Plot(
-                kind="mirroring-convergence",
-                panels=tuple(curves),
-                columns=3,
-                height=0.8,
-                share="both",
-                wide=True,
-            ),
+            Plot(kind="mirrored-samples", panels=tuple(panels)),
+            Plot(kind="mirroring-convergence", panels=tuple(curves)),
         ),
         claims=(
             *(
@@ -239,12 +225,4 @@ def _integrands() -> Plot:
         line = Line(x=t, y=np.where(jumps, np.nan, np.exp(-(folded**2))), color=INK, width=1.4)
         y = Axis(label="f(x, 0)", low=0.0, high=1.1)
         sections.append(Panel(marks=(line,), x=Axis(label="x", **axis), y=y, grid=True))
-    return Plot(
-        kind="mirrored-integrand",
-        panels=(*images, *sections),
-        columns=2,
-        height=0.5,
-        rows=(2.0, 1.0),
-        share="x",
-        wide=True,
-    )
+    return Plot(kind="mirrored-integrand", panels=(*images, *sections), rows=(2.0, 1.0))

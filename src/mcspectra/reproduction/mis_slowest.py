@@ -64,9 +64,6 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                     )
                     for where, found in pixels.items()
                 ),
-                columns=2,
-                height=0.9,
-                wide=True,
             ),
             Plot(
                 kind="toy-techniques",

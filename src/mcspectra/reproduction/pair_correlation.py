@@ -54,18 +54,12 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     return Exhibit(
         numbers={"N": N, "both": both},
         plots=(
-            Plot(
-                kind="pair-correlation",
-                panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),),
-                height=0.42,
-                wide=True,
-            ),
+            Plot(kind="pair-correlation", panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),)),
             Plot(
                 kind="variance-from-pairs",
                 panels=(
                     interval_panel(rows, ("from pairs", "measured"), "variance of I_N, times 10⁴"),
                 ),
-                height=0.32,
             ),
         ),
         claims=(

@@ -87,8 +87,6 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             Plot(
                 kind="phase-offsets",
                 panels=(Panel(marks=tuple(marks), x=x, y=Axis(label="terms · 10³"), grid=True),),
-                height=0.4,
-                wide=True,
             ),
             Plot(
                 kind="phase-convergence",
@@ -263,4 +261,4 @@ def _functions() -> Plot:
                 grid=True,
             )
         )
-    return Plot(kind="phase-functions", panels=tuple(panels), columns=2, wide=True)
+    return Plot(kind="phase-functions", panels=tuple(panels))

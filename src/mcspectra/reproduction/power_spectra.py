@@ -66,10 +66,6 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                     for data, what in ((single, "one set"), (expected, "expected"))
                     for name in SAMPLERS
                 ),
-                columns=3,
-                height=1.0,
-                share="both",
-                wide=True,
             ),
             describe("radial", expected),
         ),

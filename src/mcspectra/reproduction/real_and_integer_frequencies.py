@@ -75,13 +75,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     return Exhibit(
         numbers={"rates": rates, "levels": levels},
         plots=(
-            Plot(
-                kind="real-and-integer-frequencies",
-                panels=tuple(panels),
-                columns=2,
-                wide=True,
-                height=0.9,
-            ),
+            Plot(kind="real-and-integer-frequencies", panels=tuple(panels)),
             Plot(kind="spectrum", panels=(Panel(marks=tuple(power), x=x, y=y_axis, grid=True),)),
         ),
         claims=(

@@ -51,10 +51,6 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                     variance_panel(plain, exact=references, title="jittered", limits=limits),
                     variance_panel(shifted, exact=after, title="jittered | shift", limits=limits),
                 ),
-                columns=2,
-                height=0.8,
-                share="y",
-                wide=True,
             ),
         ),
         claims=(
@@ -165,6 +161,4 @@ def _strata() -> Plot:
                 title,
             )
         )
-    return Plot(
-        kind="strata-alignment", panels=tuple(panels), columns=3, height=1.0, share="y", wide=True
-    )
+    return Plot(kind="strata-alignment", panels=tuple(panels))

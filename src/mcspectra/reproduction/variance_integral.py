@@ -75,18 +75,12 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                         for each in products.values()
                     ),
                 ),
-                columns=3,
-                height=1.0,
-                share="both",
-                wide=True,
             ),
             Plot(
                 kind="ratio",
                 panels=(
                     interval_panel({name: [each] for name, each in shown.items()}, [""], x, at=1.0),
                 ),
-                height=0.3,
-                wide=True,
             ),
         ),
         claims=(

@@ -100,8 +100,6 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                     )
                     for title, image in images.items()
                 ),
-                columns=2,
-                wide=True,
             ),
             _who_wins(renders),
         ),
@@ -205,5 +203,4 @@ def _who_wins(renders: Renders) -> Plot:
         kind="veach-errors",
         panels=(Panel(marks=tuple(marks), x=axis, y=axis, square=True),),
         height=2 / 3,
-        wide=True,
     )
