@@ -319,15 +319,16 @@ def _estimator(
             f"{several.spec} has {several.channels} channels; the explorer shows one: choose it "
             "with channel=."
         )
-    if len(integrands) > 1 and (p is not None or smoothing):
-        raise ParameterError(
-            "Techniques that are summed have their densities and edges inside; choose the uniform "
-            "density and no smoothing."
-        )
     if len(integrands) > 1:
+        if p is not None or smoothing:
+            raise ParameterError(
+                "Techniques that are summed have their densities and edges inside; choose the "
+                "uniform density and no smoothing."
+            )
         estimator: AbstractEstimator = TechniqueSum(integrands)
     else:
-        estimator = Estimator(_smoothed(specs[0], dims, smoothing), p)
+        f = _integrand(specs[0], dims, smoothing) if smoothing else integrands[0]
+        estimator = Estimator(f, p)
     return estimator if mirror == "none" else Mirrored(estimator, mirror)
 
 
@@ -337,14 +338,8 @@ def _density(spec: str, dims: int) -> Density | None:
 
 
 @lru_cache(_KEPT)
-def _integrand(spec: str, dims: int) -> Integrand:
-    return integrand(spec, dims)
-
-
-@lru_cache(_KEPT)
-def _smoothed(spec: str, dims: int, width: float) -> Integrand:
-    f = _integrand(spec, dims)
-    return smoothed(f, width) if width else f
+def _integrand(spec: str, dims: int, width: float = 0.0) -> Integrand:
+    return smoothed(_integrand(spec, dims), width) if width else integrand(spec, dims)
 
 
 def analyses_of(setup: Setup) -> dict[str, Analysis]:

@@ -96,7 +96,7 @@ class Controls:
         make, density, integrand = self._make, self._named("density"), self._named("integrand")
         steps = CheckboxGroup(labels=_STEPS, stylesheets=[self._sheet])
         self._watch(steps, "active", self._choose_sampler)
-        made = {
+        self._widgets = w = {
             "base": make(Select, "Sampler", self._choose_sampler, options=_offered(SAMPLERS)),
             "steps": steps,
             "count": make(
@@ -114,12 +114,12 @@ class Controls:
         }  # fmt: skip
         # Fields of the set-up
         for name, label in _TEXTS.items():
-            made[name] = make(TextInput, label, self._entered(name))
+            w[name] = make(TextInput, label, self._entered(name))
         for name, (label, most, step) in _PARTS.items():
             options = {"start": 0.0, "end": most, "step": step, "value": 0.0}
-            made[name] = make(Slider, label, self._entered(name), "value_throttled", **options)
+            w[name] = make(Slider, label, self._entered(name), "value_throttled", **options)
         for name, (label, choices) in _CHOICES.items():
-            made[name] = make(Select, label, self._entered(name), options=list(choices))
+            w[name] = make(Select, label, self._entered(name), options=list(choices))
         # Options of the analyses
         for name, option in OPTIONS.items():
             label = name.replace("_", " ").capitalize()
@@ -134,8 +134,7 @@ class Controls:
                 shown = "chosen to fit" if free else str(option.default)
                 widget = make(TextInput, label, self._entered(name), placeholder=shown)
             widget.description = option.meaning
-            made[name] = widget
-        self._widgets = w = made
+            w[name] = widget
         scene = Button(label=f"Show Veach's scene, {side}", stylesheets=[sheet])
         scene.on_click(on_scene)
         self._fill()

@@ -240,12 +240,12 @@ def write_frames(result: xr.Dataset, folder: str | Path) -> Path:
         columns=columns,
         rows=tuple(tuple(html.text_cells(*row)) for row in rows),
     )
-    figures = tuple(
-        html.Figure(plot=kinds.describe(kind, result), name=kind.replace("-", "_"))
+    plots = {
+        kind.replace("-", "_"): kinds.describe(kind, result)
         for kind in kinds.kinds_of(result)
         if kind.startswith("frames-")
-    )
-    facts = [("Frames", found["frames"]), ("Versions", html.versions_of(result.attrs))]
+    }
+    facts = (("Frames", found["frames"]), ("Versions", html.versions_of(result.attrs)))
     page = html.Page(
         title=f"Noise of {Path(found['frames']).name}",
         what="frames",
@@ -256,10 +256,8 @@ def write_frames(result: xr.Dataset, folder: str | Path) -> Path:
                 anchor="summary",
                 blocks=(table, *(html.Text(text=text) for text in said[1:])),
             ),
-            html.Section(title="Pixels", anchor="pixels", blocks=(html.Figures(figures=figures),)),
-            html.Section(
-                title="Provenance", anchor="provenance", blocks=(html.Facts(rows=tuple(facts)),)
-            ),
+            html.Section(title="Pixels", anchor="pixels", blocks=html.figures_of(plots)),
+            html.Section(title="Provenance", anchor="provenance", blocks=(html.Facts(rows=facts),)),
         ),
     )
     return html.write_page(page, root / "report.html", root)

@@ -156,11 +156,11 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
         for kind, caption in _CAUSES.items()
         if f"{kind}s" in summary
     )
-    figures = []
     shown = [each for each in kinds.kinds_of(result) if each.startswith("map-")]
-    for kind in sorted(shown, key=lambda each: each != "map-picture"):
-        name = kind.removeprefix("map-").replace("-", "_")
-        figures.append(html.Figure(plot=kinds.describe(kind, result), name=name))
+    plots = {
+        kind.removeprefix("map-").replace("-", "_"): kinds.describe(kind, result)
+        for kind in sorted(shown, key=lambda each: each != "map-picture")
+    }
     own = ((name, str(known[key])) for key, name in _PROVENANCE.items() if key in known)
     facts = (*own, ("Versions", html.versions_of(known)))
     page = html.Page(
@@ -172,23 +172,11 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
         ),
         sections=(
             html.Section(title="Summary", anchor="summary", blocks=(table, *sentences)),
-            *(
-                [
-                    html.Section(
-                        title="Where the variance comes from", anchor="shares", blocks=causes
-                    )
-                ]
-                if causes
-                else []
-            ),
-            *(
-                [html.Section(title="Worst pixels", anchor="worst", blocks=(worst,))]
-                if worst.rows
-                else []
-            ),
+            html.Section(title="Where the variance comes from", anchor="shares", blocks=causes),
             html.Section(
-                title="Maps", anchor="maps", blocks=(html.Figures(figures=tuple(figures)),)
+                title="Worst pixels", anchor="worst", blocks=(worst,) if worst.rows else ()
             ),
+            html.Section(title="Maps", anchor="maps", blocks=html.figures_of(plots)),
             html.Section(title="Provenance", anchor="provenance", blocks=(html.Facts(rows=facts),)),
         ),
     )

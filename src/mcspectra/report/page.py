@@ -39,6 +39,7 @@ __all__ = [
     "Text",
     "anchors",
     "columns_of",
+    "figures_of",
     "text_cells",
     "versions_of",
     "write_json",
@@ -172,6 +173,8 @@ class Section:
     ----------
     anchor
         Distinct within a page; `anchors` makes them.
+    blocks
+        A section without any is left out.
     beside
         Words beside its name in the contents, in the colour of `mark`.
     fresh
@@ -222,6 +225,12 @@ def columns_of(table: Table, names: Sequence[str]) -> Table:
     return replace(table, columns=tuple(names), rows=rows)
 
 
+def figures_of(plots: Mapping[str, Plot], *, live: bool = False) -> tuple[Figures, ...]:
+    """Return a block of plots by the names of their files; nothing of none."""
+    figures = tuple(Figure(plot=plot, name=name, live=live) for name, plot in plots.items())
+    return (Figures(figures=figures),) if figures else ()
+
+
 def versions_of(attributes: Mapping[Any, Any]) -> str:
     """Return the versions that a result was computed with, as its attributes ``version_*`` have them."""
     head = "version_"
@@ -250,6 +259,7 @@ def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
+    page = replace(page, sections=tuple(section for section in page.sections if section.blocks))
     with writing(file, StoreError):
         if figures is not None:
             figures.mkdir(exist_ok=True)

@@ -293,12 +293,7 @@ def write_path(tree: xr.DataTree, folder: str | Path) -> Path:
         html.Section(
             title=title,
             anchor=name,
-            blocks=(
-                _table(name, rows[name]),
-                html.Figures(
-                    figures=tuple(html.Figure(plot=p, name=n) for n, p in plots[name].items())
-                ),
-            )[: 2 if plots[name] else 1],
+            blocks=(_table(name, rows[name]), *html.figures_of(plots[name])),
         )
         for name, title in titles.items()
         if name in rows

@@ -10,7 +10,6 @@ from typing import Any
 
 import xarray as xr
 
-from mcspectra.plots.description import Plot
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.maps import incident_maps
 from mcspectra.plots.style import sampler_styles
@@ -353,7 +352,9 @@ def _sections(tree: xr.DataTree) -> Iterator[html.Section]:
     styles = sampler_styles(list(map(str, curves["sampler"].values)))
     plot = strategy_curves(curves, STRATEGY_NAMES, styles)
     yield html.Section(
-        title="Rates and predictions", anchor="rates", blocks=(table, _figures(rates=plot))
+        title="Rates and predictions",
+        anchor="rates",
+        blocks=(table, *html.figures_of({"rates": plot})),
     )
 
     # Terms, in the basis that fits and in all others
@@ -370,9 +371,9 @@ def _sections(tree: xr.DataTree) -> Iterator[html.Section]:
     bars, shares = describe("terms", fitting), describe("captured", every)
     where = f"At n = {first['n']} with {known['sampler']}, {basis_name(first['basis'])} basis."
     bars = replace(bars, caption=f"{bars.caption} {where}")
-    figures = _figures(terms=bars, captured=shares)
+    figures = html.figures_of({"terms": bars, "captured": shares})
     yield html.Section(
-        title="Three terms", anchor="terms", blocks=(html.Text(text=_ABOUT_TERMS), table, figures)
+        title="Three terms", anchor="terms", blocks=(html.Text(text=_ABOUT_TERMS), table, *figures)
     )
 
     # Integrands on the square, and the light that arrives
@@ -387,11 +388,11 @@ def _sections(tree: xr.DataTree) -> Iterator[html.Section]:
             )
             group[title] = node.to_dataset()
         plot = replace(describe("primary", group), caption=_ABOUT_SPACES, wide=True)
-        figures = _figures(integrands=plot)
-        yield html.Section(title="Integrands on the square", anchor="integrands", blocks=(figures,))
+        figures = html.figures_of({"integrands": plot})
+        yield html.Section(title="Integrands on the square", anchor="integrands", blocks=figures)
     plot = replace(incident_maps(tree["incident"].to_dataset()), caption=_ABOUT_INCIDENT)
     yield html.Section(
-        title="Light that arrives", anchor="incident", blocks=(_figures(incident=plot),)
+        title="Light that arrives", anchor="incident", blocks=html.figures_of({"incident": plot})
     )
 
     # The bottleneck
@@ -444,11 +445,5 @@ def remedies_section(found: xr.Dataset, sampler: str) -> html.Section:
     assert made is not None
     table = html.columns_of(made[1], made[1].columns[1:])
     text = html.Text(text=found.attrs["recommendation"])
-    figures = _figures(remedies=describe("remedies", found))
-    return html.Section(title=made[0], anchor="remedies", blocks=(text, table, figures))
-
-
-def _figures(**plots: Plot) -> html.Figures:
-    return html.Figures(
-        figures=tuple(html.Figure(plot=plot, name=name) for name, plot in plots.items())
-    )
+    figures = html.figures_of({"remedies": describe("remedies", found)})
+    return html.Section(title=made[0], anchor="remedies", blocks=(text, table, *figures))

@@ -82,6 +82,8 @@ def _page(spec: str, pictures: Pictures, rows: Rows) -> str:
 
 
 def _sampler(sampler: Sampler) -> tuple[Pictures, Rows]:
+    from scipy.spatial import KDTree
+
     kept = sampler.structure
     rows = [("dims", str(sampler.dims)), ("unbiased", _yes(sampler.unbiased))]
     if kept not in (Structure.UNKNOWN, Structure.NONE):
@@ -92,13 +94,10 @@ def _sampler(sampler: Sampler) -> tuple[Pictures, Rows]:
     if _is_costly(sampler) or n * sampler.dims > _MOST_NUMBERS:
         return [], [*rows, ("picture", f"none: {n} points would take long")]
     points = sampler.draw(n, rng=0)[0]
-    # Smallest toroidal distance of two points; infinite for one. Row by row: little memory
-    least = np.inf
-    for k in range(1, len(points)):
-        gap = np.abs(points[:k] - points[k])
-        gap = np.minimum(gap, 1.0 - gap)
-        least = min(least, float((gap**2).sum(axis=1).min()))
-    rows.append(("smallest distance", f"{number(float(np.sqrt(least)))} (of these points)"))
+    # On the torus the second nearest point is another one; of one point there is none, at infinity
+    tree = KDTree(points, boxsize=np.ones(points.shape[1]))
+    least = float(np.min(tree.query(points, k=[2])[0]))
+    rows.append(("smallest distance", f"{number(least)} (of these points)"))
     return [_points(points)], rows
 
 

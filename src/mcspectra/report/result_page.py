@@ -38,25 +38,14 @@ def write_result(result: xr.Dataset, out: str | Path, title: str = "Result") -> 
     """
     attributes = {str(key): value for key, value in result.attrs.items()}
     said = [str(attributes[name]) for name in _SAID if attributes.get(name)]
-    sections = []
-    causes = json.loads(attributes.get("causes", "[]"))
-    if causes:
-        rows = tuple((cause["name"], cause["sentence"]) for cause in causes)
-        sections.append(
-            html.Section(title="Causes", anchor="causes", blocks=(html.Sentences(rows=rows),))
-        )
+    causes = tuple(
+        (cause["name"], cause["sentence"]) for cause in json.loads(attributes.get("causes", "[]"))
+    )
 
     # Figures, and the single numbers with their intervals
     shown = [kind for kind in kinds.kinds_of(result) if kind != "anything"]
-    names = html.anchors(shown)
-    figures = tuple(
-        html.Figure(plot=kinds.describe(kind, result), name=name, live=True)
-        for kind, name in zip(shown, names, strict=True)
-    )
-    if figures:
-        sections.append(
-            html.Section(title="Figures", anchor="figures", blocks=(html.Figures(figures=figures),))
-        )
+    described = (kinds.describe(kind, result) for kind in shown)
+    plots = dict(zip(html.anchors(shown), described, strict=True))
     single = tuple(
         (
             *html.text_cells(str(name)),
@@ -74,9 +63,6 @@ def write_result(result: xr.Dataset, out: str | Path, title: str = "Result") -> 
         ),
         *(_curves(result, dims) for dims in (("sampler",), ("n",), ("sampler", "n"))),
     ]
-    tables = [table for table in tables if table.rows]
-    if tables:
-        sections.append(html.Section(title="Numbers", anchor="numbers", blocks=tuple(tables)))
     facts = tuple(
         (name, str(value))
         for name, value in attributes.items()
@@ -85,13 +71,21 @@ def write_result(result: xr.Dataset, out: str | Path, title: str = "Result") -> 
         and len(str(value)) < _LONG
     )
     facts = (*facts, ("versions", html.versions_of(attributes)))
-    sections.append(
-        html.Section(
-            title="Provenance", anchor="provenance", blocks=(html.Facts(rows=facts, code=True),)
-        )
+    parts: dict[str, tuple[html.Block, ...]] = {
+        "Causes": (html.Sentences(rows=causes),) if causes else (),
+        "Figures": html.figures_of(plots, live=True),
+        "Numbers": tuple(table for table in tables if table.rows),
+        "Provenance": (html.Facts(rows=facts, code=True),),
+    }
+    page = html.Page(
+        title=title,
+        what="result",
+        lead=tuple(html.Text(text=sentence) for sentence in said),
+        sections=tuple(
+            html.Section(title=name, anchor=name.lower(), blocks=blocks)
+            for name, blocks in parts.items()
+        ),
     )
-    lead: tuple[html.Block, ...] = tuple(html.Text(text=sentence) for sentence in said)
-    page = html.Page(title=title, what="result", lead=lead, sections=tuple(sections))
     return html.write_page(page, Path(out))
 
 

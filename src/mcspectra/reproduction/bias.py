@@ -8,12 +8,12 @@ import numpy as np
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Axis, Dots, Panel, Plot, Rule
+from mcspectra.plots.description import Axis, Dots, Panel, Rule
 from mcspectra.plots.scales import count_axis
 from mcspectra.plots.style import PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, largest_distance, mean_and_error
-from mcspectra.reproduction.panels import whiskers
+from mcspectra.reproduction.panels import plot_of, whiskers
 
 __all__ = ["exhibit"]
 
@@ -48,8 +48,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     total = float((2 * coefficients * (-1.0) ** k * np.sinc(WIDTH * k)).sum())
 
     # Compare regular points at the centers, w = 0
-    centres = {n: mcs.sampler("regular", 1).draw(n)[0, :, 0] for n in _COUNTS}
-    errors = [(v**2).mean() - 1 / 3 - box_bias(n, 0.0) for n, v in centres.items()]
+    middles = {n: mcs.sampler("regular", 1).draw(n)[0, :, 0] for n in _COUNTS}
+    errors = [(v**2).mean() - 1 / 3 - box_bias(n, 0.0) for n, v in middles.items()]
 
     # Draw the means of S, and the bias times N²
     zero, panels = Rule(at=0.0, color=PALETTE[-1]), list[Panel]()
@@ -76,8 +76,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "bias": number(found[0]),
         },
         plots=(
-            Plot(kind="bias-coefficients", panels=tuple(panels)),
-            Plot(kind="bias", panels=(scaled,)),
+            plot_of("bias-coefficients", *panels),
+            plot_of("bias", scaled),
         ),
         claims=(
             *(

@@ -7,11 +7,12 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, Plot
+from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel
 from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import PALETTE, line_widths
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, largest_distance
+from mcspectra.reproduction.panels import plot_of
 
 __all__ = ["exhibit"]
 
@@ -77,7 +78,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         panels.append(Panel(marks=tuple(marks), x=x, y=y_axis, title=title, grid=True))
     return Exhibit(
         numbers={"N": N, "random": random, "jittered": jittered, "frequencies": nu.size},
-        plots=(Plot(kind="closed-forms", panels=tuple(panels)),),
+        plots=(plot_of("closed-forms", *panels),),
         claims=(
             *(
                 Claim(

@@ -15,7 +15,7 @@ from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import ACCENT, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import GALLERY_FINDINGS, Claim, Exhibit
-from mcspectra.reproduction.panels import in_columns
+from mcspectra.reproduction.panels import in_columns, plot_of
 
 __all__ = ["exhibit"]
 
@@ -237,4 +237,4 @@ def _sizes() -> Plot:
     ticks = {float(d): str(int(d)) for d in dims}
     x = Axis(label="number of dims d", low=0.8, high=6.2, ticks=ticks)
     y = log_axis("numbers to store", 10.0, float(entries(6, 256)))
-    return Plot(kind="dimensionality", panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),))
+    return plot_of("dimensionality", Panel(marks=tuple(marks), x=x, y=y, grid=True))

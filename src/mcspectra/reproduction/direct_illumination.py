@@ -15,7 +15,7 @@ from mcspectra.plots.description import Dots, Panel, Pixels, Plot, Text
 from mcspectra.plots.style import ACCENT
 from mcspectra.rendering.files import encode_srgb
 from mcspectra.reproduction.claims import Claim, Exhibit, largest_distance, pixel_rate, rate_text
-from mcspectra.reproduction.panels import primary_panel, variance_panel
+from mcspectra.reproduction.panels import plot_of, primary_panel, variance_panel
 
 __all__ = ["exhibit"]
 
@@ -50,20 +50,19 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         },
         plots=(
             _scene(spp, seed),
-            Plot(
-                kind="direct-illumination-integrands",
-                panels=tuple(primary_panel(g, f"{p}, {_NAMES[s]}") for (p, s), g in f.items()),
+            plot_of(
+                "direct-illumination-integrands",
+                *(primary_panel(g, f"{p}, {_NAMES[s]}") for (p, s), g in f.items()),
             ),
-            Plot(
-                kind="direct-illumination",
-                panels=tuple(
+            plot_of(
+                "direct-illumination",
+                *(
                     variance_panel(
                         {sampler: curves[case, sampler] for sampler in SAMPLERS},
                         rates={sampler: _expected(case, sampler) for sampler in SAMPLERS},
                         relative=True,
                         title=f"{case[0]}, {_NAMES[case[1]]}",
                         x="number of samples N",
-                        y="variance / mean²",
                     )
                     for case in _CASES
                 ),

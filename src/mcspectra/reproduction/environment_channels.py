@@ -14,7 +14,7 @@ from mcspectra.plots.description import Axis, Line, Mark, Panel, Plot
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text
-from mcspectra.reproduction.panels import UNIT, variance_panel
+from mcspectra.reproduction.panels import UNIT, plot_of, variance_panel
 
 __all__ = ["exhibit"]
 
@@ -81,7 +81,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         },
         plots=(
             _map(),
-            Plot(kind="environment-channels", panels=tuple(panels)),
+            plot_of("environment-channels", *panels),
         ),
         claims=(
             *(_rate_of(way, c, curves[way], exact[way]) for way in _WAYS for c in range(3)),
@@ -176,9 +176,9 @@ def _map() -> Plot:
         ("x (place in the map)", "radiance"),
         *[("u (primary space)", "f/p (over its mean)")] * 2,
     ]
-    return Plot(
-        kind="environment-map",
-        panels=tuple(
+    return plot_of(
+        "environment-map",
+        *(
             Panel(
                 marks=tuple(each),
                 x=Axis(label=x, low=0.0, high=1.0, ticks=UNIT),

@@ -10,7 +10,7 @@ from mcspectra.plots.description import Axis, Dots, Line, Panel, Plot, Rule, Seg
 from mcspectra.plots.style import ACCENT, INK, sampler_styles
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured
-from mcspectra.reproduction.panels import square_panel
+from mcspectra.reproduction.panels import plot_of, square_panel
 
 __all__ = ["exhibit"]
 
@@ -43,7 +43,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         numbers={"integral": number(integral(), 4), "N": N, "means": means, "variances": variances},
         plots=(
             _combs(seed),
-            Plot(kind="points", panels=tuple(panels)),
+            plot_of("points", *panels),
         ),
         claims=(
             *(

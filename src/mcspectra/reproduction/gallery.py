@@ -339,10 +339,12 @@ def _section(entry: Entry) -> html.Section:
             formula = Markup(convert(" ".join(slide.formula.split()), display="block"))
             blocks.append(html.Text(text=formula, kind="formula"))
         blocks.append(html.Text(text=entry.exhibit.caption))
-        figures = [
-            html.Figure(plot=plot, name=_file_name(entry, plot)) for plot in entry.exhibit.plots
-        ]
-        blocks.append(html.Figures(figures=tuple(figures)))
+        plots = {slug(plot.kind): plot for plot in entry.exhibit.plots}
+        named = {
+            kind if kind.startswith(entry.name) else f"{entry.name}-{kind}": plot
+            for kind, plot in plots.items()
+        }
+        blocks += html.figures_of(named)
         columns = ("Statement", "Verdict", "Expected", "Measured", "95 % interval", "Note")
         rows = tuple(map(_row, entry.findings))
         blocks.append(html.Table(caption="", columns=columns, rows=rows, stacked=True))
@@ -354,11 +356,6 @@ def _section(entry: Entry) -> html.Section:
         beside=entry.tally,
         mark="no" if wrong else "yes",
     )
-
-
-def _file_name(entry: Entry, plot: Plot) -> str:
-    kind = slug(plot.kind)
-    return kind if kind.startswith(entry.name) else f"{entry.name}-{kind}"
 
 
 def _row(finding: Finding) -> tuple[html.Cell, ...]:

@@ -14,7 +14,7 @@ from mcspectra.plots.description import Plot
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured
-from mcspectra.reproduction.panels import in_columns, term_panel
+from mcspectra.reproduction.panels import in_columns, plot_of, term_panel
 
 __all__ = ["exhibit"]
 
@@ -90,9 +90,9 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         plots=(
             _matrices(1, line),
             _matrices(2, bell),
-            Plot(
-                kind="three-terms",
-                panels=tuple(
+            plot_of(
+                "three-terms",
+                *(
                     term_panel(data, 1e-5, title, "" if k % 3 else "terms · 10⁵")
                     for k, (title, data) in enumerate(shown.items())
                 ),

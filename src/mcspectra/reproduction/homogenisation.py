@@ -13,7 +13,7 @@ from mcspectra.plots.description import Axis, Dots, Panel, Plot, Segments
 from mcspectra.plots.style import ACCENT, FAINT, GRAY, INK, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, mean_and_error, normal_limit
-from mcspectra.reproduction.panels import UNIT
+from mcspectra.reproduction.panels import UNIT, plot_of
 
 __all__ = ["exhibit"]
 
@@ -87,7 +87,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         numbers={"N": N, "pair": _PAIR, "c0": c0, "c1": c1},
         plots=(
             _steps(seed),
-            Plot(kind="homogenisation-correlation", panels=tuple(panels)),
+            plot_of("homogenisation-correlation", *panels),
         ),
         claims=(
             Claim(
@@ -114,7 +114,18 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 expected=N * float(mcs.closed_form_covariance("jittered", N, *PAIRS[0]).real),
                 digits=4,
             ),
-            *(_correlated_after(name, pair[1]) for name, pair in pairs.items()),
+            *(
+                Claim(
+                    f"After a shift, coefficients of {name} points at different frequencies are not correlated: largest "
+                    f"|Cov(S_m, S_l)| of {len(PAIRS)} pairs, in standard errors.",
+                    distance,
+                    at_most=limit,
+                    shown=f"≤ {limit:.1f}",
+                    note="The limit is that of as many normal errors, real and imaginary, at the gallery's level.",
+                )
+                for name, (_, shifted) in pairs.items()
+                for distance, limit in [shifted.farthest()]
+            ),
             Claim(
                 "Points that are not random at all become so: ⟨S_m⟩ of a regular grid at its own frequency "
                 "m = (8, 0), 1 or −1 before the shift, is 0 after it (real part).",
@@ -155,18 +166,6 @@ def grid_mean(name: str, realizations: int, seed: int) -> Measured:
     return Measured.mean(_sums(x, np.array((8, 0))).real)
 
 
-def _correlated_after(name: str, after: Coefficients) -> Claim:
-    distance, limit = after.farthest()
-    return Claim(
-        f"After a shift, coefficients of {name} points at different frequencies are not correlated: largest "
-        f"|Cov(S_m, S_l)| of {len(PAIRS)} pairs, in standard errors.",
-        distance,
-        at_most=limit,
-        shown=f"≤ {limit:.1f}",
-        note="The limit is that of as many normal errors, real and imaginary, at the gallery's level.",
-    )
-
-
 def _steps(seed: int) -> Plot:
     x = mcs.sampler("jittered", 2).draw(16, rng=seed)[0]
     move = np.array([0.42, 0.3])
@@ -204,4 +203,4 @@ def _steps(seed: int) -> Plot:
                 square=True,
             )
         )
-    return Plot(kind="homogenisation-steps", panels=tuple(panels))
+    return plot_of("homogenisation-steps", *panels)

@@ -10,10 +10,9 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Plot
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text
-from mcspectra.reproduction.panels import variance_panel
+from mcspectra.reproduction.panels import plot_of, variance_panel
 
 __all__ = ["exhibit"]
 
@@ -62,9 +61,9 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     return Exhibit(
         numbers={"each": each, "a": a, "b": b},
         plots=(
-            Plot(
-                kind="homogenisation-convergence",
-                panels=tuple(
+            plot_of(
+                "homogenisation-convergence",
+                *(
                     variance_panel(curves[case], exact=known[case], title=case.title)
                     for case in curves
                 ),

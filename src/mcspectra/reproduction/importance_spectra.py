@@ -9,7 +9,7 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Dots, Mark, Panel, Plot, Rule, Scale
+from mcspectra.plots.description import Dots, Mark, Panel, Rule, Scale
 from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
@@ -17,6 +17,7 @@ from mcspectra.reproduction.claims import Claim, Exhibit, Measured
 from mcspectra.reproduction.panels import (
     at_ring,
     frequency_panel,
+    plot_of,
     ring_mean,
     square_panel,
     whiskers,
@@ -37,11 +38,27 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     realizations = 300 if quick else 3000
     spectra = {name: spectrum(name, realizations, seed) for name in SAMPLERS}
     rings = [
-        _ring_level(name, spectra[name], ring)
-        for name in ("random", "jittered")
+        Claim(
+            f"N⟨|S_m|²⟩ of {name} importance samples, the mean over |m| ≈ {ring}, is {what}.",
+            at_ring(spectra[name], ring, N),
+            expected=_closed_ring(name, ring),
+            digits=4,
+        )
+        for name, what in (("random", "∫1/p"), ("jittered", "that of the closed form"))
         for ring in (1, HALF_WIDTH)
     ]
-    dc = [_dc_component(name, realizations, seed) for name in ("random", "jittered")]
+
+    # S_0 is the mean of 1/p; its variance against the closed form
+    zero, many = np.zeros((1, 2)), 4 * realizations
+    dc = [
+        Claim(
+            f"The component at m = 0 of {name} importance samples varies: N Var(S₀) is that of the closed form.",
+            Measured.mean(N * (sums(name, many, seed, weighted=True)[:, 0].real - 1.0) ** 2),
+            expected=N * float(mcs.closed_form_covariance(name, N, zero, zero, DENSITY).real[0]),
+            digits=4,
+        )
+        for name in ("random", "jittered")
+    ]
     low, high, dc_random, dc_jittered = (number(claim.value) for claim in (*rings[2:], *dc))
 
     # Draw points above the images of their spectra, and spectra against |m|
@@ -71,19 +88,15 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "realizations": realizations,
         },
         plots=(
-            Plot(
-                kind="importance-spectra",
-                panels=(
-                    *points,
-                    *(
-                        frequency_panel(N * d["power"].values, scale, "", y=not k)
-                        for k, d in enumerate(spectra.values())
-                    ),
+            plot_of(
+                "importance-spectra",
+                *points,
+                *(
+                    frequency_panel(N * d["power"].values, scale, "", y=not k)
+                    for k, d in enumerate(spectra.values())
                 ),
             ),
-            Plot(
-                kind="importance-radial", panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),)
-            ),
+            plot_of("importance-radial", Panel(marks=tuple(marks), x=x, y=y, grid=True)),
         ),
         claims=(
             *rings,
@@ -125,28 +138,6 @@ def spectrum(name: str, realizations: int, seed: int) -> xr.Dataset:
 
 def _closed_ring(name: str, ring: int) -> float:
     return N * ring_mean(lambda m: mcs.closed_form_power(name, N, m, DENSITY), HALF_WIDTH, ring)
-
-
-def _ring_level(name: str, data: xr.Dataset, ring: int) -> Claim:
-    what = "∫1/p" if name == "random" else "that of the closed form"
-    return Claim(
-        f"N⟨|S_m|²⟩ of {name} importance samples, the mean over |m| ≈ {ring}, is {what}.",
-        at_ring(data, ring, N),
-        expected=_closed_ring(name, ring),
-        digits=4,
-    )
-
-
-def _dc_component(name: str, realizations: int, seed: int) -> Claim:
-    """S_0 is the mean of 1/p; its variance against the closed form."""
-    squares = N * (sums(name, realizations * 4, seed, weighted=True)[:, 0].real - 1.0) ** 2
-    zero = np.zeros((1, 2))
-    return Claim(
-        f"The component at m = 0 of {name} importance samples varies: N Var(S₀) is that of the closed form.",
-        Measured.mean(squares),
-        expected=N * float(mcs.closed_form_covariance(name, N, zero, zero, DENSITY).real[0]),
-        digits=4,
-    )
 
 
 def sums(name: str, realizations: int, seed: int, *, weighted: bool) -> Array:

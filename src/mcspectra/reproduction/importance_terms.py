@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, final
+from typing import final
 
 import numpy as np
 import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Plot
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured
-from mcspectra.reproduction.panels import term_panel
+from mcspectra.reproduction.panels import plot_of, term_panel
 
 __all__ = ["exhibit"]
 
@@ -55,13 +54,10 @@ class Case:
 
     def terms(self, realizations: int, seed: int) -> xr.Dataset:
         """The terms, with half widths that the function needs."""
-        half_width = _MANY if self.function in ("line", "bar") else _FEW
-        options: dict[str, Any] = {
-            "half_width": half_width,
-            "realizations": realizations,
-            "rng": seed,
-        }
-        return mcs.variance_terms(self.estimator, self.sampler, N, **options)
+        wide = _MANY if self.function in ("line", "bar") else _FEW
+        return mcs.variance_terms(
+            self.estimator, self.sampler, N, half_width=wide, realizations=realizations, rng=seed
+        )
 
     def exact_random(self) -> tuple[float, float, float]:
         """The three terms of random points: means over the domain, periodic, so that midpoints are exact.
@@ -122,9 +118,9 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "N": N,
         },
         plots=(
-            Plot(
-                kind="importance-terms",
-                panels=tuple(
+            plot_of(
+                "importance-terms",
+                *(
                     term_panel(data, 1e-3, case.title, "" if k % 3 else "terms · 10³")
                     for k, (case, data) in enumerate(of.items())
                 ),

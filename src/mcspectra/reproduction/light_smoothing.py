@@ -8,12 +8,12 @@ import numpy as np
 import xarray as xr
 
 import mcspectra as mcs
-from mcspectra.plots.description import Line, Mark, Panel, Plot, Rule
+from mcspectra.plots.description import Line, Mark, Panel, Rule
 from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, pixel_rate, rate_text
-from mcspectra.reproduction.panels import primary_panel, variance_panel, whiskers
+from mcspectra.reproduction.panels import plot_of, primary_panel, variance_panel, whiskers
 
 __all__ = ["exhibit"]
 
@@ -45,7 +45,6 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         relative=True,
         title="BSDF sampling at P, jittered",
         x="number of samples N",
-        y="variance / mean²",
     )
     widths, marks = np.array(WIDTHS[1:]), list[Mark]()
     for k, n in enumerate(BUDGETS):
@@ -65,12 +64,11 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     return Exhibit(
         numbers={"sharp": sharp, "smooth": smooth, "best": best, "radius": RADIUS},
         plots=(
-            Plot(
-                kind="smoothed-light",
-                panels=tuple(primary_panel(g, f"{name} edge") for name, g in pixels.items()),
+            plot_of(
+                "smoothed-light", *(primary_panel(g, f"{name} edge") for name, g in pixels.items())
             ),
-            Plot(kind="light-smoothing", panels=(panel,)),
-            Plot(kind="smoothing-widths", panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),)),
+            plot_of("light-smoothing", panel),
+            plot_of("smoothing-widths", Panel(marks=tuple(marks), x=x, y=y, grid=True)),
         ),
         claims=(
             *(

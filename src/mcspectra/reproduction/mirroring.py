@@ -33,7 +33,7 @@ from mcspectra.plots.description import (
 from mcspectra.plots.style import ACCENT, INK, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text
-from mcspectra.reproduction.panels import AXES, square_panel, strata, variance_panel
+from mcspectra.reproduction.panels import AXES, plot_of, square_panel, strata, variance_panel
 
 __all__ = ["exhibit"]
 
@@ -101,8 +101,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         },
         plots=(
             _integrands(),
-            Plot(kind="mirrored-samples", panels=tuple(panels)),
-            Plot(kind="mirroring-convergence", panels=tuple(curves)),
+            plot_of("mirrored-samples", *panels),
+            plot_of("mirroring-convergence", *curves),
         ),
         claims=(
             *(

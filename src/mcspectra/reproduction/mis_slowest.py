@@ -10,7 +10,6 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Plot
 from mcspectra.reproduction.claims import (
     Claim,
     Exhibit,
@@ -19,7 +18,7 @@ from mcspectra.reproduction.claims import (
     pixel_rate,
     rate_text,
 )
-from mcspectra.reproduction.panels import variance_panel
+from mcspectra.reproduction.panels import plot_of, variance_panel
 
 __all__ = ["exhibit"]
 
@@ -51,29 +50,26 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     return Exhibit(
         numbers={"rates": rates},
         plots=(
-            Plot(
-                kind="mis-slowest",
-                panels=tuple(
+            plot_of(
+                "mis-slowest",
+                *(
                     variance_panel(
                         {name: found.isel(estimator=i) for i, name in enumerate(_RATES)},
                         rates=_RATES,
                         relative=True,
                         title=_WHERE[where],
                         x="samples N of each technique",
-                        y="variance / mean²",
                     )
                     for where, found in pixels.items()
                 ),
             ),
-            Plot(
-                kind="toy-techniques",
-                panels=(
-                    variance_panel(
-                        toy,
-                        exact=known,
-                        title="two techniques and their sum",
-                        x="number of points N of each technique",
-                    ),
+            plot_of(
+                "toy-techniques",
+                variance_panel(
+                    toy,
+                    exact=known,
+                    title="two techniques and their sum",
+                    x="number of points N of each technique",
                 ),
             ),
         ),

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.estimators.moments import CONFIDENCE_Z
-from mcspectra.plots.description import Axis, Line, Mark, Panel, Plot
+from mcspectra.plots.description import Axis, Line, Mark, Panel
 from mcspectra.plots.style import PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, largest_distance
-from mcspectra.reproduction.panels import interval_panel, whiskers
+from mcspectra.reproduction.panels import interval_panel, plot_of, whiskers
 
 __all__ = ["exhibit"]
 
@@ -54,12 +52,10 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     return Exhibit(
         numbers={"N": N, "both": both},
         plots=(
-            Plot(kind="pair-correlation", panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),)),
-            Plot(
-                kind="variance-from-pairs",
-                panels=(
-                    interval_panel(rows, ("from pairs", "measured"), "variance of I_N, times 10⁴"),
-                ),
+            plot_of("pair-correlation", Panel(marks=tuple(marks), x=x, y=y, grid=True)),
+            plot_of(
+                "variance-from-pairs",
+                interval_panel(rows, ("from pairs", "measured"), "variance of I_N, times 10⁴"),
             ),
         ),
         claims=(
@@ -75,7 +71,17 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 12 * n**3 * value - 1,
                 at_most=1e-6,
             ),
-            *(_known_pairs(name) for name in ("random", "jittered")),
+            *(
+                Claim(
+                    f"From the known pairs of {name} points the variance of exp(−x² − y²) is that of quadrature: relative "
+                    "difference.",
+                    float(mcs.variance_from_pair_correlation(_SMOOTH, name, N)["variance"])
+                    / float(mcs.exact_variance(_SMOOTH, name, N))
+                    - 1,
+                    at_most=1e-5,
+                )
+                for name in ("random", "jittered")
+            ),
             *(_counted_pairs(name, *pair) for name, pair in variances.items()),
             Claim(
                 "From counted pairs of jittered | shift points the variance is that of quadrature.",
@@ -89,13 +95,10 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 def count_pairs(name: str, realizations: int, seed: int) -> xr.Dataset:
     """Pairs of points in the plane by their distance."""
-    options: dict[str, Any] = {
-        "bins": 60,
-        "realizations": realizations,
-        "rng": seed,
-        "max_distance": 0.4,
-    }
-    return mcs.pair_correlation(mcs.sampler(name, 2), N, **options)
+    points = mcs.sampler(name, 2)
+    return mcs.pair_correlation(
+        points, N, bins=60, max_distance=0.4, realizations=realizations, rng=seed
+    )
 
 
 def routes(name: str, realizations: int, seed: int) -> tuple[Measured, Measured]:
@@ -136,16 +139,6 @@ def _transformed(name: str) -> Claim:
         "difference of N⟨|S_m|²⟩.",
         float(np.abs(found - n * mcs.closed_form_power(name, n, m[:, None])).max()),
         at_most=1e-11,
-    )
-
-
-def _known_pairs(name: str) -> Claim:
-    value = float(mcs.variance_from_pair_correlation(_SMOOTH, name, N)["variance"])
-    return Claim(
-        f"From the known pairs of {name} points the variance of exp(−x² − y²) is that of quadrature: relative "
-        "difference.",
-        value / float(mcs.exact_variance(_SMOOTH, name, N)) - 1,
-        at_most=1e-5,
     )
 
 

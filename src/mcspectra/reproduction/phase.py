@@ -13,7 +13,7 @@ from mcspectra.plots.description import Axis, Line, Mark, Panel, Plot, Rule
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text
-from mcspectra.reproduction.panels import variance_panel, whiskers
+from mcspectra.reproduction.panels import plot_of, variance_panel, whiskers
 
 __all__ = ["exhibit"]
 
@@ -84,15 +84,13 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "half_width": HALF_WIDTH,
         },
         plots=(
-            Plot(
-                kind="phase-offsets",
-                panels=(Panel(marks=tuple(marks), x=x, y=Axis(label="terms · 10³"), grid=True),),
+            plot_of(
+                "phase-offsets",
+                Panel(marks=tuple(marks), x=x, y=Axis(label="terms · 10³"), grid=True),
             ),
-            Plot(
-                kind="phase-convergence",
-                panels=(
-                    variance_panel(shown, exact=exact, title="bar and cosine, jittered points"),
-                ),
+            plot_of(
+                "phase-convergence",
+                variance_panel(shown, exact=exact, title="bar and cosine, jittered points"),
             ),
             _functions(),
         ),
@@ -261,4 +259,4 @@ def _functions() -> Plot:
                 grid=True,
             )
         )
-    return Plot(kind="phase-functions", panels=tuple(panels))
+    return plot_of("phase-functions", *panels)

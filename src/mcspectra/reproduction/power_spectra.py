@@ -8,11 +8,11 @@ import numpy as np
 import xarray as xr
 
 import mcspectra as mcs
-from mcspectra.plots.description import Plot, Scale
+from mcspectra.plots.description import Scale
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured
-from mcspectra.reproduction.panels import at_ring, frequency_panel, ring_mean
+from mcspectra.reproduction.panels import at_ring, frequency_panel, plot_of, ring_mean
 
 __all__ = ["exhibit"]
 
@@ -59,9 +59,9 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "realizations": realizations,
         },
         plots=(
-            Plot(
-                kind="power-spectra",
-                panels=tuple(
+            plot_of(
+                "power-spectra",
+                *(
                     frequency_panel(N * data[name]["power"].values, scale, f"{name}, {what}")
                     for data, what in ((single, "one set"), (expected, "expected"))
                     for name in SAMPLERS

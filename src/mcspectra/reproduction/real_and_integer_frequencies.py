@@ -15,12 +15,12 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, Plot
+from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel
 from mcspectra.plots.scales import count_axis, log_axis
 from mcspectra.plots.style import ACCENT, INK, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text
-from mcspectra.reproduction.panels import whiskers
+from mcspectra.reproduction.panels import plot_of, whiskers
 
 __all__ = ["exhibit"]
 
@@ -75,8 +75,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     return Exhibit(
         numbers={"rates": rates, "levels": levels},
         plots=(
-            Plot(kind="real-and-integer-frequencies", panels=tuple(panels)),
-            Plot(kind="spectrum", panels=(Panel(marks=tuple(power), x=x, y=y_axis, grid=True),)),
+            plot_of("real-and-integer-frequencies", *panels),
+            plot_of("spectrum", Panel(marks=tuple(power), x=x, y=y_axis, grid=True)),
         ),
         claims=(
             *(

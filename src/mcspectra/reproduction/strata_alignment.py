@@ -11,7 +11,7 @@ from mcspectra.plots.description import Image, Line, Plot, Scale
 from mcspectra.plots.style import INK
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text, slope
-from mcspectra.reproduction.panels import square_panel, strata, variance_panel
+from mcspectra.reproduction.panels import plot_of, square_panel, strata, variance_panel
 
 __all__ = ["exhibit"]
 
@@ -45,12 +45,10 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         numbers={"a": a, "b": b, "c": c, "d": d},
         plots=(
             _strata(),
-            Plot(
-                kind="strata-alignment-convergence",
-                panels=(
-                    variance_panel(plain, exact=references, title="jittered", limits=limits),
-                    variance_panel(shifted, exact=after, title="jittered | shift", limits=limits),
-                ),
+            plot_of(
+                "strata-alignment-convergence",
+                variance_panel(plain, exact=references, title="jittered", limits=limits),
+                variance_panel(shifted, exact=after, title="jittered | shift", limits=limits),
             ),
         ),
         claims=(
@@ -161,4 +159,4 @@ def _strata() -> Plot:
                 title,
             )
         )
-    return Plot(kind="strata-alignment", panels=tuple(panels))
+    return plot_of("strata-alignment", *panels)

@@ -7,11 +7,11 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Plot, Scale
+from mcspectra.plots.description import Scale
 from mcspectra.plots.scales import log_scale
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, judge, rate_claim, slope
-from mcspectra.reproduction.panels import frequency_panel, interval_panel
+from mcspectra.reproduction.panels import frequency_panel, interval_panel, plot_of
 
 __all__ = ["exhibit"]
 
@@ -63,24 +63,17 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     return Exhibit(
         numbers={"each": each, "density": DENSITY, "missed": number(missed), "N": N},
         plots=(
-            Plot(
-                kind="variance-integral",
-                panels=(
-                    *(
-                        frequency_panel(N * each / bell_power, above, f"⟨P_S⟩, {name}")
-                        for name, each in products.items()
-                    ),
-                    *(
-                        frequency_panel(1e6 * each, below, "⟨P_S⟩ × P_f")
-                        for each in products.values()
-                    ),
+            plot_of(
+                "variance-integral",
+                *(
+                    frequency_panel(N * each / bell_power, above, f"⟨P_S⟩, {name}")
+                    for name, each in products.items()
                 ),
+                *(frequency_panel(1e6 * each, below, "⟨P_S⟩ × P_f") for each in products.values()),
             ),
-            Plot(
-                kind="ratio",
-                panels=(
-                    interval_panel({name: [each] for name, each in shown.items()}, [""], x, at=1.0),
-                ),
+            plot_of(
+                "ratio",
+                interval_panel({name: [each] for name, each in shown.items()}, [""], x, at=1.0),
             ),
         ),
         claims=(

@@ -24,6 +24,7 @@ from mcspectra.plots.style import INK
 from mcspectra.plots.text import number
 from mcspectra.rendering.files import encode_srgb
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, mean_and_error
+from mcspectra.reproduction.panels import plot_of
 
 __all__ = ["exhibit"]
 
@@ -91,9 +92,9 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "repeats": len(renders.repeats["light"]),
         },
         plots=(
-            Plot(
-                kind="veach-pictures",
-                panels=tuple(
+            plot_of(
+                "veach-pictures",
+                *(
                     Panel(
                         marks=(Pixels(rgb=np.round(255 * encode_srgb(image)).astype(np.uint8)),),
                         title=title,
