@@ -68,8 +68,11 @@ def page(evil: str = EVIL, live: bool = False) -> Page:
         Figures(figures=(Figure(plot=plot(), name="a-line", live=live),)),
     )
     first = Section(title=evil, anchor="a", blocks=blocks, beside=evil, mark="no", fresh=True)
-    second = Section(title="b", anchor="b", blocks=(), code=True)
-    return Page(title=evil, what="test", lead=(Text(text=evil),), sections=(first, second))
+    second = Section(title="b", anchor="b", blocks=(Text(text="b"),), code=True)
+    left_out = Section(title="c", anchor="c", blocks=())
+    return Page(
+        title=evil, what="test", lead=(Text(text=evil),), sections=(first, second, left_out)
+    )
 
 
 def test_regions_have_distinct_labels(tmp_path: Path) -> None:

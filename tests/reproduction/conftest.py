@@ -1,13 +1,17 @@
-"""What holds of every exhibit."""
+"""What holds of every exhibit, and an exhibit of something else."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import ModuleType
+from typing import Any
 
 import pytest
 
 from mcspectra.plots import backend_bokeh, backend_matplotlib
 from mcspectra.reproduction.claims import Exhibit
+
+Disagreeing = Callable[..., list[int]]
 
 
 @pytest.fixture(scope="session", name="sound")
@@ -24,3 +28,16 @@ def _sound() -> Callable[[Exhibit], None]:
             backend_matplotlib.draw(plot)
 
     return check
+
+
+@pytest.fixture(name="disagreeing")
+def _disagreeing(monkeypatch: pytest.MonkeyPatch) -> Disagreeing:
+    """Make an exhibit with others in place of names of its module: the findings that disagree."""
+
+    def made(module: ModuleType, **others: Any) -> list[int]:
+        for name, other in others.items():
+            monkeypatch.setattr(module, name, other)
+        found = module.exhibit(quick=True, seed=1).findings
+        return [place for place, finding in enumerate(found) if finding.agrees is False]
+
+    return made

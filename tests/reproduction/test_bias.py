@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from tests.reproduction.conftest import Disagreeing
 
 from mcspectra.reproduction import bias
 from mcspectra.reproduction.claims import (
@@ -26,24 +29,21 @@ def test_bias_of_boxes_by_quadrature(width: float) -> None:
     assert bias.box_bias(n, width) == pytest.approx(np.mean(means) - 1 / 3, abs=1e-14)
 
 
-def test_sets_with_means_disagree() -> None:
-    for name in (bias.BOXES, bias.BOUNDED):
-        assert judge(bias._no_mean(name, bias.sums(name, 2000, 1, bias.DENSITY))).agrees is False
-    random = bias.sums("random", 500, 1, bias.DENSITY)
-    assert judge(bias._no_mean("weights twice too large", 2.0 * random)).agrees is False
+def test_other_sets_and_another_width_disagree(disagreeing: Disagreeing) -> None:
+    """Sets with a mean in place of those without, bounded ones and toroidal ones swapped."""
+    right = bias.sums
+    others = {
+        "jittered": bias.BOXES,
+        "sobol | owen": bias.BOUNDED,
+        bias.BOUNDED: "poisson-disk",
+        "poisson-disk": bias.BOUNDED,
+    }
 
+    def wrong(name: str, _: int, *rest: Any) -> Any:
+        weights = 2.0 if name == "random" else 1.0
+        return weights * right(others.get(name, name), 2000, *rest)
 
-def test_toroidal_and_bounded_sets_are_told_apart() -> None:
-    bounded, toroidal = (bias.sums(name, 2000, 1) for name in (bias.BOUNDED, "poisson-disk"))
-    assert judge(bias._bounded_border(toroidal)).agrees is False
-    assert judge(bias._toroidal_border(bounded)).agrees is False
-
-
-def test_another_width_disagrees(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bias, "WIDTH", 0.6)
-    found = bias.sums(bias.BOXES, 2000, 1)
-    assert judge(bias._box_mean(found)).agrees is False
-    assert judge(bias._summed_bias()).agrees is False  # of a width that is fixed in box_bias
+    assert disagreeing(bias, sums=wrong, WIDTH=0.6) == [0, 1, 2, 3, 4, 5, 7]
 
 
 def test_the_limit_of_many_normal_errors() -> None:

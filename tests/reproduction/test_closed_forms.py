@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
+from tests.reproduction.conftest import Disagreeing
 
 from mcspectra.reproduction import closed_forms
 from mcspectra.reproduction.claims import judge, largest_distance
@@ -17,15 +17,11 @@ def test_the_limit_holds_for_all_frequencies_and_findings_at_once() -> None:
     assert beyond <= 2 + 4 * np.sqrt(2)  # a mean of 4000 · 0.00051 = 2, Poisson
 
 
-def test_a_power_that_is_off_disagrees() -> None:
-    nu = np.array([1.0, 2.5, 3.0])
-    data = closed_forms.simulate("jittered", nu, 2000, 1)
-    assert judge(closed_forms._agrees_with_simulation("jittered", data, nu)).agrees is True
-    assert judge(closed_forms._agrees_with_simulation("random", data, nu)).agrees is False
-
-
-def test_another_formula_disagrees(monkeypatch: pytest.MonkeyPatch) -> None:
-    right = closed_forms.printed
-    monkeypatch.setattr(closed_forms, "printed", lambda name, m: right(name, 1.0001 * m))
-    assert judge(closed_forms._as_printed("jittered")).agrees is False
-    assert judge(closed_forms._as_printed("random")).agrees is False
+def test_another_sampler_and_another_formula_disagree(disagreeing: Disagreeing) -> None:
+    simulate, printed = closed_forms.simulate, closed_forms.printed
+    swapped = {"random": "jittered", "jittered": "random"}
+    assert disagreeing(
+        closed_forms,
+        simulate=lambda name, nu, _, seed: simulate(swapped[name], nu, 2000, seed),
+        printed=lambda name, m: printed(name, 1.0001 * m),
+    ) == [0, 1, 2, 3]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
+from tests.reproduction.conftest import Disagreeing
 
 from mcspectra.integrands.registry import integrand
 from mcspectra.reproduction import dimensionality as module
-from mcspectra.reproduction.claims import judge
 
 
 def test_entries_count_pairs_of_frequencies() -> None:
@@ -29,22 +31,18 @@ def test_bands_carry_the_names_of_their_subsets() -> None:
     assert ones == sorted(ones), names
 
 
-def test_maps_that_are_off_disagree() -> None:
-    data = module.bell_terms("jittered", 2, module.SMALL[2], 20, 1, matrix=True)
-    assert judge(module._map_is_row_sums(2, data)).agrees is True
-    wrong = data.assign(
-        contribution=data["contribution"] * 1.001, band_covariance=2 * data["band_covariance"]
-    )
-    assert judge(module._map_is_row_sums(2, wrong)).agrees is False
-    assert judge(module._bands_are_blocks(2, wrong)).agrees is False
-    assert judge(module._map_sums(2, wrong)).agrees is False
-    assert judge(module._map_holds_the_third({2: wrong})).agrees is False
+def test_maps_that_are_off_and_bands_of_another_sampler_disagree(disagreeing: Disagreeing) -> None:
+    right = module.bell_terms
 
+    def wrong(name: str, dims: int, size: Any, _: int, seed: int, *, matrix: bool = False) -> Any:
+        if name != "jittered":
+            return right("latin-hypercube", dims, size, 100, seed)
+        data = right(name, dims, size, 20, seed, matrix=matrix)
+        return data.assign(
+            contribution=data["contribution"] * 1.001, band_covariance=2 * data["band_covariance"]
+        )
 
-def test_other_samplers_have_other_bands() -> None:
-    data = module.bell_terms("latin-hypercube", 3, module.RUNS[3], 100, 1)
-    assert judge(module._anova(data)).agrees is False
-    assert judge(module._main_effects(dict.fromkeys(module.SAMPLERS, data))).agrees is False
+    assert disagreeing(module, bell_terms=wrong) == list(range(2, 13))
 
 
 def test_the_components_are_those_of_the_product() -> None:

@@ -7,9 +7,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from tests.reproduction.conftest import Disagreeing
 
 from mcspectra.reproduction import estimator
-from mcspectra.reproduction.claims import Exhibit, judge
+from mcspectra.reproduction.claims import Exhibit
 from mcspectra.reproduction.gallery import make_exhibit
 
 
@@ -43,6 +44,5 @@ def test_a_wrong_integral_disagrees(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [f.agrees for f in found[:3]] == [False] * 3
 
 
-def test_weights_without_the_density_disagree(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(estimator, "pdf", lambda x: 1.02 * np.ones_like(x))
-    assert judge(estimator._weights_sum_to_one(1000, 1)).agrees is False
+def test_weights_without_the_density_disagree(disagreeing: Disagreeing) -> None:
+    assert disagreeing(estimator, pdf=lambda x: 1.02 * np.ones_like(x)) == [6]

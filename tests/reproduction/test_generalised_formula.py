@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any
 
-from mcspectra.integrands.registry import integrand
+import numpy as np
+from tests.reproduction.conftest import Disagreeing
+
 from mcspectra.reproduction import generalised_formula as module
-from mcspectra.reproduction.claims import judge
 
 
 def test_a_matrix_is_split_into_its_terms() -> None:
@@ -14,23 +15,28 @@ def test_a_matrix_is_split_into_its_terms() -> None:
     assert module.split(matrix) == (4.0, 8.0, 24.0)
 
 
-def test_terms_of_another_sampler_disagree() -> None:
-    data = module.terms(integrand("linear", 1), "random", 400, 1)
-    assert judge(module._line_terms(data)[0]).agrees is False
-    jittered = module.terms(integrand("linear", 1), "jittered", 400, 1)
-    assert judge(module._only_power(jittered)).agrees is False
+def test_terms_of_another_sampler_disagree(disagreeing: Disagreeing) -> None:
+    right = module.terms
+    swapped = {"random": "jittered", "jittered": "random", "sobol | owen": "random"}
+
+    def wrong(f: Any, sampler: str, _: int, seed: int) -> Any:
+        return right(f, swapped[sampler], 400, seed)
+
+    assert disagreeing(module, terms=wrong) == [2, 6, 7, 8, 11]
 
 
-def test_without_a_term_the_sum_is_not_the_variance() -> None:
-    data = module.terms(integrand("linear", 1), "jittered", 100, 1)
-    assert judge(module._sum_is_variance([data])).agrees is True
-    short = data.assign(predicted_variance=data["predicted_variance"] - data["cross_term"])
-    assert judge(module._sum_is_variance([short])).agrees is False
+def test_a_sum_without_a_term_and_a_matrix_that_is_not_hermitian_disagree(
+    disagreeing: Disagreeing,
+) -> None:
+    right = module.terms
 
+    def wrong(f: Any, sampler: str, _: int, seed: int) -> Any:
+        data = right(f, sampler, 100, seed)
+        if sampler != "jittered":
+            return data
+        matrix = data["cross_matrix"].copy()
+        matrix[0, 1] += 1e-6j
+        short = data["predicted_variance"] - data["cross_term"]
+        return data.assign(predicted_variance=short, cross_matrix=matrix)
 
-def test_a_matrix_that_is_not_hermitian_disagrees() -> None:
-    data = module.terms(integrand("linear", 1), "jittered", 100, 1)
-    matrix = data["cross_matrix"].copy()
-    matrix[0, 1] += 1e-6j
-    assert judge(module._third_is_real([data])).agrees is True
-    assert judge(module._third_is_real([data.assign(cross_matrix=matrix)])).agrees is False
+    assert disagreeing(module, terms=wrong)[:2] == [0, 1]

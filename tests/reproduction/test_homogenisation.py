@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.reproduction.conftest import Disagreeing
 
 from mcspectra.reproduction import homogenisation
-from mcspectra.reproduction.claims import judge
 from mcspectra.reproduction.homogenisation import PAIRS, Coefficients, before_and_after, grid_mean
 from mcspectra.spectra.closed_forms import closed_form_covariance
 
 
-def test_points_that_are_not_shifted_disagree() -> None:
-    before, _ = before_and_after("jittered", 2000, 1)
-    assert judge(homogenisation._correlated_after("jittered", before)).agrees is False
-
-
-def test_shifted_points_are_not_those_of_the_closed_form() -> None:
-    _, after = before_and_after("jittered", 2000, 1)
-    assert judge(homogenisation._correlated_before(after)).agrees is False
+def test_points_before_and_after_the_shift_swapped_disagree(disagreeing: Disagreeing) -> None:
+    right = before_and_after
+    swapped = lambda name, _, seed: right(name, 2000, seed)[::-1]
+    assert disagreeing(homogenisation, before_and_after=swapped)[:2] == [3, 4]
 
 
 def test_a_grid_that_is_not_shifted_has_a_mean() -> None:

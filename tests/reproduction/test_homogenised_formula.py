@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
+from tests.reproduction.conftest import Disagreeing
 
 from mcspectra.integrands.registry import integrand
 from mcspectra.reproduction import homogenised_formula as module
-from mcspectra.reproduction.claims import judge
 
 
-def test_points_that_are_not_shifted_disagree() -> None:
-    data = module.terms("jittered", 1000, 2)
-    assert judge(module._no_third("jittered", data)).agrees is False
-    assert judge(module._all_of_it("jittered", data)).agrees is False
+def test_shifted_points_and_others_swapped_disagree(disagreeing: Disagreeing) -> None:
+    right = module.terms
 
+    def swapped(name: str, _: int, seed: int) -> Any:
+        other = name.removesuffix(" | shift") if "shift" in name else f"{name} | shift"
+        return right(other, 1000, seed)
 
-def test_shifted_points_are_not_above() -> None:
-    assert judge(module._more_than_all(module.terms("jittered | shift", 1000, 2))).agrees is False
+    assert {2, 6, 12} <= set(disagreeing(module, terms=swapped))
 
 
 def test_what_is_cut_off_is_the_power_beyond() -> None:

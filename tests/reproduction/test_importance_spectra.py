@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from tests.reproduction.conftest import Disagreeing
 
 import mcspectra as mcs
 from mcspectra.reproduction import importance_spectra as spectra
-from mcspectra.reproduction.claims import judge
 
 
 def test_the_level_by_quadrature() -> None:
@@ -23,16 +23,15 @@ def test_the_coefficient_of_the_density_by_quadrature() -> None:
     assert abs(sine) == pytest.approx(spectra.SLOPE / (2 * np.pi), rel=1e-10)
 
 
-def test_spectra_of_another_sampler_disagree() -> None:
-    jittered, random = (spectra.spectrum(name, 100, 1) for name in ("jittered", "random"))
-    assert judge(spectra._ring_level("random", jittered, 1)).agrees is False
-    assert judge(spectra._ring_level("jittered", random, 1)).agrees is False
-    assert judge(spectra._below_random(random)).agrees is False
-    assert judge(spectra._below_random(jittered)).agrees is False
-
-
-def test_weights_matter(monkeypatch: pytest.MonkeyPatch) -> None:
-    right = spectra.sums
-    monkeypatch.setattr(spectra, "sums", lambda *a, weighted: right(*a, weighted=not weighted))
-    assert judge(spectra._without_weights(300, 1)).agrees is False
-    assert judge(spectra._dc_component("random", 100, 1)).agrees is False
+def test_spectra_of_another_sampler_and_sums_without_weights_disagree(
+    disagreeing: Disagreeing,
+) -> None:
+    spectrum, sums = spectra.spectrum, spectra.sums
+    others = {"random": "jittered", "jittered": "random", "poisson-disk": "random"}
+    assert {0, 2, 4, 5, 6, 9} <= set(
+        disagreeing(
+            spectra,
+            spectrum=lambda name, _, seed: spectrum(others[name], 100, seed),
+            sums=lambda *a, weighted: sums(*a, weighted=not weighted),
+        )
+    )

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from tests.reproduction.conftest import Disagreeing
 
 from mcspectra.plots.description import Text
 from mcspectra.reproduction import importance_terms as module
-from mcspectra.reproduction.claims import judge
 from mcspectra.reproduction.panels import term_panel
 from mcspectra.variance.exact import exact_variance
 
@@ -36,27 +39,27 @@ def test_the_third_term_of_the_bar_is_what_a_shift_takes_away() -> None:
     assert gap == pytest.approx(1 / (6 * module.N**2), rel=1e-6)
 
 
-def test_other_cases_disagree() -> None:
-    of = {case: case.terms(300, 1) for case in (module.GOOD, module.BAD, module.LINE)}
-    swapped = {module.GOOD: of[module.BAD], module.BAD: of[module.GOOD]}
-    assert [judge(claim).agrees for claim in module._predictions(swapped)] == [False, False]
-    assert judge(module._negative("", of[module.BAD])).agrees is False
-    assert judge(module._shift_removes(of[module.LINE])).agrees is False
-    assert judge(module._bar_adds(of[module.LINE])).agrees is False
-    assert judge(module._all_first(of[module.GOOD])).agrees is False
-    assert judge(module._crucial(module.BAD, of[module.BAD])).agrees is False
+def test_other_cases_and_a_second_term_that_may_be_zero_disagree(
+    disagreeing: Disagreeing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    right = module.Case.terms
+    others = {
+        module.GOOD: module.BAD,
+        module.BAD: module.GOOD,
+        module.BAR: module.LINE,
+        module.FLAT: module.GOOD,
+        module.STRATIFIED: module.BAD,
+    }
 
+    def wrong(case: module.Case, _: int, seed: int) -> Any:
+        if case.function != "line":
+            return right(others[case], 300, seed)
+        data = right(replace(case, sampler="jittered"), 300, seed)
+        size = float(data["power_term"])
+        return data.assign(power_term_ci=("bound", [-0.01 * size, 3 * size]))
 
-def test_a_second_term_that_may_be_zero_disagrees() -> None:
-    good, line = (case.terms(100, 1) for case in (module.GOOD, module.LINE))
-    assert judge(module._second_positive([good, line])).agrees is True
-    low = -0.01 * float(line["power_term"])
-    wrong = line.assign(power_term_ci=("bound", [low, 3 * float(line["power_term"])]))
-    assert judge(module._second_positive([good, wrong])).agrees is False
-    assert judge(module._second_positive([wrong, good])).interval == (
-        low,
-        wrong["power_term_ci"].values[1],
-    )
+    monkeypatch.setattr(module.Case, "terms", wrong)
+    assert disagreeing(module) == [0, 3, 4, 5, 6, 7, 8, 9, 11, 13]
 
 
 def test_bars_of_rounding_errors_have_the_label_0() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import xarray as xr
+from tests.reproduction.conftest import Disagreeing
 
 from mcspectra.reproduction import mis_slowest as slowest
 from mcspectra.reproduction.claims import judge
@@ -36,16 +37,15 @@ def test_a_sum_with_the_rate_of_the_faster_one_disagrees() -> None:
         assert judge(check("wall", wrong)).agrees is False
 
 
-def test_toy_rates_of_the_other_technique_disagree() -> None:
-    toy = slowest.toy_curves(300, 1)
-    swapped = dict(zip(toy, [toy[name] for name in reversed(slowest.TECHNIQUES)], strict=False))
-    for technique in (0, 1):
-        assert judge(slowest._toy_rate(toy, technique)).agrees is True
-        assert judge(slowest._toy_rate(swapped, technique)).agrees is False
-    assert judge(slowest._bottleneck("undecided")).agrees is False
-
-
-def test_another_step_disagrees(monkeypatch: pytest.MonkeyPatch) -> None:
-    right = slowest.exact
-    monkeypatch.setattr(slowest, "exact", lambda technique: 1.001 * right(technique))
-    assert judge(slowest._toy_formula()).agrees is False
+def test_the_other_technique_of_the_toy_disagrees(disagreeing: Disagreeing) -> None:
+    toy, right = slowest.toy_curves(300, 1), slowest.exact
+    names = [*slowest.TECHNIQUES]
+    swapped = dict(zip(names, [toy[name] for name in reversed(names)], strict=True))
+    swapped["sum"] = toy["sum"].assign_attrs(bottleneck="undecided")
+    pixel = curves([-2.0, -1.5, -1.5, -2.0, -1.5], [1, 9, 5, 1, 9])
+    assert disagreeing(
+        slowest,
+        toy_curves=lambda *_: swapped,
+        exact=lambda technique: 1.001 * right(technique),
+        _pixel=lambda *_: pixel.assign(mean=xr.ones_like(pixel["variance"])),
+    ) == [0, 1, 3, 4]

@@ -5,33 +5,23 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from tests.reproduction.conftest import Disagreeing
 
 import mcspectra as mcs
 from mcspectra.reproduction import pair_correlation as pairs
-from mcspectra.reproduction.claims import judge
 
 
-def test_pairs_of_another_sampler_disagree() -> None:
-    data = {name: pairs.count_pairs(name, 200, 3) for name in ("random", "jittered")}
-    assert judge(pairs._as_closed("jittered", data["random"])).agrees is False
-    assert judge(pairs._as_closed("random", data["jittered"])).agrees is False
-    assert judge(pairs._hole(data["jittered"])).agrees is False
+def test_pairs_and_powers_of_another_sampler_disagree(
+    disagreeing: Disagreeing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    power, count_pairs, routes = mcs.closed_form_power, pairs.count_pairs, pairs.routes
+    others = {"random": "jittered", "jittered": "random", "poisson-disk": "jittered"}
 
+    def twice(*_: Any) -> Any:
+        counted, measured = routes("jittered | shift", 200, 1)
+        return counted / 0.5, measured
 
-def test_the_power_of_another_sampler_disagrees(monkeypatch: pytest.MonkeyPatch) -> None:
-    right = mcs.closed_form_power
-
-    def wrong(name: str, n: int, m: Any) -> Any:
-        return right({"random": "jittered", "jittered": "random"}[name], n, m)
-
-    monkeypatch.setattr(mcs, "closed_form_power", wrong)
-    assert judge(pairs._transformed("random")).agrees is False
-    assert judge(pairs._transformed("jittered")).agrees is False
-
-
-def test_variances_of_different_samplers_disagree() -> None:
-    counted, _ = pairs.routes("jittered | shift", 200, 1)
-    _, measured = pairs.routes("poisson-disk", 200, 1)
-    assert judge(pairs._counted_pairs("", counted, measured)).agrees is False
-    assert judge(pairs._shifted(counted)).agrees is True
-    assert judge(pairs._shifted(counted / 0.5)).agrees is False
+    monkeypatch.setattr(mcs, "closed_form_power", lambda name, *rest: power(others[name], *rest))
+    assert disagreeing(
+        pairs, count_pairs=lambda name, *_: count_pairs(others[name], 200, 3), routes=twice
+    ) == [0, 1, 2, 3, 4, 8, 9, 10]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.reproduction.conftest import Disagreeing
 
 from mcspectra.integrands.registry import integrand
 from mcspectra.reproduction import phase as module
-from mcspectra.reproduction.claims import judge
 from mcspectra.variance.exact import exact_variance
 
 
@@ -29,15 +29,13 @@ def test_exact_variances_of_cut_strata_are_sums_over_cells() -> None:
     assert module.exact_curve(offset)[0] == pytest.approx(variance, rel=1e-3)
 
 
-def test_displaced_strata_are_not_those_at_borders() -> None:
-    moved = module.bar_terms(0.5, 400, 1)
-    assert judge(module._variance_of(0.125, moved)).agrees is False
-    assert judge(module._at_borders(moved)).agrees is False
-    curve = module.displaced_curve(0.125, 400, 1)
-    assert judge(module._rate_of(0.125, curve)).agrees is True
-    assert judge(module._rate_of(0.0, curve)).agrees is False
-
-
-def test_another_sampler_has_another_second_term() -> None:
-    scan = [module.bar_terms(0.0, 50, seed) for seed in (1, 2)]
-    assert judge(module._same_second(scan)).agrees is False
+def test_other_displacements_disagree(disagreeing: Disagreeing) -> None:
+    terms, curve = module.bar_terms, module.displaced_curve
+    others = {0.0: 0.5, 0.125: 0.5, 0.5: 0.0}
+    assert disagreeing(
+        module,
+        bar_terms=lambda offset, _, seed: terms(
+            others.get(offset, offset), 400, seed + (offset > 0.5)
+        ),
+        displaced_curve=lambda offset, _, seed: curve(offset or 0.125, 400, seed),
+    ) == [0, 2, 3, 4, 5, 6, 8]

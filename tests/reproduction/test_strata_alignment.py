@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.reproduction.conftest import Disagreeing
 
 from mcspectra.reproduction import strata_alignment as module
-from mcspectra.reproduction.claims import judge
 from mcspectra.variance.exact import exact_variance
 
 
-def test_the_other_edge_disagrees() -> None:
+def test_the_other_edge_disagrees(disagreeing: Disagreeing) -> None:
     data = module.measured(module.edge(1 / 3), "jittered", 400, 1)
-    curves = dict.fromkeys(module.PLACES, data)
-    assert judge(module._rate_of(module.ALIGNED, curves, -2.0)).agrees is False
-    assert judge(module._level(module.ALIGNED, data)).agrees is False
-    assert judge(module._level(module.CUT, data)).agrees is True
-    assert judge(module._gain(curves)).agrees is False
+    found = disagreeing(module, measured=lambda *_: data)
+    assert {0, 2, 8} <= set(found)
+    assert {1, 3}.isdisjoint(found)
 
 
 @pytest.mark.parametrize("a", [0.5, 1 / 3])

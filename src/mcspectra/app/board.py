@@ -154,29 +154,26 @@ class Board:
             if job is not self._job:  # what a job of the past still sends
                 continue
             if isinstance(news, Update):
-                self._show(news)
+                # Show a part; one that is as before is neither described nor sent again
+                self.latest[news.kind] = news.value
+                before, kinds = self._drawn.get(news.kind, (None, []))
+                new = False
+                if before is news.value:
+                    for kind in kinds:
+                        self.cards[kind].layout.styles = _FRESH
+                else:
+                    plots = figures_of(news.kind, news.value, self._setup.displaced_sampler)
+                    placed = [self._place(plot) for plot in plots]
+                    new = any(placed)
+                    kinds = [plot.kind for plot in plots]
+                    self._drawn[news.kind] = (news.value, kinds)
+                self._fresh |= set(kinds)
+                self._fraction = news.fraction
+                self._say(f"{news.realizations} realisations, {news.fraction:.0%} done.")
+                self._on_shown(new)
             else:
                 self._job = None
                 self._end(news or "Done.", alert=bool(news) and not self.latest)
-
-    def _show(self, update: Update) -> None:
-        """Show a part; one that is as before is neither described nor sent again."""
-        self.latest[update.kind] = update.value
-        before, kinds = self._drawn.get(update.kind, (None, []))
-        new = False
-        if before is update.value:
-            for kind in kinds:
-                self.cards[kind].layout.styles = _FRESH
-        else:
-            plots = figures_of(update.kind, update.value, self._setup.displaced_sampler)
-            placed = [self._place(plot) for plot in plots]
-            new = any(placed)
-            kinds = [plot.kind for plot in plots]
-            self._drawn[update.kind] = (update.value, kinds)
-        self._fresh |= set(kinds)
-        self._fraction = update.fraction
-        self._say(f"{update.realizations} realisations, {update.fraction:.0%} done.")
-        self._on_shown(new)
 
     def _place(self, plot: Plot) -> bool:
         """Show a plot in its card; True if the card is new."""

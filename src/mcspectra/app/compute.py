@@ -114,7 +114,23 @@ def compute(kind: str, setup: Setup, realizations: int) -> xr.Dataset:
 def _computed(kind: str, setup: Setup) -> xr.Dataset:
     parts = make_parts(setup)
     if kind == "integrand":
-        return _on_a_grid(parts)
+        # f, p and f/p on the grid of the unit square; of techniques their f/p, where x is primary
+        dims, f = parts.sampler.dims, parts.estimator.domain_integrand
+        size = _GRID[dims]
+        middles = (np.arange(size) + 0.5) / size
+        x = np.stack(np.meshgrid(*[middles] * dims, indexing="ij"), axis=-1).reshape(-1, dims)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            if f is None:
+                counts = range(len(parts.estimator.counts))
+                values = {f"technique {t}": parts.estimator.primary_values(t, x) for t in counts}
+            else:
+                p = np.ones(len(x)) if parts.density is None else parts.density.pdf(x)
+                values = {"f": f(x), "p": p, "f/p": f(x) / p}
+        axes = [f"x{k}" for k in range(dims)]
+        return xr.Dataset(
+            {name: (axes, np.reshape(each, [size] * dims)) for name, each in values.items()},
+            dict.fromkeys(axes, middles),
+        )
     subject = Subject(parts.estimator, parts.sampler, parts.density)
     found: xr.Dataset = analysis.compute(analyses_of(setup)[kind], subject, setup.seed)
     if kind == "points" and parts.density is not None:
@@ -122,26 +138,6 @@ def _computed(kind: str, setup: Setup) -> xr.Dataset:
             weights = 1.0 / parts.density.pdf(found["points"].to_numpy())
         found = found.assign(weights=("point", weights))
     return found
-
-
-def _on_a_grid(parts: Parts) -> xr.Dataset:
-    """f, p and f/p on the grid of the unit square; of techniques their f/p, where x is primary."""
-    dims, f = parts.sampler.dims, parts.estimator.domain_integrand
-    size = _GRID[dims]
-    middles = (np.arange(size) + 0.5) / size
-    x = np.stack(np.meshgrid(*[middles] * dims, indexing="ij"), axis=-1).reshape(-1, dims)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        if f is None:
-            counts = range(len(parts.estimator.counts))
-            values = {f"technique {t}": parts.estimator.primary_values(t, x) for t in counts}
-        else:
-            p = np.ones(len(x)) if parts.density is None else parts.density.pdf(x)
-            values = {"f": f(x), "p": p, "f/p": f(x) / p}
-    axes = [f"x{k}" for k in range(dims)]
-    return xr.Dataset(
-        {name: (axes, np.reshape(each, [size] * dims)) for name, each in values.items()},
-        dict.fromkeys(axes, middles),
-    )
 
 
 class _Cancelled(Exception):
@@ -239,19 +235,14 @@ class Job:
                     "ask for fewer points or frequencies."
                 )
             start = time.perf_counter()
-            if not self._round(count, planned[-1]):
-                return ""
+            for done, kind in enumerate(KINDS, start=1):
+                value = compute(kind, self.setup, count)
+                if self._cancelled.is_set():
+                    return ""
+                fraction = count / planned[-1] * done / len(KINDS)
+                self._on_update(Update(kind, value, count, fraction))
             spent, last = time.perf_counter() - start, count
         return ""
-
-    def _round(self, count: int, last: int) -> bool:
-        """Compute all kinds and hand them on; False if cancelled."""
-        for done, kind in enumerate(KINDS, start=1):
-            value = compute(kind, self.setup, count)
-            if self._cancelled.is_set():
-                return False
-            self._on_update(Update(kind, value, count, count / last * done / len(KINDS)))
-        return True
 
 
 @final
@@ -328,15 +319,16 @@ def _estimator(
             f"{several.spec} has {several.channels} channels; the explorer shows one: choose it "
             "with channel=."
         )
-    if len(integrands) > 1 and (p is not None or smoothing):
-        raise ParameterError(
-            "Techniques that are summed have their densities and edges inside; choose the uniform "
-            "density and no smoothing."
-        )
     if len(integrands) > 1:
+        if p is not None or smoothing:
+            raise ParameterError(
+                "Techniques that are summed have their densities and edges inside; choose the "
+                "uniform density and no smoothing."
+            )
         estimator: AbstractEstimator = TechniqueSum(integrands)
     else:
-        estimator = Estimator(_smoothed(specs[0], dims, smoothing), p)
+        f = _integrand(specs[0], dims, smoothing) if smoothing else integrands[0]
+        estimator = Estimator(f, p)
     return estimator if mirror == "none" else Mirrored(estimator, mirror)
 
 
@@ -346,14 +338,8 @@ def _density(spec: str, dims: int) -> Density | None:
 
 
 @lru_cache(_KEPT)
-def _integrand(spec: str, dims: int) -> Integrand:
-    return integrand(spec, dims)
-
-
-@lru_cache(_KEPT)
-def _smoothed(spec: str, dims: int, width: float) -> Integrand:
-    f = _integrand(spec, dims)
-    return smoothed(f, width) if width else f
+def _integrand(spec: str, dims: int, width: float = 0.0) -> Integrand:
+    return smoothed(_integrand(spec, dims), width) if width else integrand(spec, dims)
 
 
 def analyses_of(setup: Setup) -> dict[str, Analysis]:

@@ -92,7 +92,49 @@ class Controls:
         self._on_change, self._on_error, self._later = on_change, on_error, later
         self._filling = self._refused = False
         self._density_sliders: Any = Column(sizing_mode="stretch_width")
-        self._widgets = w = self._made()
+        # What is chosen beside its spec
+        make, density, integrand = self._make, self._named("density"), self._named("integrand")
+        steps = CheckboxGroup(labels=_STEPS, stylesheets=[self._sheet])
+        self._watch(steps, "active", self._choose_sampler)
+        self._widgets = w = {
+            "base": make(Select, "Sampler", self._choose_sampler, options=_offered(SAMPLERS)),
+            "steps": steps,
+            "count": make(
+                CategoricalSlider, "Points n", self._entered("n"), "value_throttled",
+                categories=["1"], value="1",
+            ),
+            "density_name": make(Select, "Density", density, options=_offered(DENSITIES)),
+            "integrand_name": make(Select, "Integrand", integrand, options=_offered(INTEGRANDS)),
+            "formula": make(TextInput, "Formula", self._choose_formula, placeholder=_EXAMPLE),
+            "upload": make(
+                FileInput, "Picture as integrand", lambda _: self._later(self._take_upload),
+                accept=_PICTURES,
+            ),
+            "dims": make(Select, "Dims", self._choose_dims, options=["1", "2"]),
+        }  # fmt: skip
+        # Fields of the set-up
+        for name, label in _TEXTS.items():
+            w[name] = make(TextInput, label, self._entered(name))
+        for name, (label, most, step) in _PARTS.items():
+            options = {"start": 0.0, "end": most, "step": step, "value": 0.0}
+            w[name] = make(Slider, label, self._entered(name), "value_throttled", **options)
+        for name, (label, choices) in _CHOICES.items():
+            w[name] = make(Select, label, self._entered(name), options=list(choices))
+        # Options of the analyses
+        for name, option in OPTIONS.items():
+            label = name.replace("_", " ").capitalize()
+            free = option.required or option.default is None
+            if option.choices and option.choices != ("auto",):  # which stands for numbers too
+                choices = [
+                    *([("", "by default")] if free else []),
+                    *((c, c) for c in option.choices),
+                ]
+                widget = make(Select, label, self._entered(name), options=choices)
+            else:
+                shown = "chosen to fit" if free else str(option.default)
+                widget = make(TextInput, label, self._entered(name), placeholder=shown)
+            widget.description = option.meaning
+            w[name] = widget
         scene = Button(label=f"Show Veach's scene, {side}", stylesheets=[sheet])
         scene.on_click(on_scene)
         self._fill()
@@ -133,52 +175,6 @@ class Controls:
         if setup != self.setup or self._refused:
             self.show(setup)
             self._on_change(setup)
-
-    def _made(self) -> dict[str, Any]:
-        # What is chosen beside its spec
-        make, density, integrand = self._make, self._named("density"), self._named("integrand")
-        steps = CheckboxGroup(labels=_STEPS, stylesheets=[self._sheet])
-        self._watch(steps, "active", self._choose_sampler)
-        made = {
-            "base": make(Select, "Sampler", self._choose_sampler, options=_offered(SAMPLERS)),
-            "steps": steps,
-            "count": make(
-                CategoricalSlider, "Points n", self._entered("n"), "value_throttled",
-                categories=["1"], value="1",
-            ),
-            "density_name": make(Select, "Density", density, options=_offered(DENSITIES)),
-            "integrand_name": make(Select, "Integrand", integrand, options=_offered(INTEGRANDS)),
-            "formula": make(TextInput, "Formula", self._choose_formula, placeholder=_EXAMPLE),
-            "upload": make(
-                FileInput, "Picture as integrand", lambda _: self._later(self._take_upload),
-                accept=_PICTURES,
-            ),
-            "dims": make(Select, "Dims", self._choose_dims, options=["1", "2"]),
-        }  # fmt: skip
-        # Fields of the set-up
-        for name, label in _TEXTS.items():
-            made[name] = make(TextInput, label, self._entered(name))
-        for name, (label, most, step) in _PARTS.items():
-            options = {"start": 0.0, "end": most, "step": step, "value": 0.0}
-            made[name] = make(Slider, label, self._entered(name), "value_throttled", **options)
-        for name, (label, choices) in _CHOICES.items():
-            made[name] = make(Select, label, self._entered(name), options=list(choices))
-        # Options of the analyses
-        for name, option in OPTIONS.items():
-            label = name.replace("_", " ").capitalize()
-            free = option.required or option.default is None
-            if option.choices and option.choices != ("auto",):  # which stands for numbers too
-                choices = [
-                    *([("", "by default")] if free else []),
-                    *((c, c) for c in option.choices),
-                ]
-                widget = make(Select, label, self._entered(name), options=choices)
-            else:
-                shown = "chosen to fit" if free else str(option.default)
-                widget = make(TextInput, label, self._entered(name), placeholder=shown)
-            widget.description = option.meaning
-            made[name] = widget
-        return made
 
     def _make(
         self,
@@ -264,28 +260,25 @@ class Controls:
                 w[name].value = setup.text(name)
             for name in _PARTS:
                 w[name].value = getattr(setup, name)
-            self._fill_density()
+            # Sliders for the numbers of the density; made anew when it is another one
+            call = parse(self.setup.density)
+            ranges = _SLIDERS.get(call.name, ())
+            sliders = self._density_sliders
+            titles = [f"Density {key}, {self._side}" for key, *_ in ranges]
+            if [slider.title for slider in sliders.children] != titles:
+                sliders.children = [
+                    self._make(
+                        Slider, f"Density {key}", self._moved(key), "value_throttled",
+                        start=low, end=high, step=0.05, value=start,
+                    )
+                    for key, low, high, start in ranges
+                ]  # fmt: skip
+            for slider, (key, low, high, start) in zip(sliders.children, ranges, strict=True):
+                value = call.arguments.get(key, start)
+                known = isinstance(value, int | float) and low <= value <= high
+                slider.value = float(value) if known else start
         finally:
             self._filling = False
-
-    def _fill_density(self) -> None:
-        """Sliders for the numbers of the density; made anew when it is another one."""
-        call = parse(self.setup.density)
-        ranges = _SLIDERS.get(call.name, ())
-        sliders = self._density_sliders
-        titles = [f"Density {key}, {self._side}" for key, *_ in ranges]
-        if [slider.title for slider in sliders.children] != titles:
-            sliders.children = [
-                self._make(
-                    Slider, f"Density {key}", self._moved(key), "value_throttled",
-                    start=low, end=high, step=0.05, value=start,
-                )
-                for key, low, high, start in ranges
-            ]  # fmt: skip
-        for slider, (key, low, high, start) in zip(sliders.children, ranges, strict=True):
-            value = call.arguments.get(key, start)
-            known = isinstance(value, int | float) and low <= value <= high
-            slider.value = float(value) if known else start
 
     def _moved(self, key: str) -> Callable[[float], None]:
         return lambda value: self.change(density=changed(self.setup.density, key, round(value, 6)))

@@ -29,32 +29,44 @@ def as_python(state: State) -> str:
     parts = [_HEAD]
     several = state.b is not None
     for name, setup in state.setups():
-        parts.append(_program(setup, f"# {name}\n" if several else ""))
+        # Lines that make density and estimator
+        specs, lines = integrand_specs(setup), []
+        density = "None"
+        if setup.density != "uniform":
+            density = f"mcs.density({setup.density!r}, dims={setup.dims})"
+        if len(specs) == 1:
+            lines.append(f"integrand = mcs.integrand({specs[0]!r}, dims={setup.dims})")
+        if setup.smoothing:
+            lines.append(f"integrand = mcs.smoothed(integrand, {setup.smoothing!r})")
+        lines.append(f"density = {density}")
+        if len(specs) == 1:
+            lines.append("estimator = mcs.Estimator(integrand, density)")
+        else:
+            inside = [f"    {spec!r}," for spec in specs]
+            lines += ["estimator = mcs.TechniqueSum([", *inside, f"], dims={setup.dims})"]
+        if setup.mirror != "none":
+            lines.append(f"estimator = mcs.Mirrored(estimator, {setup.mirror!r})")
+        lines.append(f"sampler = mcs.sampler({setup.displaced_sampler!r}, dims={setup.dims})")
+        for table, analysis in _exported(setup).items():
+            given = _chosen(analysis)
+            first = [repr(given.pop(o.name)) for o in options_of(type(analysis)) if o.required]
+            of_points = analysis.about == "sampler"
+            subject = ["sampler"] if of_points else ["estimator", "sampler"]
+            named = [f"{key}={value!r}" for key, value in given.items()]
+            named = [*(["density=density"] if of_points else []), *named, f"rng={setup.seed}"]
+            call = textwrap.fill(", ".join([*subject, *first, *named]) + ",", 90)
+            lines += [f"{table} = mcs.{analysis.function}(", textwrap.indent(call, "    "), ")"]
+        lines += [
+            'for name in ("dc_term", "power_term", "cross_term", "measured_variance"):',
+            '    print(f"{name:18}  {float(terms[name]):.6g}")',
+            f"predicted = float(predict['predicted_variance'].sel(n={setup.n}))",
+            """print(f"{'predicted_variance':18}  {predicted:.6g}")""",
+            'low, high = convergence["rate_ci"].values',
+            """rate = f"{float(convergence['rate']):.4g}" if high - low <= 1 else "unresolved\"""",
+            """print(f"{'rate':18}  {rate}")""",
+        ]
+        parts.append((f"# {name}\n" if several else "") + "\n".join(lines) + "\n")
     return "\n".join(parts)
-
-
-def _program(setup: Setup, head: str) -> str:
-    lines = _estimator_lines(setup)
-    lines.append(f"sampler = mcs.sampler({setup.displaced_sampler!r}, dims={setup.dims})")
-    for name, analysis in _exported(setup).items():
-        given = _chosen(analysis)
-        first = [repr(given.pop(o.name)) for o in options_of(type(analysis)) if o.required]
-        of_points = analysis.about == "sampler"
-        subject = ["sampler"] if of_points else ["estimator", "sampler"]
-        named = [f"{key}={value!r}" for key, value in given.items()]
-        named = [*(["density=density"] if of_points else []), *named, f"rng={setup.seed}"]
-        call = textwrap.fill(", ".join([*subject, *first, *named]) + ",", 90)
-        lines += [f"{name} = mcs.{analysis.function}(", textwrap.indent(call, "    "), ")"]
-    lines += [
-        'for name in ("dc_term", "power_term", "cross_term", "measured_variance"):',
-        '    print(f"{name:18}  {float(terms[name]):.6g}")',
-        f"predicted = float(predict['predicted_variance'].sel(n={setup.n}))",
-        """print(f"{'predicted_variance':18}  {predicted:.6g}")""",
-        'low, high = convergence["rate_ci"].values',
-        """rate = f"{float(convergence['rate']):.4g}" if high - low <= 1 else "unresolved\"""",
-        """print(f"{'rate':18}  {rate}")""",
-    ]
-    return head + "\n".join(lines) + "\n"
 
 
 def _exported(setup: Setup) -> dict[str, Analysis]:
@@ -73,27 +85,6 @@ def _chosen(analysis: Analysis) -> dict[str, Any]:
     }
 
 
-def _estimator_lines(setup: Setup) -> list[str]:
-    """Lines that make ``density`` and ``estimator``."""
-    specs, lines = integrand_specs(setup), []
-    density = "None"
-    if setup.density != "uniform":
-        density = f"mcs.density({setup.density!r}, dims={setup.dims})"
-    if len(specs) == 1:
-        lines.append(f"integrand = mcs.integrand({specs[0]!r}, dims={setup.dims})")
-    if setup.smoothing:
-        lines.append(f"integrand = mcs.smoothed(integrand, {setup.smoothing!r})")
-    lines.append(f"density = {density}")
-    if len(specs) == 1:
-        lines.append("estimator = mcs.Estimator(integrand, density)")
-    else:
-        inside = [f"    {spec!r}," for spec in specs]
-        lines += ["estimator = mcs.TechniqueSum([", *inside, f"], dims={setup.dims})"]
-    if setup.mirror != "none":
-        lines.append(f"estimator = mcs.Mirrored(estimator, {setup.mirror!r})")
-    return lines
-
-
 def as_toml(state: State) -> str:
     """Return a study file of the same analyses, for ``mcspectra run``.
 
@@ -108,32 +99,27 @@ def as_toml(state: State) -> str:
         # A study reads files from its own folder only, unless it is told of another
         lines.insert(0, "# Run with --allow-path and the folder of the picture below.")
     for name, setup in state.setups():
-        lines += _tables(name, setup)
+        parts = integrand_specs(setup)
+        lines += [
+            "",
+            "[[estimators]]",
+            f"name = {_text(name)}",
+            f"dims = {setup.dims}",
+            f"integrand = {_text(parts[0])}"
+            if len(parts) == 1
+            else f"integrands = [{', '.join(map(_text, parts))}]",
+            f"samplers = [{_text(setup.displaced_sampler)}]",
+        ]
+        if setup.density != "uniform":
+            lines.append(f"density = {_text(setup.density)}")
+        if setup.smoothing:
+            lines.append(f"smoothed = {setup.smoothing!r}")
+        if setup.mirror != "none":
+            lines.append(f"mirror = {_text(setup.mirror)}")
+        for table, analysis in _exported(setup).items():
+            lines += ["", f"[estimators.{table}]"]
+            lines += [f"{key} = {_text(value)}" for key, value in _chosen(analysis).items()]
     return "\n".join(lines) + "\n"
-
-
-def _tables(name: str, setup: Setup) -> list[str]:
-    specs = integrand_specs(setup)
-    lines = [
-        "",
-        "[[estimators]]",
-        f"name = {_text(name)}",
-        f"dims = {setup.dims}",
-        f"integrand = {_text(specs[0])}"
-        if len(specs) == 1
-        else f"integrands = [{', '.join(map(_text, specs))}]",
-        f"samplers = [{_text(setup.displaced_sampler)}]",
-    ]
-    if setup.density != "uniform":
-        lines.append(f"density = {_text(setup.density)}")
-    if setup.smoothing:
-        lines.append(f"smoothed = {setup.smoothing!r}")
-    if setup.mirror != "none":
-        lines.append(f"mirror = {_text(setup.mirror)}")
-    for table, analysis in _exported(setup).items():
-        lines += ["", f"[estimators.{table}]"]
-        lines += [f"{key} = {_text(value)}" for key, value in _chosen(analysis).items()]
-    return lines
 
 
 def _text(value: Any) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from mcspectra.core.checks import Array
 from mcspectra.plots.description import Axis, Image, Line, Panel, Plot, Scale
 from mcspectra.plots.kinds import describe, kinds_of
 from mcspectra.plots.scales import signed_scale, unit_axis
@@ -40,29 +39,27 @@ def figures_of(kind: str, value: xr.Dataset, name: str) -> list[Plot]:
         The result, and what it is called.
     """
     if kind == "integrand":
-        return [_integrand(value)]
+        # f, p and f/p beside each other: a constant f/p would have no variance
+        flat = len(value.dims) == 1
+        panels = tuple(_panel(str(name), each, flat) for name, each in value.items())
+        values = {name: each.to_numpy() for name, each in value.items()}
+        ends = (
+            f"{name} from {number(float(np.nanmin(v)))} to {number(float(np.nanmax(v)))}"
+            for name, v in values.items()
+        )
+        return [
+            Plot(
+                kind="integrand",
+                panels=panels,
+                columns=len(panels),
+                caption="Where f/p is constant, importance sampling leaves no variance.",
+                words="; ".join(ends) + ".",
+                height=1.0,
+                share="x" if flat else "both",
+            )
+        ]
     shown = kinds_of(value)
     return [describe(each, {name: value}) for each in FIGURES if each in shown]
-
-
-def _integrand(data: xr.Dataset) -> Plot:
-    """f, p and f/p beside each other: a constant f/p would have no variance."""
-    flat = len(data.dims) == 1
-    panels = tuple(_panel(str(name), each, flat) for name, each in data.items())
-    values = {name: each.to_numpy() for name, each in data.items()}
-    ends = (
-        f"{name} from {number(float(np.nanmin(v)))} to {number(float(np.nanmax(v)))}"
-        for name, v in values.items()
-    )
-    return Plot(
-        kind="integrand",
-        panels=panels,
-        columns=len(panels),
-        caption="Where f/p is constant, importance sampling leaves no variance.",
-        words="; ".join(ends) + ".",
-        height=1.0,
-        share="x" if flat else "both",
-    )
 
 
 def _panel(name: str, data: xr.DataArray, flat: bool) -> Panel:
@@ -75,14 +72,10 @@ def _panel(name: str, data: xr.DataArray, flat: bool) -> Panel:
         )
         return Panel(marks=(line,), x=unit_axis("x₀"), y=Axis(label=name), title=name, square=True)
     x0, x1 = (data[axis].to_numpy() for axis in ("x0", "x1"))
-    image = Image(values=finite.T, x=x0, y=x1, scale=_scale(finite), name=name)
+    low, high = float(np.nanmin(finite)), float(np.nanmax(finite))
+    above = Scale(label=" ", low=0.0, high=high or 1.0)
+    scale = signed_scale(" ", [finite]) if low < 0 else above
+    image = Image(values=finite.T, x=x0, y=x1, scale=scale, name=name)
     return Panel(
         marks=(image,), x=unit_axis("x₀"), y=unit_axis("x₁"), title=name, square=True, framed=True
     )
-
-
-def _scale(values: Array) -> Scale:
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    if low < 0:
-        return signed_scale(" ", [values])
-    return Scale(label=" ", low=0.0, high=high or 1.0)

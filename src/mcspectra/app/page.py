@@ -92,17 +92,23 @@ class Explorer:
         self._refused = block(
             text=f'<p role="alert" class="alert">{escape(refused)}</p>', visible=bool(refused)
         )
-        self._texts = {name: self._text_area(f"As {name}") for name in ("Python", "TOML")}
         self._compare = Checkbox(
             label="Compare with a second set-up, B", active=self.state.b is not None,
             stylesheets=[self._sheet],
         )  # fmt: skip
         self._compare.on_change("active", self._choose_comparison)
         self._scene = SceneView(self._sheet, self._choose_pixel, self._later)
-        texts = Column(
-            children=[self._copied(area) for area in self._texts.values()],
-            stylesheets=[_GRID.format(columns=_ALONE)], sizing_mode="stretch_width",
-        )  # fmt: skip
+        # Texts, each with a button that puts it on the clipboard
+        self._texts: dict[str, Any] = {}
+        texts = Column(stylesheets=[_GRID.format(columns=_ALONE)], sizing_mode="stretch_width")
+        for name in ("Python", "TOML"):
+            self._texts[name] = area = TextAreaInput(
+                title=f"As {name}", rows=12, max_length=100_000, sizing_mode="stretch_width",
+                stylesheets=[self._sheet],
+            )  # fmt: skip
+            button = Button(label=f"Copy as {name}", width=140, stylesheets=[self._sheet])
+            button.js_on_click(CustomJS(args={"text": area}, code=_COPY))
+            texts.children.append(Column(children=[button, area], sizing_mode="stretch_width"))
         # Roots are laid out apart: a text that changes leaves the figures where they are
         self.roots: dict[str, Any] = {
             "side": Column(children=[self._compare, self._sides], sizing_mode="stretch_width"),
@@ -235,18 +241,6 @@ class Explorer:
             for name in ("set-up", "sampler", "n", "variance", "predicted / measured", "rate")
         )
         self._summary.text = f"<table><tr>{head}</tr>{''.join(rows)}</table>"
-
-    def _text_area(self, title: str) -> Any:
-        return TextAreaInput(
-            title=title, rows=12, max_length=100_000, sizing_mode="stretch_width",
-            stylesheets=[self._sheet],
-        )  # fmt: skip
-
-    def _copied(self, area: Any) -> Any:
-        """A text area with a button that puts its text on the clipboard."""
-        button = Button(label=f"Copy {area.title[0].lower()}{area.title[1:]}", width=140, stylesheets=[self._sheet])  # fmt: skip
-        button.js_on_click(CustomJS(args={"text": area}, code=_COPY))
-        return Column(children=[button, area], sizing_mode="stretch_width")
 
 
 def build_page(document: Any) -> None:

@@ -20,6 +20,7 @@ from mcspectra.core.checks import Array, as_choice, as_integer
 from mcspectra.core.errors import McspectraError
 from mcspectra.plots.backend_bokeh import draw
 from mcspectra.plots.description import Axis, Panel, Pixels, Plot
+from mcspectra.rendering.files import encode_srgb
 
 __all__ = ["HEIGHT", "STRATEGIES", "WIDTH", "SceneView", "pixel_spec", "veach_picture"]
 
@@ -65,10 +66,7 @@ def veach_picture() -> Array:
         Mitsuba or LLVM is missing.
     """
     linear = cached_array(f"explorer {_SCENE} {_SPP} 1", _rendered)
-    encoded = np.where(
-        linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055
-    )
-    return np.asarray(np.rint(255 * np.clip(encoded, 0.0, 1.0)), np.uint8)
+    return np.rint(255.0 * encode_srgb(linear)).astype(np.uint8)
 
 
 def _rendered() -> Array:

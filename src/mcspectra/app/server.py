@@ -48,15 +48,12 @@ class Guard(routing.Router):
         self, request: httputil.HTTPServerRequest, **kwargs: Any
     ) -> httputil.HTTPMessageDelegate | None:
         """Return who answers `request`."""
-        chosen = self._application if self._trusts(request.headers) else self._refusal
-        return chosen.find_handler(request, **kwargs)
-
-    def _trusts(self, headers: httputil.HTTPHeaders) -> bool:
-        if headers.get_list("Host") and headers.get("Host", "").lower() not in self._hosts:
-            return False
-        origins = headers.get_list("Origin")
         allowed = {f"http://{host}" for host in self._hosts}
-        return bool(headers.get_list("Host")) and all(each.lower() in allowed for each in origins)
+        trusted = request.headers.get("Host", "").lower() in self._hosts and all(
+            each.lower() in allowed for each in request.headers.get_list("Origin")
+        )
+        chosen = self._application if trusted else self._refusal
+        return chosen.find_handler(request, **kwargs)
 
 
 class _Refusal(web.RequestHandler):
@@ -90,7 +87,10 @@ def make_server(port: int = 0) -> Any:
     from mcspectra.app.page import build_page
 
     silence(EMPTY_LAYOUT)  # which figures fill later
-    port = _free_port() if as_integer("port", port, least=0, most=65535) == 0 else port
+    if as_integer("port", port, least=0, most=65535) == 0:
+        with socket.socket() as probe:
+            probe.bind((ADDRESS, 0))
+            port = int(probe.getsockname()[1])
     try:
         server: Any = Server(
             {"/": build_page},
@@ -124,6 +124,8 @@ def serve(port: int = 0, *, open_browser: bool = True, quiet: bool = False) -> N
     ParameterError
         The port cannot be used.
     """
+    import webbrowser
+
     server = make_server(port)
     # Components repeat, on standard error, what the page says in its own words.
     warnings.simplefilter("ignore")
@@ -140,7 +142,7 @@ def serve(port: int = 0, *, open_browser: bool = True, quiet: bool = False) -> N
     server.start()
     threading.Thread(target=_warm_up, name="explorer warm-up", daemon=True).start()
     if open_browser:
-        server.io_loop.add_callback(_open, address)
+        server.io_loop.add_callback(webbrowser.open, address)
     server.io_loop.start()
 
 
@@ -151,15 +153,3 @@ def _warm_up() -> None:
 
     for kind in KINDS:
         compute(kind, Setup(half_width=4), 2)
-
-
-def _open(address: str) -> None:
-    import webbrowser
-
-    webbrowser.open(address)
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind((ADDRESS, 0))
-        return int(probe.getsockname()[1])

@@ -8,7 +8,7 @@ What comes from a URL was written by anybody: sizes are bounded, and specs must 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, final
 from urllib.parse import parse_qsl, urlencode
@@ -264,10 +264,15 @@ class State:
             raise ParameterError(
                 f"The address is longer than {_MOST_QUERY} characters; shorten its specs."
             )
-        return State._from_pairs(_pairs(query.removeprefix("?")))
-
-    @staticmethod
-    def _from_pairs(pairs: Sequence[tuple[str, str]]) -> State:
+        query = query.removeprefix("?")
+        try:
+            pairs = parse_qsl(
+                query, keep_blank_values=True, strict_parsing=bool(query), errors="strict"
+            )
+        except ValueError:  # UnicodeDecodeError is one
+            raise ParameterError(
+                "The address cannot be read; its part after '?' is key=value pairs joined by '&'."
+            ) from None
         given = dict(pairs)
         if len(given) < len(pairs):
             raise ParameterError("The address holds a key twice; give each once.")
@@ -276,12 +281,3 @@ class State:
         a = {key: text for key, text in given.items() if not key.startswith(_PREFIX)}
         other = Setup.from_texts(b) if b else None
         return State(a=Setup.from_texts(a), b=other, theme=theme)
-
-
-def _pairs(query: str) -> list[tuple[str, str]]:
-    try:
-        return parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query), errors="strict")
-    except ValueError:  # UnicodeDecodeError is one
-        raise ParameterError(
-            "The address cannot be read; its part after '?' is key=value pairs joined by '&'."
-        ) from None

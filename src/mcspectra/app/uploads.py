@@ -50,7 +50,14 @@ def keep_upload(data: bytes, name: str) -> str:
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         part.write_bytes(data)
-        _check_picture(part)
+        try:
+            pixels = read_image(part)[..., 0].size
+        except FileFormatError as error:
+            raise FileFormatError(str(error).replace(str(part), "The picture")) from None
+        if pixels > _MOST_PIXELS:
+            raise FileFormatError(
+                f"The picture has {pixels} pixels; the explorer takes {_MOST_PIXELS} at most."
+            )
         part.replace(file)
     except OSError as error:
         raise FileFormatError(
@@ -75,14 +82,3 @@ def upload_path(digest: str) -> Path:
         if file.is_file():
             return file
     raise FileFormatError("The uploaded picture of this address is not here; upload it again.")
-
-
-def _check_picture(file: Path) -> None:
-    try:
-        pixels = read_image(file)[..., 0].size
-    except FileFormatError as error:
-        raise FileFormatError(str(error).replace(str(file), "The picture")) from None
-    if pixels > _MOST_PIXELS:
-        raise FileFormatError(
-            f"The picture has {pixels} pixels; the explorer takes {_MOST_PIXELS} at most."
-        )

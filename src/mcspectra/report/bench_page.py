@@ -23,7 +23,7 @@ from mcspectra.plots.scales import count_axis, log_axis
 from mcspectra.plots.style import INK, PAPER, labels, sampler_styles
 from mcspectra.plots.text import MISSING, number, rate
 from mcspectra.plots.variance import task_curves
-from mcspectra.report.page import Cell, Figure, Figures, Page, Section, Table, Text, write_page
+from mcspectra.report import page as html
 from mcspectra.report.result_files import check_result_file, csv_text, latex_table, result_table
 from mcspectra.variance.bench import BENCH_QUALITY
 from mcspectra.version import __version__
@@ -75,7 +75,7 @@ def write_bench(bench: xr.Dataset, file: str) -> Path:
             case ".pdf":
                 backend_matplotlib.write_pages([*_sheets(bench), *bench_plots(bench)], file)
             case _:
-                write_page(_page(bench), path)
+                html.write_page(_page(bench), path)
     return path
 
 
@@ -199,24 +199,24 @@ def _said(bench: xr.Dataset) -> list[str]:
     return [how, f"Note: {note}."] if note else [how]
 
 
-def _page(bench: xr.Dataset) -> Page:
+def _page(bench: xr.Dataset) -> html.Page:
     tables = []
     for caption, (heads, rows) in (
         ("Samplers by themselves, at the largest n", _sampler_table(bench)),
         ("Rates on each integrand, in brackets the rank", bench_table(bench)),
     ):
         cells = tuple(
-            tuple(Cell(text=text, numeric=k > 0) for k, text in enumerate(row)) for row in rows
+            tuple(html.Cell(text=text, numeric=k > 0) for k, text in enumerate(row)) for row in rows
         )
-        tables.append(Table(caption=caption, columns=tuple(heads), rows=cells))
-    sections = [Section(title="Summary", anchor="summary", blocks=tuple(tables))]
+        tables.append(html.Table(caption=caption, columns=tuple(heads), rows=cells))
+    sections = [html.Section(title="Summary", anchor="summary", blocks=tuple(tables))]
     plots = itertools.groupby(bench_plots(bench), key=lambda each: each[0].partition(":")[0])
     for k, (title, found) in enumerate(plots):
         live = title != "Projections"
-        block = Figures(figures=tuple(Figure(plot=plot, live=live) for _, plot in found))
-        sections.append(Section(title=title, anchor=f"part-{k}", blocks=(block,)))
-    lead = tuple(Text(text=sentence) for sentence in _said(bench))
-    return Page(title="Sampler bench", what="bench", lead=lead, sections=tuple(sections))
+        block = html.Figures(figures=tuple(html.Figure(plot=plot, live=live) for _, plot in found))
+        sections.append(html.Section(title=title, anchor=f"part-{k}", blocks=(block,)))
+    lead = tuple(html.Text(text=sentence) for sentence in _said(bench))
+    return html.Page(title="Sampler bench", what="bench", lead=lead, sections=tuple(sections))
 
 
 def _sheets(bench: xr.Dataset) -> Iterator[Drawn]:

@@ -17,18 +17,7 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.plots import kinds
 from mcspectra.plots.text import MISSING, interval, number, rate
-from mcspectra.report.page import (
-    Block,
-    Cell,
-    Facts,
-    Figure,
-    Figures,
-    Page,
-    Section,
-    Table,
-    Text,
-    write_page,
-)
+from mcspectra.report import page as html
 from mcspectra.report.study import collect, provenance
 from mcspectra.report.tables import first_channel
 from mcspectra.studies import open_results
@@ -127,36 +116,38 @@ def write_comparison(first: str | Path, second: str | Path, out: str | Path | No
         for tree in trees
     ]
     command = shlex.join(["mcspectra", "report", *map(str, folders[:1]), "--compare", str(second)])
-    origins: list[Block] = []
+    origins: list[html.Block] = []
     for letter, tree, folder in zip("AB", trees, folders, strict=True):
         origins += [
-            Text(text=letter, kind="heading"),
-            Facts(rows=provenance(tree, folder)),
+            html.Text(text=letter, kind="heading"),
+            html.Facts(rows=provenance(tree, folder)),
         ]
     titles = [str((tree.attrs.get("study") or {}).get("title", "Results")) for tree in trees]
     named = Markup("{} (<code>{}</code>)")
     facts = zip("AB", map(named.format, titles, folders), strict=True)
-    page = Page(
+    page = html.Page(
         title="Comparison",
         what=f"comparison of {titles[0]} and {titles[1]}",
-        lead=(Facts(rows=tuple(facts)),),
+        lead=(html.Facts(rows=tuple(facts)),),
         sections=(
-            Section(title="Side by side", anchor="summary", blocks=tuple(_side_by_side(*curves))),
-            Section(
+            html.Section(
+                title="Side by side", anchor="summary", blocks=tuple(_side_by_side(*curves))
+            ),
+            html.Section(
                 title="Provenance",
                 anchor="provenance",
-                blocks=(*origins, Facts(rows=(("To redo it", command),), code=True)),
+                blocks=(*origins, html.Facts(rows=(("To redo it", command),), code=True)),
             ),
         ),
     )
-    return write_page(page, Path(second) / COMPARISON_NAME if out is None else Path(out))
+    return html.write_page(page, Path(second) / COMPARISON_NAME if out is None else Path(out))
 
 
-def _side_by_side(first: Curves, second: Curves) -> Iterator[Block]:
+def _side_by_side(first: Curves, second: Curves) -> Iterator[html.Block]:
     """A table of the pairs that both have, their curves over each other, and what only one has."""
     both = [pair for pair in first if pair in second]
     if both:
-        yield Table(
+        yield html.Table(
             caption="Ratio: variance of B over that of A at the largest common n; below 1, B has less "
             "noise. Difference: rate of B minus rate of A; if it is negative, B falls faster. Intervals "
             "are 95 % for independent results: too wide where both used the same seed.",
@@ -177,7 +168,7 @@ def _side_by_side(first: Curves, second: Curves) -> Iterator[Block]:
             sortable=True,
         )
     else:
-        yield Text(text="No estimator and sampler has a convergence in both.")
+        yield html.Text(text="No estimator and sampler has a convergence in both.")
     figures = []
     for estimator in dict.fromkeys(name for name, _ in both):
         overlay = {
@@ -188,9 +179,9 @@ def _side_by_side(first: Curves, second: Curves) -> Iterator[Block]:
         }
         plot = kinds.describe("convergence", overlay)
         caption = f"{estimator}. {plot.caption}"
-        figures.append(Figure(plot=replace(plot, caption=caption), live=True))
+        figures.append(html.Figure(plot=replace(plot, caption=caption), live=True))
     if figures:
-        yield Figures(figures=tuple(figures))
+        yield html.Figures(figures=tuple(figures))
     for letter, mine in (("A", first), ("B", second)):
         lines = [
             f"{estimator}, with {sampler}"
@@ -198,10 +189,10 @@ def _side_by_side(first: Curves, second: Curves) -> Iterator[Block]:
             if (estimator, sampler) not in both
         ]
         if lines:
-            yield Text(text=f"Only in {letter}: {'; '.join(lines)}.")
+            yield html.Text(text=f"Only in {letter}: {'; '.join(lines)}.")
 
 
-def _row(pair: tuple[str, str], first: xr.Dataset, second: xr.Dataset) -> tuple[Cell, ...]:
+def _row(pair: tuple[str, str], first: xr.Dataset, second: xr.Dataset) -> tuple[html.Cell, ...]:
     found = compare_curves(first, second)
     variances = [
         math.nan if found.n is None else float(first_channel(each)["variance"].sel(n=found.n))
@@ -209,8 +200,8 @@ def _row(pair: tuple[str, str], first: xr.Dataset, second: xr.Dataset) -> tuple[
     ]
     slopes = [_rate_and_half(first_channel(each)) for each in (first, second)]
     return (
-        Cell(text=pair[0], numeric=False),
-        Cell(text=pair[1], numeric=False),
+        html.Cell(text=pair[0], numeric=False),
+        html.Cell(text=pair[1], numeric=False),
         _cell(MISSING if found.n is None else str(found.n), found.n),
         *(_cell(number(v), v) for v in variances),
         _cell(number(found.ratio), found.ratio),
@@ -220,10 +211,10 @@ def _row(pair: tuple[str, str], first: xr.Dataset, second: xr.Dataset) -> tuple[
     )
 
 
-def _cell(text: str, order: float | None) -> Cell:
+def _cell(text: str, order: float | None) -> html.Cell:
     known = order is not None and math.isfinite(order)
     why = "the two have no such number in common" if text == MISSING else ""
-    return Cell(text=text, why=why, order=order if known else None)
+    return html.Cell(text=text, why=why, order=order if known else None)
 
 
 def _log_variance(at: xr.Dataset) -> tuple[float, float]:

@@ -16,20 +16,8 @@ from mcspectra.core.results import strict_json
 from mcspectra.plots import kinds
 from mcspectra.plots.text import interval, number, percent, rate
 from mcspectra.rendering.files import write_exr
+from mcspectra.report import page as html
 from mcspectra.report.map_page import map_layers
-from mcspectra.report.page import (
-    Facts,
-    Figure,
-    Figures,
-    Page,
-    Section,
-    Table,
-    Text,
-    text_cells,
-    versions_of,
-    write_json,
-    write_page,
-)
 from mcspectra.variance.fit import is_resolved
 
 __all__ = ["frame_findings", "frame_layers", "frame_summary", "frame_table", "write_frames"]
@@ -243,33 +231,33 @@ def write_frames(result: xr.Dataset, folder: str | Path) -> Path:
     """
     root = Path(folder)
     found, said = frame_summary(result), frame_findings(result)
-    write_json(root / "frames.json", {**found, "findings": said})
+    html.write_json(root / "frames.json", {**found, "findings": said})
     write_exr(root / "frames.exr", frame_layers(result), comment=json.dumps(strict_json(found)))
     columns, rows = frame_table(found)
-    table = Table(
+    table = html.Table(
         caption="Variance of one frame, mean over the pixels; median over the pixels of σ / mean"
         + ("; mean FLIP of one frame against the mean." if len(columns) == len(_COLUMNS) else "."),
         columns=columns,
-        rows=tuple(tuple(text_cells(*row)) for row in rows),
+        rows=tuple(tuple(html.text_cells(*row)) for row in rows),
     )
-    figures = tuple(
-        Figure(plot=kinds.describe(kind, result), name=kind.replace("-", "_"))
+    plots = {
+        kind.replace("-", "_"): kinds.describe(kind, result)
         for kind in kinds.kinds_of(result)
         if kind.startswith("frames-")
-    )
-    facts = [("Frames", found["frames"]), ("Versions", versions_of(result.attrs))]
-    page = Page(
+    }
+    facts = (("Frames", found["frames"]), ("Versions", html.versions_of(result.attrs)))
+    page = html.Page(
         title=f"Noise of {Path(found['frames']).name}",
         what="frames",
-        lead=tuple(Text(text=text) for text in said[:1]),
+        lead=tuple(html.Text(text=text) for text in said[:1]),
         sections=(
-            Section(
+            html.Section(
                 title="Summary",
                 anchor="summary",
-                blocks=(table, *(Text(text=text) for text in said[1:])),
+                blocks=(table, *(html.Text(text=text) for text in said[1:])),
             ),
-            Section(title="Pixels", anchor="pixels", blocks=(Figures(figures=figures),)),
-            Section(title="Provenance", anchor="provenance", blocks=(Facts(rows=tuple(facts)),)),
+            html.Section(title="Pixels", anchor="pixels", blocks=html.figures_of(plots)),
+            html.Section(title="Provenance", anchor="provenance", blocks=(html.Facts(rows=facts),)),
         ),
     )
-    return write_page(page, root / "report.html", root)
+    return html.write_page(page, root / "report.html", root)

@@ -18,20 +18,7 @@ from mcspectra.plots.maps import bounce_name
 from mcspectra.plots.text import MISSING, number, percent, rate
 from mcspectra.rendering.files import write_exr
 from mcspectra.rendering.scenes import SCENES, sized
-from mcspectra.report.page import (
-    Cell,
-    Facts,
-    Figure,
-    Figures,
-    Page,
-    Section,
-    Table,
-    Text,
-    text_cells,
-    versions_of,
-    write_json,
-    write_page,
-)
+from mcspectra.report import page as html
 
 __all__ = ["map_layers", "map_note", "map_sentences", "map_summary", "shown_numbers", "write_map"]
 
@@ -120,7 +107,7 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
     """
     root = Path(folder)
     summary = map_summary(result)
-    write_json(root / "map.json", summary)
+    html.write_json(root / "map.json", summary)
     write_exr(root / "maps.exr", map_layers(result), comment=json.dumps(result.attrs))
 
     # The page
@@ -134,72 +121,71 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
     )
     rows = summary["strategies"]
     columns = next(iter(rows.values()))
-    table = Table(
+    table = html.Table(
         caption=map_note(summary),
         columns=("Strategy", *(_COLUMNS[name] for name in columns)),
         rows=tuple(
             (
-                *text_cells(_named(name)),
-                *(Cell(text=text) for text in shown_numbers(row)),
+                *html.text_cells(_named(name)),
+                *(html.Cell(text=text) for text in shown_numbers(row)),
             )
             for name, row in rows.items()
         ),
     )
-    sentences = tuple(Text(text=text) for text in _sentences(summary))
+    sentences = tuple(html.Text(text=text) for text in _sentences(summary))
     last = str(result["strategy"].values[-1])
     first = f" by {result['sampler'].values[0]}" if "sampler" in result.dims else ""
-    worst = Table(
+    worst = html.Table(
         caption=f"Pixels of the largest variance, {_STRATEGIES.get(last, last)}{first} at n = "
         f"{summary['counts'][-1]}, their part of the image's, and what explains them.",
         columns=("Pixel", "Variance", "Part of all", "Command"),
         rows=tuple(_worst_row(each, known, root) for each in summary["worst_pixels"]),
     )
     causes = tuple(
-        Table(
+        html.Table(
             caption=caption,
             columns=(kind.capitalize(), "Share of all", "Median share", "Largest at"),
             rows=tuple(
-                (Cell(text=name, numeric=False), *(Cell(text=percent(v)) for v in row.values()))
+                (
+                    html.Cell(text=name, numeric=False),
+                    *(html.Cell(text=percent(v)) for v in row.values()),
+                )
                 for name, row in summary[f"{kind}s"].items()
             ),
         )
         for kind, caption in _CAUSES.items()
         if f"{kind}s" in summary
     )
-    figures = []
     shown = [each for each in kinds.kinds_of(result) if each.startswith("map-")]
-    for kind in sorted(shown, key=lambda each: each != "map-picture"):
-        name = kind.removeprefix("map-").replace("-", "_")
-        figures.append(Figure(plot=kinds.describe(kind, result), name=name))
+    plots = {
+        kind.removeprefix("map-").replace("-", "_"): kinds.describe(kind, result)
+        for kind in sorted(shown, key=lambda each: each != "map-picture")
+    }
     own = ((name, str(known[key])) for key, name in _PROVENANCE.items() if key in known)
-    facts = (*own, ("Versions", versions_of(known)))
-    page = Page(
+    facts = (*own, ("Versions", html.versions_of(known)))
+    page = html.Page(
         title=f"Variance map of {Path(known['scene']).name}",
         what="map",
         lead=(
-            *([Text(text=summary["answer"])] if "answer" in summary else []),
-            Text(text=settings, kind="soft"),
+            *([html.Text(text=summary["answer"])] if "answer" in summary else []),
+            html.Text(text=settings, kind="soft"),
         ),
         sections=(
-            Section(title="Summary", anchor="summary", blocks=(table, *sentences)),
-            *(
-                [Section(title="Where the variance comes from", anchor="shares", blocks=causes)]
-                if causes
-                else []
+            html.Section(title="Summary", anchor="summary", blocks=(table, *sentences)),
+            html.Section(title="Where the variance comes from", anchor="shares", blocks=causes),
+            html.Section(
+                title="Worst pixels", anchor="worst", blocks=(worst,) if worst.rows else ()
             ),
-            *(
-                [Section(title="Worst pixels", anchor="worst", blocks=(worst,))]
-                if worst.rows
-                else []
-            ),
-            Section(title="Maps", anchor="maps", blocks=(Figures(figures=tuple(figures)),)),
-            Section(title="Provenance", anchor="provenance", blocks=(Facts(rows=facts),)),
+            html.Section(title="Maps", anchor="maps", blocks=html.figures_of(plots)),
+            html.Section(title="Provenance", anchor="provenance", blocks=(html.Facts(rows=facts),)),
         ),
     )
-    return write_page(page, root / "report.html", root)
+    return html.write_page(page, root / "report.html", root)
 
 
-def _worst_row(pixel: Mapping[str, Any], known: Mapping[str, Any], root: Path) -> tuple[Cell, ...]:
+def _worst_row(
+    pixel: Mapping[str, Any], known: Mapping[str, Any], root: Path
+) -> tuple[html.Cell, ...]:
     """A pixel with the command that explains it, and a link to its page where that was run."""
     x, y = pixel["x"], pixel["y"]
     page = f"pixel-{x}-{y}/report.html"
@@ -216,10 +202,10 @@ def _worst_row(pixel: Mapping[str, Any], known: Mapping[str, Any], root: Path) -
         command = MISSING
         why = "The scene is no file, or the map's pixels are not those of its film."
     return (
-        Cell(text=f"({x}, {y})", numeric=False, link=page if (root / page).is_file() else ""),
-        Cell(text=number(pixel["variance"])),
-        Cell(text=percent(pixel["share"])),
-        Cell(text=command, why=why, numeric=False),
+        html.Cell(text=f"({x}, {y})", numeric=False, link=page if (root / page).is_file() else ""),
+        html.Cell(text=number(pixel["variance"])),
+        html.Cell(text=percent(pixel["share"])),
+        html.Cell(text=command, why=why, numeric=False),
     )
 
 

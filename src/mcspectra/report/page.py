@@ -12,7 +12,7 @@ from __future__ import annotations
 import base64
 import json
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, final
@@ -39,6 +39,7 @@ __all__ = [
     "Text",
     "anchors",
     "columns_of",
+    "figures_of",
     "text_cells",
     "versions_of",
     "write_json",
@@ -172,6 +173,8 @@ class Section:
     ----------
     anchor
         Distinct within a page; `anchors` makes them.
+    blocks
+        A section without any is left out.
     beside
         Words beside its name in the contents, in the colour of `mark`.
     fresh
@@ -222,6 +225,12 @@ def columns_of(table: Table, names: Sequence[str]) -> Table:
     return replace(table, columns=tuple(names), rows=rows)
 
 
+def figures_of(plots: Mapping[str, Plot], *, live: bool = False) -> tuple[Figures, ...]:
+    """Return a block of plots by the names of their files; nothing of none."""
+    figures = tuple(Figure(plot=plot, name=name, live=live) for name, plot in plots.items())
+    return (Figures(figures=figures),) if figures else ()
+
+
 def versions_of(attributes: Mapping[Any, Any]) -> str:
     """Return the versions that a result was computed with, as its attributes ``version_*`` have them."""
     head = "version_"
@@ -248,10 +257,37 @@ def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:
     StorageError
         The disk is full, or fails.
     """
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    page = replace(page, sections=tuple(section for section in page.sections if section.blocks))
     with writing(file, StoreError):
         if figures is not None:
             figures.mkdir(exist_ok=True)
-        text = _html(page, figures, file.parent)
+
+        # Figures are drawn one at a time, as the template comes to them
+        environment = Environment(
+            loader=PackageLoader("mcspectra.report", ""),
+            autoescape=True,
+            undefined=StrictUndefined,
+            trim_blocks=True,
+            lstrip_blocks=True,
+        )
+        environment.globals["kind"] = lambda block: type(block).__name__
+        seen: Counter[str] = Counter()
+
+        def label(text: str) -> str:
+            """Number the labels of regions that the page has already."""
+            seen[text] += 1
+            return text if seen[text] == 1 else f"{text} ({seen[text]})"
+
+        environment.globals["label"] = label
+        environment.globals["drawn"] = lambda figure: _drawn(figure, figures, file.parent)
+        script = ""
+        if any(figure.live for section in page.sections for figure in _figures_in(section.blocks)):
+            from mcspectra.plots.backend_bokeh import script as bokeh_script
+
+            script = bokeh_script()
+        text = environment.get_template("page.html.j2").render(page=page, bokeh=script)
         partial = file.parent / f".{file.name}.partial"
         try:
             partial.write_text(text, encoding="utf-8")
@@ -267,39 +303,6 @@ def write_json(file: Path, value: Any) -> None:
     with writing(file, StoreError):
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text + "\n", encoding="utf-8")
-
-
-def _html(page: Page, figures: Path | None, root: Path) -> str:
-    """The page as text; figures are drawn one at a time, as the template comes to them."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("mcspectra.report", ""),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.globals["kind"] = lambda block: type(block).__name__
-    environment.globals["label"] = _distinct()
-    environment.globals["drawn"] = lambda figure: _drawn(figure, figures, root)
-    script = ""
-    if any(figure.live for section in page.sections for figure in _figures_in(section.blocks)):
-        from mcspectra.plots.backend_bokeh import script as bokeh_script
-
-        script = bokeh_script()
-    return environment.get_template("page.html.j2").render(page=page, bokeh=script)
-
-
-def _distinct() -> Callable[[str], str]:
-    """What numbers labels of regions that a page has already."""
-    seen: Counter[str] = Counter()
-
-    def label(text: str) -> str:
-        seen[text] += 1
-        return text if seen[text] == 1 else f"{text} ({seen[text]})"
-
-    return label
 
 
 def _figures_in(blocks: Iterable[Block]) -> Iterable[Figure]:

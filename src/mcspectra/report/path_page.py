@@ -14,21 +14,7 @@ import xarray as xr
 
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.text import interval, number, percent, rate
-from mcspectra.report.page import (
-    Cell,
-    Facts,
-    Figure,
-    Figures,
-    Page,
-    Section,
-    Sentences,
-    Table,
-    Text,
-    text_cells,
-    versions_of,
-    write_json,
-    write_page,
-)
+from mcspectra.report import page as html
 from mcspectra.report.pixel_page import remedies_section, remedies_summary
 from mcspectra.report.sentences import answer
 from mcspectra.variance.anova import EFFECTIVE_SHARE
@@ -290,7 +276,7 @@ def write_path(tree: xr.DataTree, folder: str | Path) -> Path:
         The folder cannot be written.
     """
     root, known = Path(folder), tree.attrs
-    write_json(root / "pixel.json", path_summary(tree))
+    html.write_json(root / "pixel.json", path_summary(tree))
     rows = path_rows(tree)
     counts = ", ".join(map(str, known["counts"]))
     settings = (
@@ -304,52 +290,48 @@ def write_path(tree: xr.DataTree, folder: str | Path) -> Path:
     }
     titles = {"rates": "Rates", "parts": "Parts of the variance", "lights": "Lights"}
     sections = [
-        Section(
+        html.Section(
             title=title,
             anchor=name,
-            blocks=(
-                _table(name, rows[name]),
-                Figures(figures=tuple(Figure(plot=p, name=n) for n, p in plots[name].items())),
-            )[: 2 if plots[name] else 1],
+            blocks=(_table(name, rows[name]), *html.figures_of(plots[name])),
         )
         for name, title in titles.items()
         if name in rows
     ]
     if "remedies" in tree.children:
-        sections.append(_remedies(tree["remedies"].to_dataset(), str(known["sampler"])))
+        # Add what the changes cost beside their paths, and what could not be tried
+        found = tree["remedies"].to_dataset()
+        section = remedies_section(found, str(known["sampler"]))
+        costs = [
+            (str(name), str(one["reason"].item()))
+            for name in found["remedy"].values
+            for one in [found.sel(remedy=name)]
+            if one["kind"].item() in _CHARGED
+        ]
+        costs += [each.split(": ", 1) for each in json.loads(found.attrs["not_tried"])]
+        about = html.Text(text=_ABOUT_CHARGED, kind="soft")
+        sections.append(
+            replace(section, blocks=(*section.blocks, about, html.Sentences(rows=tuple(costs))))
+        )
     facts = (
         ("Scene", str(known["scene"])),
         ("Integrator", str(known["integrator"])),
         ("Mean", f"{number(known['value'], 5)} ({known['channel']})"),
         ("Coordinates", ", ".join(known["dimensions"])),
-        ("Versions", versions_of(tree["convergence"].attrs)),
+        ("Versions", html.versions_of(tree["convergence"].attrs)),
     )
     said = tuple((name[:1].upper() + name[1:], text) for name, text in path_sentences(tree))
-    page = Page(
+    page = html.Page(
         title=f"Pixel ({known['x']}, {known['y']}) of {Path(known['scene']).name}: whole paths",
         what="pixel",
-        lead=(Text(text=path_answer(tree)), Text(text=settings, kind="soft")),
+        lead=(html.Text(text=path_answer(tree)), html.Text(text=settings, kind="soft")),
         sections=(
-            Section(title="Explanation", anchor="pixel", blocks=(Sentences(rows=said),)),
+            html.Section(title="Explanation", anchor="pixel", blocks=(html.Sentences(rows=said),)),
             *sections,
-            Section(title="Provenance", anchor="provenance", blocks=(Facts(rows=facts),)),
+            html.Section(title="Provenance", anchor="provenance", blocks=(html.Facts(rows=facts),)),
         ),
     )
-    return write_page(page, root / "report.html", root / "figures")
-
-
-def _remedies(found: xr.Dataset, sampler: str) -> Section:
-    """The changes that were tried, what they cost beside their paths, and what could not be tried."""
-    section = remedies_section(found, sampler)
-    costs = [
-        (str(name), str(one["reason"].item()))
-        for name in found["remedy"].values
-        for one in [found.sel(remedy=name)]
-        if one["kind"].item() in _CHARGED
-    ]
-    costs += [each.split(": ", 1) for each in json.loads(found.attrs["not_tried"])]
-    about = Text(text=_ABOUT_CHARGED, kind="soft")
-    return replace(section, blocks=(*section.blocks, about, Sentences(rows=tuple(costs))))
+    return html.write_page(page, root / "report.html", root / "figures")
 
 
 def _parts(tree: xr.DataTree, kind: str) -> xr.Dataset:
@@ -360,8 +342,8 @@ def _share(name: str) -> tuple[str, str]:
     return f"{name}_share", f"{name}_share_ci"
 
 
-def _table(name: str, rows: Sequence[Sequence[str]]) -> Table:
+def _table(name: str, rows: Sequence[Sequence[str]]) -> html.Table:
     cells = tuple(
-        (*text_cells(first), *(Cell(text=text) for text in rest)) for first, *rest in rows
+        (*html.text_cells(first), *(html.Cell(text=text) for text in rest)) for first, *rest in rows
     )
-    return Table(caption=_ABOUT[name], columns=PATH_TABLES[name], rows=cells, stacked=True)
+    return html.Table(caption=_ABOUT[name], columns=PATH_TABLES[name], rows=cells, stacked=True)

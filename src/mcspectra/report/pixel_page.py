@@ -10,27 +10,12 @@ from typing import Any
 
 import xarray as xr
 
-from mcspectra.plots.description import Plot
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.maps import incident_maps
 from mcspectra.plots.style import sampler_styles
 from mcspectra.plots.text import MISSING, number, percent, rate
 from mcspectra.plots.variance import strategy_curves
-from mcspectra.report.page import (
-    Cell,
-    Facts,
-    Figure,
-    Figures,
-    Page,
-    Section,
-    Sentences,
-    Table,
-    Text,
-    columns_of,
-    versions_of,
-    write_json,
-    write_page,
-)
+from mcspectra.report import page as html
 from mcspectra.report.sentences import answer, basis_name, explain
 from mcspectra.report.tables import analysis_table, summary_table, terms_table
 from mcspectra.studies import SummaryRow, summarize
@@ -117,7 +102,7 @@ def write_pixel(tree: xr.DataTree, folder: str | Path) -> Path:
         The folder cannot be written.
     """
     root, known = Path(folder), tree.attrs
-    write_json(root / "pixel.json", pixel_summary(tree))
+    html.write_json(root / "pixel.json", pixel_summary(tree))
     counts = ", ".join(map(str, known["counts"]))
     settings = (
         f"n = {counts} samples of each technique, {known['realizations']} realisations, seed "
@@ -126,22 +111,26 @@ def write_pixel(tree: xr.DataTree, folder: str | Path) -> Path:
     facts = (
         ("Scene", str(known["scene"])),
         ("Dims", str(known["dims"])),
-        ("Versions", versions_of(tree["convergence"].attrs)),
+        ("Versions", html.versions_of(tree["convergence"].attrs)),
     )
     about = tuple((name.capitalize(), text) for name, text in about_pixel(tree))
     said = tuple((name[:1].upper() + name[1:], text) for name, text in pixel_sentences(tree))
-    sees = (Facts(rows=about), Text(text="Explanation", kind="heading"), Sentences(rows=said))
-    page = Page(
+    sees = (
+        html.Facts(rows=about),
+        html.Text(text="Explanation", kind="heading"),
+        html.Sentences(rows=said),
+    )
+    page = html.Page(
         title=f"Pixel ({known['x']}, {known['y']}) of {Path(known['scene']).name}",
         what="pixel",
-        lead=(Text(text=pixel_answer(tree)), Text(text=settings, kind="soft")),
+        lead=(html.Text(text=pixel_answer(tree)), html.Text(text=settings, kind="soft")),
         sections=(
-            Section(title="What it sees", anchor="pixel", blocks=sees),
+            html.Section(title="What it sees", anchor="pixel", blocks=sees),
             *_sections(tree),
-            Section(title="Provenance", anchor="provenance", blocks=(Facts(rows=facts),)),
+            html.Section(title="Provenance", anchor="provenance", blocks=(html.Facts(rows=facts),)),
         ),
     )
-    return write_page(page, root / "report.html", root / "figures")
+    return html.write_page(page, root / "report.html", root / "figures")
 
 
 def pixel_answer(tree: xr.DataTree) -> str:
@@ -348,7 +337,7 @@ def pixel_summary(tree: xr.DataTree) -> dict[str, Any]:
     return found
 
 
-def _sections(tree: xr.DataTree) -> Iterator[Section]:
+def _sections(tree: xr.DataTree) -> Iterator[html.Section]:
     """All parts of the page that have figures or tables."""
     known = tree.attrs
 
@@ -356,14 +345,16 @@ def _sections(tree: xr.DataTree) -> Iterator[Section]:
     curves = tree["convergence"].to_dataset()
     table = summary_table(pixel_rows(tree))
     table = replace(
-        columns_of(table, table.columns[:5]),
+        html.columns_of(table, table.columns[:5]),
         caption=_ABOUT_RATES,
         columns=("Strategy", *table.columns[1:5]),
     )
     styles = sampler_styles(list(map(str, curves["sampler"].values)))
     plot = strategy_curves(curves, STRATEGY_NAMES, styles)
-    yield Section(
-        title="Rates and predictions", anchor="rates", blocks=(table, _figures(rates=plot))
+    yield html.Section(
+        title="Rates and predictions",
+        anchor="rates",
+        blocks=(table, *html.figures_of({"rates": plot})),
     )
 
     # Terms, in the basis that fits and in all others
@@ -380,9 +371,9 @@ def _sections(tree: xr.DataTree) -> Iterator[Section]:
     bars, shares = describe("terms", fitting), describe("captured", every)
     where = f"At n = {first['n']} with {known['sampler']}, {basis_name(first['basis'])} basis."
     bars = replace(bars, caption=f"{bars.caption} {where}")
-    figures = _figures(terms=bars, captured=shares)
-    yield Section(
-        title="Three terms", anchor="terms", blocks=(Text(text=_ABOUT_TERMS), table, figures)
+    figures = html.figures_of({"terms": bars, "captured": shares})
+    yield html.Section(
+        title="Three terms", anchor="terms", blocks=(html.Text(text=_ABOUT_TERMS), table, *figures)
     )
 
     # Integrands on the square, and the light that arrives
@@ -397,10 +388,12 @@ def _sections(tree: xr.DataTree) -> Iterator[Section]:
             )
             group[title] = node.to_dataset()
         plot = replace(describe("primary", group), caption=_ABOUT_SPACES, wide=True)
-        figures = _figures(integrands=plot)
-        yield Section(title="Integrands on the square", anchor="integrands", blocks=(figures,))
+        figures = html.figures_of({"integrands": plot})
+        yield html.Section(title="Integrands on the square", anchor="integrands", blocks=figures)
     plot = replace(incident_maps(tree["incident"].to_dataset()), caption=_ABOUT_INCIDENT)
-    yield Section(title="Light that arrives", anchor="incident", blocks=(_figures(incident=plot),))
+    yield html.Section(
+        title="Light that arrives", anchor="incident", blocks=html.figures_of({"incident": plot})
+    )
 
     # The bottleneck
     found = tree["techniques"].to_dataset()
@@ -413,22 +406,22 @@ def _sections(tree: xr.DataTree) -> Iterator[Section]:
         variances,
         strict=True,
     )
-    table = Table(
+    table = html.Table(
         caption=f"Shares of MIS with the balance heuristic, n = {int(found['n'][-1])}, "
         f"{known['sampler']}.",
         columns=("Technique", "Rate", "Variance", "Part of all"),
         rows=tuple(
             (
-                Cell(text=name, numeric=False),
-                Cell(text=rate(float(slope), *map(float, ends))),
-                Cell(text=number(float(variance))),
-                Cell(text=percent(float(variance) / total) if total > 0 else MISSING),
+                html.Cell(text=name, numeric=False),
+                html.Cell(text=rate(float(slope), *map(float, ends))),
+                html.Cell(text=number(float(variance))),
+                html.Cell(text=percent(float(variance) / total) if total > 0 else MISSING),
             )
             for name, slope, ends, variance in rows
         ),
     )
-    text = Text(text=bottleneck_sentence(tree))
-    yield Section(title="Bottleneck", anchor="bottleneck", blocks=(text, table))
+    text = html.Text(text=bottleneck_sentence(tree))
+    yield html.Section(title="Bottleneck", anchor="bottleneck", blocks=(text, table))
 
     # Remedies
     if "remedies" not in tree.children:
@@ -446,15 +439,11 @@ def remedies_summary(found: xr.Dataset) -> dict[str, Any]:
     return {**{k: found.attrs[k] for k in known}, "ranked": ranked}
 
 
-def remedies_section(found: xr.Dataset, sampler: str) -> Section:
+def remedies_section(found: xr.Dataset, sampler: str) -> html.Section:
     """What to do, and each change that was tried."""
     made = analysis_table("remedies", {sampler: found})
     assert made is not None
-    table = columns_of(made[1], made[1].columns[1:])
-    text = Text(text=found.attrs["recommendation"])
-    figures = _figures(remedies=describe("remedies", found))
-    return Section(title=made[0], anchor="remedies", blocks=(text, table, figures))
-
-
-def _figures(**plots: Plot) -> Figures:
-    return Figures(figures=tuple(Figure(plot=plot, name=name) for name, plot in plots.items()))
+    table = html.columns_of(made[1], made[1].columns[1:])
+    text = html.Text(text=found.attrs["recommendation"])
+    figures = html.figures_of({"remedies": describe("remedies", found)})
+    return html.Section(title=made[0], anchor="remedies", blocks=(text, table, *figures))

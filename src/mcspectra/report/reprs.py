@@ -82,6 +82,8 @@ def _page(spec: str, pictures: Pictures, rows: Rows) -> str:
 
 
 def _sampler(sampler: Sampler) -> tuple[Pictures, Rows]:
+    from scipy.spatial import KDTree
+
     kept = sampler.structure
     rows = [("dims", str(sampler.dims)), ("unbiased", _yes(sampler.unbiased))]
     if kept not in (Structure.UNKNOWN, Structure.NONE):
@@ -92,7 +94,10 @@ def _sampler(sampler: Sampler) -> tuple[Pictures, Rows]:
     if _is_costly(sampler) or n * sampler.dims > _MOST_NUMBERS:
         return [], [*rows, ("picture", f"none: {n} points would take long")]
     points = sampler.draw(n, rng=0)[0]
-    rows.append(("smallest distance", f"{number(_smallest_distance(points))} (of these points)"))
+    # On the torus the second nearest point is another one; of one point there is none, at infinity
+    tree = KDTree(points, boxsize=np.ones(points.shape[1]))
+    least = float(np.min(tree.query(points, k=[2])[0]))
+    rows.append(("smallest distance", f"{number(least)} (of these points)"))
     return [_points(points)], rows
 
 
@@ -102,16 +107,6 @@ def _points(points: Array) -> tuple[str, str]:
     if dims == 1:
         return strip(points[:, 0], caption), caption
     return scatter(points[:, :2], caption), caption
-
-
-def _smallest_distance(points: Array) -> float:
-    """Smallest toroidal distance of two points; infinite for one. Row by row: little memory."""
-    least = np.inf
-    for k in range(1, len(points)):
-        gap = np.abs(points[:k] - points[k])
-        gap = np.minimum(gap, 1.0 - gap)
-        least = min(least, float((gap**2).sum(axis=1).min()))
-    return float(np.sqrt(least))
 
 
 def _density(density: Density) -> tuple[Pictures, Rows]:
@@ -259,14 +254,24 @@ def curve(values: Array, label: str) -> str:
 
 def map_image(values: Array, label: str) -> str:
     """Values (k, k) or (k, k, channels) in a grid of cells; three channels are colours."""
+    from PIL import Image
+
     colored = values.ndim == 3 and values.shape[2] == 3
     shown = values if colored else values.reshape(*values.shape[:2], -1)[..., 0]
     low, high = _limits(shown)
     scaled = np.clip((shown - low) / (high - low or 1.0), 0.0, 1.0)
-    pixels = 255.0 * scaled if colored else _colors(scaled)
+    nodes = np.linspace(0.0, 1.0, len(_VIRIDIS))
+    pixels = (
+        255.0 * scaled
+        if colored
+        else np.stack([np.interp(scaled, nodes, c) for c in np.transpose(_VIRIDIS)], axis=-1)
+    )
     pixels[~np.isfinite(pixels)] = 255.0
     upright = np.round(pixels).astype(np.uint8).swapaxes(0, 1)[::-1]
-    picture = f'<image width="100" height="100" href="{_png(upright)}" style="image-rendering:pixelated"/>'
+    held = io.BytesIO()
+    Image.fromarray(upright).save(held, "png")
+    url = f"data:image/png;base64,{base64.b64encode(held.getvalue()).decode('ascii')}"
+    picture = f'<image width="100" height="100" href="{url}" style="image-rendering:pixelated"/>'
     return _framed(picture, label)
 
 
@@ -297,18 +302,3 @@ def _line(x: Array, y: Array) -> str:
         parts.append(f"{pen}{at:.2f} {height:.2f}")
         pen = "L"
     return "".join(parts)
-
-
-def _colors(scaled: Array) -> Array:
-    """Colours (..., 3), 0 to 255, of values from 0 to 1."""
-    nodes = np.linspace(0.0, 1.0, len(_VIRIDIS))
-    return np.stack([np.interp(scaled, nodes, c) for c in np.transpose(_VIRIDIS)], axis=-1)
-
-
-def _png(pixels: Array) -> str:
-    """A data URL of pixels uint8 (height, width, 3)."""
-    from PIL import Image
-
-    held = io.BytesIO()
-    Image.fromarray(pixels).save(held, "png")
-    return "data:image/png;base64," + base64.b64encode(held.getvalue()).decode("ascii")

@@ -10,22 +10,7 @@ import xarray as xr
 
 from mcspectra.plots import kinds
 from mcspectra.plots.text import MISSING, interval, number
-from mcspectra.report.page import (
-    Block,
-    Cell,
-    Facts,
-    Figure,
-    Figures,
-    Page,
-    Section,
-    Sentences,
-    Table,
-    Text,
-    anchors,
-    text_cells,
-    versions_of,
-    write_page,
-)
+from mcspectra.report import page as html
 from mcspectra.variance.fit import is_resolved
 
 __all__ = ["write_result"]
@@ -53,28 +38,31 @@ def write_result(result: xr.Dataset, out: str | Path, title: str = "Result") -> 
     """
     attributes = {str(key): value for key, value in result.attrs.items()}
     said = [str(attributes[name]) for name in _SAID if attributes.get(name)]
-    sections = []
-    causes = json.loads(attributes.get("causes", "[]"))
-    if causes:
-        rows = tuple((cause["name"], cause["sentence"]) for cause in causes)
-        sections.append(Section(title="Causes", anchor="causes", blocks=(Sentences(rows=rows),)))
+    causes = tuple(
+        (cause["name"], cause["sentence"]) for cause in json.loads(attributes.get("causes", "[]"))
+    )
 
     # Figures, and the single numbers with their intervals
     shown = [kind for kind in kinds.kinds_of(result) if kind != "anything"]
-    names = anchors(shown)
-    figures = tuple(
-        Figure(plot=kinds.describe(kind, result), name=name, live=True)
-        for kind, name in zip(shown, names, strict=True)
-    )
-    if figures:
-        sections.append(
-            Section(title="Figures", anchor="figures", blocks=(Figures(figures=figures),))
+    described = (kinds.describe(kind, result) for kind in shown)
+    plots = dict(zip(html.anchors(shown), described, strict=True))
+    single = tuple(
+        (
+            *html.text_cells(str(name)),
+            *(html.Cell(text=text) for text in _value(result, str(name))),
+            *html.text_cells(str(values.attrs.get("long_name", ""))),
         )
-    by = (("sampler",), ("n",), ("sampler", "n"))
-    tables = [_numbers(result), *(_curves(result, dims) for dims in by)]
-    tables = [table for table in tables if table.rows]
-    if tables:
-        sections.append(Section(title="Numbers", anchor="numbers", blocks=tuple(tables)))
+        for name, values in result.data_vars.items()
+        if not values.ndim and not str(name).endswith(("_ci", "_se"))
+    )
+    tables = [
+        html.Table(
+            caption="Numbers with their 95 % intervals",
+            columns=("number", "value", "95 %", "meaning"),
+            rows=single,
+        ),
+        *(_curves(result, dims) for dims in (("sampler",), ("n",), ("sampler", "n"))),
+    ]
     facts = tuple(
         (name, str(value))
         for name, value in attributes.items()
@@ -82,31 +70,23 @@ def write_result(result: xr.Dataset, out: str | Path, title: str = "Result") -> 
         and not name.startswith("version_")
         and len(str(value)) < _LONG
     )
-    facts = (*facts, ("versions", versions_of(attributes)))
-    sections.append(
-        Section(title="Provenance", anchor="provenance", blocks=(Facts(rows=facts, code=True),))
+    facts = (*facts, ("versions", html.versions_of(attributes)))
+    parts: dict[str, tuple[html.Block, ...]] = {
+        "Causes": (html.Sentences(rows=causes),) if causes else (),
+        "Figures": html.figures_of(plots, live=True),
+        "Numbers": tuple(table for table in tables if table.rows),
+        "Provenance": (html.Facts(rows=facts, code=True),),
+    }
+    page = html.Page(
+        title=title,
+        what="result",
+        lead=tuple(html.Text(text=sentence) for sentence in said),
+        sections=tuple(
+            html.Section(title=name, anchor=name.lower(), blocks=blocks)
+            for name, blocks in parts.items()
+        ),
     )
-    lead: tuple[Block, ...] = tuple(Text(text=sentence) for sentence in said)
-    page = Page(title=title, what="result", lead=lead, sections=tuple(sections))
-    return write_page(page, Path(out))
-
-
-def _numbers(result: xr.Dataset) -> Table:
-    """Single numbers, with their intervals and meanings."""
-    rows = [
-        (
-            *text_cells(str(name)),
-            *(Cell(text=text) for text in _value(result, str(name))),
-            *text_cells(str(values.attrs.get("long_name", ""))),
-        )
-        for name, values in result.data_vars.items()
-        if not values.ndim and not str(name).endswith(("_ci", "_se"))
-    ]
-    return Table(
-        caption="Numbers with their 95 % intervals",
-        columns=("number", "value", "95 %", "meaning"),
-        rows=tuple(rows),
-    )
+    return html.write_page(page, Path(out))
 
 
 def _value(result: xr.Dataset, name: str) -> tuple[str, str]:
@@ -119,7 +99,7 @@ def _value(result: xr.Dataset, name: str) -> tuple[str, str]:
     return number(value) if resolved else "unresolved", interval(low, high)
 
 
-def _curves(result: xr.Dataset, dims: tuple[str, ...]) -> Table:
+def _curves(result: xr.Dataset, dims: tuple[str, ...]) -> html.Table:
     """Values by sampler, by n or by both, where they are known, and the route; of the first channel."""
     first = result.isel(channel=0) if "channel" in result.dims else result
     names = [
@@ -138,8 +118,8 @@ def _curves(result: xr.Dataset, dims: tuple[str, ...]) -> Table:
                 for text, ends in found
             ]
             places, how = ([str(one[name].item()) for name in given] for given in (dims, routes))
-            rows.append(text_cells(*places, *shown, *how))
-    return Table(
+            rows.append(html.text_cells(*places, *shown, *how))
+    return html.Table(
         caption="Values, with 95 % intervals in brackets where they are wider",
         columns=(*dims, *(name.replace("_", " ") for name in (*names, *routes))),
         rows=tuple(rows),

@@ -36,20 +36,7 @@ from mcspectra.plots.style import sampler_styles
 from mcspectra.plots.text import MISSING, NEGLIGIBLE, number, rate, with_error
 from mcspectra.quality import quality_figures, summarize
 from mcspectra.quality.figures import different_realizations
-from mcspectra.report.page import (
-    Block,
-    Cell,
-    Facts,
-    Figure,
-    Figures,
-    Page,
-    Section,
-    Table,
-    Text,
-    anchors,
-    write_json,
-    write_page,
-)
+from mcspectra.report import page as html
 from mcspectra.samplers import SAMPLERS, Sampler, sampler
 from mcspectra.samplers.facts import Facts as SamplerFacts
 from mcspectra.samplers.facts import sampler_facts
@@ -234,12 +221,12 @@ def write_gallery(
         }
         for card in cards
     ]
-    write_json(root / "gallery.json", numbers)
+    html.write_json(root / "gallery.json", numbers)
     if format == "html":
-        return write_page(_page(cards, effort), root / "index.html")
+        return html.write_page(_page(cards, effort), root / "index.html")
 
     # Markdown, and a picture of each
-    names, page = anchors(card.name for card in cards), root / "index.md"
+    names, page = html.anchors(card.name for card in cards), root / "index.md"
     lines = ["# Samplers", "", _settings(effort), ""]
     with writing(root, StoreError):
         for card, name in zip(cards, names, strict=True):
@@ -267,6 +254,12 @@ def measure_card(spec: str, *, effort: Effort = FULL, rng: int = 0) -> Card:
     free = light if light.unbiased else randomized(light)
     n = source.nearest_count(effort.n)
     slow = light != source
+    wide = round(2.0 * n ** (1.0 / light.dims))
+    several, few = (
+        different_realizations(light, n, Stream.from_rng(rng), most)
+        for most in (SHARED_SETS if slow else effort.spectra, SHARED_SETS)
+    )
+    found = quality_figures(light, n, figures=tuple(_QUALITY), realizations=few, rng=rng)
     return Card(
         name=spec,
         facts=sampler_facts(name) if name in SAMPLERS else None,
@@ -275,9 +268,13 @@ def measure_card(spec: str, *, effort: Effort = FULL, rng: int = 0) -> Card:
         n=n,
         points=light.draw(n, rng=rng)[0],
         projected=_projection(spec, n, rng),
-        spectrum=_spectrum(light, n, effort, rng, slow=slow),
+        spectrum=power_spectrum(light, n, half_width=wide, realizations=several, rng=rng),
         curves=_curves(source.dims, free, effort, rng, slow=slow),
-        quality=_quality(light, n, rng),
+        quality={
+            figure.name: (figure.long_name, figure.mean, figure.standard_error)
+            for figure in summarize(found)
+            if not figure.missing
+        },
         speed=n / making_seconds(source, n, rng),
     )
 
@@ -303,13 +300,6 @@ def _projection(spec: str, n: int, rng: int) -> Array | None:
     return points
 
 
-def _spectrum(source: Sampler, n: int, effort: Effort, rng: int, *, slow: bool) -> xr.Dataset:
-    wide = round(2.0 * n ** (1.0 / source.dims))
-    stream, most = Stream.from_rng(rng), SHARED_SETS if slow else effort.spectra
-    count = different_realizations(source, n, stream, most)
-    return power_spectrum(source, n, half_width=wide, realizations=count, rng=rng)
-
-
 def _curves(
     dims: int, source: Sampler, effort: Effort, rng: int, *, slow: bool
 ) -> dict[str, xr.Dataset]:
@@ -325,72 +315,60 @@ def _curves(
     }
 
 
-def _quality(source: Sampler, n: int, rng: int) -> dict[str, tuple[str, float, float]]:
-    """Long name, mean and standard error of the figures that can be had."""
-    count = different_realizations(source, n, Stream.from_rng(rng), SHARED_SETS)
-    found = quality_figures(source, n, figures=tuple(_QUALITY), realizations=count, rng=rng)
-    return {
-        figure.name: (figure.long_name, figure.mean, figure.standard_error)
-        for figure in summarize(found)
-        if not figure.missing
-    }
-
-
 def _makeable(name: str) -> bool:
     """Whether a registered sampler needs nothing from outside: no file, no other package."""
     if name in ("points", "scipy", "qmcpy", "mitsuba"):
         return False
-    for dims in (2, 1, 3):
-        try:
-            sampler(name, dims)
-        except ParameterError:
-            continue
-        except MissingDependency:
-            return False
-        return True
-    return False
+    try:
+        _in_two_dims(name)
+    except (ParameterError, MissingDependency):
+        return False
+    return True
 
 
-def _page(cards: Sequence[Card], effort: Effort) -> Page:
+def _page(cards: Sequence[Card], effort: Effort) -> html.Page:
     """One table of all, spectra and curves over each other, and a section for each sampler."""
-    names = anchors((card.name for card in cards), "s-")
+    names = html.anchors((card.name for card in cards), "s-")
     styles = sampler_styles([card.name for card in cards])
     overlays = []
     for start in range(0, len(cards), _IN_OVERLAY):
         few = cards[start : start + _IN_OVERLAY]
         spectra = {card.name: card.spectrum for card in few}
-        overlays.append(Figure(plot=describe("radial", spectra, styles), live=True))
+        overlays.append(html.Figure(plot=describe("radial", spectra, styles), live=True))
         for text in dict.fromkeys(text for card in few for text in card.curves):
             curves = {card.name: card.curves[text] for card in few if text in card.curves}
             plot = describe("convergence", curves, styles)
             plot = replace(plot, caption=f"{text}: {plot.caption}")
-            overlays.append(Figure(plot=plot, live=True))
-    together: tuple[Block, ...] = (Text(text=_settings(effort)), _table(cards, names))
-    together += (Figures(figures=tuple(overlays)),)
-    sections = [Section(title="Side by side", anchor="all", blocks=together)]
+            overlays.append(html.Figure(plot=plot, live=True))
+    together: tuple[html.Block, ...] = (html.Text(text=_settings(effort)), _table(cards, names))
+    together += (html.Figures(figures=tuple(overlays)),)
+    sections = [html.Section(title="Side by side", anchor="all", blocks=together)]
     for card, anchor in zip(cards, names, strict=True):
         facts = []
         for name, value in _card_facts(card):
             text = ADDRESS.sub(r'<a href="\g<0>">\g<0></a>', str(escape(value)))
             facts.append((name, Markup(text)))
         blocks = (
-            Text(text=card.facts.summary if card.facts else ""),
-            Figures(figures=(Figure(plot=_card_plot(card)),)),
-            Facts(rows=tuple(facts)),
+            html.Text(text=card.facts.summary if card.facts else ""),
+            html.Figures(figures=(html.Figure(plot=_card_plot(card)),)),
+            html.Facts(rows=tuple(facts)),
         )
-        sections.append(Section(title=card.name, anchor=anchor, blocks=blocks, code=True))
+        sections.append(html.Section(title=card.name, anchor=anchor, blocks=blocks, code=True))
     what = f"{len(cards)} point set{'' if len(cards) == 1 else 's'}, measured by mcspectra {__version__}."
-    lead = (Text(text=what, kind="soft"),)
-    return Page(title="Samplers", what="gallery", lead=lead, sections=tuple(sections))
+    lead = (html.Text(text=what, kind="soft"),)
+    return html.Page(title="Samplers", what="gallery", lead=lead, sections=tuple(sections))
 
 
-def _table(cards: Sequence[Card], names: Sequence[str]) -> Table:
+def _table(cards: Sequence[Card], names: Sequence[str]) -> html.Table:
     """Rates, quality and speed of all samplers."""
     texts = list(dict.fromkeys(text for card in cards for text in card.curves))
     figures = dict.fromkeys(key for card in cards for key in card.quality)
     rows = []
     for card, name in zip(cards, names, strict=True):
-        cells = [Cell(text=card.name, numeric=False, link=f"#{name}"), Cell(text=str(card.n))]
+        cells = [
+            html.Cell(text=card.name, numeric=False, link=f"#{name}"),
+            html.Cell(text=str(card.n)),
+        ]
         for text in texts:
             value, low, high = card.rates.get(text, (math.nan,) * 3)
             cells.append(_cell(rate(value, low, high), value, "fewer than two counts are possible"))
@@ -399,7 +377,7 @@ def _table(cards: Sequence[Card], names: Sequence[str]) -> Table:
             cells.append(_cell(number(mean), mean, "it is not defined for this set"))
         cells.append(_cell(number(card.speed, 2), card.speed, ""))
         rows.append(tuple(cells))
-    return Table(
+    return html.Table(
         caption="Rates are exponents of variance in n with half their 95 % intervals, unresolved beyond 0.5, figures of quality "
         "means, whose standard errors stand with each sampler: minimum distance by that of the densest packing, mean squared distance "
         "of moving uniform mass to the points, t of the (t, m, d)-net.",
@@ -415,14 +393,9 @@ def _table(cards: Sequence[Card], names: Sequence[str]) -> Table:
     )
 
 
-def _cell(text: str, value: float, why: str) -> Cell:
+def _cell(text: str, value: float, why: str) -> html.Cell:
     known = math.isfinite(value)
-    return Cell(text=text, why=why if text == MISSING else "", order=value if known else None)
-
-
-def _with_error(mean: float, se: float) -> str:
-    """A mean with its standard error; one of rounding size is none."""
-    return with_error(number(mean), se if se > NEGLIGIBLE * abs(mean) else None)
+    return html.Cell(text=text, why=why if text == MISSING else "", order=value if known else None)
 
 
 def _card_plot(card: Card) -> Plot:
@@ -448,7 +421,11 @@ def _card_facts(card: Card) -> list[tuple[str, str]]:
         ("Dims", card.facts.dims if card.facts else ""),
         ("Counts", card.facts.counts if card.facts else ""),
         *((f"Rate on {text.partition('(')[0]}{measured}", rate(*v)) for text, v in rates.items()),
-        *((name, _with_error(mean, se)) for name, mean, se in card.quality.values()),
+        # An error of rounding size is none
+        *(
+            (name, with_error(number(mean), se if se > NEGLIGIBLE * abs(mean) else None))
+            for name, mean, se in card.quality.values()
+        ),
         ("Speed", f"{number(card.speed, 2)} points/s at n = {card.n}"),
         ("Source", card.facts.sources if card.facts else ""),
     ]

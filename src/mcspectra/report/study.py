@@ -16,22 +16,7 @@ from mcspectra.core.errors import StoreError
 from mcspectra.plots import kinds
 from mcspectra.plots.style import LineStyle, sampler_styles
 from mcspectra.plots.text import percent
-from mcspectra.report.page import (
-    Block,
-    Facts,
-    Figure,
-    Figures,
-    Folded,
-    Page,
-    Section,
-    Sentences,
-    Table,
-    Text,
-    anchors,
-    text_cells,
-    versions_of,
-    write_page,
-)
+from mcspectra.report import page as html
 from mcspectra.report.sentences import answer, basis_name, explain, further_sentences
 from mcspectra.report.tables import analysis_table, summary_of, summary_table, terms_table
 from mcspectra.studies import SummaryRow, open_results, study_status, summarize
@@ -156,7 +141,7 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
     study, estimates = tree.attrs.get("study") or {}, collect(tree)
     samplers = list(dict.fromkeys(s for each in estimates for s in each.rows))
     asked = _asked(study)
-    styles, names = sampler_styles(samplers), anchors((each.key for each in estimates), "e-")
+    styles, names = sampler_styles(samplers), html.anchors((each.key for each in estimates), "e-")
 
     # The summary, what is missing, a section for each estimator, provenance
     rows = [
@@ -166,11 +151,11 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
         for channel, row in enumerate(found)
     ]
     blocks = [*_summary(rows, bool(estimates)), *_gaps(root, asked)]
-    sections = [Section(title="Summary", anchor="summary", blocks=tuple(blocks))]
+    sections = [html.Section(title="Summary", anchor="summary", blocks=tuple(blocks))]
     for place, (each, anchor) in enumerate(zip(estimates, names, strict=True)):
         before = list(zip(estimates[:place], names, strict=False))
         shown = tuple(_estimator(each, anchor, styles, before))
-        sections.append(Section(title=each.name, anchor=anchor, blocks=shown, fresh=True))
+        sections.append(html.Section(title=each.name, anchor=anchor, blocks=shown, fresh=True))
     text = study_toml(study)
     again = _allowed(text)
     redo = Markup(
@@ -187,10 +172,10 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
         ("To write this page again", write),
     )
     origin = (
-        Facts(rows=facts),
-        Folded(summary="The study", blocks=(Text(text=text, kind="code"),)),
+        html.Facts(rows=facts),
+        html.Folded(summary="The study", blocks=(html.Text(text=text, kind="code"),)),
     )
-    sections.append(Section(title="Provenance", anchor="provenance", blocks=origin))
+    sections.append(html.Section(title="Provenance", anchor="provenance", blocks=origin))
     absent = len(asked) - len(estimates)
     lead = (
         f"Monte Carlo noise of {_count(max(len(asked), len(estimates)), 'estimator')}"
@@ -198,14 +183,14 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
         f"{_count(len(samplers), 'sampler')}, measured, predicted and explained; seed "
         f"{study.get('seed', 'unknown')}."
     )
-    page = Page(
+    page = html.Page(
         title=study.get("title", "Results"),
         what="report",
-        lead=(*_answers(estimates), Text(text=lead, kind="soft")),
+        lead=(*_answers(estimates), html.Text(text=lead, kind="soft")),
         sections=tuple(sections),
     )
     file = root / REPORT_NAME if out is None else Path(out)
-    return write_page(page, file, file.parent / "figures")
+    return html.write_page(page, file, file.parent / "figures")
 
 
 def collect(tree: xr.DataTree) -> list[Estimates]:
@@ -265,7 +250,7 @@ def provenance(tree: xr.DataTree, root: Path) -> tuple[tuple[str, str | Markup],
             Markup("<code>{}</code>").format(tree.attrs.get("study_hash", "unknown")),
         ),
         *((("Machine", ", ".join(hosts)),) if hosts else ()),
-        ("Versions", versions_of(tree.attrs)),
+        ("Versions", html.versions_of(tree.attrs)),
     )
 
 
@@ -293,7 +278,7 @@ def study_toml(study: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _answers(estimates: Sequence[Estimates]) -> Iterator[Block]:
+def _answers(estimates: Sequence[Estimates]) -> Iterator[html.Block]:
     """What to do about each estimator; of many they are folded."""
     rows = []
     for each in estimates:
@@ -308,8 +293,12 @@ def _answers(estimates: Sequence[Estimates]) -> Iterator[Block]:
         text = said[0] if said else answer(curves, why=why)
         rows += [(each.name, text)] if text else []
     if rows:
-        shown = Sentences(rows=tuple(rows))
-        yield shown if len(rows) <= _MOST_ANSWERS else Folded(summary="What to do", blocks=(shown,))
+        shown = html.Sentences(rows=tuple(rows))
+        yield (
+            shown
+            if len(rows) <= _MOST_ANSWERS
+            else html.Folded(summary="What to do", blocks=(shown,))
+        )
 
 
 def _allowed(study: str) -> str:
@@ -319,11 +308,11 @@ def _allowed(study: str) -> str:
 
 def _summary(
     rows: Sequence[tuple[SummaryRow, Mapping[str, Any], str]], any_results: bool
-) -> Iterator[Block]:
+) -> Iterator[html.Block]:
     if rows:
         summary, analyses, links = zip(*rows, strict=True)
         yield summary_table(summary, analyses=analyses, links=links)
-        yield Text(
+        yield html.Text(
             text=Markup(
                 "A dash stands where there is no number; its tooltip says why. <span "
                 'class="scripted">A click on a head sorts by it. In the figures the pointer shows exact '
@@ -332,15 +321,17 @@ def _summary(
             kind="soft",
         )
     elif any_results:
-        yield Text(text="This study has neither convergence nor terms; its other results follow.")
+        yield html.Text(
+            text="This study has neither convergence nor terms; its other results follow."
+        )
     else:
-        yield Text(text="There are no results yet.")
-    yield Folded(
+        yield html.Text(text="There are no results yet.")
+    yield html.Folded(
         summary="How to read this",
         blocks=(
-            Text(text=_HOW_TO_READ),
-            Facts(rows=_TERMS),
-            Text(
+            html.Text(text=_HOW_TO_READ),
+            html.Facts(rows=_TERMS),
+            html.Text(
                 text="The sum runs over frequencies up to a half width, so it predicts only a part of the "
                 "variance: the ratio predicted / measured says which. All intervals are 95 %."
             ),
@@ -358,19 +349,19 @@ def _stored(names: Iterable[str]) -> dict[str, str]:
     """Names by what the store calls them; long ones that begin alike keep the store's name."""
     given = list(names)
     found: dict[str, str] = {}
-    for key, name in zip(anchors(given), given, strict=True):
+    for key, name in zip(html.anchors(given), given, strict=True):
         found.setdefault(key[:_LONGEST_KEY].strip("-."), name)
     return found
 
 
-def _gaps(root: Path, asked: Mapping[str, Sequence[str]]) -> Iterator[Block]:
+def _gaps(root: Path, asked: Mapping[str, Sequence[str]]) -> Iterator[html.Block]:
     """What the study lacks: analyses that failed, with their reasons, and those not computed yet."""
-    heading = Text(text="What is missing", kind="heading")
+    heading = html.Text(text="What is missing", kind="heading")
     try:
         status = study_status(root)
     except StoreError as error:  # a store alone, without its ledger, does not say which ones failed
         yield heading
-        yield Text(text=f"Whether analyses failed is unknown. {error}")
+        yield html.Text(text=f"Whether analyses failed is unknown. {error}")
         return
     lacking = {**dict.fromkeys(status.missing, _NOT_DONE), **status.failed}
     if not lacking:
@@ -379,7 +370,7 @@ def _gaps(root: Path, asked: Mapping[str, Sequence[str]]) -> Iterator[Block]:
     counts = [f"{k} {what}" for k, what in ((failed, "failed"), (missing, _NOT_DONE)) if k]
     again = "--resume --retry tries" if failed else "--resume computes"
     yield heading
-    yield Text(
+    yield html.Text(
         text=f"Of {len(status.done) + failed + missing} analyses, {' and '.join(counts)}; mcspectra run "
         f"with {again} them. All others are here."
     )
@@ -391,9 +382,9 @@ def _gaps(root: Path, asked: Mapping[str, Sequence[str]]) -> Iterator[Block]:
         estimator = estimators.get(key, key)
         sampler = _stored(asked.get(estimator, ())).get(own, own)
         found.setdefault((estimator, sampler, reason), []).append(analysis)
-    rows = [text_cells(e, s, ", ".join(names), why) for (e, s, why), names in found.items()]
+    rows = [html.text_cells(e, s, ", ".join(names), why) for (e, s, why), names in found.items()]
     more = len(rows) - _MOST_GAPS
-    yield Table(
+    yield html.Table(
         caption=f"{more} more rows: mcspectra status FOLDER --json lists all." if more > 0 else "",
         columns=("Estimator", "Sampler", "Analyses", "Why"),
         rows=tuple(rows[:_MOST_GAPS]),
@@ -406,17 +397,32 @@ def _estimator(
     anchor: str,
     styles: Mapping[str, LineStyle],
     before: Sequence[tuple[Estimates, str]],
-) -> Iterator[Block]:
+) -> Iterator[html.Block]:
     """Sentences, the figures that say most, tables; all else is folded."""
     if each.spec:
         spec = Markup("<code>{}</code>").format(each.spec)
-        yield Facts(rows=(("Integrand / density", spec),))
-    yield from _said(each)
+        yield html.Facts(rows=(("Integrand / density", spec),))
+
+    # Sentences about each sampler, and analyses that some samplers lack
+    sentences = []
+    for sampler, rows in each.rows.items():
+        for channel, row in enumerate(rows):
+            text = explain(row, each.of(sampler, channel).get("terms"))
+            name = f"{sampler}, channel {channel}" if len(rows) > 1 else sampler
+            sentences += [(name, text)] if text else []
+        further = further_sentences(each.of(sampler))
+        sentences += [(sampler, further)] if further else []
+    if sentences:
+        yield html.Sentences(rows=tuple(sentences))
+    for analysis, found in each.analyses.items():
+        lacking = [sampler for sampler in each.rows if sampler not in found]
+        if lacking:
+            yield html.Text(text=f"No {analysis} results for {', '.join(lacking)}.", kind="soft")
 
     # Figures; those of samples that an estimator before has as well are linked
-    shown: list[Figure] = []
+    shown: list[html.Figure] = []
     names: set[str] = set()  # of files: two analyses can have one kind of figure
-    details: dict[str, list[Figure]] = {summary: [] for summary in _DETAILS}
+    details: dict[str, list[html.Figure]] = {summary: [] for summary in _DETAILS}
     linked: dict[str, tuple[str, str]] = {}
     for analysis, found in _with_predictions(each.analyses).items():
         same = _shown_before(analysis, found, before)
@@ -432,27 +438,27 @@ def _estimator(
         shown = [figure for figures in details.values() for figure in figures]
         details = {}
     if shown:
-        yield Figures(figures=tuple(shown))
+        yield html.Figures(figures=tuple(shown))
 
     # Tables
     terms = terms_table([row for rows in each.rows.values() for row in rows])
     if terms.rows:
-        yield Folded(summary="Three terms in numbers", blocks=(terms,))
+        yield html.Folded(summary="Three terms in numbers", blocks=(terms,))
     for analysis, found in each.analyses.items():
         made = analysis_table(analysis, found)
         if made is None:
             continue
         if analysis in _FOLDED:
-            yield Folded(summary=made[0], blocks=(made[1],))
+            yield html.Folded(summary=made[0], blocks=(made[1],))
         else:
-            yield Text(text=made[0], kind="heading")
+            yield html.Text(text=made[0], kind="heading")
             yield made[1]
 
     # Details
     for summary, figures in details.items():
         if figures:
-            yield Folded(summary=summary, blocks=(Figures(figures=tuple(figures)),))
-    yield Folded(summary="Settings", blocks=(Facts(rows=tuple(_settings(each))),))
+            yield html.Folded(summary=summary, blocks=(html.Figures(figures=tuple(figures)),))
+    yield html.Folded(summary="Settings", blocks=(html.Facts(rows=tuple(_settings(each))),))
     for place in dict.fromkeys(linked.values()):
         what = " and ".join(
             "pair correlation" if a == "pcf" else a for a in linked if linked[a] == place
@@ -460,7 +466,7 @@ def _estimator(
         text = Markup('The same samples as in <a href="#{}">{}</a>: see its {}.').format(
             *place, what
         )
-        yield Text(text=text, kind="soft")
+        yield html.Text(text=text, kind="soft")
 
 
 def _with_predictions(
@@ -484,24 +490,6 @@ def _with_predictions(
     return rest | {"convergence": both}
 
 
-def _said(each: Estimates) -> Iterator[Block]:
-    """Sentences about each sampler, and analyses that some samplers lack."""
-    sentences = []
-    for sampler, rows in each.rows.items():
-        for channel, row in enumerate(rows):
-            text = explain(row, each.of(sampler, channel).get("terms"))
-            name = f"{sampler}, channel {channel}" if len(rows) > 1 else sampler
-            sentences += [(name, text)] if text else []
-        further = further_sentences(each.of(sampler))
-        sentences += [(sampler, further)] if further else []
-    if sentences:
-        yield Sentences(rows=tuple(sentences))
-    for analysis, found in each.analyses.items():
-        lacking = [sampler for sampler in each.rows if sampler not in found]
-        if lacking:
-            yield Text(text=f"No {analysis} results for {', '.join(lacking)}.", kind="soft")
-
-
 def _shown_before(
     analysis: str, found: Mapping[str, xr.Dataset], before: Sequence[tuple[Estimates, str]]
 ) -> tuple[str, str] | None:
@@ -520,7 +508,7 @@ def _figures(
     found: Mapping[str, xr.Dataset],
     anchor: str,
     styles: Mapping[str, LineStyle],
-) -> Iterator[Figure]:
+) -> Iterator[html.Figure]:
     """Figures of an analysis that say something: bands of a cross term that is noise do not."""
     several = [found] if analysis != "map" else [{s: data} for s, data in found.items()]
     for place, data in enumerate(several):
@@ -536,7 +524,7 @@ def _figures(
             else:
                 kind = plot.kind
             name = f"{anchor.removeprefix('e-')}-{kind}" + (f"-{place}" if place else "")
-            yield Figure(plot=plot, name=name, live=plot.kind in _LIVE)
+            yield html.Figure(plot=plot, name=name, live=plot.kind in _LIVE)
 
 
 def _correlated(data: xr.Dataset) -> bool:

@@ -203,14 +203,14 @@ class Finding:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Exhibit:
-    """One figure or statement of the slides, made again; its texts stand in ``slides.toml``.
+    """One figure or statement of the slides, made again; ``slides.toml`` has its texts and layouts.
 
     Attributes
     ----------
     numbers
         What the texts name in braces, as it is shown.
     plots
-        In the order in which they are shown; their texts are found by their kinds.
+        In the order in which they are shown; their texts and layouts are found by their kinds.
     claims
         In the order in which they are shown.
     caption

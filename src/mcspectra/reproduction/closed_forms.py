@@ -7,11 +7,12 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, Plot
+from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel
 from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import PALETTE, line_widths
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, largest_distance
+from mcspectra.reproduction.panels import plot_of
 
 __all__ = ["exhibit"]
 
@@ -24,92 +25,24 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Compare the closed forms with the slides' formulas, with simulation, and with their limits."""
     realizations = 4000 if quick else 40_000
     nu = np.concatenate([_INTEGERS, _REALS])
+    known = np.concatenate([[0.0], nu])
     simulated = {name: simulate(name, nu, realizations, seed) for name in ("random", "jittered")}
-    as_simulated = [_agrees_with_simulation(name, data, nu) for name, data in simulated.items()]
+    as_simulated = [
+        largest_distance(
+            f"Simulated spectra of {name} points agree with the closed form at {nu.size} frequencies, half of them "
+            "integers",
+            data["power"].values - _closed(name, nu),
+            data["power_se"].values,
+        )
+        for name, data in simulated.items()
+    ]
     random, jittered = (number(claim.value) for claim in as_simulated)
-    return Exhibit(
-        numbers={"N": N, "random": random, "jittered": jittered, "frequencies": nu.size},
-        plots=(_curves(simulated, nu),),
-        claims=(
-            *(_as_printed(name) for name in simulated),
-            *as_simulated,
-            _in_the_plane(realizations // 4, seed),
-            _low_limit(),
-            _strata_multiple(),
-            _level(realizations, seed),
-        ),
-    )
 
-
-def _closed(name: str, nu: Array, n: int = N) -> Array:
-    return mcs.closed_form_power(name, n, nu[:, None])
-
-
-def printed(name: str, m: Array) -> Array:
-    """The formulas as the slides print them; NumPy's sinc(x) is Sinc(πx)."""
-    if name == "random":
-        return np.where(m == 0, 1.0, 1 / N + (N - 1) / N * np.sinc(m) ** 2)
-    return np.asarray((1 - np.sinc(m / N) ** 2) / N + np.sinc(m) ** 2)
-
-
-def _as_printed(name: str) -> Claim:
-    nu = np.concatenate([[0.0], _INTEGERS, _REALS])
-    return Claim(
-        f"The closed form of {name} points is that of the slides, integer and real frequencies: largest difference.",
-        float(np.abs(_closed(name, nu) - printed(name, nu)).max()),
-        at_most=1e-14,
-    )
-
-
-def simulate(name: str, nu: Array, realizations: int, seed: int) -> xr.Dataset:
-    """Power at the frequencies, of points in one dim."""
-    return mcs.power_at(mcs.sampler(name, 1), N, nu[:, None], realizations=realizations, rng=seed)
-
-
-def _agrees_with_simulation(name: str, data: xr.Dataset, nu: Array) -> Claim:
-    return largest_distance(
-        f"Simulated spectra of {name} points agree with the closed form at {nu.size} frequencies, half of them "
-        "integers",
-        data["power"].values - _closed(name, nu),
-        data["power_se"].values,
-    )
-
-
-def _in_the_plane(realizations: int, seed: int) -> Claim:
-    m = np.array([[i, j] for i in range(9) for j in range(-8, 9) if (i, j) > (0, 0)], float)
-    found = mcs.power_at(mcs.sampler("jittered", 2), 64, m, realizations=realizations, rng=seed)
-    return largest_distance(
-        f"In two dims too, 64 jittered points at {len(m)} integer frequencies",
-        found["power"].values - mcs.closed_form_power("jittered", 64, m),
-        found["power_se"].values,
-    )
-
-
-def _low_limit() -> Claim:
-    n = 1024
-    value = n**3 * float(_closed("jittered", np.array([1.0]), n)[0])
-    return Claim(
-        "N³ times the power of jittered points at m = 1 tends to π²/3, with which variance falls as N⁻³: relative "
-        "difference at N = 1024.",
-        value / (np.pi**2 / 3) - 1.0,
-        # 1 − sinc²(x) = x²/3 − 2x⁴/45 …: relatively 2 (π/N)²/15 = 1.3e-6, beside rounding
-        at_most=1e-5,
-    )
-
-
-def _strata_multiple() -> Claim:
-    m = N * np.arange(1.0, 5.0)
-    return Claim(
-        "At multiples of N, the frequency of the strata, jittered points have the power 1/N of random ones: "
-        "largest difference.",
-        float(np.abs(_closed("jittered", m) - _closed("random", m)).max()),
-        at_most=1e-15,
-    )
-
-
-def _level(realizations: int, seed: int) -> Claim:
-    """Importance samples: ∫1/p / N at integers, ln 3 / N for p = ½ + x."""
-    found = mcs.power_at(
+    # Simulate at integers of the plane, and with importance sampling
+    modes = np.array([[i, j] for i in range(9) for j in range(-8, 9) if (i, j) > (0, 0)], float)
+    few = realizations // 4
+    plane = mcs.power_at(mcs.sampler("jittered", 2), 64, modes, realizations=few, rng=seed)
+    weighted = mcs.power_at(
         mcs.sampler("random", 1),
         N,
         [[5.0]],
@@ -117,15 +50,10 @@ def _level(realizations: int, seed: int) -> Claim:
         realizations=realizations,
         rng=seed,
     )
-    return Claim(
-        "Of random importance samples of p = ½ + x the power at integers is ∫1/p / N = ln 3 / N.",
-        Measured.normal(float(found["power"][0]), float(found["power_se"][0])),
-        expected=float(np.log(3.0) / N),
-        digits=5,
-    )
+    low = 1024**3 * float(_closed("jittered", np.array([1.0]), 1024)[0])
+    multiples = N * np.arange(1.0, 5.0)
 
-
-def _curves(simulated: dict[str, xr.Dataset], nu: Array) -> Plot:
+    # Draw closed forms and simulated spectra, at integers and between them
     panels = []
     for line, at, title in (
         (np.arange(1.0, 25.0), _INTEGERS, "integer frequencies"),
@@ -148,6 +76,59 @@ def _curves(simulated: dict[str, xr.Dataset], nu: Array) -> Plot:
         x = Axis(label="frequency (cycles per unit)", low=0.0, high=24.5)
         y_axis = log_axis("⟨|S|²⟩", 5e-4, 1.0)
         panels.append(Panel(marks=tuple(marks), x=x, y=y_axis, title=title, grid=True))
-    return Plot(
-        kind="closed-forms", panels=tuple(panels), columns=2, height=0.8, share="y", wide=True
+    return Exhibit(
+        numbers={"N": N, "random": random, "jittered": jittered, "frequencies": nu.size},
+        plots=(plot_of("closed-forms", *panels),),
+        claims=(
+            *(
+                Claim(
+                    f"The closed form of {name} points is that of the slides, integer and real frequencies: largest "
+                    "difference.",
+                    float(np.abs(_closed(name, known) - printed(name, known)).max()),
+                    at_most=1e-14,
+                )
+                for name in simulated
+            ),
+            *as_simulated,
+            largest_distance(
+                f"In two dims too, 64 jittered points at {len(modes)} integer frequencies",
+                plane["power"].values - mcs.closed_form_power("jittered", 64, modes),
+                plane["power_se"].values,
+            ),
+            Claim(
+                "N³ times the power of jittered points at m = 1 tends to π²/3, with which variance falls as N⁻³: relative "
+                "difference at N = 1024.",
+                low / (np.pi**2 / 3) - 1.0,
+                # 1 − sinc²(x) = x²/3 − 2x⁴/45 …: relatively 2 (π/N)²/15 = 1.3e-6, beside rounding
+                at_most=1e-5,
+            ),
+            Claim(
+                "At multiples of N, the frequency of the strata, jittered points have the power 1/N of random ones: "
+                "largest difference.",
+                float(np.abs(_closed("jittered", multiples) - _closed("random", multiples)).max()),
+                at_most=1e-15,
+            ),
+            Claim(
+                "Of random importance samples of p = ½ + x the power at integers is ∫1/p / N = ln 3 / N.",
+                Measured.normal(float(weighted["power"][0]), float(weighted["power_se"][0])),
+                expected=float(np.log(3.0) / N),
+                digits=5,
+            ),
+        ),
     )
+
+
+def _closed(name: str, nu: Array, n: int = N) -> Array:
+    return mcs.closed_form_power(name, n, nu[:, None])
+
+
+def printed(name: str, m: Array) -> Array:
+    """The formulas as the slides print them; NumPy's sinc(x) is Sinc(πx)."""
+    if name == "random":
+        return np.where(m == 0, 1.0, 1 / N + (N - 1) / N * np.sinc(m) ** 2)
+    return np.asarray((1 - np.sinc(m / N) ** 2) / N + np.sinc(m) ** 2)
+
+
+def simulate(name: str, nu: Array, realizations: int, seed: int) -> xr.Dataset:
+    """Power at the frequencies, of points in one dim."""
+    return mcs.power_at(mcs.sampler(name, 1), N, nu[:, None], realizations=realizations, rng=seed)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +15,7 @@ from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import ACCENT, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import GALLERY_FINDINGS, Claim, Exhibit
-from mcspectra.reproduction.panels import in_columns
+from mcspectra.reproduction.panels import in_columns, plot_of
 
 __all__ = ["exhibit"]
 
@@ -30,12 +29,48 @@ _BYTES = 16  # of a complex number
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Compare maps and bands with the matrix where it can be had, and use them where it cannot."""
+    from scipy.special import stdtrit
+
     realizations = 200 if quick else 4000
     whole = {d: bell_terms("jittered", d, SMALL[d], realizations, seed, matrix=True) for d in SMALL}
     runs = {d: bell_terms("jittered", d, RUNS[d], realizations, seed) for d in RUNS}
     bands = {name: bell_terms(name, 3, RUNS[3], 2 * realizations, seed) for name in SAMPLERS}
     one, two, three = (entries(d, 64) for d in (1, 2, 3))
     shares = ", ".join(f"{number(main_share(data))} ({name})" for name, data in bands.items())
+    mapped = {
+        name: bell_terms(name, 2, (64, 24), 600 if quick else 20_000, seed)
+        for name in ("jittered", "jittered | shift")
+    }
+
+    # Hold the formula of sizes against matrices, and ask for one that is out of reach
+    wrong = [d for d, x in whole.items() if x["cross_matrix"].size != entries(d, SMALL[d][1])]
+    times = entries(2, 64) / entries(1, 64)
+    answer = "a matrix"
+    try:
+        bell_terms("jittered", 2, (64, 64), 2, 0, matrix=True)
+    except mcs.McspectraError as refusal:
+        answer = str(refusal)
+
+    # Measure what maps have beyond |f_m|² C_mm, over the second term
+    errors = [
+        abs(float((data["contribution"] - data["power_contribution"]).sum() - data["cross_term"]))
+        / float(data["power_term"])
+        for data in runs.values()
+    ]
+
+    # Compare each band of random points with its ANOVA component over N
+    random, (n, half_width) = bands["random"], RUNS[3]
+    known, order = components(3, half_width), labelled_subsets(random)
+    kept = [k for k, subset in enumerate(order) if subset]
+    found, se = (
+        np.diag(random[name].values)[kept] for name in ("band_covariance", "band_covariance_se")
+    )
+    expected = np.array([known[order[k]] / n for k in kept])
+    level = 0.95 ** (1 / (GALLERY_FINDINGS * len(kept)))
+    limit = float(stdtrit(int(random.attrs["batches"]) - 1, (1 + level) / 2))
+
+    # A Latin hypercube integrates additive functions with o(1/N), by Stein (1987)
+    tenth = main_share(random) / 10
     return Exhibit(
         numbers={
             "one": number(one),
@@ -44,16 +79,52 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "three": number(three),
             "shares": shares,
         },
-        plots=(_sizes(), _map(seed, quick=quick), _bands(bands)),
+        plots=(
+            _sizes(),
+            replace(describe("contributions", mapped), kind="contribution-map"),
+            replace(in_columns(describe("bands", bands), first=1), kind="band-map"),
+        ),
         claims=(
-            _growth(whole),
-            _refused(),
+            Claim(
+                "The third term's matrix has (2K + 1)^(2d) entries: from one to two dims at K = 64 it grows by the "
+                "factor (2K + 1)².",
+                times,
+                holds=not wrong and times == 129**2,
+                shown="129² = 16641",
+                note="The formula is held against the sizes of matrices of 49 and 225 frequencies, in one and two dims.",
+            ),
+            Claim(
+                "In two dims at |m| ≤ 64 the matrix is out of reach, and refused.",
+                answer,
+                holds=answer != "a matrix",
+                shown="a refusal",
+            ),
             *(_map_is_row_sums(d, data) for d, data in whole.items()),
             *(_bands_are_blocks(d, data) for d, data in whole.items()),
             *(_map_sums(d, data) for d, data in runs.items()),
-            _map_holds_the_third(runs),
-            _anova(bands["random"]),
-            _main_effects(bands),
+            Claim(
+                "What the map has beyond the power |f_m|² C_mm sums to the third term, in one to four dims: largest "
+                "difference over the second term.",
+                max(errors),
+                at_most=1e-10,
+            ),
+            Claim(
+                f"In three dims, of random points the variance of each of {len(kept)} ANOVA bands is the ANOVA "
+                "component of f over N: largest distance in standard errors.",
+                float(np.max(np.abs(found - expected) / se)),
+                at_most=limit,
+                shown=f"≤ {limit:.1f}",
+                note="The limit is that of as many Student variables, of the batches, at the gallery's level.",
+            ),
+            Claim(
+                "The bands show what a sampler is for: a Latin hypercube takes away the functions of one coordinate, "
+                "whose share of the variance is less than a tenth of what random points leave of it.",
+                main_share(bands["latin-hypercube"]),
+                above=-tenth,
+                below=tenth,
+                shown=f"< {number(tenth)}",
+                note="Stein (1987).",
+            ),
         ),
     )
 
@@ -113,30 +184,6 @@ def main_share(data: xr.Dataset) -> float:
     return float(matrix[alone].sum() / matrix.sum())
 
 
-def _growth(whole: Mapping[int, xr.Dataset]) -> Claim:
-    wrong = [d for d, x in whole.items() if x["cross_matrix"].size != entries(d, SMALL[d][1])]
-    times = entries(2, 64) / entries(1, 64)
-    return Claim(
-        "The third term's matrix has (2K + 1)^(2d) entries: from one to two dims at K = 64 it grows by the "
-        "factor (2K + 1)².",
-        times,
-        holds=not wrong and times == 129**2,
-        shown="129² = 16641",
-        note="The formula is held against the sizes of matrices of 49 and 225 frequencies, in one and two dims.",
-    )
-
-
-def _refused() -> Claim:
-    """Before any work is done."""
-    answer = "a matrix"
-    try:
-        bell_terms("jittered", 2, (64, 64), 2, 0, matrix=True)
-    except mcs.McspectraError as error:
-        answer = str(error)
-    statement = "In two dims at |m| ≤ 64 the matrix is out of reach, and refused."
-    return Claim(statement, answer, holds=answer != "a matrix", shown="a refusal")
-
-
 def _map_is_row_sums(dims: int, data: xr.Dataset) -> Claim:
     rows = data["cross_matrix"].values.sum(axis=1).real
     values = data["contribution"].values.ravel()
@@ -174,57 +221,6 @@ def _map_sums(dims: int, data: xr.Dataset) -> Claim:
     )
 
 
-def _map_holds_the_third(runs: Mapping[int, xr.Dataset]) -> Claim:
-    errors = []
-    for data in runs.values():
-        third = float((data["contribution"] - data["power_contribution"]).sum())
-        errors.append(abs(third - float(data["cross_term"])) / float(data["power_term"]))
-    return Claim(
-        "What the map has beyond the power |f_m|² C_mm sums to the third term, in one to four dims: largest "
-        "difference over the second term.",
-        max(errors),
-        at_most=1e-10,
-    )
-
-
-def _anova(data: xr.Dataset) -> Claim:
-    """Random points: every band's variance is its ANOVA component over N."""
-    from scipy.special import stdtrit
-
-    n, half_width = RUNS[3]
-    known = components(3, half_width)
-    order = labelled_subsets(data)
-    kept = [k for k, subset in enumerate(order) if subset]
-    found, se = (
-        np.diag(data[name].values)[kept] for name in ("band_covariance", "band_covariance_se")
-    )
-    expected = np.array([known[order[k]] / n for k in kept])
-    level = 0.95 ** (1 / (GALLERY_FINDINGS * len(kept)))
-    limit = float(stdtrit(int(data.attrs["batches"]) - 1, (1 + level) / 2))
-    return Claim(
-        f"In three dims, of random points the variance of each of {len(kept)} ANOVA bands is the ANOVA "
-        "component of f over N: largest distance in standard errors.",
-        float(np.max(np.abs(found - expected) / se)),
-        at_most=limit,
-        shown=f"≤ {limit:.1f}",
-        note="The limit is that of as many Student variables, of the batches, at the gallery's level.",
-    )
-
-
-def _main_effects(bands: Mapping[str, xr.Dataset]) -> Claim:
-    """Stein (1987): a Latin hypercube integrates additive functions with o(1/N)."""
-    limit = main_share(bands["random"]) / 10
-    return Claim(
-        "The bands show what a sampler is for: a Latin hypercube takes away the functions of one coordinate, "
-        "whose share of the variance is less than a tenth of what random points leave of it.",
-        main_share(bands["latin-hypercube"]),
-        above=-limit,
-        below=limit,
-        shown=f"< {number(limit)}",
-        note="Stein (1987).",
-    )
-
-
 def _sizes() -> Plot:
     dims, marks = np.arange(1.0, 7.0), list[Mark]()
     for half_width, color in zip((8, 64, 256), PALETTE, strict=False):
@@ -241,19 +237,4 @@ def _sizes() -> Plot:
     ticks = {float(d): str(int(d)) for d in dims}
     x = Axis(label="number of dims d", low=0.8, high=6.2, ticks=ticks)
     y = log_axis("numbers to store", 10.0, float(entries(6, 256)))
-    return Plot(
-        kind="dimensionality",
-        panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),),
-        height=0.42,
-        wide=True,
-    )
-
-
-def _map(seed: int, *, quick: bool) -> Plot:
-    names, size = ("jittered", "jittered | shift"), (64, 24)
-    data = {name: bell_terms(name, 2, size, 600 if quick else 20_000, seed) for name in names}
-    return replace(describe("contributions", data), kind="contribution-map")
-
-
-def _bands(bands: Mapping[str, xr.Dataset]) -> Plot:
-    return replace(in_columns(describe("bands", bands), first=1), kind="band-map")
+    return plot_of("dimensionality", Panel(marks=tuple(marks), x=x, y=y, grid=True))

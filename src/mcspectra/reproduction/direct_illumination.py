@@ -15,7 +15,7 @@ from mcspectra.plots.description import Dots, Panel, Pixels, Plot, Text
 from mcspectra.plots.style import ACCENT
 from mcspectra.rendering.files import encode_srgb
 from mcspectra.reproduction.claims import Claim, Exhibit, largest_distance, pixel_rate, rate_text
-from mcspectra.reproduction.panels import primary_panel, variance_panel
+from mcspectra.reproduction.panels import plot_of, primary_panel, variance_panel
 
 __all__ = ["exhibit"]
 
@@ -38,20 +38,36 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         (case, sampler): found.isel(estimator=i, sampler=j)
         for (i, case), (j, sampler) in itertools.product(enumerate(_CASES), enumerate(SAMPLERS))
     }
-    shown = {key: rate_text(curve) for key, curve in curves.items()}
-    (p_light, p_bsdf, q_light, q_bsdf), shifted = (
-        [shown[case, sampler] for case in _CASES] for sampler in SAMPLERS
-    )
+    rates = {
+        f"{point.lower()}_{strategy}": rate_text(curves[(point, strategy), "jittered"])
+        for point, strategy in _CASES
+    }
     return Exhibit(
         numbers={
-            "p_light": p_light,
-            "p_bsdf": p_bsdf,
-            "q_light": q_light,
-            "q_bsdf": q_bsdf,
-            "shifted": shifted[0],
+            **rates,
+            "shifted": rate_text(curves[("P", "light"), "jittered | shift"]),
             "spp": spp,
         },
-        plots=(_scene(spp, seed), _squares(f), _convergence(curves)),
+        plots=(
+            _scene(spp, seed),
+            plot_of(
+                "direct-illumination-integrands",
+                *(primary_panel(g, f"{p}, {_NAMES[s]}") for (p, s), g in f.items()),
+            ),
+            plot_of(
+                "direct-illumination",
+                *(
+                    variance_panel(
+                        {sampler: curves[case, sampler] for sampler in SAMPLERS},
+                        rates={sampler: _expected(case, sampler) for sampler in SAMPLERS},
+                        relative=True,
+                        title=f"{case[0]}, {_NAMES[case[1]]}",
+                        x="number of samples N",
+                    )
+                    for case in _CASES
+                ),
+            ),
+        ),
         claims=(
             *(
                 pixel_rate(
@@ -113,36 +129,4 @@ def _scene(spp: int, seed: int) -> Plot:
             ),
         ),
         height=2 / 3,
-        wide=True,
-    )
-
-
-def _squares(f: Mapping[Case, Any]) -> Plot:
-    return Plot(
-        kind="direct-illumination-integrands",
-        panels=tuple(primary_panel(g, f"{p}, {_NAMES[s]}") for (p, s), g in f.items()),
-        columns=2,
-        height=1.0,
-        share="both",
-    )
-
-
-def _convergence(curves: Mapping[tuple[Case, str], xr.Dataset]) -> Plot:
-    return Plot(
-        kind="direct-illumination",
-        panels=tuple(
-            variance_panel(
-                {sampler: curves[case, sampler] for sampler in SAMPLERS},
-                rates={sampler: _expected(case, sampler) for sampler in SAMPLERS},
-                relative=True,
-                title=f"{case[0]}, {_NAMES[case[1]]}",
-                x="number of samples N",
-                y="variance / mean²",
-            )
-            for case in _CASES
-        ),
-        columns=2,
-        height=0.66,
-        share="x",
-        wide=True,
     )

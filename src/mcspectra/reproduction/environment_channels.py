@@ -14,7 +14,7 @@ from mcspectra.plots.description import Axis, Line, Mark, Panel, Plot
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text
-from mcspectra.reproduction.panels import UNIT, variance_panel
+from mcspectra.reproduction.panels import UNIT, plot_of, variance_panel
 
 __all__ = ["exhibit"]
 
@@ -49,21 +49,49 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         for way, curve in curves.items()
     }
     gains = [_gain(c, curves) for c in range(3)]
-    lower = ", ".join(number(claim.value) for claim in gains)
+
+    # Sample the built-in sky, its red channel, by bilinear densities of luminance and of red
+    sky = "environment(channel={!r}, interpolation='bilinear')"
+    estimators = [mcs.Estimator(sky.format(0), sky.format(c)) for c in ("luminance", 0)]
+    options["realizations"] = 60 if quick else 600
+    plane = mcs.convergence(estimators, "jittered", [1024], **options)
+    by_gray, by_red = (Measured.of(plane.isel(n=0, estimator=i), "variance") for i in (0, 1))
+
+    # Draw variances at equal numbers of evaluations
+    panels = [
+        variance_panel(
+            {
+                _WAYS[way]: curve.sel(channel=channel).assign_coords(n=curve["n"] * _COSTS[way])
+                for way, curve in curves.items()
+            },
+            exact={_WAYS[way]: values[:, channel] for way, values in exact.items()},
+            title=color,
+            x="evaluations of f",
+            limits=(3e-9, 1e-2),
+        )
+        for channel, color in enumerate(_COLORS)
+    ]
     return Exhibit(
         numbers={
             "gray": shown["one"],
             "own": shown["own"],
             "evaluations": COUNTS["one"][-1],
-            "lower": lower,
+            "lower": ", ".join(number(claim.value) for claim in gains),
             "mis": shown["mis"],
         },
-        plots=(_map(), _convergence(curves, exact)),
+        plots=(
+            _map(),
+            plot_of("environment-channels", *panels),
+        ),
         claims=(
             *(_rate_of(way, c, curves[way], exact[way]) for way in _WAYS for c in range(3)),
             *gains,
             *(_continuous(c) for c in range(3)),
-            _in_the_plane(60 if quick else 600, seed),
+            Claim(
+                "Of a whole sky, irradiance in red with 1024 jittered points: variance by luminance over that by red.",
+                by_gray / by_red,
+                above=1.0,
+            ),
         ),
     )
 
@@ -119,20 +147,6 @@ def _continuous(channel: int) -> Claim:
     )
 
 
-def _in_the_plane(realizations: int, seed: int) -> Claim:
-    """The built-in sky, its red channel, by bilinear densities of luminance and of red."""
-    f = "environment(channel=0, interpolation='bilinear')"
-    densities = [f"environment(channel={c!r}, interpolation='bilinear')" for c in ("luminance", 0)]
-    estimators = [mcs.Estimator(f, p) for p in densities]
-    found = mcs.convergence(estimators, "jittered", [1024], realizations=realizations, rng=seed)
-    gray, red = (Measured.of(found.isel(n=0, estimator=i), "variance") for i in (0, 1))
-    return Claim(
-        "Of a whole sky, irradiance in red with 1024 jittered points: variance by luminance over that by red.",
-        gray / red,
-        above=1.0,
-    )
-
-
 def _map() -> Plot:
     centers, t = (np.arange(8) + 0.5) / 8, np.linspace(0.0, 1.0, 40)
     gray = PIXELS @ LUMINANCE
@@ -162,9 +176,9 @@ def _map() -> Plot:
         ("x (place in the map)", "radiance"),
         *[("u (primary space)", "f/p (over its mean)")] * 2,
     ]
-    return Plot(
-        kind="environment-map",
-        panels=tuple(
+    return plot_of(
+        "environment-map",
+        *(
             Panel(
                 marks=tuple(each),
                 x=Axis(label=x, low=0.0, high=1.0, ticks=UNIT),
@@ -174,29 +188,4 @@ def _map() -> Plot:
             )
             for (title, each), (x, y) in zip(marks.items(), labels, strict=True)
         ),
-        columns=3,
-        height=0.9,
-        wide=True,
-    )
-
-
-def _convergence(curves: Mapping[str, xr.Dataset], exact: Mapping[str, Array]) -> Plot:
-    panels = []
-    for channel, color in enumerate(_COLORS):
-        shown = {
-            _WAYS[way]: curve.sel(channel=channel).assign_coords(n=curve["n"] * _COSTS[way])
-            for way, curve in curves.items()
-        }
-        known = {_WAYS[way]: values[:, channel] for way, values in exact.items()}
-        panel = variance_panel(
-            shown, exact=known, title=color, x="evaluations of f", limits=(3e-9, 1e-2)
-        )
-        panels.append(panel)
-    return Plot(
-        kind="environment-channels",
-        panels=tuple(panels),
-        columns=3,
-        height=1.1,
-        share="y",
-        wide=True,
     )

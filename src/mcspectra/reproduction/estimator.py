@@ -10,7 +10,7 @@ from mcspectra.plots.description import Axis, Dots, Line, Panel, Plot, Rule, Seg
 from mcspectra.plots.style import ACCENT, INK, sampler_styles
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured
-from mcspectra.reproduction.panels import square_panel
+from mcspectra.reproduction.panels import plot_of, square_panel
 
 __all__ = ["exhibit"]
 
@@ -30,10 +30,21 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         ", ".join(f"{number(float(d[key]), digits)} ({name})" for name, d in one.items())
         for key, digits in (("mean", 4), ("variance", 3))
     )
-    less = "Correlated points lower the variance: 64 Poisson-disk points are below random ones."
+    # Sum conj(f_m) S_m of an integrand with two frequencies m = ±3
+    at = _warped("jittered", N, seed, 1)[0]
+    direct = float((np.cos(6 * np.pi * at) / pdf(at)).mean())
+    sums = {m: (np.exp(-2j * np.pi * m * at) / pdf(at)).mean() for m in (-3, 3)}
+
+    panels = []
+    for name, style in sampler_styles(SAMPLERS).items():
+        x, y = mcs.sampler(name, 2).draw(256, rng=seed)[0].T
+        panels.append(square_panel([Dots(x=x, y=y, color=style.color, size=2.0)], name))
     return Exhibit(
         numbers={"integral": number(integral(), 4), "N": N, "means": means, "variances": variances},
-        plots=(_combs(seed), _points(seed)),
+        plots=(
+            _combs(seed),
+            plot_of("points", *panels),
+        ),
         claims=(
             *(
                 Claim(
@@ -54,10 +65,21 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 for name in ("random", "jittered")
             ),
             Claim(
-                less, Measured.of(one["poisson-disk"], "variance", log=True), below=_exact("random")
+                "Correlated points lower the variance: 64 Poisson-disk points are below random ones.",
+                Measured.of(one["poisson-disk"], "variance", log=True),
+                below=_exact("random"),
             ),
-            _weights_sum_to_one(realizations, seed),
-            _inner_product(seed),
+            Claim(
+                f"The peaks of S, of the height 1/(N p), sum to 1 on average, for p = {DENSITY}.",
+                Measured.mean((1.0 / pdf(_warped("random", N, seed, realizations))).mean(axis=1)),
+                expected=1.0,
+                shown="1",
+            ),
+            Claim(
+                "I_N is the sum of conj(f_m) S_m over frequencies, for f = cos(6πx) under importance sampling.",
+                float(abs(direct - complex(0.5 * sums[3] + 0.5 * sums[-3]))),
+                at_most=1e-13,
+            ),
         ),
     )
 
@@ -69,28 +91,6 @@ def integral() -> float:
 
 def _exact(name: str) -> float:
     return float(mcs.exact_variance(SQUARE, name, N))
-
-
-def _weights_sum_to_one(realizations: int, seed: int) -> Claim:
-    sums = (1.0 / pdf(_warped("random", N, seed, realizations))).mean(axis=1)
-    return Claim(
-        f"The peaks of S, of the height 1/(N p), sum to 1 on average, for p = {DENSITY}.",
-        Measured.mean(sums),
-        expected=1.0,
-        shown="1",
-    )
-
-
-def _inner_product(seed: int) -> Claim:
-    """I_N = Σ conj(f_m) S_m, of an integrand with two frequencies m = ±3."""
-    x = _warped("jittered", N, seed, 1)[0]
-    direct = float((np.cos(6 * np.pi * x) / pdf(x)).mean())
-    s = {m: (np.exp(-2j * np.pi * m * x) / pdf(x)).mean() for m in (-3, 3)}
-    return Claim(
-        "I_N is the sum of conj(f_m) S_m over frequencies, for f = cos(6πx) under importance sampling.",
-        float(abs(direct - complex(0.5 * s[3] + 0.5 * s[-3]))),
-        at_most=1e-13,
-    )
 
 
 def _warped(name: str, n: int, seed: int, realizations: int) -> Array:
@@ -135,19 +135,4 @@ def _combs(seed: int) -> Plot:
                 title=name,
             )
         )
-    return Plot(
-        kind="estimator",
-        panels=(top, *rows),
-        height=0.11,
-        rows=(2.2, 1.0, 1.0, 1.0),
-        share="x",
-        wide=True,
-    )
-
-
-def _points(seed: int) -> Plot:
-    n, panels = 256, []
-    for name, style in sampler_styles(SAMPLERS).items():
-        x, y = mcs.sampler(name, 2).draw(n, rng=seed)[0].T
-        panels.append(square_panel([Dots(x=x, y=y, color=style.color, size=2.0)], name))
-    return Plot(kind="points", panels=tuple(panels), columns=3, height=1.0, share="y", wide=True)
+    return Plot(kind="estimator", panels=(top, *rows), rows=(2.2, 1.0, 1.0, 1.0))

@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, cast, final
+from typing import TYPE_CHECKING, Any, Literal, cast, final
 
 from markupsafe import Markup
 
@@ -30,20 +30,7 @@ from mcspectra.core.errors import (
 from mcspectra.core.progress import report
 from mcspectra.plots.description import Plot
 from mcspectra.plots.text import number, slug
-from mcspectra.report.page import (
-    Block,
-    Cell,
-    Facts,
-    Figure,
-    Figures,
-    Page,
-    Section,
-    Table,
-    Text,
-    text_cells,
-    write_json,
-    write_page,
-)
+from mcspectra.report import page as html
 from mcspectra.reproduction.claims import GALLERY_FINDINGS, Exhibit, ExhibitFunction, Finding
 from mcspectra.version import __version__
 
@@ -93,7 +80,7 @@ class Slide:
     caption
         What was found; names in braces are numbers of the exhibit.
     plots
-        Caption and words of every plot, by its kind.
+        Caption and words of every plot, by its kind, and its layout as `Plot` has it, if it has no own.
     formula
         LaTeX, shown beside the quotation; none by default.
     """
@@ -102,7 +89,7 @@ class Slide:
     summary: str
     slide: str
     caption: str
-    plots: Mapping[str, Mapping[str, str]]
+    plots: Mapping[str, Mapping[str, Any]]
     formula: str = ""
 
 
@@ -190,9 +177,9 @@ def make_exhibit(name: str, *, quick: bool, seed: int) -> Exhibit:
 
     plots = []
     for plot in made.plots:
-        texts = slide.plots[plot.kind]
-        caption, words = filled(texts["caption"]), filled(texts["words"])
-        plots.append(replace(plot, caption=caption, words=words))
+        given = slide.plots[plot.kind]
+        texts: dict[str, Any] = {name: filled(given[name]) for name in ("caption", "words")}
+        plots.append(replace(plot, **texts, **given.get("layout", {})))
     return replace(made, plots=tuple(plots), caption=filled(slide.caption))
 
 
@@ -251,9 +238,9 @@ def reproduce(
             if done is not None:
                 done(entries[-1])
         rows = [{"exhibit": e.name} | asdict(finding) for e in entries for finding in e.findings]
-        write_json(root / FINDINGS_NAME, rows)
+        html.write_json(root / FINDINGS_NAME, rows)
         _write_pdf(root / PDF_NAME, entries)
-        write_page(_page(entries, command, quick, seed), root / PAGE_NAME, root / _FIGURES)
+        html.write_page(_page(entries, command, quick, seed), root / PAGE_NAME, root / _FIGURES)
         report("reproduce", 1.0)
     return Reproduction(page=root / PAGE_NAME, entries=tuple(entries))
 
@@ -307,7 +294,7 @@ def measured_text(finding: Finding) -> tuple[str, str]:
     return number(value, digits), f"{number(low, digits)} … {number(high, digits)}"
 
 
-def _page(entries: Sequence[Entry], command: str, quick: bool, seed: int) -> Page:
+def _page(entries: Sequence[Entry], command: str, quick: bool, seed: int) -> html.Page:
     versions = {"mcspectra": __version__, "Python": platform.python_version()}
     for name in _PACKAGES:
         try:
@@ -315,17 +302,17 @@ def _page(entries: Sequence[Entry], command: str, quick: bool, seed: int) -> Pag
         except importlib.metadata.PackageNotFoundError:
             versions[name] = "not installed"
     facts = {"Command": command, "Seed": str(seed), "Quality": "quick" if quick else "full"}
-    how = Facts(rows=tuple((facts | versions).items()), code=True)
-    return Page(
+    how = html.Facts(rows=tuple((facts | versions).items()), code=True)
+    return html.Page(
         title="The slides, reproduced",
         what="gallery",
         lead=(
-            Text(
+            html.Text(
                 text="Every figure and statement of the slides of “Fourier Analysis of Correlated Monte Carlo "
                 "Importance Sampling” (Singh, Subr, Coeurjolly, Ostromoukhov, Jarosz), computed anew. "
                 f"{tally(entries)}."
             ),
-            Text(
+            html.Text(
                 text="Intervals are 95 %. A finding agrees where the expected value lies in the wider interval at "
                 f"which {GALLERY_FINDINGS} true findings hold together with 95 % (each at 99.98 %, Šidák), or within "
                 "the tolerance that its note gives.",
@@ -334,31 +321,35 @@ def _page(entries: Sequence[Entry], command: str, quick: bool, seed: int) -> Pag
         ),
         sections=(
             *map(_section, entries),
-            Section(title="How to make this page again", anchor="provenance", blocks=(how,)),
+            html.Section(title="How to make this page again", anchor="provenance", blocks=(how,)),
         ),
     )
 
 
-def _section(entry: Entry) -> Section:
+def _section(entry: Entry) -> html.Section:
     slide = slides()[entry.name]
-    blocks: list[Block] = [Text(text=f"mcspectra reproduce {entry.name}", kind="code")]
+    blocks: list[html.Block] = [html.Text(text=f"mcspectra reproduce {entry.name}", kind="code")]
     if entry.exhibit is None:
-        blocks.append(Text(text=f"✗ It could not be made: {entry.problem}"))
+        blocks.append(html.Text(text=f"✗ It could not be made: {entry.problem}"))
     else:
-        blocks.append(Text(text=slide.slide, kind="quote"))
+        blocks.append(html.Text(text=slide.slide, kind="quote"))
         if slide.formula:
             from latex2mathml.converter import convert
 
             formula = Markup(convert(" ".join(slide.formula.split()), display="block"))
-            blocks.append(Text(text=formula, kind="formula"))
-        blocks.append(Text(text=entry.exhibit.caption))
-        figures = [Figure(plot=plot, name=_file_name(entry, plot)) for plot in entry.exhibit.plots]
-        blocks.append(Figures(figures=tuple(figures)))
+            blocks.append(html.Text(text=formula, kind="formula"))
+        blocks.append(html.Text(text=entry.exhibit.caption))
+        plots = {slug(plot.kind): plot for plot in entry.exhibit.plots}
+        named = {
+            kind if kind.startswith(entry.name) else f"{entry.name}-{kind}": plot
+            for kind, plot in plots.items()
+        }
+        blocks += html.figures_of(named)
         columns = ("Statement", "Verdict", "Expected", "Measured", "95 % interval", "Note")
         rows = tuple(map(_row, entry.findings))
-        blocks.append(Table(caption="", columns=columns, rows=rows, stacked=True))
+        blocks.append(html.Table(caption="", columns=columns, rows=rows, stacked=True))
     wrong = any(finding.agrees is False for finding in entry.findings)
-    return Section(
+    return html.Section(
         title=slide.title,
         anchor=entry.name,
         blocks=tuple(blocks),
@@ -367,19 +358,14 @@ def _section(entry: Entry) -> Section:
     )
 
 
-def _file_name(entry: Entry, plot: Plot) -> str:
-    kind = slug(plot.kind)
-    return kind if kind.startswith(entry.name) else f"{entry.name}-{kind}"
-
-
-def _row(finding: Finding) -> tuple[Cell, ...]:
+def _row(finding: Finding) -> tuple[html.Cell, ...]:
     verdict, mark = _SIGNS[finding.agrees]
     (statement, note), numbers = (
-        text_cells(finding.statement, finding.note),
+        html.text_cells(finding.statement, finding.note),
         (finding.expected, *measured_text(finding)),
     )
-    cell = Cell(text=verdict, numeric=False, mark=mark)
-    return statement, cell, *(Cell(text=text) for text in numbers), note
+    cell = html.Cell(text=verdict, numeric=False, mark=mark)
+    return statement, cell, *(html.Cell(text=text) for text in numbers), note
 
 
 def _write_pdf(path: Path, entries: Sequence[Entry]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from mcspectra.plots.description import Plot
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured
-from mcspectra.reproduction.panels import in_columns, term_panel
+from mcspectra.reproduction.panels import in_columns, plot_of, term_panel
 
 __all__ = ["exhibit"]
 
@@ -32,11 +32,52 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         {name: terms(mcs.integrand(spec, 1), name, realizations, seed) for name in SAMPLERS}
         for spec in (LINE, BELL)
     )
-    weighted = {name: terms(_weighted(), name, realizations, seed) for name in SAMPLERS[:2]}
+    by_density = mcs.Estimator(mcs.integrand(BELL, 1), DENSITY)
+    weighted = {name: terms(by_density, name, realizations, seed) for name in SAMPLERS[:2]}
     every = [*line.values(), *bell.values(), *weighted.values()]
     power, cross = (number(abs(float(line["jittered"][k]))) for k in ("power_term", "cross_term"))
     first, all_ = (number(float(weighted["random"][k])) for k in ("dc_term", "predicted_variance"))
+    variances = {name: float(mcs.exact_variance(by_density, name, N)) for name in weighted}
     integral = float(np.squeeze(mcs.integrand(BELL, 1).integral))
+
+    # Find the second and third term of jittered points on f(x) = x, up to the same frequency
+    _, *exact = split(_exact_matrix(mcs.integrand(LINE, 1), "jittered", None, HALF_WIDTH))
+
+    # Extrapolate them to all frequencies: tails are proportional to 1/K
+    near, far = (
+        np.array(split(_exact_matrix(mcs.integrand(LINE, 1), "jittered", None, k)))
+        for k in (256, 512)
+    )
+    limits = {
+        "second term is 1/(6N²) − 1/(12N³)": 1 / (6 * N**2) - 1 / (12 * N**3),
+        "third term is 1/(6N³) − 1/(6N²)": 1 / (6 * N**3) - 1 / (6 * N**2),
+    }
+
+    # Conjugate one S or the other: the closed form of random importance samples, f as the bell
+    f = mcs.integrand(BELL, 1)
+    mirrored = mcs.Integrand.from_function(lambda x: f(1.0 - x), dims=1, integral=f.integral)
+    matrix = _exact_matrix(f, "random", DENSITY, 128)
+    coefficient = f.fourier(np.arange(-128, 129)[:, None])
+    pairs = coefficient.conj()[:, None] * coefficient[None]
+    as_printed = float((pairs * (matrix / pairs).conj()).sum().real)
+    known = [
+        float(mcs.exact_variance(mcs.Estimator(g, DENSITY), "random", N)) for g in (f, mirrored)
+    ]
+    texts = (
+        "with ⟨S_m conj(S_l)⟩ the sum is the variance",
+        "with ⟨conj(S_m) S_l⟩, as the slides print it, it is that of the reflected integrand f(1 − x)",
+    )
+    values = (float(matrix.sum().real), as_printed)
+
+    # Judge all terms at once: their sum, and the entries off the diagonal
+    errors = [float(d["predicted_variance"] / d["truncated_variance"][-1]) - 1.0 for d in every]
+    off = [
+        each[~np.eye(len(each), dtype=bool)]
+        for each in (data["cross_matrix"].values for data in every)
+    ]
+    shown = {f"f(x) = x: {name}": data for name, data in line.items()}
+    shown |= {f"bell, p = ½ + x: {name}": data for name, data in weighted.items()}
+    shown["bell: jittered"] = bell["jittered"]
     return Exhibit(
         numbers={
             "N": N,
@@ -46,21 +87,84 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "all": all_,
             "half_width": HALF_WIDTH,
         },
-        plots=(_matrices(1, line), _matrices(2, bell), _bars(line, bell, weighted)),
+        plots=(
+            _matrices(1, line),
+            _matrices(2, bell),
+            plot_of(
+                "three-terms",
+                *(
+                    term_panel(data, 1e-5, title, "" if k % 3 else "terms · 10⁵")
+                    for k, (title, data) in enumerate(shown.items())
+                ),
+            ),
+        ),
         claims=(
-            _sum_is_variance(every),
-            _third_is_real(every),
-            *_line_terms(line["jittered"]),
-            *_line_limits(),
+            Claim(
+                f"The three terms sum to the sample variance of the truncated estimates, of {len(every)} pairs of sampler "
+                "and integrand: largest relative difference.",
+                float(np.abs(errors).max()),
+                at_most=1e-10,
+                note="For any number of realisations; transforms have a tolerance of 1e-9 and cancel here.",
+            ),
+            Claim(
+                "The third term is real: its imaginary part over the sum of the sizes of its entries, largest.",
+                float(max(abs(each.sum().imag) / np.abs(each).sum() for each in off)),
+                at_most=1e-14,
+            ),
+            *(
+                Claim(
+                    f"f(x) = x, {N} jittered points: the {word} term, over |m| ≤ {HALF_WIDTH}, is that of the closed form.",
+                    Measured.of(line["jittered"], name),
+                    expected=value,
+                    digits=4,
+                )
+                for name, word, value in zip(
+                    ("power_term", "cross_term"), ("second", "third"), exact, strict=True
+                )
+            ),
+            *(
+                Claim(
+                    f"f(x) = x, jittered points, all frequencies: the {text}: relative difference.",
+                    float(value / known - 1.0),
+                    at_most=2e-3,
+                    note="Sums up to |m| = 256 and 512, extrapolated in 1/K; tails of the next order are some (N/K)² of them.",
+                )
+                for value, (text, known) in zip((2 * far - near)[1:], limits.items(), strict=True)
+            ),
             Claim(
                 "The first term of random importance samples of p = ½ + x is I² (ln 3 − 1)/N.",
                 Measured.of(weighted["random"], "dc_term"),
                 expected=integral**2 * (np.log(3.0) - 1.0) / N,
                 digits=4,
             ),
-            *(_valid(name, data) for name, data in weighted.items()),
-            *_pairing(),
-            _only_power(line["random"]),
+            *(
+                Claim(
+                    f"The formula holds for importance samples: the three terms of {name} points of p = ½ + x sum to the "
+                    "exact variance.",
+                    Measured.of(weighted[name], "predicted_variance", log=True),
+                    expected=variance,
+                    tolerance=1e-3 * variance,
+                    shown=f"{number(variance, 4)} ± 0.1 %",
+                    note="Tolerance: the bell is cut at the border, at 1.4 % of its height: beyond |m| = 40 less than "
+                    "that is left.",
+                )
+                for name, variance in variances.items()
+            ),
+            *(
+                Claim(
+                    f"Which S is conjugated matters, for random points of p = ½ + x and the bell: {text}: relative "
+                    "difference.",
+                    value / right - 1.0,
+                    at_most=0.01,
+                    note=f"The other one differs by {number(100 * abs(value / wrong - 1.0), 2)} %.",
+                )
+                for text, value, right, wrong in zip(texts, values, known, known[::-1], strict=True)
+            ),
+            Claim(
+                "Random points of constant density have no third term on f(x) = x.",
+                Measured.of(line["random"], "cross_term"),
+                expected=0.0,
+            ),
         ),
     )
 
@@ -71,32 +175,6 @@ def terms(
     """Terms with their matrix."""
     return mcs.variance_terms(
         f, sampler, N, half_width=HALF_WIDTH, realizations=realizations, rng=seed, cross_matrix=True
-    )
-
-
-def _weighted() -> mcs.Estimator:
-    return mcs.Estimator(mcs.integrand(BELL, 1), DENSITY)
-
-
-def _sum_is_variance(every: Sequence[xr.Dataset]) -> Claim:
-    """Against the variance of the estimates truncated at the same frequencies, which is measured."""
-    errors = [float(d["predicted_variance"] / d["truncated_variance"][-1]) - 1.0 for d in every]
-    return Claim(
-        f"The three terms sum to the sample variance of the truncated estimates, of {len(every)} pairs of sampler "
-        "and integrand: largest relative difference.",
-        float(np.abs(errors).max()),
-        at_most=1e-10,
-        note="For any number of realisations; transforms have a tolerance of 1e-9 and cancel here.",
-    )
-
-
-def _third_is_real(every: Sequence[xr.Dataset]) -> Claim:
-    matrices = [data["cross_matrix"].values for data in every]
-    off = [matrix[~np.eye(len(matrix), dtype=bool)] for matrix in matrices]
-    return Claim(
-        "The third term is real: its imaginary part over the sum of the sizes of its entries, largest.",
-        float(max(abs(each.sum().imag) / np.abs(each).sum() for each in off)),
-        at_most=1e-14,
     )
 
 
@@ -116,111 +194,5 @@ def split(matrix: Array) -> tuple[float, float, float]:
     return first, power, float(matrix.sum().real) - power - first
 
 
-def _line_terms(data: xr.Dataset) -> list[Claim]:
-    _, *exact = split(_exact_matrix(mcs.integrand(LINE, 1), "jittered", None, HALF_WIDTH))
-    return [
-        Claim(
-            f"f(x) = x, {N} jittered points: the {word} term, over |m| ≤ {HALF_WIDTH}, is that of the closed form.",
-            Measured.of(data, name),
-            expected=value,
-            digits=4,
-        )
-        for name, word, value in zip(
-            ("power_term", "cross_term"), ("second", "third"), exact, strict=True
-        )
-    ]
-
-
-def _line_limits() -> list[Claim]:
-    """Over all frequencies: closed forms summed up to 2^9, and what is left of a 1/K tail extrapolated."""
-    near, far = (
-        np.array(split(_exact_matrix(mcs.integrand(LINE, 1), "jittered", None, k)))
-        for k in (256, 512)
-    )
-    total = 2 * far - near  # tails are proportional to 1/K
-    expected = {
-        "second term is 1/(6N²) − 1/(12N³)": 1 / (6 * N**2) - 1 / (12 * N**3),
-        "third term is 1/(6N³) − 1/(6N²)": 1 / (6 * N**3) - 1 / (6 * N**2),
-    }
-    return [
-        Claim(
-            f"f(x) = x, jittered points, all frequencies: the {text}: relative difference.",
-            float(value / known - 1.0),
-            at_most=2e-3,
-            note="Sums up to |m| = 256 and 512, extrapolated in 1/K; tails of the next order are some (N/K)² of them.",
-        )
-        for value, (text, known) in zip(total[1:], expected.items(), strict=True)
-    ]
-
-
-def _valid(name: str, data: xr.Dataset) -> Claim:
-    expected = float(mcs.exact_variance(_weighted(), name, N))
-    return Claim(
-        f"The formula holds for importance samples: the three terms of {name} points of p = ½ + x sum to the exact "
-        "variance.",
-        Measured.of(data, "predicted_variance", log=True),
-        expected=expected,
-        tolerance=1e-3 * expected,
-        shown=f"{number(expected, 4)} ± 0.1 %",
-        note="Tolerance: the bell is cut at the border, at 1.4 % of its height: beyond |m| = 40 less than that is left.",
-    )
-
-
-def _pairing() -> list[Claim]:
-    """Which S to conjugate: sums of the closed form of random importance samples, f as the bell."""
-    f = mcs.integrand(BELL, 1)
-    mirrored = mcs.Integrand.from_function(lambda x: f(1.0 - x), dims=1, integral=f.integral)
-    matrix = _exact_matrix(f, "random", DENSITY, 128)
-    coefficient = f.fourier(np.arange(-128, 129)[:, None])
-    pairs = coefficient.conj()[:, None] * coefficient[None]
-    as_printed = float((pairs * (matrix / pairs).conj()).sum().real)
-    known = [
-        float(mcs.exact_variance(mcs.Estimator(g, DENSITY), "random", N)) for g in (f, mirrored)
-    ]
-    texts = (
-        "with ⟨S_m conj(S_l)⟩ the sum is the variance",
-        "with ⟨conj(S_m) S_l⟩, as the slides print it, it is that of the reflected integrand f(1 − x)",
-    )
-    values = (float(matrix.sum().real), as_printed)
-    return [
-        Claim(
-            f"Which S is conjugated matters, for random points of p = ½ + x and the bell: {text}: relative "
-            "difference.",
-            value / right - 1.0,
-            at_most=0.01,
-            note=f"The other one differs by {number(100 * abs(value / wrong - 1.0), 2)} %.",
-        )
-        for text, value, right, wrong in zip(texts, values, known, known[::-1], strict=True)
-    ]
-
-
-def _only_power(data: xr.Dataset) -> Claim:
-    return Claim(
-        "Random points of constant density have no third term on f(x) = x.",
-        Measured.of(data, "cross_term"),
-        expected=0.0,
-    )
-
-
 def _matrices(place: int, row: Mapping[str, xr.Dataset]) -> Plot:
     return replace(in_columns(describe("cross-matrix", row)), kind=f"cross-matrix-{place}")
-
-
-def _bars(
-    line: Mapping[str, xr.Dataset],
-    bell: Mapping[str, xr.Dataset],
-    weighted: Mapping[str, xr.Dataset],
-) -> Plot:
-    shown = {f"f(x) = x: {name}": data for name, data in line.items()}
-    shown |= {f"bell, p = ½ + x: {name}": data for name, data in weighted.items()}
-    shown["bell: jittered"] = bell["jittered"]
-    return Plot(
-        kind="three-terms",
-        panels=tuple(
-            term_panel(data, 1e-5, title, "" if k % 3 else "terms · 10⁵")
-            for k, (title, data) in enumerate(shown.items())
-        ),
-        columns=3,
-        height=0.8,
-        wide=True,
-    )

@@ -13,7 +13,7 @@ from mcspectra.plots.description import Axis, Dots, Panel, Plot, Segments
 from mcspectra.plots.style import ACCENT, FAINT, GRAY, INK, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, mean_and_error, normal_limit
-from mcspectra.reproduction.panels import UNIT
+from mcspectra.reproduction.panels import UNIT, plot_of
 
 __all__ = ["exhibit"]
 
@@ -66,11 +66,35 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     before, after = pairs["jittered"]
     powers = [[np.abs(each.values) ** 2 for each in pair] for pair in pairs.values()]
     c0, c1 = (number(N * float(each.covariance[0].real)) for each in (before, after))
+
+    # Subtract the move of the first point, on the torus
+    plain, moved = _drawn("jittered", 100, seed)
+    moves = (moved - plain) % 1.0
+    apart = (moves - moves[:, :1] + 0.5) % 1.0 - 0.5
+
+    # Turn S_m by the shift
+    plain, moved = _drawn("jittered", 1, seed)
+    s0, s1 = _sums(np.concatenate([plain, moved]), np.array([3, -2]))
+    turned = s0 * np.exp(-2j * np.pi * (((moved - plain) % 1.0)[0, 0] @ np.array([3, -2])))
+    panels = []
+    for each, title in ((before, "jittered"), (after, "jittered | shift")):
+        m, l = (N**0.5 * each.values[:500, 0, k].real for k in (0, 1))
+        x, y = Axis(label="√N · Re S_m"), Axis(label="√N · Re S_l")
+        dots = Dots(x=m, y=l, color=PALETTE[0], size=1.8)
+        panels.append(Panel(marks=(dots,), x=x, y=y, title=title, grid=True))
+    se = mean_and_error(before.products.real)[1][0]
     return Exhibit(
         numbers={"N": N, "pair": _PAIR, "c0": c0, "c1": c1},
-        plots=(_steps(seed), _spread(before, after)),
+        plots=(
+            _steps(seed),
+            plot_of("homogenisation-correlation", *panels),
+        ),
         claims=(
-            _one_translation(seed),
+            Claim(
+                "All points of a realisation are moved by the same vector on the torus: largest deviation.",
+                float(np.abs(apart).max()),
+                at_most=1e-15,
+            ),
             Claim(
                 "A shift leaves |S_m|² at integer m as it is, in every realisation of "
                 f"{', '.join(pairs)}: largest difference.",
@@ -78,9 +102,30 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 at_most=1e-14,
                 note="Rounding of phases of 2π·8 at most.",
             ),
-            _phase(seed),
-            _correlated_before(before),
-            *(_correlated_after(name, pair[1]) for name, pair in pairs.items()),
+            Claim(
+                "The shift by Δ multiplies S_m by exp(−2πi m·Δ), at m = (3, −2).",
+                float(abs(s1 - turned)),
+                at_most=1e-13,
+            ),
+            Claim(
+                "Before the shift, coefficients of jittered points one stratum's frequency apart are correlated: "
+                f"N·Cov(S_m, S_l) at {_PAIR} is its closed form.",
+                Measured.normal(before.covariance[0].real, se) / (1 / N),
+                expected=N * float(mcs.closed_form_covariance("jittered", N, *PAIRS[0]).real),
+                digits=4,
+            ),
+            *(
+                Claim(
+                    f"After a shift, coefficients of {name} points at different frequencies are not correlated: largest "
+                    f"|Cov(S_m, S_l)| of {len(PAIRS)} pairs, in standard errors.",
+                    distance,
+                    at_most=limit,
+                    shown=f"≤ {limit:.1f}",
+                    note="The limit is that of as many normal errors, real and imaginary, at the gallery's level.",
+                )
+                for name, (_, shifted) in pairs.items()
+                for distance, limit in [shifted.farthest()]
+            ),
             Claim(
                 "Points that are not random at all become so: ⟨S_m⟩ of a regular grid at its own frequency "
                 "m = (8, 0), 1 or −1 before the shift, is 0 after it (real part).",
@@ -121,55 +166,6 @@ def grid_mean(name: str, realizations: int, seed: int) -> Measured:
     return Measured.mean(_sums(x, np.array((8, 0))).real)
 
 
-def _one_translation(seed: int) -> Claim:
-    """Differences on the torus from that of the first point."""
-    before, after = _drawn("jittered", 100, seed)
-    moves = (after - before) % 1.0
-    apart = (moves - moves[:, :1] + 0.5) % 1.0 - 0.5
-    return Claim(
-        "All points of a realisation are moved by the same vector on the torus: largest deviation.",
-        float(np.abs(apart).max()),
-        at_most=1e-15,
-    )
-
-
-def _phase(seed: int) -> Claim:
-    before, after = _drawn("jittered", 1, seed)
-    m = np.array([3, -2])
-    s0, s1 = (np.exp(-2j * np.pi * (x[0] @ m)).mean() for x in (before, after))
-    turned = s0 * np.exp(-2j * np.pi * (((after - before) % 1.0)[0, 0] @ m))
-    return Claim(
-        "The shift by Δ multiplies S_m by exp(−2πi m·Δ), at m = (3, −2).",
-        float(abs(s1 - turned)),
-        at_most=1e-13,
-    )
-
-
-def _correlated_before(before: Coefficients) -> Claim:
-    expected = N * float(mcs.closed_form_covariance("jittered", N, *PAIRS[0]).real)
-    se = float(mean_and_error(before.products.real)[1][0])
-    value = Measured.normal(float(before.covariance[0].real), se)
-    return Claim(
-        "Before the shift, coefficients of jittered points one stratum's frequency apart are correlated: "
-        f"N·Cov(S_m, S_l) at {_PAIR} is its closed form.",
-        value / (1 / N),
-        expected=expected,
-        digits=4,
-    )
-
-
-def _correlated_after(name: str, after: Coefficients) -> Claim:
-    distance, limit = after.farthest()
-    return Claim(
-        f"After a shift, coefficients of {name} points at different frequencies are not correlated: largest "
-        f"|Cov(S_m, S_l)| of {len(PAIRS)} pairs, in standard errors.",
-        distance,
-        at_most=limit,
-        shown=f"≤ {limit:.1f}",
-        note="The limit is that of as many normal errors, real and imaginary, at the gallery's level.",
-    )
-
-
 def _steps(seed: int) -> Plot:
     x = mcs.sampler("jittered", 2).draw(16, rng=seed)[0]
     move = np.array([0.42, 0.3])
@@ -207,28 +203,4 @@ def _steps(seed: int) -> Plot:
                 square=True,
             )
         )
-    return Plot(
-        kind="homogenisation-steps",
-        panels=tuple(panels),
-        columns=3,
-        height=1.0,
-        share="y",
-        wide=True,
-    )
-
-
-def _spread(before: Coefficients, after: Coefficients) -> Plot:
-    panels = []
-    for each, title in ((before, "jittered"), (after, "jittered | shift")):
-        m, l = (N**0.5 * each.values[:500, 0, k].real for k in (0, 1))
-        x, y = Axis(label="√N · Re S_m"), Axis(label="√N · Re S_l")
-        dots = Dots(x=m, y=l, color=PALETTE[0], size=1.8)
-        panels.append(Panel(marks=(dots,), x=x, y=y, title=title, grid=True))
-    return Plot(
-        kind="homogenisation-correlation",
-        panels=tuple(panels),
-        columns=2,
-        height=0.75,
-        share="both",
-        wide=True,
-    )
+    return plot_of("homogenisation-steps", *panels)

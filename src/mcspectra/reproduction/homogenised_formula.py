@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
 import mcspectra as mcs
-from mcspectra.plots.description import Plot
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured
-from mcspectra.reproduction.panels import in_columns, interval_panel
+from mcspectra.reproduction.panels import in_columns, interval_panel, plot_of
 
 __all__ = ["exhibit"]
 
@@ -35,20 +32,69 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         ", ".join(f"{number(share(d).value)} ({name})" for name, d in data.items())
         for data in (plain, shifted)
     )
+    rows = {name: [share(data[name]) for data in (plain, shifted)] for name in SAMPLERS}
+    x = "Σ |f_m|² ⟨|S_m|²⟩ over measured variance"
+
+    left_out = {
+        name: beyond() / N / float(data["measured_variance"]) for name, data in shifted.items()
+    }
+
+    # On f(x) = x: (1/(6N²) − 1/(12N³)) / (1/(12N³)) = 2N − 1, of the variance by quadrature
+    line = mcs.integrand("linear", 1)
+    power = 1 / (6 * N**2) - 1 / (12 * N**3)
+    times = power / float(mcs.exact_variance(line, "jittered", N))
+    drawn = 200 if quick else 2000
+    matrices = {
+        name: mcs.variance_terms(
+            line, name, 16, half_width=32, realizations=drawn, rng=seed, cross_matrix=True
+        )
+        for name in ("jittered", "jittered | shift")
+    }
     return Exhibit(
-        numbers={"N": N, "before": before, "after": after, "matrices": 200 if quick else 2000},
-        plots=(_ratios(plain, shifted), _matrices(200 if quick else 2000, seed)),
+        numbers={"N": N, "before": before, "after": after, "matrices": drawn},
+        plots=(
+            plot_of(
+                "homogenised-formula", interval_panel(rows, ("as they are", "shifted"), x, at=1.0)
+            ),
+            replace(in_columns(describe("cross-matrix", matrices)), kind="homogenised-matrix"),
+        ),
         claims=(
             *(_closed_sum(n) for n in (16, 256)),
-            *(_no_third(name, data) for name, data in shifted.items()),
-            *(_all_of_it(name, data) for name, data in shifted.items()),
+            *(
+                Claim(
+                    f"{name}, shifted: the third term is 0, as a share of the variance.",
+                    Measured.of(data, "cross_term") / float(data["predicted_variance"]),
+                    expected=0.0,
+                )
+                for name, data in shifted.items()
+            ),
+            *(
+                Claim(
+                    f"{name}, shifted: the sum over m ≠ 0 is the measured variance: their ratio.",
+                    share(shifted[name]),
+                    expected=1.0,
+                    tolerance=part,
+                    shown=f"1 ± {number(part, 2)}",
+                    note=f"Tolerance: what f has beyond |m| = {HALF_WIDTH}, at the power 1/N of random points.",
+                )
+                for name, part in left_out.items()
+            ),
             Claim(
                 "The first term is 0, as weights are all 1/N: largest, as a share of the variance.",
                 max(float(d["dc_term"]) / float(d["measured_variance"]) for d in shifted.values()),
                 at_most=1e-15,
             ),
-            _only_then(),
-            _more_than_all(plain["jittered"]),
+            Claim(
+                f"Without the shift the sum is not the variance: on f(x) = x, 2N − 1 times that of {N} jittered points: "
+                "relative difference from this.",
+                times / (2 * N - 1) - 1.0,
+                at_most=1e-9,
+            ),
+            Claim(
+                "Jittered points that are not shifted, on the bell: the sum is more than the variance: their ratio.",
+                share(plain["jittered"]),
+                above=1.0,
+            ),
         ),
     )
 
@@ -86,73 +132,9 @@ def _closed_sum(n: int) -> Claim:
     )
 
 
-def _no_third(name: str, data: xr.Dataset) -> Claim:
-    return Claim(
-        f"{name}, shifted: the third term is 0, as a share of the variance.",
-        Measured.of(data, "cross_term") / float(data["predicted_variance"]),
-        expected=0.0,
-    )
-
-
-def _all_of_it(name: str, data: xr.Dataset) -> Claim:
-    left_out = beyond() / N / float(data["measured_variance"])
-    return Claim(
-        f"{name}, shifted: the sum over m ≠ 0 is the measured variance: their ratio.",
-        share(data),
-        expected=1.0,
-        tolerance=left_out,
-        shown=f"1 ± {number(left_out, 2)}",
-        note=f"Tolerance: what f has beyond |m| = {HALF_WIDTH}, at the power 1/N of random points.",
-    )
-
-
 @cache
 def beyond() -> float:
     """∫f² less Σ |f_m|² up to the half width; a Gaussian's square has a width smaller by √2."""
     square = BELL.replace("width=0.2", f"width={0.2 / math.sqrt(2)}")
     power = np.abs(mcs.integrand(BELL, 2).fourier_grid(HALF_WIDTH)) ** 2
     return float(np.squeeze(mcs.integrand(square, 2).integral)) - float(power.sum())
-
-
-def _only_then() -> Claim:
-    """(1/(6N²) − 1/(12N³)) / (1/(12N³)) = 2N − 1, of what quadrature says of the variance."""
-    power = 1 / (6 * N**2) - 1 / (12 * N**3)
-    times = power / float(mcs.exact_variance(mcs.integrand("linear", 1), "jittered", N))
-    return Claim(
-        f"Without the shift the sum is not the variance: on f(x) = x, 2N − 1 times that of {N} jittered points: "
-        "relative difference from this.",
-        times / (2 * N - 1) - 1.0,
-        at_most=1e-9,
-    )
-
-
-def _more_than_all(data: xr.Dataset) -> Claim:
-    return Claim(
-        "Jittered points that are not shifted, on the bell: the sum is more than the variance: their ratio.",
-        share(data),
-        above=1.0,
-    )
-
-
-def _ratios(plain: Mapping[str, xr.Dataset], shifted: Mapping[str, xr.Dataset]) -> Plot:
-    rows = {name: [share(data[name]) for data in (plain, shifted)] for name in SAMPLERS}
-    x = "Σ |f_m|² ⟨|S_m|²⟩ over measured variance"
-    return Plot(
-        kind="homogenised-formula",
-        panels=(interval_panel(rows, ("as they are", "shifted"), x, at=1.0),),
-        height=0.32,
-        wide=True,
-    )
-
-
-def _matrices(realizations: int, seed: int) -> Plot:
-    f, n = mcs.integrand("linear", 1), 16
-    options: dict[str, Any] = {
-        "half_width": 32,
-        "realizations": realizations,
-        "rng": seed,
-        "cross_matrix": True,
-    }
-    names = ("jittered", "jittered | shift")
-    data = {name: mcs.variance_terms(f, name, n, **options) for name in names}
-    return replace(in_columns(describe("cross-matrix", data)), kind="homogenised-matrix")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Dots, Mark, Panel, Plot, Rule, Scale
+from mcspectra.plots.description import Dots, Mark, Panel, Rule, Scale
 from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
@@ -18,6 +17,7 @@ from mcspectra.reproduction.claims import Claim, Exhibit, Measured
 from mcspectra.reproduction.panels import (
     at_ring,
     frequency_panel,
+    plot_of,
     ring_mean,
     square_panel,
     whiskers,
@@ -38,12 +38,43 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     realizations = 300 if quick else 3000
     spectra = {name: spectrum(name, realizations, seed) for name in SAMPLERS}
     rings = [
-        _ring_level(name, spectra[name], ring)
-        for name in ("random", "jittered")
+        Claim(
+            f"N⟨|S_m|²⟩ of {name} importance samples, the mean over |m| ≈ {ring}, is {what}.",
+            at_ring(spectra[name], ring, N),
+            expected=_closed_ring(name, ring),
+            digits=4,
+        )
+        for name, what in (("random", "∫1/p"), ("jittered", "that of the closed form"))
         for ring in (1, HALF_WIDTH)
     ]
-    dc = [_dc_component(name, realizations, seed) for name in ("random", "jittered")]
+
+    # S_0 is the mean of 1/p; its variance against the closed form
+    zero, many = np.zeros((1, 2)), 4 * realizations
+    dc = [
+        Claim(
+            f"The component at m = 0 of {name} importance samples varies: N Var(S₀) is that of the closed form.",
+            Measured.mean(N * (sums(name, many, seed, weighted=True)[:, 0].real - 1.0) ** 2),
+            expected=N * float(mcs.closed_form_covariance(name, N, zero, zero, DENSITY).real[0]),
+            digits=4,
+        )
+        for name in ("random", "jittered")
+    ]
     low, high, dc_random, dc_jittered = (number(claim.value) for claim in (*rings[2:], *dc))
+
+    # Draw points above the images of their spectra, and spectra against |m|
+    scale = Scale(label="N · ⟨|S|²⟩", high=1.5 * LEVEL, beyond=True)
+    p, points = mcs.density(DENSITY, 2), []
+    for name in SAMPLERS:
+        x, y = p.sample(mcs.sampler(name, 2).draw(N, rng=seed)[0]).T
+        points.append(square_panel([Dots(x=x, y=y, color=PALETTE[0], size=1.8)], name))
+    radii = np.arange(1, HALF_WIDTH + 1)
+    marks: list[Mark] = [Rule(at=LEVEL, color=INK, width=1.0, label="∫1/p")]
+    for k, (name, data) in enumerate(spectra.items()):
+        found = [at_ring(data, int(ring), N) for ring in radii]
+        ends = np.array([(each.low, each.high) for each in found])
+        marks.append(whiskers(radii, np.array([each.value for each in found]), ends, k, name, 3.0))
+    x = log_axis("|m| (cycles per unit)", 1.0, float(HALF_WIDTH))
+    y = log_axis("N · ⟨|S|²⟩", _closed_ring("jittered", 1) / 1.5, 4.0)
     return Exhibit(
         numbers={
             "slope": SLOPE,
@@ -56,14 +87,37 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "N": N,
             "realizations": realizations,
         },
-        plots=(_images(spectra, seed), _radial(spectra)),
+        plots=(
+            plot_of(
+                "importance-spectra",
+                *points,
+                *(
+                    frequency_panel(N * d["power"].values, scale, "", y=not k)
+                    for k, d in enumerate(spectra.values())
+                ),
+            ),
+            plot_of("importance-radial", Panel(marks=tuple(marks), x=x, y=y, grid=True)),
+        ),
         claims=(
             *rings,
-            _below_random(spectra["poisson-disk"]),
+            Claim(
+                "Poisson-disk points, warped, have less power than random ones at |m| ≈ 1, but more than jittered ones.",
+                at_ring(spectra["poisson-disk"], 1, N),
+                above=_closed_ring("jittered", 1),
+                below=LEVEL,
+            ),
             *dc,
             _rate(1),
             _rate(0),
-            _without_weights(realizations, seed),
+            # N random points of p: 1/N + (1 − 1/N) |p_m|², p_m = i s/(2πm) of a linear density
+            Claim(
+                "Without the weights 1/p the spectrum is that of the density: ⟨|S_m|²⟩ → |p_m|² at m = (1, 0).",
+                Measured.mean(
+                    np.abs(sums("random", realizations, seed, weighted=False)[:, 1]) ** 2
+                ),
+                expected=1 / N + (1 - 1 / N) * (SLOPE / (2 * np.pi)) ** 2,
+                digits=4,
+            ),
             Claim(
                 "At high frequencies, m = (4000, 0), jittered importance samples have the level ∫1/p of random ones: "
                 "relative difference.",
@@ -84,37 +138,6 @@ def spectrum(name: str, realizations: int, seed: int) -> xr.Dataset:
 
 def _closed_ring(name: str, ring: int) -> float:
     return N * ring_mean(lambda m: mcs.closed_form_power(name, N, m, DENSITY), HALF_WIDTH, ring)
-
-
-def _ring_level(name: str, data: xr.Dataset, ring: int) -> Claim:
-    what = "∫1/p" if name == "random" else "that of the closed form"
-    return Claim(
-        f"N⟨|S_m|²⟩ of {name} importance samples, the mean over |m| ≈ {ring}, is {what}.",
-        at_ring(data, ring, N),
-        expected=_closed_ring(name, ring),
-        digits=4,
-    )
-
-
-def _below_random(data: xr.Dataset) -> Claim:
-    return Claim(
-        "Poisson-disk points, warped, have less power than random ones at |m| ≈ 1, but more than jittered ones.",
-        at_ring(data, 1, N),
-        above=_closed_ring("jittered", 1),
-        below=LEVEL,
-    )
-
-
-def _dc_component(name: str, realizations: int, seed: int) -> Claim:
-    """S_0 is the mean of 1/p; its variance against the closed form."""
-    squares = N * (sums(name, realizations * 4, seed, weighted=True)[:, 0].real - 1.0) ** 2
-    zero = np.zeros((1, 2))
-    return Claim(
-        f"The component at m = 0 of {name} importance samples varies: N Var(S₀) is that of the closed form.",
-        Measured.mean(squares),
-        expected=N * float(mcs.closed_form_covariance(name, N, zero, zero, DENSITY).real[0]),
-        digits=4,
-    )
 
 
 def sums(name: str, realizations: int, seed: int, *, weighted: bool) -> Array:
@@ -140,47 +163,3 @@ def _rate(m: int) -> Claim:
         shown="−3.0 ± 0.01",
         note="Tolerance: the next term of the variance is smaller by 1/N, times derivatives of 1/p.",
     )
-
-
-def _without_weights(realizations: int, seed: int) -> Claim:
-    """N random points of p: 1/N + (1 − 1/N) |p_m|², p_m = i s/(2πm) of a linear density."""
-    power = np.abs(sums("random", realizations, seed, weighted=False)[:, 1]) ** 2
-    return Claim(
-        "Without the weights 1/p the spectrum is that of the density: ⟨|S_m|²⟩ → |p_m|² at m = (1, 0).",
-        Measured.mean(power),
-        expected=1 / N + (1 - 1 / N) * (SLOPE / (2 * np.pi)) ** 2,
-        digits=4,
-    )
-
-
-def _images(spectra: Mapping[str, xr.Dataset], seed: int) -> Plot:
-    scale = Scale(label="N · ⟨|S|²⟩", high=1.5 * LEVEL, beyond=True)
-    p, points = mcs.density(DENSITY, 2), []
-    for name in SAMPLERS:
-        x, y = p.sample(mcs.sampler(name, 2).draw(N, rng=seed)[0]).T
-        points.append(square_panel([Dots(x=x, y=y, color=PALETTE[0], size=1.8)], name))
-    return Plot(
-        kind="importance-spectra",
-        panels=(
-            *points,
-            *(
-                frequency_panel(N * d["power"].values, scale, "", y=not k)
-                for k, d in enumerate(spectra.values())
-            ),
-        ),
-        columns=3,
-        height=1.0,
-        wide=True,
-    )
-
-
-def _radial(spectra: Mapping[str, xr.Dataset]) -> Plot:
-    rings = np.arange(1, HALF_WIDTH + 1)
-    marks: list[Mark] = [Rule(at=LEVEL, color=INK, width=1.0, label="∫1/p")]
-    for k, (name, data) in enumerate(spectra.items()):
-        found = [at_ring(data, int(ring), N) for ring in rings]
-        ends = np.array([(each.low, each.high) for each in found])
-        marks.append(whiskers(rings, np.array([each.value for each in found]), ends, k, name, 3.0))
-    x = log_axis("|m| (cycles per unit)", 1.0, float(HALF_WIDTH))
-    y = log_axis("N · ⟨|S|²⟩", _closed_ring("jittered", 1) / 1.5, 4.0)
-    return Plot(kind="importance-radial", panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),))

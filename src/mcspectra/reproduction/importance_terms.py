@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, final
+from typing import final
 
 import numpy as np
 import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Plot
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured
-from mcspectra.reproduction.panels import term_panel
+from mcspectra.reproduction.panels import plot_of, term_panel
 
 __all__ = ["exhibit"]
 
@@ -56,13 +54,10 @@ class Case:
 
     def terms(self, realizations: int, seed: int) -> xr.Dataset:
         """The terms, with half widths that the function needs."""
-        half_width = _MANY if self.function in ("line", "bar") else _FEW
-        options: dict[str, Any] = {
-            "half_width": half_width,
-            "realizations": realizations,
-            "rng": seed,
-        }
-        return mcs.variance_terms(self.estimator, self.sampler, N, **options)
+        wide = _MANY if self.function in ("line", "bar") else _FEW
+        return mcs.variance_terms(
+            self.estimator, self.sampler, N, half_width=wide, realizations=realizations, rng=seed
+        )
 
     def exact_random(self) -> tuple[float, float, float]:
         """The three terms of random points: means over the domain, periodic, so that midpoints are exact.
@@ -107,6 +102,13 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     shifted = Case("", "line", 0.0, "jittered | shift").terms(realizations, seed)
     third = {case: number(float(data["cross_term"])) for case, data in of.items()}
     with_f = "With IS that follows f, {} points, the third term is negative."
+    # With p = f every estimate is I: the third term is minus the other two
+    estimator = mcs.Estimator(_wave(0.8), _density(-0.8))
+    perfect = mcs.variance_terms(
+        estimator, "jittered", N, half_width=_FEW, realizations=100, rng=seed
+    )
+    every = [*(data for case, data in of.items() if case != FLAT), shifted]
+    found = [Measured.of(data, "power_term") for data in every]
     return Exhibit(
         numbers={
             "line": third[LINE],
@@ -115,9 +117,22 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "bad": third[BAD],
             "N": N,
         },
-        plots=(_bars(of),),
+        plots=(
+            plot_of(
+                "importance-terms",
+                *(
+                    term_panel(data, 1e-3, case.title, "" if k % 3 else "terms · 10³")
+                    for k, (case, data) in enumerate(of.items())
+                ),
+            ),
+        ),
         claims=(
-            _second_positive([*(data for case, data in of.items() if case != FLAT), shifted]),
+            Claim(
+                f"The second term is always positive: that of the {len(every)} cases (f = 1 aside, which has none) whose "
+                "interval comes nearest to 0.",
+                min(found, key=lambda each: each.low / each.value),
+                above=0.0,
+            ),
             Claim(
                 "For constant PDF the first term is zero: largest.",
                 max(float(data["dc_term"]) for data in (of[LINE], of[BAR], shifted)),
@@ -127,9 +142,29 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 "For constant PDF the third term is negative on f(x) = x, jittered points.",
                 of[LINE],
             ),
-            _bar_adds(of[BAR]),
-            _shift_removes(shifted),
-            *_predictions(of),
+            # The variance is ¼ of both strata over N², after a shift 1/6: the third is the difference
+            Claim(
+                "Counter-example: the third term of jittered points of constant PDF is positive for a bar whose edges halve "
+                "strata, 1/(6N²) in all, here over |m| ≤ 64.",
+                Measured.of(of[BAR], "cross_term"),
+                expected=exact_bar(_MANY),
+                digits=4,
+                note=f"1/(6N²) is {number(1 / (6 * N**2))}.",
+            ),
+            Claim(
+                "Counter-example: of shifted points of constant PDF the third term is neither negative nor positive.",
+                Measured.of(shifted, "cross_term"),
+                expected=0.0,
+            ),
+            *(
+                Claim(
+                    f"{case.title}: the third term is the covariance of f² and 1/p over the domain, over N.",
+                    Measured.of(of[case], "cross_term"),
+                    expected=case.exact_random()[2],
+                    digits=4,
+                )
+                for case in (GOOD, BAD)
+            ),
             _negative(with_f.format("random"), of[GOOD]),
             _negative(with_f.format("jittered"), of[STRATIFIED]),
             Claim(
@@ -146,19 +181,19 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 digits=4,
                 note="The statement of the slides holds in so far as the third term outweighs it.",
             ),
-            _all_first(of[FLAT]),
-            _perfect(seed),
+            Claim(
+                "First term cannot be ignored for IS: of f = 1 it is the whole variance; its share less 1.",
+                float(of[FLAT]["dc_term"] / of[FLAT]["measured_variance"]) - 1.0,
+                at_most=1e-9,
+            ),
+            Claim(
+                "With IS by f itself (1 − 0.8 cos 2πx) the third term takes away all of the first two: their sum, relative to "
+                "these.",
+                float(perfect["predicted_variance"])
+                / float(perfect["dc_term"] + perfect["power_term"]),
+                at_most=1e-9,
+            ),
         ),
-    )
-
-
-def _second_positive(every: Sequence[xr.Dataset]) -> Claim:
-    found = [Measured.of(data, "power_term") for data in every]
-    return Claim(
-        f"The second term is always positive: that of the {len(every)} cases (f = 1 aside, which has none) whose "
-        "interval comes nearest to 0.",
-        min(found, key=lambda each: each.low / each.value),
-        above=0.0,
     )
 
 
@@ -175,38 +210,6 @@ def exact_bar(half_width: int) -> float:
     return float((matrix.sum() - np.trace(matrix)).real)
 
 
-def _bar_adds(data: xr.Dataset) -> Claim:
-    """Variance: ¼ of both strata over N²; after a shift 1/6 of each: the third term is the difference."""
-    return Claim(
-        "Counter-example: the third term of jittered points of constant PDF is positive for a bar whose edges halve "
-        "strata, 1/(6N²) in all, here over |m| ≤ 64.",
-        Measured.of(data, "cross_term"),
-        expected=exact_bar(_MANY),
-        digits=4,
-        note=f"1/(6N²) is {number(1 / (6 * N**2))}.",
-    )
-
-
-def _shift_removes(data: xr.Dataset) -> Claim:
-    return Claim(
-        "Counter-example: of shifted points of constant PDF the third term is neither negative nor positive.",
-        Measured.of(data, "cross_term"),
-        expected=0.0,
-    )
-
-
-def _predictions(of: Mapping[Case, xr.Dataset]) -> list[Claim]:
-    return [
-        Claim(
-            f"{case.title}: the third term is the covariance of f² and 1/p over the domain, over N.",
-            Measured.of(of[case], "cross_term"),
-            expected=case.exact_random()[2],
-            digits=4,
-        )
-        for case in (GOOD, BAD)
-    ]
-
-
 def _crucial(case: Case, data: xr.Dataset) -> Claim:
     """First and second term over the measured variance, whose interval it takes."""
     both = float(data["dc_term"] + data["power_term"])
@@ -217,37 +220,4 @@ def _crucial(case: Case, data: xr.Dataset) -> Claim:
         "ratio.",
         Measured(both / variance.value, *ends, log=True),
         above=2.0,
-    )
-
-
-def _all_first(data: xr.Dataset) -> Claim:
-    return Claim(
-        "First term cannot be ignored for IS: of f = 1 it is the whole variance; its share less 1.",
-        float(data["dc_term"] / data["measured_variance"]) - 1.0,
-        at_most=1e-9,
-    )
-
-
-def _perfect(seed: int) -> Claim:
-    """With p = f every estimate is I: the third term is minus the other two."""
-    estimator = mcs.Estimator(_wave(0.8), _density(-0.8))
-    data = mcs.variance_terms(estimator, "jittered", N, half_width=_FEW, realizations=100, rng=seed)
-    return Claim(
-        "With IS by f itself (1 − 0.8 cos 2πx) the third term takes away all of the first two: their sum, relative to "
-        "these.",
-        float(data["predicted_variance"]) / float(data["dc_term"] + data["power_term"]),
-        at_most=1e-9,
-    )
-
-
-def _bars(of: Mapping[Case, xr.Dataset]) -> Plot:
-    return Plot(
-        kind="importance-terms",
-        panels=tuple(
-            term_panel(data, 1e-3, case.title, "" if k % 3 else "terms · 10³")
-            for k, (case, data) in enumerate(of.items())
-        ),
-        columns=3,
-        height=0.8,
-        wide=True,
     )

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 import mcspectra as mcs
-from mcspectra.plots.description import Line, Mark, Panel, Plot, Rule
+from mcspectra.plots.description import Line, Mark, Panel, Rule
 from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, pixel_rate, rate_text
-from mcspectra.reproduction.panels import primary_panel, variance_panel, whiskers
+from mcspectra.reproduction.panels import plot_of, primary_panel, variance_panel, whiskers
 
 __all__ = ["exhibit"]
 
@@ -39,9 +38,38 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         f"{number(float(width), 2)} (N = {n})"
         for width, n in zip(scan["best_width"], BUDGETS, strict=True)
     )
+    # Draw rates of the pixel, and errors of the disk against the width
+    panel = variance_panel(
+        {f"{name} edge": curve for name, curve in curves.items()},
+        rates={f"{name} edge": rate for name, rate in _RATES.items()},
+        relative=True,
+        title="BSDF sampling at P, jittered",
+        x="number of samples N",
+    )
+    widths, marks = np.array(WIDTHS[1:]), list[Mark]()
+    for k, n in enumerate(BUDGETS):
+        cell, label = scan.sel(n=n, width=widths), f"N = {n}"
+        mse = cell["mse"].values
+        edge = float(scan["mse"].sel(n=n, width=0.0))
+        marks += [
+            Rule(at=edge, color=PALETTE[k], dashes=":"),
+            Line(x=widths, y=mse, color=PALETTE[k], width=1.1, label=label),
+            whiskers(widths, mse, cell["mse_ci"].values, k, label),
+        ]
+    dense = np.geomspace(widths[0], widths[-1], 50)
+    line = (np.pi * dense**2 / 12) ** 2
+    marks.append(Line(x=dense, y=line, color=INK, width=1.1, label="bias², (πδ²/12)²"))
+    x = log_axis("width δ of the edge (sides of the domain)", widths[0], widths[-1])
+    y = log_axis("mean squared error", 1e-7, 5e-4)
     return Exhibit(
         numbers={"sharp": sharp, "smooth": smooth, "best": best, "radius": RADIUS},
-        plots=(_squares(pixels), _convergence(curves), _widths(scan)),
+        plots=(
+            plot_of(
+                "smoothed-light", *(primary_panel(g, f"{name} edge") for name, g in pixels.items())
+            ),
+            plot_of("light-smoothing", panel),
+            plot_of("smoothing-widths", Panel(marks=tuple(marks), x=x, y=y, grid=True)),
+        ),
         claims=(
             *(
                 pixel_rate(
@@ -128,50 +156,4 @@ def _narrower(scan: xr.Dataset) -> Claim:
         below=1.0,
         shown="< 1",
         note=f"Of the widths {', '.join(f'{w:g}' for w in WIDTHS)}.",
-    )
-
-
-def _squares(pixels: Mapping[str, Any]) -> Plot:
-    return Plot(
-        kind="smoothed-light",
-        panels=tuple(primary_panel(g, f"{name} edge") for name, g in pixels.items()),
-        columns=2,
-        height=1.0,
-        share="y",
-    )
-
-
-def _convergence(curves: Mapping[str, xr.Dataset]) -> Plot:
-    panel = variance_panel(
-        {f"{name} edge": curve for name, curve in curves.items()},
-        rates={f"{name} edge": rate for name, rate in _RATES.items()},
-        relative=True,
-        title="BSDF sampling at P, jittered",
-        x="number of samples N",
-        y="variance / mean²",
-    )
-    return Plot(kind="light-smoothing", panels=(panel,))
-
-
-def _widths(scan: xr.Dataset) -> Plot:
-    widths, marks = np.array(WIDTHS[1:]), list[Mark]()
-    for k, n in enumerate(BUDGETS):
-        cell, label = scan.sel(n=n, width=widths), f"N = {n}"
-        mse = cell["mse"].values
-        edge = float(scan["mse"].sel(n=n, width=0.0))
-        marks += [
-            Rule(at=edge, color=PALETTE[k], dashes=":"),
-            Line(x=widths, y=mse, color=PALETTE[k], width=1.1, label=label),
-            whiskers(widths, mse, cell["mse_ci"].values, k, label),
-        ]
-    dense = np.geomspace(widths[0], widths[-1], 50)
-    line = (np.pi * dense**2 / 12) ** 2
-    marks.append(Line(x=dense, y=line, color=INK, width=1.1, label="bias², (πδ²/12)²"))
-    x = log_axis("width δ of the edge (sides of the domain)", widths[0], widths[-1])
-    y = log_axis("mean squared error", 1e-7, 5e-4)
-    return Plot(
-        kind="smoothing-widths",
-        panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),),
-        height=0.45,
-        wide=True,
     )

@@ -10,13 +10,11 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
-import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
@@ -35,7 +33,7 @@ from mcspectra.plots.description import (
 from mcspectra.plots.style import ACCENT, INK, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text
-from mcspectra.reproduction.panels import AXES, square_panel, strata, variance_panel
+from mcspectra.reproduction.panels import AXES, plot_of, square_panel, strata, variance_panel
 
 __all__ = ["exhibit"]
 
@@ -62,6 +60,38 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     shown = {key: rate_text(cell) for key, cell in cells.items()}
     last = {key: Measured.of(cell.isel(n=-1), "variance") for key, cell in cells.items()}
     moved = last["original", True]
+
+    # Find |f(0, y) − f(1, y)| where a shift wraps around, of f and of f(fold(2u))
+    y = np.linspace(0.0, 1.0, 257)
+    original = np.exp(-(y**2)) * (1.0 - np.exp(-1.0))
+    g = mcs.Mirrored(INTEGRAND).primary_integrand(0)
+    ends = (g(np.stack([np.full_like(y, u), y], axis=-1)) for u in (0.0, np.nextafter(1.0, 0.0)))
+    mirrored = np.subtract(*ends)
+
+    # Draw samples with their strata, and curves with their slopes
+    own = mcs.sampler("jittered", 2).draw(16, rng=seed)[0]
+    panels = []
+    for mirroring, side in (("original", 8), ("random", 8), ("uniform", 4)):
+        spec = "jittered" if mirroring == "original" else f"jittered | mirror(mode={mirroring!r})"
+        x, y = mcs.sampler(spec, 2).draw(64, rng=seed)[0].T
+        marks: list[Mark] = [*strata(side), Dots(x=x, y=y, color=PALETTE[0], size=3.0)]
+        if mirroring == "uniform":
+            marks.append(Dots(x=own[:, 0], y=own[:, 1], color=ACCENT, size=3.0))
+        panels.append(square_panel(marks, _TITLES[mirroring], "x y"))
+    curves, label = [], "measured and exact"
+    for shifted, mirroring in itertools.product((True, False), _TITLES):
+        key = mirroring, shifted
+        panel = variance_panel(
+            {label: cells[key]},
+            exact={label: exact[key]},
+            rates={label: RATES[key]},
+            title=f"{_TITLES[mirroring]}, {'shifted' if shifted else 'not shifted'}",
+            x="number of samples N",
+            limits=(1e-9, 1e-3),
+        )
+        at, text = float(exact[key][1]), f"slope {number(RATES[key], 2)}"
+        slope = Text(x=float(_COUNTS[1]), y=2.0 * at, text=text)
+        curves.append(replace(panel, marks=(*panel.marks, slope)))
     return Exhibit(
         numbers={
             "original": shown["original", False],
@@ -69,9 +99,21 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "uniform": shown["uniform", False],
             "uniform_shifted": shown["uniform", True],
         },
-        plots=(_integrands(), _samples(seed), _convergence(cells, exact)),
+        plots=(
+            _integrands(),
+            plot_of("mirrored-samples", *panels),
+            plot_of("mirroring-convergence", *curves),
+        ),
         claims=(
-            *(_rate_of(key, cell, exact[key]) for key, cell in cells.items()),
+            *(
+                known_rate(
+                    f"Variance of exp(−x² − y²), {_TITLES[m]}, jittered, {_WORDS[h]}: rate.",
+                    cell,
+                    RATES[m, h],
+                    exact[m, h],
+                )
+                for (m, h), cell in cells.items()
+            ),
             Claim(
                 f"Homogenised is not good: at N = {_COUNTS[-1]} the shift multiplies the variance of the original by "
                 "more than 1.",
@@ -84,7 +126,18 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 moved / last["uniform", True],
                 above=1.0,
             ),
-            *_jumps(),
+            Claim(
+                "Where the original wraps around it jumps, by up to 1 − 1/e.",
+                float(np.abs(original).max()),
+                expected=float(1 - np.exp(-1)),
+                tolerance=1e-12,
+                digits=4,
+            ),
+            Claim(
+                "Where the mirrored integrand wraps around it is continuous: largest jump.",
+                float(np.abs(mirrored).max()),
+                at_most=1e-12,
+            ),
             *(_domain(dims) for dims in (1, 2)),
         ),
     )
@@ -136,36 +189,6 @@ def among_images() -> float:
     return square - _axis()[0] ** 2
 
 
-def _rate_of(cell: tuple[str, bool], curve: xr.Dataset, exact: Array) -> Claim:
-    mirroring, homogenized = cell
-    text = f"{_TITLES[mirroring]}, jittered, {_WORDS[homogenized]}: rate."
-    return known_rate(f"Variance of exp(−x² − y²), {text}", curve, RATES[cell], exact)
-
-
-def _jumps() -> list[Claim]:
-    """Largest |f(0, y) − f(1, y)| of the integrand over the period that a shift wraps around."""
-    y = np.linspace(0.0, 1.0, 257)
-    original = np.exp(-(y**2)) * (1.0 - np.exp(-1.0))
-    # f(fold(2u)) at both ends of an axis
-    g = mcs.Mirrored(INTEGRAND).primary_integrand(0)
-    ends = (g(np.stack([np.full_like(y, u), y], axis=-1)) for u in (0.0, np.nextafter(1.0, 0.0)))
-    mirrored = np.subtract(*ends)
-    return [
-        Claim(
-            "Where the original wraps around it jumps, by up to 1 − 1/e.",
-            float(np.abs(original).max()),
-            expected=float(1 - np.exp(-1)),
-            tolerance=1e-12,
-            digits=4,
-        ),
-        Claim(
-            "Where the mirrored integrand wraps around it is continuous: largest jump.",
-            float(np.abs(mirrored).max()),
-            at_most=1e-12,
-        ),
-    ]
-
-
 def _domain(dims: int) -> Claim:
     """Each image gets the strata that n/2^d points have in the domain, each sampled once."""
     f = INTEGRAND if dims == 2 else "gaussian(center=0.2, width=0.4, dims=1)"
@@ -202,54 +225,4 @@ def _integrands() -> Plot:
         line = Line(x=t, y=np.where(jumps, np.nan, np.exp(-(folded**2))), color=INK, width=1.4)
         y = Axis(label="f(x, 0)", low=0.0, high=1.1)
         sections.append(Panel(marks=(line,), x=Axis(label="x", **axis), y=y, grid=True))
-    return Plot(
-        kind="mirrored-integrand",
-        panels=(*images, *sections),
-        columns=2,
-        height=0.5,
-        rows=(2.0, 1.0),
-        share="x",
-        wide=True,
-    )
-
-
-def _samples(seed: int) -> Plot:
-    own = mcs.sampler("jittered", 2).draw(16, rng=seed)[0]
-    panels = []
-    for mirroring, side in (("original", 8), ("random", 8), ("uniform", 4)):
-        spec = "jittered" if mirroring == "original" else f"jittered | mirror(mode={mirroring!r})"
-        x, y = mcs.sampler(spec, 2).draw(64, rng=seed)[0].T
-        marks: list[Mark] = [*strata(side), Dots(x=x, y=y, color=PALETTE[0], size=3.0)]
-        if mirroring == "uniform":
-            marks.append(Dots(x=own[:, 0], y=own[:, 1], color=ACCENT, size=3.0))
-        panels.append(square_panel(marks, _TITLES[mirroring], "x y"))
-    return Plot(
-        kind="mirrored-samples", panels=tuple(panels), columns=3, height=1.0, share="y", wide=True
-    )
-
-
-def _convergence(
-    cells: Mapping[tuple[str, bool], xr.Dataset], exact: Mapping[tuple[str, bool], Array]
-) -> Plot:
-    panels, label = [], "measured and exact"
-    for shifted, mirroring in itertools.product((True, False), _TITLES):
-        key = mirroring, shifted
-        panel = variance_panel(
-            {label: cells[key]},
-            exact={label: exact[key]},
-            rates={label: RATES[key]},
-            title=f"{_TITLES[mirroring]}, {'shifted' if shifted else 'not shifted'}",
-            x="number of samples N",
-            limits=(1e-9, 1e-3),
-        )
-        at, text = float(exact[key][1]), f"slope {number(RATES[key], 2)}"
-        slope = Text(x=float(_COUNTS[1]), y=2.0 * at, text=text)
-        panels.append(replace(panel, marks=(*panel.marks, slope)))
-    return Plot(
-        kind="mirroring-convergence",
-        panels=tuple(panels),
-        columns=3,
-        height=0.8,
-        share="both",
-        wide=True,
-    )
+    return Plot(kind="mirrored-integrand", panels=(*images, *sections), rows=(2.0, 1.0))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,6 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Plot
 from mcspectra.reproduction.claims import (
     Claim,
     Exhibit,
@@ -19,7 +18,7 @@ from mcspectra.reproduction.claims import (
     pixel_rate,
     rate_text,
 )
-from mcspectra.reproduction.panels import variance_panel
+from mcspectra.reproduction.panels import plot_of, variance_panel
 
 __all__ = ["exhibit"]
 
@@ -45,19 +44,57 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         + ", ".join(f"{name} {rate_text(found.isel(estimator=i))}" for i, name in enumerate(_RATES))
         for where, found in pixels.items()
     )
+    known = dict(zip(toy, (exact(0), exact(1), exact(0) + exact(1)), strict=True))
+    bottleneck = toy["sum"].attrs["bottleneck"]
+    variances = np.array([mcs.exact_variance(_toy(), "jittered", n) for n in _COUNTS])
     return Exhibit(
         numbers={"rates": rates},
-        plots=(_pixel_plot(pixels), _toy_plot(toy)),
-        claims=(
-            *(_toy_rate(toy, technique) for technique in (0, 1)),
-            known_rate(
-                "Toy: the sum has the rate of the slower technique.",
-                toy["sum"],
-                -2.0,
-                exact(0) + exact(1),
+        plots=(
+            plot_of(
+                "mis-slowest",
+                *(
+                    variance_panel(
+                        {name: found.isel(estimator=i) for i, name in enumerate(_RATES)},
+                        rates=_RATES,
+                        relative=True,
+                        title=_WHERE[where],
+                        x="samples N of each technique",
+                    )
+                    for where, found in pixels.items()
+                ),
             ),
-            _bottleneck(toy["sum"].attrs["bottleneck"]),
-            _toy_formula(),
+            plot_of(
+                "toy-techniques",
+                variance_panel(
+                    toy,
+                    exact=known,
+                    title="two techniques and their sum",
+                    x="number of points N of each technique",
+                ),
+            ),
+        ),
+        claims=(
+            *(
+                known_rate(
+                    f"Toy: rate of the technique {name}, jittered.", toy[name], rate, known[name]
+                )
+                for name, rate in TECHNIQUES.items()
+            ),
+            known_rate(
+                "Toy: the sum has the rate of the slower technique.", toy["sum"], -2.0, known["sum"]
+            ),
+            Claim(
+                "Toy: the technique whose interval lies above all others is the slower one.",
+                bottleneck,
+                holds=bottleneck == "technique 1",
+                shown="technique 1",
+            ),
+            Claim(
+                "Toy: the variance of the sum is 1/(12N³) + {aN}(1 − {aN})/N², {·} the fractional part: largest relative "
+                "difference.",
+                float(np.abs(variances / known["sum"] - 1).max()),
+                at_most=1e-9,
+            ),
             *(
                 pixel_rate(
                     f"Veach's scene, {_WHERE[where]}: rate of {name}, jittered.",
@@ -98,31 +135,6 @@ def exact(technique: int) -> Array:
     return np.asarray(1 / (12 * n**3) if technique == 0 else part * (1 - part) / n**2)
 
 
-def _toy_rate(toy: Mapping[str, xr.Dataset], technique: int) -> Claim:
-    name, expected = list(TECHNIQUES.items())[technique]
-    text = f"Toy: rate of the technique {name}, jittered."
-    return known_rate(text, toy[name], expected, exact(technique))
-
-
-def _bottleneck(found: str) -> Claim:
-    return Claim(
-        "Toy: the technique whose interval lies above all others is the slower one.",
-        found,
-        holds=found == "technique 1",
-        shown="technique 1",
-    )
-
-
-def _toy_formula() -> Claim:
-    found = np.array([mcs.exact_variance(_toy(), "jittered", n) for n in _COUNTS])
-    return Claim(
-        "Toy: the variance of the sum is 1/(12N³) + {aN}(1 − {aN})/N², {·} the fractional part: largest relative "
-        "difference.",
-        float(np.abs(found / (exact(0) + exact(1)) - 1).max()),
-        at_most=1e-9,
-    )
-
-
 def _pixel(where: str, sides: Sequence[int], realizations: int, seed: int) -> xr.Dataset:
     """Light and BSDF sampling alone, MIS, and its two techniques, on a dim estimator."""
     place = _PIXELS[where]
@@ -158,33 +170,4 @@ def _what_is_left(where: str, found: xr.Dataset) -> Claim:
         "of that over that of its light technique.",
         Measured.of(bsdf, "variance") / Measured.of(light, "variance"),
         above=1.0,
-    )
-
-
-def _pixel_plot(pixels: Mapping[str, xr.Dataset]) -> Plot:
-    return Plot(
-        kind="mis-slowest",
-        panels=tuple(
-            variance_panel(
-                {name: found.isel(estimator=i) for i, name in enumerate(_RATES)},
-                rates=_RATES,
-                relative=True,
-                title=_WHERE[where],
-                x="samples N of each technique",
-                y="variance / mean²",
-            )
-            for where, found in pixels.items()
-        ),
-        columns=2,
-        height=0.9,
-        wide=True,
-    )
-
-
-def _toy_plot(toy: Mapping[str, xr.Dataset]) -> Plot:
-    known = dict(zip(toy, (exact(0), exact(1), exact(0) + exact(1)), strict=True))
-    x = "number of points N of each technique"
-    return Plot(
-        kind="toy-techniques",
-        panels=(variance_panel(toy, exact=known, title="two techniques and their sum", x=x),),
     )

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.estimators.moments import CONFIDENCE_Z
-from mcspectra.plots.description import Axis, Line, Mark, Panel, Plot
+from mcspectra.plots.description import Axis, Line, Mark, Panel
 from mcspectra.plots.style import PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, largest_distance
-from mcspectra.reproduction.panels import interval_panel, whiskers
+from mcspectra.reproduction.panels import interval_panel, plot_of, whiskers
 
 __all__ = ["exhibit"]
 
@@ -33,30 +30,75 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         f"{name}: {number(counted.value)} from pairs, {number(measured.value)} measured"
         for name, (counted, measured) in variances.items()
     )
+    n, ramp = 16, mcs.Estimator("linear", dims=1)
+    value = float(mcs.variance_from_pair_correlation(ramp, "jittered", n)["variance"])
+
+    # Look for pairs of Poisson-disk points in bins below the radius
+    disk, radius = pairs["poisson-disk"], mcs.samplers.PoissonDisk(dims=2).radius(N)
+    width = float(disk["r"][1] - disk["r"][0])
+    inside = disk["pair_correlation"].values[disk["r"].values + width / 2 < radius]
+
+    # Draw g(r), and the closed form where there is one
+    marks: list[Mark] = []
+    for k, (name, data) in enumerate(pairs.items()):
+        r, g = data["r"].values, data["pair_correlation"].values
+        half = CONFIDENCE_Z * data["pair_correlation_se"].values
+        line = g if name == "poisson-disk" else mcs.closed_form_pair_correlation(name, N, r)
+        marks.append(Line(x=r, y=line, color=PALETTE[k], width=1.2, label=name))
+        marks.append(whiskers(r, g, np.stack([g - half, g + half], axis=-1), k, name, 3.0))
+    x = Axis(label="distance r (sides of the domain)", low=0.0, high=0.4)
+    y = Axis(label="pair correlation g(r)", low=0.0)
+    rows = {name: [each / 1e-4 for each in pair] for name, pair in variances.items()}
     return Exhibit(
         numbers={"N": N, "both": both},
-        plots=(_curves(pairs), _comparison(variances)),
+        plots=(
+            plot_of("pair-correlation", Panel(marks=tuple(marks), x=x, y=y, grid=True)),
+            plot_of(
+                "variance-from-pairs",
+                interval_panel(rows, ("from pairs", "measured"), "variance of I_N, times 10⁴"),
+            ),
+        ),
         claims=(
             *(_as_closed(name, pairs[name]) for name in ("random", "jittered")),
-            _hole(pairs["poisson-disk"]),
+            Claim(
+                f"No two Poisson-disk points are nearer than their radius {number(radius)}: largest g(r) below it.",
+                float(inside.max()),
+                expected=0.0,
+            ),
             *(_transformed(name) for name in ("random", "jittered")),
-            _one_dim(),
-            *(_known_pairs(name) for name in ("random", "jittered")),
+            Claim(
+                f"From pairs, the variance of f = x with {n} jittered points is 1/(12N³): relative difference.",
+                12 * n**3 * value - 1,
+                at_most=1e-6,
+            ),
+            *(
+                Claim(
+                    f"From the known pairs of {name} points the variance of exp(−x² − y²) is that of quadrature: relative "
+                    "difference.",
+                    float(mcs.variance_from_pair_correlation(_SMOOTH, name, N)["variance"])
+                    / float(mcs.exact_variance(_SMOOTH, name, N))
+                    - 1,
+                    at_most=1e-5,
+                )
+                for name in ("random", "jittered")
+            ),
             *(_counted_pairs(name, *pair) for name, pair in variances.items()),
-            _shifted(variances["jittered | shift"][0]),
+            Claim(
+                "From counted pairs of jittered | shift points the variance is that of quadrature.",
+                variances["jittered | shift"][0],
+                expected=float(mcs.exact_variance(_SMOOTH, "jittered | shift", N)),
+                digits=4,
+            ),
         ),
     )
 
 
 def count_pairs(name: str, realizations: int, seed: int) -> xr.Dataset:
     """Pairs of points in the plane by their distance."""
-    options: dict[str, Any] = {
-        "bins": 60,
-        "realizations": realizations,
-        "rng": seed,
-        "max_distance": 0.4,
-    }
-    return mcs.pair_correlation(mcs.sampler(name, 2), N, **options)
+    points = mcs.sampler(name, 2)
+    return mcs.pair_correlation(
+        points, N, bins=60, max_distance=0.4, realizations=realizations, rng=seed
+    )
 
 
 def routes(name: str, realizations: int, seed: int) -> tuple[Measured, Measured]:
@@ -83,17 +125,6 @@ def _as_closed(name: str, data: xr.Dataset) -> Claim:
     )
 
 
-def _hole(data: xr.Dataset) -> Claim:
-    radius = mcs.samplers.PoissonDisk(dims=2).radius(N)
-    width = float(data["r"][1] - data["r"][0])
-    inside = data["pair_correlation"].values[data["r"].values + width / 2 < radius]
-    return Claim(
-        f"No two Poisson-disk points are nearer than their radius {number(radius)}: largest g(r) below it.",
-        float(inside.max()),
-        expected=0.0,
-    )
-
-
 def _transformed(name: str) -> Claim:
     """N⟨|S_m|²⟩ = 1 + (N − 1) ∫ g(|h|) cos(2πmh) dh over the torus, m ≠ 0, in 1-D."""
     n, m = 16, np.arange(1, 49)
@@ -111,27 +142,6 @@ def _transformed(name: str) -> Claim:
     )
 
 
-def _one_dim() -> Claim:
-    n = 16
-    line = mcs.Estimator("linear", dims=1)
-    value = float(mcs.variance_from_pair_correlation(line, "jittered", n)["variance"])
-    return Claim(
-        f"From pairs, the variance of f = x with {n} jittered points is 1/(12N³): relative difference.",
-        12 * n**3 * value - 1,
-        at_most=1e-6,
-    )
-
-
-def _known_pairs(name: str) -> Claim:
-    value = float(mcs.variance_from_pair_correlation(_SMOOTH, name, N)["variance"])
-    return Claim(
-        f"From the known pairs of {name} points the variance of exp(−x² − y²) is that of quadrature: relative "
-        "difference.",
-        value / float(mcs.exact_variance(_SMOOTH, name, N)) - 1,
-        at_most=1e-5,
-    )
-
-
 def _counted_pairs(name: str, counted: Measured, measured: Measured) -> Claim:
     """The ratio of both, with the errors of both."""
     times = counted.value / measured.value
@@ -144,40 +154,4 @@ def _counted_pairs(name: str, counted: Measured, measured: Measured) -> Claim:
         Measured.normal(times, times * float(np.hypot(*errors))),
         expected=1.0,
         shown="1",
-    )
-
-
-def _shifted(counted: Measured) -> Claim:
-    return Claim(
-        "From counted pairs of jittered | shift points the variance is that of quadrature.",
-        counted,
-        expected=float(mcs.exact_variance(_SMOOTH, "jittered | shift", N)),
-        digits=4,
-    )
-
-
-def _curves(pairs: Mapping[str, xr.Dataset]) -> Plot:
-    marks: list[Mark] = []
-    for k, (name, data) in enumerate(pairs.items()):
-        r, g = data["r"].values, data["pair_correlation"].values
-        half = CONFIDENCE_Z * data["pair_correlation_se"].values
-        line = g if name == "poisson-disk" else mcs.closed_form_pair_correlation(name, N, r)
-        marks.append(Line(x=r, y=line, color=PALETTE[k], width=1.2, label=name))
-        marks.append(whiskers(r, g, np.stack([g - half, g + half], axis=-1), k, name, 3.0))
-    x = Axis(label="distance r (sides of the domain)", low=0.0, high=0.4)
-    y = Axis(label="pair correlation g(r)", low=0.0)
-    return Plot(
-        kind="pair-correlation",
-        panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),),
-        height=0.42,
-        wide=True,
-    )
-
-
-def _comparison(variances: Mapping[str, tuple[Measured, Measured]]) -> Plot:
-    rows = {name: [each / 1e-4 for each in pair] for name, pair in variances.items()}
-    return Plot(
-        kind="variance-from-pairs",
-        panels=(interval_panel(rows, ("from pairs", "measured"), "variance of I_N, times 10⁴"),),
-        height=0.32,
     )

@@ -35,6 +35,7 @@ __all__ = [
     "frequency_panel",
     "in_columns",
     "interval_panel",
+    "plot_of",
     "primary_panel",
     "ring_mean",
     "square_panel",
@@ -70,7 +71,6 @@ def variance_panel(
     relative: bool = False,
     title: str = "",
     x: str = "number of points N",
-    y: str = "variance",
     limits: tuple[float, float] | None = None,
 ) -> Panel:
     """Return measured variances with 95 % intervals against N, and lines of what is known of them.
@@ -107,6 +107,7 @@ def variance_panel(
         values += [*ends.ravel(), *([] if line is None else line)]
         counts |= {int(v) for v in n}
     low, high = limits or (min(values), max(values))
+    y = "variance / mean²" if relative else "variance"
     x_axis, y_axis = count_axis(x, counts, most=5), log_axis(y, low, high, most=5)
     return Panel(marks=tuple(marks), x=x_axis, y=y_axis, title=title, grid=True)
 
@@ -163,6 +164,11 @@ def primary_panel(integrand: Callable[[Array], Array], title: str) -> Panel:
     scale = Scale(label="f/p (over its mean)", high=float(shown.max()))
     image = Image(values=shown, x=u, y=u, scale=scale, name="f/p over its mean")
     return square_panel([image], title, "u₀ u₁")
+
+
+def plot_of(kind: str, *panels: Panel) -> Plot:
+    """Return a plot whose layout stands in ``slides.toml``."""
+    return Plot(kind=kind, panels=panels)
 
 
 def in_columns(plot: Plot, first: int = 0) -> Plot:

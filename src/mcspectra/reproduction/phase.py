@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from mcspectra.plots.description import Axis, Line, Mark, Panel, Plot, Rule
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text
-from mcspectra.reproduction.panels import variance_panel, whiskers
+from mcspectra.reproduction.panels import plot_of, variance_panel, whiskers
 
 __all__ = ["exhibit"]
 
@@ -28,6 +27,7 @@ LABELS = {
     0.125: "displaced by 1/8 of a side",
     0.5: "displaced by half a side",
 }
+RATES = {0.0: -3.0, 0.125: -2.0, 0.5: -2.0}
 _HIGHEST = 12  # frequency of the two functions of equal power
 
 
@@ -36,32 +36,123 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     realizations = 1000 if quick else 10_000
     scan = {offset: bar_terms(offset, realizations, seed) for offset in OFFSETS}
     curves = {offset: displaced_curve(offset, realizations, seed) for offset in LABELS}
-    third = [float(data["cross_term"]) for data in scan.values()]
-    second = number(float(scan[0.0]["power_term"]))
+    second, third = (
+        np.array([float(data[name]) for data in scan.values()])
+        for name in ("power_term", "cross_term")
+    )
     rates = ", ".join(f"{rate_text(curve)} ({LABELS[offset]})" for offset, curve in curves.items())
+
+    # Displace f in place of the points: a phase of its coefficients
+    m, still = _matrix("jittered")
+    bar = mcs.integrand(BAR, 1).fourier(m)
+    turned = bar * np.exp(2j * np.pi * m[:, 0] * 0.3 / N)
+
+    # Average over equally spaced offsets: exact for all m − l but multiples of 64 strata
+    values = [_third(bar, _matrix(displaced(k / 64))[1]) for k in range(64)]
+
+    # Predict the variance of two functions of equal power spectra, and find it by quadrature
+    m, functions = _equal_power()
+    (one_second, one_third), (other_second, other_third) = map(_predicted, functions)
+    direct = [_stratified(m, f) for f in functions]
+    times = (one_second + one_third) / (other_second + other_third)
+
+    # Draw the terms against the offset
+    names = {"power_term": "second term", "cross_term": "third term", "predicted_variance": "sum"}
+    at, s = np.array(OFFSETS), np.linspace(0.0, 1.0, 100)
+    marks: list[Mark] = [Rule(at=0.0, color=INK, width=0.7)]
+    for k, (name, label) in enumerate(names.items()):
+        found = [Measured.of(data, name) / 1e-3 for data in scan.values()]
+        term = np.array([each.value for each in found])
+        ends = np.array([(each.low, each.high) for each in found])
+        marks += [
+            Line(x=at, y=term, color=PALETTE[k], label=label),
+            whiskers(at, term, ends, k, label),
+        ]
+    known = 1e3 * np.array([exact_bar(float(t), N) for t in s])
+    label = "exact variance, all frequencies"
+    marks.append(Line(x=s, y=known, color=INK, dashes="--", width=1.0, label=label))
+    x = Axis(label="offset of the strata (sides)", low=-0.02, high=1.02)
+    exact = {LABELS[offset]: exact_curve(offset) for offset in curves}
+    shown = {LABELS[offset]: curve for offset, curve in curves.items()}
     return Exhibit(
         numbers={
-            "second": second,
+            "second": number(second[0]),
             "N": N,
             "least": number(min(third)),
             "most": number(max(third)),
             "rates": rates,
             "half_width": HALF_WIDTH,
         },
-        plots=(_offsets(scan), _convergence(curves), _functions()),
+        plots=(
+            plot_of(
+                "phase-offsets",
+                Panel(marks=tuple(marks), x=x, y=Axis(label="terms · 10³"), grid=True),
+            ),
+            plot_of(
+                "phase-convergence",
+                variance_panel(shown, exact=exact, title="bar and cosine, jittered points"),
+            ),
+            _functions(),
+        ),
         claims=(
-            _same_second(list(scan.values())),
-            _turned(),
-            *(_variance_of(offset, scan[offset]) for offset in LABELS),
-            _at_borders(scan[0.0]),
+            Claim(
+                f"The second term does not depend on where the strata lie, for {len(scan)} offsets and the same random "
+                "numbers: largest relative difference.",
+                float(np.ptp(second) / second[0]),
+                at_most=1e-9,
+            ),
+            Claim(
+                "Moving the strata by Δ is the same as turning the phases of f_m by 2πmΔ: difference of the third terms.",
+                _third(bar, _matrix(displaced(0.3))[1]) - _third(turned, still),
+                at_most=1e-14,
+            ),
+            *(
+                Claim(
+                    f"Bar, strata {LABELS[offset]}: the variance is 2 s(1 − s)/N², with s = {number(offset)}.",
+                    Measured.of(scan[offset], "measured_variance", log=True),
+                    expected=exact_bar(offset, N),
+                    tolerance=1e-25,
+                    note="Tolerance: rounding." if offset == 0.0 else "",
+                )
+                for offset in LABELS
+            ),
+            Claim(
+                "Phase decides the sign of the third term: with the edges at borders of strata it is negative.",
+                Measured.of(scan[0.0], "cross_term"),
+                below=0.0,
+            ),
             Claim(
                 "Phase decides the sign of the third term: with the edges in the middle it is positive.",
                 Measured.of(scan[0.5], "cross_term"),
                 above=0.0,
             ),
-            _mean_of_third(),
-            *(_rate_of(offset, curve) for offset, curve in curves.items()),
-            *_equal_power_claims(),
+            Claim(
+                "Averaged over all offsets, which is homogenisation, the third term is 0: over its largest size.",
+                float(np.mean(values) / np.abs(values).max()),
+                at_most=1e-12,
+            ),
+            *(
+                known_rate(
+                    f"Strata shifting affects convergence: bar and cosine, strata {LABELS[offset]}: rate "
+                    f"{number(rate, 2)}.",
+                    curves[offset],
+                    rate,
+                    exact_curve(offset),
+                )
+                for offset, rate in RATES.items()
+            ),
+            Claim(
+                "Two functions of equal |f_m| have the same second term: relative difference.",
+                one_second / other_second - 1.0,
+                at_most=1e-14,
+            ),
+            Claim(
+                "Their variances with jittered points differ, and the three terms know it: ratio of both predictions less "
+                "that of quadrature over strata.",
+                times - direct[0] / direct[1],
+                at_most=1e-9,
+                note=f"The ratio is {number(times, 4)}.",
+            ),
         ),
     )
 
@@ -123,67 +214,6 @@ def _third(f: Array, c: Array) -> float:
     return float((matrix.sum() - np.trace(matrix)).real)
 
 
-def _same_second(scan: Sequence[xr.Dataset]) -> Claim:
-    second = np.array([float(d["power_term"]) for d in scan])
-    return Claim(
-        f"The second term does not depend on where the strata lie, for {len(scan)} offsets and the same random "
-        "numbers: largest relative difference.",
-        float(np.ptp(second) / second[0]),
-        at_most=1e-9,
-    )
-
-
-def _turned() -> Claim:
-    """The third term of points displaced by Δ is that of f displaced by −Δ: a phase of its coefficients."""
-    offset = 0.3
-    m, moved = _matrix(displaced(offset))
-    _, c = _matrix("jittered")
-    f = mcs.integrand(BAR, 1).fourier(m)
-    turned = f * np.exp(2j * np.pi * m[:, 0] * offset / N)
-    return Claim(
-        "Moving the strata by Δ is the same as turning the phases of f_m by 2πmΔ: difference of the third terms.",
-        _third(f, moved) - _third(turned, c),
-        at_most=1e-14,
-    )
-
-
-def _variance_of(offset: float, data: xr.Dataset) -> Claim:
-    return Claim(
-        f"Bar, strata {LABELS[offset]}: the variance is 2 s(1 − s)/N², with s = {number(offset)}.",
-        Measured.of(data, "measured_variance", log=True),
-        expected=exact_bar(offset, N),
-        tolerance=1e-25,
-        note="Tolerance: rounding." if offset == 0.0 else "",
-    )
-
-
-def _at_borders(data: xr.Dataset) -> Claim:
-    return Claim(
-        "Phase decides the sign of the third term: with the edges at borders of strata it is negative.",
-        Measured.of(data, "cross_term"),
-        below=0.0,
-    )
-
-
-def _mean_of_third() -> Claim:
-    """The mean over equally spaced offsets is exact for all m − l but multiples of 64 strata."""
-    f = mcs.integrand(BAR, 1).fourier(_matrix("jittered")[0])
-    values = [_third(f, _matrix(displaced(k / 64))[1]) for k in range(64)]
-    return Claim(
-        "Averaged over all offsets, which is homogenisation, the third term is 0: over its largest size.",
-        float(np.mean(values) / np.abs(values).max()),
-        at_most=1e-12,
-    )
-
-
-def _rate_of(offset: float, curve: xr.Dataset) -> Claim:
-    expected = -3.0 if offset == 0.0 else -2.0
-    text = f"bar and cosine, strata {LABELS[offset]}: rate {number(expected, 2)}."
-    return known_rate(
-        f"Strata shifting affects convergence: {text}", curve, expected, exact_curve(offset)
-    )
-
-
 def _equal_power() -> tuple[Array, tuple[Array, Array]]:
     """Frequencies, and coefficients of two real functions of equal |f_m|: a peak and a spread-out one.
 
@@ -215,60 +245,6 @@ def _predicted(f: Array) -> tuple[float, float]:
     return float(np.abs(f) ** 2 @ np.diag(c).real), _third(f, c)
 
 
-def _equal_power_claims() -> list[Claim]:
-    m, functions = _equal_power()
-    (second, third), (other_second, other_third) = map(_predicted, functions)
-    direct = [_stratified(m, f) for f in functions]
-    times = (second + third) / (other_second + other_third)
-    return [
-        Claim(
-            "Two functions of equal |f_m| have the same second term: relative difference.",
-            second / other_second - 1.0,
-            at_most=1e-14,
-        ),
-        Claim(
-            "Their variances with jittered points differ, and the three terms know it: ratio of both predictions less "
-            "that of quadrature over strata.",
-            times - direct[0] / direct[1],
-            at_most=1e-9,
-            note=f"The ratio is {number(times, 4)}.",
-        ),
-    ]
-
-
-def _offsets(scan: Mapping[float, xr.Dataset]) -> Plot:
-    names = {"power_term": "second term", "cross_term": "third term", "predicted_variance": "sum"}
-    at, s = np.array(OFFSETS), np.linspace(0.0, 1.0, 100)
-    marks: list[Mark] = [Rule(at=0.0, color=INK, width=0.7)]
-    for k, (name, label) in enumerate(names.items()):
-        found = [Measured.of(data, name) / 1e-3 for data in scan.values()]
-        values = np.array([each.value for each in found])
-        ends = np.array([(each.low, each.high) for each in found])
-        marks += [
-            Line(x=at, y=values, color=PALETTE[k], label=label),
-            whiskers(at, values, ends, k, label),
-        ]
-    exact = 1e3 * np.array([exact_bar(float(t), N) for t in s])
-    label = "exact variance, all frequencies"
-    marks.append(Line(x=s, y=exact, color=INK, dashes="--", width=1.0, label=label))
-    x = Axis(label="offset of the strata (sides)", low=-0.02, high=1.02)
-    return Plot(
-        kind="phase-offsets",
-        panels=(Panel(marks=tuple(marks), x=x, y=Axis(label="terms · 10³"), grid=True),),
-        height=0.4,
-        wide=True,
-    )
-
-
-def _convergence(curves: Mapping[float, xr.Dataset]) -> Plot:
-    exact = {LABELS[offset]: exact_curve(offset) for offset in curves}
-    shown = {LABELS[offset]: curve for offset, curve in curves.items()}
-    return Plot(
-        kind="phase-convergence",
-        panels=(variance_panel(shown, exact=exact, title="bar and cosine, jittered points"),),
-    )
-
-
 def _functions() -> Plot:
     m, functions = _equal_power()
     x = np.linspace(0.0, 1.0, 600)
@@ -283,4 +259,4 @@ def _functions() -> Plot:
                 grid=True,
             )
         )
-    return Plot(kind="phase-functions", panels=tuple(panels), columns=2, wide=True)
+    return plot_of("phase-functions", *panels)

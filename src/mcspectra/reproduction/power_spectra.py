@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import numpy as np
 import xarray as xr
 
 import mcspectra as mcs
-from mcspectra.plots.description import Plot, Scale
+from mcspectra.plots.description import Scale
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured
-from mcspectra.reproduction.panels import at_ring, frequency_panel, ring_mean
+from mcspectra.reproduction.panels import at_ring, frequency_panel, plot_of, ring_mean
 
 __all__ = ["exhibit"]
 
@@ -27,19 +26,30 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     realizations = 200 if quick else 2000
     single, expected = measured_spectra(1, seed), measured_spectra(realizations, seed)
     random, jittered, disk = (expected[name] for name in SAMPLERS)
+    ring = int(np.argmax(disk["radial_power"].values)) + 1
     claims = (
         _speckle("one set", single["random"], 1),
         _speckle(f"the mean over {realizations} sets", random, realizations),
         _ring_level("random", random, 1, 1.0),
         _ring_level("jittered", jittered, 1, closed_ring(1)),
         _ring_level("jittered", jittered, HALF_WIDTH, closed_ring(HALF_WIDTH)),
-        _below_random(disk),
-        _peak(disk),
+        Claim(
+            "Poisson-disk points have less power than random ones at |m| ≈ 1, but more than jittered ones.",
+            at_ring(disk, 1, N),
+            above=closed_ring(1),
+            below=1.0,
+        ),
+        Claim(
+            f"Poisson-disk points have a ring above the level of random ones, at |m| ≈ {ring}.",
+            at_ring(disk, ring, N),
+            above=1.0,
+        ),
         _exponent("jittered", jittered, 2.0),
         _exponent("random", random, 0.0),
     )
     low = ", ".join(f"{number(at_ring(d, 1, N).value)} ({name})" for name, d in expected.items())
     strength = " and ".join(number(c.value) for c in claims[:2])
+    scale = Scale(label="N · |S|²   (random: 1)", high=2.5, beyond=True)
     return Exhibit(
         numbers={
             "strength": strength,
@@ -48,7 +58,17 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "N": N,
             "realizations": realizations,
         },
-        plots=(_images(single, expected), describe("radial", expected)),
+        plots=(
+            plot_of(
+                "power-spectra",
+                *(
+                    frequency_panel(N * data[name]["power"].values, scale, f"{name}, {what}")
+                    for data, what in ((single, "one set"), (expected, "expected"))
+                    for name in SAMPLERS
+                ),
+            ),
+            describe("radial", expected),
+        ),
         claims=claims,
     )
 
@@ -93,21 +113,6 @@ def _ring_level(name: str, spectrum: xr.Dataset, ring: int, expected: float) -> 
     )
 
 
-def _below_random(spectrum: xr.Dataset) -> Claim:
-    return Claim(
-        "Poisson-disk points have less power than random ones at |m| ≈ 1, but more than jittered ones.",
-        at_ring(spectrum, 1, N),
-        above=closed_ring(1),
-        below=1.0,
-    )
-
-
-def _peak(spectrum: xr.Dataset) -> Claim:
-    ring = int(np.argmax(spectrum["radial_power"].values)) + 1
-    statement = f"Poisson-disk points have a ring above the level of random ones, at |m| ≈ {ring}."
-    return Claim(statement, at_ring(spectrum, ring, N), above=1.0)
-
-
 def _exponent(name: str, spectrum: xr.Dataset, expected: float) -> Claim:
     return Claim(
         f"The power of {name} points starts as |ν|^{expected:.0f}.",
@@ -116,20 +121,4 @@ def _exponent(name: str, spectrum: xr.Dataset, expected: float) -> Claim:
         # d log(1 − sinc²(πν/s)) / d log ν = 2 − 4/15 (πν/s)² …, s = 16, ν ≤ 3
         tolerance=0.1 if expected else 0.0,
         note="Tolerance 0.1: 1 − sinc² bends by as much up to |m| = 3." if expected else "",
-    )
-
-
-def _images(single: Mapping[str, xr.Dataset], expected: Mapping[str, xr.Dataset]) -> Plot:
-    scale = Scale(label="N · |S|²   (random: 1)", high=2.5, beyond=True)
-    return Plot(
-        kind="power-spectra",
-        panels=tuple(
-            frequency_panel(N * data[name]["power"].values, scale, f"{name}, {what}")
-            for data, what in ((single, "one set"), (expected, "expected"))
-            for name in SAMPLERS
-        ),
-        columns=3,
-        height=1.0,
-        share="both",
-        wide=True,
     )

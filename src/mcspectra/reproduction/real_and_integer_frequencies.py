@@ -15,12 +15,12 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, Plot
+from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel
 from mcspectra.plots.scales import count_axis, log_axis
 from mcspectra.plots.style import ACCENT, INK, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text
-from mcspectra.reproduction.panels import whiskers
+from mcspectra.reproduction.panels import plot_of, whiskers
 
 __all__ = ["exhibit"]
 
@@ -42,16 +42,65 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     )
     levels = " and ".join(f"{number(real_limit(name))} for {name}" for name in NAMES)
     pairs = [(name, sampler) for name in NAMES for sampler in SAMPLERS]
+    found = mcs.power_at("jittered", 64, [[0.5]], realizations=200 if quick else 2000, rng=seed)
+
+    # Draw sums over real and integer frequencies, and the variance
+    panels = []
+    n = np.array(COUNTS, float)
+    for name, title in NAMES.items():
+        marks: list[Mark] = []
+        for k, (sampler, spec) in enumerate(SAMPLERS.items()):
+            for step, dashes, what in ((0.5, "--", "real"), (1.0, "-", "integer")):
+                y, label = frequency_sums(name, sampler, step), f"{sampler}: {what}"
+                marks.append(Line(x=n, y=y, color=PALETTE[k], dashes=dashes, label=label))  # type: ignore[arg-type]
+            curve = curves[name].sel(sampler=spec)
+            ends = curve["variance_ci"].values
+            marks.append(whiskers(n, curve["variance"].values, ends, k, f"{sampler}: measured"))
+        low = float(exact_variances(name, "jittered").min()) / 2
+        high = 2 * float(frequency_sums(name, "random", 0.5).max())
+        x, y_axis = count_axis("number of points N", COUNTS), log_axis("variance", low, high)
+        panels.append(Panel(marks=tuple(marks), x=x, y=y_axis, title=title, grid=True))
+    nu, whole = np.arange(10, 801) / 200, np.arange(1.0, 5.0)  # the integers included
+
+    # Draw the power of jittered points between the integers
+    power: list[Mark] = []
+    for count, color in zip((16, 64, 256), ("#56B4E9", "#0072B2", INK), strict=True):
+        lobes, notches = (
+            mcs.closed_form_power("jittered", count, at[:, None]) for at in (nu, whole)
+        )
+        power.append(Line(x=nu, y=lobes, color=color, label=f"N = {count}"))
+        power.append(Dots(x=whole, y=notches, color=ACCENT))
+    x = Axis(label="frequency ν (cycles per unit)", low=0.0, high=4.1)
+    y_axis = log_axis("⟨|S|²⟩", float(notches.min()), 1.0)
     return Exhibit(
         numbers={"rates": rates, "levels": levels},
-        plots=(_convergence(curves), _spectrum()),
+        plots=(
+            plot_of("real-and-integer-frequencies", *panels),
+            plot_of("spectrum", Panel(marks=tuple(power), x=x, y=y_axis, grid=True)),
+        ),
         claims=(
-            *(_measured_rate(name, "jittered", curves[name]) for name in NAMES),
-            *(_measured_rate(name, "random", curves[name]) for name in NAMES),
+            *(
+                known_rate(
+                    f"The variance of {name} converges, with {spec} points, at the rate {number(rate, 2)}.",
+                    curves[name].sel(sampler=spec),
+                    rate,
+                    exact_variances(name, sampler),
+                )
+                for sampler, spec in reversed(SAMPLERS.items())
+                for name, rate in (
+                    RATES if sampler == "jittered" else dict.fromkeys(NAMES, -1.0)
+                ).items()
+            ),
             *(_integers(*pair) for pair in pairs),
             *(_real_rate(*pair) for pair in pairs),
             *(_real_level(name) for name in NAMES),
-            _power_between(200 if quick else 2000, seed),
+            Claim(
+                "Between the integers the power does not vanish: at ν = ½ that of 64 jittered points is (2/π)² and the "
+                "little that their variance adds.",
+                Measured.normal(float(found["power"][0]), float(found["power_se"][0])),
+                expected=float(mcs.closed_form_power("jittered", 64, [[0.5]])[0]),
+                digits=6,
+            ),
         ),
     )
 
@@ -113,16 +162,6 @@ def transform(name: str, nu: Array) -> Array:
     return np.asarray(np.exp(-1j * w) * (1j / w + 1 / w**2) - 1 / w**2)
 
 
-def _measured_rate(name: str, sampler: str, curves: xr.Dataset) -> Claim:
-    expected, shown = RATES[name] if sampler == "jittered" else -1.0, SAMPLERS[sampler]
-    return known_rate(
-        f"The variance of {name} converges, with {shown} points, at the rate {number(expected, 2)}.",
-        curves.sel(sampler=shown),
-        expected,
-        exact_variances(name, sampler),
-    )
-
-
 def _integers(name: str, sampler: str) -> Claim:
     error = np.abs(frequency_sums(name, sampler, 1.0) / exact_variances(name, sampler) - 1.0)
     return Claim(
@@ -156,47 +195,3 @@ def _real_level(name: str) -> Claim:
         shown=f"{number(limit, 4)} ± 1 %",
         note=f"At N = {COUNTS[-1]}.",
     )
-
-
-def _power_between(realizations: int, seed: int) -> Claim:
-    found = mcs.power_at("jittered", 64, [[0.5]], realizations=realizations, rng=seed)
-    return Claim(
-        "Between the integers the power does not vanish: at ν = ½ that of 64 jittered points is (2/π)² and the "
-        "little that their variance adds.",
-        Measured.normal(float(found["power"][0]), float(found["power_se"][0])),
-        expected=float(mcs.closed_form_power("jittered", 64, [[0.5]])[0]),
-        digits=6,
-    )
-
-
-def _convergence(curves: dict[str, xr.Dataset]) -> Plot:
-    panels = []
-    n = np.array(COUNTS, float)
-    for name, title in NAMES.items():
-        marks: list[Mark] = []
-        for k, (sampler, spec) in enumerate(SAMPLERS.items()):
-            for step, dashes, what in ((0.5, "--", "real"), (1.0, "-", "integer")):
-                y, label = frequency_sums(name, sampler, step), f"{sampler}: {what}"
-                marks.append(Line(x=n, y=y, color=PALETTE[k], dashes=dashes, label=label))  # type: ignore[arg-type]
-            curve = curves[name].sel(sampler=spec)
-            ends = curve["variance_ci"].values
-            marks.append(whiskers(n, curve["variance"].values, ends, k, f"{sampler}: measured"))
-        low = float(exact_variances(name, "jittered").min()) / 2
-        high = 2 * float(frequency_sums(name, "random", 0.5).max())
-        x, y_axis = count_axis("number of points N", COUNTS), log_axis("variance", low, high)
-        panels.append(Panel(marks=tuple(marks), x=x, y=y_axis, title=title, grid=True))
-    return Plot(
-        kind="real-and-integer-frequencies", panels=tuple(panels), columns=2, wide=True, height=0.9
-    )
-
-
-def _spectrum() -> Plot:
-    nu, whole = np.arange(10, 801) / 200, np.arange(1.0, 5.0)  # the integers included
-    marks: list[Mark] = []
-    for n, color in zip((16, 64, 256), ("#56B4E9", "#0072B2", INK), strict=True):
-        lobes, notches = (mcs.closed_form_power("jittered", n, at[:, None]) for at in (nu, whole))
-        marks.append(Line(x=nu, y=lobes, color=color, label=f"N = {n}"))
-        marks.append(Dots(x=whole, y=notches, color=ACCENT))
-    x = Axis(label="frequency ν (cycles per unit)", low=0.0, high=4.1)
-    y = log_axis("⟨|S|²⟩", float(notches.min()), 1.0)
-    return Plot(kind="spectrum", panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 import xarray as xr
 
@@ -13,7 +11,7 @@ from mcspectra.plots.description import Image, Line, Plot, Scale
 from mcspectra.plots.style import INK
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text, slope
-from mcspectra.reproduction.panels import square_panel, strata, variance_panel
+from mcspectra.reproduction.panels import plot_of, square_panel, strata, variance_panel
 
 __all__ = ["exhibit"]
 
@@ -21,6 +19,7 @@ COUNTS = (16, 64, 256, 1024)
 # For a = 1/3 every number of strata 2^k leaves the share 1/3 or 2/3 of one: s(1 − s) is always 2/9.
 PLACES = {"aligned: edge at 1/2": 0.5, "not aligned: edge at 1/3": 1 / 3}
 ALIGNED, CUT = PLACES
+RATES = {ALIGNED: -2.0, CUT: -1.5}
 _OBLIQUE = "half-space(normal=[1, 0.618], offset=0.7)"
 
 
@@ -33,13 +32,45 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     )
     oblique = np.array([float(mcs.exact_variance(_OBLIQUE, "jittered", n)) for n in COUNTS])
     a, b, c, d = map(rate_text, (*plain.values(), *shifted.values()))
+
+    # Bend the strata so that they have a border at 1/3
+    f, place, counts = edge(1 / 3), [[1 / 3], []], COUNTS[-2:]
+    known = [float(mcs.exact_variance(mcs.aligned(f, place, n), "jittered", n)) for n in counts]
+
+    references = {name: exact(a) for name, a in PLACES.items()}
+    after = {name: homogenised() for name in PLACES}
+    limits = float(exact(0.5).min()), float(homogenised().max())
+    aligned, cut = (Measured.of(plain[name].isel(n=-1), "variance") for name in PLACES)
     return Exhibit(
         numbers={"a": a, "b": b, "c": c, "d": d},
-        plots=(_strata(), _convergence(plain, shifted)),
+        plots=(
+            _strata(),
+            plot_of(
+                "strata-alignment-convergence",
+                variance_panel(plain, exact=references, title="jittered", limits=limits),
+                variance_panel(shifted, exact=after, title="jittered | shift", limits=limits),
+            ),
+        ),
         claims=(
-            _rate_of(ALIGNED, plain, -2.0),
-            _rate_of(CUT, plain, -1.5),
-            *(_level(name, plain[name]) for name in PLACES),
+            *(
+                known_rate(
+                    f"Jittered points, {name}: the variance has the rate {number(rate, 2)}.",
+                    plain[name],
+                    rate,
+                    references[name],
+                )
+                for name, rate in RATES.items()
+            ),
+            *(
+                Claim(
+                    f"{name.capitalize()}: the variance is s(1 − s) N^(−3/2) + 1/(12N²), with s the share of a stratum left of "
+                    f"the edge, at N = {COUNTS[-1]}.",
+                    Measured.of(plain[name].isel(n=-1), "variance", log=True),
+                    expected=float(exact(PLACES[name])[-1]),
+                    digits=4,
+                )
+                for name in PLACES
+            ),
             *(
                 known_rate(
                     f"After a shift, edge at {name.rpartition(' ')[2]}: the rate is −1.5, aligned before or not.",
@@ -55,8 +86,18 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 -1.5,
                 oblique,
             ),
-            _bent(),
-            _gain(plain),
+            Claim(
+                "Strata bent so that they have a border at 1/3 restore the rate −2: that of the exact variances from N = "
+                f"{counts[0]} to {counts[1]}, less −2.",
+                slope(counts, np.array(known)) + 2.0,
+                # s/3 strata are rounded to whole ones: relative changes of 1/s² of the variance, s = 16
+                at_most=1 / 256,
+            ),
+            Claim(
+                f"What alignment is worth: variance of the edge at 1/3 over that of the edge at 1/2, N = {COUNTS[-1]}.",
+                cut / aligned,
+                expected=float(exact(PLACES[CUT])[-1] / exact(PLACES[ALIGNED])[-1]),
+            ),
         ),
     )
 
@@ -92,42 +133,6 @@ def measured(f: mcs.Integrand | str, sampler: str, realizations: int, seed: int)
     return mcs.convergence(f, sampler, list(COUNTS), realizations=realizations, rng=seed)
 
 
-def _rate_of(name: str, curves: Mapping[str, xr.Dataset], expected: float) -> Claim:
-    text = f"Jittered points, {name}: the variance has the rate {number(expected, 2)}."
-    return known_rate(text, curves[name], expected, exact(PLACES[name]))
-
-
-def _level(name: str, curve: xr.Dataset) -> Claim:
-    return Claim(
-        f"{name.capitalize()}: the variance is s(1 − s) N^(−3/2) + 1/(12N²), with s the share of a stratum left of "
-        f"the edge, at N = {COUNTS[-1]}.",
-        Measured.of(curve.isel(n=-1), "variance", log=True),
-        expected=float(exact(PLACES[name])[-1]),
-        digits=4,
-    )
-
-
-def _bent() -> Claim:
-    f, place, counts = edge(1 / 3), [[1 / 3], []], COUNTS[-2:]
-    known = [float(mcs.exact_variance(mcs.aligned(f, place, n), "jittered", n)) for n in counts]
-    return Claim(
-        "Strata bent so that they have a border at 1/3 restore the rate −2: that of the exact variances from N = "
-        f"{counts[0]} to {counts[1]}, less −2.",
-        slope(counts, np.array(known)) + 2.0,
-        # s/3 strata are rounded to whole ones: relative changes of 1/s² of the variance, s = 16
-        at_most=1 / 256,
-    )
-
-
-def _gain(plain: Mapping[str, xr.Dataset]) -> Claim:
-    aligned, cut = (Measured.of(plain[name].isel(n=-1), "variance") for name in PLACES)
-    return Claim(
-        f"What alignment is worth: variance of the edge at 1/3 over that of the edge at 1/2, N = {COUNTS[-1]}.",
-        cut / aligned,
-        expected=float(exact(PLACES[CUT])[-1] / exact(PLACES[ALIGNED])[-1]),
-    )
-
-
 def _strata() -> Plot:
     side = 8
     middle, ticks = (np.arange(side) + 0.5) / side, np.arange(side + 1) / side
@@ -154,23 +159,4 @@ def _strata() -> Plot:
                 title,
             )
         )
-    return Plot(
-        kind="strata-alignment", panels=tuple(panels), columns=3, height=1.0, share="y", wide=True
-    )
-
-
-def _convergence(plain: Mapping[str, xr.Dataset], shifted: Mapping[str, xr.Dataset]) -> Plot:
-    known = {name: exact(a) for name, a in PLACES.items()}
-    after = {name: homogenised() for name in PLACES}
-    limits = float(exact(0.5).min()), float(homogenised().max())
-    return Plot(
-        kind="strata-alignment-convergence",
-        panels=(
-            variance_panel(plain, exact=known, title="jittered", limits=limits),
-            variance_panel(shifted, exact=after, title="jittered | shift", limits=limits),
-        ),
-        columns=2,
-        height=0.8,
-        share="y",
-        wide=True,
-    )
+    return plot_of("strata-alignment", *panels)

@@ -7,11 +7,11 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Plot, Scale
+from mcspectra.plots.description import Scale
 from mcspectra.plots.scales import log_scale
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, judge, rate_claim, slope
-from mcspectra.reproduction.panels import frequency_panel, interval_panel
+from mcspectra.reproduction.panels import frequency_panel, interval_panel, plot_of
 
 __all__ = ["exhibit"]
 
@@ -37,9 +37,45 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         for name, d in terms.items()
     )
     missed = float(weighted["power_term"]) / float(weighted["measured_variance"])
+    lost = Measured.of(weighted, "power_term") / exact_weighted()
+
+    # Let N grow: the bell vanishes at the border, so that the rate is −1 − 2/2 for a power as ν²
+    counts = [64, 256, 1024] if quick else [64, 256, 1024, 4096]
+    sampler, realizations = "jittered | shift", 1000 if quick else 4000
+    curve = mcs.convergence(BELL, sampler, counts, realizations=realizations, rng=seed)
+    known = slope(counts, np.array([exact(sampler, n) for n in counts]))
+
+    # Draw spectra and products, and sums over the exact variance or, with its error, the measured one
+    bell_power = np.abs(mcs.integrand(BELL, 2).fourier_grid(HALF_WIDTH)) ** 2
+    products = {name: data["power_contribution"].values for name, data in terms.items()}
+    without = np.arange(bell_power.size).reshape(bell_power.shape) != bell_power.size // 2
+    top = 1e6 * max(float(each[without].max()) for each in products.values())
+    above = Scale(label="N · ⟨P_S⟩   (random: 1)", high=2.0, beyond=True)
+    below = log_scale("variance · 10⁶", 1e-4 * top, top)
+    shown = {name: Measured.of(terms[name], "power_term") / exact(name) for name in SAMPLERS[:2]}
+    disk = terms["poisson-disk"]
+    power, variance = float(disk["power_term"]), Measured.of(disk, "measured_variance")
+    shown["poisson-disk"] = Measured(
+        power / variance.value, power / variance.high, power / variance.low
+    )
+    shown[f"random, p = {DENSITY}"] = lost
+    x = "Σ P_f ⟨P_S⟩ over variance (1: all of it)"
     return Exhibit(
         numbers={"each": each, "density": DENSITY, "missed": number(missed), "N": N},
-        plots=(_products(terms), _ratios(terms, weighted)),
+        plots=(
+            plot_of(
+                "variance-integral",
+                *(
+                    frequency_panel(N * each / bell_power, above, f"⟨P_S⟩, {name}")
+                    for name, each in products.items()
+                ),
+                *(frequency_panel(1e6 * each, below, "⟨P_S⟩ × P_f") for each in products.values()),
+            ),
+            plot_of(
+                "ratio",
+                interval_panel({name: [each] for name, each in shown.items()}, [""], x, at=1.0),
+            ),
+        ),
         claims=(
             *(_closed_sum(name) for name in SAMPLERS[:2]),
             *(
@@ -52,8 +88,19 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 for name in SAMPLERS[:2]
             ),
             *(_diagonal(name, terms[name]) for name in SAMPLERS),
-            _rate(quick, seed),
-            _not_weighted(weighted),
+            rate_claim(
+                "The rate of jittered, shifted points on this bell is −1 − b/d with the exponent b = 2 of their spectrum.",
+                curve,
+                -2.0,
+                abs(known + 2.0),
+                f"Tolerance: the exact variances at these counts have the slope {number(known, 4)}.",
+            ),
+            Claim(
+                f"With importance samples of {DENSITY} the sum of products is not the variance: their ratio is not 1.",
+                lost,
+                holds=not judge(Claim("", lost, expected=1.0)).agrees,
+                shown="not 1",
+            ),
         ),
     )
 
@@ -105,71 +152,4 @@ def _diagonal(name: str, data: xr.Dataset) -> Claim:
         "of the measured variance.",
         Measured.of(data, "cross_term") / float(data["measured_variance"]),
         expected=0.0,
-    )
-
-
-def _rate(quick: bool, seed: int) -> Claim:
-    """A bell that vanishes at the border: power ν² at 0, so that the rate is −1 − 2/2."""
-    counts = [64, 256, 1024] if quick else [64, 256, 1024, 4096]
-    sampler, realizations = "jittered | shift", 1000 if quick else 4000
-    curve = mcs.convergence(BELL, sampler, counts, realizations=realizations, rng=seed)
-    known = slope(counts, np.array([exact(sampler, n) for n in counts]))
-    return rate_claim(
-        "The rate of jittered, shifted points on this bell is −1 − b/d with the exponent b = 2 of their spectrum.",
-        curve,
-        -2.0,
-        abs(known + 2.0),
-        f"Tolerance: the exact variances at these counts have the slope {number(known, 4)}.",
-    )
-
-
-def _not_weighted(data: xr.Dataset) -> Claim:
-    """Of random points of a density, against their exact variance."""
-    value = Measured.of(data, "power_term") / exact_weighted()
-    return Claim(
-        f"With importance samples of {DENSITY} the sum of products is not the variance: their ratio is not 1.",
-        value,
-        holds=not judge(Claim("", value, expected=1.0)).agrees,
-        shown="not 1",
-    )
-
-
-def _products(terms: dict[str, xr.Dataset]) -> Plot:
-    power = np.abs(mcs.integrand(BELL, 2).fourier_grid(HALF_WIDTH)) ** 2
-    products = {name: data["power_contribution"].values for name, data in terms.items()}
-    without = np.arange(power.size).reshape(power.shape) != power.size // 2
-    top = 1e6 * max(float(each[without].max()) for each in products.values())
-    above = Scale(label="N · ⟨P_S⟩   (random: 1)", high=2.0, beyond=True)
-    below = log_scale("variance · 10⁶", 1e-4 * top, top)
-    return Plot(
-        kind="variance-integral",
-        panels=(
-            *(
-                frequency_panel(N * each / power, above, f"⟨P_S⟩, {name}")
-                for name, each in products.items()
-            ),
-            *(frequency_panel(1e6 * each, below, "⟨P_S⟩ × P_f") for each in products.values()),
-        ),
-        columns=3,
-        height=1.0,
-        share="both",
-        wide=True,
-    )
-
-
-def _ratios(terms: dict[str, xr.Dataset], weighted: xr.Dataset) -> Plot:
-    """The sum over the exact variance; of Poisson-disk points over the measured one, with its error."""
-    shown = {name: Measured.of(terms[name], "power_term") / exact(name) for name in SAMPLERS[:2]}
-    disk = terms["poisson-disk"]
-    power, variance = float(disk["power_term"]), Measured.of(disk, "measured_variance")
-    shown["poisson-disk"] = Measured(
-        power / variance.value, power / variance.high, power / variance.low
-    )
-    shown[f"random, p = {DENSITY}"] = Measured.of(weighted, "power_term") / exact_weighted()
-    x = "Σ P_f ⟨P_S⟩ over variance (1: all of it)"
-    return Plot(
-        kind="ratio",
-        panels=(interval_panel({name: [each] for name, each in shown.items()}, [""], x, at=1.0),),
-        height=0.3,
-        wide=True,
     )

@@ -24,6 +24,7 @@ from mcspectra.plots.style import INK
 from mcspectra.plots.text import number
 from mcspectra.rendering.files import encode_srgb
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, mean_and_error
+from mcspectra.reproduction.panels import plot_of
 
 __all__ = ["exhibit"]
 
@@ -82,16 +83,35 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     values = ", ".join(f"{number(float(renders.errors(s).mean()))} ({_SHORT[s]})" for s in _SAMPLES)
     spp = renders.reference_spp
     fewer = f" The reference has {spp} samples of each technique a pixel here, in place of 1024."
+    images = {f"reference, N = {spp} + {spp} spp": renders.reference}
+    images |= {title: renders.repeats[strategy][0] for strategy, title in _TITLES.items()}
     return Exhibit(
         numbers={
             "values": values,
             "fewer": fewer if quick else "",
             "repeats": len(renders.repeats["light"]),
         },
-        plots=(_pictures(renders), _who_wins(renders)),
+        plots=(
+            plot_of(
+                "veach-pictures",
+                *(
+                    Panel(
+                        marks=(Pixels(rgb=np.round(255 * encode_srgb(image)).astype(np.uint8)),),
+                        title=title,
+                    )
+                    for title, image in images.items()
+                ),
+            ),
+            _who_wins(renders),
+        ),
         claims=(
             *(_region(renders, *case) for case in _CASES),
-            _whole(renders),
+            Claim(
+                "At equal numbers of samples: squared error, as displayed, of BSDF sampling over that of MIS, whole image.",
+                _ratio(*(renders.errors(s).mean(axis=(1, 2)) for s in ("bsdf", "mis"))),
+                above=1.0,
+                note="That of light sampling is in the caption: where it does not fail, all samples are its own.",
+            ),
             *(_same_mean(renders, strategy) for strategy in ("light", "mis")),
         ),
     )
@@ -124,15 +144,6 @@ def _ratio(above: Array, below: Array) -> Measured:
     return Measured(value, value * float(np.exp(-half)), value * float(np.exp(half)), log=True)
 
 
-def _whole(renders: Renders) -> Claim:
-    return Claim(
-        "At equal numbers of samples: squared error, as displayed, of BSDF sampling over that of MIS, whole image.",
-        _ratio(*(renders.errors(s).mean(axis=(1, 2)) for s in ("bsdf", "mis"))),
-        above=1.0,
-        note="That of light sampling is in the caption: where it does not fail, all samples are its own.",
-    )
-
-
 def _region(renders: Renders, name: str, worse: str, better: str) -> Claim:
     rows, columns = renders.window(name)
     means = (renders.errors(s)[:, rows, columns].mean(axis=(1, 2)) for s in (worse, better))
@@ -159,25 +170,6 @@ def _same_mean(renders: Renders, strategy: str) -> Claim:
         note="BSDF sampling is left out: too few of its samples meet the smallest light for a normal interval."
         if strategy == "light"
         else "",
-    )
-
-
-def _pictures(renders: Renders) -> Plot:
-    images = {
-        f"reference, N = {renders.reference_spp} + {renders.reference_spp} spp": renders.reference
-    }
-    images |= {title: renders.repeats[strategy][0] for strategy, title in _TITLES.items()}
-    return Plot(
-        kind="veach-pictures",
-        panels=tuple(
-            Panel(
-                marks=(Pixels(rgb=np.round(255 * encode_srgb(image)).astype(np.uint8)),),
-                title=title,
-            )
-            for title, image in images.items()
-        ),
-        columns=2,
-        wide=True,
     )
 
 
@@ -212,5 +204,4 @@ def _who_wins(renders: Renders) -> Plot:
         kind="veach-errors",
         panels=(Panel(marks=tuple(marks), x=axis, y=axis, square=True),),
         height=2 / 3,
-        wide=True,
     )
