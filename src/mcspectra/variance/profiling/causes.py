@@ -1,15 +1,14 @@
 """What can be wrong with an estimator: each cause has a detector, evidence in numbers and a sentence.
 
-Detectors look at what was evaluated (`Evidence`), evaluate nothing, and return a `Cause` or None.
-`CAUSES` has them in the order of what hurts most; what is found is listed in that order.
+Detectors look at what was evaluated (`Evidence`), evaluate nothing, and yield causes. They follow each other
+in the order of what hurts most; what is found is listed in that order.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Literal, TypeAlias, final
 
 import numpy as np
@@ -23,7 +22,7 @@ from mcspectra.variance.profiling.lines import COARSE, Lines, grain
 from mcspectra.variance.profiling.poles import Pole
 from mcspectra.variance.profiling.samples import NETS, Curve, Sets
 
-__all__ = ["CAUSES", "Cause", "Evidence", "Name", "Replicates", "causes_of", "sets_of"]
+__all__ = ["Cause", "Evidence", "Name", "Replicates", "causes_of", "sets_of"]
 
 Name: TypeAlias = Literal[
     "wrong-pdf",
@@ -141,18 +140,13 @@ class Evidence:
         """The largest exponent of g at the ends of lines."""
         return float(np.nanmax(self.each("growth"), initial=0.0))
 
-    @property
-    def wraps(self) -> bool:
-        """Whether the sampler shifts points around the torus, to whose order that matters."""
-        base, steps = parts_of(self.sampler)
-        return any(isinstance(step, Shift) for step in steps) and not isinstance(base, Random)
-
     def each(self, name: str) -> Array:
         """An attribute of all lines."""
         return np.concatenate([getattr(lines, name) for lines in self.lines])
 
 
-def _wrong_pdf(seen: Evidence) -> Cause | None:
+def _of_the_estimator(seen: Evidence) -> Iterator[Cause]:
+    """A density that is wrong, and a variance that is infinite."""
     for density in getattr(seen.estimator, "densities", None) or [
         getattr(seen.estimator, "density", None)
     ]:
@@ -162,16 +156,14 @@ def _wrong_pdf(seen: Evidence) -> Cause | None:
         except DensityError as error:
             u = as_sampler(NETS, density.primary_dims).draw(_SEEN_OF_PDF)[0]
             with np.errstate(all="ignore"):
-                found = float((1.0 / density.pdf(density.sample(u))).mean())
-            return Cause(
+                mean = float((1.0 / density.pdf(density.sample(u))).mean())
+            yield Cause(
                 "wrong-pdf",
-                f"{error} Every estimate is biased by it: that of a constant, 1, is {found:.4g}.",
-                {"of_one": found},
+                f"{error} Every estimate is biased by it: that of a constant, 1, is {mean:.4g}.",
+                {"of_one": mean},
             )
-    return None
+            break
 
-
-def _infinite_variance(seen: Evidence) -> Cause | None:
     # Where no pole was climbed to, the bends of lines tell of one, less well
     poles = np.concatenate([lines.poles() for lines in seen.lines])
     order = -float(np.median(seen.each("exponent")[poles])) if poles.any() else 0.0
@@ -186,21 +178,21 @@ def _infinite_variance(seen: Evidence) -> Cause | None:
                 "from ½ on ∫g² is infinite: errors fall more slowly than n^−½ and no interval holds"
             )
             said = "from 1 on it has no integral" if index >= _ALL else said
-            return Cause(
+            yield Cause(
                 "infinite-variance",
                 f"g {what}, and {said}.",
                 {"exponent": index},
                 ("fitted", "warp") if border and index < _ALL else (),
             )
+            return
     if seen.estimator.infinite_weights and _tail(seen)[1] > _HALF:
-        return Cause(
+        yield Cause(
             "infinite-variance",
             f"1/p has no bound, and the tail index of the estimates is {_tail(seen)[1]:.2f}: from ½ on "
             "the variance is infinite.",
             {"tail_index": _tail(seen)[1]},
             ("warp", "fitted"),
         )
-    return None
 
 
 def _said(pole: Pole) -> str:
@@ -225,50 +217,6 @@ def _tail(seen: Evidence) -> tuple[float, float, float]:
     return float(squares.max()) / total, index, float((squares**2).mean() / squares.mean() ** 2)
 
 
-def _heavy_tail(seen: Evidence) -> Cause | None:
-    share, index, kurtosis = _tail(seen)
-    pole = seen.pole
-    inside = bool(np.concatenate([lines.poles() for lines in seen.lines]).any())
-    if pole is not None:
-        inside = not pole.border
-    few = _sorted_share(seen.sets.pooled)
-    if not (share > _LARGE or (kurtosis > _HEAVY and few < _FEW) or inside):
-        return None
-    found = "" if not inside else "g has a pole inside. " if pole is None else f"g {_said(pole)}. "
-    said = (
-        f"Few evaluations make the variance: {100 * few:.2g} % of them hold nine tenths of it (kurtosis "
-        f"{kurtosis:.3g}, tail index {index:.2f}), so that most sets miss what matters."
-    )
-    evidence = {
-        "largest_share": share,
-        "tail_index": index,
-        "kurtosis": kurtosis,
-        "nine_tenths": few,
-    }
-    if inside and pole is not None:
-        evidence["exponent"] = pole.tail
-    return Cause("heavy-tail", f"{found}{said}", evidence, ("fitted", "warp"))
-
-
-def _sorted_share(values: Array) -> float:
-    """Share of the values that make nine tenths of the variance."""
-    squares = np.sort((values - values.mean()) ** 2)[::-1].cumsum()
-    return float(np.searchsorted(squares, 0.9 * squares[-1]) + 1) / len(values)
-
-
-def _deterministic(seen: Evidence) -> Cause | None:
-    fixed = seen.estimator.randomized(seen.sampler).fixed
-    if not fixed and (seen.replicates is None or seen.replicates.different > 1):
-        return None
-    return Cause(
-        "deterministic-set",
-        f"{seen.sampler.spec} is the same set every time: its error is a bias that no spread shows. Add owen "
-        "or shift.",
-        {"different": 1.0},
-        ("sampler",),
-    )
-
-
 def sets_of(sampler: Sampler) -> float:
     """How many sets of an n a sampler has: no end of them, but of points that are given."""
     if isinstance(sampler, GivenPoints) and not sampler.cycle:
@@ -276,267 +224,255 @@ def sets_of(sampler: Sampler) -> float:
     return math.inf
 
 
-def _few_realizations(seen: Evidence) -> Cause | None:
-    count = sets_of(seen.sampler)
-    if count >= _FEW_SETS:
-        return None
-    from scipy.stats import chi2
+def _of_sets(seen: Evidence) -> Iterator[Cause]:
+    """Sets of the sampler that are the same, few, or depend on each other."""
+    made, spec = seen.replicates, seen.sampler.spec
+    fixed = seen.estimator.randomized(seen.sampler).fixed
+    if fixed or (made is not None and made.different <= 1):
+        yield Cause(
+            "deterministic-set",
+            f"{spec} is the same set every time: its error is a bias that no spread shows. Add owen or "
+            "shift.",
+            {"different": 1.0},
+            ("sampler",),
+        )
+    if (given := sets_of(seen.sampler)) < _FEW_SETS:
+        from scipy.stats import chi2
 
-    low, high = 0.0, math.inf
-    if count > 1:
-        low, high = ((count - 1) / float(chi2.ppf(q, count - 1)) for q in (0.975, 0.025))
-    return Cause(
-        "few-realizations",
-        f"{seen.sampler.spec} has {count} sets, whose spread tells the variance to a factor of {low:.2g} to "
-        f"{high:.2g} only.",
-        {"realizations": float(count), "low": low, "high": high},
-    )
-
-
-def _correlated(seen: Evidence) -> Cause | None:
-    made = seen.replicates
+        low, high = 0.0, math.inf
+        if given > 1:
+            low, high = ((given - 1) / float(chi2.ppf(q, given - 1)) for q in (0.975, 0.025))
+        yield Cause(
+            "few-realizations",
+            f"{spec} has {given} sets, whose spread tells the variance to a factor of {low:.2g} to "
+            f"{high:.2g} only.",
+            {"realizations": float(given), "low": low, "high": high},
+        )
     if made is None or not made.different > 1 or len(made.estimates) < _FEW_SETS:
-        return None
-    found, nets = made.estimates, seen.sets.estimates
-    count, sampler = len(found), seen.sampler.spec
+        return
+
+    found, nets, count = made.estimates, seen.sets.estimates, len(made.estimates)
     if made.different < count:
-        return Cause(
+        yield Cause(
             "correlated-replicates",
-            f"Only {made.different} of {count} sets of {sampler} are different: their spread says less than "
+            f"Only {made.different} of {count} sets of {spec} are different: their spread says less than "
             "it seems.",
             {"different": float(made.different), "realizations": float(count)},
         )
+        return
     spread, mean = float(found.std(ddof=1)), float(found.mean())
     if spread <= _GRAINS * grain(found):
-        return None
+        return
     rest = (found - mean) / spread
     serial = float(rest[1:] @ rest[:-1]) / count
-    if serial > _SERIAL:
-        return Cause(
-            "correlated-replicates",
-            f"Each set of {sampler} is like the one before: the correlation of their estimates is {serial:.2f}.",
-            {"correlation": serial, "realizations": float(count)},
-        )
     error = math.sqrt(spread**2 / count + float(nets.var(ddof=1)) / len(nets))
     away = (mean - float(nets.mean())) / error
-    if abs(away) < _AWAY:
-        return None
-    return Cause(
-        "correlated-replicates",
-        f"The mean of {count} sets of {sampler} is {abs(away):.2g} standard errors away from that of {NETS}: "
-        "they share an error, or their points are not uniform.",
-        {"away": away, "realizations": float(count)},
-    )
+    if serial > _SERIAL:
+        yield Cause(
+            "correlated-replicates",
+            f"Each set of {spec} is like the one before: the correlation of their estimates is {serial:.2f}.",
+            {"correlation": serial, "realizations": float(count)},
+        )
+    elif not abs(away) < _AWAY:
+        yield Cause(
+            "correlated-replicates",
+            f"The mean of {count} sets of {spec} is {abs(away):.2g} standard errors away from that of "
+            f"{NETS}: they share an error, or their points are not uniform.",
+            {"away": away, "realizations": float(count)},
+        )
 
 
-def _float_drift(seen: Evidence) -> Cause | None:
-    values = seen.sets.pooled
+def _of_values(seen: Evidence) -> Iterator[Cause]:
+    """Values that are rounded, a technique that makes them vary, few of them that matter."""
+    values, scale = seen.sets.pooled, seen.scale
     step, single = grain(values), values.astype(np.float32)
     drift = 0.0
     if (single == values).all():
         drift = abs(float(single.cumsum(dtype=np.float32)[-1]) / len(single) - float(values.mean()))
     curve = seen.curves.get(seen.sampler.spec, seen.curves["random"])
     error = math.sqrt(curve.at(len(values))[0])
-    if seen.scale == 0.0:
-        return None
-    rounded = step > COARSE * seen.scale
-    if not rounded and (error == 0.0 or drift <= error):
-        return None
-    return Cause(
-        "float-drift",
-        f"Values of g are rounded to steps of {step:.2g}, {step / seen.scale:.2g} of their spread: compute "
-        "differences before sums, in float64."
-        if rounded
-        else f"Values of g are of float32: a running sum of {len(values):,} of them in float32 is off by "
-        f"{drift:.2g} in the mean, beside an RMSE of {error:.2g}. Sum in float64.",
-        {"step": step, "drift": drift, "rmse": error},
-    )
+    rounded = step > COARSE * scale
+    if scale > 0.0 and (rounded or (error > 0.0 and drift > error)):
+        yield Cause(
+            "float-drift",
+            f"Values of g are rounded to steps of {step:.2g}, {step / scale:.2g} of their spread: compute "
+            "differences before sums, in float64."
+            if rounded
+            else f"Values of g are of float32: a running sum of {len(values):,} of them in float32 is off by "
+            f"{drift:.2g} in the mean, beside an RMSE of {error:.2g}. Sum in float64.",
+            {"step": step, "drift": drift, "rmse": error},
+        )
+
+    curves, n = seen.sets.technique_curves(), seen.sets.n
+    if len(curves) > 1:
+        parts = np.array([curve.at(n)[0] for curve in curves])
+        worst = int(np.argmax(parts))
+        share = float(parts[worst] / parts.sum()) if parts.sum() > 0 else 0.0
+        slow, others = curves[worst], [curve for t, curve in enumerate(curves) if t != worst]
+        slower = all(slow.rate - c.rate > 2 * math.hypot(slow.rate_se, c.rate_se) for c in others)
+        if share >= 0.8 or (slower and share > 0.5):
+            name = getattr(seen.estimator, "technique_name", lambda t: f"technique {t}")(worst)
+            yield Cause(
+                "slow-technique",
+                f"{name} makes {100 * share:.0f} % of the variance at n = {n} with {NETS}, and its rate is "
+                f"{slow.rate:.2f}.",
+                {"share": share, "technique": float(worst), "rate": slow.rate},
+                ("heuristic", "techniques", "warp"),
+            )
+
+    largest, index, kurtosis = _tail(seen)
+    pole = seen.pole
+    inside = bool(np.concatenate([lines.poles() for lines in seen.lines]).any())
+    if pole is not None:
+        inside = not pole.border
+    # Share of the values that make nine tenths of the variance
+    squares = np.sort((values - values.mean()) ** 2)[::-1].cumsum()
+    few = float(np.searchsorted(squares, 0.9 * squares[-1]) + 1) / len(values)
+    if largest > _LARGE or (kurtosis > _HEAVY and few < _FEW) or inside:
+        said = (
+            "" if not inside else "g has a pole inside. " if pole is None else f"g {_said(pole)}. "
+        )
+        evidence = {
+            "largest_share": largest,
+            "tail_index": index,
+            "kurtosis": kurtosis,
+            "nine_tenths": few,
+        }
+        if inside and pole is not None:
+            evidence["exponent"] = pole.tail
+        yield Cause(
+            "heavy-tail",
+            f"{said}Few evaluations make the variance: {100 * few:.2g} % of them hold nine tenths of it "
+            f"(kurtosis {kurtosis:.3g}, tail index {index:.2f}), so that most sets miss what matters.",
+            evidence,
+            ("fitted", "warp"),
+        )
 
 
-def _slow_technique(seen: Evidence) -> Cause | None:
-    curves = seen.sets.technique_curves()
-    if len(curves) < 2:
-        return None
-    n = seen.sets.n
-    parts = np.array([curve.at(n)[0] for curve in curves])
-    worst = int(np.argmax(parts))
-    share = float(parts[worst] / parts.sum()) if parts.sum() > 0 else 0.0
-    others = [curve for t, curve in enumerate(curves) if t != worst]
-    slower = all(
-        curves[worst].rate - c.rate > 2 * math.hypot(curves[worst].rate_se, c.rate_se)
-        for c in others
-    )
-    if share < 0.8 and not (slower and share > 0.5):
-        return None
-    name = getattr(seen.estimator, "technique_name", lambda t: f"technique {t}")(worst)
-    return Cause(
-        "slow-technique",
-        f"{name} makes {100 * share:.0f} % of the variance at n = {n} with {NETS}, and its rate is "
-        f"{curves[worst].rate:.2f}.",
-        {"share": share, "technique": float(worst), "rate": curves[worst].rate},
-        ("heuristic", "techniques", "warp"),
-    )
-
-
-def _jumps(seen: Evidence) -> Cause | None:
+def _of_jumps(seen: Evidence) -> Iterator[Cause]:
+    """Jumps inside, and between opposite faces."""
     meets = np.concatenate([lines.jumps(seen.scale) for lines in seen.lines])
     if seen.pole is not None and not seen.pole.border:  # about which lines bend as at a jump
         meets &= seen.pole.codimension > 1
     axis, place, height = (seen.each(name) for name in ("axis", "place", "height"))
-    alike = len(np.unique(seen.sets.pooled))
-    if not meets.any():
-        if not 1 < alike <= _ALIKE * seen.sets.pooled.size:
-            return None
-        return Cause(
+    alike, dims = len(np.unique(seen.sets.pooled)), seen.sets.dims
+    if meets.any():
+        size = float(np.median(height[meets])) / max(seen.scale, 1e-300)
+        share = float(meets.mean())
+        straight = []  # whether most places along lines of an axis are shared by several lines
+        for i in range(dims):
+            own = place[meets & (axis == i)]
+            if len(own) > 1:  # a single one says nothing
+                near = np.abs(own[:, None] - own) < _SAME
+                straight.append(bool((near.sum(axis=1) > 1).mean() > 0.7))
+        evidence = {"met_by": share, "height": size}
+        met = f"{100 * share:.0f} % of all lines through the cube meet a jump of g, by {size:.2g} of its spread"
+        if (straight and all(straight)) or dims == 1:
+            yield Cause(
+                "axis-parallel-jump",
+                f"{met}, always across planes normal to an axis: a border of strata there takes it away.",
+                evidence,
+                ("aligned", "smoothed", "preintegrated"),
+            )
+        else:
+            yield Cause(
+                "interior-jump",
+                f"{met}: strata that it crosses keep their noise, and the variance of stratified points tends "
+                f"to n^−{1.0 + 1.0 / dims:.3g} at best.",
+                evidence,
+                ("preintegrated", "smoothed", "aligned"),
+            )
+    elif 1 < alike <= _ALIKE * seen.sets.pooled.size:
+        yield Cause(
             "interior-jump",
             f"g takes {alike} values only, so that it jumps, though no line that was looked at met it.",
             {"values": float(alike)},
             ("preintegrated", "smoothed"),
         )
-    size = float(np.median(height[meets])) / max(seen.scale, 1e-300)
-    share = float(meets.mean())
-    straight = []
-    for i in range(seen.sets.dims):
-        own = meets & (axis == i)
-        if own.sum() > 1:  # a single one says nothing
-            straight.append(_clustered(place[own]))
-    evidence = {"met_by": share, "height": size}
-    met = f"{100 * share:.0f} % of all lines through the cube meet a jump of g, by {size:.2g} of its spread"
-    if (straight and all(straight)) or seen.sets.dims == 1:
-        return Cause(
-            "axis-parallel-jump",
-            f"{met}, always across planes normal to an axis: a border of strata there takes it away.",
-            evidence,
-            ("aligned", "smoothed", "preintegrated"),
-        )
-    return Cause(
-        "interior-jump",
-        f"{met}: strata that it crosses keep their noise, and the variance of stratified points tends to "
-        f"n^−{1.0 + 1.0 / seen.sets.dims:.3g} at best.",
-        evidence,
-        ("preintegrated", "smoothed", "aligned"),
-    )
 
-
-def _clustered(places: Array) -> bool:
-    """Whether most places along parallel lines are shared by several lines."""
-    near = np.abs(places[:, None] - places) < _SAME
-    return bool((near.sum(axis=1) > 1).mean() > 0.7)
-
-
-def _border_jump(seen: Evidence) -> Cause | None:
-    if not seen.wraps:
-        return None
+    # A sampler that shifts points around the torus sees them, if their order matters
+    base, steps = parts_of(seen.sampler)
+    if isinstance(base, Random) or not any(isinstance(step, Shift) for step in steps):
+        return
     ends = seen.each("ends")
     ends = ends[np.isfinite(ends)]
-    size = float(np.mean(ends**2)) / max(seen.scale, 1e-300) ** 2 if ends.size else 0.0
-    if not size > _OPPOSITE:
-        return None
-    return Cause(
-        "border-jump",
-        f"g differs between opposite faces by {math.sqrt(size):.2g} of its spread, and "
-        f"{seen.sampler.spec} wraps around: to it g jumps there.",
-        {"difference": math.sqrt(size)},
-        ("unshifted", "mirrored", "sampler"),
-    )
+    size = float(np.mean(ends**2)) / max(seen.scale**2, 1e-300) if ends.size else 0.0
+    if size > _OPPOSITE:
+        yield Cause(
+            "border-jump",
+            f"g differs between opposite faces by {math.sqrt(size):.2g} of its spread, and "
+            f"{seen.sampler.spec} wraps around: to it g jumps there.",
+            {"difference": math.sqrt(size)},
+            ("unshifted", "mirrored", "sampler"),
+        )
 
 
-def _border_growth(seen: Evidence, *, slow: bool) -> Cause | None:
+def _of_roughness(seen: Evidence) -> Iterator[Cause]:
+    """Growth at the border, waves, many dims, kinks; growth that is slow comes last."""
     pole = seen.pole if seen.pole is not None and seen.pole.border else None
     index = max(pole.tail if pole else 0.0, seen.growth)
-    if (index <= _GROWS) != slow or (pole is None and not index):
-        return None
-    said = f"grows without bound at the border, about as t^−{index:.2f}"
+    slow, said = index <= _GROWS, f"grows without bound at the border, about as t^−{index:.2f}"
     if pole is not None and (slow or seen.growth <= _GROWS):
         said = _said(pole)
     what = "those of bounded functions have not" if slow else "no refinement inside removes"
-    return Cause(
+    grows = Cause(
         "border-growth",
         f"g {said}: the outermost strata keep noise that {what}.",
         {"slow_exponent" if slow else "exponent": index},
         ("fitted", "warp"),
     )
+    if not slow:
+        yield grows
 
-
-def _high_frequency(seen: Evidence) -> Cause | None:
     share = seen.each("spread")
     turns, waves = (
         seen.each(name) @ share / max(share.sum(), 1e-300) for name in ("turns", "waves")
     )
     varies = (seen.each("turns") > _TURNS) & (share > COARSE * share.max(initial=0.0))
     axes = len(np.unique(seen.each("axis")[varies & (seen.each("axis") >= 0)]))
-    nets, random = seen.curves[NETS], seen.curves["random"]
+    nets, random, n, d = seen.curves[NETS], seen.curves["random"], seen.sets.n, seen.sets.dims
     gains = np.array([random.at(n)[0] / nets.at(n)[0] for n in nets.counts])
     seeing = nets.counts[gains > _RESOLVED]
     needed = float(seeing[0]) if len(seeing) else math.inf
-    if not (turns > _TURNS and waves > _WAVES and needed > _COARSE_CUBE * 2.0**axes):
-        return None
-    if math.isinf(needed):
-        needed = max((4.0 * waves) ** max(axes, 1), 2.0 * seen.sets.n)
-    return Cause(
-        "high-frequency",
-        f"g goes up and down about {waves:.2g} times along a line: sets of fewer than about {needed:,.2g} points "
-        "do not see this order, and are no better than random points.",
-        {"waves": float(waves), "resolved_by": float(needed)},
-        ("sampler",),
-    )
+    if turns > _TURNS and waves > _WAVES and needed > _COARSE_CUBE * 2.0**axes:
+        if math.isinf(needed):
+            needed = max((4.0 * waves) ** max(axes, 1), 2.0 * n)
+        yield Cause(
+            "high-frequency",
+            f"g goes up and down about {waves:.2g} times along a line: sets of fewer than about {needed:,.2g} "
+            "points do not see this order, and are no better than random points.",
+            {"waves": float(waves), "resolved_by": float(needed)},
+            ("sampler",),
+        )
 
-
-def _high_dimension(seen: Evidence) -> Cause | None:
-    d = seen.sets.dims
-    if d < 4:
-        return None
-    n = seen.sets.n
-    nets, random = seen.curves[NETS], seen.curves["random"]
-    mean = min(seen.mean_dimension, float(d))
-    gain = random.at(n)[0] / max(nets.at(n)[0], 1e-300)
-    if gain > _LITTLE_GAIN or not mean > _MOST_DIMENSION:
-        return None
-    return Cause(
-        "high-dimension",
-        f"g varies with about {mean:.1f} of its {d} dims at once, which {n} points cannot fill: the best "
-        f"sets have {gain:.2g} times less variance than random points.",
-        {"mean_dimension": mean, "gain": gain},
-        ("order", "regression", "preintegrated"),
-    )
-
-
-def _kink(seen: Evidence) -> Cause | None:
+    if d >= 4:
+        mean = min(seen.mean_dimension, float(d))
+        gain = random.at(n)[0] / max(nets.at(n)[0], 1e-300)
+        if mean > _MOST_DIMENSION and not gain > _LITTLE_GAIN:
+            yield Cause(
+                "high-dimension",
+                f"g varies with about {mean:.1f} of its {d} dims at once, which {n} points cannot fill: the "
+                f"best sets have {gain:.2g} times less variance than random points.",
+                {"mean_dimension": mean, "gain": gain},
+                ("order", "regression", "preintegrated"),
+            )
     kinks = np.concatenate([lines.kinks() for lines in seen.lines])
-    if not kinks.any():
-        return None
-    return Cause(
-        "kink",
-        f"{100 * kinks.mean():.0f} % of all lines through the cube meet a kink of g: it is continuous, but "
-        "sets gain less from smoothness than they could.",
-        {"met_by": float(kinks.mean())},
-        ("smoothed", "preintegrated"),
-    )
-
-
-CAUSES: tuple[Callable[[Evidence], Cause | None], ...] = (
-    _wrong_pdf,
-    _infinite_variance,
-    _deterministic,
-    _few_realizations,
-    _correlated,
-    _float_drift,
-    _slow_technique,
-    _heavy_tail,
-    _jumps,
-    _border_jump,
-    partial(_border_growth, slow=False),
-    _high_frequency,
-    _high_dimension,
-    _kink,
-    partial(_border_growth, slow=True),
-)
-"""All detectors."""
+    if kinks.any():
+        yield Cause(
+            "kink",
+            f"{100 * kinks.mean():.0f} % of all lines through the cube meet a kink of g: it is continuous, but "
+            "sets gain less from smoothness than they could.",
+            {"met_by": float(kinks.mean())},
+            ("smoothed", "preintegrated"),
+        )
+    if slow and (pole is not None or index):
+        yield grows
 
 
 def causes_of(seen: Evidence) -> list[Cause]:
     """All causes that are found, at least one: `none` where nothing is."""
-    found = [cause for detect in CAUSES if (cause := detect(seen)) is not None]
+    detectors = (_of_the_estimator, _of_sets, _of_values, _of_jumps, _of_roughness)
+    found = [cause for detect in detectors for cause in detect(seen)]
     names = {cause.name for cause in found}
     # Steps between numbers are no jumps
     if "float-drift" in names:
