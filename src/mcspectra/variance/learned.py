@@ -59,9 +59,8 @@ _BINS = 512  # of the marginals that the knots come from
 _STEPS = 120  # of L-BFGS
 _LONGEST = 1.0  # step of a logarithm
 _GAIN = 2e-9  # of the function, below which fits end
-_ALL_STEPS = (
-    4  # dims up to which flows take them; with more, longer fits cost more and are no better
-)
+# Dims up to which flows take them; with more, longer fits cost more and are no better
+_ALL_STEPS = 4
 _REPLICATES = 6  # at least, of each candidate
 _ITERATIONS = 5  # of VEGAS
 _GRID = 64

@@ -456,9 +456,8 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
     value = second + 2.0 * middle * first + middle**2
     error = error * (1.0 + 2.0 * np.abs(middle))
     with np.errstate(invalid="ignore"):
-        more = (
-            by_levels - value - level_errors - error
-        )  # levels miss slabs, and boxes ends of poles
+        # Levels miss slabs, and boxes ends of poles
+        more = by_levels - value - level_errors - error
         alike = np.abs(by_levels - value) <= level_errors + error
     hidden = unseen(g)  # slabs, which levels miss altogether
     better = alike & (level_errors + hidden < error) & (hidden < _HIDDEN * error)

@@ -394,9 +394,8 @@ def variance_from_pair_correlation(
             square = np.where(diverges, 0.0, square)
             part = np.where(diverges, np.inf, square / points - fine)
             error = np.where(diverges, 0.0, square_error / points + np.abs(fine - coarse))
-            floor = (
-                _ROUNDING * square / points
-            )  # where the variance vanishes, rounding is all there is
+            # Where the variance vanishes, rounding is all there is
+            floor = _ROUNDING * square / points
             if not np.all(error <= np.maximum(_TOLERANCE * np.abs(part), floor)):
                 raise NoClosedForm(
                     f"The quadrature over pairs of {g.spec} has an error of {np.max(error):.2g} in a "
