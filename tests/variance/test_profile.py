@@ -488,6 +488,8 @@ def test_the_same_everywhere_is_constant_or_was_not_met():
     known = mcs.Integrand.from_function(lambda x: 3.0 + 0.0 * x[..., 0], dims=2, integral=3.0)
     assert mcs.profile(known).causes[0].name == "none"
     assert (mcs.profile(known).dataset["rmse"] == 0.0).all()
+    shifted = mcs.profile(lambda x: 0.0 * x[:, 0] + 1.0, dims=2, sampler="jittered | shift")
+    assert shifted.causes[0].name == "few-realizations"
 
 
 @pytest.mark.parametrize("offset", [0.0, 1e8, 1e10])

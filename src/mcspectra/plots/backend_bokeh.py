@@ -10,7 +10,7 @@ from __future__ import annotations
 import base64
 import gzip
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, assert_never, final
@@ -53,7 +53,7 @@ from mcspectra.plots.description import (
     Segments,
     Text,
 )
-from mcspectra.plots.scales import log_ticks, signed_place, tick_label
+from mcspectra.plots.scales import log_ticks, signed_place
 from mcspectra.plots.style import FAINT, GRADIENTS, GRAY, INK
 from mcspectra.plots.text import shorten
 
@@ -74,6 +74,13 @@ _MARKERS = {
     "|": "dash",  # which lies, and is turned
 }
 _DASHES = {"-": "solid", "--": "dashed", ":": "dotted", "-.": "dashdot"}
+_SIDES = {
+    "right": ("left", "middle", 5, 0),
+    "left": ("right", "middle", -5, 0),
+    "above": ("center", "bottom", 0, -5),
+    "below": ("center", "top", 0, 5),
+    "middle": ("center", "middle", 0, 0),
+}
 _SHADES = 255  # colours of a palette; the shade 0 is that of no value
 _KEPT_BITS = 10  # of the mantissa of values under the pointer: 0.1 %, three digits
 _PIXELS = 4 / 3  # of a point
@@ -138,12 +145,47 @@ class Drawn:
                 self._sources += [each.data_source for each in drawn]
                 if label := getattr(mark, "label", ""):
                     entries.setdefault(label, {}).setdefault(k, []).extend(drawn)
-        self._bars = [
-            (_names if scale.kind == "names" else _color_bar)(self._figures[k], scale)
-            for scale, k in _bars(plot).items()
-        ]
-        self._items = _legends(self._figures, entries)
-        self.model = _arranged(plot, self._figures)
+        # Colour bars, or the names of a scale's colours below a figure
+        self._bars: list[Any] = []
+        for scale, k in _bars(plot).items():
+            frame = self._figures[k]
+            if scale.kind == "names":
+                squares = {"x": [np.nan], "y": [np.nan], "marker": "square", "size": 10}
+                named = zip(scale.names, scale.colors, strict=True)
+                _legend(frame, {n: [frame.scatter(**squares, color=c)] for n, c in named})
+                self._bars.append(None)
+                continue
+            mapper = LinearColorMapper(palette=list(_palette(scale)), low=0.0, high=1.0)
+            bar = ColorBar(
+                color_mapper=mapper, height=8, title_text_color=_INK, major_label_text_color=_INK,
+                title_text_font_size="11px", title_text_font_style="normal",
+                background_fill_color=None, padding=4,
+            )  # fmt: skip
+            frame.add_layout(bar, "below")
+            self._bars.append(bar)
+        # Each label below the first figure that has it; hiding it hides its marks in all figures
+        items: dict[str, Any] = {}
+        for k, frame in enumerate(self._figures):
+            own = {label: drawn[k] for label, drawn in entries.items() if min(drawn) == k}
+            if own:
+                items |= dict(zip(own, _legend(frame, own), strict=True))
+        for places in entries.values():
+            first, *others = [each for _, several in sorted(places.items()) for each in several]
+            for other in others:
+                first.js_link("visible", other, "visible")
+        self._items = [items[label] for label in entries]
+        # Panels side by side in as many rows as the place is narrow, or one above the other
+        for other in self._figures[1:]:
+            if plot.share in ("x", "both"):
+                other.x_range = self._figures[0].x_range
+            if plot.share in ("y", "both"):
+                other.y_range = self._figures[0].y_range
+        self.model = self._figures[0]
+        if len(self._figures) > 1 and plot.columns == 1:
+            self.model = Column(children=self._figures, sizing_mode="stretch_width")
+        elif len(self._figures) > 1:
+            wrap: Any = {"flex-wrap": "wrap", "justify-content": "center", "gap": "8px"}
+            self.model = Row(children=self._figures, sizing_mode="stretch_width", styles=wrap)
         self._say(plot)
 
     def fits(self, plot: Plot) -> bool:
@@ -176,8 +218,16 @@ class Drawn:
             for side, texts in _texts(panel).items():
                 _set_ticks(getattr(frame, side)[0], list(texts), texts.values())
         for bar, scale in zip(self._bars, _bars(plot), strict=True):
-            if bar is not None:
-                _set_bar(bar, scale)
+            if bar is None:
+                continue
+            start, end = (float(limit) for limit in _along(scale, _limits(scale)))
+            bar.color_mapper.update(low=start, high=end)
+            bar.title = _plain(f"{scale.label}   (▶ and above)" if scale.beyond else scale.label)
+            ticks = scale.ticks
+            if ticks is None and scale.kind == "log":
+                ticks = log_ticks(scale.low, scale.high)
+            if ticks is not None:
+                _set_ticks(bar, _along(scale, list(ticks)), ticks.values())
         for item, label in zip(self._items, plot.labels, strict=True):
             item.label = value(_plain(shorten(label, 60)))
         words = plot.words or plot.caption or plot.kind.replace("-", " ")
@@ -309,29 +359,19 @@ def _layers(mark: Mark, panel: Panel) -> list[_Layer]:
             glyph = "vspan" if mark.axis == "x" else "hspan"
             return [_Layer(glyph, {mark.axis: place}, stroke)]
         case Text():
+            align, baseline, *away = _SIDES[mark.side]
             spot = {"x": _place(panel.x, [mark.x]), "y": _place(panel.y, [mark.y])}
-            return [_writing(spot, [mark.text], mark.side, _seen(mark.color))]
+            fixed = {
+                "text_color": _seen(mark.color), "text_font_size": "11px", "text_align": align,
+                "text_baseline": baseline, "x_offset": away[0], "y_offset": away[1],
+            }  # fmt: skip
+            return [_Layer("text", {**spot, "text": [_plain(mark.text)]}, fixed)]
         case _:
             assert_never(mark)
 
 
 def _stroke(mark: Line | Rule) -> dict[str, Any]:
     return {"line_dash": _DASHES[mark.dashes], "line_width": mark.width * _PIXELS}
-
-
-def _writing(xy: Mapping[str, Any], texts: Sequence[str], side: str, color: str) -> _Layer:
-    align, baseline, x, y = {
-        "right": ("left", "middle", 5, 0),
-        "left": ("right", "middle", -5, 0),
-        "above": ("center", "bottom", 0, -5),
-        "below": ("center", "top", 0, 5),
-        "middle": ("center", "middle", 0, 0),
-    }[side]
-    fixed = {
-        "text_color": color, "text_font_size": "11px", "text_align": align, "text_baseline": baseline,
-        "x_offset": x, "y_offset": y,
-    }  # fmt: skip
-    return _Layer("text", {**xy, "text": [_plain(each) for each in texts]}, fixed)
 
 
 def _whiskers(mark: Dots | Bars, at: Array, axis: Axis, color: str, lying: bool) -> list[_Layer]:
@@ -530,27 +570,6 @@ def _palette(scale: Scale) -> tuple[str, ...]:
     return scale.colors or _gradient(scale.palette)
 
 
-def _color_bar(frame: Any, scale: Scale) -> Any:
-    bar = ColorBar(
-        color_mapper=LinearColorMapper(palette=list(_palette(scale)), low=0.0, high=1.0),
-        height=8, title_text_color=_INK, major_label_text_color=_INK, title_text_font_size="11px",
-        title_text_font_style="normal", background_fill_color=None, padding=4,
-    )  # fmt: skip
-    frame.add_layout(bar, "below")
-    return bar
-
-
-def _set_bar(bar: Any, scale: Scale) -> None:
-    low, high = (float(end) for end in _along(scale, _limits(scale)))
-    bar.color_mapper.update(low=low, high=high)
-    bar.title = _plain(f"{scale.label}   (▶ and above)" if scale.beyond else scale.label)
-    ticks = scale.ticks
-    if ticks is None and scale.kind == "log":
-        ticks = {tick: tick_label(tick) for tick in log_ticks(scale.low, scale.high)}
-    if ticks is not None:
-        _set_ticks(bar, _along(scale, list(ticks)), ticks.values())
-
-
 def _set_axis(axis: Any, limits: Any, new: Axis, old: Axis | None) -> None:
     """Set label, ticks and, where they are others than before, limits."""
     axis.axis_label = _plain(new.label)
@@ -576,29 +595,6 @@ def _set_ticks(axis: Any, places: Iterable[float], texts: Iterable[str]) -> None
     axis.major_label_overrides = dict(zip(ticks, map(_plain, texts), strict=True))
 
 
-def _names(frame: Any, scale: Scale) -> None:
-    """Put the names of a scale's colours below a figure."""
-    entries = {
-        name: [frame.scatter([np.nan], [np.nan], marker="square", size=10, color=color)]
-        for name, color in zip(scale.names, scale.colors, strict=True)
-    }
-    _legend(frame, entries)
-
-
-def _legends(figures: Sequence[Any], entries: Mapping[str, Mapping[int, list[Any]]]) -> list[Any]:
-    """Put each label below the first figure that has it; hiding it hides its marks in all figures."""
-    items: dict[str, Any] = {}
-    for k, frame in enumerate(figures):
-        own = {label: drawn[k] for label, drawn in entries.items() if min(drawn) == k}
-        if own:
-            items |= dict(zip(own, _legend(frame, own), strict=True))
-    for drawn in entries.values():
-        first, *others = [each for _, several in sorted(drawn.items()) for each in several]
-        for other in others:
-            first.js_link("visible", other, "visible")
-    return [items[label] for label in entries]
-
-
 def _legend(frame: Any, entries: Mapping[str, list[Any]]) -> list[Any]:
     """Put a legend under a figure, a row for each entry; a click hides or shows its marks."""
     items = [LegendItem(label=_plain(label), renderers=drawn) for label, drawn in entries.items()]
@@ -609,23 +605,6 @@ def _legend(frame: Any, entries: Mapping[str, list[Any]]) -> list[Any]:
     )  # fmt: skip
     frame.add_layout(legend, "below")
     return items
-
-
-def _arranged(plot: Plot, figures: list[Any]) -> LayoutDOM:
-    """Panels side by side in as many rows as the place is narrow, or one above the other."""
-    first: Any = figures[0]
-    for other in figures[1:]:
-        if plot.share in ("x", "both"):
-            other.x_range = first.x_range
-        if plot.share in ("y", "both"):
-            other.y_range = first.y_range
-    if len(figures) == 1:
-        only: LayoutDOM = first
-        return only
-    if plot.columns == 1:
-        return Column(children=figures, sizing_mode="stretch_width")
-    wrap: Any = {"flex-wrap": "wrap", "justify-content": "center", "gap": "8px"}
-    return Row(children=figures, sizing_mode="stretch_width", styles=wrap)
 
 
 def _seen(color: str) -> str:

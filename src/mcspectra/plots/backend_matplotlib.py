@@ -35,7 +35,7 @@ from mcspectra.plots.description import (
     Segments,
     Text,
 )
-from mcspectra.plots.scales import log_ticks, tick_label
+from mcspectra.plots.scales import log_ticks
 from mcspectra.plots.style import FAINT, GRADIENTS, GRAY, INK, PAPER
 from mcspectra.plots.text import shorten
 
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.cm import ScalarMappable
     from matplotlib.figure import Figure
-    from matplotlib.legend import Legend
 
 __all__ = ["FORMATS", "GivenAxes", "draw", "encode", "panel_axes", "write", "write_pages"]
 
@@ -62,6 +61,9 @@ _DPI, _PDF_DPI = 120, 200  # of pictures, and of images within a PDF, where all 
 _MOST_VECTORS = 5000  # points; more make a file large and slow to open
 _COLORS = 256  # of a picture, a third of the size and for flat colours no visible difference
 _MOST_PIXELS = 2**15  # along a side of a picture; matplotlib's own limit is twice that
+_TICKS: dict[str, Any] = {
+    "which": "both", "width": 0.6, "length": 2.5, "labelsize": _SMALL, "color": GRAY, "labelcolor": INK,
+}  # fmt: skip
 _LINEAR = 0.45  # makes half a decade of either side's linear part, as a signed `Axis` says
 _SIDES = {
     "right": ((4, 0), "left", "center"),
@@ -89,8 +91,18 @@ def draw(plot: Plot, axes: GivenAxes = None, *, pyplot: bool = False) -> Figure:
     ParameterError
         `axes` are not one matplotlib axes a panel, or pictures are too large to stand side by side.
     """
+    figure: Figure
     if axes is not None:
-        figure, panels = _given(axes, len(plot.panels))
+        from matplotlib.axes import Axes
+
+        given: Any = axes.ravel() if isinstance(axes, np.ndarray) else axes
+        panels = list(given) if isinstance(given, Iterable) else [given]
+        owners: set[Any] = {each.figure if isinstance(each, Axes) else None for each in panels}
+        count = len(plot.panels)
+        if len(panels) != count or None in owners or len(owners) != 1:
+            one = "one matplotlib Axes" if count == 1 else f"{count} matplotlib Axes of one figure"
+            raise ParameterError(f"axes is {given!r:.80}; this result takes {one}.")
+        (figure,) = owners
         for each in panels[1:]:
             _share(each, panels[0], plot.share)
     elif pictures := [m.rgb for panel in plot.panels for m in panel.marks if isinstance(m, Pixels)]:
@@ -102,8 +114,22 @@ def draw(plot: Plot, axes: GivenAxes = None, *, pyplot: bool = False) -> Figure:
         for scale, drawn in _panel(each, panel):
             bars.setdefault(scale, (drawn, []))[1].append(each)
     for scale, (drawn, where) in bars.items():
-        if scale.label and scale.kind != "names":
-            _color_bar(figure, scale, drawn, where)
+        if not scale.label or scale.kind == "names":
+            continue
+        extend: Any = "max" if scale.beyond else "neither"
+        bar = figure.colorbar(drawn, ax=where, shrink=0.85, aspect=24, pad=0.02, extend=extend)
+        bar.outline.set_visible(False)
+        bar.ax.tick_params(**_TICKS)
+        ticks = scale.ticks
+        if ticks is None and scale.kind == "log":
+            ticks = log_ticks(scale.low, scale.high)
+        if ticks is None:
+            bar.ax.locator_params(axis="y", nbins=5)
+        else:
+            bar.set_ticks(list(ticks), labels=[_plain(text) for text in ticks.values()])
+        bar.minorticks_off()
+        length = 0.85 * bar.ax.get_window_extent().height / figure.dpi
+        bar.set_label(_plain(_broken(scale.label, length)), fontsize=_SMALL, color=INK)
     _legend(figure, panels[0] if axes is not None else None, plot)
     return figure
 
@@ -122,6 +148,7 @@ def encode(figure: Figure) -> tuple[bytes, bytes]:
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_pdf import FigureCanvasPdf
+    from PIL import Image as Picture
 
     # Names in scripts that the font lacks show as boxes; the page has them in full
     with warnings.catch_warnings(), mpl.rc_context({"pdf.fonttype": 42}):
@@ -141,8 +168,16 @@ def encode(figure: Figure) -> tuple[bytes, bytes]:
         FigureCanvasPdf(figure).print_pdf(pdf, metadata=metadata)  # type: ignore[no-untyped-call]
         figure.set_dpi(_DPI)
         figure.set_canvas(canvas)
-    true_colors = any(axes.images for axes in figure.axes)
-    return _png(pixels, true_colors), pdf.getvalue()
+    image, png = Picture.fromarray(pixels), io.BytesIO()
+    if not any(axes.images for axes in figure.axes):
+        octree, no_dither = Picture.Quantize.FASTOCTREE, Picture.Dither.NONE
+        image = image.quantize(_COLORS, method=octree, dither=no_dither)
+        # The octree rounds colours; the paper, which meets the page, keeps its own
+        palette, paper = image.getpalette() or [], int(np.asarray(image)[0, 0])
+        palette[3 * paper : 3 * paper + 3] = pixels[0, 0].tolist()
+        image.putpalette(palette)
+    image.save(png, format="PNG", compress_level=6)
+    return png.getvalue(), pdf.getvalue()
 
 
 def write(plot: Plot, path: str | PathLike[str], *, captioned: bool = False) -> None:
@@ -229,20 +264,6 @@ def _write_pgf(figure: Figure, file: Path) -> None:
         mixed: Any = MixedModeRenderer(figure, width, height, figure.dpi, inner)  # type: ignore[no-untyped-call]
         figure.draw(mixed)
         stream.write("\\end{pgfpicture}\n\\makeatother\n\\endgroup\n")
-
-
-def _given(axes: Any, count: int) -> tuple[Figure, list[Axes]]:
-    from matplotlib.axes import Axes
-
-    if isinstance(axes, np.ndarray):
-        axes = axes.ravel()
-    panels = [axes] if isinstance(axes, Axes) else list(axes) if isinstance(axes, Iterable) else []
-    figures: set[Any] = {each.figure if isinstance(each, Axes) else None for each in panels}
-    if len(panels) != count or None in figures or len(figures) != 1:
-        wanted = "one matplotlib Axes" if count == 1 else f"{count} matplotlib Axes of one figure"
-        raise ParameterError(f"axes is {axes!r:.80}; this result takes {wanted}.")
-    (figure,) = figures
-    return figure, panels
 
 
 def _share(axes: Axes, first: Axes, share: str) -> None:
@@ -336,7 +357,20 @@ def _exact_figure(plot: Plot, shape: tuple[int, ...], pyplot: bool) -> tuple[Fig
 def _panel(axes: Axes, panel: Panel) -> Iterator[tuple[Scale, ScalarMappable]]:
     """Draw the marks of a panel; yields its colour scales with the marks that show them."""
     named = any(isinstance(mark, Bars) and mark.lying for mark in panel.marks)
-    _quiet(axes, panel, named)
+    # Thin axes on two sides or four, small dark ticks, faint lines where they are wanted
+    axes.set_facecolor("white")
+    for side, spine in axes.spines.items():
+        spine.set_linewidth(0.6)
+        spine.set_color(GRAY)
+        plain = side == "bottom" or (side == "left" and not named)
+        spine.set_visible(panel.framed or plain)
+        spine.set_in_layout(False)  # it lies on the axes' frame, and is slow to measure
+    axes.tick_params(**_TICKS)
+    if named:
+        axes.tick_params(axis="y", length=0)
+    axes.set_axisbelow(True)
+    if panel.grid:
+        axes.grid(True, which="major", color=FAINT, linewidth=0.5)
     for which, axis in (("x", panel.x), ("y", panel.y)):
         if axis.kind == "log":
             getattr(axes, f"set_{which}scale")("log")
@@ -373,26 +407,6 @@ def _panel(axes: Axes, panel: Panel) -> Iterator[tuple[Scale, ScalarMappable]]:
     yield from found.items()
 
 
-def _quiet(axes: Axes, panel: Panel, named: bool) -> None:
-    """Thin axes on two sides or four, small dark ticks, faint lines where they are wanted."""
-    axes.set_facecolor("white")
-    for side, spine in axes.spines.items():
-        spine.set_linewidth(0.6)
-        spine.set_color(GRAY)
-        spine.set_visible(
-            panel.framed or (side in ("left", "bottom") and not (named and side == "left"))
-        )
-        spine.set_in_layout(False)  # it lies on the axes' frame, and is slow to measure
-    axes.tick_params(
-        which="both", width=0.6, length=2.5, labelsize=_SMALL, color=GRAY, labelcolor=INK
-    )
-    if named:
-        axes.tick_params(axis="y", length=0)
-    axes.set_axisbelow(True)
-    if panel.grid:
-        axes.grid(True, which="major", color=FAINT, linewidth=0.5)
-
-
 def _finish_axis(axes: Axes, which: str, given: Axis) -> None:
     from matplotlib.ticker import MaxNLocator, NullLocator
 
@@ -402,7 +416,7 @@ def _finish_axis(axes: Axes, which: str, given: Axis) -> None:
     high = high if given.high is None else given.high
     ticks = given.ticks
     if ticks is None and given.kind == "log":
-        ticks = {tick: tick_label(tick) for tick in log_ticks(low, high)}
+        ticks = log_ticks(low, high)
     if ticks is None:
         axis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10]))
     else:
@@ -447,9 +461,58 @@ def _mark(axes: Axes, mark: Mark, depth: float) -> ScalarMappable | None:
                     solid_capstyle="round", **look,
                 )  # fmt: skip
         case Dots():
-            return _dots(axes, mark, depth)
+            plain = isinstance(mark.color, str)
+            color = mark.color if isinstance(mark.color, str) else INK
+            if mark.low is not None and mark.high is not None:
+                at = mark.x if mark.across else mark.y
+                reach = np.maximum([at - mark.low, mark.high - at], 0.0)
+                _whiskers(axes, (mark.x, mark.y), reach, mark.across, color, depth)
+            norm, colors = (None, None) if mark.scale is None else _norm(mark.scale)
+            shown: dict[str, Any] = (
+                {"color": color} if plain else {"c": mark.color, "norm": norm, "cmap": colors}
+            )
+            size, upright = (
+                np.broadcast_to(np.square(mark.size), np.shape(mark.x)),
+                mark.marker == "|",
+            )
+            stroke = float(np.clip(60.0 / max(len(mark.x), 1), 0.25, 1.2)) if upright else 0.0
+            drawn = axes.scatter(
+                mark.x, mark.y, s=size, marker=mark.marker, linewidths=stroke, zorder=depth,
+                rasterized=len(mark.x) > _MOST_VECTORS, **shown,
+            )  # fmt: skip
+            return None if plain else drawn
         case Bars():
-            _bars(axes, mark, look)
+            there = np.isfinite(mark.value)
+            at, value = mark.at[there], mark.value[there]
+            if not isinstance(mark.color, str):
+                pairs = zip(mark.color, there, strict=True)
+                look |= {"color": [each for each, present in pairs if present]}
+            if mark.thickness:
+                options = look | {"alpha": mark.opacity, "linewidth": 0}
+                if mark.lying:
+                    axes.barh(at, value - mark.base, mark.thickness, left=mark.base, **options)
+                else:
+                    axes.bar(at, value - mark.base, mark.thickness, bottom=mark.base, **options)
+            else:
+                room = axes.get_window_extent()
+                length = (room.height if mark.lying else room.width) * 72 / axes.figure.dpi
+                width = float(np.clip(0.55 * length / max(len(mark.at), 1), 0.5, 5.0))
+                stems = axes.hlines if mark.lying else axes.vlines
+                stems(at, mark.base, value, lw=width, alpha=mark.opacity, **look)
+            if mark.low is not None and mark.high is not None:
+                # An end that is not finite has no whisker
+                low, high = (np.where(np.isfinite(e), e, mark.value) for e in (mark.low, mark.high))
+                middle = 0.5 * (low + high)
+                places = (middle, mark.at) if mark.lying else (mark.at, middle)
+                _whiskers(axes, places, np.abs(0.5 * (high - low)), mark.lying, INK, depth + 0.005)
+            for place, text in zip(mark.at, mark.texts, strict=False):
+                end = (1.0, float(place)) if mark.lying else (float(place), 1.0)
+                frame = axes.get_yaxis_transform() if mark.lying else axes.get_xaxis_transform()
+                offset, across, up = _SIDES["right" if mark.lying else "above"]
+                axes.annotate(
+                    _plain(text), end, xycoords=frame, xytext=offset, textcoords="offset points",
+                    ha=across, va=up, fontsize=_SMALL, color=INK,
+                )  # fmt: skip
         case Image():
             norm, colors = _norm(mark.scale)
             halves = [float(at[1] - at[0]) / 2 if len(at) > 1 else 0.5 for at in (mark.x, mark.y)]
@@ -466,8 +529,10 @@ def _mark(axes: Axes, mark: Mark, depth: float) -> ScalarMappable | None:
             height, width = mark.rgb.shape[:2]
             zoom = max(1, round(axes.get_window_extent().width / width))
             # Repeated here: matplotlib's own scaling may shift a row by half a pixel
-            shown = np.repeat(np.repeat(mark.rgb, zoom, axis=0), zoom, axis=1)
-            axes.imshow(shown, extent=(0, width, 0, height), interpolation="nearest", zorder=depth)
+            squares = np.repeat(np.repeat(mark.rgb, zoom, axis=0), zoom, axis=1)
+            axes.imshow(
+                squares, extent=(0, width, 0, height), interpolation="nearest", zorder=depth
+            )
             axes.tick_params(bottom=False, left=False, labelbottom=False, labelleft=False)
             for spine in axes.spines.values():
                 spine.set_visible(False)
@@ -484,61 +549,6 @@ def _mark(axes: Axes, mark: Mark, depth: float) -> ScalarMappable | None:
                 ha=across, va=up, fontsize=_SMALL, **look,
             )  # fmt: skip
     return None
-
-
-def _dots(axes: Axes, mark: Dots, depth: float) -> ScalarMappable | None:
-    plain = isinstance(mark.color, str)
-    color = mark.color if isinstance(mark.color, str) else INK
-    if mark.low is not None and mark.high is not None:
-        at = mark.x if mark.across else mark.y
-        reach = np.maximum([at - mark.low, mark.high - at], 0.0)
-        _whiskers(axes, (mark.x, mark.y), reach, mark.across, color, depth)
-    norm, colors = (None, None) if mark.scale is None else _norm(mark.scale)
-    shown: dict[str, Any] = (
-        {"color": color} if plain else {"c": mark.color, "norm": norm, "cmap": colors}
-    )
-    size = np.broadcast_to(np.square(mark.size), np.shape(mark.x))
-    stroke = float(np.clip(60.0 / max(len(mark.x), 1), 0.25, 1.2)) if mark.marker == "|" else 0.0
-    drawn = axes.scatter(
-        mark.x, mark.y, s=size, marker=mark.marker, linewidths=stroke, zorder=depth,
-        rasterized=len(mark.x) > _MOST_VECTORS, **shown,
-    )  # fmt: skip
-    return None if plain else drawn
-
-
-def _bars(axes: Axes, mark: Bars, look: dict[str, Any]) -> None:
-    there = np.isfinite(mark.value)
-    at, value = mark.at[there], mark.value[there]
-    color = mark.color
-    if not isinstance(color, str):
-        look = look | {"color": [each for each, shown in zip(color, there, strict=True) if shown]}
-    if mark.thickness:
-        options = look | {"alpha": mark.opacity, "linewidth": 0}
-        if mark.lying:
-            axes.barh(at, value - mark.base, mark.thickness, left=mark.base, **options)
-        else:
-            axes.bar(at, value - mark.base, mark.thickness, bottom=mark.base, **options)
-    else:
-        room = axes.get_window_extent()
-        length = (room.height if mark.lying else room.width) * 72 / axes.figure.dpi
-        width = float(np.clip(0.55 * length / max(len(mark.at), 1), 0.5, 5.0))
-        stems = axes.hlines if mark.lying else axes.vlines
-        stems(at, mark.base, value, lw=width, alpha=mark.opacity, **look)
-    if mark.low is not None and mark.high is not None:
-        # An end that is not finite has no whisker
-        low, high = (np.where(np.isfinite(e), e, mark.value) for e in (mark.low, mark.high))
-        middle = 0.5 * (low + high)
-        places = (middle, mark.at) if mark.lying else (mark.at, middle)
-        reach = np.abs(0.5 * (high - low))
-        _whiskers(axes, places, reach, mark.lying, INK, look["zorder"] + 0.005)
-    for place, text in zip(mark.at, mark.texts, strict=False):
-        end: tuple[float, float] = (1.0, float(place)) if mark.lying else (float(place), 1.0)
-        frame = axes.get_yaxis_transform() if mark.lying else axes.get_xaxis_transform()
-        offset, across, up = _SIDES["right" if mark.lying else "above"]
-        axes.annotate(
-            _plain(text), end, xycoords=frame, xytext=offset, textcoords="offset points",
-            ha=across, va=up, fontsize=_SMALL, color=INK,
-        )  # fmt: skip
 
 
 def _whiskers(
@@ -572,31 +582,6 @@ def _norm(scale: Scale) -> tuple[Any, Any]:
     return norm, chosen.with_extremes(bad=FAINT)
 
 
-def _color_bar(figure: Figure, scale: Scale, drawn: ScalarMappable, where: list[Axes]) -> None:
-    bar = figure.colorbar(
-        drawn,
-        ax=where,
-        shrink=0.85,
-        aspect=24,
-        pad=0.02,
-        extend="max" if scale.beyond else "neither",
-    )
-    bar.outline.set_visible(False)
-    bar.ax.tick_params(
-        which="both", width=0.6, length=2.5, labelsize=_SMALL, color=GRAY, labelcolor=INK
-    )
-    ticks = scale.ticks
-    if ticks is None and scale.kind == "log":
-        ticks = {tick: tick_label(tick) for tick in log_ticks(scale.low, scale.high)}
-    if ticks is None:
-        bar.ax.locator_params(axis="y", nbins=5)
-    else:
-        bar.set_ticks(list(ticks), labels=[_plain(text) for text in ticks.values()])
-    bar.minorticks_off()
-    length = 0.85 * bar.ax.get_window_extent().height / figure.dpi
-    bar.set_label(_plain(_broken(scale.label, length)), fontsize=_SMALL, color=INK)
-
-
 def _entries(plot: Plot) -> dict[str, list[Mark | str]]:
     """Marks by their entries in the legend; colours by the names of scales."""
     found: dict[str, list[Mark | str]] = {label: [] for label in plot.labels}
@@ -616,6 +601,8 @@ def _legend_columns(labels: Iterable[str], width: float) -> int:
 
 def _legend(figure: Figure, given: Axes | None, plot: Plot) -> None:
     """Put the legend under the figure, where it covers nothing; of somebody else's, in the axes."""
+    from matplotlib.collections import LineCollection
+
     entries = _entries(plot)
     if not entries:
         return
@@ -623,34 +610,22 @@ def _legend(figure: Figure, given: Axes | None, plot: Plot) -> None:
     handles = [_handle(marks) for marks in entries.values()]
     texts = [_plain(label) for label in entries]
     if given is not None:
-        legend = given.legend(handles, texts, loc="best", **options)
-        if _covers(legend, given):
-            _raise_top(given, (1.5 * len(handles) + 1.5) * _SMALL / 72)
+        # Where it would lie on lines or whiskers, leave room above them, at most half the axes
+        box = given.legend(handles, texts, loc="best", **options).get_window_extent()
+        drawn = [line.get_transform().transform_path(line.get_path()) for line in given.lines]
+        for each in given.collections:
+            if isinstance(each, LineCollection):
+                drawn += [each.get_transform().transform_path(path) for path in each.get_paths()]
+        if any(path.intersects_bbox(box, filled=False) for path in drawn):
+            inches, scale = (1.5 * len(handles) + 1.5) * _SMALL / 72, given.yaxis.get_transform()
+            bottom, top = scale.transform(np.array(given.get_ylim()))
+            kept = max(1.0 - inches * figure.dpi / given.get_window_extent().height, 0.5)
+            given.set_ylim(top=float(scale.inverted().transform(bottom + (top - bottom) / kept)))
         return
     columns = min(_legend_columns(entries, figure.get_figwidth()), len(entries))
     figure.legend(
         handles, texts, loc="outside lower center", ncols=columns, handlelength=1.8, **options
     )
-
-
-def _covers(legend: Legend, axes: Axes) -> bool:
-    """Whether a legend in the axes lies on lines or whiskers."""
-    from matplotlib.collections import LineCollection
-
-    box = legend.get_window_extent()
-    drawn = [line.get_transform().transform_path(line.get_path()) for line in axes.lines]
-    for each in axes.collections:
-        if isinstance(each, LineCollection):
-            drawn += [each.get_transform().transform_path(path) for path in each.get_paths()]
-    return any(path.intersects_bbox(box, filled=False) for path in drawn)
-
-
-def _raise_top(axes: Axes, inches: float) -> None:
-    """Leave so much room above what is drawn, at most half the axes."""
-    scale = axes.yaxis.get_transform()
-    bottom, top = scale.transform(np.array(axes.get_ylim()))
-    kept = max(1.0 - inches * axes.figure.dpi / axes.get_window_extent().height, 0.5)
-    axes.set_ylim(top=float(scale.inverted().transform(bottom + (top - bottom) / kept)))
 
 
 def _handle(marks: list[Mark | str]) -> Any:
@@ -678,20 +653,3 @@ def _handle(marks: list[Mark | str]) -> Any:
 def _plain(text: str) -> str:
     """Escape dollar signs, which matplotlib would read as mathematics."""
     return text.replace("$", r"\$")
-
-
-def _png(pixels: Array, true_colors: bool) -> bytes:
-    from PIL import Image as Picture
-
-    image = Picture.fromarray(pixels)
-    if not true_colors:
-        image = image.quantize(
-            _COLORS, method=Picture.Quantize.FASTOCTREE, dither=Picture.Dither.NONE
-        )
-        # The octree rounds colours; the paper, which meets the page, keeps its own
-        palette, paper = image.getpalette() or [], int(np.asarray(image)[0, 0])
-        palette[3 * paper : 3 * paper + 3] = pixels[0, 0].tolist()
-        image.putpalette(palette)
-    png = io.BytesIO()
-    image.save(png, format="PNG", compress_level=6)
-    return png.getvalue()

@@ -4,19 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import final
+from typing import Any, final
 
+import numpy as np
 import xarray as xr
 
-from mcspectra.core.checks import as_choice
+from mcspectra.core.checks import Array, as_choice
 from mcspectra.core.errors import ParameterError
-from mcspectra.plots import chains, frames, maps, points, spectra, variance, warps
-from mcspectra.plots.anything import anything, shown_variables
-from mcspectra.plots.description import Plot
-from mcspectra.plots.groups import Data, Group, Styles, as_group, frequency_dims
-from mcspectra.plots.style import sampler_styles
+from mcspectra.plots import frames, maps, points, spectra, variance, warps
+from mcspectra.plots.description import Axis, Dots, Image, Line, Mark, Panel, Plot, Scale
+from mcspectra.plots.groups import (
+    Data,
+    Group,
+    Styles,
+    abreast,
+    as_group,
+    frequency_dims,
+    intervals,
+    numbers,
+)
+from mcspectra.plots.scales import name_axis
+from mcspectra.plots.style import labels, sampler_styles
 
-__all__ = ["KINDS", "Kind", "describe", "kinds_of"]
+__all__ = ["KINDS", "Kind", "anything", "describe", "kinds_of", "shown_variables"]
 
 
 @final
@@ -54,6 +64,95 @@ class Kind:
         ]
 
 
+def shown_variables(data: xr.Dataset) -> dict[str, int]:
+    """Return the variables of real numbers that are shown, with their dims: one or two, else none.
+
+    Intervals and standard errors belong to others.
+    """
+    partners = {f"{name}{end}" for name in data.data_vars for end in ("_ci", "_se")}
+    found = {
+        str(name): values.ndim
+        for name, values in data.data_vars.items()
+        if values.ndim <= 2 and values.dtype.kind in "iufb" and name not in partners and values.size
+    }
+    return {name: dims for name, dims in found.items() if dims} or found
+
+
+def anything(group: Group, styles: Styles) -> Plot:
+    """Every variable of a result that no kind knows, such as that of a stranger's analysis.
+
+    Those of one dim are curves of all samplers in one panel, those of two maps, a panel for each sampler;
+    where there are neither, single numbers stand beside each other.
+    """
+    first, names = next(iter(group.values())), labels(list(group), 30)
+    panels, said = [], []
+    for name, dims in shown_variables(first).items():
+        title = str(first[name].attrs.get("long_name", name))
+        unit = str(first[name].attrs.get("units", ""))
+        over = [str(dim) for dim in first[name].dims]
+        said.append(f"{title}, over {' and '.join(over)}" if over else title)
+        label = f"{title} ({unit})" if unit not in ("", "1") else title
+        there = {sampler: each for sampler, each in group.items() if name in each}
+        if dims == 2:
+            for sampler, each in there.items():
+                shown = each[name].values.astype(float)
+                finite = shown[np.isfinite(shown)]
+                low, high = (
+                    (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+                )
+                scale = Scale(label=label, low=low, high=high if high > low else low + 1.0)
+                (y, y_ticks), (x, x_ticks) = (_places(each[name], dim) for dim in each[name].dims)
+                panels.append(
+                    Panel(
+                        marks=(Image(values=shown, x=x, y=y, scale=scale, name=name),),
+                        x=Axis(label=over[1], ticks=x_ticks),
+                        y=Axis(label=over[0], ticks=y_ticks),
+                        title=sampler if len(group) > 1 else label,
+                    )
+                )
+            continue
+        marks: list[Mark] = []
+        for row, (sampler, each) in enumerate(there.items()):
+            x, ticks = (np.array([float(row)]), None) if not dims else _places(each[name], over[0])
+            y, style = np.atleast_1d(each[name].values), styles[sampler]
+            hover = {"sampler": [names[sampler]] * x.size, "x": numbers(x), "value": numbers(y)}
+            both: dict[str, Any] = {"x": x, "y": y, "color": style.color, "label": names[sampler]}
+            # The interval of each value: its own, or two standard errors to either side
+            ends = None
+            if f"{name}_ci" in each:
+                ends = np.reshape(each[f"{name}_ci"].values, (-1, 2))
+            elif f"{name}_se" in each:
+                error = np.atleast_1d(each[f"{name}_se"].values)
+                ends = np.stack([y - 2.0 * error, y + 2.0 * error], axis=-1)
+            if ends is not None:
+                both["low"], both["high"] = ends.T
+                hover["interval"] = intervals(ends)
+            if ticks is None and dims:  # names are no axis that a line could run along
+                marks.append(Line(dashes=style.dashes, hover=hover, **both))
+            else:
+                marks.append(Dots(marker=style.marker, hover=hover, **both))
+        if dims:
+            axis = Axis(label=over[0], ticks=ticks)
+        else:
+            axis = name_axis([names[sampler] for sampler in there], flipped=False)
+        panels.append(Panel(marks=tuple(marks), x=axis, y=Axis(label=label), grid=True))
+    return Plot(
+        kind="anything",
+        panels=tuple(panels),
+        columns=min(2, abreast(len(panels))),
+        caption="; ".join(said)[:1].upper() + "; ".join(said)[1:] + ".",
+        words=f"{'; '.join(said)}, for {', '.join(group)}.",
+    )
+
+
+def _places(values: xr.DataArray, dim: Any) -> tuple[Array, Mapping[float, str] | None]:
+    """Places along a dim of a variable, and texts where its labels are no numbers."""
+    at = values[dim].values
+    if at.dtype.kind in "iuf":
+        return at.astype(float), None
+    return np.arange(float(at.size)), {float(k): str(text) for k, text in enumerate(at)}
+
+
 KINDS: Mapping[str, Kind] = {
     "convergence": Kind(variance.convergence, ("n", "variance", "variance_ci", "mean", "rate", "rate_ci")),
     "terms": Kind(variance.terms, ("dc_term", "power_term", "cross_term", "predicted_variance_ci", "measured_variance_ci")),
@@ -75,7 +174,7 @@ KINDS: Mapping[str, Kind] = {
     "prediction": Kind(variance.prediction, ("n", "predicted_variance", "predicted_variance_ci")),
     "routes": Kind(variance.routes, ("route_variance", "route_variance_ci", "energy_share")),
     "modes": Kind(spectra.modes, ("eigenvalue", "eigenvalue_se", "eigenvalue_share", "mode_vector")),
-    "chains": Kind(chains.chains, ("error_share", "chain_spectrum", "fitted_spectrum")),
+    "chains": Kind(spectra.chains, ("error_share", "chain_spectrum", "fitted_spectrum")),
     "warp": Kind(warps.warp, ("warped", "stretch", "jump")),
     "primary": Kind(warps.primary, ("primary_value", "primary_jump", "face_jump")),
     **{

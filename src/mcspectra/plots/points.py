@@ -8,17 +8,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_unit_points
 from mcspectra.core.errors import ParameterError
-from mcspectra.plots.description import (
-    Axis,
-    Dots,
-    Line,
-    Mark,
-    Panel,
-    Plot,
-    Rule,
-    Scale,
-    Segments,
-)
+from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, Plot, Rule, Scale, Segments
 from mcspectra.plots.groups import Group, Styles, abreast, numbers
 from mcspectra.plots.scales import log_axis, name_axis, unit_axis
 from mcspectra.plots.spectra import frequency_map, relative_power
@@ -37,7 +27,10 @@ def points(group: Group, styles: Styles) -> Plot:
     sizes = {each.sizes["axis"] for each in group.values()}
     n = max(each.sizes["point"] for each in group.values())
     if sizes == {1}:
-        panels = [_strips({k: d["points"].values[:, 0] for k, d in group.items()}, styles)]
+        short = labels(list(group), 26)
+        strips = [each["points"].values[:, 0] for each in group.values()]
+        colors, rows = [styles[name].color for name in group], [short[name] for name in group]
+        panels = [_stroke_panel(strips, colors, rows, names=list(group))]
         shown = "Tick marks on a line, with the borders of n equal strata."
     else:
         panels = [
@@ -215,17 +208,6 @@ def _square(
     )
 
 
-def _strips(sets: dict[str, Array], styles: Styles) -> Panel:
-    """A strip for every sampler, with the borders of n equal strata behind the points."""
-    short = labels(list(sets), 26)
-    return _stroke_panel(
-        list(sets.values()),
-        [styles[name].color for name in sets],
-        [short[name] for name in sets],
-        names=list(sets),
-    )
-
-
 def _stroke_panel(
     sets: Sequence[Array],
     colors: Sequence[str],
@@ -233,6 +215,7 @@ def _stroke_panel(
     title: str = "",
     names: Sequence[str] = (),
 ) -> Panel:
+    """A strip for each set; of `names`, with the borders of n equal strata behind the points."""
     marks: list[Mark] = []
     for row, (x, color) in enumerate(zip(sets, colors, strict=True)):
         if len(x) <= _MOST_STRATA and names:

@@ -51,7 +51,7 @@ def log_axis(label: str, low: float, high: float, most: int = 6) -> Axis:
         low, high = 0.5, 2.0
     margin = (high / low) ** 0.04 if high > low else 2.0
     low, high = low / margin, high * margin
-    return Axis(label=label, kind="log", low=low, high=high, ticks=_log_texts(low, high, most))
+    return Axis(label=label, kind="log", low=low, high=high, ticks=log_ticks(low, high, most))
 
 
 def count_axis(label: str, counts: Iterable[int], most: int = 6) -> Axis:
@@ -122,7 +122,7 @@ def log_scale(label: str, low: float, high: float) -> Scale:
     """Return a logarithmic colour scale from low to high."""
     if not (math.isfinite(low) and math.isfinite(high) and 0.0 < low < high):
         low, high = 0.5, 2.0
-    return Scale(label=label, kind="log", low=low, high=high, ticks=_log_texts(low, high, 6))
+    return Scale(label=label, kind="log", low=low, high=high, ticks=log_ticks(low, high))
 
 
 def signed_scale(label: str, values: Sequence[Array], decades: int = 3) -> Scale:
@@ -162,19 +162,19 @@ def signed_place(values: Array, threshold: float) -> Array:
     return np.asarray(np.sign(given) * np.where(size < 1, _NEAR_ZERO * size, decades))
 
 
-def log_ticks(low: float, high: float, most: int = 6) -> list[float]:
-    """Return ticks in [low, high], at most about `most`: powers of ten, or finer in a short range."""
+def log_ticks(low: float, high: float, most: int = 6) -> dict[float, str]:
+    """Return ticks in [low, high] and their texts, about `most`: powers of ten, or finer in a short range."""
     first, last = math.ceil(math.log10(low) - 1e-9), math.floor(math.log10(high) + 1e-9)
     if math.log10(high / low) >= _SHORT:
         stride = math.ceil((last - first + 1) / most)
-        return [10.0**e for e in range(first, last + 1, stride)]
+        return {t: tick_label(t) for t in (10.0**e for e in range(first, last + 1, stride))}
     ticks: list[float] = []
     for steps in ((1, 2, 5), range(1, 10), [c / 10 for c in range(10, 100)]):
         every = [c * 10.0**e for e in range(first - 1, last + 1) for c in steps]
         ticks = [t for t in every if low <= t <= high]
         if len(ticks) >= 2:
             break
-    return ticks[:: max(1, math.ceil(len(ticks) / most))]
+    return {t: tick_label(t) for t in ticks[:: max(1, math.ceil(len(ticks) / most))]}
 
 
 def tick_label(value: float) -> str:
@@ -185,10 +185,6 @@ def tick_label(value: float) -> str:
     if value == 0 or -2 <= power <= 3:
         return f"{sign}{abs(value):.10g}"
     return sign + ("" if mantissa == "1" else f"{mantissa}×") + power_of_ten(power)
-
-
-def _log_texts(low: float, high: float, most: int) -> dict[float, str]:
-    return {tick: tick_label(tick) for tick in log_ticks(low, high, most)}
 
 
 def _signed_range(values: Sequence[Array], decades: int) -> tuple[float, float, float]:

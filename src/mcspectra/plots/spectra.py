@@ -1,4 +1,4 @@
-"""Frequencies: power spectra, pair correlations, and where in frequency the variance comes from.
+"""Frequencies: power spectra of sets and chains, pair correlations, and where in frequency variance comes from.
 
 Power is shown as n times the power over that of random points, so that random sampling is 1.
 """
@@ -32,13 +32,14 @@ from mcspectra.plots.groups import (
     abreast,
     for_each,
     frequency_dims,
+    intervals,
     lines_of,
     not_finite,
     numbers,
     shared,
 )
 from mcspectra.plots.scales import log_axis, signed_axis, signed_scale, whole_ticks
-from mcspectra.plots.style import FAINT, GRAY, INK
+from mcspectra.plots.style import FAINT, GRAY, INK, labels, sampler_styles
 from mcspectra.plots.text import number, percent
 
 if TYPE_CHECKING:
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "bands",
+    "chains",
     "contributions",
     "cross_matrix",
     "frequency_map",
@@ -61,6 +63,7 @@ _FLOOR = 1e-4  # power shown at least: below it a set is as good as free of nois
 _LINEAR_TOP = 12.0  # up to here lines are shown on a linear axis
 _MOST_NUMBERS, _MOST_NAMES = 7, 13  # numbers and names of bands along an axis
 _MOST_ENTRIES = 257  # entries a side of a matrix; more are not told apart
+_MOST_CHAINS = 6  # quantities of chains that are told apart
 _LEVEL = "the expected power over that of random points (∫1/p / n); m = 0 is left out."
 
 
@@ -100,10 +103,10 @@ def lines(group: Group, styles: Styles) -> Plot:
             number(float(p), 4) + (f" ± {number(float(h), 2)}" if h > 0 else "")
             for p, h in zip(power, half, strict=True)
         ]
-    panel = _power_panel(curves, styles, hover, Axis(label="frequency m (cycles per unit)"))
+    axis = Axis(label="frequency m (cycles per unit)")
     return Plot(
         kind="lines",
-        panels=(replace(panel, y=replace(panel.y, label=_power_label(group))),),
+        panels=(_power_panel(group, curves, styles, hover, axis),),
         caption=f"Power spectra: {_LEVEL}",
         words="Power against frequency m. " + for_each(group, _power_words),
     )
@@ -120,10 +123,9 @@ def radial(group: Group, styles: Styles) -> Plot:
     root = {1: "n", 2: "√n", 3: "∛n"}.get(dims, f"n^(1/{dims})")
     axis = log_axis(f"|m| / {root}", float(every.min(initial=1.0)), float(every.max(initial=1.0)))
     hover = {name: numbers(power) for name, (_, power) in curves.items()}
-    panel = _power_panel(curves, styles, hover, axis)
     return Plot(
         kind="radial",
-        panels=(replace(panel, y=replace(panel.y, label=_power_label(group))),),
+        panels=(_power_panel(group, curves, styles, hover, axis),),
         caption="Mean power over all directions against the length of the frequency, in units of n "
         "to the 1/d: the slope at the left decides the rate."
         + (" In this many dims it stands for the whole spectrum." if dims > 2 else ""),
@@ -409,6 +411,75 @@ def modes(group: Group, styles: Styles) -> Plot:
     )
 
 
+def chains(group: Group, styles: Styles) -> Plot:
+    """Spectra with the fit, and shares of the error and of the draws' variance by band.
+
+    Of many quantities those with the fewest effective draws are shown.
+    """
+    # A curve for each quantity of each result
+    single: dict[str, xr.Dataset] = {}
+    for name, each in group.items():
+        own = name if len(group) > 1 else ""
+        if "quantity" not in each.dims:
+            single[own or "chains"] = each
+        for k in range(each.sizes.get("quantity", 0)):
+            one = each.isel(quantity=k)
+            single[", ".join(filter(None, [own, str(one["quantity"].item())]))] = one
+    worst = sorted(single, key=lambda name: float(single[name]["ess"].fillna(-1.0)))[:_MOST_CHAINS]
+    shown = {name: each for name, each in single.items() if name in worst}
+    styles = styles if shown.keys() <= styles.keys() else sampler_styles(list(shown))
+    names, levels = labels(list(shown), 40), [np.empty(0)]
+    spectra: list[Mark] = []
+    shares: list[Mark] = []
+    for name, each in shown.items():
+        low, high = each["band_low"].values, each["band_high"].values
+        x = np.sqrt(np.maximum(low, high / 2) * high)  # the lowest band, from 0, as if an octave
+        error, draw, measured, fitted = (
+            each[key].values
+            for key in ("error_share", "draw_share", "chain_spectrum", "fitted_spectrum")
+        )
+        ends, color, label = each["chain_spectrum_ci"].values, styles[name].color, names[name]
+        levels += [measured[measured > 0], fitted[fitted > 0]]
+        hover = {
+            "chain": [name] * x.size,
+            "period in draws": list(map(str, each["band"].values)),
+            "spectrum": numbers(measured),
+            "95 %": intervals(ends),
+            "share of the error": numbers(error, 3),
+            "share of the draws": numbers(draw, 3),
+        }
+        dots = Dots(x=x, y=measured, color=color, marker=styles[name].marker, hover=hover)
+        spectra.append(Line(x=x, y=fitted, color=color, label=label))
+        spectra.append(replace(dots, low=ends[:, 0], high=ends[:, 1], label=label))
+        shares.append(Line(x=x, y=draw, color=color, dashes=":", label=""))
+        shares += [Line(x=x, y=error, color=color, label=label), replace(dots, y=error)]
+    every = np.concatenate(levels)
+    least, most = (float(every.min()), float(every.max())) if every.size else (1.0, 1.0)
+    bottom = min(float(each["band_high"].values[0]) for each in shown.values()) / 2
+    axis, hidden = log_axis("frequency in cycles per draw", bottom, 0.5), len(single) - len(shown)
+    density = log_axis("spectral density S", least / 3, 3 * most)
+    still = "" if every.size else "the chains do not move"
+    return Plot(
+        kind="chains",
+        panels=(
+            Panel(marks=tuple(spectra), x=axis, y=density, grid=True, note=still),
+            Panel(
+                marks=tuple(shares), x=axis, y=Axis(label="share", low=0.0, high=1.05), grid=True
+            ),
+        ),
+        caption="Spectrum of the chains in time, measured in octaves with 95 % intervals, and its fit; "
+        "below, the share of each octave of the squared error of the mean, and, dotted, of the "
+        "variance of the draws."
+        + (f" {hidden} quantities of more effective draws are left out." if hidden else ""),
+        words="Spectra of chains in time and shares of the error by frequency. "
+        + for_each(
+            shown, lambda d: f"effective draws {number(float(d['ess']))}, {d['cause'].item()}"
+        ),
+        height=0.5,
+        share="x",
+    )
+
+
 def _bases(group: Group) -> dict[str, str]:
     """What labels of frequencies add by name: the basis where there are several."""
     found = {name: str(each.attrs.get("basis", "fourier")) for name, each in group.items()}
@@ -437,6 +508,7 @@ def _power_label(group: Group) -> str:
 
 
 def _power_panel(
+    group: Group,
     curves: Mapping[str, tuple[Array, Array]],
     styles: Styles,
     hover: Mapping[str, Sequence[str]],
@@ -449,7 +521,10 @@ def _power_panel(
     shown = {n: (x, np.maximum(y, _FLOOR) if logarithmic else y) for n, (x, y) in curves.items()}
     under = (axis.label.partition(" ")[0], "power")
     marks: list[Mark] = [Rule(at=1.0), *lines_of(shown, styles, under, texts=hover)]
-    power = log_axis("", max(low, _FLOOR), top) if logarithmic else Axis(low=0.0, high=1.08 * top)
+    label = _power_label(group)
+    power = Axis(label=label, low=0.0, high=1.08 * top)
+    if logarithmic:
+        power = log_axis(label, max(low, _FLOOR), top)
     note = "" if every.size else "not finite"
     return Panel(marks=tuple(marks), x=axis, y=power, grid=True, note=note)
 

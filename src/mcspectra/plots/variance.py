@@ -71,6 +71,7 @@ _WIDE = 1.25  # ratio of the ends of an interval of n that is shown
 _LINEAR_TOP = 4.0  # captured shares up to here are shown on a linear axis
 _VERDICTS = {"better": "#009E73", "worse": ACCENT, "given": INK}
 _CURVE = ("variance", "variance_ci", "rate", "rate_ci")
+_PREDICTED = ("predicted_variance", "predicted_variance_ci")
 
 
 def convergence(group: Group, styles: Styles) -> Plot:
@@ -84,11 +85,41 @@ def convergence(group: Group, styles: Styles) -> Plot:
         mark for name, each in group.items() for mark in _curve(each, styles[name], names[name])
     ]
     predicted = {name: each for name, each in group.items() if "predicted_variance" in each}
-    curves += [_crosses(each, names[name]) for name, each in predicted.items()]
+    for name, each in predicted.items():
+        used = usable_counts(each)
+        n, value, ends = (each[key].values[used] for key in ("n", *_PREDICTED))
+        curves.append(
+            Dots(
+                x=n.astype(float),
+                y=value,
+                color=INK,
+                marker="X",
+                low=np.maximum(ends[:, 0], value * _LEAST_SHOWN),
+                high=ends[:, 1],
+                label="predicted",
+                hover={
+                    "sampler": [names[name]] * n.size,
+                    "n": [f"{int(count)}" for count in n],
+                    "predicted": numbers(value, 6),
+                    "95 %": intervals(ends),
+                },
+            )
+        )
+    # The rate n⁻¹ through the largest variance at the smallest n
+    starts = [
+        float(d["n"].values[i]) * float(d["variance"].values[i])
+        for d in group.values()
+        for i in np.flatnonzero(usable_counts(d))[:1]
+    ]
+    counts = np.concatenate([each["n"].values for each in group.values()]).astype(float)
+    at, label = np.array([counts.min(), counts.max()]), "n⁻¹, the rate of random sampling"
+    if starts and at[0] < at[1]:
+        y = max(starts) / at
+        curves.insert(0, Line(x=at, y=y, color=GRAY, dashes=":", width=0.8, label=label))
     left_out = any(not usable_counts(each).all() for each in group.values())
     return Plot(
         kind="convergence",
-        panels=(_variance_panel([*_reference(group), *curves], group.values()),),
+        panels=(_variance_panel(curves, group.values()),),
         caption="Variance against the number of points, with 95 % intervals, fitted lines and their "
         "rates; dotted, the rate of random sampling."
         + (" Crosses are predicted, with their 95 % intervals." if predicted else "")
@@ -248,12 +279,16 @@ def terms(group: Group, styles: Styles) -> Plot:
         n: np.array([d[f"{t}_ci"].values if f"{t}_ci" in d else [math.nan] * 2 for t in _TERMS])
         for n, d in group.items()
     }
-    above = [_above_rounding(each) for each in values.values()]
+    # What is rounding beside the largest is 0
+    sizes = [np.max(np.abs(v), where=np.isfinite(v), initial=0.0) for v in values.values()]
+    above = [
+        np.where(np.abs(v) > NEGLIGIBLE * size, v, 0.0)
+        for v, size in zip(values.values(), sizes, strict=True)
+    ]
     axis = signed_axis("part of the variance", above, whiskers=np.concatenate(list(ends.values())))
     panels = []
-    for (name, each), shown in zip(values.items(), above, strict=True):
-        largest = float(np.max(np.abs(each), where=np.isfinite(each), initial=0.0))
-        texts = [number_beside(v, largest) if math.isfinite(v) else not_finite(v) for v in each]
+    for (name, each), shown, size in zip(values.items(), above, sizes, strict=True):
+        texts = [number_beside(v, size) if math.isfinite(v) else not_finite(v) for v in each]
         whiskers = np.where((shown != 0)[:, None], ends[name], np.nan)
         rows, opacities = list(_TERMS.values()), (0.35, 0.35, 0.35, 0.75, 1.0)
         color = styles[name].color
@@ -497,7 +532,14 @@ def remedies(group: Group, styles: Styles) -> Plot:
         panels=tuple(panels),
         caption="Variance of each change (of what is biased, mean squared error) over that of the set-up as "
         "given, with intervals that hold together at 95 %; left of 1 there is less noise.",
-        words="Ratios of variances. " + for_each(group, _ratio_words),
+        words="Ratios of variances. "
+        + for_each(
+            group,
+            lambda d: ", ".join(
+                f"{name} {number(float(ratio))}"
+                for name, ratio in zip(d["remedy"].values, d["error_ratio"].values, strict=True)
+            ),
+        ),
         height=0.1 + 0.045 * max(each.sizes["remedy"] for each in group.values()),
         share="x",
     )
@@ -640,43 +682,6 @@ def _curve(data: xr.Dataset, style: LineStyle, name: str, *, joined: bool = Fals
     ]
 
 
-def _crosses(data: xr.Dataset, name: str) -> Dots:
-    """What was predicted, where the variance is above rounding."""
-    used = usable_counts(data)
-    n, variance = data["n"].values[used].astype(float), data["predicted_variance"].values[used]
-    ends = data["predicted_variance_ci"].values[used]
-    return Dots(
-        x=n,
-        y=variance,
-        color=INK,
-        marker="X",
-        low=np.maximum(ends[:, 0], variance * _LEAST_SHOWN),
-        high=ends[:, 1],
-        label="predicted",
-        hover={
-            "sampler": [name] * n.size,
-            "n": [f"{int(count)}" for count in n],
-            "predicted": numbers(variance, 6),
-            "95 %": intervals(ends),
-        },
-    )
-
-
-def _reference(group: Group) -> list[Mark]:
-    """The rate n⁻¹ through the largest variance at the smallest n."""
-    starts = [
-        float(d["n"].values[i]) * float(d["variance"].values[i])
-        for d in group.values()
-        for i in np.flatnonzero(usable_counts(d))[:1]
-    ]
-    counts = np.concatenate([each["n"].values for each in group.values()]).astype(float)
-    ends = np.array([counts.min(), counts.max()])
-    if not starts or ends[0] == ends[1]:
-        return []
-    label = "n⁻¹, the rate of random sampling"
-    return [Line(x=ends, y=max(starts) / ends, color=GRAY, dashes=":", width=0.8, label=label)]
-
-
 def _rate_text(data: xr.Dataset) -> str:
     text, notes = rate(float(data["rate"]), *map(float, data["rate_ci"].values)), ""
     text = {MISSING: "(no rate)", "unresolved": "(rate unresolved)"}.get(text, text)
@@ -687,12 +692,6 @@ def _rate_text(data: xr.Dataset) -> str:
     ):
         notes += f"; {count} of {used.size} {words}" if count else ""
     return text + notes
-
-
-def _above_rounding(values: Array) -> Array:
-    """Values with those set to 0 that are rounding beside the largest."""
-    largest = np.max(np.abs(values), where=np.isfinite(values), initial=0.0)
-    return np.where(np.abs(values) > NEGLIGIBLE * largest, values, 0.0)
 
 
 def _route_ends(data: xr.Dataset) -> Array:
@@ -727,8 +726,3 @@ def _captured_words(data: xr.Dataset) -> str:
     curve = data["captured_by_half_width"].values
     last = float(curve[-1])
     return f"{percent(last) if np.isfinite(last) else MISSING} at half width {len(curve) - 1}"
-
-
-def _ratio_words(data: xr.Dataset) -> str:
-    found = zip(data["remedy"].values, data["error_ratio"].values, strict=True)
-    return ", ".join(f"{name} {number(float(ratio))}" for name, ratio in found)

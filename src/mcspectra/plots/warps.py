@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import xarray as xr
 
@@ -35,19 +37,25 @@ def warp(group: Group, styles: Styles) -> Plot:
             float(np.max(s, where=np.isfinite(s), initial=1.0)) for s in stretches.values()
         )
         scale = log_scale("stretch", 1.0, min(_MOST_STRETCH, max(2.0, largest)))
-        scale = Scale(
-            label="stretch",
-            kind="log",
-            low=1.0,
-            high=scale.high,
-            ticks=scale.ticks,
-            palette="paper",
-        )
+        scale = replace(scale, palette="paper")
         panels = []
         for name, each in group.items():
+            # The images of a few grid lines of each axis, broken where T jumps along them
+            x = each["warped"].transpose("u0", "u1", "coordinate").values
+            torn = each["jump"].transpose("axis", "u0", "u1").values
+            rows, lines = np.unique(np.linspace(0, len(x) - 1, _LINES + 1).astype(int)), []
+            for color, of_axis in (
+                (INK, [(x[:, j], torn[0, :, j] > 0) for j in rows]),
+                (GRAY, [(x[i], torn[1, i] > 0) for i in rows]),
+            ):
+                # All lines of an axis are one, interrupted between them
+                broken = [np.insert(at, np.flatnonzero(t[:-1]) + 1, np.nan, 0) for at, t in of_axis]
+                apart = [np.concatenate([line, np.full((1, 2), np.nan)]) for line in broken]
+                across, up = np.concatenate(apart).T
+                lines.append(Line(x=across, y=up, color=color, width=0.6))
             panels.append(
                 Panel(
-                    marks=tuple(_warped_grid(each)),
+                    marks=tuple(lines),
                     x=unit_axis("x₀"),
                     y=unit_axis("x₁"),
                     title=name,
@@ -55,7 +63,6 @@ def warp(group: Group, styles: Styles) -> Plot:
                     framed=True,
                 )
             )
-            torn = each["jump"].transpose("axis", "u0", "u1").values
             marks = (
                 _cells(np.clip(stretches[name], 1.0, scale.high), scale, "stretch"),
                 Segments(ends=_torn_sides(torn), color=ACCENT, width=1.4),
@@ -162,24 +169,6 @@ def _curve(
         y=Axis(label=label),
         title=name,
     )
-
-
-def _warped_grid(data: xr.Dataset) -> list[Line]:
-    """The images of a few grid lines of each axis, broken where T jumps along them."""
-    x = data["warped"].transpose("u0", "u1", "coordinate").values
-    torn = data["jump"].transpose("axis", "u0", "u1").values > 0
-    rows = np.unique(np.linspace(0, len(x) - 1, _LINES + 1).astype(int))
-    made = []
-    for color, lines in (
-        (INK, [(x[:, j], torn[0, :, j]) for j in rows]),
-        (GRAY, [(x[i], torn[1, i]) for i in rows]),
-    ):
-        # All lines of an axis are one, interrupted between them
-        broken = [np.insert(at, np.flatnonzero(t[:-1]) + 1, np.nan, axis=0) for at, t in lines]
-        ends = [np.concatenate([each, np.full((1, 2), np.nan)]) for each in broken]
-        every = np.concatenate(ends)
-        made.append(Line(x=every[:, 0], y=every[:, 1], color=color, width=0.6))
-    return made
 
 
 def _cells(values: Array, scale: Scale, name: str) -> Image:

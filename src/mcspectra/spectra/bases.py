@@ -50,6 +50,7 @@ __all__ = [
     "hadamard",
     "make_basis",
     "parts_of",
+    "without_last",
 ]
 
 Coefficients = Callable[[Array, "Array | None"], Array]
@@ -271,6 +272,12 @@ _DYADIC_STEPS = ("digital-shift", "owen", "lms", "permute")
 def parts_of(sampler: Sampler) -> tuple[Sampler, tuple[Randomization, ...]]:
     """The sampler inside its randomisations, and these in their order."""
     return (sampler.base, sampler.steps) if isinstance(sampler, Randomized) else (sampler, ())
+
+
+def without_last(sampler: Sampler) -> Sampler:
+    """A randomised sampler without the last of its randomisations."""
+    base, steps = parts_of(sampler)
+    return Randomized(base=base, steps=steps[:-1]) if steps[:-1] else base
 
 
 def fitting_basis(sampler: Sampler, half_width: int) -> str:

@@ -45,7 +45,6 @@ from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.studies.pixel import check_compared, find_pixel
 from mcspectra.variance.anova import Anova, anova_variances
 from mcspectra.variance.convergence import convergence, count_stream
-from mcspectra.variance.counterfactuals import NotTried
 from mcspectra.variance.diagnosis import Diagnosis
 from mcspectra.variance.prediction.predict import predict
 from mcspectra.variance.remedies import (
@@ -334,7 +333,7 @@ def path_remedies(
     """
     ns, budget = list(counts)[-_COUNTS:], int(counts[-1])
     tried: list[Trial] = []
-    not_tried: list[NotTried] = []
+    not_tried: list[str] = []
 
     def attempt(
         kind: str,
@@ -355,7 +354,7 @@ def path_remedies(
                 for n in ns
             ]
         except McspectraError as error:
-            not_tried.append(NotTried(kind, name, str(error)))
+            not_tried.append(f"{name}: {error}")
             return
         cost, note = 1.0, ""
         if kind == "roulette" and isinstance(g, PathPixel):
@@ -385,18 +384,18 @@ def path_remedies(
         for name, change, integrator in _other_roulettes(f):
             attempt("roulette", name, change, partial(replace, f, integrator=integrator, dims=None))
     except McspectraError as error:
-        not_tried.append(NotTried("roulette", "roulette", str(error)))
+        not_tried.append(f"roulette: {error}")
     name = "lights by second moment"
     if lights is None:
         number = len(emitter_names(f.scene))
         reason = f"2 to {_MOST_LIGHTS} lights can be chosen among, if it is known what each gives: the scene has {number}."
-        not_tried.append(NotTried("selection", name, reason))
+        not_tried.append(f"{name}: {reason}")
     else:
         chosen = partial(replace, f, selection=lights["light_selection"].values)
         change = "choose lights by the roots of the second moments of what they give"
         attempt("selection", name, change, chosen, pilot=int(lights.attrs["pilot"]))
     reason = f"{find_integrator(f.scene, f.integrator).class_name()} has no property that sets one."
-    not_tried.append(NotTried("heuristic", "heuristic of MIS", reason))
+    not_tried.append(f"heuristic of MIS: {reason}")
 
     # Say of pilots what their changes are without them, and when they pay
     given, z = tried[0].errors, simultaneous_z(2 * (len(tried) - 1))

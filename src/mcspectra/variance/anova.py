@@ -176,12 +176,6 @@ class Anova(Counted, frozen=True, kw_only=True):
             """The weights of all subsets of u together."""
             return np.asarray(weight[u] - weight[()])
 
-        def combined(weights: list[Array]) -> tuple[Array, Array]:
-            """Combinations (U, S) of the covariances, and their standard errors: (U, channels)."""
-            each = [weighted_sum(row, products) for row in weights]
-            means = np.stack([q.mean(axis=0) for q in each])
-            return means, np.stack([q.std(axis=0, ddof=1) for q in each]) * per_root
-
         parts = [
             below(*u) - sum((below(a) for a in u if len(u) > 1), np.zeros(len(frozen)))
             for u in listed
@@ -191,13 +185,17 @@ class Anova(Counted, frozen=True, kw_only=True):
         every = weighted_sum(below(*axes), products)
         whole = np.where(varies, every.mean(axis=0), np.nan)
 
-        def ratios(weights: list[Array]) -> tuple[Array, Array]:
-            """Combinations as shares of the variance, (U, channels), and their 95 % intervals."""
+        def combined(weights: list[Array]) -> tuple[Array, Array, Array, Array]:
+            """Combinations (U, S) of the covariances with errors, and as shares of the variance with 95 % intervals."""
             each = [weighted_sum(row, products) for row in weights]
-            share = np.stack([q.mean(axis=0) for q in each]) / whole
+            means = np.stack([q.mean(axis=0) for q in each])
+            errors, share = (
+                np.stack([q.std(axis=0, ddof=1) for q in each]) * per_root,
+                means / whole,
+            )
             off = [(q - s * every).std(axis=0, ddof=1) for q, s in zip(each, share, strict=True)]
             half = student_t(count) * per_root * np.stack(off) / np.abs(whole)
-            return share, np.stack([share - half, share + half], axis=-1)
+            return means, errors, share, np.stack([share - half, share + half], axis=-1)
 
         sizes = np.array([len(u) for u in listed])
         labels = ["".join(f"x{i}" for i in u) for u in listed]
@@ -207,15 +205,12 @@ class Anova(Counted, frozen=True, kw_only=True):
             np.sum([part for part, size in zip(parts, sizes, strict=True) if size <= s], axis=0)
             for s in range(1, sizes.max() + 1)
         ]
-        own, own_se = combined(parts)
-        total, total_se = combined(totals)
-        rest, rest_se = combined(larger)
-        share, share_ci = ratios(parts)
-        total_share, total_share_ci = ratios(totals)
-        rest_share, rest_share_ci = ratios(larger)
-        first, first_ci = ratios([below(*axes[: s + 1]) for s in axes])
-        by_size, by_size_ci = ratios(up_to)
-        mean_size, mean_size_ci = ratios([np.sum(totals, axis=0)])
+        own, own_se, share, share_ci = combined(parts)
+        total, total_se, total_share, total_share_ci = combined(totals)
+        rest, rest_se, rest_share, rest_share_ci = combined(larger)
+        *_, first, first_ci = combined([below(*axes[: s + 1]) for s in axes])
+        *_, by_size, by_size_ci = combined(up_to)
+        *_, mean_size, mean_size_ci = combined([np.sum(totals, axis=0)])
         alone = ("channel",)
         few = (
             f"{count} realisations show no error; {_LEAST} are the least" if count < _LEAST else ""

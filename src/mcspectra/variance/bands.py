@@ -85,7 +85,19 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
             labels = ["constant", *(f"{180 * k / _WEDGES:g}°" for k in range(_WEDGES))]
             meaning = "wedge: direction of m"
         case _:
-            of, meaning = _given(np.asarray(bands), basis), "given"
+            given = np.asarray(bands)
+            integer = given.shape == basis.shape and given.dtype.kind in "iu"
+            if not integer or given.min() < 0 or given.max() >= _MAX_BANDS:
+                raise ParameterError(
+                    f"bands has shape {given.shape} and type {given.dtype}; give "
+                    f"{', '.join(map(repr, PARTITIONS))} or integer labels from 0 to {_MAX_BANDS - 1} of "
+                    f"shape {basis.shape}."
+                )
+            of, meaning = basis.pick(given).astype(np.int64), "given"
+            if not np.array_equal(basis.full(of), given):
+                raise ParameterError(
+                    "bands must be the same for m and −m, so that band estimates are real."
+                )
             labels = tuple(map(str, range(int(of.max()) + 1)))
     # The last may be empty: small grids, and bases without negative indices, lack directions.
     return Bands(of, tuple(labels[: int(of.max()) + 1]), f"band ({meaning})")
@@ -99,20 +111,3 @@ def check_bands(bands: str | Array, basis: Basis) -> None:
             raise ParameterError(
                 f"bands='wedge' is for 2 dims, not {basis.dims}; use 'radial' or 'anova'."
             )
-
-
-def _given(labels: Array, basis: Basis) -> Array:
-    """The user's labels of the stored coefficients."""
-    integer = labels.shape == basis.shape and labels.dtype.kind in "iu"
-    if not integer or labels.min() < 0 or labels.max() >= _MAX_BANDS:
-        raise ParameterError(
-            f"bands has shape {labels.shape} and type {labels.dtype}; give "
-            f"{', '.join(map(repr, PARTITIONS))} or integer labels from 0 to {_MAX_BANDS - 1} of shape "
-            f"{basis.shape}."
-        )
-    stored = basis.pick(labels).astype(np.int64)
-    if not np.array_equal(basis.full(stored), labels):
-        raise ParameterError(
-            "bands must be the same for m and −m, so that band estimates are real."
-        )
-    return stored

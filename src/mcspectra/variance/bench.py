@@ -28,6 +28,7 @@ from mcspectra.quality.figures import different_realizations
 from mcspectra.samplers import GivenPoints, Owen, Sampler, Shift, as_sampler
 from mcspectra.samplers.base import Randomized, Structure
 from mcspectra.samplers.optimised import OptimisedSampler
+from mcspectra.spectra.bases import parts_of
 from mcspectra.spectra.pair_correlation import pair_correlation
 from mcspectra.spectra.power import power_spectrum
 from mcspectra.spectra.shapes import radial_statistics
@@ -165,14 +166,23 @@ def sampler_bench(
         )
 
     # Make each in all dims that it can do
-    made = [_in_dims(given, wanted) for given in samplers]
-    for (
-        _,
-        sources,
-    ) in made:  # but those in which all counts asked for are one, such as strata in 10-D
+    made = list[tuple[str, dict[int, Sampler]]]()
+    for given in samplers:
+        sources: dict[int, Sampler] = {}
+        reason: McspectraError | None = None
+        whole = given if isinstance(given, str) else as_sampler(given)
+        for d in wanted:
+            try:
+                sources[d] = shared_sets(as_sampler(whole, d))
+            except McspectraError as error:
+                reason = reason or error
+        if reason is not None and not sources:
+            raise reason
+        # But those in which all counts asked for are one, such as strata in 10-D
         single = [d for d, each in sources.items() if len(_nearest(each, asked)) < 2]
         for d in single if len(single) < len(sources) else ():
             del sources[d]
+        made.append((whole if isinstance(whole, str) else whole.spec, sources))
     specs = [spec for spec, _ in made]
     for spec in specs:
         if specs.count(spec) > 1:
@@ -194,7 +204,19 @@ def sampler_bench(
                 notes and notes[-1].startswith(f"variances of {label} ")
             ):
                 notes.append(f"variances of {label} are those of {short_spec(free.spec)}")
-            parts.append(_curves(free, [t for t in tasks if t.dims == d], asked, many, own))
+            # Convergence on the tasks at the counts nearest to those asked for
+            nearest, own_tasks = _nearest(free, asked), [t for t in tasks if t.dims == d]
+            numbers, sets = sorted({*nearest.values()}), many
+            if isinstance(free, GivenPoints):
+                sets = min(many, *(len(free.sets[n]) for n in numbers))
+            estimators = [Estimator(task.spec, dims=d) for task in own_tasks]
+            curves = convergence(estimators, free, numbers, realizations=sets, rng=own)
+            curves = curves[["mean", "variance", "variance_ci", "rate", "rate_ci"]]
+            curves = curves.rename(estimator="integrand").assign_coords(
+                integrand=[task.title for task in own_tasks], n=list(nearest)
+            )
+            points = np.broadcast_to(np.array(numbers, float), (len(own_tasks), len(numbers)))
+            parts.append(curves.merge(dataset({"points_made": (("integrand", "n"), points)})))
         if lacking := [f"{d}-D" for d in wanted if d not in sources]:
             notes.append(f"{label} cannot do {' and '.join(lacking)}")
         most = sources[max(sources)]
@@ -284,40 +306,6 @@ def standard_tasks(dims: int) -> Iterator[Task]:
         yield Task("jump", "disk(center=0.47, radius=0.3)", dims)
 
 
-def _in_dims(given: Any, dims: Sequence[int]) -> tuple[str, dict[int, Sampler]]:
-    """Make a sampler in all dims that it can do; its spec comes first."""
-    sources: dict[int, Sampler] = {}
-    reason: McspectraError | None = None
-    own = given if isinstance(given, str) else as_sampler(given)
-    for d in dims:
-        try:
-            sources[d] = shared_sets(as_sampler(own, d))
-        except McspectraError as error:
-            reason = reason or error
-    if not sources:
-        assert reason is not None
-        raise reason
-    return own if isinstance(own, str) else own.spec, sources
-
-
-def _curves(
-    source: Sampler, tasks: Sequence[Task], asked: Sequence[int], realizations: int, seed: Any
-) -> xr.Dataset:
-    """Convergence on the tasks at the counts nearest to those asked for."""
-    nearest = _nearest(source, asked)
-    counts = sorted({*nearest.values()})
-    if isinstance(source, GivenPoints):
-        realizations = min(realizations, *(len(source.sets[n]) for n in counts))
-    estimators = [Estimator(task.spec, dims=task.dims) for task in tasks]
-    found = convergence(estimators, source, counts, realizations=realizations, rng=seed)
-    found = found[["mean", "variance", "variance_ci", "rate", "rate_ci"]].rename(
-        estimator="integrand"
-    )
-    found = found.assign_coords(integrand=[task.title for task in tasks], n=list(nearest))
-    made = np.broadcast_to(np.array(counts, float), (len(tasks), len(counts)))
-    return found.merge(dataset({"points_made": (("integrand", "n"), made)}))
-
-
 def _nearest(source: Sampler, asked: Sequence[int]) -> dict[int, int]:
     """Counts that a sampler can make, by the nearest of those asked for: each count once."""
     found = {n: source.nearest_count(n) for n in asked}
@@ -330,7 +318,7 @@ def _look(source: Sampler, asked: Sequence[int], own: Any, seed: int) -> xr.Data
     stream = Stream.from_rng(own)
     nearest = _nearest(source, asked)
     n = max(nearest.values())
-    slow = isinstance(_base(source), OptimisedSampler)
+    slow = isinstance(parts_of(source)[0], OptimisedSampler)
     sets = different_realizations(source, n, stream, SHARED_SETS if slow else 100)
     parts = []
     if source.dims in _HALF_WIDTHS:
@@ -364,10 +352,6 @@ def _joined(parts: Sequence[xr.Dataset]) -> xr.Dataset:
     return xr.merge(parts, join="outer", compat="no_conflicts", combine_attrs="override")
 
 
-def _base(source: Sampler) -> Sampler:
-    return source.base if isinstance(source, Randomized) else source
-
-
 def shared_sets(source: Sampler) -> Sampler:
     """Make do with a few sets of an optimised sampler, each used many times."""
     if isinstance(source, OptimisedSampler):
@@ -390,7 +374,7 @@ def randomized(source: Sampler) -> Sampler:
 
 def making_seconds(source: Sampler, n: int, rng: int) -> float:
     """Return the best time of a few draws on one thread, without the cache; NaN for points that are read."""
-    if isinstance(_base(source), GivenPoints):
+    if isinstance(parts_of(source)[0], GivenPoints):
         return math.nan
     stream = Stream.from_rng(rng)
 

@@ -7,6 +7,7 @@ nothing from above: `blindness` finds them by what is known of the integrand bes
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from mcspectra.estimators.moments import rounding_floor
 from mcspectra.estimators.tails import unsampled_note
 from mcspectra.samplers import Random, Sampler
 from mcspectra.variance.doors import NO_VARIANCE, VANISHES
-from mcspectra.variance.quadrature import growth, square_integral
+from mcspectra.variance.quadrature import closed_moments, growth, square_integral
 
 __all__ = ["blindness", "blindness_of", "is_fixed"]
 
@@ -77,8 +78,23 @@ def blindness(
         unsampled = unsampled_note(e, int(counts[-1]) * realizations)
         if unsampled is not None:
             notes[f"{e.spec}: {unsampled}"] = None
-        peaks = _growth(e)
-        of_random = _random_variance(e, by_quadrature=bool((suspect & varies)[i].any()))
+        # Largest exponent of poles of any technique; black boxes are not called for it
+        techniques = range(len(e.counts) if not e.is_black_box else 0)
+        peaks = np.max([growth(e.primary_integrand(t)) for t in techniques], axis=0, initial=0.0)
+        # n times the variance of random points, Σ_t (∫g_t² − (∫g_t)²)/counts[t]: NaN where no closed form is
+        # known; where it may be infinite, which a quadrature tells, that is tried
+        doubtful, of_random = bool((suspect & varies)[i].any()), np.zeros(max(1, e.channels))
+        for t, count in enumerate(e.counts):
+            g, unknown = e.primary_integrand(t), np.full(of_random.shape, np.nan)
+            mean, square = closed_moments(g) or (unknown, unknown)
+            if square is unknown:
+                if not (doubtful or g.dims == 1) or g.dims > 2 or g.is_black_box:
+                    of_random = unknown
+                    break
+                with suppress(McspectraError):
+                    square = square_integral(g)[0]
+                    mean = np.where(np.isinf(square), 0.0, np.atleast_1d(g.integral))
+            of_random += (square - mean**2) / count
         for j, sampler in enumerate(samplers):
             source, at = e.randomized(sampler), (i, j)
             if is_fixed(e, sampler):
@@ -143,39 +159,6 @@ def blindness_of(
     if not notes and (moments.variance <= measured["floor"]).all():
         notes = [f"{estimator.spec} with {sampler.spec}: {VANISHES}"]
     return blind[0, 0, 0], notes
-
-
-def _growth(estimator: AbstractEstimator) -> Array:
-    """Largest exponent of poles of any technique, (channels or 1,); black boxes are not called for it."""
-    if estimator.is_black_box:
-        return np.zeros(max(1, estimator.channels))
-    techniques = range(len(estimator.counts))
-    found = [growth(estimator.primary_integrand(t)) for t in techniques]
-    return np.asarray(np.max(found, axis=0))
-
-
-def _random_variance(estimator: AbstractEstimator, *, by_quadrature: bool) -> Array:
-    """n times the variance of random points, Σ_t (∫g_t² − (∫g_t)²)/counts[t]: (channels or 1,).
-
-    NaN where no closed form is known; `by_quadrature` tries further, which tells whether it is infinite.
-    """
-    total = np.zeros(max(1, estimator.channels))
-    for t, count in enumerate(estimator.counts):
-        g = estimator.primary_integrand(t)
-        found = g.box_moments(np.zeros((1, g.dims)), np.ones((1, g.dims)))
-        if found is not None:
-            mean, square = (np.asarray(each, float).reshape(-1) for each in found)
-        elif (by_quadrature or g.dims == 1) and g.dims <= 2 and not g.is_black_box:
-            mean = np.full(total.shape, np.nan)
-            try:
-                square = square_integral(g)[0]
-                mean = np.where(np.isinf(square), 0.0, np.atleast_1d(g.integral))
-            except McspectraError:
-                square = mean
-        else:
-            return np.full(total.shape, np.nan)
-        total += (square - mean**2) / count
-    return total
 
 
 def _large_share(realizations: Array) -> Array:

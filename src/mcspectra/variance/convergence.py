@@ -23,15 +23,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, final
 import numpy as np
 from msgspec import Meta
 
-from mcspectra.core.analysis import (
-    Counted,
-    MergeTree,
-    Need,
-    Reduction,
-    Steps,
-    Subject,
-    in_step,
-)
+from mcspectra.core.analysis import Counted, MergeTree, Need, Reduction, Steps, Subject, in_step
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.memory import memory_of

@@ -45,7 +45,6 @@ __all__ = [
     "Budget",
     "Counterfactual",
     "Kind",
-    "NotTried",
     "Setup",
     "affordable_count",
     "other_setups",
@@ -146,15 +145,6 @@ class Counterfactual:
 
 
 @dataclass(frozen=True)
-class NotTried:
-    """A change that could not be made, or would make nothing different, and why."""
-
-    kind: str
-    name: str
-    reason: str
-
-
-@dataclass(frozen=True)
 class _Offer:
     """A change that a kind has to offer."""
 
@@ -164,7 +154,8 @@ class _Offer:
     biased: bool = False
 
 
-_Offers: TypeAlias = Iterator[_Offer | NotTried]
+_Offers: TypeAlias = Iterator[_Offer | str]
+"""Offers, and sentences that name changes that could not be made, or would change nothing, and say why."""
 
 Kind: TypeAlias = Literal[
     "unshifted",
@@ -188,8 +179,8 @@ Kind: TypeAlias = Literal[
 
 def other_setups(
     given: Setup, kinds: Sequence[Kind], budget: Budget
-) -> Iterator[Counterfactual | NotTried]:
-    """All set-ups of the kinds asked for, in the order of `kinds`, none twice.
+) -> Iterator[Counterfactual | str]:
+    """All set-ups of the kinds asked for, in the order of `kinds`, none twice; ``name: reason`` of others.
 
     Where a kind fails, that is its reason. Changes of what is inside of a mirrored estimator are
     mirrored again.
@@ -201,7 +192,7 @@ def other_setups(
         inner = given if outer is None else replace(given, estimator=outer.estimator)
         try:
             for offer in KINDS[kind](inner, budget):
-                if isinstance(offer, NotTried):
+                if isinstance(offer, str):
                     yield offer
                     continue
                 try:
@@ -214,14 +205,14 @@ def other_setups(
                     # Raises where there are no such points
                     setup.estimator.randomized(setup.sampler)
                 except McspectraError as error:
-                    yield NotTried(kind, offer.name, str(error))
+                    yield f"{offer.name}: {error}"
                     continue
                 found = Counterfactual(kind, offer.name, offer.change, setup, offer.biased)
                 if found.key not in seen:
                     yield found
                 seen.add(found.key)
         except McspectraError as error:
-            yield NotTried(kind, kind, str(error))
+            yield f"{kind}: {error}"
 
 
 def affordable_count(setup: Setup, budget: int) -> int | None:
@@ -296,11 +287,11 @@ def align_strata(given: Setup, budget: Budget) -> _Offers:
 
     # The best offset
     if given.is_black_box:
-        yield NotTried("aligned", "offset", "Its search takes more evaluations than the budget.")
+        yield "offset: Its search takes more evaluations than the budget."
         return
     n = affordable_count(replace(given, sampler=plain), budget.evaluations)
     if n is None:
-        yield NotTried("aligned", "offset", f"{plain.spec} has no count within the budget.")
+        yield f"offset: {plain.spec} has no count within the budget."
         return
     found = best_alignment(
         given.estimator,
@@ -312,7 +303,7 @@ def align_strata(given: Setup, budget: Budget) -> _Offers:
     )
     offset = found["strata_offset"].sel(candidate="offset").values.tolist()
     if not any(offset):
-        yield NotTried("aligned", "offset", "No offset of the strata is better than none.")
+        yield "offset: No offset of the strata is better than none."
         return
     shown = ", ".join(f"{o:.3g}" for o in offset)
     step = StrataShift(offset=tuple(offset) if len(offset) > 1 else offset[0])
@@ -350,10 +341,10 @@ def change_heuristic(given: Setup, budget: Budget) -> _Offers:
         make = partial(estimator.with_heuristic, name)
         pilot = as_heuristic(name).pilot_evaluations
         if pilot >= budget.evaluations:
-            reason = (
-                f"Its pilot alone takes {pilot} evaluations, {budget.evaluations} are the budget."
+            yield (
+                f"heuristic: {name}: Its pilot alone takes {pilot} evaluations, {budget.evaluations} "
+                "are the budget."
             )
-            yield NotTried("heuristic", f"heuristic: {name}", reason)
             continue
         change = f"combine the techniques by {as_heuristic(name).spec}"
         yield _Offer(f"heuristic: {name}", change, make)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -193,7 +194,15 @@ def diagnose(
     Those of a user's function by so many realisations at most, and the rest by `most` evaluations of it.
     """
     with counting("The diagnosis", most):
-        odd = _odd_share(estimator)
+        # Share of the variance of g that cancels in its mean over all 2^d reflections about the centre, from
+        # means over fixed points; None in more than four dims, or where g is constant or has no values
+        odd, whole, even = None, 0.0, 0.0
+        with suppress(McspectraError):
+            for t, count in enumerate(estimator.counts if estimator.dims <= _ODD_DIMS else ()):
+                g, u = estimator.primary_integrand(t), probe_points(estimator.dims, _ODD_POINTS)
+                whole += float(g(u).var(axis=0).sum()) / count
+                even += float(SymmetrizedIntegrand(g)(u).var(axis=0).sum()) / count
+            odd = max(1.0 - even / whole, 0.0) if whole > 0 else None
         boundary, inside = jumps_of(estimator)
     # What is mirrored is shifted before it is folded
     shifted = any(isinstance(step, Shift) for step in parts_of(sampler)[1])
@@ -223,24 +232,6 @@ def diagnose(
         inside=inside,
         odd=odd,
     )
-
-
-def _odd_share(estimator: AbstractEstimator) -> float | None:
-    """Share of the variance of g that cancels in its mean over all 2^d reflections about the centre.
-
-    From means over fixed points; None in more than four dims, or where g is constant or has no values.
-    """
-    if estimator.dims > _ODD_DIMS:
-        return None
-    u, whole, even = probe_points(estimator.dims, _ODD_POINTS), 0.0, 0.0
-    try:
-        for t, count in enumerate(estimator.counts):
-            g = estimator.primary_integrand(t)
-            whole += float(g(u).var(axis=0).sum()) / count
-            even += float(SymmetrizedIntegrand(g)(u).var(axis=0).sum()) / count
-    except McspectraError:
-        return None
-    return max(1.0 - even / whole, 0.0) if whole > 0 else None
 
 
 def jumps_of(estimator: AbstractEstimator) -> tuple[Jumps | None, Jumps | None]:

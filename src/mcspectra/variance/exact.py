@@ -52,14 +52,13 @@ from mcspectra.samplers import (
     LatinHypercube,
     Mirror,
     Random,
-    Randomized,
     Regular,
     Sampler,
     Shift,
     StrataShift,
     UniformJitter,
 )
-from mcspectra.spectra.bases import hadamard, parts_of
+from mcspectra.spectra.bases import hadamard, parts_of, without_last
 from mcspectra.spectra.gain import gains_at
 from mcspectra.variance.ordered import weighted_sum
 from mcspectra.variance.prediction.known import Known
@@ -342,11 +341,30 @@ def _variance(sampler: Sampler, n: int, g: Integrand, rule: Rule) -> tuple[Array
     """Variance of the mean of g over a set, and what it may miss; (channels,) or (1,)."""
     base, steps = parts_of(sampler)
     if steps and isinstance(steps[-1], Mirror):
-        inner = Randomized(base=base, steps=steps[:-1]) if steps[:-1] else base
-        return _mirrored(steps[-1].mode, inner, n, g, rule)
-    names = {step.name for step in steps}
+        # The variance of the sampler inside with another integrand
+        inner, mode = without_last(sampler), steps[-1].mode
+        if mode == "fold":
+            return _variance(inner, n, FoldedIntegrand(g), rule)
+        average = SymmetrizedIntegrand(g)
+        if mode == "uniform":
+            return _variance(inner, n >> g.dims, average, rule)
+        if not inner.unbiased:
+            raise NoClosedForm(
+                f"No exact variance is known for random reflections of {inner.spec}, whose points are "
+                "not uniform; use convergence or variance_terms."
+            )
+        one = Random(dims=g.dims)
+        whole, missed = _variance(one, 1, g, rule)
+        part, unseen = _variance(inner, n, average, rule)
+        coins = np.maximum(whole - _variance(one, 1, average, rule)[0], 0.0)
+        return part + coins / n, unseen + missed / n
+
+    names, none = {step.name for step in steps}, np.zeros(g.dims)
     if sampler.name == "antithetic-jittered":
-        return _antithetic(g, n, rule)
+        # One jittered point in each of n/2 cells, with the mean of g at it and at its reflection
+        side = round((n // 2) ** (1.0 / g.dims))
+        _, spread, unseen = strata(paired(g, side), (side,) * g.dims, none, rule)
+        return spread / (n // 2), unseen / (n // 2)
     if base.name in _LATIN and getattr(base, "strength", 1) == 1 and sampler.dims > 1:
         if names <= {"shift", "shuffle"}:
             return _latin(sampler, n, g, rule, shifted="shift" in names)
@@ -358,30 +376,25 @@ def _variance(sampler: Sampler, n: int, g: Integrand, rule: Rule) -> tuple[Array
         # In base 2 there are two permutations of a digit: permute is the same thing
         if set(base.digit_bases) == {2} and names <= _KEEP_LAW:
             return _digitally_shifted(base, points()[0], g, rule)
-    return _stratified(sampler, base, steps, n, g, rule)
 
-
-def _stratified(
-    sampler: Sampler, base: Any, steps: tuple[Any, ...], n: int, g: Integrand, rule: Rule
-) -> tuple[Array, Array]:
-    """One point in each stratum, or a grid, with fixed and random offsets."""
-    known = isinstance(base, Random | Jittered | Regular | UniformJitter)
-    known = known or (isinstance(base, LatinHypercube) and g.dims == 1)
+    # One point in each stratum, or a grid, with fixed and random offsets
+    latin = isinstance(base, LatinHypercube)
+    known = isinstance(base, Random | Jittered | Regular | UniformJitter) or (latin and g.dims == 1)
     if not known or not all(isinstance(step, Shift | StrataShift) for step in steps):
         raise NoClosedForm(
             f"No exact variance is known for {sampler.spec} in {g.dims} dims; "
             "use convergence or variance_terms."
         )
-    offset = np.zeros(g.dims)
+    offset = none
     for step in steps:
         if isinstance(step, StrataShift):
             offset = offset + np.asarray(step.offset, float)
     offset, shifted = offset % 1.0, any(isinstance(step, Shift) for step in steps)
     if isinstance(base, Random):
-        _, spread, unseen = strata(g, (1,) * g.dims, np.zeros(g.dims), rule)
+        _, spread, unseen = strata(g, (1,) * g.dims, none, rule)
         return spread / n, unseen / n
-    sides = (n,) if isinstance(base, LatinHypercube) else base.sides(n)
-    jittered = isinstance(base, Jittered | LatinHypercube)
+    sides = (n,) if latin else base.sides(n)  # type: ignore[attr-defined]
+    jittered = latin or isinstance(base, Jittered)
     if jittered and not shifted:
         _, spread, unseen = strata(g, sides, offset * n ** (-1.0 / g.dims), rule)
         return spread / n, unseen / n
@@ -393,46 +406,13 @@ def _stratified(
         found = np.stack([strata(g, sides, d, rule)[1:] for d in nodes])
         spread, unseen = weighted_sum(weights, found)
         return spread / n, unseen / n
+
     # A grid with one random offset: the variance of its mean over the offset
-    means, unseen = _grid_means(g, sides, nodes, weights)
-    return weighted_sum(weights, (means - weighted_sum(weights, means)) ** 2), unseen / n
-
-
-def _grid_means(
-    g: Integrand, sides: tuple[int, ...], nodes: Array, weights: Array
-) -> tuple[Array, Array]:
-    """Means of g over grids with these offsets, (offsets, channels), and the rule's `blindness`."""
-    flat = (math.prod(sides), -1)
-    values = (grid_values(g, sides, d).reshape(flat) for d in nodes)
-    both = np.array([(v.mean(axis=0), (v**2).mean(axis=0)) for v in values])
-    one, two = weighted_sum(weights, both)
-    return both[:, 0], blindness(g, one[None], two[None])
-
-
-def _mirrored(mode: str, inner: Sampler, n: int, g: Integrand, rule: Rule) -> tuple[Array, Array]:
-    """The variance of the sampler inside with another integrand."""
-    if mode == "fold":
-        return _variance(inner, n, FoldedIntegrand(g), rule)
-    average = SymmetrizedIntegrand(g)
-    if mode == "uniform":
-        return _variance(inner, n >> g.dims, average, rule)
-    if not inner.unbiased:
-        raise NoClosedForm(
-            f"No exact variance is known for random reflections of {inner.spec}, whose points are "
-            "not uniform; use convergence or variance_terms."
-        )
-    one = Random(dims=g.dims)
-    whole, missed = _variance(one, 1, g, rule)
-    part, unseen = _variance(inner, n, average, rule)
-    coins = np.maximum(whole - _variance(one, 1, average, rule)[0], 0.0)
-    return part + coins / n, unseen + missed / n
-
-
-def _antithetic(g: Integrand, n: int, rule: Rule) -> tuple[Array, Array]:
-    """One jittered point in each of n/2 cells, with the mean of g at it and at its reflection."""
-    side = round((n // 2) ** (1.0 / g.dims))
-    _, spread, unseen = strata(paired(g, side), (side,) * g.dims, np.zeros(g.dims), rule)
-    return spread / (n // 2), unseen / (n // 2)
+    grids = (grid_values(g, sides, d).reshape(math.prod(sides), -1) for d in nodes)
+    both = np.array([(v.mean(axis=0), (v**2).mean(axis=0)) for v in grids])
+    one_mean, square = weighted_sum(weights, both)
+    unseen = blindness(g, one_mean[None], square[None])
+    return weighted_sum(weights, (both[:, 0] - one_mean) ** 2), unseen / n
 
 
 def paired(g: Integrand, side: int) -> Integrand:

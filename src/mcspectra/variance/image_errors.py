@@ -24,7 +24,8 @@ from mcspectra.core.tally import counting
 from mcspectra.integrands import Integrand, as_integrand
 from mcspectra.samplers import Decorrelate, Sampler, as_sampler
 from mcspectra.spectra.bases import parts_of
-from mcspectra.variance.quadrature import mean_square
+from mcspectra.variance.prediction.known import half_interval
+from mcspectra.variance.quadrature import square_integral
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -131,57 +132,42 @@ def image_error_spectrum(
             f"dims and {_MOST_VALUES:,} of each are possible; lower half_width, n or the mask's width."
         )
 
+    stream = Stream.from_rng(rng)
     with counting("image_error_spectrum", max_evaluations) as tally:
-        found = _spectra(functions, source, n, width, half_width, images, Stream.from_rng(rng))
+        # Images of errors as they are, of shared sets and shifts that the prediction takes, too
+        rings, integrals = Rings(width, width), np.array([f.integral for f in functions])
+        sets, shifts = np.empty((images, n, d)), np.empty((images, pixels, d))
+        measured = np.empty((images, rings.radius.size))
+        for k in range(images):
+            x = source.draw_stream(n, stream.child(k), 0, pixels)
+            sets[k], shifts[k] = x[0], (x[:, 0] - x[0, 0]) % 1.0
+            if len(functions) == 1:
+                values = functions[0](x).mean(axis=1)
+            else:
+                values = np.array([f(own).mean() for f, own in zip(functions, x, strict=True)])
+            measured[k] = rings.mean(_power(values - integrals, width))
+
+        # The same from coefficients without f_0, until the rest of ∫f² is lost in the weakest band
+        whole = np.array([float(square_integral(f)[0][0] - f.integral**2) for f in functions])
+        exact = all(f.fourier_source == "exact" for f in functions)
+        reach, grows = half_width or _FIRST, half_width is None and exact
+        while True:
+            known = np.stack([f.fourier_grid(reach) for f in functions])
+            flat = known.reshape(len(functions), -1)
+            flat[:, flat.shape[1] // 2] = 0.0
+            energy = (np.abs(flat) ** 2).sum(axis=1)
+            tail = float(np.maximum(whole - energy, 0.0).mean()) / n
+            guessed = (_errors(known, *each) for each in zip(sets, shifts, strict=True))
+            spectrum = np.mean([rings.mean(_power(each, width)) for each in guessed], axis=0) + tail
+            beyond = tail / float(spectrum.min()) if tail else 0.0
+            most = min(_MOST_MODES, _MOST_VALUES // len(functions))
+            if not grows or beyond < _LOST or (4 * reach + 1) ** d > most:
+                break
+            reach *= 2
     tally.check()
-    return found.assign_attrs(evaluations=tally.made)
-
-
-def _spectra(
-    functions: list[Integrand],
-    source: Sampler,
-    n: int,
-    width: int,
-    half_width: int | None,
-    images: int,
-    stream: Stream,
-) -> xr.Dataset:
-    from scipy.special import stdtrit
-
-    # Images of errors as they are, of shared sets and shifts that the prediction takes, too
-    pixels, d = width * width, source.dims
-    rings, integrals = Rings(width, width), np.array([f.integral for f in functions])
-    sets, shifts = np.empty((images, n, d)), np.empty((images, pixels, d))
-    measured = np.empty((images, rings.radius.size))
-    for k in range(images):
-        x = source.draw_stream(n, stream.child(k), 0, pixels)
-        sets[k], shifts[k] = x[0], (x[:, 0] - x[0, 0]) % 1.0
-        if len(functions) == 1:
-            values = functions[0](x).mean(axis=1)
-        else:
-            values = np.array([f(own).mean() for f, own in zip(functions, x, strict=True)])
-        measured[k] = rings.mean(_power(values - integrals, width))
-
-    # The same from coefficients without f_0, until the rest of ∫f² is lost in the weakest band
-    whole = np.array([float(mean_square(f)[0] - f.integral**2) for f in functions])
-    exact = all(f.fourier_source == "exact" for f in functions)
-    reach, grows = half_width or _FIRST, half_width is None and exact
-    while True:
-        known = np.stack([f.fourier_grid(reach) for f in functions])
-        flat = known.reshape(len(functions), -1)
-        flat[:, flat.shape[1] // 2] = 0.0
-        energy = (np.abs(flat) ** 2).sum(axis=1)
-        tail = float(np.maximum(whole - energy, 0.0).mean()) / n
-        guessed = (_errors(known, *each) for each in zip(sets, shifts, strict=True))
-        spectrum = np.mean([rings.mean(_power(each, width)) for each in guessed], axis=0) + tail
-        beyond = tail / float(spectrum.min()) if tail else 0.0
-        modes = (4 * reach + 1) ** d
-        if not grows or beyond < _LOST or modes > min(_MOST_MODES, _MOST_VALUES // len(functions)):
-            break
-        reach *= 2
 
     found = measured.mean(axis=0)
-    half = stdtrit(images - 1, 0.975) * measured.std(axis=0, ddof=1) / math.sqrt(images)
+    half = half_interval(measured)
     weight = rings.sizes
     level = float(np.average(spectrum, weights=weight))
     note = (
@@ -209,7 +195,7 @@ def _spectra(
         images=images,
         seed=stream.key,
         note=note if beyond > _BEYOND else None,
-    )
+    ).assign_attrs(evaluations=tally.made)
 
 
 def _power(errors: Array, width: int) -> Array:

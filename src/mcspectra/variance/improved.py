@@ -468,16 +468,10 @@ _Found: TypeAlias = Iterator[tuple[str, str, _Changed, float]]
 """Names, changes, changed integrands, and the shares of the variance that they leave."""
 
 
-def _fitted(g: Integrand, seen: Evaluations) -> _Found:
-    """The best density of each family."""
-    for label, change, density, ratio in _densities(seen, _settings(g.dims)):
-        yield label, change, _Warped(integrand=g, density=density, label=label), ratio
-
-
-def _densities(
-    seen: Evaluations, settings: Sequence[tuple[int, int, float]]
-) -> Iterator[tuple[str, str, _Map, float]]:
-    """The best of each family of densities, with what it is expected to leave of the variance."""
+def _fitted(g: Integrand, seen: Evaluations, *, roughly: bool = False) -> _Found:
+    """The best density of each family, with what it is expected to leave; `roughly`, of few candidates."""
+    joint = _JOINT if 1 < g.dims <= _MOST_JOINT else ()  # in few dims only
+    settings = (*joint, *_PRODUCTS)[: 1 if roughly else None]
     families: list[tuple[str, str, list[Callable[[Evaluations], _Map]]]] = [
         (
             "splines",
@@ -497,17 +491,9 @@ def _densities(
             for fit in candidates
         ]
         best = int(np.argmin(scores))
-        yield (
-            f"fitted {label}",
-            change,
-            candidates[best](seen),
-            scores[best] / max(sum(half.variance() for half in both), 1e-300),
-        )
-
-
-def _settings(dims: int) -> Sequence[tuple[int, int, float]]:
-    """Of splines, joint ones in few dims only."""
-    return _JOINT + _PRODUCTS if 1 < dims <= _MOST_JOINT else _PRODUCTS
+        label, density = f"fitted {label}", candidates[best](seen)
+        left = scores[best] / max(sum(half.variance() for half in both), 1e-300)
+        yield label, change, _Warped(integrand=g, density=density, label=label), left
 
 
 def _splines(seen: Evaluations, setting: tuple[int, int, float]) -> _Map:
@@ -674,7 +660,8 @@ def evaluated(
         seen = Evaluations(points, values, pdf)
         if not all(half.values.any() for half in seen.halves):
             return None
-        return min(_densities(seen, _settings(g.dims)[:1]), key=lambda found: found[3])[2]
+        best = min(_fitted(g, seen, roughly=True), key=lambda found: found[3])[2]
+        return best.density if isinstance(best, _Warped) else None
 
     return Evaluations(*in_rounds(g, g.dims, sizes, follow, stream))
 

@@ -29,9 +29,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_choice
+from mcspectra.core.checks import as_choice
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.memory import check_memory, memory_of
+from mcspectra.core.records import student_t
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, Estimator, Moments, as_estimator
@@ -168,7 +169,13 @@ def integrate(
         pilot = affordable_count(setup, most // _PILOT) if splits else None
         if pilot is not None and pilot >= 2**_LEVELS:
             first = calls(source.draw_stream(pilot, stream, 0, _LEAST))
-            rate = _rate(first)
+            # θ of a variance ∝ n^-θ, the largest where prefixes have none
+            prefixes = first.shape[1] >> np.arange(_LEVELS)
+            means = np.stack([first[:, :n].mean(axis=1) for n in prefixes])
+            variances, rate = means.var(axis=1, ddof=1), _RATES[1]
+            if (variances > rounding_floor(np.abs(means).max(axis=1))).all():
+                slope = np.polyfit(np.log(prefixes), np.log(variances), 1)[0]
+                rate = float(np.clip(-slope, *_RATES))
 
         # Choose the number of points of a replicate, then make all of them
         counts = {most}
@@ -176,7 +183,11 @@ def integrate(
             if n < max(pilot or 1, 2):
                 break
             counts.add(n)
-        n = min(counts, key=lambda n: _half_width(n, calls.budget // n, rate))
+        # Half widths of the interval but for a factor, by Student's t
+        widths = {
+            n: student_t(r := calls.budget // n) * n ** (-0.5 * rate) * r**-0.5 for n in counts
+        }
+        n = min(widths, key=lambda n: widths[n])
         replicates = calls.budget // n
         x = source.draw_stream(n, stream, 0, replicates)
         values = np.empty(x.shape[:2])
@@ -222,24 +233,3 @@ def integrate(
         stream_key=f"{stream.key:#x}",
         note=note,
     )
-
-
-def _rate(values: Array) -> float:
-    """θ of a variance ∝ n^-θ, of prefixes of replicates (R, n); the largest where one has none."""
-    counts = values.shape[1] >> np.arange(_LEVELS)
-    means = np.stack([values[:, :n].mean(axis=1) for n in counts])
-    variances = means.var(axis=1, ddof=1)
-    if (variances <= rounding_floor(np.abs(means).max(axis=1))).any():
-        return _RATES[1]
-    return float(np.clip(-np.polyfit(np.log(counts), np.log(variances), 1)[0], *_RATES))
-
-
-def _half_width(n: int, replicates: int, rate: float) -> float:
-    """Half width of the interval, but for a factor."""
-    return float(_t(replicates) * n ** (-0.5 * rate) * replicates**-0.5)
-
-
-def _t(replicates: int) -> float:
-    from scipy.special import stdtrit
-
-    return float(stdtrit(replicates - 1, 0.975))

@@ -20,6 +20,7 @@ import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from os import PathLike
 from typing import Any, final
 
@@ -58,9 +59,8 @@ _BINS = 512  # of the marginals that the knots come from
 _STEPS = 120  # of L-BFGS
 _LONGEST = 1.0  # step of a logarithm
 _GAIN = 2e-9  # of the function, below which fits end
-_ALL_STEPS = (
-    4  # dims up to which flows take them; with more, longer fits cost more and are no better
-)
+# Dims up to which flows take them; with more, longer fits cost more and are no better
+_ALL_STEPS = 4
 _REPLICATES = 6  # at least, of each candidate
 _ITERATIONS = 5  # of VEGAS
 _GRID = 64
@@ -77,6 +77,10 @@ LEARNED: dict[str, tuple[tuple[int, int, float], ...]] = {
     "spline-flow": ((12, 0, 1e-3), (8, 0, 1e-1), (8, 0, 1e-2), (16, 0, 1e-4)),
 }
 """Kinds of learned densities, with their candidates."""
+
+
+# The L-BFGS of samplers: scipy's asks BLAS for threads at each step, which takes 15 times as long as all else
+_least = partial(minimize, longest=_LONGEST, gain=_GAIN)
 
 
 def fit_splines(
@@ -124,28 +128,23 @@ def fit_splines(
         defensive=defensive,
         smooth=smooth,
     )
-    own = _grouped(points, w, max(parts, 1), generator)
+
+    # Groups of points with the mass of |f|, by Lloyd's method, from which parts start
+    own = np.zeros(len(points), np.int64)
+    if parts > 1:
+        known = min(parts, int(np.count_nonzero(w)))
+        seeds = points[generator.choice(len(points), known, p=w, replace=False)]
+        for _ in range(8):
+            own = ((points[:, None] - seeds) ** 2).sum(axis=-1).argmin(axis=1)
+            heavy = np.bincount(own, w, known)
+            for j, x in enumerate(points.T):
+                sums = np.bincount(own, w * x, known)
+                seeds[:, j] = np.where(heavy > 0.0, sums / np.maximum(heavy, 1e-300), seeds[:, j])
     shares, tables = seen.mixture(own, max(parts, 1), _STEPS if parts else _STEPS // 4)
     if parts:
         return SplineDensity(knots=knots, defensive=defensive, shares=shares, tables=np.exp(tables))
     gates = seen.flow(_columns(flow_features(points)), tables[0])
     return SplineDensity(knots=knots, defensive=defensive, gates=gates)
-
-
-def _grouped(points: Array, w: Array, count: int, generator: np.random.Generator) -> Array:
-    """Groups (N,) of points with the mass of |f|, by Lloyd's method, from which parts start."""
-    own = np.zeros(len(points), np.int64)
-    if count == 1:
-        return own
-    known = min(count, int(np.count_nonzero(w)))
-    seeds = points[generator.choice(len(points), known, p=w, replace=False)]
-    for _ in range(8):
-        own = ((points[:, None] - seeds) ** 2).sum(axis=-1).argmin(axis=1)
-        heavy = np.bincount(own, w, known)
-        for j, x in enumerate(points.T):
-            sums = np.bincount(own, w * x, known)
-            seeds[:, j] = np.where(heavy > 0.0, sums / np.maximum(heavy, 1e-300), seeds[:, j])
-    return own
 
 
 @final
@@ -195,7 +194,7 @@ class _Seen:
             by_shares = held - np.exp(shares) * held.sum()
             return value + penalty, np.concatenate([by_shares, gradient.ravel()])
 
-        best = _least(loss, np.concatenate([np.log(whole), tables.ravel()]), steps)
+        best = _least(loss, np.concatenate([np.log(whole), tables.ravel()]), iterations=steps)
         return softmax(best[:count]), log_softmax(best[count:].reshape(tables.shape), axis=-1)
 
     def flow(self, features: Array, start: Array) -> Array:
@@ -246,7 +245,8 @@ class _Seen:
         gain = (slopes[:, :, 1:].reshape(*start.shape, -1, DEGREE) ** 2).sum(axis=(1, 3))
         followed = before & (gain >= np.sort(gain, axis=None)[-min(max(most, 1), gain.size)])
         used, loss = loss_of(followed)
-        gates[used] = _least(loss, gates[used], min(_STEPS, _STEPS * _ALL_STEPS // len(start)))
+        steps = min(_STEPS, _STEPS * _ALL_STEPS // len(start))
+        gates[used] = _least(loss, gates[used], iterations=steps)
         return gates
 
     def _entropy(self, logarithm: Array) -> tuple[float, Array]:
@@ -388,7 +388,23 @@ def learned_density(
         grid = vegas_density(
             values_at, dims=d, increments=_GRID, iterations=_ITERATIONS, evaluations=each, seed=seed
         )
-        made = [_smoothed(np.array(grid.nodes), s[0], defensive) for s in LEARNED[kind]]
+        # Follow the histograms of VEGAS, on every so many of their borders
+        nodes = np.array(grid.nodes)
+        for cells, *_ in LEARNED[kind]:
+            knots = nodes[:, :: (nodes.shape[1] - 1) // cells]
+            tables = np.empty((1, len(knots), cells + 2))
+            for table, line in zip(tables[0], knots, strict=True):
+                # Weights are densities where the splines lie, times their lengths
+                ends = np.concatenate([[0.0, 0.0], line, [1.0, 1.0]])
+                middle = 0.5 * (line[1:] + line[:-1])
+                density = np.exp(
+                    np.interp(0.5 * (ends[1:-2] + ends[2:-1]), middle, -np.log(np.diff(line)))
+                )
+                table[:] = density * spline_lengths(line)
+            tables /= tables.sum(axis=-1, keepdims=True)
+            made.append(
+                SplineDensity(knots=knots, defensive=defensive, shares=np.ones(1), tables=tables)
+            )
     else:
         first = LEARNED[kind][0]
 
@@ -468,15 +484,6 @@ def in_rounds(
     return points, values, pdf
 
 
-def _least(function: Callable[[Array], tuple[float, Array]], start: Array, steps: int) -> Array:
-    """Where a function that gives its value and its gradient is least.
-
-    By the L-BFGS of samplers: scipy's asks BLAS for threads at each step, which takes 15 times as long as
-    all else here.
-    """
-    return minimize(function, start, iterations=steps, longest=_LONGEST, gain=_GAIN)
-
-
 def _padded(given: Array, by: float) -> Array:
     """With further entries, so that their number is one of whole blocks."""
     more = [(0, -len(given) % _BLOCK)] + [(0, 0)] * (given.ndim - 1)
@@ -490,17 +497,3 @@ def _in_blocks(given: Array) -> Array:
 def _columns(given: Array) -> Array:
     """Functions at points (N, M), in blocks: (blocks, M, size)."""
     return np.ascontiguousarray(given.reshape(-1, _BLOCK, given.shape[1]).swapaxes(1, 2))
-
-
-def _smoothed(nodes: Array, cells: int, defensive: float) -> SplineDensity:
-    """A density of splines that follows the histograms of VEGAS, on every so many of their borders."""
-    knots = nodes[:, :: (nodes.shape[1] - 1) // cells]
-    tables = np.empty((1, len(knots), cells + 2))
-    for table, line in zip(tables[0], knots, strict=True):
-        # Weights are densities where the splines lie, times their lengths
-        ends = np.concatenate([[0.0, 0.0], line, [1.0, 1.0]])
-        middle = 0.5 * (line[1:] + line[:-1])
-        place = 0.5 * (ends[1:-2] + ends[2:-1])
-        table[:] = np.exp(np.interp(place, middle, -np.log(np.diff(line)))) * spline_lengths(line)
-    tables /= tables.sum(axis=-1, keepdims=True)
-    return SplineDensity(knots=knots, defensive=defensive, shares=np.ones(1), tables=tables)

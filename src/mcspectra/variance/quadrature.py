@@ -29,12 +29,13 @@ __all__ = [
     "Pointwise",
     "Rule",
     "blindness",
+    "closed_moments",
     "constant",
+    "grid",
     "grid_values",
     "growth",
     "in_closed_form",
     "looked_at",
-    "mean_square",
     "mesh",
     "moments",
     "offset_rule",
@@ -43,6 +44,7 @@ __all__ = [
     "strata",
     "stratum_moments",
     "unseen",
+    "values_at",
 ]
 
 MOST_EVALUATIONS = 2.0**26
@@ -178,8 +180,7 @@ def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
     density over the domain, where its knots lie across the axes: those of g lie along curves.
     """
     if "_moments" not in g.__dict__:
-        box = np.zeros((1, g.dims))
-        exact = g.box_moments(box, box + 1.0)
+        exact = closed_moments(g)
         if exact is None:
             middle = g(probe(g.dims)[:_CENTER]).reshape(_CENTER, -1).mean(axis=0)
             inside: Any = _inside(g)[0]
@@ -189,7 +190,7 @@ def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
 
             def centered(x: Array) -> Array:
                 p = density.pdf(x)[..., None] if over_domain else 1.0
-                values = (inside.integrand if over_domain else g)(x).reshape(*x.shape[:-1], -1)
+                values = values_at(inside.integrand if over_domain else g, x)
                 first = values / p - middle
                 with np.errstate(over="ignore"):  # next to a pole
                     return np.concatenate([first * p, first**2 * p], axis=-1)
@@ -203,7 +204,7 @@ def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
             if "_unseen" in both.__dict__:
                 g.__dict__["_unseen_square"] = both.__dict__["_unseen"][len(middle) :]
         else:
-            middle, square = (np.asarray(moment, float).reshape(-1) for moment in exact)
+            middle, square = exact
             first, second, error = 0.0 * middle, square - middle**2, 0.0 * middle
         g.__dict__["_moments"] = middle, first, second, error
     found: tuple[Array, Array, Array, Array] = g.__dict__["_moments"]
@@ -258,14 +259,33 @@ def constant(g: Integrand) -> str:
     )
 
 
+def closed_moments(g: Integrand) -> tuple[Array, Array] | None:
+    """∫g and ∫g², both (channels or 1,), where g knows its moments over boxes."""
+    found = g.box_moments(np.zeros((1, g.dims)), np.ones((1, g.dims)))
+    if found is None:
+        return None
+    mean, square = (np.asarray(moment, float).reshape(-1) for moment in found)
+    return mean, square
+
+
 def in_closed_form(g: Integrand) -> bool:
     """Whether g knows its moments over boxes."""
-    return g.box_moments(np.zeros((1, g.dims)), np.ones((1, g.dims))) is not None
+    return closed_moments(g) is not None
+
+
+def values_at(g: Integrand, x: Array) -> Array:
+    """g at points (…, d): (…, channels or 1)."""
+    return np.asarray(g(x)).reshape(*x.shape[:-1], -1)
 
 
 def mesh(*axes: Array) -> Array:
     """All points of a grid with these coordinates along the axes: (…, d)."""
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+
+
+def grid(axis: Array, dims: int) -> Array:
+    """All points of a grid with the same coordinates along each axis, in C order: (k^dims, dims)."""
+    return mesh(*[axis] * dims).reshape(-1, dims)
 
 
 def strata(
@@ -333,7 +353,7 @@ def stratum_moments(
         parts = []
         for start in range(0, len(grids[0]), step):
             x = mesh(grids[0][start : start + step], *grids[1:])
-            values = np.asarray(g(x)).reshape(*x.shape[:-1], -1)
+            values = values_at(g, x)
             part = np.stack([values, values**2])
             for i in range(g.dims, 1, -1):
                 part = _sums(part, i, rules[i - 1][1])
@@ -382,11 +402,6 @@ def grid_values(g: Integrand, sides: tuple[int, ...], offset: Array) -> Array:
     return np.asarray(g(x)).reshape(*sides, -1)
 
 
-def mean_square(g: Integrand) -> Array:
-    """∫g², (channels or 1,); infinite where it diverges."""
-    return square_integral(g)[0]
-
-
 def square_integral(g: Integrand) -> tuple[Array, Array]:
     """∫g² and an estimate of its absolute error, both (channels or 1,).
 
@@ -410,8 +425,8 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
         """g² at points (..., d), with channels; over the domain f²/p."""
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # next to a pole
             if not over_domain:
-                return np.asarray(g(x)).reshape(*x.shape[:-1], -1) ** 2
-            f = np.asarray(inside.integrand(x)).reshape(*x.shape[:-1], -1)  # type: ignore[attr-defined]
+                return values_at(g, x) ** 2
+            f = values_at(inside.integrand, x)  # type: ignore[attr-defined]
             p = inside.density.pdf(x)[..., None]  # type: ignore[attr-defined]
             return np.where(f == 0.0, 0.0, f**2 / p)
 
@@ -441,9 +456,8 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
     value = second + 2.0 * middle * first + middle**2
     error = error * (1.0 + 2.0 * np.abs(middle))
     with np.errstate(invalid="ignore"):
-        more = (
-            by_levels - value - level_errors - error
-        )  # levels miss slabs, and boxes ends of poles
+        # Levels miss slabs, and boxes ends of poles
+        more = by_levels - value - level_errors - error
         alike = np.abs(by_levels - value) <= level_errors + error
     hidden = unseen(g)  # slabs, which levels miss altogether
     better = alike & (level_errors + hidden < error) & (hidden < _HIDDEN * error)
@@ -479,7 +493,7 @@ def growth(g: Integrand) -> Array:
             room = 1.0 - place if way > 0.0 else place
             x = np.repeat(lines[:, None], len(distances), axis=1)
             x[..., axis] = place + way * room * 0.5 ** np.array(distances)
-            size = np.log2(np.maximum(np.abs(g(x)).reshape(*x.shape[:-1], -1), 1e-300))
+            size = np.log2(np.maximum(np.abs(values_at(g, x)), 1e-300))
             slope = np.diff(size, axis=1) / np.diff(distances)[:, None]
             steady = (np.ptp(slope[:, -2:], axis=1) < _STEADY) & (slope[:, -1] > _STEADY)
             found = np.maximum(found, np.where(steady, slope[:, -1], 0.0).max(axis=0))

@@ -34,7 +34,6 @@ from mcspectra.variance.counterfactuals import (
     Budget,
     Counterfactual,
     Kind,
-    NotTried,
     Setup,
     affordable_count,
     other_setups,
@@ -152,7 +151,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
 
         def of_kind(index: int) -> _Trials:
             kinds = self._kinds[index - 1 : index] if index else ()
-            tried, not_tried = [], list[NotTried]()
+            tried, not_tried = [], list[str]()
             changes = other_setups(given, kinds, search) if index else iter([start])
             with counting("This change", share if index else limit) as tally:
                 while True:
@@ -160,7 +159,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
                         change = next(changes, None)
                         if change is None:
                             break
-                        if isinstance(change, NotTried):
+                        if isinstance(change, str):
                             not_tried.append(change)
                             continue
                         setup, reason = change.setup, change.setup.too_dear(self.budget)
@@ -174,10 +173,10 @@ class Remedies(Counted, frozen=True, kw_only=True):
                             if trial is not None:
                                 tried.append(trial)
                                 continue
-                        not_tried.append(NotTried(change.kind, change.name, reason))
+                        not_tried.append(f"{change.name}: {reason}")
                     except BudgetError as error:
-                        name = change.name if change else kinds[0]
-                        not_tried.append(NotTried(kinds[0], name, str(error)))
+                        name = change.name if isinstance(change, Counterfactual) else kinds[0]
+                        not_tried.append(f"{name}: {error}")
             if index:
                 return _Trials(tried, not_tried, None)
             counts = [int(cost - given.overhead) // given.cost for cost in tried[0].errors.cost]
@@ -186,12 +185,20 @@ class Remedies(Counted, frozen=True, kw_only=True):
             found = diagnose(given.estimator, given.sampler, counts, own, self.realizations, most)
             return _Trials(tried, [], found)
 
+        def result(found: _Trials) -> xr.Dataset:
+            """All set-ups, in the order of their variances; what two kinds make alike counts once."""
+            assert found.diagnosis is not None
+            first: dict[str, Trial] = {}
+            for trial in found.tried:
+                first.setdefault(trial.setup, trial)
+            return ranked(list(first.values()), found.not_tried, self.budget, found.diagnosis)
+
         return Reduction(
             kind=_Trials,
             block=of_kind,
             blocks=1 + len(self._kinds),
             cost=self.need(subject).cost,
-            result=self._ranked,
+            result=result,
         )
 
     def _measured(self, change: Counterfactual, given: Setup, stream: Stream) -> Trial | None:
@@ -240,15 +247,6 @@ class Remedies(Counted, frozen=True, kw_only=True):
     @property
     def _kinds(self) -> tuple[Kind, ...]:
         return tuple(dict.fromkeys(self.kinds or tuple(KINDS)))
-
-    def _ranked(self, found: _Trials) -> xr.Dataset:
-        """The dataset of all set-ups, in the order of their variances at the budget."""
-        assert found.diagnosis is not None
-        # What two kinds make alike was tried twice and counts once
-        first: dict[str, Trial] = {}
-        for trial in found.tried:
-            first.setdefault(trial.setup, trial)
-        return ranked(list(first.values()), found.not_tried, self.budget, found.diagnosis)
 
 
 def remedies(
@@ -378,7 +376,7 @@ class Trial:
 
 
 def ranked(
-    tried: Sequence[Trial], not_tried: Sequence[NotTried], budget: int, diagnosis: Diagnosis
+    tried: Sequence[Trial], not_tried: Sequence[str], budget: int, diagnosis: Diagnosis
 ) -> xr.Dataset:
     """Compare all trials with the first, the set-up as given, and order them as `remedies` does."""
     start = tried[0]
@@ -387,7 +385,6 @@ def ranked(
     columns.sort(key=lambda c: float(np.nan_to_num(c["error_ratio"], nan=np.inf)))
     for column in columns:
         column["reason"] = " ".join(filter(None, [diagnosis.reason(column), column["note"]]))
-    reasons = [f"{n.name}: {n.reason}" for n in not_tried]
     by_rate = np.argsort(np.argsort([np.nan_to_num(c["rate"], nan=np.inf) for c in columns]))
     return dataset(
         {
@@ -402,8 +399,8 @@ def ranked(
         },
         simultaneous_z=z,
         diagnosis=diagnosis.text,
-        recommendation=_recommendation(columns, budget, reasons),
-        not_tried=reasons,
+        recommendation=_recommendation(columns, budget, not_tried),
+        not_tried=list(not_tried),
         given_error=float(start.errors.error[-1]),
     )
 
@@ -413,7 +410,7 @@ class _Trials:
     """Set-ups that were measured, and why others could not; the diagnosis of that given."""
 
     tried: list[Trial]
-    not_tried: list[NotTried]
+    not_tried: list[str]
     diagnosis: Diagnosis | None
 
     def merge(self, other: _Trials) -> _Trials:
@@ -447,7 +444,7 @@ def _padded(values: Array) -> list[float]:
     return [math.nan] * (_STEPS - len(values)) + [float(v) for v in values]
 
 
-def _recommendation(columns: list[dict[str, Any]], budget: int, reasons: list[str]) -> str:
+def _recommendation(columns: list[dict[str, Any]], budget: int, reasons: Sequence[str]) -> str:
     """What to do, as far as the intervals support it."""
     if _given(columns)["blind"]:
         return (
@@ -594,11 +591,6 @@ class Errors:
         """The rate with its interval and lack of fit, as `mcspectra.convergence` gives it."""
         return fit_rate(self.cost - self.overhead, self.error, self.relative_se, self.noise)
 
-    def widening(self) -> float:
-        """By what the lack of fit widens the interval of the rate."""
-        degrees = int(self.used.sum()) - 2
-        return widening(degrees, self.fit().chi2) if degrees > 0 else 1.0
-
     def at(self, budget: float, *, carry: bool = True) -> tuple[float, Array]:
         """log v at a cost of `budget`, and its influences (R,): the last error, carried by the rate.
 
@@ -641,7 +633,8 @@ def compare(errors: Errors, reference: Errors, budget: float, pilot: int = 0) ->
     rate, slope = errors.rate()
     other_rate, other_slope = reference.rate()
     # Curves that bend or wobble know their slope less well than their scatter says
-    bend = max(e.widening() for e in (errors, reference))
+    points = ((e, int(e.used.sum()) - 2) for e in (errors, reference))
+    bend = max(widening(free, e.fit().chi2) if free > 0 else 1.0 for e, free in points)
     return Comparison(
         own - other,
         _standard_error(own_influence - other_influence, prior=0),

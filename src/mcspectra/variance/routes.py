@@ -20,14 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any, final
 import numpy as np
 from msgspec import Meta
 
-from mcspectra.core.analysis import (
-    Counted,
-    MergeTree,
-    Need,
-    Reduction,
-    Steps,
-    Subject,
-)
+from mcspectra.core.analysis import Counted, MergeTree, Need, Reduction, Steps, Subject
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.memory import memory_of
@@ -49,11 +42,12 @@ from mcspectra.variance.doors import answer
 from mcspectra.variance.exact import exact_variance
 from mcspectra.variance.ordered import weighted_sum
 from mcspectra.variance.quadrature import (
-    mean_square,
+    grid,
     mesh,
     orders_of,
     square_integral,
     stratum_moments,
+    values_at,
 )
 from mcspectra.variance.terms import Terms
 
@@ -141,8 +135,7 @@ class Routes(Counted, frozen=True, kw_only=True):
                         value, se = found["variance"].to_numpy(), found["variance_se"].to_numpy()
                         return row(value, CONFIDENCE_Z * se, 1.0, found.attrs["method"])
                     case name:
-                        of_spectra = self._of_covariance if name == "covariance" else self._of_power
-                        value, within, source = of_spectra(subject)
+                        value, within, source = self._of_spectra(name, subject)
                         return row(value, 0.0, share_of(within), source)
             except (NoClosedForm, ParameterError) as error:  # arguments were checked before
                 return row(np.nan, np.nan, np.nan, str(error))
@@ -157,7 +150,7 @@ class Routes(Counted, frozen=True, kw_only=True):
         def share_of(within: Array) -> Any:
             """Part of ∫f² that Σ|f_m|² = `within` is."""
             try:
-                whole = mean_square(estimator.domain_integrand)
+                whole, _ = square_integral(estimator.domain_integrand)
             except ParameterError:  # too many dims for a quadrature
                 return np.nan
             return np.divide(within, whole, out=np.ones(len(whole)), where=whole > 0)
@@ -212,40 +205,45 @@ class Routes(Counted, frozen=True, kw_only=True):
             note=found.attrs.get("note"),
         )
 
-    def _of_covariance(self, subject: Subject) -> tuple[Any, Array, str]:
-        """Σ_m Σ_l conj(f_m) f_l C_ml, Σ_m |f_m|² and the source."""
-        plain, dims = _plain(subject.estimator), subject.estimator.domain_dims
-        side = int(_MOST_FREQUENCIES ** (1.0 / dims) + 1e-9)
-        if side < 3:
-            raise NoClosedForm(f"In {dims} dims the pairs of frequencies are too many to sum.")
-        m = _frequencies(plain.integrand.dims, min(self.half_width, (side - 1) // 2))
-        f = plain.integrand.fourier(m).reshape(len(m), -1)
-        total = np.zeros(f.shape[1])
-        rows = max(1, _PAIRS // len(m))
-        for i in range(0, len(m), rows):
-            c = closed_form_covariance(
-                subject.sampler, self.n, m[i : i + rows, None], m[None], density=plain.density
-            )
-            total += np.einsum("mc,ml,lc->c", np.conj(f[i : i + rows]), c, f).real
-        return total, np.square(np.abs(f)).sum(axis=0), "C_ml in closed form"
-
-    def _of_power(self, subject: Subject) -> tuple[Any, Array, str]:
-        """Σ_{m≠0} |f_m|² ⟨|S_m|²⟩, NaN where the power is not known in closed form, and so on."""
-        plain, sampler = _plain(subject.estimator), subject.sampler
-        stationary = fitting_basis(sampler, self.half_width) == "fourier"
-        if plain.density is not None or not (stationary or sampler.name == "random"):
+    def _of_spectra(self, name: str, subject: Subject) -> tuple[Any, Array, str]:
+        """The variance by closed forms, NaN where the power is not known, Σ_m |f_m|² and the source."""
+        plain, sampler, dims = subject.estimator, subject.sampler, subject.estimator.domain_dims
+        if not isinstance(plain, Estimator):
             raise NoClosedForm(
-                "The homogenised formula holds for uniform points that are the same after any "
-                f"translation, not for {plain.spec} with {sampler.spec}; add shift."
+                f"Closed forms of spectra are known for one technique, not for {plain.spec}."
             )
-        m = _frequencies(plain.integrand.dims, self.half_width)
-        f = np.abs(plain.integrand.fourier(m).reshape(len(m), -1)) ** 2
+        width = self.half_width
+        if name == "covariance":
+            side = int(_MOST_FREQUENCIES ** (1.0 / dims) + 1e-9)
+            if side < 3:
+                raise NoClosedForm(f"In {dims} dims the pairs of frequencies are too many to sum.")
+            width = min(width, (side - 1) // 2)
+        else:
+            stationary = fitting_basis(sampler, width) == "fourier"
+            if plain.density is not None or not (stationary or sampler.name == "random"):
+                raise NoClosedForm(
+                    "The homogenised formula holds for uniform points that are the same after any "
+                    f"translation, not for {plain.spec} with {sampler.spec}; add shift."
+                )
+        m = grid(np.arange(-width, width + 1), plain.integrand.dims)
+        f = plain.integrand.fourier(m).reshape(len(m), -1)
+        power = np.abs(f) ** 2
+        if name == "covariance":
+            # Σ_m Σ_l conj(f_m) f_l C_ml
+            total = np.zeros(f.shape[1])
+            rows = max(1, _PAIRS // len(m))
+            for i in range(0, len(m), rows):
+                some = m[i : i + rows, None]
+                c = closed_form_covariance(sampler, self.n, some, m[None], density=plain.density)
+                total += np.einsum("mc,ml,lc->c", np.conj(f[i : i + rows]), c, f).real
+            return total, power.sum(axis=0), "C_ml in closed form"
+        # Σ_{m≠0} |f_m|² ⟨|S_m|²⟩
         try:
-            power = closed_form_power(sampler, self.n, m)
+            known = closed_form_power(sampler, self.n, m)
         except NoClosedForm:
-            return np.nan, f.sum(axis=0), _SAMPLED
-        power = np.where((m == 0).all(axis=1), 0.0, power)
-        return weighted_sum(power, f), f.sum(axis=0), "power in closed form"
+            return np.nan, power.sum(axis=0), _SAMPLED
+        known = np.where((m == 0).all(axis=1), 0.0, known)
+        return weighted_sum(known, power), power.sum(axis=0), "power in closed form"
 
 
 def variance_routes(
@@ -308,20 +306,6 @@ class _Rows:
 
     numbers: JOIN  # variance, its bounds and share of the energy: (routes, 4, channels or 1)
     source: JOIN  # texts
-
-
-def _plain(estimator: AbstractEstimator) -> Estimator:
-    """The estimator, if it is of one technique."""
-    if not isinstance(estimator, Estimator):
-        raise NoClosedForm(
-            f"Closed forms of spectra are known for one technique, not for {estimator.spec}."
-        )
-    return estimator
-
-
-def _frequencies(dims: int, half_width: int) -> Array:
-    """All m of a grid: (M, dims)."""
-    return mesh(*[np.arange(-half_width, half_width + 1)] * dims).reshape(-1, dims)
 
 
 def variance_from_pair_correlation(
@@ -397,7 +381,27 @@ def variance_from_pair_correlation(
     for technique, count in enumerate(given.counts):
         g = given.primary_integrand(technique)
         if exact:
-            variance = variance + _of_known_pairs(source, n * count, g)
+            # Random: all pairs; jittered: those in different cells
+            (square, square_error), points = square_integral(g), n * count
+            jittered: Any = source if source.name == "jittered" else None
+            sides = jittered.sides(points) if jittered else (1,) * g.dims
+            squares = []  # Σ_j (∫_cell j g)²
+            for order in orders_of(math.prod(sides), g.dims):
+                means, _ = stratum_moments(g, sides, np.zeros(g.dims), order)
+                squares.append((means**2).mean(axis=0) / len(means) / (1 if jittered else points))
+            coarse, fine = squares
+            diverges = np.isinf(square)
+            square = np.where(diverges, 0.0, square)
+            part = np.where(diverges, np.inf, square / points - fine)
+            error = np.where(diverges, 0.0, square_error / points + np.abs(fine - coarse))
+            # Where the variance vanishes, rounding is all there is
+            floor = _ROUNDING * square / points
+            if not np.all(error <= np.maximum(_TOLERANCE * np.abs(part), floor)):
+                raise NoClosedForm(
+                    f"The quadrature over pairs of {g.spec} has an error of {np.max(error):.2g} in a "
+                    f"variance of {np.max(square / points - fine):.6g}; use convergence or variance_terms."
+                )
+            variance = variance + np.maximum(part, 0.0)
             continue
         one = _of_counted_pairs(source, n * count, g, stream)
         tree: MergeTree[MeanSums] = MergeTree()
@@ -422,29 +426,6 @@ def variance_from_pair_correlation(
     )
 
 
-def _of_known_pairs(sampler: Any, n: int, g: Integrand) -> Array:
-    """Random: all pairs; jittered: those in different cells; (channels or 1,)."""
-    square, square_error = square_integral(g)
-    jittered = sampler.name == "jittered"
-    sides = sampler.sides(n) if jittered else (1,) * g.dims
-    squares = []  # Σ_j (∫_cell j g)²
-    for order in orders_of(math.prod(sides), g.dims):
-        means, _ = stratum_moments(g, sides, np.zeros(g.dims), order)
-        squares.append((means**2).mean(axis=0) / len(means) / (1 if jittered else n))
-    coarse, fine = squares
-    diverges = np.isinf(square)
-    square = np.where(diverges, 0.0, square)
-    variance = np.where(diverges, np.inf, square / n - fine)
-    error = np.where(diverges, 0.0, square_error / n + np.abs(fine - coarse))
-    floor = _ROUNDING * square / n  # where the variance vanishes, rounding is all there is
-    if not np.all(error <= np.maximum(_TOLERANCE * np.abs(variance), floor)):
-        raise NoClosedForm(
-            f"The quadrature over pairs of {g.spec} has an error of {np.max(error):.2g} in a variance "
-            f"of {np.max(square / n - fine):.6g}; use convergence or variance_terms."
-        )
-    return np.asarray(np.maximum(variance, 0.0))
-
-
 def _of_counted_pairs(
     sampler: Sampler, n: int, g: Integrand, stream: Stream
 ) -> Callable[[int], MeanSums]:
@@ -455,11 +436,11 @@ def _of_counted_pairs(
         )
     # A(h) at h = k/N on the torus, from values at cell centers: (channels or 1, N, …)
     x = mesh(*[(np.arange(_GRID[g.dims]) + 0.5) / _GRID[g.dims]] * g.dims)
-    values = np.moveaxis(np.asarray(g(x)).reshape(*x.shape[:-1], -1), -1, 0)
+    values = np.moveaxis(values_at(g, x), -1, 0)
     axes = tuple(range(1, g.dims + 1))
     power = np.abs(np.fft.rfftn(values, axes=axes)) ** 2
     table = np.fft.irfftn(power, s=values.shape[1:], axes=axes) / x[..., 0].size
-    square = mean_square(g)
+    square, _ = square_integral(g)
     if np.isinf(square).any():
         raise NoClosedForm(
             f"∫g² of {g.spec} diverges: with points that are each uniform the variance is infinite."

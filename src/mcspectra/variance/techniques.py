@@ -175,7 +175,7 @@ class Techniques(Counted, frozen=True, kw_only=True):
                 "bound": ["low", "high"],
                 **({"n": n} if self._several else {}),
             },
-            drop=[*(["channel"] if scalar else []), *([] if self._several else ["n"])],
+            drop=["channel"] * scalar + ["n"] * (not self._several),
             basis=frequencies.basis.name,
             space=frequencies.space,
             coefficients=views[0].source,

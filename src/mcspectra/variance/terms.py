@@ -161,10 +161,7 @@ class Terms(Counted, frozen=True, kw_only=True):
                     "half_width": ("half_width", widths, {"units": "cycles per unit"}),
                     **matrix,
                 },
-                drop=[
-                    *(["channel"] if estimator.channels == 0 else []),
-                    *(["technique"] if techniques == 1 else []),
-                ],
+                drop=["channel"] * (not estimator.channels) + ["technique"] * (techniques == 1),
                 batches=total.batches.count if total.batches else 0,
                 basis=basis.name,
                 space=view.space,

@@ -15,17 +15,13 @@ import numpy as np
 
 from mcspectra.core.analysis import Subject
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import (
-    InfiniteWeightVarianceWarning,
-    ParameterError,
-    warn,
-)
+from mcspectra.core.errors import InfiniteWeightVarianceWarning, ParameterError, warn
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import AbstractEstimator, Mirrored
-from mcspectra.integrands import Integrand
 from mcspectra.samplers import Random, sampler
 from mcspectra.samplers.randomizations import Mirror
 from mcspectra.spectra.bases import Basis, Coefficients, fitting_basis, make_basis
+from mcspectra.variance.quadrature import closed_moments
 from mcspectra.variance.sums import Partition, Variables
 
 __all__ = ["Frequencies", "View"]
@@ -60,7 +56,22 @@ class Frequencies:
             )
         chosen = space or ("primary" if domain is None else "domain")
         dims = estimator.dims if chosen == "primary" else estimator.domain_dims
-        width = _half_width(estimator, dims, n) if asked.half_width is None else asked.half_width
+        width: int | None = asked.half_width
+        if width is None:
+            # Twice the frequency n^(1/d) at which points of n strata begin to look random, and at least 64;
+            # fewer where a grid would have more than 2^17 frequencies
+            width = max(_LEAST_WIDTH, 2 ** math.ceil(math.log2(2.0 * n ** (1.0 / dims)) - 1e-9))
+            while width > 1 and (2 * width + 1) ** dims > _MOST_FREQUENCIES:
+                width //= 2
+            if domain is not None and domain.fourier_source == "exact" and dims <= 2:
+                # A half beyond which f has nothing but rounding
+                power = np.abs(domain.fourier_grid(width)) ** 2
+                power = power.reshape(*(2 * width + 1,) * dims, -1)
+                while width > 1:
+                    inner = (slice(width // 2, -(width // 2)),) * dims
+                    if power[inner].sum() < (1.0 - 1e-15) * power.sum():
+                        break
+                    power, width = power[inner], width // 2
         if basis == "auto":
             source = estimator.randomized(subject.sampler)
             mirrored = isinstance(estimator, Mirrored) and estimator.mode == "integrand"
@@ -120,33 +131,6 @@ class Frequencies:
         }
 
 
-def _half_width(estimator: AbstractEstimator, dims: int, n: int) -> int:
-    """Twice the frequency n^(1/d) at which points of n strata begin to look random, and at least 64;
-    fewer where a grid would have more than 2^17 frequencies, or where f has none beyond."""
-    width: int = max(_LEAST_WIDTH, 2 ** math.ceil(math.log2(2.0 * n ** (1.0 / dims)) - 1e-9))
-    while width > 1 and (2 * width + 1) ** dims > _MOST_FREQUENCIES:
-        width //= 2
-    f = estimator.domain_integrand
-    if f is not None and f.fourier_source == "exact" and dims <= 2:
-        # A half beyond which there is nothing but rounding
-        power = np.abs(f.fourier_grid(width)).reshape(*(2 * width + 1,) * dims, -1) ** 2
-        while width > 1:
-            inner = (slice(width // 2, -(width // 2)),) * dims
-            if power[inner].sum() < (1.0 - 1e-15) * power.sum():
-                break
-            power, width = power[inner], width // 2
-    return width
-
-
-def _mean_square(g: Integrand) -> Array:
-    """∫g², (channels or 1,): in closed form, or the mean at a few points of our own."""
-    found = g.box_moments(np.zeros((1, g.dims)), np.ones((1, g.dims)))
-    if found is not None:
-        return np.asarray(found[1], float).reshape(-1)
-    points = sampler("sobol | owen", g.dims).draw(_PROBES, rng=0)[0]
-    return np.asarray((np.asarray(g(points)).reshape(_PROBES, -1) ** 2).mean(axis=0))
-
-
 @dataclass(frozen=True)
 class View:
     """Domain or primary view: which integrand coefficients meet which point spectra."""
@@ -189,7 +173,16 @@ class View:
         integrands = [estimator.primary_integrand(t) for t in range(len(estimator.counts))]
         if self.space == "domain" and estimator.domain_integrand is not None:
             integrands = [estimator.domain_integrand]
-        whole = np.stack([_mean_square(g) for g in integrands], axis=1)  # (C, T)
+        # ∫g² of each, (C, T): in closed form, or the mean at a few points of our own
+        squares = []
+        for g in integrands:
+            exact = closed_moments(g)
+            if exact is None:
+                x = sampler("sobol | owen", g.dims).draw(_PROBES, rng=0)[0]
+                squares.append((np.asarray(g(x)).reshape(_PROBES, -1) ** 2).mean(axis=0))
+            else:
+                squares.append(exact[1])
+        whole = np.stack(squares, axis=1)
         held = f[:, : len(integrands)].sum(axis=2)
         rest = np.maximum(whole - held, 0.0)
         if self.space == "primary":

@@ -104,12 +104,43 @@ def _read(given: Any, dims: int | None) -> Objective:
     if isinstance(given, Mapping):
         return _of_waves(given, dims)
     if isinstance(given, Sequence):
-        return _of_list(given, dims)
+        # Each part has the same share; a list of single integrands is the whole class
+        if not given:
+            raise ParameterError("The objective is an empty list; give one integrand at least.")
+        # Specs take the dims of the others
+        dims = dims or _read(min(given, key=lambda part: isinstance(part, str)), None).dims
+        parts = [_read(part, dims) for part in given]
+        if len(parts) == 1:
+            return parts[0]
+
+        def joined(values: Sequence[Values]) -> Values:
+            return lambda x: len(parts) ** -0.5 * np.concatenate([value(x) for value in values])
+
+        def draw(count: int, rng: np.random.Generator) -> Values:
+            return joined([part.draw(-(-count // len(parts)), rng) for part in parts])
+
+        known = [part.whole for part in parts if part.whole]
+        whole = joined(known) if len(known) == len(parts) else None
+        return Objective(f"{len(parts)} of {parts[0].text} …", dims, draw, whole)
     if isinstance(given, np.ndarray):
         squared = given.ndim > (dims or given.ndim)
         return _of_waves({"covariance" if squared else "spectrum": given}, dims)
     if callable(given):
-        return _of_function(given, dims)
+        name = getattr(given, "__name__", "the class")
+
+        def one(rng: np.random.Generator) -> Integrand:
+            try:
+                found = given(rng)
+            except McspectraError:
+                raise
+            except (AttributeError, TypeError, ValueError) as error:  # one of points, perhaps
+                raise ParameterError(
+                    f"{name} raised {type(error).__name__} of a generator: {error}; give a function of "
+                    "a generator that makes an integrand, or for one function Integrand.from_function."
+                ) from error
+            return as_integrand(found, dims)
+
+        return _drawn(name, dims or one(np.random.default_rng(0)).dims, one)
     raise ParameterError(
         f"The objective is {given!r:.80}; give a spec with uniform(a, b) or normal(mean, sd) for "
         "parameters, a function of a generator that makes an integrand, a list of these, or "
@@ -122,52 +153,20 @@ def _of_one(f: Integrand) -> Objective:
     return Objective(f.spec, f.dims, lambda count, rng: values, values)  # noqa: ARG005
 
 
-def _of_function(given: Callable[[np.random.Generator], Any], dims: int | None) -> Objective:
-    name = getattr(given, "__name__", "the class")
-
-    def one(rng: np.random.Generator) -> Integrand:
-        try:
-            found = given(rng)
-        except McspectraError:
-            raise
-        except (AttributeError, TypeError, ValueError) as error:  # one of points, perhaps
-            raise ParameterError(
-                f"{name} raised {type(error).__name__} of a generator: {error}; give a function of a "
-                "generator that makes an integrand, or for one function Integrand.from_function."
-            ) from error
-        return as_integrand(found, dims)
-
-    return _drawn(name, dims or one(np.random.default_rng(0)).dims, one)
-
-
-def _of_list(given: Sequence[Any], dims: int | None) -> Objective:
-    """Each part has the same share; a list of single integrands is the whole class."""
-    if not given:
-        raise ParameterError("The objective is an empty list; give one integrand at least.")
-    # Specs take the dims of the others
-    dims = dims or _read(min(given, key=lambda part: isinstance(part, str)), None).dims
-    parts = [_read(part, dims) for part in given]
-    if len(parts) == 1:
-        return parts[0]
-    share = len(parts) ** -0.5
-
-    def joined(values: Sequence[Values]) -> Values:
-        return lambda x: share * np.concatenate([value(x) for value in values])
-
-    def draw(count: int, rng: np.random.Generator) -> Values:
-        return joined([part.draw(-(-count // len(parts)), rng) for part in parts])
-
-    whole = None
-    if all(part.whole for part in parts):
-        whole = joined([part.whole for part in parts if part.whole])
-    text = f"{len(parts)} of {parts[0].text} …"
-    return Objective(text, dims, draw, whole)
-
-
 def _of_text(text: str, dims: int | None) -> Objective:
     """A family or an integrand spec, parameters of which may be uniform(a, b) or normal(mean, sd)."""
     if text == _HALF_SPACES:
-        return _drawn(text, dims or 2, partial(_half_space, dims or 2))
+        d = dims or 2
+
+        def half_space(rng: np.random.Generator) -> Integrand:
+            """The border goes through a uniform point, in a uniform direction."""
+            normal = rng.standard_normal(d)
+            normal /= np.sqrt(normal @ normal)
+            arguments = {"normal": normal.tolist(), "offset": float(normal @ rng.random(d))}
+            found: Integrand = INTEGRANDS.build(Call("half-space", arguments), d)
+            return found
+
+        return _drawn(text, d, half_space)
     call = parse(_RANDOM.sub(r"=['\1', \2]", _FAMILIES.get(text, text)))
     laws = {
         name: value
@@ -211,15 +210,6 @@ def _of_text(text: str, dims: int | None) -> Objective:
         except ParameterError as refused:
             error = refused
     raise error or ParameterError(f"{text} cannot be made.")
-
-
-def _half_space(dims: int, rng: np.random.Generator) -> Integrand:
-    """The border goes through a uniform point, in a uniform direction."""
-    normal = rng.standard_normal(dims)
-    normal /= np.sqrt(normal @ normal)
-    arguments = {"normal": normal.tolist(), "offset": float(normal @ rng.random(dims))}
-    found: Integrand = INTEGRANDS.build(Call("half-space", arguments), dims)
-    return found
 
 
 def _drawn(text: str, dims: int, one: Callable[[np.random.Generator], Integrand]) -> Objective:

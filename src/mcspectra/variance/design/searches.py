@@ -37,9 +37,11 @@ from mcspectra.samplers.shares import SharedCells, write_cells
 from mcspectra.spectra.bases import hadamard
 from mcspectra.variance.design import _kernels
 from mcspectra.variance.design.objectives import Objective, Values
+from mcspectra.variance.quadrature import grid
 
 __all__ = ["KINDS", "Candidate", "mean_variances"]
 
+_MOST = 2**12  # points of nets and trees
 _BITS = 18  # of the codes of all axes together, at most
 _FREQUENCIES = 2**16  # points of a table of them
 _MEMBERS, _VALUES = 1024, 2**25  # members at most, and values of a table of them
@@ -76,11 +78,6 @@ def evaluated(values: Values, x: Array) -> Array:
     return np.concatenate([block.astype(np.float32) for block in blocks], axis=1)
 
 
-def _grid(axis: Array, dims: int) -> Array:
-    """Points of a grid in C order: (side^d, d)."""
-    return np.stack(np.meshgrid(*[axis] * dims, indexing="ij"), axis=-1).reshape(-1, dims)
-
-
 def mean_variances(values: Values, source: Sampler, n: int, realizations: int, seed: int) -> Array:
     """Variance over realisations of the mean of each function: (M,)."""
     points = source.draw(n, realizations=realizations, rng=seed)
@@ -98,15 +95,15 @@ def _fourier_power(values: Values, dims: int, fold: bool, size: int) -> tuple[Ar
     """
     if dims <= 3:
         side = int(size ** (1.0 / dims) + 1e-9)
-        x, shape = _grid(np.arange(side) / side, dims), (side,) * dims
+        x, shape = grid(np.arange(side) / side, dims), (side,) * dims
         along = np.rint(np.fft.fftfreq(side) * side).astype(np.int64)
-        m = _grid(along, dims)
+        m = grid(along, dims)
         found = np.arange(len(m))
     else:
         vector = sampler("korobov", dims).generating_vector(size)  # type: ignore[attr-defined]
         x, shape = np.arange(size)[:, None] * vector % size / size, (size,)
         radius = (size / 4 * math.gamma(dims / 2 + 1)) ** (1 / dims) / math.sqrt(math.pi)
-        ball = _grid(np.arange(-int(radius), int(radius) + 1), dims)
+        ball = grid(np.arange(-int(radius), int(radius) + 1), dims)
         for reach in (64, 32, 16, 8, 4, 2):
             m, weight = np.zeros((1, 0), np.int64), np.ones(1)
             along = np.arange(-reach, reach + 1)
@@ -135,18 +132,6 @@ def _fourier_power(values: Values, dims: int, fold: bool, size: int) -> tuple[Ar
     kept = np.flatnonzero(leading > 0)
     kept = kept[np.argsort(-power[kept], kind="stable")]
     return np.ascontiguousarray(m[kept]), power[kept]
-
-
-def _walsh_power(values: Values, dims: int, bits: int, fold: bool) -> Array:
-    """E|f_m|² of Walsh functions of all axes' bits together, 0 at m = 0: (2^(d bits),)."""
-    x = _grid((np.arange(1 << bits) + 0.5) / (1 << bits), dims)
-    table = evaluated(values, folded(x) if fold else x)
-    power = np.zeros(len(x))
-    for start in range(0, len(table), 16):
-        rows = hadamard(table[start : start + 16])
-        power += (rows.astype(np.float64) ** 2).sum(axis=0)
-    power[0] = 0.0
-    return power / float(len(x)) ** 2
 
 
 def _best_vector(
@@ -212,12 +197,12 @@ def _as_made(made: Sampler, path: Path) -> Sampler:
     return made
 
 
-def _power_of_two(n: int, kind: str, most: int = 2**16) -> int:
+def _power_of_two(n: int, kind: str) -> int:
     m = n.bit_length() - 1
-    if n != 1 << m or not 2 <= n <= most:
-        above = min(max(2, 1 << m + 1), most)
+    if n != 1 << m or not 2 <= n <= _MOST:
+        above = min(max(2, 1 << m + 1), _MOST)
         raise CountError(
-            f"A design of kind {kind!r} cannot have {n} points; give a power of two from 2 to {most}, "
+            f"A design of kind {kind!r} cannot have {n} points; give a power of two from 2 to {_MOST}, "
             f"e.g. {above}.",
             (above,),
         )
@@ -237,8 +222,14 @@ def _tables(
     members = min(_MEMBERS, _VALUES >> dims * bits)
     values = objective.functions(members, stream.generator(0))
     for fold in (False, True):
-        power = _walsh_power(values, dims, bits, fold)
-        tail = _FOLD if fold else ""
+        # E|f_m|² of Walsh functions of all axes' bits together, 0 at m = 0: (2^(d bits),)
+        x = grid((np.arange(1 << bits) + 0.5) / (1 << bits), dims)
+        table, power = evaluated(values, folded(x) if fold else x), np.zeros(len(x))
+        for start in range(0, len(table), 16):
+            rows = hadamard(table[start : start + 16])
+            power += (rows.astype(np.float64) ** 2).sum(axis=0)
+        power[0], tail = 0.0, _FOLD if fold else ""
+        power = power / float(len(x)) ** 2
         yield f" | digital-shift{tail}", hadamard(power)
         if owen:  # power is the same within levels: those of the last digit that counts
             codes = np.arange(len(power))
@@ -255,7 +246,7 @@ def _nets(
     objective: Objective, n: int, stream: Stream, *, polynomial: bool, frames: int | None = None
 ) -> Iterator[Candidate]:
     dims, bits = objective.dims, _axis_bits(n, objective.dims)
-    m = _power_of_two(n, "polynomial-lattice" if polynomial else "digital-net", 2**12)
+    m = _power_of_two(n, "polynomial-lattice" if polynomial else "digital-net")
     rows, modulus = max(m, bits), next(p for p in _irreducible() if p.bit_length() == m + 1)
     span = np.empty(n, np.int64)
     sobol = (_sobol_directions()[:dims, :m] >> np.uint32(32 - rows)).astype(np.int64)
@@ -304,7 +295,7 @@ def _nets(
 
 
 def _trees(objective: Objective, n: int, stream: Stream) -> Iterator[Candidate]:
-    _power_of_two(n, "owen", 2**12)
+    _power_of_two(n, "owen")
     dims, bits = objective.dims, _axis_bits(n, objective.dims)
     starts = sampler("sobol | owen", dims).draw_stream(n, stream.child(1), 0, _TREES)
     places = (dims - 1 - np.arange(dims)) * bits
@@ -438,11 +429,11 @@ def _of_cells(features: Array, owner: Array, cells: Array, sides: Array, path: P
     """Choose reflections by the slopes of the features, and write the cells."""
     sets = np.argsort(owner, kind="stable").reshape(owner.max() + 1, -1)
     signed = cells[sets] + 1
-    grid = features.reshape(*sides, -1)
+    table = features.reshape(*sides, -1)
     for axis, side in enumerate(sides):
         signs = np.ones(sets.shape, np.int64)
         if side > 1:
-            slopes = np.gradient(grid, axis=axis).reshape(features.shape)
+            slopes = np.gradient(table, axis=axis).reshape(features.shape)
             _kernels.reflect(slopes, sets, signs)
         signed[..., axis] *= signs
     write_cells(path, signed)

@@ -16,6 +16,7 @@ from typing import TypeVar, cast, final
 import numpy as np
 
 from mcspectra.core.checks import Array
+from mcspectra.core.records import student_t
 from mcspectra.integrands import Integrand
 from mcspectra.variance.quadrature import constant, looked_at, square_integral, unseen
 
@@ -87,8 +88,5 @@ class Known:
 
 def half_interval(values: Array) -> Array:
     """Half of the 95 % interval of the mean over the first axis, by Student's t."""
-    from scipy.special import stdtrit
-
     count = len(values)
-    half = stdtrit(count - 1, 0.975) * values.std(axis=0, ddof=1) / math.sqrt(count)
-    return np.asarray(half)
+    return np.asarray(student_t(count) * values.std(axis=0, ddof=1) / math.sqrt(count))

@@ -20,7 +20,6 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -112,19 +111,6 @@ def of_levels(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predict
     raise NoClosedForm(f"No gains by level and no strata are known for {sampler.spec}.")
 
 
-@dataclass(frozen=True)
-class _Table:
-    """Parts of g over cells, by a coarse and a fine rule (Q = 2) or exactly (Q = 1).
-
-    `parts` are σ²_l, (Q, levels + 1 of each axis, channels), that of level 0 the square of the mean;
-    `within` is the mean variance within cells, (Q, channels), `error` twice its standard error.
-    """
-
-    parts: Array
-    within: Array
-    error: Array
-
-
 def _scrambled(net: Sampler, n: int, known: Known) -> Predicted:
     """Nested scrambling of a fixed set."""
     bases, dims = net.digit_bases, net.dims
@@ -147,30 +133,31 @@ def _scrambled(net: Sampler, n: int, known: Known) -> Predicted:
     first, plain, weighed = None, 0.0, 0.0
     for cells in held:
         whole = first is None
-        table = known.once(
+        parts, *spread = known.once(
             ("levels", bases, cells, whole),
             functools.partial(_table, known.g, bases, cells, whole=whole),
         )
-        first = first or table
+        first = first or (parts, *spread)
         at = tuple(np.indices([level + 1 for level in cells]))
         new = ~counted[at]
         new[origin] = False  # the mean, which has no gain
         ends = tuple(np.minimum(axis, side - 1) for axis, side in zip(at, gains.shape, strict=True))
-        plain = plain + table.parts[:, new].sum(axis=1)
-        weighed = weighed + (gains[ends][..., None] * table.parts)[:, new].sum(axis=1)
+        plain = plain + parts[:, new].sum(axis=1)
+        weighed = weighed + (gains[ends][..., None] * parts)[:, new].sum(axis=1)
         counted[at] = True
 
     # The rest has weight 1 where no level is missing
     assert first is not None
-    inside = first.parts.reshape(len(first.within), -1, first.within.shape[1]).sum(axis=1)
-    missed = _missed(known, (first.within + inside)[-1])
-    square = first.within + inside + missed
-    rest = np.maximum(square - first.parts[(slice(None), *origin)] - plain, 0.0)
+    parts, within, off = first
+    inside = parts.reshape(len(within), -1, within.shape[1]).sum(axis=1)
+    missed = _missed(known, (within + inside)[-1])
+    square = within + inside + missed
+    rest = np.maximum(square - parts[(slice(None), *origin)] - plain, 0.0)
     missing = wanted.copy()
     missing[tuple(map(slice, counted.shape))] &= ~counted[tuple(map(slice, wanted.shape))]
     missing |= wanted & (np.indices(wanted.shape).max(axis=0) == levels)
     doubt = np.abs(gains[missing] - 1.0).max(initial=0.0) * rest[-1]
-    doubt = first.error + _DOUBT * missed + doubt
+    doubt = off + _DOUBT * missed + doubt
     return _predicted(weighed + rest, n, square[-1], "gains by level", rest=rest[-1], doubt=doubt)
 
 
@@ -196,7 +183,14 @@ def _tables(wanted: Array, bases: Sequence[int], least: int, most: int) -> Itera
         yield found[-1]
 
 
-def _table(g: Integrand, bases: Sequence[int], levels: Levels, *, whole: bool) -> _Table:
+def _table(
+    g: Integrand, bases: Sequence[int], levels: Levels, *, whole: bool
+) -> tuple[Array, Array, Array]:
+    """Parts of g over cells, by a coarse and a fine rule (Q = 2) or exactly (Q = 1).
+
+    σ²_l, (Q, levels + 1 of each axis, channels), that of level 0 the square of the mean; the mean variance
+    within cells, (Q, channels), and twice its standard error.
+    """
     sides = tuple(map(pow, bases, levels))
     means, squares = _cell_moments(g, sides, np.zeros(g.dims), refined=whole)
 
@@ -208,7 +202,7 @@ def _table(g: Integrand, bases: Sequence[int], levels: Levels, *, whole: bool) -
     sums, differences = (
         np.stack([level_variances(h, tuple(bases)) for h in halves[k::2]]) for k in (0, 1)
     )
-    return _Table(sums - differences, *_spread(means, squares))
+    return sums - differences, *_spread(means, squares)
 
 
 def _spread(means: Array, squares: Array) -> tuple[Array, Array]:
@@ -286,7 +280,14 @@ def _strata(
 
     `whole` where g is the same for all n, so that ∫g² is worth to be known by itself.
     """
-    grid = sides if in_closed_form(known.g) else _refined(sides, _CELLS[known.g.dims])
+    # Cells of multiples of the sides, up to a number or as many as there are
+    grid = sides
+    while not in_closed_form(known.g):
+        axis = int(np.argmin(grid))
+        finer = tuple(cells + (i == axis) * sides[i] for i, cells in enumerate(grid))
+        if math.prod(finer) > _CELLS[known.g.dims]:
+            break
+        grid = finer
     means, squares = known.once(
         ("moments", grid, *offset), lambda: _cell_moments(known.g, grid, offset)
     )
@@ -302,16 +303,6 @@ def _missed(known: Known, square: Array) -> Array:
         return 0.0 * square
     exact, error = known.square
     return np.where(exact - square > _CLEAR * error, exact - square, 0.0)
-
-
-def _refined(sides: tuple[int, ...], most: int) -> tuple[int, ...]:
-    """Multiples of the sides, of up to `most` cells or as many as there are."""
-    cells = list(sides)
-    while True:
-        axis = int(np.argmin(cells))
-        if math.prod(cells) // cells[axis] * (cells[axis] + sides[axis]) > most:
-            return tuple(cells)
-        cells[axis] += sides[axis]
 
 
 def _merged(moment: Array, sides: tuple[int, ...]) -> Array:

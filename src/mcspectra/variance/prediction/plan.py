@@ -109,7 +109,9 @@ class Plan(Counted, frozen=True, kw_only=True):
         evaluations = sum(estimator.counts)
         reached = sorted(zip(planned, (s.spec for s in samplers), ranges, strict=True))
         sizes = [
-            f"{n:,.0f}{_within(ends)} with {name}" for n, name, ends in reached if np.isfinite(n)
+            f"{n:,.0f}{f' ({low:,.0f} to {high:,.0f})' if high > _WIDE * low else ''} with {name}"
+            for n, name, (low, high) in reached
+            if np.isfinite(n)
         ]
         none = "; ".join(dict.fromkeys(notes)) or "no sampler is predicted to reach the error"
         told = f"n = {' or '.join(sizes)}" if sizes else none
@@ -137,10 +139,7 @@ class Plan(Counted, frozen=True, kw_only=True):
                     }
                 ),
             },
-            drop=[
-                *(["sampler"] if alone else []),
-                *([] if estimator.channels else ["channel"]),
-            ],
+            drop=["sampler"] * alone + ["channel"] * (not estimator.channels),
             estimator=estimator.spec,
             sampler=samplers[0].spec if alone else None,
             route=routes[0] if alone else None,
@@ -166,7 +165,19 @@ class Plan(Counted, frozen=True, kw_only=True):
             return math.nan, unknown, str(found[-1].routes[0]) if found else "none"
         first = next((k for k in known if (variances[k] <= target).all()), None)
         if first is None:
-            return self._beyond(sampler, counts, found, known, target)
+            # By the slope of the last predictions, rounded to a count that the sampler can do
+            last, earlier = known[-1], known[max(0, len(known) - 4)]
+            ends, ratio = variances[last], counts[last] / counts[earlier]
+            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+                rate = np.log(ends / variances[earlier]) / np.log(ratio)
+                wanted = counts[last] * float(np.exp(np.max(np.log(target / ends) / rate)))
+            if not ((rate < 0.0).all() and wanted < min(_MOST, sampler.max_count)):
+                return math.nan, unknown, "out of reach"
+            n = sampler.nearest_count(math.ceil(wanted))
+            if (ends * (n / counts[last]) ** rate > target * (1.0 + 1e-9)).any():
+                n = sampler.nearest_count(2 * n)  # the nearest is below
+            variance = ends * (n / counts[last]) ** rate
+            return float(n), variance, f"extrapolated from n = {counts[last]}"
         best = float(counts[first]), variances[first], str(found[first].routes[0])
         before = [k for k in known if k < first]
 
@@ -198,29 +209,6 @@ class Plan(Counted, frozen=True, kw_only=True):
             else:
                 low = place
         return best
-
-    def _beyond(
-        self,
-        sampler: Sampler,
-        counts: list[int],
-        found: list[Cells],
-        known: list[int],
-        target: Array,
-    ) -> tuple[float, Array, str]:
-        """The count by the slope of the last predictions, rounded to one that the sampler can do."""
-        last, earlier = known[-1], known[max(0, len(known) - 4)]
-        ends = found[last].variance[0], found[earlier].variance[0]
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            rate = np.log(ends[0] / ends[1]) / np.log(counts[last] / counts[earlier])
-            wanted = counts[last] * float(np.exp(np.max(np.log(target / ends[0]) / rate)))
-        if not ((rate < 0.0).all() and wanted < min(_MOST, sampler.max_count)):
-            return math.nan, np.full(len(target), math.nan), "out of reach"
-        n = sampler.nearest_count(math.ceil(wanted))
-        variance = ends[0] * (n / counts[last]) ** rate
-        if (variance > target * (1.0 + 1e-9)).any():  # the nearest is below
-            more = sampler.nearest_count(2 * n)
-            n, variance = more, ends[0] * (more / counts[last]) ** rate
-        return float(n), variance, f"extrapolated from n = {counts[last]}"
 
 
 def _range(
@@ -259,11 +247,6 @@ def _doubles(sampler: Sampler) -> bool:
     base, _ = parts_of(sampler)
     digital = base.structure is Structure.DIGITS and base.fixed
     return digital and set(sampler.digit_bases) == {2}
-
-
-def _within(ends: tuple[float, float]) -> str:
-    """An interval of n in words, where it is wide."""
-    return f" ({ends[0]:,.0f} to {ends[1]:,.0f})" if ends[1] > _WIDE * ends[0] else ""
 
 
 def _cells(predictor: Predictor, sampler: Sampler, n: int) -> Cells:

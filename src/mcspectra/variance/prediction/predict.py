@@ -7,6 +7,8 @@ the sampler and goes on from there, and is named so.
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -22,31 +24,31 @@ from mcspectra.core.options import COUNTS, Counts
 from mcspectra.core.records import JOIN
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator
-from mcspectra.estimators.moments import rounding_floor
+from mcspectra.estimators import AbstractEstimator, Estimator, Moments
+from mcspectra.estimators.moments import CONFIDENCE_Z, rounding_floor
 from mcspectra.estimators.reflected import FoldedIntegrand, SymmetrizedIntegrand
+from mcspectra.integrands import Integrand
 from mcspectra.samplers import (
     Jittered,
     Mirror,
     Owen,
     Random,
-    Randomized,
     Sampler,
     Shift,
     StrataShift,
 )
 from mcspectra.samplers.base import FixedSet, Structure
 from mcspectra.samplers.stratified import root
-from mcspectra.spectra.bases import parts_of
+from mcspectra.spectra.bases import parts_of, without_last
+from mcspectra.variance.convergence import count_moments, count_stream
 from mcspectra.variance.doors import NO_VARIANCE, VANISHES, answer, counted
 from mcspectra.variance.exact import of_integrand
 from mcspectra.variance.prediction.known import Known, Predicted
 from mcspectra.variance.prediction.levels import of_levels
-from mcspectra.variance.prediction.measured import extrapolated, of_measurements, of_table
 from mcspectra.variance.prediction.rates import Slowest, rates_of, slowest_of_jumps
 from mcspectra.variance.prediction.subsets import of_subsets
 from mcspectra.variance.prediction.torus import of_moves, of_torus
-from mcspectra.variance.quadrature import looked_at
+from mcspectra.variance.quadrature import Pointwise, in_closed_form, looked_at, mesh
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -67,12 +69,27 @@ _OFFSET = 0.5 - 0.5 / 3**0.5
 
 _SETS, _T_SETS = 16, 2.13  # of pmj, that are scrambled; Student's t of their mean
 
+# Tables, at the middles of cells
+_TABLE = {1: 2**16, 2: 2**10, 3: 100}  # cells along each axis
+_PROBE = 2**16  # points, random, at which a table is held against g
+_BLOCK = 2**16  # points at a time
+_POINTS = 2**22  # of all sets together, about a second
+_LEAST_SETS, _MOST_SETS = 200, 10_000
+
+# Measured extrapolation
+_SMALL = tuple(2**k for k in range(3, 9))
+_LARGEST = 2**12  # count, of f that is cheap
+_NEAR = 16  # parts of n, by which counts next to it are apart at most
+_FITTED = 4
+_REALIZATIONS = 2000  # sets of a count
+_NEAR_SETS, _NEAR_POINTS = 1000, 2**20  # of those next to n, and their points: what is more
+_MOST_FACTOR = 30.0  # by which an extrapolation may be off at most
+
 
 def of_quadrature(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
     """The exact variance, to the error of its quadrature; shifted strata are cheaper on the torus."""
     g, (_, steps) = known.g, parts_of(sampler)
-    box = np.zeros((1, g.dims))
-    dear = g.box_moments(box, box + 1) is None or sum(map(len, g.breaks)) > _MOST_BREAKS
+    dear = not in_closed_form(g) or sum(map(len, g.breaks)) > _MOST_BREAKS
     if g.dims > 1 and any(isinstance(s, Shift) for s in steps) and dear:
         raise NoClosedForm("A quadrature for every offset of the strata would take long.")
     return Predicted(*of_integrand(sampler, n, known.g, _TOLERANCE, _EVALUATIONS), "exact")
@@ -90,6 +107,106 @@ def of_limits(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predict
     if base.name == "latin-hypercube" and sampler.dims > 1:
         return of_subsets(sampler, n, known, stream)
     return of_levels(sampler, n, known, stream)
+
+
+def of_table(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
+    """Measure a table of g with sets of the sampler, and add what the table leaves out.
+
+    It holds g at the middles of fine cells, once for all samplers and counts, and is linear between them.
+    What it leaves out is as fine as its cells, and counts as white: ∫(g − table)²/n.
+    """
+    if known.g.dims not in _TABLE:
+        raise NoClosedForm("A table takes 1 to 3 dims.")
+    if np.isinf(known.square[0]).any():
+        raise NoClosedForm("∫g² diverges.")
+    g = known.g
+
+    def tabulated() -> tuple[Integrand, Array, Array]:
+        """A table of g, and ∫(g − table)² with half its 95 % interval, by channel."""
+        from scipy.interpolate import RegularGridInterpolator
+
+        axes = [(np.arange(_TABLE[g.dims]) + 0.5) / _TABLE[g.dims]] * g.dims
+        nodes = mesh(*axes)
+        flat = nodes.reshape(-1, g.dims)
+        blocks = [g(flat[i : i + _BLOCK]) for i in range(0, len(flat), _BLOCK)]
+        values = np.concatenate(blocks).reshape(*nodes.shape[:-1], *[g.channels] * (g.channels > 0))
+        linear = RegularGridInterpolator(axes, values, bounds_error=False, fill_value=None)
+        table = Pointwise(g, linear, ((),) * g.dims, f"a table of {g.spec}")
+        probe = np.random.default_rng(0).random((_PROBE, g.dims))
+        missed = ((g(probe) - table(probe)) ** 2).reshape(_PROBE, -1)
+        error = CONFIDENCE_Z * missed.std(axis=0, ddof=1) / math.sqrt(_PROBE)
+        return table, missed.mean(axis=0), error
+
+    table, missed, miss = known.once("table", tabulated)
+    sets = min(max(_POINTS // n, _LEAST_SETS), _MOST_SETS)
+    moments = count_moments(Estimator(table), sampler, n, sets, stream)
+    if not (moments.resolved & (moments.variance > rounding_floor(moments.mean))).all():
+        raise NoClosedForm(f"{sets} sets do not tell the variance of {sampler.spec}.")
+    tail = missed / n
+    # Points may be as good within cells as they are beyond, or as bad as at random
+    error = CONFIDENCE_Z * moments.relative_se * moments.variance + tail + miss / n
+    share = 1.0 - np.minimum(missed / known.square[0], 1.0)
+    return Predicted(moments.variance + tail, error, f"{sets} sets on a table of g", share, tail)
+
+
+def of_measurements(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
+    """Extrapolate the variances of the sampler's small sets."""
+    return extrapolated(Estimator(known.g), sampler, n, known, stream)
+
+
+def extrapolated(
+    estimator: AbstractEstimator, sampler: Sampler, n: int, known: Known, stream: Stream
+) -> Predicted:
+    """A line through the logarithms of variances measured at the small counts nearest to n, without n."""
+    # Counts about n that sets fill as n: of a power of two others, else in steps of one that divides n
+    step = min(n & -n, 1 << max(0, (n // _NEAR).bit_length() - 1))
+    near = [n + k * step for k in (-2, -1, 1, 2)]
+    if n & (n - 1) == 0:
+        near = [n // 4, n // 2, 2 * n, 4 * n]
+    near = [c for c in near if 1 < c <= _LARGEST and not known.g.costly]
+    counts = {sampler.nearest_count(c): c in near for c in (*_SMALL, *near)}
+    by_distance = sorted(counts, key=lambda count: (abs(math.log(count / n)), count))
+    found: list[tuple[int, Moments]] = []
+    for count in by_distance:
+        if count == n or len(found) == _FITTED:
+            continue
+        with contextlib.suppress(CountError):
+            if sum(estimator.counts) > 1:  # one has its nearest counts, without more warnings
+                estimator.check_sampler(sampler, count)
+            close = counts[count]
+            sets = max(_NEAR_SETS, _NEAR_POINTS // count) if close else _REALIZATIONS
+            moments = known.once(
+                ("measured", sampler.spec, count, sets),
+                functools.partial(
+                    count_moments, estimator, sampler, count, sets, count_stream(stream, count)
+                ),
+            )
+            if (moments.resolved & (moments.variance > rounding_floor(moments.mean))).all():
+                found.append((count, moments))
+    if len(found) < _FITTED - 1:
+        raise NoClosedForm(
+            f"No route predicts {sampler.spec}, and its small sets show no variance or are too few."
+        )
+
+    # The scatter about the line is at least that of the measurements
+    from scipy.special import stdtrit
+
+    x = np.log([float(count) for count, _ in found])
+    y = np.log([moments.variance for _, moments in found])
+    noise = np.array([moments.relative_se for _, moments in found])
+    middle, spread = x.mean(), ((x - x.mean()) ** 2).sum()
+    slope = ((x - middle)[:, None] * y).sum(axis=0) / spread
+    left = y - y.mean(axis=0) - slope * (x - middle)[:, None]
+    degrees = len(x) - 2
+    scatter = np.sqrt((left**2).sum(axis=0) / degrees)
+    size = np.maximum(scatter, np.sqrt((noise**2).mean(axis=0)))
+    away = math.log(n) - middle
+    half = stdtrit(degrees, 0.975) * size * math.sqrt(1.0 + 1.0 / len(x) + away**2 / spread)
+    variance = np.exp(y.mean(axis=0) + slope * away)
+    error = variance * np.expm1(np.minimum(half, math.log(_MOST_FACTOR)))
+    listed = ", ".join(str(count) for count in sorted(count for count, _ in found))
+    route = f"extrapolated from measurements at {listed}"
+    return Predicted(variance, error, route, 0.0, variance)
 
 
 Route: TypeAlias = Callable[[Sampler, int, Known, Stream], Predicted]
@@ -147,7 +264,67 @@ class Prediction(Counted, frozen=True, kw_only=True):
             return predictor.at(sampler, n, ROUTES if n <= self.counts[-1] else (of_limits,))
 
         def result(found: Cells) -> xr.Dataset:
-            return self._result(predictor, subject, samplers, found)
+            shape = (len(samplers), -1, found.variance.shape[1])
+            n = np.array([_places(s, self.counts) for s in samplers], float)
+
+            # Rates from the count before, of the first one to the next; not of intervals that reach 0
+            known = np.where(found.ends()[0] > 0.0, found.variance, np.nan).reshape(shape)
+            loose = (found.error > _LOOSE * found.variance).reshape(shape)
+            known[:, 1 + len(self.counts) :][loose[:, 1 + len(self.counts) :]] = np.nan
+            with np.errstate(divide="ignore", invalid="ignore"):
+                slope = np.diff(np.log(known), axis=1) / np.diff(np.log(n), axis=1)[..., None]
+            slope[:, 0] = np.where(n[:, :1] > 0.0, slope[:, 0], slope[:, 1])
+            asked = slice(1, 1 + len(self.counts))
+            slowest = [predictor.slowest(each, self.counts) for each in samplers]
+            rates = [
+                rates_of(n[s], known[s, :, c], asked.stop, estimator.dims, slowest[s])
+                for s, c in np.ndindex(shape[0], shape[2])
+            ]
+            rate, limit, bend = np.reshape([r[:3] for r in rates], (shape[0], -1, 3)).transpose(
+                2, 0, 1
+            )
+
+            # Leave out the counts that were not asked for
+            variance, share, tail, low, high = (
+                values.reshape(shape)[:, asked]
+                for values in (found.variance, found.share, found.tail, *found.ends())
+            )
+            routes, notes = (
+                texts.reshape(shape[:2])[:, asked] for texts in (found.routes, found.notes)
+            )
+            alone = subject.sampler is samplers[0]
+            whys = [[r[3] for r in rates[k : k + shape[2]]] for k in range(0, len(rates), shape[2])]
+            said = [
+                note if alone else f"{s.spec}: {note}"
+                for s, each, why in zip(samplers, notes, whys, strict=True)
+                for note in dict.fromkeys(filter(None, [*map(str, each), *why]))
+            ]
+            each = ("sampler", "n", "channel")
+            values = {
+                "predicted_variance": (each, variance),
+                "predicted_variance_ci": ((*each, "bound"), np.stack([low, high], axis=-1)),
+                "energy_share": (each, share),
+                "tail_variance": (each, tail),
+                "local_rate": (each, slope[:, : len(self.counts)]),
+                "predicted_rate": (("sampler", "channel"), rate),
+                "limit_rate": (("sampler", "channel"), limit),
+                "bend_n": (("sampler", "channel"), bend),
+            }
+            about = {"long_name": "how the variance was predicted"}
+            by = ("n",) if alone else ("sampler", "n")
+            return dataset(
+                values,
+                {
+                    "n": counted("n", list(self.counts), "number of points"),
+                    "bound": ["low", "high"],
+                    "route": (by, routes[0] if alone else routes, about),
+                    **({} if alone else {"sampler": [s.spec for s in samplers]}),
+                },
+                drop=["sampler"] * alone + ["channel"] * (not estimator.channels),
+                estimator=estimator.spec,
+                sampler=samplers[0].spec if alone else None,
+                note="; ".join(said) or None,
+            )
 
         return Reduction(
             kind=Cells,
@@ -155,73 +332,6 @@ class Prediction(Counted, frozen=True, kw_only=True):
             blocks=len(places),
             cost=self.need(subject).cost,
             result=result,
-        )
-
-    def _result(
-        self, predictor: Predictor, subject: Subject, samplers: list[Sampler], found: Cells
-    ) -> xr.Dataset:
-        estimator = subject.estimator
-        shape = (len(samplers), -1, found.variance.shape[1])
-        n = np.array([_places(s, self.counts) for s in samplers], float)
-
-        # Rates from the count before, of the first one to the next; not of intervals that reach 0
-        known = np.where(found.ends()[0] > 0.0, found.variance, np.nan).reshape(shape)
-        loose = (found.error > _LOOSE * found.variance).reshape(shape)
-        known[:, 1 + len(self.counts) :][loose[:, 1 + len(self.counts) :]] = np.nan
-        with np.errstate(divide="ignore", invalid="ignore"):
-            slope = np.diff(np.log(known), axis=1) / np.diff(np.log(n), axis=1)[..., None]
-        slope[:, 0] = np.where(n[:, :1] > 0.0, slope[:, 0], slope[:, 1])
-        asked = slice(1, 1 + len(self.counts))
-        slowest = [predictor.slowest(each, self.counts) for each in samplers]
-        rates = [
-            rates_of(n[s], known[s, :, c], asked.stop, estimator.dims, slowest[s])
-            for s, c in np.ndindex(shape[0], shape[2])
-        ]
-        rate, limit, bend = np.reshape([r[:3] for r in rates], (shape[0], -1, 3)).transpose(2, 0, 1)
-
-        # Leave out the counts that were not asked for
-        variance, share, tail, low, high = (
-            values.reshape(shape)[:, asked]
-            for values in (found.variance, found.share, found.tail, *found.ends())
-        )
-        routes, notes = (
-            texts.reshape(shape[:2])[:, asked] for texts in (found.routes, found.notes)
-        )
-        alone = subject.sampler is samplers[0]
-        whys = [[r[3] for r in rates[k : k + shape[2]]] for k in range(0, len(rates), shape[2])]
-        said = [
-            note if alone else f"{s.spec}: {note}"
-            for s, each, why in zip(samplers, notes, whys, strict=True)
-            for note in dict.fromkeys(filter(None, [*map(str, each), *why]))
-        ]
-        each = ("sampler", "n", "channel")
-        values = {
-            "predicted_variance": (each, variance),
-            "predicted_variance_ci": ((*each, "bound"), np.stack([low, high], axis=-1)),
-            "energy_share": (each, share),
-            "tail_variance": (each, tail),
-            "local_rate": (each, slope[:, : len(self.counts)]),
-            "predicted_rate": (("sampler", "channel"), rate),
-            "limit_rate": (("sampler", "channel"), limit),
-            "bend_n": (("sampler", "channel"), bend),
-        }
-        about = {"long_name": "how the variance was predicted"}
-        by = ("n",) if alone else ("sampler", "n")
-        return dataset(
-            values,
-            {
-                "n": counted("n", list(self.counts), "number of points"),
-                "bound": ["low", "high"],
-                "route": (by, routes[0] if alone else routes, about),
-                **({} if alone else {"sampler": [s.spec for s in samplers]}),
-            },
-            drop=[
-                *(["sampler"] if alone else []),
-                *([] if estimator.channels else ["channel"]),
-            ],
-            estimator=estimator.spec,
-            sampler=samplers[0].spec if alone else None,
-            note="; ".join(said) or None,
         )
 
 
@@ -341,7 +451,27 @@ class Predictor:
                 raise NoClosedForm("there is no such count")
             if source.as_chain(n).fixed:
                 raise NoClosedForm(f"a deterministic sampler {NO_VARIANCE}")
-            parts, squares = self._parts(source, n, routes)
+            known, stream = self._known, self._stream
+            said = [each.constant for each in known]
+            if all(said):
+                raise NoClosedForm(said[0])
+            # The predictions of all techniques, together where they depend on each other
+            try:
+                estimator.check_independent()
+            except NoClosedForm:
+                if routes is not ROUTES:
+                    raise
+                parts = [extrapolated(estimator, source, n, known[0], stream)]
+            else:
+                places = enumerate(zip(estimator.counts, known, strict=True))
+                parts = [
+                    _by_routes(source.as_chain(n * c), n * c, each, stream.child(t), routes)
+                    for t, (c, each) in places
+                ]
+            # What their shares weigh
+            squares = [np.ones(len(parts[0].variance))]
+            if len(parts) > 1:
+                squares = [each.square[0] for each in known]
             route = "; ".join(dict.fromkeys(part.route for part in parts))
             weights = [square / len(parts) + np.where(square > 0.0, 0.0, 1.0) for square in squares]
             with np.errstate(invalid="ignore"):
@@ -370,38 +500,15 @@ class Predictor:
         source, found = self.estimator.randomized(sampler), []
         for count, known in zip(self.estimator.counts, self._known, strict=True):
             chain = source.as_chain(counts[-1] * count)
-            base, steps = parts_of(chain)
+            steps = parts_of(chain)[1]
             g = known.g
             if steps and isinstance(steps[-1], Mirror):
-                chain = Randomized(base=base, steps=steps[:-1]) if steps[:-1] else base
+                chain = without_last(chain)
                 seen = FoldedIntegrand if steps[-1].mode == "fold" else SymmetrizedIntegrand
                 g = looked_at(seen(g))
             if not known.constant and np.isfinite(known.square[0]).all():
                 found.append(slowest_of_jumps(g, chain, [n * count for n in counts]))
         return max(found, key=lambda each: each.exponent, default=Slowest())
-
-    def _parts(
-        self, source: Sampler, n: int, routes: tuple[Route, ...]
-    ) -> tuple[list[Predicted], list[Array]]:
-        """The predictions of all techniques, and what their shares weigh; together where they depend."""
-        estimator, known, stream = self.estimator, self._known, self._stream
-        said = [each.constant for each in known]
-        if all(said):
-            raise NoClosedForm(said[0])
-        try:
-            estimator.check_independent()
-        except NoClosedForm:
-            if routes is not ROUTES:
-                raise
-            joint = extrapolated(estimator, source, n, known[0], stream)
-            return [joint], [np.ones(len(joint.variance))]
-        parts = [
-            _by_routes(source.as_chain(n * count), n * count, each, stream.child(technique), routes)
-            for technique, (count, each) in enumerate(zip(estimator.counts, known, strict=True))
-        ]
-        if len(parts) == 1:
-            return parts, [np.ones(len(parts[0].variance))]
-        return parts, [each.square[0] for each in known]
 
 
 def _by_routes(
@@ -447,8 +554,18 @@ def _by_routes(
                 infinite = np.where(np.isinf(known.square[0]), math.inf, math.nan)
                 return Predicted(infinite, infinite, "∫g² = ∞", 0.0, infinite)
             if steps and isinstance(steps[-1], Mirror) and (steps[:-1] or not base.fixed):
-                inner = Randomized(base=base, steps=steps[:-1]) if steps[:-1] else base
-                return _mirrored(steps[-1].mode, inner, n, known, stream, routes)
+                # The prediction of the sampler inside with another integrand (`mcspectra.variance.exact`)
+                inner, mode = without_last(sampler), steps[-1].mode
+                if mode == "fold":
+                    folded = known.once("folded", lambda: Known(FoldedIntegrand(known.g)))
+                    return _by_routes(inner, n, folded, stream, routes)
+                average = known.once("symmetrized", lambda: Known(SymmetrizedIntegrand(known.g)))
+                if mode == "uniform":
+                    return _by_routes(inner, n >> known.g.dims, average, stream, routes)
+                found = _by_routes(inner, n, average, stream, routes)
+                coins = np.maximum(known.square[0] - average.square[0], 0.0) / n
+                rounding = np.hypot(found.error, (known.square[1] + average.square[1]) / n)
+                return replace(found, variance=found.variance + coins, error=rounding)
     if best is not None:
         return best
     raise reason
@@ -495,23 +612,6 @@ def _scrambled_sets(sampler: Sampler, n: int) -> list[Sampler]:
     else:
         return []
     return [_OneSet(sampler=sampler, base=base, dims=sampler.dims, seed=k) for k in range(count)]
-
-
-def _mirrored(
-    mode: str, inner: Sampler, n: int, known: Known, stream: Stream, routes: tuple[Route, ...]
-) -> Predicted:
-    """The prediction of the sampler inside with another integrand (`mcspectra.variance.exact`)."""
-    g = known.g
-    if mode == "fold":
-        folded = known.once("folded", lambda: Known(FoldedIntegrand(g)))
-        return _by_routes(inner, n, folded, stream, routes)
-    average = known.once("symmetrized", lambda: Known(SymmetrizedIntegrand(g)))
-    if mode == "uniform":
-        return _by_routes(inner, n >> g.dims, average, stream, routes)
-    found = _by_routes(inner, n, average, stream, routes)
-    coins = np.maximum(known.square[0] - average.square[0], 0.0) / n
-    error = np.hypot(found.error, (known.square[1] + average.square[1]) / n)
-    return replace(found, variance=found.variance + coins, error=error)
 
 
 def _places(sampler: Sampler, counts: Sequence[int]) -> list[int]:

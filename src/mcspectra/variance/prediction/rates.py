@@ -25,6 +25,7 @@ from mcspectra.integrands.registry import as_integrand
 from mcspectra.samplers import Sampler
 from mcspectra.samplers.base import Structure
 from mcspectra.spectra.bases import parts_of
+from mcspectra.variance.quadrature import mesh, values_at
 
 __all__ = ["DECAYS", "DecayFit", "fitted_decay", "integrand_decay", "predicted_rate"]
 
@@ -169,7 +170,7 @@ def _jumps(g: Integrand) -> tuple[list[tuple[int, float]], bool]:
             """Values (lines, places, channels) at places (lines or 1, places)."""
             points = np.repeat(x[:, None], t.shape[1], axis=1)
             points[..., axis] = t
-            return np.asarray(g(points)).reshape(*points.shape[:2], -1)
+            return values_at(g, points)
 
         places = [0.0, *g.breaks[axis]]
         pairs = at(np.array([[b + e for b in places for e in (_BESIDE, -_BESIDE)]]) % 1.0)
@@ -373,8 +374,8 @@ def fitted_decay(
     with counting("integrand_decay", max_evaluations):
         power = np.abs(f.fourier_grid(width)) ** 2
     power = power.reshape(*power.shape[: f.dims], -1)
-    axes = np.meshgrid(*[np.arange(-width, width + 1) ** 2] * f.dims, indexing="ij")
-    length = np.sqrt(sum(axes, np.zeros(())))
+    squares = mesh(*[np.arange(-width, width + 1) ** 2] * f.dims)
+    length = np.sqrt(squares.sum(axis=-1))
     fits = [_decay_fit(power[..., c], length, width) for c in range(power.shape[-1])]
     return min(fits, key=lambda fit: fit.decay)
 

@@ -42,11 +42,12 @@ from mcspectra.core.errors import NoClosedForm
 from mcspectra.core.jit import kernel
 from mcspectra.core.streams import Stream
 from mcspectra.integrands import Integrand
-from mcspectra.samplers import Jittered, Random, Randomized, Sampler, as_sampler
+from mcspectra.samplers import Jittered, Random, Sampler, as_sampler
 from mcspectra.samplers.base import Structure
-from mcspectra.spectra.bases import hadamard, parts_of
+from mcspectra.spectra.bases import hadamard, parts_of, without_last
 from mcspectra.variance.prediction.known import Known, Predicted, half_interval
 from mcspectra.variance.prediction.torus import lattice_basis
+from mcspectra.variance.quadrature import values_at
 
 __all__ = ["of_subsets"]
 
@@ -125,7 +126,7 @@ def of_subsets(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predic
     found = []
     for c, p in enumerate(parts):
         first, rest, means, weights = known.once(
-            f"subsets: {c} {law}", functools.partial(_tables, law, p)
+            f"subsets: {c} {law}", functools.partial(law.tables, p)
         )
         mode = ("digits", "xor", "torus").index(law.kind)
         sums = [pair_sums(x, rows, mode, law.bases[0], first, rest, means, weights) for x in codes]
@@ -231,40 +232,53 @@ class _Law:
         """Whether what varies within the n-ths of an axis is all that is left of sums over axes."""
         return self.latin or self.kind != "digits"
 
-    def table(self, axis: int, parts: _Parts) -> tuple[Array, Array, Array]:
-        """Covariances of g_i (1 + groups, differences), of pairs of h_ri, and the means of h_ri."""
-        base, curves = self.bases[axis], parts.axes[axis]
-        cells = base ** self.levels[axis]
-        many = len(curves.knots) > 2 or self.leaves_cells
-        k = max(16, min(64 * many, _FINEST // cells), _FINE // cells)
-        k = 1 if base == _TORUS else k
-        values = curves.cells(np.concatenate([parts.main[axis], parts.factors[axis]]), cells * k)
-        mean = values.mean(axis=-1, keepdims=True)
-        own = len(parts.main[axis])
-        left, right = np.triu_indices(len(values) - own)
-        left, right = (np.concatenate([np.arange(own), own + side]) for side in (left, right))
-        if self.kind == "digits":
-            tables = _by_digits(values - mean, left, right, base, self.levels[axis])
-        elif self.kind == "xor":
-            spectra = hadamard(values - mean) / (cells * k)
-            tables = hadamard(spectra[left] * spectra[right])[:, ::k]
-        else:
-            spectra = np.fft.rfft(values - mean)
-            tables = np.fft.irfft(spectra[left] * spectra[right].conj(), cells * k) / (cells * k)
-            tables = tables[:, ::k]
-        return tables[:own], tables[own:], mean[own:, 0]
+    def tables(self, parts: _Parts) -> tuple[Array, Array, Array, Array]:
+        """What `pair_sums` takes: covariances of g_i and of products, their means and weights."""
+        singles, pairs, averages = list[Array](), list[Array](), list[Array]()
+        for base, levels, curves, main, factors in zip(
+            self.bases, self.levels, parts.axes, parts.main, parts.factors, strict=True
+        ):
+            cells = base**levels
+            many = len(curves.knots) > 2 or self.leaves_cells
+            k = max(16, min(64 * many, _FINEST // cells), _FINE // cells)
+            k = 1 if base == _TORUS else k
+            values = curves.cells(np.concatenate([main, factors]), cells * k)
+            mean, own = values.mean(axis=-1, keepdims=True), len(main)
+            values = values - mean
+            # Covariances of g_i (1 + groups, differences), and of pairs of h_ri
+            left, right = np.triu_indices(len(factors))
+            left, right = (np.concatenate([np.arange(own), own + side]) for side in (left, right))
+            if self.kind == "digits":
+                # By how many digits agree, the last for all
+                means = values.reshape(len(values), cells, -1).mean(axis=-1)
+                energy = [(values[left] * values[right]).mean(axis=-1)]
+                while means.shape[-1] > 1:
+                    energy.append((means[left] * means[right]).mean(axis=-1))
+                    means = means.reshape(len(means), -1, base).mean(axis=-1)
+                within = np.stack([np.zeros(len(left)), *reversed(energy)], axis=-1)
+                apart = within[:, :-1] - np.diff(within, axis=-1) / (base - 1)
+                found = np.concatenate([apart, within[:, -1:]], axis=-1)
+            elif self.kind == "xor":
+                spectra = hadamard(values) / (cells * k)
+                found = hadamard(spectra[left] * spectra[right])[:, ::k]
+            else:
+                spectra = np.fft.rfft(values)
+                found = np.fft.irfft(spectra[left] * spectra[right].conj(), cells * k) / (cells * k)
+                found = found[:, ::k]
+            singles.append(found[:own])
+            pairs.append(found[own:])
+            averages.append(mean[own:, 0])
+        width = max(first.shape[-1] for first in singles)
 
+        def stacked(tables: list[Array]) -> Array:
+            # Where fewer digits are known, more that agree are no difference
+            wide = [np.pad(t, ((0, 0), (0, width - t.shape[-1])), "edge") for t in tables]
+            return np.ascontiguousarray(np.stack(wide).transpose(0, 2, 1))
 
-def _by_digits(values: Array, left: Array, right: Array, base: int, levels: int) -> Array:
-    """Covariances under nested scrambling by how many digits agree: (…, levels + 2), the last for all."""
-    means = values.reshape(len(values), base**levels, -1).mean(axis=-1)
-    energy = [(values[left] * values[right]).mean(axis=-1)]
-    while means.shape[-1] > 1:
-        energy.append((means[left] * means[right]).mean(axis=-1))
-        means = means.reshape(len(means), -1, base).mean(axis=-1)
-    within = np.stack([np.zeros(len(left)), *reversed(energy)], axis=-1)
-    apart = within[:, :-1] - np.diff(within, axis=-1) / (base - 1)
-    return np.concatenate([apart, within[:, -1:]], axis=-1)
+        products = np.stack(averages)
+        left, right = np.triu_indices(products.shape[1])
+        weights = np.where(left == right, 1.0, 2.0)
+        return stacked(singles), stacked(pairs), products[:, left] * products[:, right], weights
 
 
 @kernel
@@ -323,7 +337,7 @@ def _of_strata(base: Jittered, n: int, g: Integrand) -> Predicted:
     u = _net(2 * g.dims, _STRATA, _REPLICATES, 1)
     x, other = u[..., : g.dims], u[..., g.dims :]
     within = (np.floor(x * sides) + other) / sides
-    change = _values(g, x) - _values(g, np.minimum(within, np.nextafter(1.0, 0.0)))
+    change = values_at(g, x) - values_at(g, np.minimum(within, np.nextafter(1.0, 0.0)))
     spread = 0.5 * (change**2).mean(axis=1) / n
     return Predicted(spread.mean(axis=0), half_interval(spread), "pairs in strata")
 
@@ -332,7 +346,7 @@ def _all_parts(known: Known) -> list[_Parts]:
     """Energies, and profiles along all axes through the same points, of each channel."""
     g, d = known.g, known.g.dims
     x = _net(d, _REPLICATE, _REPLICATES, 0)
-    values = _values(g, x)
+    values = values_at(g, x)
     mean = values.mean(axis=(0, 1))
     squares = ((values - mean) ** 2).mean(axis=1)
     energy, half = squares.mean(axis=0), half_interval(squares)
@@ -348,7 +362,7 @@ def _all_parts(known: Known) -> list[_Parts]:
         """(groups, profiles, nodes, channels)"""
         points = np.repeat(through[:, :, None], len(at), axis=2)
         points[..., axis] = at
-        return _values(g, points)
+        return values_at(g, points)
 
     axes, found = [], []
     for axis in range(d):
@@ -473,7 +487,15 @@ def _fitted(
         ).sum(0)
         missed = scale**2 * float(((values[-1] / scale - sums) ** 2).mean())
         # Energy of the fit where no point tested it is missed, too; g shows what chance makes of it
-        energy = scale**2 * _energy([w @ c for w, c in zip(weights, cells, strict=True)])
+        curves = [w @ c for w, c in zip(weights, cells, strict=True)]  # (1 + products, cells)
+        averages = np.stack([c.mean(axis=1) for c in curves])
+        squares = np.stack([c @ c.T / c.shape[1] for c in curves])
+        products = np.prod(averages[:, 1:], axis=0)
+        energy = squares[:, 1:, 1:].prod(axis=0).sum() - products.sum() ** 2
+        for i, along in enumerate(squares[:, 0] - averages[:, :1] * averages):
+            others = np.prod(np.delete(averages[:, 1:], i, axis=0), axis=0)
+            energy += along[0] + 2.0 * along[1:] @ others
+        energy = scale**2 * float(energy)
         untested = energy - scale**2 * float(sums.var())
         chance = variance - float(values[-1].var())
         missed += max(abs(untested - chance) - 2.0 * half - energy / _CELLS, 0.0)
@@ -508,18 +530,6 @@ def _fitted(
     errors = float(np.mean(spread, axis=1).sum()) / _GROUPS
     joint = float(left.mean()) - errors, float(half_interval(left)) + errors
     return _Parts(variance, half, axes, main, factors, residual, joint)
-
-
-def _energy(curves: list[Array]) -> float:
-    """Variance of Σ_i f_i(x_i) + Σ_r Π_i h_ri(x_i), of curves (1 + products, cells) of each axis."""
-    means = np.stack([c.mean(axis=1) for c in curves])
-    squares = np.stack([c @ c.T / c.shape[1] for c in curves])
-    products = np.prod(means[:, 1:], axis=0)
-    found = squares[:, 1:, 1:].prod(axis=0).sum() - products.sum() ** 2
-    spread = squares[:, 0] - means[:, :1] * means
-    for i, along in enumerate(spread):
-        found += along[0] + 2.0 * along[1:] @ np.prod(np.delete(means[:, 1:], i, axis=0), axis=0)
-    return float(found)
 
 
 def _least_squares(
@@ -576,7 +586,7 @@ def _law_of(source: Sampler, n: int, stream: Stream) -> tuple[_Law, Array, Array
     points = base
     net = base.fixed and n & (n - 1) == 0 and base.structure is Structure.DIGITS
     if last == "shift":
-        points = Randomized(base=base, steps=steps[:-1]) if steps[:-1] else base
+        points = without_last(source)
     elif (
         not names or not names <= _KEEP_LAW or not ("owen" in names or set(base.digit_bases) == {2})
     ):
@@ -608,28 +618,6 @@ def _law_of(source: Sampler, n: int, stream: Stream) -> tuple[_Law, Array, Array
     return _Law("digits", bases, levels), codes, one if net and set(bases) == {2} else every
 
 
-def _tables(law: _Law, parts: _Parts) -> tuple[Array, Array, Array, Array]:
-    """What `pair_sums` takes: covariances of g_i and of products, their means and weights."""
-    of_axes = [law.table(axis, parts) for axis in range(len(parts.axes))]
-    width = max(first.shape[-1] for first, _, _ in of_axes)
-
-    def stacked(tables: list[Array]) -> Array:
-        # Where fewer digits are known, more that agree are no difference
-        wide = [np.pad(t, ((0, 0), (0, width - t.shape[-1])), "edge") for t in tables]
-        return np.ascontiguousarray(np.stack(wide).transpose(0, 2, 1))
-
-    means = np.stack([mean for _, _, mean in of_axes])
-    left, right = np.triu_indices(means.shape[1])
-    weights = np.where(left == right, 1.0, 2.0)
-    first, rest = (stacked([tables[k] for tables in of_axes]) for k in (0, 1))
-    return first, rest, means[:, left] * means[:, right], weights
-
-
 def _net(dims: int, n: int, replicates: int, label: int) -> Array:
     """Scrambled nets of our own, (replicates, n, dims)."""
     return as_sampler("sobol | owen", dims).draw_stream(n, _OWN.child(label), 0, replicates)
-
-
-def _values(g: Integrand, x: Array) -> Array:
-    """g at points (…, d): (…, channels or 1)."""
-    return np.asarray(g(x)).reshape(*x.shape[:-1], -1)

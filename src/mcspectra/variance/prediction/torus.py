@@ -22,7 +22,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import final
 
 import numpy as np
@@ -37,6 +37,7 @@ from mcspectra.samplers.base import Structure
 from mcspectra.spectra.bases import parts_of
 from mcspectra.spectra.closed_forms import closed_form_power
 from mcspectra.variance.prediction.known import Known, Predicted, half_interval
+from mcspectra.variance.quadrature import mesh
 
 __all__ = ["lattice_basis", "of_moves", "of_torus"]
 
@@ -166,6 +167,23 @@ class Region:
         ]
         return np.concatenate(blocks).reshape(self.shape)
 
+    def symmetrized(self) -> Region:
+        """A box averaged over the symmetries of the cube."""
+
+        def mean(half: Array) -> Array:
+            axes = range(1, half.ndim)
+            beyond = 0.5 * half[:, 1:]
+            whole = np.concatenate([np.flip(beyond, tuple(axes)), half[:, :1], beyond], axis=1)
+            for axis in axes:
+                whole = 0.5 * (whole + np.flip(whole, axis))
+            turned = [whole.transpose(0, *order) for order in itertools.permutations(axes)]
+            found = np.asarray(sum(turned) / len(turned))[:, half.shape[1] - 1 :].copy()
+            found[:, 1:] *= 2.0
+            return found
+
+        table = None if self.table is None else mean(self.table)
+        return replace(self, energy=mean(self.energy), table=table)
+
 
 def _energies(g: Integrand) -> tuple[Region, ...]:
     """|g_m|² over all regions that are counted, the box first; those of m = 0 are 0.
@@ -177,9 +195,19 @@ def _energies(g: Integrand) -> tuple[Region, ...]:
 
     def region(vectors: Array, low: list[int], high: list[int], *, near: bool = True) -> Region:
         if exact:
-            found = [_energy(g.fourier(_listed(vectors, low, high)), low, high, g.channels)]
+            shape = [h - l + 1 for l, h in zip(low, high, strict=True)]
+            f = g.fourier(_listed(vectors, low, high)).reshape(*shape, -1)
+            found = [np.ascontiguousarray(np.moveaxis(np.abs(f) ** 2, -1, 0))]
         else:
-            found = _tables(g, vectors, low, high)
+            # From a table of g and from a coarser one, of a region along permuted axes
+            order = vectors.argmax(axis=1)
+            m = [np.arange(low[i], high[i] + 1, dtype=float) for i in np.argsort(order)]
+            found = []
+            for nodes in (_NODES[d], _NODES[d] // 2):
+                least = (max(_LEAST_NODES[d], nodes * int(np.abs(axis).max())) for axis in m)
+                value = grid_coefficients(g, [1 << (k - 1).bit_length() for k in least], m)
+                value = value if g.channels else value[..., None]
+                found.append(np.ascontiguousarray(np.abs(value.transpose(d, *order)) ** 2))
         for energy in found:
             if low[0] > 0:
                 energy *= 2.0
@@ -203,24 +231,6 @@ def _energies(g: Integrand) -> tuple[Region, ...]:
         low, high = [reach.box // most + 1], [reach.diagonal // most]
         regions.append(region(np.array([direction]), low, high))
     return tuple(regions)
-
-
-def _symmetrized(box: Region) -> Region:
-    """The box averaged over the symmetries of the cube."""
-
-    def mean(half: Array) -> Array:
-        axes = range(1, half.ndim)
-        beyond = 0.5 * half[:, 1:]
-        whole = np.concatenate([np.flip(beyond, tuple(axes)), half[:, :1], beyond], axis=1)
-        for axis in axes:
-            whole = 0.5 * (whole + np.flip(whole, axis))
-        turned = [whole.transpose(0, *order) for order in itertools.permutations(axes)]
-        found = np.asarray(sum(turned) / len(turned))[:, half.shape[1] - 1 :].copy()
-        found[:, 1:] *= 2.0
-        return found
-
-    table = None if box.table is None else mean(box.table)
-    return replace(box, energy=mean(box.energy), table=table)
 
 
 def of_torus(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
@@ -265,7 +275,7 @@ def of_torus(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicte
             sampling, how = np.zeros(len(spread)), "closed form"
         except NoClosedForm:
             if inner is sampler:
-                box = known.once("torus, symmetrised", partial(_symmetrized, regions[0]))
+                box = known.once("torus, symmetrised", regions[0].symmetrized)
                 width = max(_LEAST_BOX, math.ceil(_BOX * n ** (1.0 / sampler.dims)))
                 regions = (_cropped(box, width)[0],)
             else:
@@ -278,8 +288,20 @@ def of_torus(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicte
     variance = _total(regions, powers)
     rest = np.where(np.abs(spread - counted) > _ROUNDING * square, spread - counted, 0.0)
     tail, excess = np.maximum(rest, 0.0) / n, np.maximum(-rest, 0.0) / n
-    errors = [sampling, _NORMAL * _departure(regions[0], powers[0], n) * tail, square_error / n]
-    errors.append(excess)
+    # Root mean square over the outer shells of the box of n P(m), weighted by |g_m|², minus 1
+    box, power = regions[0], n * powers[0].reshape(-1) - 1.0
+    axes = [np.abs(np.arange(l, h + 1)) for l, h in zip(box.low, box.high, strict=True)]
+    edges = box.high[0] * 0.5 ** (0.5 * np.arange(_SHELLS, -1, -1))
+    place = np.searchsorted(edges, mesh(*axes).max(axis=-1), side="left").reshape(-1)
+    departure = np.ones(len(spread))
+    for c, energy in enumerate(box.energy.reshape(len(spread), -1)):
+        weight, above = (
+            np.bincount(place, each, _SHELLS + 2)[1:-1] for each in (energy, energy * power)
+        )
+        if (weight > 0.0).any():
+            ratio = above[weight > 0.0] / weight[weight > 0.0]
+            departure[c] = math.sqrt(float(np.mean(ratio**2)))
+    errors = [sampling, _NORMAL * departure * tail, square_error / n, excess]
     if regions[0].table is not None:
         coarse = tuple(replace(r, energy=r.table) for r in regions if r.table is not None)
         rest = spread - sum(r.energy.reshape(len(spread), -1).sum(axis=1) for r in coarse)
@@ -460,7 +482,7 @@ def _drawn(
             values[1].append(_total((low,), [of_low]) - values[0][-1])
             low_sum += of_low
             count += 1
-        errors = [_standard_error(part_values) for part_values in values]
+        errors = [np.std(part, axis=0, ddof=1) / math.sqrt(len(part)) for part in values]
         mean = low_sum / count
         if lawful:
             law, error = _power_law(mean, length, inside, core.energy, count)
@@ -508,10 +530,6 @@ def _power_law(
     return found, np.sqrt(variance)
 
 
-def _standard_error(values: list[Array]) -> Array:
-    return np.asarray(np.std(values, axis=0, ddof=1) / math.sqrt(len(values)))
-
-
 def _cropped(box: Region, width: int) -> tuple[Region, tuple[slice, ...]]:
     """The part of a box of at most this half width, and where it is on the grid."""
     k = min(width, box.high[0])
@@ -531,48 +549,7 @@ def _total(regions: tuple[Region, ...], powers: list[Array]) -> Array:
     return np.asarray(sum(parts))
 
 
-def _departure(box: Region, power: Array, n: int) -> Array:
-    """Root mean square over the outer shells of n P(m), weighted by |g_m|², minus 1; (channels or 1,)."""
-    width = box.high[0]
-    axes = [np.abs(np.arange(l, h + 1)) for l, h in zip(box.low, box.high, strict=True)]
-    edges = width * 0.5 ** (0.5 * np.arange(_SHELLS, -1, -1))
-    place = np.searchsorted(
-        edges, np.max(np.meshgrid(*axes, indexing="ij"), axis=0), side="left"
-    ).reshape(-1)
-    found = []
-    for energy in box.energy.reshape(len(box.energy), -1):
-        weight = np.bincount(place, energy, _SHELLS + 2)[1:-1]
-        excess = np.bincount(place, energy * (n * power.reshape(-1) - 1.0), _SHELLS + 2)[1:-1]
-        ratio = excess[weight > 0.0] / weight[weight > 0.0]
-        found.append(math.sqrt(float(np.mean(ratio**2))) if ratio.size else 1.0)
-    return np.array(found)
-
-
 def _listed(vectors: Array, low: Sequence[int], high: Sequence[int]) -> Array:
     """All m of a region: int64 (F, d)."""
     axes = [np.arange(l, h + 1) for l, h in zip(low, high, strict=True)]
-    k = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
-    return np.asarray(k @ vectors)
-
-
-def _energy(coefficients: Array, low: list[int], high: list[int], channels: int) -> Array:
-    """|g_m|² of listed frequencies on their grid: (channels or 1, *grid)."""
-    shape = [h - l + 1 for l, h in zip(low, high, strict=True)]
-    square = np.abs(coefficients.reshape(*shape, max(1, channels))) ** 2
-    return np.ascontiguousarray(np.moveaxis(square, -1, 0))
-
-
-def _tables(g: Integrand, vectors: Array, low: list[int], high: list[int]) -> list[Array]:
-    """|g_m|² from a table of g and from a coarser one, of a region along permuted axes."""
-    order = vectors.argmax(axis=1)
-    m = [np.arange(low[i], high[i] + 1, dtype=float) for i in np.argsort(order)]
-    found = []
-    for nodes in (_NODES[g.dims], _NODES[g.dims] // 2):
-        counts = [
-            1 << (max(_LEAST_NODES[g.dims], nodes * int(np.abs(axis).max())) - 1).bit_length()
-            for axis in m
-        ]
-        value = grid_coefficients(g, counts, m)
-        value = value if g.channels else value[..., None]
-        found.append(np.ascontiguousarray(np.abs(value.transpose(g.dims, *order)) ** 2))
-    return found
+    return np.asarray(mesh(*axes).reshape(-1, len(axes)) @ vectors)

@@ -188,7 +188,7 @@ def _wrong_pdf(seen: Evidence) -> Cause | None:
 def _noisy_function(seen: Evidence) -> Cause | None:
     if not seen.noise:
         return None
-    share = min(seen.noise / max(seen.scale, 1e-300) ** 2, 1.0)
+    share = min(seen.noise / max(seen.scale**2, 1e-300), 1.0)
     return Cause(
         "noisy-function",
         f"g has other values at the same point: random numbers of its own make about {share:.2g} of its variance, "
@@ -455,7 +455,7 @@ def _border_jump(seen: Evidence) -> Cause | None:
         return None
     ends = seen.each("ends")
     ends = ends[np.isfinite(ends)]
-    size = float(np.mean(ends**2)) / max(seen.scale, 1e-300) ** 2 if ends.size else 0.0
+    size = float(np.mean(ends**2)) / max(seen.scale**2, 1e-300) if ends.size else 0.0
     if not size > _OPPOSITE:
         return None
     return Cause(

@@ -414,11 +414,18 @@ def profile(
     if not (isinstance(f, AbstractEstimator | Integrand | str) or callable(f) or weighted):
         return _of_draws(f)
     limit = as_integer("budget", budget, least=_LEAST, most=2**30)
-    function, *density = f if weighted else (f,)
-    given = _as_integrand(
-        function, dims, limit, vectorized=vectorized, workers=workers, cache=cache
-    )
+    given, *density = f if weighted else (f,)
     calls = given.function if isinstance(given, FunctionIntegrand) else None
+    if not isinstance(given, AbstractEstimator | Integrand | str):
+        # A function goes behind the door that counts its calls
+        if dims is None:
+            raise ParameterError(
+                "dims is missing; give dims=, the number of dims of the function's points."
+            )
+        calls = Calls(
+            given, dims=dims, budget=limit, vectorized=vectorized, workers=workers, cache=cache
+        )
+        given = FunctionIntegrand(function=calls, dims=calls.dims)
     with calls if isinstance(calls, Calls) else contextlib.nullcontext():
         estimator = as_estimator(given, dims)
         if density:  # not checked here, as what it does wrong is a cause
@@ -507,6 +514,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     estimator, given = subject.estimator, subject.sampler
     apart = _is_apart(given)
     each, n, nets = _shares(estimator, budget, apart=apart)
+    points = budget // each
 
     # Nets
     sets = _sets_of(estimator, n, nets, stream.child(0))
@@ -574,7 +582,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
             calls += cost
             curves |= {_PAIRS: curve} if math.isfinite(curve.rate) else {}
     curves |= {
-        name: _by_theory(name, curve, causes, estimator.dims, budget // each)
+        name: _by_theory(name, curve, causes, estimator.dims, points)
         for name, curve in curves.items()
     }
     # What is the same every time, or was not measured, is no reference
@@ -583,7 +591,18 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     best, changed = None, list[str]()
     if all(c.name != "infinite-variance" or c.kinds for c in causes):  # there is an integral
         usable = {name: c for name, c in curves.items() if name == reference or name != given.spec}
-        best = _best(estimator, usable, reference, budget // each)
+        # The sampler of least variance, if its interval leaves the one that is given out
+        sizes = {name: curve.at(points) for name, curve in usable.items()}
+        name = min(sizes, key=lambda c: sizes[c][0] * math.exp(sizes[c][1]))
+        varies = len(usable[reference].counts) > 0  # else there is no variance to lower
+        if name != reference and varies:
+            source, count, change = as_sampler(name, estimator.dims), points, f"use {name}"
+            if source.nearest_count(points) != points:
+                count = affordable_count(Setup(estimator, source), points * each) or points
+                change += f" with n = {count:,}"
+            after, setup = usable[name].at(count), (estimator, name)
+            best = _change(usable, reference, points, name, change, after, setup)
+            best = best if best.gain_ci[0] > 1.0 else None
         best, changed, cost = _improved(
             evidence, causes, best, reference, budget, budget - calls, stream.child(98)
         )
@@ -599,9 +618,28 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     resolved = bool(Moments.of(sets.pooled, tails=True).resolved)
     known = not infinite and "wrong-pdf" not in names
     known &= resolved or "border-growth" in names
-    unseen = _same_everywhere(estimator, sets)
-    if unseen is not None:
-        causes, best, known = [unseen], None, known and unseen.name == "none"
+    # What is to be said where all values are the same
+    if len(sets.values) == 1 and not np.ptp(sets.pooled) > 0.0:
+        value, count = float(sets.pooled[0]), sets.pooled.size
+        exact = estimator.primary_integrand(0)._integral()
+        mean = math.nan if exact is None else float(np.mean(exact))
+        if exact is None:
+            cause = Cause(
+                "few-realizations",
+                f"g is {value:.6g} at all {count:,} points: either it is constant, or what varies, in less "
+                f"than about {3 / count:.1g} of the volume, was not met.",
+                {"points": float(count)},
+            )
+        elif np.isclose(mean, value, rtol=1e-12, atol=0.0):
+            cause = Cause("none", f"g is {value:.6g} everywhere: there is no noise.")
+        else:
+            cause = Cause(
+                "heavy-tail",
+                f"g is {value:.6g} at all {count:,} points, and its integral is {mean:.6g}: what makes the "
+                "difference was not met. Give a density that finds it, or far more points.",
+                {"integral": mean},
+            )
+        causes, best, known = [cause], None, known and cause.name == "none"
     # What was not resolved may be anything: that a change is better was measured, not by how much
     if best is not None and not infinite and (not known or best.gain_ci[0] <= 1.0):
         best = replace(best, **dict.fromkeys(_FIGURES, math.nan), gain_ci=(math.nan, math.nan))  # type: ignore[arg-type]
@@ -612,7 +650,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         interval=sets.interval if known else (-math.inf, math.inf),
         calls=calls,
         budget=budget,
-        variance=math.inf if infinite else curve.at(budget // each)[0],
+        variance=math.inf if infinite else curve.at(points)[0],
         rate=curve.rate,
         rate_ci=curve.rate_ci,
         causes=causes,
@@ -620,7 +658,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         samplers=curves,
         tried=[*curves, *changed],
         not_tried=not_tried,
-        points=budget // each,
+        points=points,
         reference=reference,
     )
 
@@ -644,30 +682,6 @@ def _shown(value: float, low: float, high: float) -> str:
     return f"{value:.{min(digits + 2, 17)}g} (95 %: {low:.{digits}g} to {high:.{digits}g})"
 
 
-def _same_everywhere(estimator: AbstractEstimator, sets: Sets) -> Cause | None:
-    """What is to be said where all values are the same."""
-    value = float(sets.pooled[0])
-    if len(sets.values) > 1 or np.ptp(sets.pooled) > 0.0:
-        return None
-    count = sets.pooled.size
-    whole = estimator.primary_integrand(0)._integral()
-    if whole is not None and not np.isclose(np.mean(whole), value, rtol=1e-12, atol=0.0):
-        return Cause(
-            "heavy-tail",
-            f"g is {value:.6g} at all {count:,} points, and its integral is {float(np.mean(whole)):.6g}: what "
-            "makes the difference was not met. Give a density that finds it, or far more points.",
-            {"integral": float(np.mean(whole))},
-        )
-    if whole is not None:
-        return Cause("none", f"g is {value:.6g} everywhere: there is no noise.")
-    return Cause(
-        "few-realizations",
-        f"g is {value:.6g} at all {count:,} points: either it is constant, or what varies, in less than about "
-        f"{3 / count:.1g} of the volume, was not met.",
-        {"points": float(count)},
-    )
-
-
 def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, points: int) -> Curve:
     """A curve with what its causes say of its rate, up to so many points."""
     names = {cause.name: cause for cause in causes}
@@ -686,18 +700,6 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     if causes[0].name == "interior-jump" and name in {NETS, "jittered"}:
         return curve.towards(-1.0 - 1.0 / dims, _THEORY)
     return curve
-
-
-def _as_integrand(f: Any, dims: int | None, budget: int, **calling: Any) -> Any:
-    """What stands for f: a function behind the door that counts its calls, all else as it is."""
-    if isinstance(f, AbstractEstimator | Integrand | str):
-        return f
-    if dims is None:
-        raise ParameterError(
-            "dims is missing; give dims=, the number of dims of the function's points."
-        )
-    calls = Calls(f, dims=dims, budget=budget, **calling)
-    return FunctionIntegrand(function=calls, dims=calls.dims)
 
 
 def _scalar(estimator: AbstractEstimator, values: Array) -> Array:
@@ -732,36 +734,13 @@ def _measured(
             f"{sampler.spec} has no count of points that fits into {evaluations} evaluations."
         )
     counts.sort()
-    found = [_estimates(estimator, sampler, n, sets, stream) for n in counts]
-    last = Replicates(found[-1][0], found[-1][1])
-    return curve_of(counts, [e for e, _ in found]), last, sum(counts) * sets * each
-
-
-def _estimates(
-    estimator: AbstractEstimator, sampler: Sampler, n: int, sets: int, stream: Stream
-) -> tuple[Array, int]:
-    """Independent estimates, and how many of their sets are different."""
-    points = estimator.draw(estimator.randomized(sampler), n, stream.child(n), 0, sets)
-    values = [_scalar(estimator, estimator.primary_values(t, u)) for t, u in enumerate(points)]
+    found, source = list[Array](), estimator.randomized(sampler)
+    for n in counts:
+        points = estimator.draw(source, n, stream.child(n), 0, sets)
+        values = [_scalar(estimator, estimator.primary_values(t, u)) for t, u in enumerate(points)]
+        found.append(np.asarray(sum(v.mean(axis=1) for v in values)))
     different = len(np.unique(np.concatenate([p.reshape(sets, -1) for p in points], 1), axis=0))
-    return np.asarray(sum(v.mean(axis=1) for v in values)), different
-
-
-def _best(
-    estimator: AbstractEstimator, curves: Mapping[str, Curve], given: str, n: int
-) -> Change | None:
-    """The sampler of least variance at n, if its interval leaves the one that is given out."""
-    name = min(curves, key=lambda c: curves[c].at(n)[0] * math.exp(curves[c].at(n)[1]))
-    if name == given or not len(curves[given].counts):  # there is no variance to lower
-        return None
-    source = as_sampler(name, estimator.dims)
-    count, change = n, f"use {name}"
-    if source.nearest_count(n) != n:
-        each = sum(estimator.counts) * estimator.evaluations_per_point
-        count = affordable_count(Setup(estimator, source), n * each) or n
-        change += f" with n = {count:,}"
-    found = _change(curves, given, n, name, change, curves[name].at(count), (estimator, name))
-    return found if found.gain_ci[0] > 1.0 else None
+    return curve_of(counts, found), Replicates(found[-1], different), sum(counts) * sets * each
 
 
 def _change(

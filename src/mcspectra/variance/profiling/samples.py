@@ -177,7 +177,7 @@ class Sets:
         counts = 2 ** np.arange(self.n.bit_length())
         found = {
             NETS: self._curve(_of_strata if self.dims == 1 else _of_nets, counts),
-            "random": self._curve(_of_random, counts, -1.0),
+            "random": self._curve(lambda part, n: _of_nets(part, 1) / n, counts, -1.0),
         }
         if set(self.counts) == {1} and 1 < self.dims <= _JITTERED_DIMS:
             sides = 2 ** np.arange((self.n.bit_length() - 1) // self.dims + 1)
@@ -270,11 +270,6 @@ def _of_nets(part: _Part, n: int) -> float:
     runs = part.values.reshape(r, -1, n).mean(axis=2)
     own = part.values.mean(axis=1)
     return float(((runs - own.mean()) ** 2).mean() + own.var(ddof=1) / r)
-
-
-def _of_random(part: _Part, n: int) -> float:
-    """Variance of the mean over n random points."""
-    return _of_nets(part, 1) / n
 
 
 def _of_strata(part: _Part, n: int) -> float:
