@@ -23,8 +23,8 @@ from mcspectra.core.records import JOIN
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator
+from mcspectra.estimators.mirrored import FoldedIntegrand, SymmetrizedIntegrand
 from mcspectra.estimators.moments import rounding_floor
-from mcspectra.estimators.reflected import FoldedIntegrand, SymmetrizedIntegrand
 from mcspectra.samplers import (
     Jittered,
     Mirror,
