@@ -196,7 +196,7 @@ MUTATIONS = [
         "either = int(self.digest, 16)",
     ),
     (
-        "studies",
+        "core",
         "left, right = (state, other) if first & count == 0 else (other, state)",
         "left, right = (state, other)",
     ),

@@ -36,8 +36,8 @@ __all__ = [
     "vegas_density",
 ]
 
-MAX_GRID_DIMS = 64
-MAX_BINS = 4096
+_MAX_GRID_DIMS = 64
+_MAX_BINS = 4096
 _MAX_ITERATIONS = 1000
 _MAX_EVALUATIONS = 2**22
 _MOST_STRATA = 2**24
@@ -186,15 +186,15 @@ def _as_lines(name: str, given: Any) -> tuple[tuple[float, ...], ...]:
     if not isinstance(given, Sequence | np.ndarray) or not len(given):
         raise ParameterError(f"{name} is {given!r:.80}; give one list of borders for each dim.")
     lines = [given] if np.ndim(given[0]) == 0 else given
-    if len(lines) > MAX_GRID_DIMS:
-        raise ParameterError(f"{name} has {len(lines)} dims; give at most {MAX_GRID_DIMS}.")
+    if len(lines) > _MAX_GRID_DIMS:
+        raise ParameterError(f"{name} has {len(lines)} dims; give at most {_MAX_GRID_DIMS}.")
     found = []
     for i, line in enumerate(lines):
         own = f"{name}[{i}]"
         nodes = as_real_array(own, line)
-        if nodes.ndim != 1 or not 2 <= nodes.size <= MAX_BINS + 1:
+        if nodes.ndim != 1 or not 2 <= nodes.size <= _MAX_BINS + 1:
             raise ParameterError(
-                f"{own} has shape {nodes.shape}; give 2 to {MAX_BINS + 1} borders from 0 to 1."
+                f"{own} has shape {nodes.shape}; give 2 to {_MAX_BINS + 1} borders from 0 to 1."
             )
         widths = np.diff(nodes)
         if nodes[0] != 0.0 or nodes[-1] != 1.0 or not (widths >= _LEAST_WIDTH).all():
@@ -422,7 +422,7 @@ def vegas_density(
             "name it in the density 'vegas(integrand=...)'."
         )
     given = getattr(integrand, "dims", None) if dims is None else dims
-    axes, count = as_integer("dims", given, least=1, most=MAX_GRID_DIMS), int(evaluations)
+    axes, count = as_integer("dims", given, least=1, most=_MAX_GRID_DIMS), int(evaluations)
     vegas = optional_package("vegas", "vegas", "Densities by VEGAS need")
     grid = vegas.AdaptiveMap([[0.0, 1.0]] * axes, ninc=int(increments))
     for iteration in range(int(iterations)):
@@ -454,7 +454,7 @@ def check_training(
     increments: object, iterations: object, evaluations: object, alpha: object, seed: object
 ) -> None:
     """Raise ParameterError unless the parameters of `vegas_density` are within their ranges."""
-    as_integer("increments", increments, least=1, most=MAX_BINS)
+    as_integer("increments", increments, least=1, most=_MAX_BINS)
     as_integer("iterations", iterations, least=0, most=_MAX_ITERATIONS)
     as_integer("evaluations", evaluations, least=1, most=_MAX_EVALUATIONS)
     as_real("alpha", alpha, least=0.0, most=10.0)

@@ -233,7 +233,7 @@ class Combination:
         """
         if self.densities[0].dims > 1:
             return ()
-        found = density_breaks(self.densities)
+        found = _density_breaks(self.densities)
         if self.heuristic.smooth:
             return tuple(sorted(found))
 
@@ -526,10 +526,10 @@ def _breaks(integrand: Integrand, densities: Sequence[Density]) -> Breaks:
     """Breaks of f and, in 1-D, those of the warps carried to the domain."""
     if integrand.dims > 1:
         return integrand.breaks
-    return (tuple(sorted({*integrand.breaks[0], *density_breaks(densities)})),)
+    return (tuple(sorted({*integrand.breaks[0], *_density_breaks(densities)})),)
 
 
-def density_breaks(densities: Sequence[Density]) -> set[float]:
+def _density_breaks(densities: Sequence[Density]) -> set[float]:
     """Where 1-D densities may jump or kink, in the domain: the breaks of their warps, warped.
 
     Both sides of a break are, as it may stand for a whole interval where p is 0.
