@@ -196,7 +196,7 @@ MUTATIONS = [
         "either = int(self.digest, 16)",
     ),
     (
-        "studies",
+        "core",
         "left, right = (state, other) if first & count == 0 else (other, state)",
         "left, right = (state, other)",
     ),
@@ -236,8 +236,8 @@ MUTATIONS = [
     ("reproduction", "_VERDICT_Z = 3.7125862298839247", "_VERDICT_Z = 37.125862298839247"),
     (
         "cli",
-        'return 2, "Not enough memory; ask for fewer points, dims or frequencies."',
-        'return 1, "Not enough memory; ask for fewer points, dims or frequencies."',
+        'code, sentence = 2, "Not enough memory; ask for fewer points, dims or frequencies."',
+        'code, sentence = 1, "Not enough memory; ask for fewer points, dims or frequencies."',
     ),
     ("cli", "        return 130", "        return 1"),
     (

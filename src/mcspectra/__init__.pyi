@@ -18,8 +18,8 @@ from .estimators.channels import channel_estimators as channel_estimators
 from .estimators.importance import Estimator as Estimator
 from .estimators.mirrored import Mirrored as Mirrored
 from .estimators.mis import MultipleImportance as MultipleImportance
+from .estimators.mis import OneSampleMIS as OneSampleMIS
 from .estimators.mis import TechniqueSum as TechniqueSum
-from .estimators.one_sample import OneSampleMIS as OneSampleMIS
 from .integrands.base import Integrand as Integrand
 from .integrands.registry import integrand as integrand
 from .integrands.smoothing import smoothed as smoothed

@@ -10,7 +10,7 @@ import pytest
 import mcspectra as mcs
 from mcspectra.core.errors import CountError, NoClosedForm, ParameterError
 from mcspectra.core.streams import Stream
-from mcspectra.estimators.reflected import FoldedIntegrand, SymmetrizedIntegrand
+from mcspectra.estimators.mirrored import FoldedIntegrand, SymmetrizedIntegrand
 
 MODES = ("integrand", "random", "uniform")
 SMOOTH = mcs.integrand("gaussian(center=[0.2, 1.4], width=0.3)", dims=2)

@@ -7,7 +7,7 @@ import pytest
 
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
-from mcspectra.integrands.products import cell_integrals
+from mcspectra.integrands._quadrature import cell_integrals
 
 
 def _of_exponentials(rates, size):

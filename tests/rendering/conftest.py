@@ -60,8 +60,7 @@ _TEXTS = {
 def forget_scenes() -> Iterator[None]:
     """Drop a module's scenes: Dr.Jit traces the BSDFs of all that are alive at every call."""
     yield
-    kept = (scenes._from_name, scenes._from_file, scenes._from_dict, hits_of, dimensions_of, _sky)
-    for cache in kept:
+    for cache in (scenes._built, hits_of, dimensions_of, _sky):
         cache.cache_clear()
     gc.collect()
 

@@ -16,8 +16,8 @@ from mcspectra.core.checks import Array
 from mcspectra.core.errors import CountError, FileFormatError, MissingDependency, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.rendering import load_mitsuba, load_scene, register_samplers, render_file
-from mcspectra.rendering.backend import import_mitsuba
-from mcspectra.rendering.plugin import LARGEST_SAMPLE, PLUGIN_VARIANTS, PaddedSets, Rounds
+from mcspectra.rendering.backend import LARGEST_SAMPLE, import_mitsuba
+from mcspectra.rendering.plugin import PLUGIN_VARIANTS, PaddedSets, Rounds
 from mcspectra.rendering.scenes import film_size
 
 pytestmark = pytest.mark.render

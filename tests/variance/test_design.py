@@ -18,7 +18,7 @@ from mcspectra.core.errors import (
 )
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import SharedCells
-from mcspectra.samplers.shares import write_cells
+from mcspectra.samplers.stratified import write_cells
 from mcspectra.variance.design import design as doors
 from mcspectra.variance.design import searches
 from mcspectra.variance.design.objectives import as_objective

@@ -441,7 +441,8 @@ def test_a_function_that_is_random_itself_is_a_cause_and_has_no_shape(size):
         return x.sum(axis=-1) + size * own.standard_normal(x.shape[:-1])
 
     cause, *others = mcs.profile(noisy, dims=2, budget=1024).causes
-    assert cause.name == "noisy-function" and not others
+    assert cause.name == "noisy-function"
+    assert not others
     # Of χ² of 8 degrees; g without noise has the variance 1/6
     share = size**2 / (size**2 + 1 / 6)
     assert 0.02 * share < cause.evidence["share"] < 5 * share

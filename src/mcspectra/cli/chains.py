@@ -37,7 +37,20 @@ def chains_(options: argparse.Namespace) -> Answer:
     check_result_file(options.out)
 
     # Read the draws, files of one chain each side by side, and take the weights out of them
-    draws, weights, named = _joined([_draws(file) for file in options.files]), None, options.weights
+    found = [_draws(file) for file in options.files]
+    draws, weights, named = found[0], None, options.weights
+    if len(found) > 1:
+        import xarray as xr
+
+        arrays = all(isinstance(each, np.ndarray) and each.ndim == 1 for each in found)
+        tables = all(isinstance(each, xr.Dataset) and "chain" not in each.dims for each in found)
+        held = {x.shape if arrays else (*x, *x.sizes.values()) for x in found if arrays or tables}
+        if len(held) != 1:
+            raise FileFormatError(
+                f"The {len(found)} files do not hold one chain each, of the same length and quantities; "
+                "give files that do, or one file of all."
+            )
+        draws = np.stack(found) if arrays else xr.concat(found, "chain")
     if named is not None and named.endswith(".npy"):
         weights = _draws(named)
     elif named is not None:
@@ -59,23 +72,6 @@ def chains_(options: argparse.Namespace) -> Answer:
         start = f"{result['quantity'].values[k]}: " if several else ""
         lines.append(f"{start}{said[k] or f'cause: {name}'}.")
     return Answer("\n".join(lines), data_of(result))
-
-
-def _joined(found: list[Any]) -> Any:
-    """The draws of one file, or of several with a chain each."""
-    import xarray as xr
-
-    if len(found) == 1:
-        return found[0]
-    arrays = all(isinstance(each, np.ndarray) and each.ndim == 1 for each in found)
-    tables = all(isinstance(each, xr.Dataset) and "chain" not in each.dims for each in found)
-    held = {x.shape if arrays else (*x, *x.sizes.values()) for x in found if arrays or tables}
-    if len(held) != 1:
-        raise FileFormatError(
-            f"The {len(found)} files do not hold one chain each, of the same length and quantities; "
-            "give files that do, or one file of all."
-        )
-    return np.stack(found) if arrays else xr.concat(found, "chain")
 
 
 def _draws(name: str) -> Any:

@@ -54,19 +54,15 @@ _MODULES = {
         "modes": "which patterns of frequencies vary together",
         "routes": "variance by every route that is known, side by side",
     },
-    "design": {
-        "design": "search a sampler of small variance over a class of integrands, and certify it",
-    },
     "learn": {
+        "design": "search a sampler of small variance over a class of integrands, and certify it",
         "learn": "learn an importance density for an integrand and a sampler, and measure what it gains",
     },
     "chains": {
         "chains": "error of the means of Markov chains, its frequencies, and what is wrong",
     },
-    "frames": {
-        "frames": "noise of frames of any renderer: variance, rate, fireflies, bias, error spectrum",
-    },
     "scenes": {
+        "frames": "noise of frames of any renderer: variance, rate, fireflies, bias, error spectrum",
         "render": "render a scene's direct illumination: image, variance, EXR and PNG",
         "pixel": "what one pixel sees, its rates, terms and bottleneck, and what would help",
         "map": "variance, rate and bottleneck at every pixel of a scene",
@@ -133,23 +129,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         if "--debug" in given:
             raise
-        code, sentence = _explained(error)
+        from mcspectra.core.errors import McspectraError
+
+        # The exit code, 2 for what the user can mend, and the sentence
+        kind, full = type(error).__name__, (errno.ENOSPC, errno.EDQUOT, errno.EIO)
+        if isinstance(error, McspectraError):
+            code, sentence = 1 if kind in _FAILED_RUNS else 2, str(error)
+        elif isinstance(error, MemoryError):
+            code, sentence = 2, "Not enough memory; ask for fewer points, dims or frequencies."
+        elif isinstance(error, OSError) and error.errno in full:
+            code, sentence = 1, f"The output cannot be written: {error.strerror}."
+        else:
+            text = " ".join(str(error)[:_LONGEST].split()) or "no message"
+            sentence = f"Unexpected {kind}: {text}; run again with --debug for details."
+            code = 1
         print(f"mcspectra: {sentence}", file=sys.stderr)
         return code
-
-
-def _explained(error: Exception) -> tuple[int, str]:
-    """The exit code, 2 for what the user can mend, and the sentence for an error."""
-    from mcspectra.core.errors import McspectraError
-
-    if isinstance(error, McspectraError):
-        return (1 if type(error).__name__ in _FAILED_RUNS else 2), str(error)
-    if isinstance(error, MemoryError):
-        return 2, "Not enough memory; ask for fewer points, dims or frequencies."
-    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
-        return 1, f"The output cannot be written: {error.strerror}."
-    text = " ".join(str(error)[:_LONGEST].split()) or "no message"
-    return 1, f"Unexpected {type(error).__name__}: {text}; run again with --debug for details."
 
 
 def _dispatch(given: list[str]) -> int:

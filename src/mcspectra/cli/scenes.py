@@ -1,4 +1,4 @@
-"""The verbs of scenes: an image, a pixel, a map of all pixels, and Mitsuba's own files."""
+"""The verbs of scenes: an image, a pixel, a map of all pixels, Mitsuba's own files, frames of any renderer."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from mcspectra.cli.common import (
     wholes,
 )
 from mcspectra.cli.texts import remedies_table
-from mcspectra.core.errors import ParameterError, writing
+from mcspectra.core.errors import MissingDependency, ParameterError, writing
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["map_", "mitsuba_", "pixel_", "render_"]
+__all__ = ["frames_", "map_", "mitsuba_", "pixel_", "render_"]
 
 _WIDTH = 100  # of sentences
 _SPP, _COMPARED_SPP, _REFERENCE_SPP = 16, 4, 1024
@@ -245,60 +245,46 @@ def pixel_(options: argparse.Namespace) -> Answer:
         "rng": options.seed or 0,
         **given,
     }
-    about = _direct_light if options.integrator is None else _whole_paths
-    return about(options, x, asked)
+    if options.integrator is None:
+        from mcspectra.report import pixel_page
+        from mcspectra.report.page import columns_of
+        from mcspectra.report.tables import summary_table, terms_table
+        from mcspectra.studies.pixel import analyse_pixel
 
+        # What it sees, rates and terms
+        tree = analyse_pixel(options.scene, x, options.y, **asked)
+        head = [f"pixel ({tree.attrs['x']}, {tree.attrs['y']}) of {tree.attrs['scene']}"]
+        head += [f"  {name}: {text}" for name, text in pixel_page.about_pixel(tree)]
+        rates = summary_table(pixel_page.pixel_rows(tree))
+        rates = columns_of(rates, rates.columns[:5])
+        terms = terms_table(pixel_page.term_rows(tree))
+        parts = ["\n".join(head)]
+        parts += [page_table(rates, "Strategy"), page_table(terms, "Strategy; basis")]
+        data, said = pixel_page.pixel_summary(tree), pixel_page.pixel_sentences(tree)
+        write: Any = pixel_page.write_pixel
+    else:
+        from mcspectra.report import path_page
+        from mcspectra.studies.path import analyse_path
 
-def _direct_light(options: argparse.Namespace, x: int | str, asked: dict[str, Any]) -> Answer:
-    """The noise of a pixel's direct light: what it sees, rates, terms, and sentences."""
-    from mcspectra.report import pixel_page as page
-    from mcspectra.report.page import columns_of
-    from mcspectra.report.tables import summary_table, terms_table
-    from mcspectra.studies.pixel import analyse_pixel
+        refused = [f"--{name}" for name in ("light", "budget") if name in asked]
+        if refused:
+            raise ParameterError(
+                f"{refused[0]} is for direct light; leave it out with --integrator."
+            )
+        tree = analyse_path(options.scene, x, options.y, integrator=options.integrator, **asked)
+        known, answer = tree.attrs, textwrap.fill(path_page.path_answer(tree), _WIDTH)
+        title = (
+            f"pixel ({known['x']}, {known['y']}) of {known['scene']}, integrator {known['integrator']}: "
+            f"{known['dims']} random numbers a path"
+        )
+        parts = [f"{title}\n{answer}"]
+        rows = path_page.path_rows(tree).items()
+        parts += [text_table(path_page.PATH_TABLES[name], each) for name, each in rows]
+        data, said = path_page.path_summary(tree), path_page.path_sentences(tree)
+        write = path_page.write_path
+    written = None if options.out is None else write(tree, options.out)
 
-    tree = analyse_pixel(options.scene, x, options.y, **asked)
-    head = [f"pixel ({tree.attrs['x']}, {tree.attrs['y']}) of {tree.attrs['scene']}"]
-    head += [f"  {name}: {text}" for name, text in page.about_pixel(tree)]
-    rates = summary_table(page.pixel_rows(tree))
-    rates = columns_of(rates, rates.columns[:5])
-    terms = terms_table(page.term_rows(tree))
-    parts = ["\n".join(head), page_table(rates, "Strategy"), page_table(terms, "Strategy; basis")]
-    data, said = page.pixel_summary(tree), page.pixel_sentences(tree)
-    written = None if options.out is None else page.write_pixel(tree, options.out)
-    return _pixel_answer(tree, parts, said, data, written)
-
-
-def _whole_paths(options: argparse.Namespace, x: int | str, asked: dict[str, Any]) -> Answer:
-    """The noise of whole paths at a pixel."""
-    from mcspectra.report import path_page as page
-    from mcspectra.studies.path import analyse_path
-
-    refused = [f"--{name}" for name in ("light", "budget") if name in asked]
-    if refused:
-        raise ParameterError(f"{refused[0]} is for direct light; leave it out with --integrator.")
-    tree = analyse_path(options.scene, x, options.y, integrator=options.integrator, **asked)
-    known = tree.attrs
-    head = (
-        f"pixel ({known['x']}, {known['y']}) of {known['scene']}, integrator {known['integrator']}: "
-        f"{known['dims']} random numbers a path\n{textwrap.fill(page.path_answer(tree), _WIDTH)}"
-    )
-    tables = [
-        text_table(page.PATH_TABLES[name], rows) for name, rows in page.path_rows(tree).items()
-    ]
-    data, said = page.path_summary(tree), page.path_sentences(tree)
-    written = None if options.out is None else page.write_path(tree, options.out)
-    return _pixel_answer(tree, [head, *tables], said, data, written)
-
-
-def _pixel_answer(
-    tree: xr.DataTree,
-    parts: list[str],
-    said: list[tuple[str, str]],
-    data: dict[str, Any],
-    page: Path | None,
-) -> Answer:
-    """The head and tables, the changes that were tried, sentences by name, and the page if there is one."""
-
+    # The changes that were tried, sentences by name, and the page if there is one
     def filled(named: list[tuple[str, str]]) -> list[str]:
         return [textwrap.fill(f"{k}: {v}", _WIDTH, subsequent_indent="  ") for k, v in named]
 
@@ -310,11 +296,11 @@ def _pixel_answer(
             for _, pilot, costs in [str(reason).partition("Its pilot")]
             if pilot
         ]
-        parts = [*parts, "\n".join([remedies_table(found), *filled(pilots)])]
-    parts = [*parts, "\n".join(filled(said))]
-    if page is not None:
-        data["report"] = page
-        parts.append(f"report: {page}")
+        parts.append("\n".join([remedies_table(found), *filled(pilots)]))
+    parts.append("\n".join(filled(said)))
+    if written is not None:
+        data["report"] = written
+        parts.append(f"report: {written}")
     return Answer("\n\n".join(parts), data)
 
 
@@ -406,7 +392,7 @@ def mitsuba_(options: argparse.Namespace) -> Answer:
     The file's sampler may be <sampler type="mcspectra"> with <string name="spec" value="sobol | owen"/>;
     its integrator is any of Mitsuba's. Writes an EXR file, by default beside the scene.
     """
-    from mcspectra.rendering.stock import render_file
+    from mcspectra.rendering.scenes import render_file
 
     definitions = {}
     for text in options.define:
@@ -432,3 +418,81 @@ def mitsuba_(options: argparse.Namespace) -> Answer:
         f"{out}: {width} × {height} pixels, {channels} channels, {seconds:.1f} s",
         {"image": out, "width": width, "height": height, "mean": means},
     )
+
+
+@verb(
+    option("FILES", "a folder, a pattern in quotes, or files: .exr, .pfm, .npy", nargs="+"),
+    option("--spp N", "samples a pixel; by default from names and headers", whole()),
+    option("--against PATH", "frames of another renderer or setting of the same view"),
+    option("--target E", "σ / mean that pixels should reach", real(above=0.0)),
+    option("--seconds S", "time of a frame; by default from headers", real(above=0.0)),
+    option("--seconds-against S", "time of a frame of the others", real(above=0.0)),
+    option("--layer NAME", "layer or channel of EXR files"),
+    option("--tone-mapped", "take PNG and JPEG, too"),
+    option("--no-flip", "leave FLIP out, which takes longer than all else together"),
+    option("--tev HOST:PORT", "show the layers in a tev that listens there, e.g. localhost:14158"),
+    option("--out DIR", "write frames.exr, pictures, frames.json and report.html"),
+)
+def frames_(options: argparse.Namespace) -> Answer:
+    """Variance, rate and error spectrum of independent renders of one view, by any renderer.
+
+    Frames of several numbers of samples give rates; --against holds two sets against each other: bias,
+    variance and equal time.
+    """
+    from mcspectra.rendering.frame_statistics import frames
+    from mcspectra.report import frames_page
+
+    files = options.files
+    result = frames(
+        files[0] if len(files) == 1 else files,
+        spp=options.spp,
+        against=options.against,
+        target=options.target,
+        seconds=options.seconds,
+        seconds_against=options.seconds_against,
+        layer=options.layer,
+        tone_mapped=options.tone_mapped,
+        flip=not options.no_flip,
+    )
+    found, said = frames_page.frame_summary(result), frames_page.frame_findings(result)
+    columns, rows = frames_page.frame_table(found)
+    lines = [
+        text_table([columns[0], "", *columns[1:]], [[row[0], "", *row[1:]] for row in rows]),
+        *said,
+    ]
+    data = {**found, "findings": said}
+    if options.tev:
+        _show(result, options.tev)
+    if options.out:
+        data["report"] = frames_page.write_frames(result, options.out)
+        lines.append(f"frames: {data['report']}")
+    return Answer("\n".join(lines), data)
+
+
+def _show(result: xr.Dataset, address: str) -> None:
+    """Send every layer to tev, a picture each."""
+    import numpy as np
+
+    from mcspectra.report.frames_page import frame_layers
+
+    host, _, port = address.rpartition(":")
+    if not port.isdecimal():
+        raise ParameterError(f"--tev is {address!r}; give HOST:PORT, as tev --hostname takes it.")
+    try:
+        from tevclient import Ipc
+    except ImportError:
+        raise MissingDependency(
+            "--tev needs the package tevclient; install it with: pip install 'mcspectra[frames]'"
+        ) from None
+    tev = Ipc(host or "localhost", int(port))
+    try:
+        with tev:
+            for name, plane in frame_layers(result).items():
+                values = np.ascontiguousarray(np.atleast_3d(plane), np.float32)
+                channels = ["R", "G", "B"] if values.shape[2] == 3 else ["Y"]
+                title, (height, width, _) = f"mcspectra {name or 'mean'}", values.shape
+                tev.create_image(title, width, height, channels)
+                tev.update_image(title, values, channel_names=channels)
+    except OSError as error:
+        tev.__exit__(None, None, None)  # it keeps a socket that could not be connected
+        raise ParameterError(f"No tev answers at {address}: {error.strerror or error}.") from None

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from os import PathLike
-from typing import IO
+from typing import IO, final
 
 import numpy as np
 
@@ -23,13 +23,14 @@ from mcspectra.core.checks import Array, as_real_array
 from mcspectra.core.decoding import check_decoded_size, opened, read_npy, read_npz
 from mcspectra.core.errors import FileFormatError, ParameterError
 
-__all__ = ["IMAGE_EXTENSIONS", "REC709", "exr_attributes", "luminance", "read_image"]
+__all__ = ["IMAGE_EXTENSIONS", "REC709", "Rings", "exr_attributes", "luminance", "read_image"]
 
 IMAGE_EXTENSIONS = (".png", ".jpg", ".jpeg", ".exr", ".pfm", ".npy", ".npz")
 """Names that `read_image` knows."""
 
 REC709 = np.array([0.2126, 0.7152, 0.0722])
 """Weights of red, green and blue in the luminance (ITU-R BT.709)."""
+_MOST_RINGS = 64
 _ENTRIES = 2**20  # of a picture that are looked up at a time
 
 
@@ -221,3 +222,33 @@ def _read_exr(name: str, size: int, layer: str | None) -> Array:
     if any(planes.get(name) is None for name in names):
         raise EOFError
     return np.stack([planes[name] for name in names], axis=-1, dtype=np.float64)
+
+
+@final
+class Rings:
+    """Rings of radial frequency, of equal width up to half a cycle a pixel, of what `numpy.fft.rfft2` returns.
+
+    Attributes
+    ----------
+    radius
+        Their middles, in cycles a pixel.
+    sizes
+        Frequencies of each, NaN where there are none.
+    """
+
+    def __init__(self, height: int, width: int) -> None:
+        count = min(_MOST_RINGS, max(1, min(height, width) // 2))
+        across = np.fft.rfftfreq(width)
+        distance = np.hypot(np.fft.fftfreq(height)[:, None], across)
+        self._ring = np.minimum((distance * 2 * count).astype(int), count).ravel()
+        # Columns that stand for their mirror images, too
+        both = np.where((across > 0) & (across < 0.5), 2.0, 1.0)
+        self._weight = np.broadcast_to(both, distance.shape)
+        sizes = np.bincount(self._ring, self._weight.ravel(), count + 1)
+        self.sizes = np.where(sizes > 0, sizes, np.nan)[:-1]
+        self.radius = (np.arange(count) + 0.5) / (2 * count)
+
+    def mean(self, power: Array) -> Array:
+        """Mean over each ring."""
+        sums = np.bincount(self._ring, (power * self._weight).ravel(), self.sizes.size + 1)
+        return np.asarray(sums[:-1] / self.sizes)

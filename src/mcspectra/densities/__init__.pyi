@@ -26,12 +26,12 @@ from .lights import SphericalTriangle as SphericalTriangle
 from .pieces import AlignedStrata as AlignedStrata
 from .pieces import GridDensity as GridDensity
 from .pieces import PiecewiseLinear as PiecewiseLinear
+from .pieces import vegas_density as vegas_density
 from .registry import DENSITIES as DENSITIES
 from .registry import as_density as as_density
 from .registry import as_warp as as_warp
 from .registry import density as density
 from .tabulated import PiecewiseConstant as PiecewiseConstant
-from .vegas_ import vegas_density as vegas_density
 
 __all__ = [
     "DENSITIES",

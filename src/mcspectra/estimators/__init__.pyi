@@ -11,8 +11,8 @@ from .importance import as_subject as as_subject
 from .mirrored import MIRRORINGS as MIRRORINGS
 from .mirrored import Mirrored as Mirrored
 from .mis import MultipleImportance as MultipleImportance
+from .mis import OneSampleMIS as OneSampleMIS
 from .mis import TechniqueSum as TechniqueSum
 from .mis import split_mixture as split_mixture
 from .moments import Moments as Moments
-from .one_sample import OneSampleMIS as OneSampleMIS
 from .vegas_ import VegasDensity as VegasDensity

@@ -1,6 +1,11 @@
 """Estimators with several techniques: multiple importance sampling, and sums of given techniques.
 
-Counts are per technique, as renderers count: n light samples *and* n BSDF samples.
+Counts are per technique, as renderers count: n light samples *and* n BSDF samples. In the one-sample
+model each point chooses its technique:
+
+I = (1/n) Σ_k w_t f/(P_t p_t) with t chosen with probability P_t [VeachGuibas1995]_, §9.2.4 of
+[Veach1997]_: with the balance heuristic w_t = P_t p_t / Σ_s P_s p_s it is sampling of the mixture
+Σ_s P_s p_s, and no other weights have less variance with random points (his Theorem 9.4).
 """
 
 from __future__ import annotations
@@ -12,7 +17,7 @@ from typing import Any, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.checks import Array, as_choice, as_integer, as_reals
 from mcspectra.core.errors import ParameterError
 from mcspectra.densities import Defensive, Density, Mixture, as_density
 from mcspectra.estimators.base import (
@@ -22,7 +27,7 @@ from mcspectra.estimators.base import (
     carried_breaks,
     check_counts,
 )
-from mcspectra.estimators.heuristics import Combination, Heuristic, as_heuristic
+from mcspectra.estimators.heuristics import Combination, Heuristic, Residual, as_heuristic
 from mcspectra.estimators.importance import (
     Estimator,
     as_densities,
@@ -31,13 +36,22 @@ from mcspectra.estimators.importance import (
     known_dims,
     scale,
 )
-from mcspectra.estimators.pilots import Residual
 from mcspectra.estimators.sets import check_sets
 from mcspectra.integrands import Integrand, as_integrand
 from mcspectra.integrands.base import Breaks
 
-__all__ = ["Combined", "MultipleImportance", "TechniqueSum", "split_mixture"]
+__all__ = [
+    "SELECTIONS",
+    "Combined",
+    "MultipleImportance",
+    "OneSampleMIS",
+    "TechniqueSum",
+    "split_mixture",
+]
 
+SELECTIONS = ("extra", "coordinate")
+
+_SUM = 1e-9  # by which probabilities may miss 1
 _EXACT = 1e-9  # shares such as 0.1 + 0.2 are taken as the fractions they stand for
 
 
@@ -179,6 +193,146 @@ class MultipleImportance(Combined):
     def weight(self, technique: int, x: Array) -> Array:
         """w_t/p_t, finite where any p_s is positive; those of `domain_integrand` if optimal."""
         return self.combination.over_density(technique, x)
+
+
+@final
+class OneSampleMIS(Combined):
+    """Multiple importance sampling with one technique for each point, chosen at random.
+
+    Parameters
+    ----------
+    integrand
+        f, or its spec string.
+    densities
+        p_t with their warps, or spec strings.
+    probabilities
+        P_t, above 0 with the sum 1; equal by default.
+    heuristic
+        As for `MultipleImportance`, with P_t in the place of n_t. ``"optimal"`` is the balance heuristic
+        with the control variate Σ α_t p_t, whose integral Σ α_t is added as it is [OwenZhou2000]_ §4,
+        rather than as α_t/P_t of the chosen technique, which would add variance.
+    selection
+        ``"extra"``: the last of d + 1 coordinates chooses; ``"coordinate"``: the first of d chooses, and is
+        stretched to be used again. The coordinate's borders are Σ_{s<t} P_s.
+    dims
+        Number of dims of f for spec strings without ``dims``.
+
+    Raises
+    ------
+    DensityError
+        All densities are zero at points where f is not.
+    ParameterError
+        No density, unknown heuristic, or invalid probabilities.
+
+    Notes
+    -----
+    The primary-space integrand jumps, in general, where the choice changes: an axis-aligned jump
+    that costs stratified points their rate, which separate sets of `MultipleImportance` do not have.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> e = mcs.OneSampleMIS("gaussian", ["uniform", "linear(slope=1)"], [0.25, 0.75], dims=1)
+    >>> e.dims, e.spec
+    (2, 'gaussian / one-sample balance[0.25×uniform, 0.75×linear(slope=1)]')
+    """
+
+    counts = (1,)
+
+    def __init__(
+        self,
+        integrand: Integrand | str,
+        densities: Sequence[Density | str],
+        probabilities: Sequence[float] | None = None,
+        *,
+        heuristic: Heuristic | str = "balance",
+        selection: str = "extra",
+        dims: int | None = None,
+    ) -> None:
+        self._take(integrand, densities, dims)
+        count, given = len(self.densities), probabilities
+        self.probabilities = (1.0 / count,) * count
+        if given is not None:
+            if not isinstance(given, list | tuple | np.ndarray) or len(given) != count:
+                raise ParameterError(
+                    f"probabilities is {given!r:.80}; give a list of {count}, one for each density."
+                )
+            found = as_reals("probabilities", given, count, above=0.0, most=1.0)
+            if abs(sum(found) - 1.0) > _SUM:
+                raise ParameterError(
+                    f"probabilities add up to {sum(found):.12g}; make their sum 1."
+                )
+            self.probabilities = found
+        self.selection = as_choice("selection", selection, SELECTIONS)
+        self._combine(heuristic, self.probabilities)
+        self._borders = np.cumsum((0.0, *self.probabilities))
+        self._borders[-1] = 1.0
+
+    @property
+    def dims(self) -> int:
+        """d + 1, or d if a coordinate of the point chooses."""
+        return self.integrand.dims + (self.selection == "extra")
+
+    @property
+    def spec(self) -> str:
+        """``integrand / one-sample heuristic[probabilities × densities]``."""
+        parts = zip(self.probabilities, self.densities, strict=True)
+        shown = ", ".join(f"{chance:.6g}×{p.spec}" for chance, p in parts)
+        split = ", coordinate" if self.selection == "coordinate" else ""
+        return f"{self.integrand.spec} / one-sample {self.heuristic}{split}[{shown}]"
+
+    def primary_integrand(self, technique: int = 0) -> Integrand:
+        """g(u), of all techniques together."""
+        return PrimaryIntegrand(self, technique, self.integrand)
+
+    def primary_values(self, technique: int, u: Array) -> Array:
+        """g(u) = w_t f/(P_t p_t) at T_t of the rest of u, t chosen by its coordinate."""
+        del technique
+        x, weights = self._chosen(u)
+        values = scale(self.domain_integrand(x), weights)
+        control = self.combination.control
+        return values if control is None else np.asarray(values + control.sum(axis=0))
+
+    def warp(self, technique: int, u: Array) -> Array:
+        del technique
+        return self._chosen(u)[0]
+
+    def weighted_points(self, points: list[Array]) -> tuple[Array, Array]:
+        """Domain points (R, n, d) and weights w_t/(P_t p_t n) (R, n); they depend on the choice."""
+        x, weights = self._chosen(points[0])
+        return x, weights / x.shape[1]
+
+    def primary_breaks(self, technique: int = 0) -> Breaks:  # noqa: ARG002
+        """Along each axis of primary space: borders of the choice, and breaks of every g_t."""
+        found: list[set[float]] = [set() for _ in range(self.dims)]
+        axis = self.dims - 1 if self.selection == "extra" else 0
+        found[axis].update(self._borders[1:-1].tolist())
+        for t, density in enumerate(self.densities):
+            own = carried_breaks(self.integrand, density, self.combination.breaks)
+            for i, places in enumerate(own):
+                if i == axis:  # of the part of the axis that chooses this technique
+                    stretched = (self._borders[t] + b * self.probabilities[t] for b in places)
+                    found[i].update(map(float, stretched))
+                else:
+                    found[i].update(places)
+        return tuple(tuple(sorted(places)) for places in found)
+
+    def _chosen(self, u: Array) -> tuple[Array, Array]:
+        """Domain points (..., d) and w_t/(P_t p_t) (...) of primary points (..., dims)."""
+        flat = u.reshape(-1, self.dims)
+        extra = self.selection == "extra"
+        chooser, rest = flat[:, -1 if extra else 0], flat[:, : self.integrand.dims]
+        which = np.searchsorted(self._borders[1:-1], chooser, side="right")
+        x, weights = np.empty((len(flat), self.integrand.dims)), np.empty(len(flat))
+        for t, density in enumerate(self.densities):
+            own = which == t
+            part = rest[own].copy()
+            if not extra:
+                stretched = (part[:, 0] - self._borders[t]) / self.probabilities[t]
+                part[:, 0] = np.clip(stretched, 0.0, np.nextafter(1.0, 0.0))
+            x[own] = density.sample(part)
+            weights[own] = self.combination.over_density(t, x[own]) / self.probabilities[t]
+        return x.reshape(*u.shape[:-1], -1), weights.reshape(u.shape[:-1])
 
 
 @final

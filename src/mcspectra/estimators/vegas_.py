@@ -13,7 +13,7 @@ from mcspectra.core.fields import whole
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.densities import GridDensity, vegas_density
 from mcspectra.densities.base import Wrapper
-from mcspectra.densities.vegas_ import check_training
+from mcspectra.densities.pieces import check_training
 from mcspectra.integrands import integrand as make_integrand
 
 __all__ = ["VegasDensity"]

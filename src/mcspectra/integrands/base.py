@@ -13,7 +13,7 @@ import contextlib
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, final
 
 import numpy as np
@@ -53,6 +53,7 @@ __all__ = [
     "Estimate",
     "FunctionIntegrand",
     "Integrand",
+    "NamedFunction",
     "any_dims",
     "axis_number",
     "fourier_accuracy",
@@ -355,6 +356,27 @@ class Derived(Integrand):
 
     def _integral(self) -> Any:
         return self.integrand._integral()
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamedFunction(Derived):
+    """A test function: `integrand` of a class, under its name."""
+
+    integrand: Integrand = field(init=False, repr=False)
+    spec = Component.spec
+
+    @property
+    def fourier_source(self) -> str:
+        return self.integrand.fourier_source
+
+    def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array] | None:
+        return self.integrand.box_moments(lo, hi)
+
+    def _evaluate(self, x: Array) -> Array:
+        return self.integrand._evaluate(x)
+
+    def _fourier(self, m: Array) -> Array | None:
+        return self.integrand._fourier(m)
 
 
 def _as_channel(name: str, channel: object, f: Integrand) -> int | str:

@@ -7,13 +7,10 @@ of this package's own integrands under the name of the paper.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from typing import final
 
-from mcspectra.core.checks import Array
-from mcspectra.core.spec import Component
 from mcspectra.integrands.analytic import Gaussian, Polynomial
-from mcspectra.integrands.base import Derived, Integrand
+from mcspectra.integrands.base import NamedFunction
 from mcspectra.integrands.indicators import Disk, HalfSpace, Step
 
 __all__ = [
@@ -22,29 +19,7 @@ __all__ = [
     "ChristensenGaussian",
     "ChristensenStep",
     "ChristensenTriangle",
-    "NamedFunction",
 ]
-
-
-@dataclass(frozen=True, kw_only=True)
-class NamedFunction(Derived):
-    """A test function: `integrand` of a class, under its name."""
-
-    integrand: Integrand = field(init=False, repr=False)
-    spec = Component.spec
-
-    @property
-    def fourier_source(self) -> str:
-        return self.integrand.fourier_source
-
-    def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array] | None:
-        return self.integrand.box_moments(lo, hi)
-
-    def _evaluate(self, x: Array) -> Array:
-        return self.integrand._evaluate(x)
-
-    def _fourier(self, m: Array) -> Array | None:
-        return self.integrand._fourier(m)
 
 
 @final

@@ -20,8 +20,7 @@ from mcspectra.core.checks import Array, as_choice, as_real
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.fields import real, whole
 from mcspectra.integrands._quadrature import gauss_rule
-from mcspectra.integrands.base import Breaks, Derived, Integrand
-from mcspectra.integrands.christensen import NamedFunction
+from mcspectra.integrands.base import Breaks, Derived, Integrand, NamedFunction
 from mcspectra.integrands.indicators import Disk, HalfSpace, SmoothedStep, Step
 from mcspectra.integrands.registry import as_integrand
 

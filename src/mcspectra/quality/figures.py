@@ -41,12 +41,6 @@ MOST_PROJECTED_AXES = 10
 
 _MOST_TRANSPORTED = 2**13  # seconds
 
-Figure = Callable[[Array, int], float | None]
-"""Computes a figure of one set (n, d); the integer is the base of its digits."""
-
-Value = tuple[float, str]
-"""A figure, or NaN and the reason."""
-
 
 def quality_figures(
     source: Sampler | str | Any,
@@ -100,16 +94,34 @@ def quality_figures(
             )
         n = int(sampler.points.shape[1])
     n = sampler.check_count(n)
-    names = _names(figures, sampler.dims)
+    given: Any = figures
+    if given is None:
+        given = [name for name in FIGURES if sampler.dims > 2 or "projected" not in name]
+    if isinstance(given, str) or not isinstance(given, Sequence) or not given:
+        raise ParameterError(f"figures is {given!r}; give a list of names.")
+    for name in given:
+        if not isinstance(name, str) or name not in FIGURES:
+            hint, close = close_match_hint(str(name), FIGURES)
+            known = hint if close else " The names are in mcspectra.quality.FIGURES."
+            raise ParameterError(f"There is no quality figure {name!r}.{known}")
+    names = list(dict.fromkeys(given))
     bases = set(sampler.digit_bases)
     base = bases.pop() if len(bases) == 1 else 0  # of the digits of all coordinates
     stream = Stream.from_rng(rng)
     count = different_realizations(sampler, n, stream) if realizations is None else realizations
     count = as_integer("realizations", count, least=1, most=MAX_REALIZATIONS)
 
-    def one(realization: int) -> list[Value]:
-        points = sampler.draw_stream(n, stream, realization, 1)[0]
-        return [_value(FIGURES[name], points, base) for name in names]
+    def one(realization: int) -> list[tuple[float, str]]:
+        """Each figure, or NaN and the reason."""
+        points, found = sampler.draw_stream(n, stream, realization, 1)[0], []
+        for name in names:
+            try:
+                value = FIGURES[name](*((points, base) if name in _OF_DIGITS else (points,)))
+                reason = f"{n} is not a power of {base}." if value is None else ""
+            except McspectraError as error:
+                value, reason = None, str(error)
+            found.append((math.nan if value is None else float(value), reason))
+        return found
 
     rows = list(map_in_order(one, range(count), available_workers(workers)))
     columns = dict(zip(names, zip(*rows, strict=True), strict=True))
@@ -180,56 +192,22 @@ def different_realizations(sampler: Sampler, n: int, stream: Stream, most: int =
     return 1 if np.array_equal(first, second) else most
 
 
-def _names(figures: Sequence[str] | None, dims: int) -> list[str]:
-    if figures is None:
-        return [name for name in FIGURES if dims > 2 or "projected" not in name]
-    given: Any = figures
-    if isinstance(given, str) or not isinstance(given, Sequence) or not given:
-        raise ParameterError(f"figures is {given!r}; give a list of names.")
-    for name in given:
-        if not isinstance(name, str) or name not in FIGURES:
-            hint, close = close_match_hint(str(name), FIGURES)
-            known = hint if close else " The names are in mcspectra.quality.FIGURES."
-            raise ParameterError(f"There is no quality figure {name!r}.{known}")
-    return list(dict.fromkeys(given))
-
-
-def _value(figure: Figure, points: Array, base: int) -> Value:
-    try:
-        value = figure(points, base)
-    except McspectraError as error:
-        return np.nan, str(error)
-    if value is None:
-        return np.nan, f"{len(points)} is not a power of {base}."
-    return float(value), ""
-
-
 def _pairs(dims: int) -> list[tuple[int, int]]:
     return list(combinations(range(min(dims, MOST_PROJECTED_AXES)), 2))
 
 
 def _projected(
-    figure: Callable[[Array], float], choose: Callable[[Array], Any], points: Array, base: int
+    figure: Callable[[Array], float], choose: Callable[[Array], Any], points: Array
 ) -> float:
     """The worst or the mean figure of the projections on two axes."""
-    del base
     if points.shape[1] < 3:
         raise ParameterError("Projections on two axes need sets in 3 or more dims.")
     values = [figure(points[:, pair]) for pair in map(list, _pairs(points.shape[1]))]
     return float(choose(np.array(values)))
 
 
-def _plain(figure: Callable[[Array], float], points: Array, base: int) -> float:
-    del base
-    return figure(points)
-
-
 def _minimum_distance(points: Array) -> float:
     return float(nearest_distances(points).min())
-
-
-def _mean_nearest_distance(points: Array) -> float:
-    return float(nearest_distances(points).mean())
 
 
 def _t_value(points: Array, base: int) -> float | None:
@@ -260,10 +238,10 @@ def _transport_cost(points: Array) -> float:
     return transport_cost(points)
 
 
-_PLAIN: Mapping[str, Callable[[Array], float]] = {
+FIGURES: Mapping[str, Callable[..., float | None]] = {
     "minimum_distance": _minimum_distance,
     "relative_minimum_distance": relative_minimum_distance,
-    "mean_nearest_distance": _mean_nearest_distance,
+    "mean_nearest_distance": lambda points: float(nearest_distances(points).mean()),
     "star_discrepancy": star_discrepancy,
     "l2_star_discrepancy": partial(l2_discrepancy, kind="star"),
     "centered_discrepancy": partial(l2_discrepancy, kind="centered"),
@@ -272,9 +250,6 @@ _PLAIN: Mapping[str, Callable[[Array], float]] = {
     "generalized_l2_discrepancy": generalized_l2_discrepancy,
     "diaphony": diaphony,
     "transport_cost": _transport_cost,
-}
-FIGURES: Mapping[str, Figure] = {
-    **{name: partial(_plain, figure) for name, figure in _PLAIN.items()},
     "t_value": _t_value,
     "elementary_intervals": _elementary_intervals,
     "worst_projected_distance": partial(_projected, _minimum_distance, np.min),
@@ -284,4 +259,6 @@ FIGURES: Mapping[str, Figure] = {
     "worst_projected_diaphony": partial(_projected, diaphony, np.max),
     "mean_projected_diaphony": partial(_projected, diaphony, np.mean),
 }
-"""The figures by name; `core.results` says what each is."""
+"""The figures of a set (n, d) by name; `core.results` says what each is."""
+
+_OF_DIGITS = ("t_value", "elementary_intervals")  # take the base of the digits too

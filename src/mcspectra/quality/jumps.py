@@ -88,10 +88,27 @@ def find_jumps(function: Function, dims: int, side: int, *, scale: float) -> Jum
     poles = np.zeros(heights.shape, bool)
     centers = grid_centers(side, dims)
     for axis in range(dims):
-        near = np.moveaxis(centers, axis, 0)[:-1]
-        found, pole = _refine(function, near.reshape(-1, dims), axis, 1.0 / side, scale)
-        np.moveaxis(heights[axis], axis, 0)[:-1] = found.reshape(near.shape[:-1])
-        np.moveaxis(poles[axis], axis, 0)[:-1] = pole.reshape(near.shape[:-1])
+        # Halve the intervals to the next cells: first to drop slopes, then twice to compare
+        shape = np.moveaxis(centers, axis, 0)[:-1].shape
+        near = np.moveaxis(centers, axis, 0)[:-1].reshape(-1, dims)
+        far = near.copy()
+        far[:, axis] += 1.0 / side
+        ends = np.stack([near, far])
+        values = np.stack([function(near), function(far)])
+        change = _change(values)
+        alive = np.flatnonzero(change > _NEGLIGIBLE * scale)
+        ends, values = _halve(function, ends[:, alive], values[:, alive], _FIRST)
+        kept = _change(values) > _SLOPE * change[alive]
+        ends, values = _halve(function, ends[:, kept], values[:, kept], _NEXT)
+        before = _change(values)
+        _, values = _halve(function, ends, values, _NEXT)
+        after = _change(values)
+        jump = (after > _STAYS * before) & (after > _NEGLIGIBLE * scale)
+        found, pole = np.zeros(len(near)), np.zeros(len(near), bool)
+        found[alive[kept][jump]] = after[jump]
+        pole[alive[kept]] = jump & (after > _GROWS * before)
+        np.moveaxis(heights[axis], axis, 0)[:-1] = found.reshape(shape[:-1])
+        np.moveaxis(poles[axis], axis, 0)[:-1] = pole.reshape(shape[:-1])
     return Jumps(heights, poles)
 
 
@@ -117,29 +134,6 @@ def curve_length(crossed: Array) -> float:
     blocks = padded.shape[1] // _BLOCK
     counts = padded.reshape(2, blocks, _BLOCK, blocks, _BLOCK).sum(axis=(2, 4))
     return float(np.hypot(counts[0], counts[1]).sum() / side)
-
-
-def _refine(
-    function: Function, near: Array, axis: int, step: float, scale: float
-) -> tuple[Array, Array]:
-    """Heights (k,) of jumps within intervals from `near` (k, d), and whether they are poles."""
-    heights, poles = np.zeros(len(near)), np.zeros(len(near), bool)
-    far = near.copy()
-    far[:, axis] += step
-    ends = np.stack([near, far])
-    values = np.stack([function(near), function(far)])
-    change = _change(values)
-    alive = np.flatnonzero(change > _NEGLIGIBLE * scale)
-    ends, values = _halve(function, ends[:, alive], values[:, alive], _FIRST)
-    kept = _change(values) > _SLOPE * change[alive]
-    ends, values = _halve(function, ends[:, kept], values[:, kept], _NEXT)
-    before = _change(values)
-    _, values = _halve(function, ends, values, _NEXT)
-    after = _change(values)
-    jump = (after > _STAYS * before) & (after > _NEGLIGIBLE * scale)
-    heights[alive[kept][jump]] = after[jump]
-    poles[alive[kept]] = jump & (after > _GROWS * before)
-    return heights, poles
 
 
 def _halve(function: Function, ends: Array, values: Array, times: int) -> tuple[Array, Array]:

@@ -13,9 +13,10 @@ import math
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_integer, as_unit_points
+from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import CountError, ParameterError
 from mcspectra.core.jit import kernel
+from mcspectra.quality.sets import as_set
 from mcspectra.samplers._primes import LARGEST_BASE, power_from
 
 __all__ = ["elementary_intervals", "net_t_value"]
@@ -81,9 +82,7 @@ def elementary_intervals(points: object, base: int = 2, t: int = 0) -> bool:
 def _as_net(points: object, base: int) -> tuple[Array, int, int]:
     """Points (n, d), base, and the smallest m with base^m ≥ n."""
     base = as_integer("base", base, least=2, most=LARGEST_BASE)
-    x = as_unit_points(points)
-    if x.ndim != 2:
-        raise ParameterError(f"points have shape {x.shape}; give one set, shape (n, d).")
+    x = as_set(points)
     return x, base, power_from(len(x), base)
 
 

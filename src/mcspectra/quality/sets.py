@@ -15,6 +15,7 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.core.jit import kernel
 
 __all__ = [
+    "as_set",
     "best_minimum_distance",
     "diaphony",
     "generalized_l2_discrepancy",
@@ -47,7 +48,7 @@ _SCIPY: Mapping[str, tuple[str, bool]] = {
 _MEAN = math.pi**2 / 6.0
 
 
-def _as_set(points: object) -> Array:
+def as_set(points: object) -> Array:
     """Return one set (n, d), contiguous, after checking that it lies in the unit cube."""
     x = as_unit_points(points)
     if x.ndim != 2:
@@ -78,7 +79,7 @@ def nearest_distances(points: object) -> Array:
     ParameterError
         One point only, or more work than a second or so: n > 2^21, or n² d > 2^27 from 7 dims on.
     """
-    x = _as_set(points)
+    x = as_set(points)
     n, dims = x.shape
     if n < 2:
         raise ParameterError("One point has no neighbours; give at least two.")
@@ -136,7 +137,7 @@ def relative_minimum_distance(points: object) -> float:
 
     A point's own images count too: they are 1 apart.
     """
-    x = _as_set(points)
+    x = as_set(points)
     best = best_minimum_distance(*x.shape)
     return min(1.0, float(nearest_distances(x).min())) / best
 
@@ -158,7 +159,7 @@ def star_discrepancy(points: object) -> float:
     -----
     Cost O(n log n) in 1-D [Niederreiter1972]_, O(n²) in 2-D [DeClerck1986]_.
     """
-    x = _as_set(points)
+    x = as_set(points)
     n, dims = x.shape
     if dims == 1:
         ascending = np.sort(x[:, 0])
@@ -223,7 +224,7 @@ def l2_discrepancy(points: object, kind: str = "star") -> float:
     """
     from scipy.stats import qmc
 
-    x = _as_set(points)
+    x = as_set(points)
     method, squared = _SCIPY[as_choice("kind", kind, tuple(_SCIPY))]
     _check_pairs(x)
     value = float(qmc.discrepancy(x, method=method))  # type: ignore[arg-type]
@@ -241,7 +242,7 @@ def generalized_l2_discrepancy(points: object) -> float:
     ParameterError
         n² d > 2^27.
     """
-    x = _as_set(points)
+    x = as_set(points)
     _check_pairs(x)
     n, dims = x.shape
     single = np.prod((3.0 - x * x) / 2.0, axis=1).sum()
@@ -277,7 +278,7 @@ def diaphony(points: object) -> float:
     ParameterError
         n² d > 2^27.
     """
-    x = _as_set(points)
+    x = as_set(points)
     _check_pairs(x)
     n, dims = x.shape
     alone = (1.0 + math.pi**2 / 3.0) ** dims - 1.0

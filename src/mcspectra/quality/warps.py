@@ -64,7 +64,14 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
     centers = grid_centers(side, dims)
     image = p.sample(centers)
     jumps = find_jumps(p.sample, dims, side, scale=1.0)
-    slopes = _slopes(p, centers + np.array(_ASIDE[:dims]) / side, _STEP / side)
+    # ∂T_i/∂u_j at points (..., d), (..., i, j)
+    points, step = centers + np.array(_ASIDE[:dims]) / side, _STEP / side
+    here, columns = p.sample(points), []
+    for shift in step * np.eye(dims):
+        sides = np.stack([p.sample(points + shift) - here, here - p.sample(points - shift)])
+        ahead_less = (sides[0] ** 2).sum(axis=-1) <= (sides[1] ** 2).sum(axis=-1)
+        columns.append(np.where(ahead_less[..., None], sides[0], sides[1]) / step)
+    slopes = np.stack(columns, axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
         # Stretch: largest over smallest singular value
         values = np.linalg.svd(slopes, compute_uv=False)
@@ -99,17 +106,6 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
         dims=p.dims,
         resolution=side,
     )
-
-
-def _slopes(p: Density, points: Array, step: float) -> Array:
-    """∂T_i/∂u_j at points (..., d), (..., i, j)."""
-    image = p.sample(points)
-    columns = []
-    for shift in step * np.eye(p.primary_dims):
-        sides = np.stack([p.sample(points + shift) - image, image - p.sample(points - shift)])
-        ahead_less = (sides[0] ** 2).sum(axis=-1) <= (sides[1] ** 2).sum(axis=-1)
-        columns.append(np.where(ahead_less[..., None], sides[0], sides[1]) / step)
-    return np.stack(columns, axis=-1)
 
 
 def _geometric_mean(values: Array) -> float:

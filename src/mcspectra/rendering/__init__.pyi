@@ -13,10 +13,10 @@ from .maps import variance_map as variance_map
 from .paths import PathPixel as PathPixel
 from .paths import path_pixel as path_pixel
 from .pixel import Pixel as Pixel
+from .pixel import PixelMIS as PixelMIS
 from .pixel import describe_pixel as describe_pixel
+from .pixel import pixel_mis as pixel_mis
 from .pixel import pixel_strategies as pixel_strategies
-from .pixel_mis import PixelMIS as PixelMIS
-from .pixel_mis import pixel_mis as pixel_mis
 from .plugin import register_samplers as register_samplers
 from .point_sampler import MitsubaSampler as MitsubaSampler
 from .point_sampler import from_mitsuba as from_mitsuba
@@ -25,8 +25,8 @@ from .scenes import SCENES as SCENES
 from .scenes import load_scene as load_scene
 from .scenes import named_pixels as named_pixels
 from .scenes import project as project
+from .scenes import render_file as render_file
 from .skies import sky_pixels as sky_pixels
-from .stock import render_file as render_file
 from .wavefront import Wavefront as Wavefront
 
 __all__ = [

@@ -130,7 +130,16 @@ def load_mitsuba() -> Any:
     """
     with LOCK:
         if not _loaded:
-            _loaded.append(_start())
+            if importlib.util.find_spec("mitsuba") is None:
+                raise MissingDependency(_no_mitsuba())
+            if not _already_running():
+                best, refused = find_library()
+                if best is None:
+                    raise MissingDependency(_no_library(refused))
+                os.environ[_LIBRARY_VARIABLE] = best.library
+            mitsuba = _imported()
+            _check_mapped()
+            _loaded.append(mitsuba)
         mitsuba = _loaded[0]
         if mitsuba.variant() != VARIANT:
             mitsuba.set_variant(VARIANT)
@@ -204,20 +213,6 @@ def import_mitsuba() -> Any:
             if best is not None:
                 os.environ[_LIBRARY_VARIABLE] = best.library
         return _imported()
-
-
-def _start() -> Any:
-    if importlib.util.find_spec("mitsuba") is None:
-        raise MissingDependency(_no_mitsuba())
-    if not _already_running():
-        best, refused = find_library()
-        if best is None:
-            raise MissingDependency(_no_library(refused))
-        os.environ[_LIBRARY_VARIABLE] = best.library
-    mitsuba = _imported()
-    _check_mapped()
-    mitsuba.set_variant(VARIANT)
-    return mitsuba
 
 
 def _check_mapped() -> None:
@@ -357,15 +352,8 @@ def _probe(library: str) -> tuple[Verdict, bool]:
 def _tried(program: str, variables: Mapping[str, str] | None = None) -> _Run:
     """Run a program in a process of its own."""
     command = [sys.executable, "-c", program]
-    environment = {**os.environ, **(variables or {})}
-    return subprocess.run(
-        command,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=_PROBE_SECONDS,
-        check=False,
-    )
+    kept: dict[str, Any] = {"capture_output": True, "text": True, "timeout": _PROBE_SECONDS}
+    return subprocess.run(command, env={**os.environ, **(variables or {})}, check=False, **kept)
 
 
 def _worked(run: _Run) -> bool:

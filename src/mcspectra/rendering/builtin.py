@@ -126,14 +126,27 @@ def figure1(*, edge: float = 0.0, width: int = 384, height: int = 256) -> dict[s
     samples such a light texel by texel in proportion to it. For BSDF sampling the light has then no
     silhouette: at P, jittered, its rate goes from −1.5 to −1.9 with ``edge=1``.
     """
-    radiance = _smooth_texture(edge) if as_real("edge", edge, least=0.0, most=1.0) else _RADIANCE
+    radiance: Any = _RADIANCE
+    if as_real("edge", edge, least=0.0, most=1.0):
+        # A texture that rises from 0 at the ends of [0,1] to 1 at the distance edge / 2 as a smoothstep
+        u = (np.arange(_TEXELS) + 0.5) / _TEXELS
+        t = np.minimum(2.0 * np.minimum(u, 1.0 - u), edge) / edge
+        profile = np.asarray(t * t * (3.0 - 2.0 * t))
+        values = _RADIANCE * np.outer(profile, profile).astype(np.float32)
+        bitmap = load_mitsuba().Bitmap(np.repeat(values[..., None], 3, axis=2))
+        # Raw: radiance is linear, no colour to be decoded; clamp: no wrapping at the borders.
+        radiance = {"type": "bitmap", "bitmap": bitmap, "raw": True, "wrap_mode": "clamp"}
+    angle = np.deg2rad(_OCCLUDER_DEGREES)
+    across = _OCCLUDER_HALF_SIDE * np.array([np.cos(angle), 0.0, -np.sin(angle)])
+    along = _OCCLUDER_HALF_SIDE * np.array([-np.sin(angle), 0.0, -np.cos(angle)])
+    occluder = rectangle(_OCCLUDER, across.tolist(), along.tolist())
     light = rectangle((0, _HEIGHT, 0), (_HALF_SIDE, 0, 0), (0, 0, _HALF_SIDE))
     floor = rectangle((0, 0, 0), (_FLOOR_HALF_SIDE, 0, 0), (0, 0, -_FLOOR_HALF_SIDE))
     return {
         "type": "scene",
         "sensor": perspective((0.0, 1.6, 7.0), (0.0, 0.9, 0.0), 28.0, width, height),
         "light": {**light, **area_light(radiance)},
-        "occluder": {**_turned_square(), "bsdf": diffuse(0.2, both_sides=True)},
+        "occluder": {**occluder, "bsdf": diffuse(0.2, both_sides=True)},
         "floor": {**floor, "bsdf": diffuse(_REFLECTANCE)},
     }
 
@@ -145,24 +158,6 @@ def smooth_light(*, edge: float = 0.5, width: int = 384, height: int = 256) -> d
     Parameters, errors and notes are those of `figure1`.
     """
     return figure1(edge=edge, width=width, height=height)
-
-
-def _turned_square() -> dict[str, Any]:
-    angle = np.deg2rad(_OCCLUDER_DEGREES)
-    across = _OCCLUDER_HALF_SIDE * np.array([np.cos(angle), 0.0, -np.sin(angle)])
-    along = _OCCLUDER_HALF_SIDE * np.array([-np.sin(angle), 0.0, -np.cos(angle)])
-    return rectangle(_OCCLUDER, across.tolist(), along.tolist())
-
-
-def _smooth_texture(edge: float) -> dict[str, Any]:
-    # Rise from 0 at the ends of [0,1] to 1 at the distance edge / 2 as a smoothstep
-    u = (np.arange(_TEXELS) + 0.5) / _TEXELS
-    t = np.minimum(2.0 * np.minimum(u, 1.0 - u), edge) / edge
-    profile = np.asarray(t * t * (3.0 - 2.0 * t))
-    values = _RADIANCE * np.outer(profile, profile).astype(np.float32)
-    bitmap = load_mitsuba().Bitmap(np.repeat(values[..., None], 3, axis=2))
-    # Raw: radiance is linear, no colour to be decoded; clamp: no wrapping at the borders.
-    return {"type": "bitmap", "bitmap": bitmap, "raw": True, "wrap_mode": "clamp"}
 
 
 _LIGHT_Y, _LIGHT_HALF_SIDE, _PENUMBRA_RADIANCE = 3.0, 0.8, 16.0
@@ -214,11 +209,7 @@ def penumbra(*, width: int = 384, height: int = 256) -> dict[str, Any]:
         "floor": {**floor, "bsdf": diffuse(0.5)},
     }
     scene["rod"]["bsdf"] = gray  # type: ignore[index]
-    return scene | {f"blade-{i}": {**_blade(x), "bsdf": gray} for i, x in enumerate(_BLADES)}
-
-
-def _blade(x: float) -> dict[str, Any]:
-    """Make a blade at x, turned by 20° about y and leaning by 30°."""
+    # Blades are turned by 20° about y and lean by 30°
     turn, lean = math.radians(20.0), math.radians(30.0)
     along = (0.6 * math.sin(turn), 0.0, 0.6 * math.cos(turn))
     across = (
@@ -226,7 +217,8 @@ def _blade(x: float) -> dict[str, Any]:
         0.12 * math.sin(lean),
         -0.12 * math.cos(lean) * math.sin(turn),
     )
-    return rectangle((x, 0.9, 0.3), across, along)
+    blades = (rectangle((x, 0.9, 0.3), across, along) for x in _BLADES)
+    return scene | {f"blade-{i}": {**shape, "bsdf": gray} for i, shape in enumerate(blades)}
 
 
 _MAP_SIZE = (64, 128)
@@ -288,11 +280,10 @@ def sky(*, width: int = 384, height: int = 256) -> dict[str, Any]:
         "sky": {"type": "envmap", "bitmap": load_mitsuba().Bitmap(pixels)},
         "floor": {**rectangle((0, 0, 0), (8, 0, 0), (0, 0, -8)), "bsdf": diffuse(0.15)},
     }
-    return scene | {name: _sphere(x, bsdf) for name, (x, bsdf) in _MATERIALS.items()}
-
-
-def _sphere(x: float, bsdf: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "sphere", "center": [x, _SKY_RADIUS, 0.0], "radius": _SKY_RADIUS, "bsdf": bsdf}
+    for name, (x, bsdf) in _MATERIALS.items():
+        ball = {"type": "sphere", "center": [x, _SKY_RADIUS, 0.0], "radius": _SKY_RADIUS}
+        scene[name] = {**ball, "bsdf": bsdf}
+    return scene
 
 
 _SPHERES: dict[str, tuple[Point, float, float]] = {
@@ -357,36 +348,25 @@ def veach(
     Positions, radii, radiances, roughness and camera as in [Veach1997]_ and the scene files that
     several renderers publish. The plates are copper, floor and wall are gray: our choice.
     """
-    kept = _check_lights(tuple(_SPHERES) if lights is None else lights)
+    allowed: Any = tuple(_SPHERES)
+    given: Any = (lights,) if isinstance(lights, str) else allowed if lights is None else lights
+    if not isinstance(given, Sequence | set) or not given:
+        raise ParameterError(f"lights is {lights!r}; give one or more of {', '.join(allowed)}.")
+    kept = [as_choice("a light", name, allowed) for name in given]
     sensor = perspective((0.0, 2.0, 15.0), (0.0, -2.0, 2.5), 28.0, width, height)
     scene: dict[str, Any] = {"type": "scene", "sensor": sensor}
-    scene |= {name: _sphere_light(*_SPHERES[name]) for name in _SPHERES if name in kept}
-    scene |= {f"plate-{i}": _plate(*plate) for i, plate in enumerate(_PLATES)}
+    for name, (center, radius, radiance) in _SPHERES.items():
+        if name in kept:
+            ball = {"type": "sphere", "center": list(center), "radius": radius}
+            scene[name] = {**ball, **area_light(radiance)}
+    for i, ((y0, z0), (y1, z1), alpha) in enumerate(_PLATES):
+        along = (0.0, (y1 - y0) / 2, (z1 - z0) / 2)
+        shape = rectangle(_on_plate(i, 0.0), (_PLATE_HALF_WIDTH, 0.0, 0.0), along)
+        copper = {"type": "roughconductor", "distribution": "ggx", "material": "Cu"}
+        scene[f"plate-{i}"] = {**shape, "bsdf": {**copper, "alpha": alpha}}
     across = (_HALF_WIDTH, 0.0, 0.0)
     depth, rise = (_FRONT_Z - _WALL_Z) / 2, (_WALL_TOP - _FLOOR_Y) / 2
     floor = rectangle((0, _FLOOR_Y, (_FRONT_Z + _WALL_Z) / 2), across, (0, 0, -depth))
     wall = rectangle((0, (_WALL_TOP + _FLOOR_Y) / 2, _WALL_Z), across, (0, rise, 0))
     gray = diffuse(_GRAY)
     return scene | {"floor": {**floor, "bsdf": gray}, "wall": {**wall, "bsdf": gray}}
-
-
-def _check_lights(lights: object) -> tuple[str, ...]:
-    allowed = tuple(_SPHERES)
-    given = (lights,) if isinstance(lights, str) else lights
-    if not isinstance(given, Sequence | set) or not given:
-        raise ParameterError(f"lights is {lights!r}; give one or more of {', '.join(allowed)}.")
-    return tuple(as_choice("a light", name, allowed) for name in given)
-
-
-def _sphere_light(center: Point, radius: float, radiance: float) -> dict[str, Any]:
-    sphere = {"type": "sphere", "center": list(center), "radius": radius}
-    return {**sphere, **area_light(radiance)}
-
-
-def _plate(front: tuple[float, float], back: tuple[float, float], alpha: float) -> dict[str, Any]:
-    (y0, z0), (y1, z1) = front, back
-    along = (0.0, (y1 - y0) / 2, (z1 - z0) / 2)
-    center = (0.0, (y0 + y1) / 2, (z0 + z1) / 2)
-    shape = rectangle(center, (_PLATE_HALF_WIDTH, 0.0, 0.0), along)
-    copper = {"type": "roughconductor", "distribution": "ggx", "material": "Cu", "alpha": alpha}
-    return {**shape, "bsdf": copper}

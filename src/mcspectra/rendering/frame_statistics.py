@@ -23,10 +23,10 @@ import xarray as xr
 
 from mcspectra.core.checks import Array, as_integer, as_real, is_path
 from mcspectra.core.errors import FileFormatError, ParameterError
-from mcspectra.core.images import exr_attributes, luminance, read_image
+from mcspectra.core.images import Rings, exr_attributes, luminance, read_image
 from mcspectra.core.progress import report
+from mcspectra.core.records import student_t
 from mcspectra.core.results import dataset
-from mcspectra.core.rings import Rings
 from mcspectra.estimators.moments import CONFIDENCE_Z, Moments
 from mcspectra.rendering.map_statistics import fit_lines, interval, ratio, smooth
 
@@ -416,15 +416,20 @@ def _group(
     sample = np.empty((count, chosen.size))
     for k, file in enumerate(files):
         error = np.where(varied, read.plane(file, shape)[0] - moments.mean, 0.0)
-        ends = _ends(error[varied])
-        tail = ends if tail is None else tail.merge(ends)
+        # Moments and extremes, without sorting all of them
+        values = ends = error[varied]
+        if values.size > 2 * _TAIL:
+            parts = np.partition(values, (_TAIL - 1, values.size - _TAIL))
+            ends = np.concatenate([parts[:_TAIL], parts[-_TAIL:]])
+        each = replace(Moments.of(values), extremes=np.sort(ends))
+        tail = each if tail is None else tail.merge(each)
         error *= unit
         sample[k] = error.flat[chosen]
         own = np.abs(np.fft.rfft2(error)) ** 2 / varied.sum()
         power, curves[k] = power + own / count, rings.mean(own)
         report("frames", (done + count + k) / total)
     assert tail is not None
-    half = _student(count - 1) * curves.std(axis=0, ddof=1) / math.sqrt(count)
+    half = student_t(count) * curves.std(axis=0, ddof=1) / math.sqrt(count)
 
     # Correlations without their bias, and the spectrum of those
     every = np.fft.irfft2(power, s=(height, width))
@@ -541,28 +546,14 @@ def _related(sample: Array, alike: float) -> tuple[tuple[int, int] | None, float
     return ((int(first), int(second)) if abs(found) > limit else None), found
 
 
-def _ends(values: Array) -> Moments:
-    """Moments of values and their extremes, without sorting all of them."""
-    ends = values
-    if values.size > 2 * _TAIL:
-        parts = np.partition(values, (_TAIL - 1, values.size - _TAIL))
-        ends = np.concatenate([parts[:_TAIL], parts[-_TAIL:]])
-    return replace(Moments.of(values), extremes=np.sort(ends))
-
-
 def _grubbs(count: int) -> float:
     """Largest share of one square of `count` normal values, by Grubbs' test [Grubbs1950]_."""
     if count < _LEAST_GRUBBS:
         return math.inf
-    student = _student(count - 2, _OUTLIER / count) ** 2
-    return (count - 1) / count * student / (count - 2 + student)
-
-
-def _student(degrees: int, significance: float = _SIGNIFICANCE) -> float:
-    """Two-sided quantile of Student's t."""
     from scipy.special import stdtrit
 
-    return float(stdtrit(degrees, 1 - significance / 2))
+    student = float(stdtrit(count - 2, 1 - _OUTLIER / count / 2)) ** 2
+    return (count - 1) / count * student / (count - 2 + student)
 
 
 def _sidak(count: int) -> float:

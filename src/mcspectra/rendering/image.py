@@ -9,8 +9,7 @@ of an image one set, moved in each: that is what renderers do, and cheaper than 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -108,23 +107,60 @@ def render(
     """
     waves = Wavefront(scene, light, film, heuristic=heuristic, emission=True)
     check_environment(scene, light)
-    points = as_sampler(sampler, waves.dims(strategy))
-    plan = _Plan(
-        waves=waves,
-        strategy=strategy,
-        sampler=points,
-        spp=points.check_count(as_integer("spp", spp, least=1, most=_MOST_SAMPLES)),
-        realizations=as_integer("realizations", realizations, least=1, most=MAX_REALIZATIONS),
-        crop=_as_crop(crop, waves),
-        stream=Stream.from_rng(rng),
-    )
+    source = as_sampler(sampler, waves.dims(strategy))
+    spp = source.check_count(as_integer("spp", spp, least=1, most=_MOST_SAMPLES))
+    realizations = as_integer("realizations", realizations, least=1, most=MAX_REALIZATIONS)
+    left, top, width, height = _as_crop(crop, waves)
+    stream, net = Stream.from_rng(rng), net_of(source)
     warn_lens(scene)
     warn_integrator(scene)
     warn_missed(scene, strategy, light)
-    moments = _moments(plan, available_workers(workers))
-    left, top, width, height = plan.crop
+
+    # Tiles and images that are rendered at once, all images of a tile in succession
+    count = width * height
+    size = min(count, max(1, _TILE_LANES // spp))
+    together = max(1, _TILE_LANES // (size * spp))
+    blocks = (
+        (tile, range(first, min(first + together, realizations)))
+        for tile in (range(k, min(k + size, count)) for k in range(0, count, size))
+        for first in range(0, realizations, together)
+    )
+
+    def draw(block: tuple[range, range]) -> tuple[range, Callable[[], Array]]:
+        """Draw the points of a tile in some images; what is returned gives the means (images · P, 3)."""
+        tile, images = block
+        y, x = np.divmod(np.asarray(tile), width)
+        pixels = np.stack([x + left, y + top], axis=-1)
+        numbers = pixels[:, 0] + waves.width * pixels[:, 1]
+        streams = [stream.child(image) for image in images]
+        everywhere = np.tile(pixels, (len(images), 1))
+        if net is not None:
+            keys = np.array([scramble_key(each) for each in streams], np.uint64)
+            points = NetPoints(net, spp, keys, numbers.astype(np.uint32))
+            return images, lambda: waves.net_means(strategy, everywhere, points)
+        # Samplers draw successive realisations only.
+        runs = np.split(numbers, np.flatnonzero(np.diff(numbers) != 1) + 1)
+        parts = [(each, int(run[0]), len(run)) for each in streams for run in runs]
+        u = np.concatenate([source.draw_stream(spp, *part) for part in parts])
+        return images, lambda: waves.means(strategy, everywhere, u)
+
+    # Moments over images, tile by tile; where kernels compute the points there is nothing to be drawn meanwhile
+    moments: list[Moments] = []
+    finished, threads = 0, available_workers(workers)
+    for images, evaluate in map_in_order(draw, blocks, threads if net is None else 1):
+        means = evaluate()
+        if realizations == 1:  # a third of the time of an image of 4 samples
+            found = Moments(1, means, *[np.zeros(())] * 3)
+        else:
+            found = Moments.of(means.reshape(len(images), -1, len(CHANNELS)))
+        if images.start == 0:
+            moments.append(found)
+        else:
+            moments[-1] = moments[-1].merge(found)
+        finished += len(means)
+        progress.report("render", finished / (count * realizations))
     names = {"image": "mean"}
-    if plan.realizations > 1:
+    if realizations > 1:
         names |= {"variance": "variance", "image_se": "mean_se"}
     joined = {
         name: np.concatenate([getattr(m, of) for m in moments]).reshape(
@@ -139,10 +175,10 @@ def render(
             "x": np.arange(left, left + width),
             "channel": list(CHANNELS),
         },
-        strategy=plan.strategy,
-        sampler=plan.sampler.spec,
-        spp=plan.spp,
-        realizations=plan.realizations,
+        strategy=strategy,
+        sampler=source.spec,
+        spp=spp,
+        realizations=realizations,
         scene=scene_name(scene).strip("'\""),
         film=film,
         camera=camera_rays(scene),
@@ -203,77 +239,6 @@ def compare_strategies(
     for strategy, samples in (("light", count), ("bsdf", count), ("mis", count // 2)):
         images[strategy] = render(scene, strategy, spp=samples, **options)
     return images
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Plan:
-    """All that decides the numbers of an image."""
-
-    waves: Wavefront
-    strategy: str
-    sampler: Sampler
-    spp: int
-    realizations: int
-    crop: tuple[int, int, int, int]
-    stream: Stream
-
-    def pixels(self, tile: slice) -> Array:
-        """Pixels of the crop, in the order of reading: int64 (P, 2)."""
-        left, top, width, _ = self.crop
-        y, x = np.divmod(np.arange(tile.start, tile.stop), width)
-        return np.stack([x + left, y + top], axis=-1)
-
-    def means(self, pixels: Array, images: range) -> Callable[[], Array]:
-        """Draw points of some pixels in some images; what is returned gives the means (images · P, 3)."""
-        numbers = pixels[:, 0] + self.waves.width * pixels[:, 1]
-        streams = [self.stream.child(image) for image in images]
-        everywhere, net = np.tile(pixels, (len(images), 1)), net_of(self.sampler)
-        if net is not None:
-            keys = np.array([scramble_key(stream) for stream in streams], np.uint64)
-            points = NetPoints(net, self.spp, keys, numbers.astype(np.uint32))
-            return lambda: self.waves.net_means(self.strategy, everywhere, points)
-        # Samplers draw successive realisations only.
-        runs = np.split(numbers, np.flatnonzero(np.diff(numbers) != 1) + 1)
-        parts = [(stream, int(run[0]), len(run)) for stream in streams for run in runs]
-        u = np.concatenate([self.sampler.draw_stream(self.spp, *part) for part in parts])
-        return lambda: self.waves.means(self.strategy, everywhere, u)
-
-    def blocks(self) -> Iterator[tuple[slice, range]]:
-        """Tiles and images that are rendered at once, all images of a tile in succession."""
-        pixels = self.crop[2] * self.crop[3]
-        size = min(pixels, max(1, _TILE_LANES // self.spp))
-        together = max(1, _TILE_LANES // (size * self.spp))
-        for start in range(0, pixels, size):
-            tile = slice(start, min(start + size, pixels))
-            for image in range(0, self.realizations, together):
-                yield tile, range(image, min(image + together, self.realizations))
-
-
-def _moments(plan: _Plan, workers: int) -> list[Moments]:
-    """Moments over images, tile by tile."""
-    done: list[Moments] = []
-    total = plan.crop[2] * plan.crop[3] * plan.realizations
-    finished = 0
-
-    def draw(block: tuple[slice, range]) -> tuple[range, Callable[[], Array]]:
-        tile, images = block
-        return images, plan.means(plan.pixels(tile), images)
-
-    # Where kernels compute the points there is nothing to be drawn meanwhile.
-    threads = workers if net_of(plan.sampler) is None else 1
-    for images, evaluate in map_in_order(draw, plan.blocks(), threads):
-        means = evaluate()
-        if plan.realizations == 1:  # a third of the time of an image of 4 samples
-            found = Moments(1, means, *[np.zeros(())] * 3)
-        else:
-            found = Moments.of(means.reshape(len(images), -1, len(CHANNELS)))
-        if images.start == 0:
-            done.append(found)
-        else:
-            done[-1] = done[-1].merge(found)
-        finished += len(means)
-        progress.report("render", finished / total)
-    return done
 
 
 def _as_crop(crop: object, waves: Wavefront) -> tuple[int, int, int, int]:

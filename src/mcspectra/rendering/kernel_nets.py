@@ -145,24 +145,18 @@ class NetPoints:
 
         def points(index: Any) -> list[Any]:
             words = net_words(module, self.net, self.count, index)
-            return [_unit(module, _hashed_twice(w, *k)) for w, k in zip(words, keys, strict=True)]
+            return [_unit(module, _hashed(w, *k)) for w, k in zip(words, keys, strict=True)]
 
         return points
 
 
-def _hashed_twice(x: Any, first: tuple[Any, Any], second: tuple[Any, Any]) -> Any:
-    # Every bit hangs on those below it only: see `samplers.scrambles.Owen`.
+def _hashed(x: Any, *keys: tuple[Any, Any]) -> Any:
+    """A word scrambled in one round or two: every bit hangs on those below it only, see `Owen`."""
     x = x ^ (x * 0x3D20ADEA)
-    x = (x + first[0]) * first[1]
+    x = (x + keys[0][0]) * keys[0][1]
     x ^= x * 0x05526C56
-    x = (x + second[0]) * second[1]
-    return x ^ (x * 0x53A22864)
-
-
-def _hashed(x: Any, key: tuple[Any, Any]) -> Any:
-    x = x ^ (x * 0x3D20ADEA)
-    x = (x + key[0]) * key[1]
-    x ^= x * 0x05526C56
+    for summand, factor in keys[1:]:
+        x = (x + summand) * factor
     return x ^ (x * 0x53A22864)
 
 

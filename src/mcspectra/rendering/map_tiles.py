@@ -33,7 +33,6 @@ light than another (`surely`), the other's prediction takes what it missed as a 
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Final, TypeAlias, final
@@ -151,9 +150,7 @@ class Measurement:
     @property
     def techniques(self) -> list[str]:
         """Techniques that the strategies need."""
-        single = {"light": "light", "mis-light": "light", "bsdf": "bsdf", "mis-bsdf": "bsdf"}
-        needed = {single.get(strategy, "both") for strategy in self.strategies}
-        return [t for t in TECHNIQUES if needed & {t, "both"}]
+        return [t for t in TECHNIQUES if {t, f"mis-{t}", "mis"}.intersection(self.strategies)]
 
     @property
     def block(self) -> int:
@@ -222,9 +219,9 @@ class Measurement:
                     made = [self._traced(pixels, *self._points(pixels, n, block))]
                 else:
                     drawn = zip(TECHNIQUES, self._points(receivers.pixels, n, block), strict=True)
-                    both = {t: receivers.estimates(t, u) for t, u in drawn if t in self.techniques}
-                    made = [combined(strategy, both) for strategy in self.strategies]
-                own = [Moments.of(each) for each in made]
+                    each = {t: receivers.estimates(t, u) for t, u in drawn if t in self.techniques}
+                    made = [combined(strategy, each) for strategy in self.strategies]
+                own = [Moments.of(estimates) for estimates in made]
                 total = [x.merge(y) for x, y in zip(total, own, strict=True)] if total else own
             for s, moments in enumerate(total):
                 for name in ("mean", "variance", "relative_se"):
@@ -250,9 +247,16 @@ class Measurement:
             part = chosen[start : start + step]
             receivers = Receivers(self.lighting, pixels[part])
             each = {t: receivers.values(t, prediction.samples) for t in self.techniques}
+            there = np.max([surely(prediction, plain) for plain, _ in each.values()], axis=0)
             for s, strategy in enumerate(self.strategies):
-                v, se = _predicted(prediction, strategy, each)
-                found.predicted[s, part] = v[: len(part)]
+                # Variances of independent techniques add up; the error has a part for the light that
+                # another technique sees and this strategy does not
+                terms = ("mis-light", "mis-bsdf") if strategy == "mis" else (strategy,)
+                both = [prediction.variance(combined(term, each)) for term in terms]
+                whole = combined("mis" if strategy.startswith("mis") else strategy, each)
+                errors = [se for _, se in both] + [unmet(prediction, whole, there)]
+                found.predicted[s, part] = np.sum([v for v, _ in both], axis=0)[: len(part)]
+                se = np.sqrt(np.square(errors).sum(axis=0))
                 found.predicted_se[s, part] = se[: len(part)]
         return found
 
@@ -304,22 +308,6 @@ def combined(strategy: str, both: dict[str, tuple[Array, Array]]) -> Array:
     if strategy == "mis":
         return both["light"][1] + both["bsdf"][1]
     return both[strategy.removeprefix("mis-")][int(strategy.startswith("mis-"))]
-
-
-def _predicted(
-    prediction: Prediction, strategy: str, each: dict[str, tuple[Array, Array]]
-) -> tuple[Array, Array]:
-    """Variance of a strategy and its standard error; those of independent techniques add up.
-
-    The error has a part for the light that another technique sees and this strategy does not.
-    """
-    parts = ("mis-light", "mis-bsdf") if strategy == "mis" else (strategy,)
-    found = [prediction.variance(combined(part, each)) for part in parts]
-    there = np.max([surely(prediction, plain) for plain, _ in each.values()], axis=0)
-    whole = combined("mis" if strategy.startswith("mis") else strategy, each)
-    errors = [se for _, se in found] + [unmet(prediction, whole, there)]
-    variance: Array = np.sum([v for v, _ in found], axis=0)
-    return variance, np.sqrt(np.square(errors).sum(axis=0))
 
 
 TECHNIQUES = ("light", "bsdf")
@@ -415,28 +403,26 @@ class Receivers:
         return Hit(load_scene(self._lighting.scene), at, at.bsdf())
 
     def _sums(self, technique: str, u: Array) -> Array:
-        """Sums over samples, plain and weighted: (2, R, P)."""
+        """Sums over samples in the chosen channel, plain and weighted: (2, R, P)."""
         import drjit
 
+        mitsuba, given = load_mitsuba(), self._lighting
+        emitter = None if given.light is None else find_emitter(given.scene, given.light)
         columns = sample_columns(u.reshape(-1, u.shape[-1]))
 
         def at(pixel: Any) -> Callable[[Any], tuple[Any, Any]]:
             hits = self._gathered(pixel)
-            return lambda row: self._value(
-                technique, hits, [drjit.gather(type(c), c, row) for c in columns]
-            )
+
+            def value(row: Any) -> tuple[Any, Any]:
+                x, y, *extra = (drjit.gather(type(c), c, row) for c in columns)
+                found = _SAMPLE[technique](hits, emitter, mitsuba.Point2f(x, y), *extra)
+                color, own, other = found
+                chosen = chosen_channel(color, given.channel)
+                return chosen, chosen * heuristic_weight(own, other, POWERS[given.heuristic])
+
+            return value
 
         return pixel_sums(u, len(self), 2, at)
-
-    def _value(self, technique: str, hits: Hit, sample: list[Any]) -> tuple[Any, Any]:
-        """Value of one sample in the chosen channel, plain and weighted."""
-        mitsuba, own = load_mitsuba(), self._lighting
-        emitter = None if own.light is None else find_emitter(own.scene, own.light)
-        extra = sample[2] if len(sample) == 3 else None
-        u = mitsuba.Point2f(sample[0], sample[1])
-        color, density, other = _SAMPLE[technique](hits, emitter, u, extra)
-        chosen = chosen_channel(color, own.channel)
-        return chosen, chosen * heuristic_weight(density, other, POWERS[own.heuristic])
 
 
 _REPEATS = 2  # predictions a stratum, for their standard error
@@ -481,10 +467,11 @@ def prediction_for(sampler: Sampler, n: int, stream: Stream) -> Prediction | Non
     nested = "owen" in names and names <= {"owen", "digital-shift", "permute"}
     if nested and base.fixed and set(base.digit_bases) == {2}:
         side = _GRIDS[2]
-        levels = side.bit_length() - 1
-        gains = gains_at(base, n, levels)
-        # Points anywhere in their cells see what varies within these, too
-        return _Grid(method="gains", count=n, samples=_in_cells((side, side), stream), gains=gains)
+        gains = gains_at(base, n, side.bit_length() - 1)
+        # Points anywhere in their cells, in C order, see what varies within these, too
+        u = Jittered(dims=2, sides_=(side, side)).draw_stream(side * side, stream, 0, 1)[0]
+        u = u[np.lexsort(np.floor(u * side).T[::-1])]
+        return _Grid(method="gains", count=n, samples=u, gains=gains)
     return None
 
 
@@ -562,14 +549,11 @@ class _Grid:
 
     def _of_grid(self, grid: Array) -> Array:
         """Variance by the values of one grid."""
-        if self.gains is not None:
-            return self._by_levels(grid)
         if self.power is not None:
             return _sum(self.power, _energy(grid))
-        return np.asarray(grid.reshape(-1, grid.shape[-1]).var(axis=0) / self.count)
-
-    def _by_levels(self, grid: Array) -> Array:
-        """Σ_l Γ_l σ²_l / n of values (side, side, P)."""
+        if self.gains is None:
+            return np.asarray(grid.reshape(-1, grid.shape[-1]).var(axis=0) / self.count)
+        # Σ_l Γ_l σ²_l / n
         side, pixels = grid.shape[1:]
         levels = range(side.bit_length())
         squares = np.empty((len(levels), len(levels), pixels))  # of block means: σ² up to a level
@@ -577,8 +561,8 @@ class _Grid:
             blocks = grid.reshape(2**i, side >> i, 2**j, side >> j, pixels).mean(axis=(1, 3))
             squares[i, j] = (blocks**2).mean(axis=(0, 1))
         parts = np.diff(np.diff(squares, axis=0, prepend=0.0), axis=1, prepend=0.0)
-        gains: Any = self.gains
-        return np.tensordot(gains[: len(levels), : len(levels)], parts, axes=2) / self.count
+        gains = self.gains[: len(levels), : len(levels)]
+        return np.tensordot(gains, parts, axes=2) / self.count
 
 
 Prediction: TypeAlias = _Strata | _Grid
@@ -618,12 +602,6 @@ def _sum(power: Array, energy: Array) -> Array:
 def _midpoints(dims: int) -> Array:
     axis = (np.arange(_GRIDS[dims]) + 0.5) / _GRIDS[dims]
     return np.stack(np.meshgrid(*[axis] * dims, indexing="ij"), axis=-1).reshape(-1, dims)
-
-
-def _in_cells(sides: tuple[int, ...], stream: Stream) -> Array:
-    """A point anywhere in each cell of a grid, in C order: (N, dims)."""
-    u = Jittered(dims=len(sides), sides_=sides).draw_stream(math.prod(sides), stream, 0, 1)[0]
-    return np.asarray(u[np.lexsort(np.floor(u * sides).T[::-1])])
 
 
 def _grid_power(sampler: Sampler, n: int, stream: Stream) -> tuple[Array, Array]:

@@ -516,41 +516,6 @@ def labelled(
     """Make the dataset of a map from the arrays (…, y, x) of all tiles."""
     x0, y0, width, height = window
     lighting, tracer = measurement.lighting, measurement.tracer
-    found = _variables(measurement, maps, smoothing)
-    bounces, decisions = (list(each) for each in measurement.partitions)
-    return dataset(
-        {name: (_DIMS[name], values) for name, values in found.items()},
-        {
-            "strategy": list(measurement.strategies),
-            "n": ("n", list(measurement.counts), {"long_name": "number of points", "units": "1"}),
-            "y": ("y", np.arange(y0, y0 + height), {"long_name": "row", "units": "pixels"}),
-            "x": ("x", np.arange(x0, x0 + width), {"long_name": "column", "units": "pixels"}),
-            "bound": ["low", "high"],
-            **({"bounce": bounces, "decision": decisions} if bounces else {}),
-        },
-        scene=str(lighting.scene),
-        sampler=measurement.sampler.spec,
-        realizations=measurement.realizations,
-        light="all" if lighting.light is None else lighting.light,
-        heuristic=lighting.heuristic,
-        channel=lighting.channel,
-        points="own" if measurement.own else "shared",
-        smoothing=smoothing,
-        scene_note=(integrator_note if tracer is None else filter_note)(lighting.scene),
-        integrator="direct light" if tracer is None else tracer.integrator,
-        dims=measurement.sampler.dims,
-        chains=measurement.chains,
-        camera=camera_rays(lighting.scene) if tracer is None else "sampled",
-        size=list(lighting.size),
-        film=list(film_size(lighting.scene)),
-        crop=list(window),
-        prediction=None if prediction is None else prediction.method,
-        pixels_measured=int((maps.status == RECEIVER).sum()),
-        stream_key=f"{measurement.stream.key:#x}",
-    )
-
-
-def _variables(measurement: Measurement, maps: Maps, smoothing: int) -> dict[str, Array]:
     variance, relative_se = maps.variance, maps.relative_se
     # Few realisations leave every variance uncertain, without anything rare.
     largest_se = max(0.5, 1.5 * (2.0 / (measurement.realizations - 1)) ** 0.5)
@@ -587,7 +552,37 @@ def _variables(measurement: Measurement, maps: Maps, smoothing: int) -> dict[str
     if np.isfinite(maps.predicted).any():
         missed = _missed(row, found["mean"], found["mean_se"], measurement.realizations)
         found |= _predicted(maps, largest_se, missed)
-    return found
+    bounces, decisions = (list(each) for each in measurement.partitions)
+    return dataset(
+        {name: (_DIMS[name], values) for name, values in found.items()},
+        {
+            "strategy": list(measurement.strategies),
+            "n": ("n", list(measurement.counts), {"long_name": "number of points", "units": "1"}),
+            "y": ("y", np.arange(y0, y0 + height), {"long_name": "row", "units": "pixels"}),
+            "x": ("x", np.arange(x0, x0 + width), {"long_name": "column", "units": "pixels"}),
+            "bound": ["low", "high"],
+            **({"bounce": bounces, "decision": decisions} if bounces else {}),
+        },
+        scene=str(lighting.scene),
+        sampler=measurement.sampler.spec,
+        realizations=measurement.realizations,
+        light="all" if lighting.light is None else lighting.light,
+        heuristic=lighting.heuristic,
+        channel=lighting.channel,
+        points="own" if measurement.own else "shared",
+        smoothing=smoothing,
+        scene_note=(integrator_note if tracer is None else filter_note)(lighting.scene),
+        integrator="direct light" if tracer is None else tracer.integrator,
+        dims=measurement.sampler.dims,
+        chains=measurement.chains,
+        camera=camera_rays(lighting.scene) if tracer is None else "sampled",
+        size=list(lighting.size),
+        film=list(film_size(lighting.scene)),
+        crop=list(window),
+        prediction=None if prediction is None else prediction.method,
+        pixels_measured=int((maps.status == RECEIVER).sum()),
+        stream_key=f"{measurement.stream.key:#x}",
+    )
 
 
 def compared(maps: Sequence[xr.Dataset]) -> xr.Dataset:

@@ -29,7 +29,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import numpy as np
 
@@ -37,9 +37,8 @@ from mcspectra.core.checks import MAX_DIMS, Array, as_integer, as_real
 from mcspectra.core.errors import ParameterError, SpecError
 from mcspectra.core.fields import checked, settle
 from mcspectra.core.spec import parse
-from mcspectra.integrands.base import Estimate, Integrand
 from mcspectra.rendering.backend import LARGEST_SAMPLE, LOCK, load_mitsuba
-from mcspectra.rendering.pixel import SOURCE, check_channel, mean_of_points
+from mcspectra.rendering.pixel import MitsubaIntegrand, check_channel
 from mcspectra.rendering.scenes import (
     Scene,
     as_scene,
@@ -121,7 +120,7 @@ class Dimension:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class PathPixel(Integrand):
+class PathPixel(MitsubaIntegrand):
     """Radiance seen in one pixel by any sampling integrator, as a function of all its random numbers.
 
     Parameters
@@ -156,7 +155,6 @@ class PathPixel(Integrand):
         Mitsuba or LLVM is missing.
     """
 
-    costly: ClassVar[bool] = True
     scene: Any = checked(lambda _, given: as_scene(given), "veach")
     x: int
     y: int
@@ -185,11 +183,6 @@ class PathPixel(Integrand):
         settle(self, dims=as_integer("dims of a path", asked, least=2, most=MAX_DIMS))
 
     @property
-    def channels(self) -> int:  # type: ignore[override]
-        """3 with ``channel="rgb"``, else 0."""
-        return 3 if self.channel == "rgb" else 0
-
-    @property
     def dimensions(self) -> tuple[Dimension, ...]:
         """What each coordinate is used for; those beyond the longest path that was met are unknown."""
         return self._tracer.dimensions(((self.x, self.y),), self.dims)
@@ -198,14 +191,6 @@ class PathPixel(Integrand):
     def numbers_per_path(self) -> float:
         """How many numbers random paths ask for after the camera's, on average, as many in each turn of the loop."""
         return self._tracer.dry_run(((self.x, self.y),))[1]
-
-    @property
-    def integral_source(self) -> str:
-        """The means behind `integral`; `integral_accuracy` has their standard error."""
-        return SOURCE
-
-    def _estimated_integral(self) -> Estimate:
-        return mean_of_points(self)
 
     @property
     def _tracer(self) -> Tracer:
@@ -341,7 +326,15 @@ class Tracer:
                 parameters = load_mitsuba().traverse(emitter)
                 values = {} if self.selection is None else {"sampling_weight": self.selection[k]}
                 if self.light not in (None, k):
-                    values |= {p: parameters[p] * _DIMMED for p in _emission(emitter, parameters)}
+                    # What a light's radiance is proportional to
+                    keys = list(parameters.keys())
+                    emitted = [p for p in keys if re.fullmatch(_EMITTED, p)]
+                    if not emitted:
+                        raise ParameterError(
+                            f"The light {emitter_name(emitter)} ({emitter.class_name()}) has no radiance "
+                            f"that can be dimmed, only {', '.join(keys)}: its part is not known."
+                        )
+                    values |= {p: parameters[p] * _DIMMED for p in emitted}
                 changed.append(
                     (parameters, {p: type(parameters[p])(parameters[p]) for p in values})
                 )
@@ -395,18 +388,6 @@ class Tracer:
         else:
             found = integrator.sample(loaded, sampler, ray, sensor.get_medium(), True)
         return weight * found[0]
-
-
-def _emission(emitter: Any, parameters: Any) -> list[str]:
-    """The parameters of a light that its radiance is proportional to."""
-    keys = list(parameters.keys())
-    found = [k for k in keys if re.fullmatch(_EMITTED, k)]
-    if not found:
-        raise ParameterError(
-            f"The light {emitter_name(emitter)} ({emitter.class_name()}) has no radiance that can be "
-            f"dimmed, only {', '.join(keys)}: its part is not known."
-        )
-    return found
 
 
 def find_integrator(scene: Scene, spec: object) -> Any:

@@ -8,7 +8,8 @@ g(u) = f/p at the direction that is made of u in [0,1)²: ``light`` samples a li
 BSDF, ``environment`` a density of ours (`skies`). With ``mis-light`` and ``mis-bsdf`` each is
 weighted by a heuristic [VeachGuibas1995]_ for equal numbers of samples, so that their sum, with
 independent points, is multiple importance sampling; `pixel_mis` has all heuristics, any counts and
-any techniques. Light that reaches the camera directly is not part of it.
+any techniques, which share directions but no warp: each has a unit cube of its own, there is no domain
+view, and densities are per steradian. Light that reaches the camera directly is not part of it.
 
 Mitsuba computes in float32: values carry relative errors of about 1e-7, and averages of them are
 taken in float64. One light alone is the clean experiment. With all lights Mitsuba selects one
@@ -51,14 +52,18 @@ from mcspectra.core.fields import checked, choice, settle
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import Stream
 from mcspectra.densities import Density
-from mcspectra.integrands.base import Estimate, Integrand
+from mcspectra.estimators.base import AbstractEstimator, check_counts
+from mcspectra.estimators.heuristics import Heuristic, Pilot, as_heuristic
+from mcspectra.estimators.importance import Estimator, scale
+from mcspectra.estimators.sets import check_sets
+from mcspectra.integrands import Integrand
+from mcspectra.integrands.base import Estimate
 from mcspectra.rendering.backend import LARGEST_SAMPLE, LOCK, load_mitsuba
 from mcspectra.rendering.scene_checks import check_lights
 from mcspectra.rendering.scenes import Scene, as_scene, find_emitter, load_scene, scene_name
 from mcspectra.rendering.skies import Sky, environment_of, sky_technique
 from mcspectra.rendering.techniques import (
     POWERS,
-    Hit,
     check_film_receivers,
     check_finite,
     check_pixel,
@@ -85,7 +90,9 @@ __all__ = [
     "SOURCE",
     "STRATEGIES",
     "Draws",
+    "MitsubaIntegrand",
     "Pixel",
+    "PixelMIS",
     "Technique",
     "View",
     "check_channel",
@@ -93,6 +100,7 @@ __all__ = [
     "describe_pixel",
     "incident_light",
     "mean_of_points",
+    "pixel_mis",
     "pixel_strategies",
 ]
 
@@ -103,9 +111,29 @@ ENVIRONMENT = "environment"
 """The strategy for scenes with an environment."""
 
 
+class MitsubaIntegrand(Integrand):
+    """Values by Mitsuba of one channel or all, whose integral is a mean of points."""
+
+    costly: ClassVar[bool] = True
+    channel: str | int
+
+    @property
+    def channels(self) -> int:  # type: ignore[override]
+        """3 with ``channel="rgb"``, else 0."""
+        return 3 if self.channel == "rgb" else 0
+
+    @property
+    def integral_source(self) -> str:
+        """The means behind `integral`; `integral_accuracy` has their standard error."""
+        return SOURCE
+
+    def _estimated_integral(self) -> Estimate:
+        return mean_of_points(self)
+
+
 @final
 @dataclass(frozen=True, kw_only=True)
-class Pixel(Integrand):
+class Pixel(MitsubaIntegrand):
     """Direct illumination seen in one pixel of a scene, by light or BSDF sampling.
 
     Parameters
@@ -144,7 +172,6 @@ class Pixel(Integrand):
         Mitsuba or LLVM is missing.
     """
 
-    costly: ClassVar[bool] = True
     scene: Any = checked(lambda _, given: as_scene(given), "veach")
     x: int
     y: int
@@ -164,19 +191,6 @@ class Pixel(Integrand):
         # NumPy's integers become Python's
         settle(self, x=view.x, y=view.y, channel=view.channel, dims=view.dims)
         self._technique()
-
-    @property
-    def channels(self) -> int:  # type: ignore[override]
-        """3 with ``channel="rgb"``, else 0."""
-        return self._view.channels
-
-    @property
-    def integral_source(self) -> str:
-        """The means behind `integral`; `integral_accuracy` has their standard error."""
-        return SOURCE
-
-    def _estimated_integral(self) -> Estimate:
-        return mean_of_points(self)
 
     def _evaluate(self, x: Array) -> Array:
         heuristic = self.heuristic if self.strategy.startswith("mis") else None
@@ -262,6 +276,7 @@ CHUNK = 2**20
 
 MOST_DIMS = 5
 _WITH_FILM = 4
+_BY_NAME = ("light", "bsdf")
 
 Technique = str | Sky
 
@@ -326,12 +341,16 @@ class View:
         import drjit
 
         # Evaluate f/p, the densities of light and BSDF, and the directions if other techniques ask
-        mitsuba, hit, count = load_mitsuba(), self._hit(u), len(u)
+        mitsuba, scene, count = load_mitsuba(), load_scene(self.scene), len(u)
+        hit = primary_hit(scene, self.x, self.y)
+        if self.on_film:
+            hit = film_hits(scene, self.x, self.y, np.minimum(u[:, :2], LARGEST_SAMPLE))
+            u = u[:, 2:]
         pdfs: dict[Technique, Array] = {}
         directions = np.empty((0, 3))
         if isinstance(technique, Sky):
-            emitter = load_scene(self.scene).environment()
-            directions, own = technique.sample(u[:, self._first : self._first + 2])
+            emitter = scene.environment()
+            directions, own = technique.sample(u[:, :2])
             towards = mitsuba.Vector3f(*(np.ascontiguousarray(c, np.float32) for c in directions.T))
             value, bsdf = look_at_sky(hit, emitter, towards, hit.active)
             drjit.eval(value, bsdf)  # one kernel, not one for each
@@ -340,7 +359,7 @@ class View:
             values = np.divide(f, scaled, out=np.zeros_like(f), where=scaled > 0)
             pdfs |= {technique: own, "bsdf": _spread(bsdf.numpy(), count)}
         else:
-            columns = sample_columns(u[:, self._first :])
+            columns = sample_columns(u)
             emitter = None if self.light is None else find_emitter(self.scene, self.light)
             extra = columns[2] if len(columns) > 2 else None
             given = hit, emitter, mitsuba.Point2f(*columns[:2]), extra, hit.active
@@ -369,17 +388,6 @@ class View:
                 pdfs[other] = other.pdf(directions)
             row[:] = pdfs[other] if other == technique else np.where(lit, pdfs[other], 0.0)
         return Draws(np.asarray(values, np.float64), rows)
-
-    def _hit(self, u: Array) -> Hit:
-        scene = load_scene(self.scene)
-        if self._first:
-            return film_hits(scene, self.x, self.y, np.minimum(u[:, :2], LARGEST_SAMPLE))
-        return primary_hit(scene, self.x, self.y)
-
-    @property
-    def _first(self) -> int:
-        """The column at which the direction's two samples start."""
-        return 2 if self.on_film else 0
 
 
 def check_channel(channel: object, names: Sequence[str] = ("luminance", "rgb")) -> str | int:
@@ -450,16 +458,28 @@ def incident_light(
         check_lights(request, light)
         hit = check_receiver(request, x, y)
         emitter = None if light is None else find_emitter(request, light)
-        # Unit vectors (3, rows · columns) in the frame of the surface
+        import drjit
+
+        # Unit vectors (3, rows · columns) in the frame of the surface, to the side of the camera
+        mitsuba, at = load_mitsuba(), hit.interaction
         up, around = np.meshgrid(np.radians(elevation), np.radians(azimuth), indexing="ij")
-        level = np.cos(up)
-        vectors = np.stack([level * np.cos(around), level * np.sin(around), np.sin(up)])
-        seen = _look_around(hit, emitter, vectors.reshape(3, -1), chosen)
-    shape = (elevation.size, azimuth.size)
+        level, side = np.cos(up), np.where(at.wi.z.numpy() < 0.0, -1.0, 1.0).item()
+        vectors = (level * np.cos(around), level * np.sin(around), side * np.sin(up))
+        towards = mitsuba.Vector3f(*(v.astype(np.float32).ravel() for v in vectors))
+        # L and f_r L cos along each; UV: without texture coordinates textured lights come out wrong.
+        ray = at.spawn_ray(at.to_world(towards))
+        met = hit.scene.ray_intersect(ray, mitsuba.RayFlags.UV, False)
+        found = met.emitter(hit.scene)
+        counts = True if emitter is None else found == mitsuba.EmitterPtr(emitter)
+        radiance = drjit.select(counts, found.eval(met), 0.0)
+        reflected = radiance * hit.bsdf.eval(mitsuba.BSDFContext(), at, towards)
+        seen = [_numbers(color, chosen, level.size) for color in (radiance, reflected)]
     names = ("incident_radiance", "reflected_radiance")
-    dims = ("elevation", "azimuth")
     return dataset(
-        {name: (dims, values.reshape(shape)) for name, values in zip(names, seen, strict=True)},
+        {
+            name: (("elevation", "azimuth"), values.astype(np.float64).reshape(level.shape))
+            for name, values in zip(names, seen, strict=True)
+        },
         {"elevation": elevation, "azimuth": azimuth},
         scene=scene_name(request),
         x=x,
@@ -467,28 +487,6 @@ def incident_light(
         light=light,
         channel=chosen,
     )
-
-
-def _look_around(
-    hit: Hit, emitter: Any, directions: Array, channel: str | int
-) -> tuple[Array, Array]:
-    """L and f_r L cos along each direction."""
-    import drjit
-
-    mitsuba, at = load_mitsuba(), hit.interaction
-    side = np.where(at.wi.z.numpy() < 0.0, -1.0, 1.0)
-    local = directions * np.array([1.0, 1.0, side.item()])[:, None]
-    towards = mitsuba.Vector3f(*(np.ascontiguousarray(c, np.float32) for c in local))
-    # UV: without texture coordinates textured lights come out wrong.
-    met = hit.scene.ray_intersect(at.spawn_ray(at.to_world(towards)), mitsuba.RayFlags.UV, False)
-    found = met.emitter(hit.scene)
-    counts = True if emitter is None else found == mitsuba.EmitterPtr(emitter)
-    radiance = drjit.select(counts, found.eval(met), 0.0)
-    reflected = radiance * hit.bsdf.eval(mitsuba.BSDFContext(), at, towards)
-    width = directions.shape[1]
-    values = (_numbers(color, channel, width) for color in (radiance, reflected))
-    radiances, reflections = (np.asarray(v, np.float64) for v in values)
-    return radiances, reflections
 
 
 SOURCE = "mean of 16 Owen-scrambled sets of 2^17 Sobol' points"
@@ -508,3 +506,255 @@ def mean_of_points(integrand: Integrand) -> Estimate:
     spread = means.std(axis=0, ddof=1) / _SETS**0.5
     error = np.hypot(spread, _SINGLE * np.abs(value))
     return Estimate(value, float(error.max()), SOURCE)
+
+
+@final
+class PixelMIS(AbstractEstimator):
+    """Multiple importance sampling of a pixel's direct illumination; made by `pixel_mis`.
+
+    Attributes
+    ----------
+    techniques
+        ``"light"``, ``"bsdf"`` and densities, as they were given.
+    heuristic
+        Spec of the heuristic.
+    shares
+        Counts of the techniques, times the factors of a heuristic that knows f.
+    control
+        α_t (T,) or (T, 3) where the weights have a control variate (``optimal``), else None.
+    """
+
+    def __init__(
+        self,
+        view: View,
+        techniques: tuple[Density | str, ...],
+        *,
+        heuristic: Heuristic | str,
+        counts: Sequence[int] | None,
+        sets: str,
+    ) -> None:
+        self.view, self.techniques = view, techniques
+        self._bound = tuple(_bound(view, t) for t in techniques)
+        self._weights = as_heuristic(heuristic)
+        self.heuristic = self._weights.spec
+        self.counts = check_counts(
+            [1] * len(techniques) if counts is None else counts, len(techniques)
+        )
+        self.sets = check_sets(sets, self.counts)
+        pilot = _PixelPilot(self, np.asarray(self.counts, np.float64))
+        self.shares, self.control = self._weights.adapt(pilot)
+        self._integrands = tuple(_Weighted(self, t) for t in range(len(self.counts)))
+
+    def __repr__(self) -> str:
+        return f"PixelMIS({self.spec})"
+
+    @property
+    def spec(self) -> str:
+        """``pixel(…) / heuristic[techniques]``."""
+        parts = zip(self.counts, range(len(self.counts)), strict=True)
+        shown = [
+            f"{c}×{self.technique_name(t)}" if c > 1 else self.technique_name(t) for c, t in parts
+        ]
+        v = self.view
+        kept = [f"scene={scene_name(v.scene)}, x={v.x}, y={v.y}"]
+        kept += [] if v.light is None else [f"light={v.light!r}"]
+        kept += [] if v.channel == "luminance" else [f"channel={v.channel!r}"]
+        return f"pixel({', '.join(kept)}) / {self.heuristic}[{', '.join(shown)}]{self.sets_label}"
+
+    @property
+    def dims(self) -> int:
+        """Number of dims of every technique."""
+        return self.view.dims
+
+    @property
+    def channels(self) -> int:
+        """3 with ``channel="rgb"``, else 0."""
+        return self.view.channels
+
+    @property
+    def integral(self) -> Any:
+        """Σ_t ∫ g_t."""
+        return sum(self.primary_integrand(t).integral for t in range(len(self.counts)))
+
+    @property
+    def integral_source(self) -> str:
+        """The means behind the integrals of the techniques."""
+        return SOURCE
+
+    @property
+    def domain_integrand(self) -> None:
+        """None: the techniques share directions, but no unit cube."""
+        return
+
+    def primary_integrand(self, technique: int) -> Integrand:
+        """g_t, the same object each time: it keeps what was computed for it."""
+        return self._integrands[technique]
+
+    def primary_values(self, technique: int, u: Array) -> Array:
+        """w_t f/p_t, which with optimal weights is α_t + (f − Σ α_s p_s) w_t/p_t."""
+        flat = u.reshape(-1, self.dims)
+        values = self._weigh(technique, self.draws(technique, flat))
+        return values.reshape((*u.shape[:-1], *values.shape[1:]))
+
+    def draws(self, technique: int, u: Array) -> Draws:
+        """f/p_t and the densities of all techniques at u (M, dims)."""
+        return self.view.draws(self._bound[technique], u, self._bound)
+
+    def with_heuristic(self, heuristic: str) -> PixelMIS:
+        """The same techniques, counts and sets with the heuristic of this spec."""
+        return PixelMIS(
+            self.view, self.techniques, heuristic=heuristic, counts=self.counts, sets=self.sets
+        )
+
+    def alone(self, technique: int) -> Estimator:
+        """One technique without the others."""
+        given = self.techniques[technique]
+        if isinstance(given, str) and given in (*_BY_NAME, ENVIRONMENT):
+            return Estimator(Pixel(strategy=given, **vars(self.view)))
+        return Estimator(Pixel(strategy=ENVIRONMENT, density=given, **vars(self.view)))
+
+    def technique_name(self, technique: int) -> str:
+        """``light``, ``bsdf`` or the spec of a density."""
+        given = self.techniques[technique]
+        return given.spec if isinstance(given, Density) else given
+
+    def _weigh(self, technique: int, draws: Draws) -> Array:
+        """g_t from what a technique drew: (M,) or (M, 3)."""
+        own = draws.pdfs[technique]
+        q = np.asarray(self.shares)[:, None] * draws.pdfs
+        over = self.shares[technique] * self._weights.ratio(q, technique)  # w_t/p_t
+        if self.control is None:
+            return scale(draws.values, own * over)
+        left = scale(draws.values, own) - draws.pdfs.T @ self.control
+        # A sample that was lost, below the surface say, is no sample of p_t: nothing is added.
+        sampled = own > 0.0 if left.ndim == 1 else (own > 0.0)[:, None]
+        return np.where(sampled, self.control[technique] + scale(left, over), 0.0)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class _Weighted(MitsubaIntegrand):
+    """g_t of a pixel's multiple importance sampling."""
+
+    name: ClassVar[str] = "pixel-technique"
+    estimator: PixelMIS
+    technique: int
+
+    @property
+    def dims(self) -> int:  # type: ignore[override]
+        """Number of dims of the technique."""
+        return self.estimator.dims
+
+    @property
+    def channel(self) -> str | int:  # type: ignore[override]
+        """Channel of the pixel."""
+        return self.estimator.view.channel
+
+    @property
+    def spec(self) -> str:
+        """Text for messages."""
+        return f"{self.estimator.technique_name(self.technique)} of {self.estimator.spec}"
+
+    def _evaluate(self, x: Array) -> Array:
+        return self.estimator.primary_values(self.technique, x)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class _PixelPilot(Pilot):
+    """A pilot whose points are rows of T densities and the channels of f."""
+
+    estimator: PixelMIS
+    shares: Array
+
+    @property
+    def channels(self) -> int:  # type: ignore[override]
+        """Channels of the pixel."""
+        return self.estimator.channels
+
+    def points(self, technique: int, count: int, seed: int) -> Array:
+        """Densities and f of random samples of a technique: (count, T + C)."""
+        stream, dims = Stream.from_rng(seed).child(technique), self.estimator.dims
+        drawn = self.estimator.draws(
+            technique, stream.uniforms(0, 1, count * dims).reshape(-1, dims)
+        )
+        f = scale(drawn.values, drawn.pdfs[technique]).reshape(count, -1)
+        return np.concatenate([drawn.pdfs.T, f], axis=1)
+
+    def pdfs(self, x: Array) -> Array:
+        """p_t: (T, k)."""
+        return x[:, : len(self.shares)].T
+
+    def values(self, x: Array) -> Array:
+        """f: (k, C)."""
+        return x[:, len(self.shares) :]
+
+
+def pixel_mis(
+    scene: Scene,
+    x: int,
+    y: int,
+    *,
+    heuristic: Heuristic | str = "balance",
+    techniques: Sequence[Density | str] = _BY_NAME,
+    counts: Sequence[int] | None = None,
+    sets: str = "independent",
+    light: int | str | None = None,
+    channel: str | int = "luminance",
+    dims: int = 2,
+) -> PixelMIS:
+    """Make multiple importance sampling of one pixel.
+
+    Parameters
+    ----------
+    scene, x, y, light, channel, dims
+        As for `Pixel`.
+    heuristic
+        A name or spec of `mcspectra.estimators.HEURISTICS`, or an object. ``optimal`` and
+        ``variance-aware`` use a pilot of 4096 random samples with seed 0 unless their spec says
+        otherwise; a quadrature is not possible here.
+    techniques
+        ``"light"``, ``"bsdf"``, and densities for the environment as for `Pixel`, or
+        ``"environment"`` for the scene's own map; any number of densities, but not together
+        with ``"light"``.
+    counts
+        Samples of each technique as multiples of n; the same for all by default.
+    sets
+        How the points of the techniques belong together: `mcspectra.estimators.sets`.
+
+    Raises
+    ------
+    ParameterError
+        As for `Pixel`; or techniques, counts or heuristic are not as above.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> mis = mcs.rendering.pixel_mis("veach", 568, 100, light="light-3", heuristic="power")
+    >>> mis.technique_name(1)
+    'bsdf'
+    """
+    given = tuple(techniques) if isinstance(techniques, list | tuple) else ()
+    if not given or not all(isinstance(t, str | Density) for t in given):
+        raise ParameterError(
+            f"techniques is {techniques!r:.80}; give a list of 'light', 'bsdf', 'environment' and "
+            "densities."
+        )
+    repeated = sum(t == "light" for t in given) > 1 or sum(t == "bsdf" for t in given) > 1
+    if repeated or ("light" in given and any(t not in _BY_NAME for t in given)):
+        raise ParameterError(
+            f"techniques is {techniques!r:.80}; give 'light' and 'bsdf' at most once, and densities "
+            "without 'light', which samples the environment too."
+        )
+    asked = View(as_scene(scene), x, y, light, channel, dims)
+    view = check_view(asked, bsdf="bsdf" in given)
+    return PixelMIS(view, given, heuristic=heuristic, counts=counts, sets=sets)
+
+
+def _bound(view: View, technique: Density | str) -> Technique:
+    """The technique as `View` knows it."""
+    if isinstance(technique, str) and technique in _BY_NAME:
+        return technique
+    environment_of(view.scene, view.light)
+    own = None if technique == ENVIRONMENT else technique
+    return sky_technique(view.scene, own, view.channel)

@@ -33,12 +33,11 @@ from mcspectra.core.fields import settle
 from mcspectra.core.jit import kernel
 from mcspectra.core.parallel import available_workers, map_in_order
 from mcspectra.core.streams import Stream, mix_bits
-from mcspectra.rendering.backend import LOCK, import_mitsuba, load_mitsuba
+from mcspectra.rendering.backend import LARGEST_SAMPLE, LOCK, import_mitsuba, load_mitsuba
 from mcspectra.rendering.kernel_nets import Net, Pads, net_of
 from mcspectra.samplers import Sampler, as_sampler
 
 __all__ = [
-    "LARGEST_SAMPLE",
     "MOST_SAMPLES",
     "PLUGIN",
     "PLUGIN_VARIANTS",
@@ -48,7 +47,6 @@ __all__ = [
     "Rounds",
     "register_samplers",
     "seed_lanes",
-    "seed_pixel",
 ]
 
 PLUGIN = "mcspectra"
@@ -101,32 +99,6 @@ def register_samplers(variant: str | Sequence[str] | None = None) -> tuple[str, 
         return tuple(found)
 
 
-@functools.cache
-def _plugin_class(variant: str) -> Any:
-    """Make the class for one variant and register it."""
-    mitsuba = import_mitsuba()
-    if variant.startswith("llvm"):
-        before = mitsuba.variant()
-        load_mitsuba()  # looks for LLVM, and says what is missing
-        if before is not None:
-            mitsuba.set_variant(before)
-    module = _module(variant)
-    made = _class_for(module, seed_pixel if variant.startswith("scalar") else seed_lanes)
-    module.register_sampler(PLUGIN, made)
-    return made
-
-
-def _module(variant: str) -> Any:
-    try:
-        return importlib.import_module(f"mitsuba.{variant}")
-    except ImportError as error:
-        reason = str(error).rstrip(".")
-        raise MissingDependency(
-            f"Mitsuba's variant {variant} does not work here ({reason}); use "
-            f"{' or '.join(PLUGIN_VARIANTS)}."
-        ) from None
-
-
 @dataclass(frozen=True)
 class _Options:
     """Options of the sampler in a scene."""
@@ -157,8 +129,24 @@ class _Options:
         return Stream.from_rng(np.random.SeedSequence([base, seed]))
 
 
-def _class_for(module: Any, seed_state: Any) -> Any:
-    """Derive from the variant's `Sampler`; all state but the numbers of samples is in `state`."""
+@functools.cache
+def _plugin_class(variant: str) -> Any:
+    """Derive a class from a variant's `Sampler` and register it; all its state but counts is in `state`."""
+    mitsuba = import_mitsuba()
+    if variant.startswith("llvm"):
+        before = mitsuba.variant()
+        load_mitsuba()  # looks for LLVM, and says what is missing
+        if before is not None:
+            mitsuba.set_variant(before)
+    try:
+        module: Any = importlib.import_module(f"mitsuba.{variant}")
+    except ImportError as error:
+        reason = str(error).rstrip(".")
+        raise MissingDependency(
+            f"Mitsuba's variant {variant} does not work here ({reason}); use "
+            f"{' or '.join(PLUGIN_VARIANTS)}."
+        ) from None
+    seed_state: Any = PixelState.of if variant.startswith("scalar") else seed_lanes
 
     # Workers of Mitsuba fork the sampler while the caller holds LOCK, which is not for them.
     new_properties = import_mitsuba().Properties
@@ -181,11 +169,16 @@ def _class_for(module: Any, seed_state: Any) -> Any:
             self.per_pass = samples_per_wavefront
 
         def seed(self, seed: Any, wavefront_size: int = _UNKNOWN) -> None:
-            if not self.seeding:
-                self._seed_base(seed, wavefront_size)
-                self._seed_state(seed)
-            else:  # by the base class, which calls what overrides it if Python called it
+            if self.seeding:  # by the base class, which calls what overrides it if Python called it
                 super().seed(seed, wavefront_size)
+                return
+            self._seed_base(seed, wavefront_size)
+            per_pass = self.per_pass or self.options.samples_per_pass or self.sets.count
+            # Mitsuba's own integrators set the samples of a pass where Python cannot see it.
+            self.per_pass = None
+            number = int(seed) if isinstance(seed, int) else int(seed.numpy()[0])
+            stream = self.options.stream(number)
+            self.state = seed_state(module, self.sets, stream, self.wavefront_size(), per_pass)
 
         def _seed_base(self, seed: Any, wavefront_size: int) -> None:
             self.seeding = True
@@ -193,15 +186,6 @@ def _class_for(module: Any, seed_state: Any) -> Any:
                 super().seed(seed, wavefront_size)
             finally:
                 self.seeding = False
-
-        def _seed_state(self, seed: Any) -> None:
-            per_pass = self.per_pass or self.options.samples_per_pass or self.sets.count
-            # Mitsuba's own integrators set the samples of a pass where Python cannot see it.
-            self.per_pass = None
-            stream = self.options.stream(
-                int(seed) if isinstance(seed, int) else int(seed.numpy()[0])
-            )
-            self.state = seed_state(module, self.sets, stream, self.wavefront_size(), per_pass)
 
         def fork(self) -> Any:
             properties = new_properties()
@@ -232,6 +216,7 @@ def _class_for(module: Any, seed_state: Any) -> Any:
         def to_string(self) -> str:
             return f"{PLUGIN}[{self.sets.spec}, sample_count={self.sample_count()}]"
 
+    module.register_sampler(PLUGIN, McspectraSampler)
     return McspectraSampler
 
 
@@ -246,11 +231,6 @@ _REQUESTS = 4  # sets of each pixel that no other has: film, light, BSDF and one
 _MOST_REQUESTS = 2**16  # of a pixel, in scalar variants
 
 
-def seed_pixel(_: Any, sets: PaddedSets, stream: Stream, *__: int) -> PixelState:
-    """State of a pixel that a scalar variant has seeded."""
-    return PixelState(sets, stream)
-
-
 class PixelState:
     """State of one pixel of a scalar variant."""
 
@@ -260,6 +240,11 @@ class PixelState:
         self._joint: Array | None = None
         self._index = 0
         self._restart()
+
+    @staticmethod
+    def of(_: Any, sets: PaddedSets, stream: Stream, *__: int) -> PixelState:
+        """State of a pixel that a scalar variant has seeded."""
+        return PixelState(sets, stream)
 
     def copy(self) -> PixelState:
         """Return a state that goes on by itself; sets are drawn anew when it asks for them."""
@@ -435,7 +420,11 @@ class LaneState:
     def _numbers(self, dims: int, offset: Any, active: Any) -> tuple[list[Any], Any]:
         import drjit
 
-        self._check()
+        if self.done + self.per_pass > self.count:
+            raise ParameterError(
+                f"All {self.count} samples of each pixel are used; an integrator that "
+                "renders in passes needs the sampler's integer samples_per_pass."
+            )
         following = self.pads.following(offset)
         if self.joint is None:
             return self.pads.draw(dims, self.pixel, offset, self.index, active), following
@@ -447,16 +436,6 @@ class LaneState:
         values = [drjit.select(inside, a, b) for a, b in zip(joint, pads, strict=True)]
         return values, drjit.select(inside, offset, following)
 
-    def _check(self) -> None:
-        if self.done + self.per_pass > self.count:
-            raise ParameterError(
-                f"All {self.count} samples of each pixel are used; an integrator that "
-                "renders in passes needs the sampler's integer samples_per_pass."
-            )
-
-
-LARGEST_SAMPLE = np.float32(1.0 - 2.0**-24)
-"""The largest float32 below 1."""
 
 MOST_SAMPLES = 2**16
 """Most samples a pixel: with the fewest sets, a table is then as large as it may be."""
@@ -521,7 +500,12 @@ class PaddedSets:
         if self.joint:
             joint = as_sampler(self.spec, as_integer("joint_dims", self.joint, least=2, most=64))
             joint.check_count(count)
-        settle(self, _samplers=(_in_one_dim(self.spec, count, pair), pair, joint))
+        try:
+            single = as_sampler(self.spec, 1)
+            single.check_count(count)
+        except ParameterError:  # the first coordinates of pairs then serve
+            single = pair
+        settle(self, _samplers=(single, pair, joint))
 
     @property
     def nets(self) -> tuple[Net, Net] | None:
@@ -549,26 +533,17 @@ class PaddedSets:
         out = np.empty((sets, self.count, dims), np.float32)
         points, order = stream.child(0), stream.child(1)
         size = max(1, _BLOCK_NUMBERS // (self.count * sampler.dims))
+        largest = np.float32(LARGEST_SAMPLE)
 
         def fill(start: int) -> None:
             part = out[start : start + size]
             drawn = sampler.draw_stream(self.count, points, first + start, len(part))[..., :dims]
             if shuffled:
-                _shuffle(drawn, order.keys(first + start, len(part)), LARGEST_SAMPLE, part)
+                _shuffle(drawn, order.keys(first + start, len(part)), largest, part)
             else:
-                np.minimum(drawn.astype(np.float32), LARGEST_SAMPLE, out=part)
+                np.minimum(drawn.astype(np.float32), largest, out=part)
 
         workers = available_workers() if sets > size else 1
         for _ in map_in_order(fill, range(0, sets, size), workers):
             pass
         return out
-
-
-def _in_one_dim(spec: str, count: int, pair: Sampler) -> Sampler:
-    """Return the sampler in one dim, or `pair`, of which the first coordinates then serve."""
-    try:
-        sampler = as_sampler(spec, 1)
-        sampler.check_count(count)
-    except ParameterError:
-        return pair
-    return sampler

@@ -7,7 +7,6 @@ pixels depend, stays what it is. The module is here and not among the samplers b
 
 from __future__ import annotations
 
-import functools
 import importlib
 import sys
 from bisect import bisect_left
@@ -85,9 +84,12 @@ class MitsubaSampler(Sampler):
         return _drawn(self._source(n), (count, n, self.dims), stream, first)
 
     def _source(self, n: int) -> Any:
+        """An object of the scalar variant, built by Mitsuba's parser."""
         options = {} if self.jitter else {"jitter": False}
         with LOCK:
-            parser, config = _parser()
+            parser = import_mitsuba().parser
+            importlib.import_module("mitsuba.scalar_rgb")  # registers the classes of its objects
+            config = parser.ParserConfig("scalar_rgb")
             state = parser.parse_dict(config, {"type": self.sampler, "sample_count": n, **options})
             return parser.instantiate(config, state)
 
@@ -96,14 +98,6 @@ class MitsubaSampler(Sampler):
         above = bisect_left(counts, n)
         below = above if counts[above] == n else above - 1
         return counts[below] if below >= 0 else None, counts[above]
-
-
-@functools.cache
-def _parser() -> tuple[Any, Any]:
-    """Mitsuba's parser, and what makes it build objects of the scalar variant."""
-    parser = import_mitsuba().parser
-    importlib.import_module("mitsuba.scalar_rgb")  # registers the classes of its objects
-    return parser, parser.ParserConfig("scalar_rgb")
 
 
 def _drawn(source: Any, shape: tuple[int, int, int], stream: Stream, first: int) -> Array:

@@ -162,8 +162,9 @@ def warn_missed(scene: Scene, strategy: str, light: int | str | None = None) -> 
             return
     if missed:
         other = "light" if strategy == "bsdf" else "bsdf"
+        more = f" and {len(missed) - 1} more" if len(missed) > 1 else ""
         warn(
-            f"The strategy {strategy!r} leaves out {_listed(missed)} of {scene_name(scene)}, a "
+            f"The strategy {strategy!r} leaves out {missed[0]}{more} of {scene_name(scene)}, a "
             f"delta function; choose 'mis' or {other!r}.",
             IncompleteImageWarning,
         )
@@ -187,12 +188,6 @@ def delta_bsdf(bsdf: Any, shape: str) -> str:
 def _raise_first(sentences: list[str]) -> None:
     if sentences:
         raise ParameterError(sentences[0])
-
-
-def _listed(names: list[str]) -> str:
-    """The first of some names and how many follow."""
-    more = len(names) - 1
-    return names[0] + (f" and {more} more" if more else "")
 
 
 def _lens(scene: Scene, loaded: Any) -> list[str]:

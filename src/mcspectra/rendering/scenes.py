@@ -1,4 +1,7 @@
-"""Scenes by name, file or dictionary, loaded once a process; their pixels, cameras and lights."""
+"""Scenes by name, file or dictionary, loaded once a process; their pixels, cameras and lights.
+
+`render_file` renders a scene file as Mitsuba's own command does, with our samplers known to it.
+"""
 
 from __future__ import annotations
 
@@ -8,18 +11,18 @@ import gc
 import hashlib
 import math
 import re
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias, final
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from mcspectra.core.checks import as_integer, as_reals
-from mcspectra.core.errors import FileFormatError, ParameterError, close_match_hint
+from mcspectra.core.checks import Array, as_integer, as_reals
+from mcspectra.core.errors import FileFormatError, McspectraError, ParameterError, close_match_hint
 from mcspectra.core.registry import Registry
 from mcspectra.core.spec import parse
-from mcspectra.rendering.backend import LOCK, VARIANT, load_mitsuba
+from mcspectra.rendering.backend import LOCK, VARIANT, import_mitsuba, load_mitsuba
 from mcspectra.rendering.plugin import register_samplers
 
 __all__ = [
@@ -36,6 +39,7 @@ __all__ = [
     "named_pixels",
     "project",
     "referenced_files",
+    "render_file",
     "scene_name",
     "sensor_of",
     "sized",
@@ -45,6 +49,8 @@ __all__ = [
 
 Scene: TypeAlias = "str | Path | DictScene | Mapping[str, Any]"
 """What names a scene: a name in `SCENES`, an XML file, a Mitsuba dictionary."""
+
+_SEEDS, _MOST_SAMPLES = 2**32, 2**24
 
 SCENES = Registry(
     "scene",
@@ -109,17 +115,97 @@ def load_scene(scene: Scene) -> Any:
     """
     request = as_scene(scene)
     with LOCK:
-        if isinstance(request, DictScene):
-            return _from_dict(request)
-        path = _as_file(request)
+        path = None if isinstance(request, DictScene) else _as_file(request)
         if path is None:
-            return _from_name(str(request).strip())
+            return _built(request if isinstance(request, DictScene) else str(request).strip())
         if not path.is_file():
             raise FileFormatError(
                 f"There is no scene file {str(scene)!r}; give the path of a Mitsuba XML file "
                 f"or one of the names {', '.join(SCENES)}."
             )
-        return _from_file(str(path.resolve()), watched_state(path))
+        return _built(path.resolve(), watched_state(path))
+
+
+def render_file(
+    file: str | Path,
+    variant: str | None = None,
+    *,
+    spp: int | None = None,
+    seed: int = 0,
+    sensor: int = 0,
+    definitions: Mapping[str, object] | None = None,
+    out: str | Path | None = None,
+) -> Array:
+    """Render a scene file by the integrator and the sampler it names, which may be ours.
+
+    Parameters
+    ----------
+    file
+        A Mitsuba XML file; its sampler may be ``<sampler type="mcspectra">``.
+    variant
+        One of Mitsuba's variants; by default ``llvm_ad_rgb``, or ``scalar_rgb`` without LLVM.
+    spp
+        Samples a pixel instead of the file's.
+    seed
+        Seed of the image, an integer from 0 to 2^32 − 1.
+    sensor
+        Index of the camera.
+    definitions
+        Values of the file's ``$name``.
+    out
+        EXR file to write the film to.
+
+    Returns
+    -------
+    ndarray
+        float64, shape (height, width, channels), radiance.
+
+    Raises
+    ------
+    FileFormatError
+        The file is missing, or Mitsuba cannot read or render it; its reason is quoted.
+    ParameterError
+        A parameter is out of range, or the sampler in the file is not possible.
+    MissingDependency
+        Mitsuba is missing, or LLVM for the variant.
+    """
+    options = {"seed": as_integer("seed", seed, least=0, most=_SEEDS - 1)}
+    if spp is not None:
+        options["spp"] = as_integer("spp", spp, least=1, most=_MOST_SAMPLES)
+    target = None if out is None else Path(out).expanduser()
+    if target is not None and (target.suffix.lower() != ".exr" or not target.parent.is_dir()):
+        raise ParameterError(f"out is {str(out)!r}; give an .exr file in a folder that exists.")
+    path = Path(file).expanduser()
+    with LOCK:
+        (known,), mitsuba = register_samplers(variant)[:1], import_mitsuba()
+        before = mitsuba.variant()
+        mitsuba.set_variant(known)
+        try:
+            if not path.is_file():
+                raise FileFormatError(
+                    f"There is no scene file {str(file)!r}; give a Mitsuba XML file."
+                )
+            named = {name: str(value) for name, value in (definitions or {}).items()}
+            scene = mitsuba.load_file(str(path), **named)
+            if not isinstance(scene, mitsuba.Scene):
+                raise FileFormatError(
+                    f"{str(file)!r} holds no scene; its root element must be <scene>."
+                )
+            if not (cameras := scene.sensors()):
+                raise ParameterError("The scene has no camera; add a <sensor> to it.")
+            camera = cameras[as_integer("sensor", sensor, least=0, most=len(cameras) - 1)]
+            image = mitsuba.render(scene, sensor=camera, **options)
+            if target is not None:
+                camera.film().write(str(target))
+            return np.array(image, dtype=np.float64)
+        except (RuntimeError, TypeError) as error:
+            if isinstance(error.__cause__, McspectraError):  # raised by our sampler
+                raise error.__cause__ from None
+            reason = mitsuba_reason(error)
+            raise FileFormatError(f"Mitsuba cannot render {str(file)!r}: {reason}.") from None
+        finally:
+            if before is not None:
+                mitsuba.set_variant(before)
 
 
 def named_pixels(scene: Scene) -> dict[str, tuple[int, int]]:
@@ -229,22 +315,15 @@ def emitter_names(scene: Scene) -> list[str]:
     return [emitter_name(emitter, loaded) for emitter in loaded.emitters()]
 
 
-@functools.lru_cache(maxsize=8)
-def _from_name(scene: str) -> Any:
-    return _built(scene, load_mitsuba().load_dict, SCENES.build(parse(scene)))
-
-
-@functools.lru_cache(maxsize=8)
-def _from_file(path: str, _state: Hashable) -> Any:
-    return _built(path, load_mitsuba().load_file, path)
-
-
-@functools.lru_cache(maxsize=8)
-def _from_dict(scene: DictScene) -> Any:
-    return _built("dict", load_mitsuba().load_dict, scene.contents)
-
-
-def _built(name: str, load: Callable[..., Any], source: object) -> Any:
+@functools.lru_cache(maxsize=16)
+def _built(request: str | Path | DictScene, _state: Hashable = None) -> Any:
+    """The scene of a name, of a file in this state, or of a dictionary."""
+    mitsuba, name = load_mitsuba(), str(request)
+    load: Any = mitsuba.load_file
+    source: Any = name
+    if not isinstance(request, Path):
+        load = mitsuba.load_dict
+        source = SCENES.build(parse(name)) if isinstance(request, str) else request.contents
     register_samplers(VARIANT)  # the scene may name one of ours
     try:
         # Unoptimised: merging would rename shapes and shuffle their order.
@@ -253,7 +332,7 @@ def _built(name: str, load: Callable[..., Any], source: object) -> Any:
         raise FileFormatError(
             f"Mitsuba cannot read the scene {name!r}: {mitsuba_reason(error)}."
         ) from None
-    if not isinstance(scene, load_mitsuba().Scene):
+    if not isinstance(scene, mitsuba.Scene):
         raise FileFormatError(f"{name!r} holds no scene; its root element must be <scene>.")
     found = what_fails(scene)
     if found is None:
@@ -335,19 +414,8 @@ class DictScene:
     def __repr__(self) -> str:
         return "dict"
 
-
-@final
-class _Identity:
-    """An object as a key by identity; holding it keeps its address from being used again."""
-
-    def __init__(self, target: object) -> None:
-        self._target = target
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Identity) and self._target is other._target
-
-    def __hash__(self) -> int:
-        return id(self._target)
+    def __reduce__(self) -> tuple[Any, ...]:
+        return DictScene, (self._copy,)  # addresses are others in another process
 
 
 def _copied(value: Any, depth: int = 0) -> Any:
@@ -375,20 +443,14 @@ def _key(value: Any) -> Hashable:
         return "list", tuple(map(_key, value))
     if isinstance(value, str | int | float | bool | None):
         return type(value).__name__, value
-    numbers = _numbers(value)
-    if numbers is None:
-        return _Identity(value)
+    # The numbers of an array, a bitmap or a transform
+    holder = getattr(value, "matrix", value)
+    readable = hasattr(holder, "__array__") or hasattr(holder, "__array_interface__")
+    numbers = np.asarray(holder if readable else None)
+    if numbers.dtype == object:
+        return "object", id(value)  # the scene holds it, so that its address is not used again
     digest = hashlib.sha256(np.ascontiguousarray(numbers).tobytes()).hexdigest()
     return type(value).__name__, numbers.shape, str(numbers.dtype), digest
-
-
-def _numbers(value: Any) -> np.ndarray[Any, Any] | None:
-    """Return the numbers of an array, a bitmap or a transform, None for anything else."""
-    holder = getattr(value, "matrix", value)
-    if not (hasattr(holder, "__array__") or hasattr(holder, "__array_interface__")):
-        return None
-    numbers = np.asarray(holder)
-    return None if numbers.dtype == object else numbers
 
 
 State: TypeAlias = "tuple[tuple[Path, int, int], ...]"
@@ -423,11 +485,21 @@ def referenced_files(scene: Path) -> set[Path]:
     waiting = [first]
     while waiting:
         file = waiting.pop()
-        for name in _names(file, folders):
-            places = {(folder / name).resolve() for folder in (*folders, file.parent)}
-            new = {place for place in places if place.is_file()} - found - {first}
-            found |= new
-            waiting += [place for place in new if place.suffix.lower() == ".xml"]
+        try:
+            elements = list(ET.parse(file).iter())
+        except (ET.ParseError, OSError):
+            continue
+        defaults = {e.get("name", ""): e.get("value", "") for e in elements if e.tag == "default"}
+        for element in elements:
+            name = element.get("filename") or element.get("value") or ""
+            name = _REFERENCE.sub(lambda m: defaults.get(m[1], m[0]), name)  # noqa: B023 - called here
+            if element.tag == "path":
+                folders.append(file.parent / name)
+            elif name and element.tag in ("string", "include") and "\0" not in name:
+                places = {(folder / name).resolve() for folder in (*folders, file.parent)}
+                new = {place for place in places if place.is_file()} - found - {first}
+                found |= new
+                waiting += [place for place in new if place.suffix.lower() == ".xml"]
     return found
 
 
@@ -439,22 +511,6 @@ def _states(files: Iterable[Path]) -> State:
             status = file.stat()
             found.append((file, status.st_size, status.st_mtime_ns))
     return tuple(found)
-
-
-def _names(file: Path, folders: list[Path]) -> Iterator[str]:
-    """Values of strings and includes of one file; the folders of its ``<path>`` are added."""
-    try:
-        elements = list(ET.parse(file).iter())
-    except (ET.ParseError, OSError):
-        return
-    defaults = {e.get("name", ""): e.get("value", "") for e in elements if e.tag == "default"}
-    for element in elements:
-        value = element.get("filename") or element.get("value") or ""
-        value = _REFERENCE.sub(lambda match: defaults.get(match[1], match[0]), value)
-        if element.tag == "path":
-            folders.append(file.parent / value)
-        elif value and element.tag in ("string", "include") and "\0" not in value:
-            yield value
 
 
 def what_fails(scene: Any) -> tuple[str, RuntimeError] | None:

@@ -124,22 +124,17 @@ def sky_technique(scene: Scene, density: Density | str | None, channel: str | in
 
 @functools.lru_cache(maxsize=32)
 def _sky(loaded: Any, name: str, density: Density | str) -> Sky:
-    made = _of_scene(loaded, density) if isinstance(density, str) else density
+    made = as_density(density, 2) if isinstance(density, str) else density
+    if isinstance(density, str) and isinstance(made, EnvironmentDensity):
+        # That of an environment map is the scene's unless it names another
+        given = parse(density).arguments
+        if not {"path", "values"} & set(given):
+            made = EnvironmentDensity(values=_pixels(loaded.environment(), _ROWS), **given)
     if not isinstance(made, Density) or made.dims != 2 or made.primary_dims != 2:
         raise ParameterError(
             f"{density!r:.80} is not a density in 2 dims; the environment of {name} needs one."
         )
     return Sky(made, rotation_of(loaded.environment()))
-
-
-def _of_scene(loaded: Any, spec: str) -> Density | None:
-    """The density of a spec; that of an environment map is the scene's unless it names another."""
-    call = parse(spec)
-    if call.name != EnvironmentDensity.name or {"path", "values"} & set(call.arguments):
-        return as_density(spec, 2)
-    made = as_density(spec, 2)  # the errors are those of any spec
-    assert isinstance(made, EnvironmentDensity)
-    return EnvironmentDensity(values=_pixels(loaded.environment(), _ROWS), **call.arguments)
 
 
 def _pixels(emitter: Any, rows: int) -> Array:

@@ -112,7 +112,14 @@ class Wavefront:
                 raise ParameterError(
                     f"The scene {scene_name(scene)} has no lights; add an emitter."
                 )
-            self.selects_lobe = any(_has_lobes(shape.bsdf()) for shape in self._scene.shapes())
+            # A BSDF with several components on a side chooses among them by a random number
+            flags = load_mitsuba().BSDFFlags
+            bsdfs = [shape.bsdf() for shape in self._scene.shapes()]
+            self.selects_lobe = any(
+                sum(bool(int(b.flags(i)) & int(side)) for i in range(b.component_count())) > 1
+                for b in bsdfs
+                for side in (flags.FrontSide, flags.BackSide)
+            )
         # Tiles are evaluated again and again with other points, so their first hits are kept.
         self._center_hits = functools.lru_cache(maxsize=4)(self._trace_centers)
 
@@ -141,9 +148,8 @@ class Wavefront:
                 f"ask for {_MOST_VALUES:.3g} at a time, or for means."
             )
         out = np.empty((len(pixels), count, 3), np.float32)
-        for rows, columns in _chunks(len(pixels), count):
-            part = _as_samples(_part(u, rows, columns))
-            out[rows, columns] = self._parts(strategy, pixels[rows], part, 1)
+        for rows, columns, samples in _chunks(len(pixels), u):
+            out[rows, columns] = self._parts(strategy, pixels[rows], samples, 1)
         return out
 
     def means(self, strategy: str, pixels: Any, u: Any) -> Array:
@@ -173,11 +179,10 @@ class Wavefront:
             Samples that are NaN or outside [0,1).
         """
         pixels, u = self._checked(strategy, pixels, u)
-        count = u.shape[-2]
         out = np.zeros((len(pixels), 3))
-        for rows, columns in _chunks(len(pixels), count):
-            out[rows] += self._sums(strategy, pixels[rows], _as_samples(_part(u, rows, columns)))
-        out /= count
+        for rows, _, samples in _chunks(len(pixels), u):
+            out[rows] += self._sums(strategy, pixels[rows], samples)
+        out /= u.shape[-2]
         return out
 
     def net_means(self, strategy: str, pixels: Array, points: NetPoints) -> Array:
@@ -233,7 +238,7 @@ class Wavefront:
         """Sums over `each` samples in succession, by a lane: float64 (P, n / each, 3)."""
         import drjit
 
-        mitsuba, count = load_mitsuba(), points.shape[-2]
+        mitsuba, count, at_center = load_mitsuba(), points.shape[-2], self.film == "center"
 
         def of_lane(lane: Any) -> Callable[[Any], Any]:
             run, runs, own = (drjit.opaque(mitsuba.UInt32, k) for k in (each, count // each, count))
@@ -248,42 +253,40 @@ class Wavefront:
                     drjit.minimum(drjit.gather(kind, table, row * dims + k), largest)
                     for k in range(dims)
                 ]
-            color = self._colors(strategy, pixels, pixel)
-            return lambda k: color(columns(first + k))
+            if at_center:
+                kept = self._center_hits(pixels.tobytes())
+                at = drjit.gather(mitsuba.SurfaceInteraction3f, kept, pixel)
+                center = Hit(self._scene, at, at.bsdf())
+            else:
+                x, y = (drjit.gather(mitsuba.Float, c, pixel) for c in corners_of(pixels))
+
+            def color(k: Any) -> Any:
+                blocks = columns(first + k)
+                if at_center:
+                    hits = center
+                else:
+                    at = self._trace(x + blocks[0], y + blocks[1])
+                    hits, blocks = Hit(self._scene, at, at.bsdf()), blocks[2:]
+                if strategy == "mis":  # a block of columns for each technique
+                    half = len(blocks) // 2
+                    found = self._technique("mis-light", hits, blocks[:half])
+                    found += self._technique("mis-bsdf", hits, blocks[half:])
+                else:
+                    found = self._technique(strategy, hits, blocks)
+                if self.emission:  # light that the camera sees itself
+                    seen = hits.interaction.emitter(self._scene)
+                    emitter = self._emitter
+                    counts = True if emitter is None else seen == mitsuba.EmitterPtr(emitter)
+                    found += seen.eval(hits.interaction, counts)
+                return found
+
+            return color
 
         with LOCK:
             sums = lane_sums(len(pixels) * (count // each), each, 3, of_lane)
         parts = np.ascontiguousarray(sums.T).reshape(len(pixels), -1, 3)
         check_finite(parts, self._request, pixels)
         return parts
-
-    def _colors(self, strategy: str, pixels: Array, pixel: Any) -> Callable[[list[Any]], Any]:
-        """The function of columns of samples that gives the estimate of each lane's pixel, float32."""
-        import drjit
-
-        mitsuba, at_center = load_mitsuba(), self.film == "center"
-        if at_center:
-            kept = self._center_hits(pixels.tobytes())
-            at = drjit.gather(mitsuba.SurfaceInteraction3f, kept, pixel)
-            center = Hit(self._scene, at, at.bsdf())
-        else:
-            x, y = (drjit.gather(mitsuba.Float, c, pixel) for c in corners_of(pixels))
-
-        def color(columns: list[Any]) -> Any:
-            if at_center:
-                hits, blocks = center, columns
-            else:
-                at = self._trace(x + columns[0], y + columns[1])
-                hits, blocks = Hit(self._scene, at, at.bsdf()), columns[2:]
-            if strategy == "mis":  # a block of columns for each technique
-                half = len(blocks) // 2
-                found = self._technique("mis-light", hits, blocks[:half])
-                found += self._technique("mis-bsdf", hits, blocks[half:])
-            else:
-                found = self._technique(strategy, hits, blocks)
-            return found + self._seen(hits.interaction) if self.emission else found
-
-        return color
 
     def _trace_centers(self, pixels: bytes) -> Any:
         """First hits through the centres of pixels, given as the bytes of int64 (P, 2)."""
@@ -300,50 +303,25 @@ class Wavefront:
         return follow_camera(self._scene, position)
 
     def _technique(self, strategy: str, hits: Hit, block: list[Any]) -> Any:
-        mitsuba = load_mitsuba()
         sample = sample_light if strategy.endswith("light") else sample_bsdf
         extra = block[2] if len(block) == 3 else None
-        active = hits.interaction.is_valid()
-        direction = mitsuba.Point2f(block[0], block[1])
-        value, own, other = sample(hits, self._emitter, direction, extra, active)
+        active, u = hits.interaction.is_valid(), load_mitsuba().Point2f(block[0], block[1])
+        value, own, other = sample(hits, self._emitter, u, extra, active)
         if strategy.startswith("mis"):
             value *= heuristic_weight(own, other, POWERS[self.heuristic])
         return value
 
-    def _seen(self, interaction: Any) -> Any:
-        """Light that the camera sees itself."""
-        mitsuba = load_mitsuba()
-        found = interaction.emitter(self._scene)
-        counts = True if self._emitter is None else found == mitsuba.EmitterPtr(self._emitter)
-        return found.eval(interaction, counts)
 
-
-def _has_lobes(bsdf: Any) -> bool:
-    """Whether a BSDF has several components on a side, among which a random number chooses."""
-    flags = load_mitsuba().BSDFFlags
-    parts = [int(bsdf.flags(i)) for i in range(bsdf.component_count())]
-    sides = (int(flags.FrontSide), int(flags.BackSide))
-    return any(sum(bool(part & side) for part in parts) > 1 for side in sides)
-
-
-def _as_samples(u: Array) -> Array:
-    """Return contiguous float32 samples after checking their range."""
-    samples = np.ascontiguousarray(u, np.float32)
-    if not (samples.min() >= 0.0 and samples.max() <= 1.0):  # NaN fails both
-        raise DomainError(
-            "u has samples that are NaN or outside [0,1); give finite numbers in [0,1)."
-        )
-    return samples
-
-
-def _chunks(pixels: int, samples: int) -> Iterator[tuple[slice, slice]]:
-    """Slices of pixels and samples of at most `CHUNK_SAMPLES` samples each."""
-    width = min(samples, CHUNK_SAMPLES)
+def _chunks(pixels: int, u: Array) -> Iterator[tuple[slice, slice, Array]]:
+    """Slices of pixels and of at most `CHUNK_SAMPLES` samples in all, and these as contiguous float32."""
+    width = min(u.shape[-2], CHUNK_SAMPLES)
     height = max(1, CHUNK_SAMPLES // width)
     for row in range(0, pixels, height):
-        for column in range(0, samples, width):
-            yield slice(row, row + height), slice(column, column + width)
-
-
-def _part(u: Array, rows: slice, columns: slice) -> Array:
-    return u[columns] if u.ndim == 2 else u[rows, columns]
+        for column in range(0, u.shape[-2], width):
+            rows, columns = slice(row, row + height), slice(column, column + width)
+            part = np.ascontiguousarray(u[columns] if u.ndim == 2 else u[rows, columns], np.float32)
+            if not (part.min() >= 0.0 and part.max() <= 1.0):  # NaN fails both
+                raise DomainError(
+                    "u has samples that are NaN or outside [0,1); give finite numbers in [0,1)."
+                )
+            yield rows, columns, part

@@ -58,7 +58,6 @@ from .scrambles import Permute as Permute
 from .selection import Shuffle as Shuffle
 from .selection import Skip as Skip
 from .selection import Subset as Subset
-from .shares import SharedCells as SharedCells
 from .sliced import SlicedOptimalTransport as SlicedOptimalTransport
 from .spectral_targets import StepBlueNoise as StepBlueNoise
 from .spectral_targets import TargetPcf as TargetPcf
@@ -72,6 +71,7 @@ from .stratified import Jittered as Jittered
 from .stratified import MultiJittered as MultiJittered
 from .stratified import Random as Random
 from .stratified import Regular as Regular
+from .stratified import SharedCells as SharedCells
 from .stratified import UniformJitter as UniformJitter
 
 __all__ = [

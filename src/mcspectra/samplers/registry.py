@@ -61,7 +61,7 @@ SAMPLERS = Registry(
         "rank1-lattice": "mcspectra.samplers.lattice:Rank1Lattice",
         "regular": "mcspectra.samplers.stratified:Regular",
         "scipy": "mcspectra.samplers.engines:ScipySampler",
-        "shared-cells": "mcspectra.samplers.shares:SharedCells",
+        "shared-cells": "mcspectra.samplers.stratified:SharedCells",
         "sliced-optimal-transport": "mcspectra.samplers.sliced:SlicedOptimalTransport",
         "sobol": "mcspectra.samplers.nets:Sobol",
         "stealthy-hyperuniform": "mcspectra.samplers.hyperuniform:StealthyHyperuniform",

@@ -32,7 +32,7 @@ import numpy as np
 from mcspectra.core.checks import Array, as_choice
 from mcspectra.core.errors import ParameterError
 from mcspectra.integrands import Integrand
-from mcspectra.integrands.products import axis_rules, cell_integrals, product_coefficients
+from mcspectra.integrands._quadrature import axis_rules, cell_integrals, product_coefficients
 from mcspectra.samplers import Randomized, Sampler
 from mcspectra.samplers.base import Randomization, Structure
 from mcspectra.samplers.randomizations import Mirror

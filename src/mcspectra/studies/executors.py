@@ -298,7 +298,31 @@ class Dask:
             A worker that joined later has another version of this package, or cannot build the study.
         """
         while self._waiting or self._suspects or self._sent:
-            outcome = self._next()
+            self._fill()
+            try:
+                serial = self._finished.get(timeout=_POLL)
+            except queue.Empty:
+                if self._client.status not in ("running", "connecting", "newly-created"):
+                    raise ClusterLost(
+                        f"The dask scheduler at {self.address} has gone and did not answer again within "
+                        f"{self._options.patience:g} s; finished work is stored, and --resume continues."
+                    ) from None
+                # Give up a cluster of this machine that cannot start workers; others may get some later
+                self._deserted = 0.0 if self._threads[0] else self._deserted + _POLL
+                if self._options.local and self._deserted >= _DESERTED:
+                    raise ClusterLost(
+                        "All worker processes on this machine have died, and none could be started again "
+                        f"within {_DESERTED:g} s; finished work is stored, and --resume continues."
+                    ) from None
+                continue
+            future, pending = self._sent.pop(serial)
+            try:
+                outcome = self._outcome(future, pending)
+            finally:
+                future.release()
+                del future
+                if self._ready:
+                    self._fill()
             if outcome is not None:
                 yield outcome
 
@@ -341,34 +365,6 @@ class Dask:
         self._sent[serial] = future, pending
         future.add_done_callback(lambda _: self._finished.put(serial))
 
-    def _next(self) -> Outcome | None:
-        """The next outcome; None if there was none for a moment, or a task was lost."""
-        self._fill()
-        try:
-            serial = self._finished.get(timeout=_POLL)
-        except queue.Empty:
-            if self._client.status not in ("running", "connecting", "newly-created"):
-                raise ClusterLost(
-                    f"The dask scheduler at {self.address} has gone and did not answer again within "
-                    f"{self._options.patience:g} s; finished work is stored, and --resume continues."
-                ) from None
-            # Give up a cluster of this machine that cannot start workers; others may get some later
-            self._deserted = 0.0 if self._threads[0] else self._deserted + _POLL
-            if self._options.local and self._deserted >= _DESERTED:
-                raise ClusterLost(
-                    "All worker processes on this machine have died, and none could be started again "
-                    f"within {_DESERTED:g} s; finished work is stored, and --resume continues."
-                ) from None
-            return None
-        future, pending = self._sent.pop(serial)
-        try:
-            return self._outcome(future, pending)
-        finally:
-            future.release()
-            del future
-            if self._ready:
-                self._fill()
-
     def _outcome(self, future: Any, pending: _Pending) -> Outcome | None:
         """What became of a task that is done in dask's eyes; None if it was lost."""
         from distributed import KilledWorker
@@ -397,8 +393,15 @@ class Dask:
             return self._resubmit(pending)  # the connection broke while the result was fetched
         except Exception as error:  # noqa: BLE001 - whatever kept dask from computing it
             return Outcome(task=pending.task, error=explain(error))
-        if occupied:
-            self._restart_worker(future)
+        if occupied:  # by the task that was given up: restart the worker that holds the result
+            holders = self._client.who_has([future]).values()
+            workers = [each for of in holders for each in of]
+
+            def restart() -> None:
+                with contextlib.suppress(Exception):  # a worker without a nanny, or gone
+                    self._client.restart_workers(workers, timeout=60, raise_for_error=False)
+
+            threading.Thread(target=restart, daemon=True).start()
         result: Outcome = outcome
         return result
 
@@ -409,16 +412,6 @@ class Dask:
             return Outcome(task=pending.task, error=reason)
         self._waiting.appendleft(pending._replace(losses=pending.losses + 1))
         return None
-
-    def _restart_worker(self, future: Any) -> None:
-        """Restart the worker that holds a future's result, as a task that was given up runs there."""
-        workers = [each for holders in self._client.who_has([future]).values() for each in holders]
-
-        def restart() -> None:
-            with contextlib.suppress(Exception):  # a worker without a nanny, or gone
-                self._client.restart_workers(workers, timeout=60, raise_for_error=False)
-
-        threading.Thread(target=restart, daemon=True).start()
 
     def _refuse_other_versions(self) -> None:
         """Raise `ClusterError` that names each worker with another version of this package."""
@@ -437,6 +430,12 @@ class Dask:
             )
 
 
+class _SchedulerFile(msgspec.Struct):
+    """What a dask scheduler writes, as far as it matters here."""
+
+    address: str
+
+
 def _connected(options: Cluster, opened: contextlib.ExitStack) -> Any:
     """A client of a cluster that is started here, or of one that runs; `opened` closes both."""
     import distributed
@@ -446,7 +445,16 @@ def _connected(options: Cluster, opened: contextlib.ExitStack) -> Any:
         if options.local:
             target: Any = _local_cluster(options, opened)
         else:
-            target = _address(options)
+            target = options.address
+            if target.endswith(".json"):  # the file that the scheduler wrote
+                try:
+                    found = msgspec.json.decode(Path(target).read_bytes(), type=_SchedulerFile)
+                    target = found.address
+                except (OSError, msgspec.DecodeError) as error:
+                    raise ParameterError(
+                        f"{target!r} is not a file that a dask scheduler wrote (--scheduler-file): "
+                        f"{error}."
+                    ) from error
             _greet_scheduler(target, options.patience)
         client = make(target, timeout=options.patience, set_as_default=False)
     except (OSError, RuntimeError, ValueError, TypeError) as error:
@@ -524,23 +532,6 @@ def _local_cluster(options: Cluster, opened: contextlib.ExitStack) -> Any:
         )
         opened.callback(cluster.close, timeout=_CLOSING)
     return cluster
-
-
-def _address(options: Cluster) -> str:
-    """The address of a scheduler, perhaps from the file that it wrote."""
-    if not options.address.endswith(".json"):
-        return options.address
-
-    class Found(msgspec.Struct):
-        address: str
-
-    try:
-        return msgspec.json.decode(Path(options.address).read_bytes(), type=Found).address
-    except (OSError, msgspec.DecodeError) as error:
-        raise ParameterError(
-            f"{options.address!r} is not a file that a dask scheduler wrote (--scheduler-file): "
-            f"{error}."
-        ) from error
 
 
 def _muted(opened: contextlib.ExitStack) -> dict[logging.Handler, int]:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import contextlib
 import copy
-import functools
 import itertools
 import math
 import re
@@ -446,7 +445,7 @@ def _struct(table: Any, kind: type[Struct], place: str, beside: tuple[str, ...] 
     ConfigError
         A key is unknown, or a value has the wrong type or breaks its limits.
     """
-    known = _keys_of(kind)
+    known = [k for k in kind.__struct_fields__ if not issubclass(kind, _Table) or k not in RESERVED]
     unknown = [key for key in table if key not in known] if isinstance(table, dict) else []
     where = f"{place}: " if place else ""
     if unknown:
@@ -479,14 +478,13 @@ def _struct(table: Any, kind: type[Struct], place: str, beside: tuple[str, ...] 
             given: Any = table
             for key, index in re.findall(r"([\w-]+)|\[(\d+)\]", path):
                 given = given[key or int(index)]
-            wanted = re.sub("`(.*)`", _in_words, what.partition(", got ")[0])
+            wanted = re.sub(
+                "`(.*)`",  # types as msgspec names them, which become the words of the docs
+                lambda m: " or ".join(_WORDS.get(t, t) for t in m[1].split(" | ") if t != "null"),
+                what.partition(", got ")[0],
+            )
             words = f"{wanted[:1].lower()}{wanted[1:]}, got {_shown(given)}."
         raise ConfigError(f"{where}: {words}" if where else words) from None
-
-
-def _in_words(types: re.Match[str]) -> str:
-    """Types as msgspec names them, as the words of the docs."""
-    return " or ".join(_WORDS.get(each, each) for each in types[1].split(" | ") if each != "null")
 
 
 def _shown(value: Any) -> str:
@@ -494,13 +492,6 @@ def _shown(value: Any) -> str:
     if isinstance(value, dict):
         return "a table"
     return str(value).lower() if isinstance(value, bool) else f"{value!r:.60}"
-
-
-@functools.cache
-def _keys_of(kind: type[msgspec.Struct]) -> tuple[str, ...]:
-    """Keys of a table but for its tables of analyses."""
-    hidden = RESERVED if issubclass(kind, _Table) else ()
-    return tuple(key for key in kind.__struct_fields__ if key not in hidden)
 
 
 def _complaints(e: EstimatorConfig) -> Iterator[str]:
@@ -639,60 +630,18 @@ def expand_grids(table: dict[str, Any], source: str = "study") -> dict[str, Any]
     try:
         if not isinstance(table, dict):
             raise ConfigError(f"a study is a table, not {table!r}.")
-        return _Grids(table).expanded()
+        return _expanded(table)
     except McspectraError as error:
         raise ConfigError(f"{source}: {error}") from None
 
 
-@final
-class _Grids:
-    """The grids of one study."""
+def _expanded(table: Mapping[str, Any]) -> dict[str, Any]:
+    """The study without grids."""
+    shared = _grid_values(table.get("grid"), "grid")
+    all_used, counts = set[str](), Counter[str]()  # placeholders; entries of each list of tables
 
-    def __init__(self, table: dict[str, Any]) -> None:
-        self._table = table
-        self._shared = _grid_values(table.get("grid"), "grid")
-        self._used: set[str] = set()
-        self._made: Counter[str] = Counter()  # entries of each list of tables
-
-    def expanded(self) -> dict[str, Any]:
-        """The study without grids."""
-        names = _names()
-        made = {key: value for key, value in self._table.items() if key != "grid"}
-        lists = [
-            key for key in ("estimators", *_scene_lists(made)) if isinstance(made.get(key), list)
-        ]
-        takers = [key for key in lists if any(isinstance(entry, dict) for entry in made[key])]
-
-        # Tables of analyses with placeholders go into the estimators that have none of their own; a
-        # placeholder in place of the list of samplers goes into all entries
-        given: dict[str, Any] = {}
-        if "estimators" in takers:
-            tables = [key for key in made if key in names and isinstance(made[key], dict)]
-            given = {key: made.pop(key) for key in tables if any(_placeholders(made[key]))}
-        samplers, listed = made.get("samplers"), {}
-        if takers and isinstance(samplers, str) and _PLACEHOLDER.fullmatch(samplers):
-            listed = {"samplers": made.pop("samplers")}
-        for key in _SINGLE:
-            if any(_placeholders(made.get(key))):
-                raise ConfigError(
-                    f"{key} is {made[key]!r}, and a study has one; take a study for each value, as "
-                    f"with --set {key}=..."
-                )
-        for key in lists:
-            more = {**given, **listed} if key == "estimators" else listed
-            made[key] = [
-                each
-                for i, entry in enumerate(made[key])
-                for each in self._entry(entry, more, key, f"{key}[{i}]")
-            ]
-        if isinstance(made.get("samplers"), list):
-            self._used.update(_keys_in(made["samplers"], self._shared, "samplers"))
-            made["samplers"] = _repeated(made["samplers"], self._shared, "samplers")
-        _check_used(self._shared, self._used, "")
-        return made
-
-    def _entry(
-        self, given: Any, more: Mapping[str, Any], key: str, place: str
+    def repeated(
+        given: Any, more: Mapping[str, Any], key: str, place: str
     ) -> Iterator[dict[str, Any]]:
         """An estimator or a map, repeated over the placeholders outside its list of samplers."""
         if not isinstance(given, dict):
@@ -700,7 +649,7 @@ class _Grids:
             return
         entry = {**more, **given}
         own = _grid_values(entry.get("grid"), f"{place}.grid")
-        values = {**self._shared, **own}
+        values = {**shared, **own}
         listed = isinstance(entry.get("samplers"), list)
         samplers = entry["samplers"] if listed else []
         apart = ("grid", "samplers") if listed else ("grid",)
@@ -708,9 +657,9 @@ class _Grids:
         keys = _keys_in(body, values, place)
         used = {*keys, *_keys_in(samplers, values, place)}
         _check_used(own, used, f"{place}: ")
-        self._used |= used - own.keys()
-        self._made[key] += math.prod(len(values[name]) for name in keys)
-        _check_size(self._made[key], 0, key)
+        all_used.update(used - own.keys())
+        counts[key] += math.prod(len(values[name]) for name in keys)
+        _check_size(counts[key], 0, key)
         mentioned = set(_placeholders(body.get("name")))
         for choice in _choices(keys, values, entry, place):
             made = _filled(body, choice)
@@ -721,6 +670,39 @@ class _Grids:
                 chosen = {**values, **{k: [value] for k, value in choice.items()}}
                 made["samplers"] = _repeated(samplers, chosen, place)
             yield made
+
+    names = _names()
+    made = {key: value for key, value in table.items() if key != "grid"}
+    lists = [key for key in ("estimators", *_scene_lists(made)) if isinstance(made.get(key), list)]
+    takers = [key for key in lists if any(isinstance(entry, dict) for entry in made[key])]
+
+    # Tables of analyses with placeholders go into the estimators that have none of their own; a
+    # placeholder in place of the list of samplers goes into all entries
+    given: dict[str, Any] = {}
+    if "estimators" in takers:
+        tables = [key for key in made if key in names and isinstance(made[key], dict)]
+        given = {key: made.pop(key) for key in tables if any(_placeholders(made[key]))}
+    samplers, listed = made.get("samplers"), {}
+    if takers and isinstance(samplers, str) and _PLACEHOLDER.fullmatch(samplers):
+        listed = {"samplers": made.pop("samplers")}
+    for key in _SINGLE:
+        if any(_placeholders(made.get(key))):
+            raise ConfigError(
+                f"{key} is {made[key]!r}, and a study has one; take a study for each value, as "
+                f"with --set {key}=..."
+            )
+    for key in lists:
+        more = {**given, **listed} if key == "estimators" else listed
+        made[key] = [
+            each
+            for i, entry in enumerate(made[key])
+            for each in repeated(entry, more, key, f"{key}[{i}]")
+        ]
+    if isinstance(made.get("samplers"), list):
+        all_used.update(_keys_in(made["samplers"], shared, "samplers"))
+        made["samplers"] = _repeated(made["samplers"], shared, "samplers")
+    _check_used(shared, all_used, "")
+    return made
 
 
 def _repeated(samplers: list[Any], values: Values, place: str) -> list[Any]:

@@ -902,22 +902,17 @@ def _locked(folder: Path) -> sqlite3.Connection:
             lock.close()
             if getattr(error, "sqlite_errorname", "") != "SQLITE_BUSY":
                 raise
+            # Say who has the lock: they may be about to note it
+            end, holder = time.monotonic() + _NOTE_SECONDS, None
+            while holder is None and time.monotonic() < end:
+                with contextlib.suppress(StoreError), Ledger.read(folder) as ledger:
+                    holder = ledger.tally.holder
+                time.sleep(0.01)
+            named = "another process" if holder is None else holder.in_words
             raise StoreError(
-                f"{str(folder)!r} is being written by {_holder_in_words(folder)}; wait for it, or "
-                "give another --out."
+                f"{str(folder)!r} is being written by {named}; wait for it, or give another --out."
             ) from None
     return lock
-
-
-def _holder_in_words(folder: Path) -> str:
-    """Who has the lock of a folder: they may be about to note it."""
-    end = time.monotonic() + _NOTE_SECONDS
-    while time.monotonic() < end:
-        with contextlib.suppress(StoreError), Ledger.read(folder) as ledger:
-            if ledger.tally.holder is not None:
-                return ledger.tally.holder.in_words
-        time.sleep(0.01)
-    return "another process"
 
 
 def _connected(file: Path, mode: str, patience: float = _BUSY_SECONDS) -> sqlite3.Connection:

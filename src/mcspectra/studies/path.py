@@ -31,6 +31,7 @@ from mcspectra.core.progress import report
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import Estimator
+from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.integrands import Integrand
 from mcspectra.rendering.paths import (
     SCENE_INTEGRATOR,
@@ -83,7 +84,6 @@ _PLUGINS = {
     "VolumetricMisPathIntegrator": "volpathmis",
     "PRBIntegrator": "prb",
 }
-_Z = 1.959963984540054
 
 
 def analyse_path(
@@ -158,7 +158,15 @@ def analyse_path(
     curves = convergence(f, sources, ns, realizations=number, **options)
     parts: dict[str, xr.Dataset] = {"convergence": curves}
     report("path: parts", 0.4)
-    for kind, (order, names) in _kinds(f.dimensions).items():
+    dimensions = f.dimensions
+    kinds = {  # the group of each coordinate
+        "bounce": [f"bounce {d.bounce}" if d.bounce else "camera" for d in dimensions],
+        "decision": [d.decision for d in dimensions],
+        "request": [str(Dimension(d.bounce, d.decision)) for d in dimensions],
+        "coordinate": [str(d) for d in dimensions],
+    }
+    for kind, names in kinds.items():
+        order = 2 if kind == "bounce" else 1
         labels = list(dict.fromkeys(names))
         if len(labels) <= _MOST_GROUPS:
             groups = [labels.index(name) for name in names]
@@ -216,18 +224,6 @@ def analyse_path(
     return tree
 
 
-def _kinds(dimensions: Sequence[Dimension]) -> dict[str, tuple[int, list[str]]]:
-    """Order of subsets, and the group of each coordinate, by kind of grouping."""
-    bounces = [f"bounce {d.bounce}" if d.bounce else "camera" for d in dimensions]
-    requests = [str(Dimension(d.bounce, d.decision)) for d in dimensions]
-    return {
-        "bounce": (2, bounces),
-        "decision": (1, [d.decision for d in dimensions]),
-        "request": (1, requests),
-        "coordinate": (1, [f"{d}" for d in dimensions]),
-    }
-
-
 def shares_by_light(f: PathPixel, paths: int, stream: Stream) -> xr.Dataset | None:
     """Which lights make the variance of one random path, and how often each had better be chosen.
 
@@ -265,7 +261,7 @@ def shares_by_light(f: PathPixel, paths: int, stream: Stream) -> xr.Dataset | No
         return None
     shares = (off @ whole) / (paths * variance)
     influence = (off * whole - shares[:, None] * whole**2) / variance
-    half = _Z * influence.std(axis=1) / math.sqrt(paths)
+    half = CONFIDENCE_Z * influence.std(axis=1) / math.sqrt(paths)
 
     # Choose by second moments, none too rarely; and see on other paths what that is worth
     known = light_selection(f.scene) if f.selection is None else np.array(f.selection)
@@ -279,7 +275,9 @@ def shares_by_light(f: PathPixel, paths: int, stream: Stream) -> xr.Dataset | No
         squares.append((values - values.mean()) ** 2)
     after, before = (float(s.mean()) for s in squares)
     ratio = after / before if before else math.nan
-    spread = _Z * float((squares[0] / after - squares[1] / before).std()) / math.sqrt(paths)
+    spread = (
+        CONFIDENCE_Z * float((squares[0] / after - squares[1] / before).std()) / math.sqrt(paths)
+    )
     return dataset(
         {
             "light_share": (("light",), shares),
@@ -401,22 +399,22 @@ def path_remedies(
     given, z = tried[0].errors, simultaneous_z(2 * (len(tried) - 1))
     for k, trial in enumerate(tried):
         if trial.pilot:
-            tried[k] = replace(trial, note=_about_pilot(trial, given, budget, z))
-    found = ranked(tried, not_tried, budget, Diagnosis(False, False, None, "", None, None))
-    return found.assign_attrs(diagnosis="", estimator=f.spec, sampler=sampler.spec, budget=budget)
-
-
-def _about_pilot(trial: Trial, given: Errors, budget: int, z: float) -> str:
-    """What a change is worth beside its pilot, and from how many paths on the pilot pays."""
-    found, rate = compare(trial.errors, given, budget), given.rate()[0]
-    low, high = (found.log_ratio + side * z * found.log_ratio_se for side in (-1.0, 1.0))
-    ratio, ends = math.exp(found.log_ratio), f"{math.exp(low):.3g} to {math.exp(high):.3g}"
-    text = f"Its pilot takes {trial.pilot:,} paths; beside it, variance × {ratio:.3g} ({ends})"
-    if high < 0.0 and rate < 0.0:
-        # As given, n and the pilot's paths have the variance of this one's n: ((n + P)/n)^rate = ratio
-        pays = trial.pilot / math.expm1(found.log_ratio / rate)
-        return f"{text}: it pays from about {float(f'{pays:.2g}'):,.0f} paths on."
-    return f"{text}: it does not pay, as far as the interval tells."
+            found, rate = compare(trial.errors, given, budget), given.rate()[0]
+            low, high = (found.log_ratio + side * z * found.log_ratio_se for side in (-1.0, 1.0))
+            ratio, bounds = (
+                math.exp(found.log_ratio),
+                f"{math.exp(low):.3g} to {math.exp(high):.3g}",
+            )
+            note = f"Its pilot takes {trial.pilot:,} paths; beside it, variance × {ratio:.3g} ({bounds})"
+            if high < 0.0 and rate < 0.0:
+                # As given, n and the pilot's paths have the variance of this one's n: ((n + P)/n)^rate = ratio
+                pays = trial.pilot / math.expm1(found.log_ratio / rate)
+                note += f": it pays from about {float(f'{pays:.2g}'):,.0f} paths on."
+            else:
+                note += ": it does not pay, as far as the interval tells."
+            tried[k] = replace(trial, note=note)
+    ranking = ranked(tried, not_tried, budget, Diagnosis(False, False, None, "", None, None))
+    return ranking.assign_attrs(diagnosis="", estimator=f.spec, sampler=sampler.spec, budget=budget)
 
 
 def _other_roulettes(f: PathPixel) -> Iterator[tuple[str, str, str]]:

@@ -24,8 +24,14 @@ from mcspectra.core.progress import report
 from mcspectra.estimators import AbstractEstimator, Estimator
 from mcspectra.quality.jumps import curve_length
 from mcspectra.rendering.backend import LOCK
-from mcspectra.rendering.pixel import Pixel, View, check_view, describe_pixel, incident_light
-from mcspectra.rendering.pixel_mis import pixel_mis
+from mcspectra.rendering.pixel import (
+    Pixel,
+    View,
+    check_view,
+    describe_pixel,
+    incident_light,
+    pixel_mis,
+)
 from mcspectra.rendering.scene_checks import camera_rays, integrator_note, warn_integrator
 from mcspectra.rendering.scenes import (
     Scene,

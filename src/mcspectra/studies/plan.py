@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, final
+from typing import TYPE_CHECKING, Any, TypeAlias, final
 
 from mcspectra.core.analysis import (
     ANALYSES,
@@ -170,25 +170,8 @@ def make_plan(
         raise ConfigError(f"trust is {trust!r}; give a Trust, or None.")
     if not is_path(folder):
         raise ConfigError(f"folder is {folder!r}; give the path of the study's folder.")
-    if not force:
-        _check_number(config)
-    planner = _Planner(config, Vetting(Path(folder), trust or Trust()))
-    cells = tuple(cell for entry in config.entries for cell in planner.cells(entry))
-    if not cells:
-        raise ConfigError(
-            f"The study asks for no analysis; give a table, one of {', '.join(analysis_tables())}."
-        )
-    total = sum(cell.need.cost for cell in cells)
-    if total > MOST_EVALUATIONS and not force:
-        raise ConfigError(
-            f"The study would take about {total:.2g} evaluations, months of a hundred processors; ask "
-            "for fewer points or realisations, or give --force."
-        )
-    return Plan(config, cells, planner.vetting.inputs)
 
-
-def _check_number(config: StudyConfig) -> None:
-    """Refuse what would take long to plan alone, before anything is built."""
+    # Refuse what would take long to plan alone, before anything is built
     texts = {*config.samplers}
     pairs, seconds = 0, 0.0
     shared = {name: _seconds(each) for name, each in config.analyses.items()}
@@ -204,12 +187,25 @@ def _check_number(config: StudyConfig) -> None:
             one = _WARP if entry.dims == 1 else _DENSITY
             seconds += densities * one + _WEIGHTED * (densities > 0)
     seconds += _SPEC * len(texts)
-    if seconds > _MOST_SECONDS:
+    if seconds > _MOST_SECONDS and not force:
         raise ConfigError(
             f"The study has {len(config.entries):,} estimators and {pairs:,} pairs of estimator and "
             f"sampler, which would take about {seconds:.2g} s to plan alone; take several studies, or "
             "give --force."
         )
+    planner = _Planner(config, Vetting(Path(folder), trust or Trust()))
+    cells = tuple(cell for entry in config.entries for cell in planner.cells(entry))
+    if not cells:
+        raise ConfigError(
+            f"The study asks for no analysis; give a table, one of {', '.join(analysis_tables())}."
+        )
+    total = sum(cell.need.cost for cell in cells)
+    if total > MOST_EVALUATIONS and not force:
+        raise ConfigError(
+            f"The study would take about {total:.2g} evaluations, months of a hundred processors; ask "
+            "for fewer points or realisations, or give --force."
+        )
+    return Plan(config, cells, planner.vetting.inputs)
 
 
 def _seconds(analysis: Analysis) -> float:
@@ -218,21 +214,11 @@ def _seconds(analysis: Analysis) -> float:
     return _CELL + _COUNT * sum(len(value) for value in given if isinstance(value, tuple))
 
 
-class _Sampler(NamedTuple):
-    """A sampler of an entry, and the last part of its group's path."""
+_Samplers: TypeAlias = list[tuple[str, str, Sampler, Inputs]]
+"""Text, last part of the group's path, and sampler of each, with the files that it depends on."""
 
-    text: str
-    slug: str
-    sampler: Sampler
-    inputs: Inputs
-
-
-class _Asked(NamedTuple):
-    """An analysis that is asked for, by its name."""
-
-    name: str
-    analysis: Analysis
-    inputs: Inputs
+_Asked: TypeAlias = tuple[str, Analysis, Inputs]
+"""Name of an analysis that is asked for, and the same."""
 
 
 @final
@@ -244,7 +230,7 @@ class _Planner:
         self._config = config
         self._slugs = _Slugs()
         self._one: dict[tuple[str, int | None], tuple[Sampler, Inputs]] = {}
-        self._lists: dict[tuple[tuple[str, ...], int | None], list[_Sampler]] = {}
+        self._lists: dict[tuple[tuple[str, ...], int | None], _Samplers] = {}
         self._vetted: dict[int, list[_Asked]] = {}
         self._needs: dict[Need, Need] = {}
 
@@ -301,23 +287,23 @@ class _Planner:
         for name, table in tables.items():
             if id(table) not in self._vetted:  # tables live as long as the study
                 analysis, inputs = self.vetting.options(table)
-                vetted = [_Asked(name, analysis, inputs)]
+                vetted = [(name, analysis, inputs)]
                 for other in analysis.companions:  # with those options that they have
                     kind = ANALYSES.load(other)
                     shared = {*kind.__struct_fields__} & {*analysis.__struct_fields__}
                     made = kind(**{key: getattr(analysis, key) for key in shared})
-                    vetted.append(_Asked(other, made, inputs))
+                    vetted.append((other, made, inputs))
                 self._vetted[id(table)] = vetted
             for asked in self._vetted[id(table)]:
-                if asked.name == name or asked.name not in tables:
+                if asked[0] == name or asked[0] not in tables:
                     yield asked
 
-    def _samplers(self, entry: EstimatorConfig | SceneConfig, dims: int | None) -> list[_Sampler]:
+    def _samplers(self, entry: EstimatorConfig | SceneConfig, dims: int | None) -> _Samplers:
         """Samplers of an entry; those that entries share are the same objects."""
         texts = self._config.samplers_of(entry)
         key = texts, dims
         if key not in self._lists:
-            slugs, specs, found = _Slugs(), dict[str, str](), list[_Sampler]()
+            slugs, specs, found = _Slugs(), dict[str, str](), _Samplers()
             for text in texts:
                 if (text, dims) not in self._one:
                     calls, inputs = self.vetting.sampler(text)
@@ -326,7 +312,7 @@ class _Planner:
                 first = specs.setdefault(sampler.spec, text)
                 if first != text:
                     raise ConfigError(f"{first!r} and {text!r} are the same sampler; list one.")
-                found.append(_Sampler(text, slugs(text), sampler, inputs))
+                found.append((text, slugs(text), sampler, inputs))
             self._lists[key] = found
         return self._lists[key]
 

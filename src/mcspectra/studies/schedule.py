@@ -300,7 +300,12 @@ class Schedule:
         if outcome.error is not None:
             self._settle(Settled(active.cell, error=outcome.error))
             return
-        self._learn(active, outcome)
+        # Seconds for a unit of cost: the last of many count, as the first ones may compile
+        if outcome.task.cost > 0.0:
+            pace = max(outcome.seconds, _INSTANT) / outcome.task.cost
+            kind = type(active.cell.analysis).__name__
+            active.pace = pace if active.pace is None else 0.5 * (active.pace + pace)
+            self._paces[kind] = 0.5 * (self._paces.get(kind, pace) + pace)
         if not self._guarded(active.cell, lambda: active.add(outcome)):
             return
         # What stops at a precision may have many steps; else a complete one is nearly the end.
@@ -339,14 +344,6 @@ class Schedule:
         settled = self._active[cell.path].settled
         self._settle(settled)
         return settled is not None
-
-    def _learn(self, active: _Active, outcome: Outcome) -> None:
-        """Seconds for a unit of cost: the last of many count, as the first ones may compile."""
-        if outcome.task.cost > 0.0:
-            pace = max(outcome.seconds, _INSTANT) / outcome.task.cost
-            kind = type(active.cell.analysis).__name__
-            active.pace = pace if active.pace is None else 0.5 * (active.pace + pace)
-            self._paces[kind] = 0.5 * (self._paces.get(kind, pace) + pace)
 
     def _size(self, active: _Active, cost: float) -> int:
         """Blocks of a chunk, a power of two; one block costs `cost`."""

@@ -1,32 +1,475 @@
-"""Shared parts of the checks: their error, guarded calls of user code, sets of points."""
+"""Contracts of samplers, densities, integrands and analyses: checks of any one of these.
+
+Checks call the code of others through `called`, which turns whatever it raises into a BrokenContract.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+import math
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array
-from mcspectra.core.errors import McspectraError
+from mcspectra.core.analysis import (
+    Analysis,
+    MergeTree,
+    Need,
+    Subject,
+    check_names,
+    chunks,
+    compute_chunk,
+    finished,
+    steps_of,
+)
+from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.errors import AnalysisError, DensityError, McspectraError, ParameterError
+from mcspectra.core.options import checked, options_of
+from mcspectra.core.records import pack, unpack
 from mcspectra.core.streams import Stream
+from mcspectra.densities import Density
+from mcspectra.densities.registry import as_density
+from mcspectra.integrands import Integrand, integral_accuracy
+from mcspectra.integrands.registry import as_integrand
+from mcspectra.samplers import Sampler, as_sampler
 
 __all__ = [
     "BrokenContract",
-    "called",
-    "check_breaks",
-    "demand",
-    "mean_and_error",
-    "point_sets",
-    "values_at",
+    "check_analysis",
+    "check_density",
+    "check_integrand",
+    "check_sampler",
 ]
 
+_FALSE_ALARM = 1e-6
+_SPREADS = 7.0  # Student's t with 31 degrees: 7e-8 a number
 _SETS, _SET_SIZE = 32, 4096
-_ROUNDING = 1e-9
+_SAME = 1e-9  # of the largest value: rounding of a point alone and among others, and of integrals
+_REALIZATIONS, _CELLS = 640, 35  # of samplers
+_SAMPLES = 20_000
+_SIDES = {1: 64, 2: 8}  # dims to cells along an axis whose samples are counted
+_LEAST = 5.0  # samples expected in a cell: below, χ² is not that of its table
+_RECIPROCAL = 1e-3
+_ROUNDING = 1e-12
+_REMAINDER = 3.5  # of a quadrature whose last difference halves like √½: borders do better
+_QUADRATURE_DIMS = 3
+_MISSED = 20.0  # points expected in a region that none hits: probability e^-20
+_FREQUENCIES = ((1,), (-3,), (0, 2), (1, -1), (4, 7), (2, 1, 0), (0, -1, 3))
+_SEED = 7
+_NEED_SECONDS = 0.1  # studies ask it of every pair of estimator and sampler
+_SIZE = 2  # blocks of a chunk
 
 
 class BrokenContract(McspectraError, AssertionError):
     """A component breaks its contract; the message says how."""
+
+
+def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64)) -> None:
+    """Check a sampler against the contract of all samplers.
+
+    Parameters
+    ----------
+    sampler
+        The sampler, or its spec string.
+    counts
+        Numbers of points to try; the nearest possible ones are taken.
+
+    Raises
+    ------
+    BrokenContract
+        Points are not float64 of shape (R, n, dims) in [0,1); a realisation depends on the call
+        that draws it; a fixed set is not the same each time; a count that `nearest_count` names
+        cannot be drawn; or the sampler says that it is unbiased and the points of all realisations
+        say otherwise (false alarm: 1e-6).
+
+    Examples
+    --------
+    >>> check_sampler("jittered | shift")
+    """
+    source = as_sampler(sampler)
+    if not isinstance(counts, Iterable):
+        raise ParameterError(f"counts is {counts!r}; give a list of numbers of points.")
+    for each in counts:
+        n = source.nearest_count(as_integer("counts", each, least=1))
+        who = f"{source.spec} with n = {n}"
+
+        # Type, shape and range
+        points = source.draw(n, realizations=3, rng=1)
+        kind, wanted = type(points).__name__, (3, n, source.dims)
+        demand(isinstance(points, np.ndarray), who, f"gives {kind}, not an array")
+        demand(points.shape == wanted, who, f"gives shape {points.shape}, not {wanted}")
+        demand(points.dtype == np.float64, who, f"gives {points.dtype}, not float64")
+        low, high = float(points.min()), float(points.max())
+        demand(low >= 0.0 and high < 1.0, who, f"gives points from {low} to {high}, not in [0,1)")
+
+        # Realisations are the same in any call, and those of a fixed set are one set
+        whole = source.draw(n, realizations=6, rng=7)
+        for first, count in ((0, 1), (1, 3), (5, 1)):
+            part = source.draw(n, realizations=count, rng=7, first=first)
+            same = np.array_equal(part, whole[first : first + count])
+            demand(same, who, f"gives different points for realisation {first} in another call")
+        same = not source.fixed or bool((whole == whole[0]).all())
+        demand(same, who, "is declared fixed, but its realisations are different sets")
+        if not source.unbiased:
+            continue
+
+        # Mean counts of points in cells against n over the number of cells, 35 to an axis and 5 × 7 to a
+        # pair of neighbours, which few strata are. The spread over realisations gives the error of each
+        # mean, whatever ties the points of a set together; it is never below that of one point in one
+        # realisation: cells that are always, or never, hit
+        from scipy.stats import norm
+
+        points = source.draw(n, realizations=_REALIZATIONS, rng=20)
+        coarse, fine = np.floor(5 * points), np.floor(7 * points)
+        dims, least = points.shape[2], math.sqrt(n / _CELLS / _REALIZATIONS)
+        numbers = [np.floor(_CELLS * points[..., j]) for j in range(dims)]
+        pairs = range(dims if dims > 1 else 0)
+        numbers += [7 * coarse[..., j] + fine[..., (j + 1) % dims] for j in pairs]
+        found = []
+        for cells in numbers:
+            hits = np.stack([(cells == cell).sum(axis=1) for cell in range(_CELLS)])
+            error = np.maximum(hits.std(axis=1, ddof=1), least) / math.sqrt(_REALIZATIONS)
+            found.append((hits.mean(axis=1) - n / _CELLS) / error)
+        worst, tests = float(np.abs(found).max()), np.size(found)
+        demand(
+            -np.expm1(tests * np.log1p(-2 * norm.sf(worst))) > _FALSE_ALARM,
+            who,
+            f"is declared unbiased, but its points are not uniform ({worst:.3g} standard errors in one "
+            f"of {tests} cells)",
+        )
+
+
+def check_density(density: Density | str, *, dims: int | None = None) -> None:
+    """Check a density against the contract of all densities.
+
+    Parameters
+    ----------
+    density
+        The density, or its spec string.
+    dims
+        Number of dims of a spec string without ``dims``.
+
+    Raises
+    ------
+    BrokenContract
+        pdf, sample or invert raise, give another shape or type, or change their input; pdf is
+        negative, not finite or does not integrate to 1; samples leave [0,1), lie where the pdf is 0
+        or do not follow it (false alarm: 1e-6); invert does not undo sample; breaks are not ascending
+        numbers within (0, 1); or `reciprocal_integral` is not ∫1/p.
+
+    Notes
+    -----
+    In 1-D and 2-D samples are counted in cells (Pearson's χ²), in addition to `Density.check`,
+    which documents the errors it finds in more dims.
+
+    Examples
+    --------
+    >>> check_density("linear(slope=1)", dims=1)
+    """
+    given = as_density(density, dims)
+    if given is None:
+        raise BrokenContract("None is not a density; give one, or its spec.")
+    who, u = given.spec, point_sets(given.primary_dims)
+    u[0, 0] = 0.0
+    u[0, 1] = np.nextafter(1.0, 0.0)
+
+    # Types and shapes of all three functions for stacked points
+    few = u[:3, :5]
+    x = values_at(who, "sample", given.sample, few, (*few.shape[:-1], given.dims))
+    low, high = float(x.min()), float(x.max())
+    demand(low >= 0.0 and high < 1.0, who, f"gives samples from {low} to {high}, not in [0,1)")
+    values_at(who, "pdf", given.pdf, x, x.shape[:-1])
+    if given.has_inverse:
+        values_at(who, "invert", given.invert, x, few.shape)
+    check_breaks(who, given.breaks, given.primary_dims)
+
+    # What `Density.check` finds, as a broken contract
+    try:
+        called(who, "check", given.check)
+    except BrokenContract as error:
+        if isinstance(error.__cause__, DensityError):
+            raise BrokenContract(str(error.__cause__)) from error.__cause__
+        raise
+    x = given.sample(u[0, 2:])  # the corners of the cube may lie on a zero of the pdf
+    zero = ~(given.pdf(x) > 0.0)
+    demand(not zero.any(), who, f"gives the sample {x[zero][:1].tolist()} of density 0")
+
+    # Pearson's χ² of samples of pseudo-random points in cells, and none in cells without mass
+    if given.dims <= 2:
+        from scipy.stats import chi2
+
+        from mcspectra.densities.adaptive import integrate
+
+        side = _SIDES[given.dims]
+        x = given.sample(np.random.default_rng(7).random((_SAMPLES, given.primary_dims)))
+        expected = _SAMPLES * integrate(given._pdf, given.dims, cells=side).cells
+        place = np.minimum((x * side).astype(int), side - 1)
+        index = place @ side ** np.arange(given.dims)[::-1]
+        counts = np.bincount(index, minlength=side**given.dims)
+        full = expected > _LEAST
+        rest, none = counts[~full].sum(), expected[~full].sum()
+        statistic = float((((counts - expected) ** 2)[full] / expected[full]).sum())
+        p = float(chi2.sf(statistic, max(int(full.sum()) - (not none), 1)))
+        demand(
+            p > _FALSE_ALARM and bool(abs(rest - none) <= _SPREADS * np.sqrt(none) + _LEAST),
+            who,
+            f"gives samples that do not follow its pdf (χ² = {statistic:.4g} in {full.sum()} cells)",
+        )
+
+    # ∫1/p where the class knows it: at least 1 (Jensen), and that of points where both are finite
+    if type(given).reciprocal_integral is Density.reciprocal_integral:
+        return
+    found = called(who, "reciprocal_integral", given.reciprocal_integral)
+    demand(found >= 1.0 - _SAME, who, f"gives {found} for ∫1/p, less than 1")
+    with np.errstate(divide="ignore", over="ignore"):
+        values = 1.0 / given.pdf(point_sets(given.dims))
+    if np.isfinite(found) and np.isfinite(values).all():
+        mean, spread = mean_and_error(values)
+        allowed = _SPREADS * spread + _RECIPROCAL * mean
+        # Close to a zero of p the mean of few points lies below: that alone proves nothing
+        short = bool(mean < found and spread > _RECIPROCAL * mean)
+        demand(
+            short or bool(abs(mean - found) <= allowed),
+            who,
+            f"gives {found:.6g} for ∫1/p, but points give {mean:.6g} ± {spread:.2g}",
+        )
+
+
+def check_integrand(integrand: Integrand | str, *, dims: int | None = None) -> None:
+    """Check an integrand against the contract of all integrands.
+
+    Parameters
+    ----------
+    integrand
+        The integrand, or its spec string.
+    dims
+        Number of dims of a spec string without ``dims``.
+
+    Raises
+    ------
+    BrokenContract
+        Values, integral or coefficients raise, have another shape or type, or are not finite;
+        values depend on the other points, or the given points are changed; breaks are not ascending
+        numbers within (0, 1); or a closed form (integral, coefficients, means over boxes) is not
+        that of the values (false alarm: about 1e-6).
+
+    Notes
+    -----
+    Closed forms are compared with means over 32 shifted sets of 4096 points; those further off
+    than seven standard errors are compared with a quadrature as well, in up to three dims.
+    A closed form that is wrong by less than those errors passes. A region of less than 1e-4 of the
+    domain, where alone f is not 0, has to be named by `Integrand.landmarks`.
+
+    Examples
+    --------
+    >>> check_integrand("gaussian(width=0.3)", dims=2)
+    """
+    f = as_integrand(integrand, dims)
+    who, x = f.spec, point_sets(f.dims)
+    few, one = x[:3, :5], np.ones((*x.shape[:-1], 1))
+    channels = (f.channels,) if f.channels else ()
+    values = values_at(who, "its values", f, few, (*few.shape[:-1], *channels))
+    demand(bool(np.isfinite(values).all()), who, "gives values that are not finite")
+    check_breaks(who, f.breaks, f.dims)
+
+    # The integral
+    found = np.asarray(called(who, "its integral", lambda: f.integral))
+    demand(found.shape == channels, who, f"has an integral of shape {found.shape}")
+    demand(bool(np.isfinite(found).all()), who, "has an integral that is not finite")
+    if f._integral() is not None:
+        _compare(f, "an integral", found[..., None], x, one)
+
+    # Coefficients, if they are not the library's own: f_0 = ∫f, f_−m = conj f_m, and those of points
+    m = np.array([row + (0,) * (f.dims - len(row)) for row in _FREQUENCIES if len(row) <= f.dims])
+    if called(who, "its coefficients", f._fourier, np.zeros((1, f.dims))) is not None:
+        found = called(who, "its coefficients", f.fourier, m.reshape(1, -1, f.dims))
+        wanted = (1, len(m), *channels)
+        demand(found.shape == wanted, who, f"has coefficients of shape {found.shape}, not {wanted}")
+        demand(found.dtype == np.complex128, who, f"has coefficients {found.dtype}, not complex128")
+        dc = called(who, "its coefficients", f.fourier, np.zeros((1, f.dims)))[0]
+        limit = 1e-9 * (1.0 + float(np.abs(np.asarray(f.integral)).max()))
+        same = bool(np.abs(dc - f.integral).max() <= limit)
+        demand(same, who, "has a coefficient f_0 that is not its integral")
+        mirrored = called(who, "its coefficients", f.fourier, -m)
+        same = bool(np.abs(mirrored - found[0].conj()).max() <= limit)
+        demand(same, who, "has coefficients with f_-m ≠ conj(f_m)")
+        angle = 2.0 * np.pi * (x @ m.T)
+        values = found[0].T if f.channels else found[0]
+        _compare(f, "coefficients", values.real, x, np.cos(angle))
+        _compare(f, "coefficients", values.imag, x, -np.sin(angle))
+
+    # Means of f and f² over boxes with irregular borders, and over the whole
+    low = np.stack([np.zeros(f.dims), np.full(f.dims, 0.17), np.linspace(0.03, 0.4, f.dims)])
+    high = np.stack([np.ones(f.dims), np.full(f.dims, 0.61), np.full(f.dims, 0.97)])
+    found = called(who, "box_moments", f.box_moments, low, high)
+    for power, part in enumerate(found or (), 1):
+        shape = np.shape(part)
+        demand(shape == (len(low), *channels), who, f"has box moments of shape {shape}")
+        for claimed, a, b in zip(np.asarray(part), low, high, strict=True):
+            box = _Seen(f, tuple(a), tuple(b), power)
+            _compare(box, "box moments", claimed[..., None], x, one)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class _Seen(Integrand):
+    """Values of another integrand, or of its square, over a box: without any closed form."""
+
+    name: ClassVar[str] = "seen"
+    inner: Integrand
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    power: int = 1
+
+    @property
+    def dims(self) -> int:  # type: ignore[override]
+        """Dims of the other."""
+        return self.inner.dims
+
+    @property
+    def channels(self) -> int:  # type: ignore[override]
+        """Channels of the other."""
+        return self.inner.channels
+
+    @property
+    def spec(self) -> str:
+        """Spec of the other."""
+        return self.inner.spec
+
+    def landmarks(self) -> Array:
+        """Landmarks of the other that lie in the box."""
+        low, high = np.array(self.low), np.array(self.high)
+        places = (self.inner.landmarks() - low) / (high - low)
+        return np.asarray(places[((places >= 0.0) & (places <= 1.0)).all(axis=1)])
+
+    @property
+    def breaks(self) -> tuple[tuple[float, ...], ...]:
+        """Breaks of the other that lie in the box."""
+        ends = zip(self.inner.breaks, self.low, self.high, strict=True)
+        return tuple(tuple((c - a) / (b - a) for c in axis if a < c < b) for axis, a, b in ends)
+
+    def _evaluate(self, x: Array) -> Array:
+        low, high = np.array(self.low), np.array(self.high)
+        values: Array = self.inner(np.minimum(low + (high - low) * x, 1.0)) ** self.power
+        return values
+
+
+def _compare(f: Integrand, what: str, claimed: Array, x: Array, factors: Array) -> None:
+    """Compare claims (..., k) with means over points of values times factors (sets, points, k)."""
+    values = called(f.spec, "its values", f, x)
+    products = values[..., None] * (factors[..., None, :] if f.channels else factors)
+    mean, error = mean_and_error(products)
+    rounding = _ROUNDING * (1.0 + float(np.abs(values).max()))
+    allowed = _SPREADS * error + rounding
+    places = f.landmarks()
+    if not values.any() and len(places):  # all points have missed where it is largest
+        largest = float(np.abs(f(places)).max())
+        allowed = allowed + largest * _MISSED / values.shape[0] / values.shape[1]
+    off = ~(np.abs(claimed - mean) <= allowed)
+    if not off.any():
+        return
+    # Points may miss a small region: does a quadrature of the values find the integral?
+    agree = False
+    if factors.shape[-1] == 1 and f.dims <= _QUADRATURE_DIMS:
+        seen = f if isinstance(f, _Seen) else _Seen(f, (0.0,) * f.dims, (1.0,) * f.dims)
+        limit = _REMAINDER * integral_accuracy(seen)[1] + 1e-13
+        agree = bool(np.abs(np.asarray(seen.integral) - claimed[..., 0]).max() <= limit)
+    claim, found, spread = (float(a[off][0]) for a in (claimed, mean, error))
+    demand(
+        agree,
+        f.spec,
+        f"has {what} in conflict with its values: {claim:.6g}, but points give {found:.6g} "
+        f"± {spread:.2g}",
+    )
+
+
+def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "jittered") -> None:
+    """Check an analysis against the contract of all analyses.
+
+    Parameters
+    ----------
+    analysis
+        The analysis with options that are quick to compute; of more than one block, so that
+        merging is tried too.
+    estimator, sampler
+        Subject of the check, or specs of it: an estimator or integrand, `gaussian` in two dims by
+        default, and a sampler; lists for analyses that take them.
+
+    Raises
+    ------
+    BrokenContract
+        An option has no meaning, a name that is taken or a default that its own limits refuse; `need` raises, is slow or not
+        finite; keys repeat or `part` does not find them; states do not survive as bytes; the result
+        depends on chunks, differs for the same seed, or has variables that are not declared.
+
+    Examples
+    --------
+    >>> from mcspectra.variance.convergence import Convergence
+    >>> check_analysis(Convergence(counts=(4, 16), realizations=50))
+    """
+    from mcspectra.estimators import as_subject
+
+    if not isinstance(analysis, Analysis):
+        raise ParameterError(f"{analysis!r:.80} is no analysis; give one with its options.")
+    kind = type(analysis)
+    who = kind.__name__
+    subject = as_subject("gaussian" if estimator is None else estimator, sampler, lists=True)
+    if analysis.about != "estimator":
+        subject = Subject(None, subject.sampler)
+
+    # Its options
+    demand(bool(kind.summary()), who, "has no docstring; its first line is the summary")
+    try:
+        check_names(kind)
+    except AnalysisError as error:
+        raise BrokenContract(str(error)) from error
+    for option in options_of(kind):
+        demand(bool(option.meaning), who, f"has the option {option.name} without a meaning")
+        if not option.required:
+            called(who, f"the default of {option.name}", option.check, option.default)
+    clean: Analysis = called(who, "its options", checked, analysis)
+
+    # What it needs
+    start = time.process_time()
+    need = called(who, "need", clean.need, subject)
+    demand(isinstance(need, Need), who, f"returns {need!r} from need, not a Need")
+    finite = math.isfinite(need.cost) and need.cost >= 0 and need.memory >= 0
+    demand(finite, who, f"returns {need!r} from need, which is not finite")
+    spent = time.process_time() - start
+    demand(spent < _NEED_SECONDS, who, f"takes {spent:.2g} s in need")
+
+    # Its result, twice
+    first, again = (pack(_computed(clean, subject, who, size)) for size in (0, _SIZE))
+    demand(first == again, who, "gives different results in chunks, or for the same seed")
+
+
+def _computed(analysis: Analysis, subject: Subject, who: str, size: int) -> Any:
+    """The result, with states of single blocks, or of chunks of `size` made by `part` and as bytes."""
+    stream = Stream.from_rng(_SEED)
+    steps = steps_of(analysis, subject, stream)
+    states: list[Any] | None = None
+    try:
+        while True:
+            found = next(steps) if states is None else steps.send(states)
+            states = []
+            for each in found:
+                part = called(who, "part", analysis.part, subject, stream, each.key)
+                reduction, tree = part if size else each, MergeTree[Any]()
+                for chunk in chunks(reduction.blocks, size or 1):
+                    state = called(who, "block", compute_chunk, reduction, chunk)
+                    if size:
+                        payload = called(who, "a state as bytes", pack, state)
+                        state = called(who, "a state from bytes", unpack, reduction.kind, payload)
+                        same = pack(state) == payload
+                        demand(same, who, "has a state that changes when it is stored as bytes")
+                    called(who, "merging states", tree.add, state, chunk[1])
+                states.append(called(who, "merging states", tree.total))
+    except AnalysisError as error:
+        raise BrokenContract(str(error)) from error
+    except StopIteration as end:
+        return called(who, "its variables", finished, analysis, end.value, _SEED)
 
 
 def demand(holds: bool, who: str, sentence: str) -> None:
@@ -64,7 +507,7 @@ def values_at(
     demand(found.dtype == np.float64, who, f"gives {found.dtype} in {what}, not float64")
     alone = called(who, what, function, points[1, 2])
     largest = float(np.max(np.abs(found), where=np.isfinite(found), initial=0.0))
-    same = np.allclose(alone, found[1, 2], rtol=0.0, atol=_ROUNDING * largest, equal_nan=True)
+    same = np.allclose(alone, found[1, 2], rtol=0.0, atol=_SAME * largest, equal_nan=True)
     demand(same, who, f"gives different values in {what} for a point alone and among others")
     return np.asarray(found)
 

@@ -7,16 +7,15 @@ hypothesis: ``pip install mcspectra[testing]``.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import warnings
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mcspectra.core.checks import as_choice, as_integer
 from mcspectra.core.errors import McspectraError, MissingDependency, ParameterError
-from mcspectra.core.registry import Registry
 from mcspectra.densities import Density, density
 from mcspectra.integrands import Integrand, integrand
 from mcspectra.samplers import RANDOMIZATIONS, SAMPLERS, Sampler, as_sampler, sampler
@@ -94,8 +93,14 @@ def counts(given: Sampler | str, *, most: int = 256) -> SearchStrategy[int]:
     """
     source = as_sampler(given)
     largest = as_integer("most", most, least=1, most=2**20)
-    near = {source.nearest_count(k) for k in _tried(largest)}
-    possible = sorted(n for n in near if n <= largest and _is_good(source, n))
+    # Of very many counts a part is tried
+    near = {source.nearest_count(k) for k in range(1, largest + 1, max(1, largest // 4096))}
+    possible = []
+    for n in sorted(n for n in near if n <= largest):
+        with warnings.catch_warnings(record=True) as heard:
+            warnings.simplefilter("always")
+            source.check_count(n)
+        possible += [] if heard else [n]
     if not possible:
         raise ParameterError(
             f"{source.spec} cannot make a set of at most {largest} points; give most="
@@ -117,29 +122,16 @@ def point_sets(*, dims: int = 2, most: int = 64, stacked: bool = False) -> Searc
     return shapes.flatmap(lambda shape: hnp.arrays(np.float64, shape, elements=coordinate))
 
 
-def _is_good(source: Sampler, n: int) -> bool:
-    with warnings.catch_warnings(record=True) as heard:
-        warnings.simplefilter("always")
-        source.check_count(n)
-    return not heard
-
-
-def _tried(largest: int) -> range:
-    """Counts to look near; of very many a part."""
-    return range(1, largest + 1, max(1, largest // 4096))
-
-
 @functools.cache
 def _names(dims: int) -> tuple[str, ...]:
     """Samplers that need no parameters, are not costly and can do `dims` dims."""
-    return tuple(n for n in SAMPLERS if n not in _FOREIGN and _quick(SAMPLERS, n, sampler, dims))
-
-
-def _quick(registry: Registry, name: str, build: Callable[..., Any], dims: int) -> bool:
-    try:
-        return not registry.load(name).costly and bool(build(name, dims))
-    except McspectraError:
-        return False
+    found = []
+    for name in (n for n in SAMPLERS if n not in _FOREIGN):
+        with contextlib.suppress(McspectraError):
+            if not SAMPLERS.load(name).costly:
+                sampler(name, dims)  # raises where it needs parameters, or cannot do so many dims
+                found.append(name)
+    return tuple(found)
 
 
 @st.composite

@@ -19,7 +19,7 @@ from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.streams import Stream
 from mcspectra.core.tally import counting
 from mcspectra.estimators import AbstractEstimator, Mirrored, Moments
-from mcspectra.estimators.reflected import SymmetrizedIntegrand
+from mcspectra.estimators.mirrored import SymmetrizedIntegrand
 from mcspectra.estimators.support import probe_points
 from mcspectra.samplers import Sampler, Shift
 from mcspectra.spectra.bases import parts_of

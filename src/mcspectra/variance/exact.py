@@ -45,7 +45,7 @@ from mcspectra.core.results import dataset
 from mcspectra.core.streams import Stream
 from mcspectra.core.tally import counting
 from mcspectra.estimators import AbstractEstimator, as_subject
-from mcspectra.estimators.reflected import FoldedIntegrand, SymmetrizedIntegrand
+from mcspectra.estimators.mirrored import FoldedIntegrand, SymmetrizedIntegrand
 from mcspectra.integrands import Integrand, integral_accuracy
 from mcspectra.samplers import (
     Jittered,

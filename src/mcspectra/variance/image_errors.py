@@ -17,8 +17,8 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import NoClosedForm, ParameterError
+from mcspectra.core.images import Rings
 from mcspectra.core.results import dataset
-from mcspectra.core.rings import Rings
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.core.tally import counting
 from mcspectra.integrands import Integrand, as_integrand

@@ -33,7 +33,7 @@ from mcspectra.samplers import Sampler, sampler
 from mcspectra.samplers.nets import _irreducible, _quotient, _sobol_directions
 from mcspectra.samplers.optimised import minimize
 from mcspectra.samplers.randomizations import folded
-from mcspectra.samplers.shares import SharedCells, write_cells
+from mcspectra.samplers.stratified import SharedCells, write_cells
 from mcspectra.spectra.bases import hadamard
 from mcspectra.variance.design import _kernels
 from mcspectra.variance.design.objectives import Objective, Values

@@ -25,8 +25,8 @@ from mcspectra.core.records import JOIN
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, Estimator, Moments
+from mcspectra.estimators.mirrored import FoldedIntegrand, SymmetrizedIntegrand
 from mcspectra.estimators.moments import CONFIDENCE_Z, rounding_floor
-from mcspectra.estimators.reflected import FoldedIntegrand, SymmetrizedIntegrand
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import (
     Jittered,
