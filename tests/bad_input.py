@@ -4,8 +4,6 @@
 program really says.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import sys

@@ -1,7 +1,5 @@
 """Every public function, with one argument of a wrong type at a time: a sentence, and no hang."""
 
-from __future__ import annotations
-
 import inspect
 import signal
 import threading

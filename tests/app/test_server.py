@@ -1,7 +1,5 @@
 """The server answers pages of its own, on this machine, and nobody else."""
 
-from __future__ import annotations
-
 import pytest
 from tornado import httputil, web
 
@@ -40,7 +38,7 @@ OWN = ("Host", f"127.0.0.1:{PORT}")
         [OWN, ("Origin", f"http://localhost:{PORT}")],
     ],
 )
-def test_own_pages_are_answered(headers: list[tuple[str, str]]) -> None:
+def test_own_pages_are_answered(headers):
     assert answers(*headers)
 
 
@@ -60,12 +58,12 @@ def test_own_pages_are_answered(headers: list[tuple[str, str]]) -> None:
         [OWN, ("Origin", f"http://127.0.0.1:{PORT}"), ("Origin", "http://evil.example")],
     ],
 )
-def test_others_are_refused(headers: list[tuple[str, str]]) -> None:
+def test_others_are_refused(headers):
     assert not answers(*headers)
 
 
 @pytest.mark.parametrize("port", [-1, 65536, 1.5, "x", None])
-def test_ports_out_of_range_are_refused(port: object) -> None:
+def test_ports_out_of_range_are_refused(port):
     with pytest.raises(ParameterError, match="port"):
         make_server(port)  # type: ignore[arg-type]
 
@@ -73,7 +71,7 @@ def test_ports_out_of_range_are_refused(port: object) -> None:
 @pytest.mark.parametrize(
     "options", [["--port", "x"], ["--port", "70000"], ["--json"], ["--seed", "1"]]
 )
-def test_bad_options_are_a_sentence(options: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_options_are_a_sentence(options, capsys):
     assert main(["app", *options]) == 2
     said = capsys.readouterr().err
     assert said.startswith("mcspectra: ")

@@ -1,7 +1,5 @@
 """What notebooks show: hooks that load nothing from above, and never raise."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,7 +1,5 @@
 """States of reductions: they merge by the rules of their fields, and survive as bytes bit for bit."""
 
-from __future__ import annotations
-
 import math
 import tracemalloc
 from dataclasses import dataclass
@@ -44,7 +42,7 @@ class Own:
 
     words: str
 
-    def merge(self, other: Own) -> Own:
+    def merge(self, other):
         return Own(f"({self.words}{other.words})")
 
 

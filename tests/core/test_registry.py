@@ -1,7 +1,5 @@
 """Registries: names to classes, close matches, names that other distributions add."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from typing import ClassVar

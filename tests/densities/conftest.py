@@ -1,7 +1,5 @@
 """Densities of all kinds, for the tests that every density has to pass."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What densities refuse at the door: one table of fields and their bad values."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The page on adding a sampler: its code is what it says, from the class to the command line."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import re

@@ -1,7 +1,5 @@
 """The how-to page for sampler designers: its three commands, from a program to a PDF."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

@@ -1,7 +1,5 @@
 """Heuristics: weights as defined, variances by quadrature of polynomials, optimal ones, bad input."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Results become plots: every analysis has one, and odd results do not break them."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,9 +1,6 @@
 """Scenes for the tests of the renderer's bridge."""
 
-from __future__ import annotations
-
 import gc
-from collections.abc import Iterator
 
 import pytest
 
@@ -57,7 +54,7 @@ _TEXTS = {
 
 
 @pytest.fixture(scope="module", autouse=True)
-def forget_scenes() -> Iterator[None]:
+def forget_scenes():
     """Drop a module's scenes: Dr.Jit traces the BSDFs of all that are alive at every call."""
     yield
     kept = (scenes._from_name, scenes._from_file, scenes._from_dict, hits_of, dimensions_of, _sky)
@@ -67,7 +64,7 @@ def forget_scenes() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def scene_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+def scene_files(tmp_path_factory):
     """Paths of small scenes: textured (layered BSDF, sky), mirror, lamp, dark, blind."""
     folder = tmp_path_factory.mktemp("scenes")
     for name, text in _TEXTS.items():

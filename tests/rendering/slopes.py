@@ -1,7 +1,5 @@
 """Errors of fitted rates by noise, for tests of curves that wobble about their line."""
 
-from __future__ import annotations
-
 from statistics import NormalDist
 
 import numpy as np

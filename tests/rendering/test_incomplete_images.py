@@ -1,7 +1,5 @@
 """What an image leaves out is said: a lens, a shutter, lights and surfaces that are delta functions."""
 
-from __future__ import annotations
-
 import warnings
 from typing import Any
 
@@ -51,9 +49,7 @@ SHUTTER = {"shutter_open": 0.0, "shutter_close": 0.5}
         (LENS | SHUTTER, 2 * ["has a"], "center of the lens, middle of the shutter's time"),
     ],
 )
-def test_cameras_that_are_not_sampled_are_named(
-    camera: dict[str, Any], words: list[str], rays: str
-) -> None:
+def test_cameras_that_are_not_sampled_are_named(camera, words, rays):
     made = scene(camera)
     sentences = check_scene(made)
     assert len(sentences) == len(words)
@@ -70,13 +66,13 @@ def test_cameras_that_are_not_sampled_are_named(
         assert result.attrs["camera"] == rays
 
 
-def test_pinholes_are_rendered_in_silence() -> None:
+def test_pinholes_are_rendered_in_silence():
     assert check_scene(scene()) == []
     silent(scene())
     assert camera_rays(scene()) == "pinhole"
 
 
-def test_strategies_that_leave_out_a_light_say_so() -> None:
+def test_strategies_that_leave_out_a_light_say_so():
     lamp = {"type": "point", "position": [0, 0, 1]}
     made = scene(lamp=lamp, spot={"type": "spot"})
     with pytest.warns(
@@ -89,7 +85,7 @@ def test_strategies_that_leave_out_a_light_say_so() -> None:
     silent(made, "bsdf", light="sky")
 
 
-def test_strategies_that_leave_out_a_mirror_say_so() -> None:
+def test_strategies_that_leave_out_a_mirror_say_so():
     made = scene(ball={"type": "sphere", "bsdf": {"type": "conductor"}})
     with pytest.warns(IncompleteImageWarning, match="'light' leaves out specular .*'ball'"):
         render(made, "light", spp=1)
@@ -97,7 +93,7 @@ def test_strategies_that_leave_out_a_mirror_say_so() -> None:
     warn_missed(made, "mis-light")
 
 
-def test_scaled_environments_are_refused() -> None:
+def test_scaled_environments_are_refused():
     with LOCK:
         transform = load_mitsuba().ScalarTransform4f
         twice, turned = (
@@ -116,7 +112,7 @@ def test_scaled_environments_are_refused() -> None:
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
-def test_environments_with_a_broken_pixel_are_refused(value: float) -> None:
+def test_environments_with_a_broken_pixel_are_refused(value):
     pixels = np.ones((4, 8, 3))
     pixels[2, 3, 1] = value
     made = scene(sky=sky(pixels), lamp={"type": "point"})
@@ -131,7 +127,7 @@ def test_environments_with_a_broken_pixel_are_refused(value: float) -> None:
             refused()
 
 
-def test_maps_that_see_nothing_say_what_is_in_the_way() -> None:
+def test_maps_that_see_nothing_say_what_is_in_the_way():
     made = scene(
         wall={"type": "rectangle"}, ball={"type": "sphere", "bsdf": {"type": "dielectric"}}
     )

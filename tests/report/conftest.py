@@ -1,10 +1,7 @@
 """Small results like those of a study, made with plain numpy: f(x) = Π x_i and simple samplers."""
 
-from __future__ import annotations
-
 import itertools
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +13,6 @@ from mcspectra.core.records import pack
 from mcspectra.core.results import dataset
 from mcspectra.plots.text import slug
 from mcspectra.report import page
-from mcspectra.report.page import Figure
 from mcspectra.studies import StudyConfig
 from mcspectra.studies.files import decode_study
 from mcspectra.studies.ledger import Ledger, StudyNote
@@ -260,11 +256,11 @@ def all_analyses(sampler: str, dims: int = 1, n: int | None = None) -> dict[str,
 
 
 @pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+def undrawn(monkeypatch):
     """Pages whose figures are words alone: for tests of what else they say."""
     blank = {**dict.fromkeys(("png", "file", "live"), ""), "width": 1, "height": 1}
 
-    def words(figure: Figure, *_: object) -> dict[str, Any]:
+    def words(figure, *_):
         plot = figure.plot
         said = {"words": plot.words, "caption": plot.caption}
         return blank | said | {"wide": plot.wide, "abreast": False}
@@ -273,7 +269,7 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(name="make", scope="session")
-def _make() -> dict[str, Callable[..., Any]]:
+def _make():
     """Makers of results, by name."""
     return {
         "terms": make_terms,
@@ -287,7 +283,7 @@ def _make() -> dict[str, Callable[..., Any]]:
 
 
 @pytest.fixture(scope="session")
-def study_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def study_folder(tmp_path_factory):
     """A study of three samplers: all analyses in one dim, spectra in two."""
     cells: Cells = {("product in 1-D", sampler): all_analyses(sampler, 1) for sampler in SAMPLERS}
     for sampler in SAMPLERS:

@@ -1,7 +1,5 @@
 """Results draw and explain themselves."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

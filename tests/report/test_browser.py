@@ -1,7 +1,5 @@
 """The report in Chromium: tooltips, legends, sorting, phones, paper; no network, no errors."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.resources import files
@@ -21,7 +19,7 @@ EVIL = "</script><script>document.title='run'</script>$$x$$"
 
 
 @pytest.fixture(scope="module", name="folder")
-def _folder(make: Make, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def _folder(make, tmp_path_factory):
     """Reports of a small study, one of whose names tries to break out, and of a comparison."""
     root = tmp_path_factory.mktemp("browser")
     cells = {("1-D", s): make["analyses"](s, 1) for s in ("random", "jittered")}
@@ -102,7 +100,7 @@ def sweep(visit: Visit, plot: Any, word: str) -> bool:
     return False
 
 
-def test_the_pointer_shows_exact_values(browser: Browser, folder: Path) -> None:
+def test_the_pointer_shows_exact_values(browser, folder):
     visit = Visit(browser, folder / "a" / "report.html")
     assert sweep(visit, visit.show("Bars of the three terms"), "95 %:")
     assert sweep(
@@ -115,7 +113,7 @@ def test_the_pointer_shows_exact_values(browser: Browser, folder: Path) -> None:
     visit.leave()
 
 
-def test_a_click_in_the_legend_hides_a_line(browser: Browser, folder: Path) -> None:
+def test_a_click_in_the_legend_hides_a_line(browser, folder):
     visit = Visit(browser, folder / "a" / "report.html")
     plot = visit.show("Logarithmic plot of variance")
     hidden = """() => Bokeh.documents.flatMap(d => Array.from(d._all_models.values()))
@@ -128,7 +126,7 @@ def test_a_click_in_the_legend_hides_a_line(browser: Browser, folder: Path) -> N
     visit.leave()
 
 
-def test_the_overview_sorts(browser: Browser, folder: Path) -> None:
+def test_the_overview_sorts(browser, folder):
     visit = Visit(browser, folder / "a" / "report.html")
     head = visit.page.get_by_role("button", name="Rate")
     rates = """() => Array.from(document.querySelectorAll(".sortable tbody tr"))
@@ -144,9 +142,7 @@ def test_the_overview_sorts(browser: Browser, folder: Path) -> None:
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [390, 1200])
-def test_every_plot_draws_and_nothing_spills(
-    browser: Browser, folder: Path, width: int, scheme: Any
-) -> None:
+def test_every_plot_draws_and_nothing_spills(browser, folder, width, scheme):
     for name in ("a/report.html", "comparison.html"):
         visit = Visit(
             browser, folder / name, viewport={"width": width, "height": 800}, color_scheme=scheme
@@ -161,7 +157,7 @@ def test_every_plot_draws_and_nothing_spills(
         visit.leave()
 
 
-def test_pictures_without_scripts_and_on_paper(browser: Browser, folder: Path) -> None:
+def test_pictures_without_scripts_and_on_paper(browser, folder):
     visit = Visit(browser, folder / "a" / "report.html", java_script_enabled=False)
     for summary in visit.page.locator("summary").all():
         summary.click()
@@ -179,7 +175,7 @@ def test_pictures_without_scripts_and_on_paper(browser: Browser, folder: Path) -
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("name", ["a/report.html", "comparison.html", "gallery/index.html"])
-def test_axe_finds_nothing_serious(browser: Browser, folder: Path, name: str, scheme: Any) -> None:
+def test_axe_finds_nothing_serious(browser, folder, name, scheme):
     visit = Visit(
         browser, folder / name, color_scheme=scheme, viewport={"width": 1200, "height": 800}
     )
@@ -192,7 +188,7 @@ def test_axe_finds_nothing_serious(browser: Browser, folder: Path, name: str, sc
     visit.leave()
 
 
-def test_a_link_into_folded_details_opens_them(browser: Browser, folder: Path) -> None:
+def test_a_link_into_folded_details_opens_them(browser, folder):
     visit = Visit(browser, folder / "a" / "report.html")
     inside = visit.page.locator("details dl").first
     assert not inside.is_visible()

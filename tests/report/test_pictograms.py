@@ -1,7 +1,5 @@
 """Small pictures: what is drawn lies where the numbers say, in SVG that parses."""
 
-from __future__ import annotations
-
 import base64
 import io
 import re

@@ -1,7 +1,5 @@
 """Homogenisation: findings, and what would contradict them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,21 +9,21 @@ from mcspectra.reproduction.homogenisation import PAIRS, Coefficients, before_an
 from mcspectra.spectra.closed_forms import closed_form_covariance
 
 
-def test_points_that_are_not_shifted_disagree() -> None:
+def test_points_that_are_not_shifted_disagree():
     before, _ = before_and_after("jittered", 2000, 1)
     assert judge(homogenisation._correlated_after("jittered", before)).agrees is False
 
 
-def test_shifted_points_are_not_those_of_the_closed_form() -> None:
+def test_shifted_points_are_not_those_of_the_closed_form():
     _, after = before_and_after("jittered", 2000, 1)
     assert judge(homogenisation._correlated_before(after)).agrees is False
 
 
-def test_a_grid_that_is_not_shifted_has_a_mean() -> None:
+def test_a_grid_that_is_not_shifted_has_a_mean():
     assert abs(grid_mean("regular", 10, 1).value) == pytest.approx(1.0)
 
 
-def test_covariances_are_the_closed_form() -> None:
+def test_covariances_are_the_closed_form():
     before, _ = before_and_after("jittered", 4000, 2)
     m, l = np.array(PAIRS)[:, 0], np.array(PAIRS)[:, 1]
     expected = closed_form_covariance("jittered", 64, m, l)
@@ -33,7 +31,7 @@ def test_covariances_are_the_closed_form() -> None:
     assert np.abs(before.covariance - expected).max() < 5 / 64 / 4000**0.5
 
 
-def test_the_limit_holds_for_all_parts_and_findings_at_once() -> None:
+def test_the_limit_holds_for_all_parts_and_findings_at_once():
     """Uncorrelated normal coefficients: the limit is exceeded once in 1950 times."""
     rng = np.random.default_rng(3)
     beyond = 0

@@ -1,7 +1,5 @@
 """Homogenisation and convergence: findings, and what would contradict them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,7 @@ from mcspectra.reproduction.claims import judge
 from mcspectra.variance.exact import exact_variance
 
 
-def test_swapped_samplers_disagree() -> None:
+def test_swapped_samplers_disagree():
     case = module.LINE
     curves = module.measured(case, 400, 1)
     plain, shifted = module.SAMPLERS
@@ -22,13 +20,13 @@ def test_swapped_samplers_disagree() -> None:
     assert judge(module._price(swapped)).agrees is False
 
 
-def test_a_function_that_is_not_periodic_is_not_the_same_when_shifted() -> None:
+def test_a_function_that_is_not_periodic_is_not_the_same_when_shifted():
     case = module.BELL
     exact = {name: module.exact(case, name) for name in module.SAMPLERS}
     assert judge(module._same(exact)).agrees is False
 
 
-def test_the_disk_after_a_shift_is_the_mean_over_fixed_offsets() -> None:
+def test_the_disk_after_a_shift_is_the_mean_over_fixed_offsets():
     """The variance of the homogenised set is that of displaced strata, averaged over the offset."""
     case = module.DISK
     found = module.exact(case, "jittered | shift")[1]

@@ -1,7 +1,5 @@
 """The formula for homogenised samples: findings, and what would contradict them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -10,17 +8,17 @@ from mcspectra.reproduction import homogenised_formula as module
 from mcspectra.reproduction.claims import judge
 
 
-def test_points_that_are_not_shifted_disagree() -> None:
+def test_points_that_are_not_shifted_disagree():
     data = module.terms("jittered", 1000, 2)
     assert judge(module._no_third("jittered", data)).agrees is False
     assert judge(module._all_of_it("jittered", data)).agrees is False
 
 
-def test_shifted_points_are_not_above() -> None:
+def test_shifted_points_are_not_above():
     assert judge(module._more_than_all(module.terms("jittered | shift", 1000, 2))).agrees is False
 
 
-def test_what_is_cut_off_is_the_power_beyond() -> None:
+def test_what_is_cut_off_is_the_power_beyond():
     """∫f² by the midpoint rule on 1600² cells, which is exact to 1/1600² for a smooth f."""
     x = (np.arange(1600) + 0.5) / 1600
     f = integrand(module.BELL, 2)

@@ -1,7 +1,5 @@
 """Terms under importance sampling: findings, and what would contradict them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -14,12 +12,12 @@ from mcspectra.variance.exact import exact_variance
 
 
 @pytest.mark.parametrize("case", [module.GOOD, module.BAD, module.FLAT], ids=lambda c: c.title)
-def test_the_terms_of_random_points_sum_to_the_variance(case: module.Case) -> None:
+def test_the_terms_of_random_points_sum_to_the_variance(case):
     """By another route: ∫f²/p − I² over N by adaptive quadrature."""
     f, p = case.estimator.integrand, case.estimator.density
     assert p is not None
 
-    def ratio(x: float) -> float:
+    def ratio(x):
         at = np.array([x])
         return float(f(at)) ** 2 / float(p.pdf(at))
 
@@ -27,7 +25,7 @@ def test_the_terms_of_random_points_sum_to_the_variance(case: module.Case) -> No
     assert sum(case.exact_random()) == pytest.approx(expected, rel=1e-9)
 
 
-def test_the_third_term_of_the_bar_is_what_a_shift_takes_away() -> None:
+def test_the_third_term_of_the_bar_is_what_a_shift_takes_away():
     """1/(2N²) less 1/(3N²); sums up to 128 and 256, extrapolated in 1/K."""
     near, far = (module.exact_bar(k) for k in (128, 256))
     assert 2 * far - near == pytest.approx(1 / (6 * module.N**2), rel=5e-3)
@@ -36,7 +34,7 @@ def test_the_third_term_of_the_bar_is_what_a_shift_takes_away() -> None:
     assert gap == pytest.approx(1 / (6 * module.N**2), rel=1e-6)
 
 
-def test_other_cases_disagree() -> None:
+def test_other_cases_disagree():
     of = {case: case.terms(300, 1) for case in (module.GOOD, module.BAD, module.LINE)}
     swapped = {module.GOOD: of[module.BAD], module.BAD: of[module.GOOD]}
     assert [judge(claim).agrees for claim in module._predictions(swapped)] == [False, False]
@@ -47,7 +45,7 @@ def test_other_cases_disagree() -> None:
     assert judge(module._crucial(module.BAD, of[module.BAD])).agrees is False
 
 
-def test_a_second_term_that_may_be_zero_disagrees() -> None:
+def test_a_second_term_that_may_be_zero_disagrees():
     good, line = (case.terms(100, 1) for case in (module.GOOD, module.LINE))
     assert judge(module._second_positive([good, line])).agrees is True
     low = -0.01 * float(line["power_term"])
@@ -59,7 +57,7 @@ def test_a_second_term_that_may_be_zero_disagrees() -> None:
     )
 
 
-def test_bars_of_rounding_errors_have_the_label_0() -> None:
+def test_bars_of_rounding_errors_have_the_label_0():
     data = module.FLAT.terms(100, 1)
     panel = term_panel(data.assign(cross_term=1e-14 * data["dc_term"]), 1e-3, "f = 1")
     labels = [mark.text for mark in panel.marks if isinstance(mark, Text)]

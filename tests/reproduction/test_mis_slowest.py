@@ -1,7 +1,5 @@
 """The slowest technique: findings, and what would contradict them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -28,7 +26,7 @@ def curves(rates: list[float], variances: list[float]) -> xr.Dataset:
     )
 
 
-def test_a_sum_with_the_rate_of_the_faster_one_disagrees() -> None:
+def test_a_sum_with_the_rate_of_the_faster_one_disagrees():
     right = curves([-2.0, -1.5, -1.5, -2.0, -1.5], [1, 9, 5, 1, 9])
     wrong = curves([-2.0, -1.5, -2.0, -2.0, -1.5], [1, 9, 5, 9, 1])
     for check in (slowest._follows, slowest._what_is_left):
@@ -36,7 +34,7 @@ def test_a_sum_with_the_rate_of_the_faster_one_disagrees() -> None:
         assert judge(check("wall", wrong)).agrees is False
 
 
-def test_toy_rates_of_the_other_technique_disagree() -> None:
+def test_toy_rates_of_the_other_technique_disagree():
     toy = slowest.toy_curves(300, 1)
     swapped = dict(zip(toy, [toy[name] for name in reversed(slowest.TECHNIQUES)], strict=False))
     for technique in (0, 1):
@@ -45,7 +43,7 @@ def test_toy_rates_of_the_other_technique_disagree() -> None:
     assert judge(slowest._bottleneck("undecided")).agrees is False
 
 
-def test_another_step_disagrees(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_step_disagrees(monkeypatch):
     right = slowest.exact
     monkeypatch.setattr(slowest, "exact", lambda technique: 1.001 * right(technique))
     assert judge(slowest._toy_formula()).agrees is False

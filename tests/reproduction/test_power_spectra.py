@@ -1,7 +1,5 @@
 """Power spectra: findings, the error of the speckle's strength, and what would contradict them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -10,14 +8,14 @@ from mcspectra.reproduction import power_spectra
 from mcspectra.reproduction.claims import judge
 
 
-def test_the_ring_of_the_closed_form_is_a_mean_over_its_frequencies() -> None:
+def test_the_ring_of_the_closed_form_is_a_mean_over_its_frequencies():
     # |m| ≈ 1: (±1, 0), (0, ±1) and (±1, ±1), 16 strata a side
     axis, both = 1 - np.sinc(1 / 16) ** 2, 1 - np.sinc(1 / 16) ** 4
     assert power_spectra.closed_ring(1) == pytest.approx((axis + both) / 2, rel=1e-9)
 
 
 @pytest.mark.parametrize("realizations", [1, 4])
-def test_the_error_of_the_speckle(realizations: int) -> None:
+def test_the_error_of_the_speckle(realizations):
     """Means of exponential variables have the coefficient of variation 1/√R, with that error."""
     rng = np.random.default_rng(5)
     side, trials = 97, 200
@@ -33,7 +31,7 @@ def test_the_error_of_the_speckle(realizations: int) -> None:
     assert np.mean([bool(f.agrees) for f in found]) == 1.0
 
 
-def test_other_expectations_disagree() -> None:
+def test_other_expectations_disagree():
     spectra = power_spectra.measured_spectra(100, 2)
     assert judge(power_spectra._exponent("jittered", spectra["jittered"], 1.0)).agrees is False
     assert judge(power_spectra._exponent("random", spectra["poisson-disk"], 1.0)).agrees is False

@@ -1,39 +1,35 @@
 """Sums over real and integer frequencies: findings, closed forms of them, and contradictions."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from scipy.integrate import quad
 
 from mcspectra.reproduction import real_and_integer_frequencies as frequencies
-from mcspectra.reproduction.claims import Exhibit, judge
+from mcspectra.reproduction.claims import judge
 from mcspectra.reproduction.gallery import make_exhibit
 
 
 @pytest.fixture(scope="module")
-def made() -> Exhibit:
+def made():
     return make_exhibit("real-and-integer-frequencies", quick=True, seed=1)
 
 
-def test_all_findings_agree(made: Exhibit, sound: Callable[[Exhibit], None]) -> None:
+def test_all_findings_agree(made, sound):
     sound(made)
 
 
-def test_the_rates_of_the_slides_are_expected(made: Exhibit) -> None:
+def test_the_rates_of_the_slides_are_expected(made):
     assert [f.expected.split()[0] for f in made.findings[:4]] == ["−2.0", "−3.0", "−1.0", "−1.0"]
 
 
-def test_exact_variances_of_the_ramp() -> None:
+def test_exact_variances_of_the_ramp():
     n = np.array(frequencies.COUNTS, dtype=float)
     shifted = 1 / (6 * n**2) - 1 / (12 * n**3)
     np.testing.assert_allclose(frequencies.exact_variances("f", "jittered"), shifted, rtol=1e-9)
     np.testing.assert_allclose(frequencies.exact_variances("g", "random"), 1 / (8 * n), rtol=1e-9)
 
 
-def test_limits_of_real_sums() -> None:
+def test_limits_of_real_sums():
     assert frequencies.real_limit("f") == pytest.approx(7 / 120, rel=1e-12)
     # g ⋆ box by hand: G = t/2 − sin(2πt)/(4π), and its mirror image
     g = quad(lambda t: (t / 2 - np.sin(2 * np.pi * t) / (4 * np.pi)) ** 2, 0, 1)[0]
@@ -42,8 +38,8 @@ def test_limits_of_real_sums() -> None:
 
 @pytest.mark.parametrize("name", frequencies.NAMES)
 @pytest.mark.parametrize("nu", [0.5, 1.0, 2.5, 7.0])
-def test_transforms_by_quadrature(name: str, nu: float) -> None:
-    def f(x: float) -> float:
+def test_transforms_by_quadrature(name, nu):
+    def f(x):
         return x if name == "f" else (1 - np.cos(2 * np.pi * x)) / 2
 
     real = quad(lambda x: f(x) * np.cos(2 * np.pi * nu * x), 0, 1)[0]
@@ -52,7 +48,7 @@ def test_transforms_by_quadrature(name: str, nu: float) -> None:
     assert found == pytest.approx(complex(real, imaginary), abs=1e-12)
 
 
-def test_a_wrong_rate_disagrees(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrong_rate_disagrees(monkeypatch):
     curves = frequencies.measured(500, 1)
     monkeypatch.setattr(frequencies, "RATES", {"f": -3.0, "g": -2.0})
     right = frequencies.exact_variances
@@ -66,7 +62,7 @@ def test_a_wrong_rate_disagrees(monkeypatch: pytest.MonkeyPatch) -> None:
         assert judge(frequencies._integers(name, "jittered")).agrees is False
 
 
-def test_integers_have_a_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_integers_have_a_rate(monkeypatch):
     """Judged as real frequencies are, sums over integers do not pass."""
     right = frequencies.frequency_sums
     monkeypatch.setattr(frequencies, "frequency_sums", lambda f, s, step: right(f, s, 1.0))

@@ -1,7 +1,5 @@
 """Strata alignment: findings, and what would contradict them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,7 @@ from mcspectra.reproduction.claims import judge
 from mcspectra.variance.exact import exact_variance
 
 
-def test_the_other_edge_disagrees() -> None:
+def test_the_other_edge_disagrees():
     data = module.measured(module.edge(1 / 3), "jittered", 400, 1)
     curves = dict.fromkeys(module.PLACES, data)
     assert judge(module._rate_of(module.ALIGNED, curves, -2.0)).agrees is False
@@ -20,7 +18,7 @@ def test_the_other_edge_disagrees() -> None:
 
 
 @pytest.mark.parametrize("a", [0.5, 1 / 3])
-def test_exact_variances_are_those_of_quadrature(a: float) -> None:
+def test_exact_variances_are_those_of_quadrature(a):
     """Step and ramp of the package's own, whose variances add in every stratum."""
     parts = [
         [float(exact_variance(f, "jittered", n)) for n in module.COUNTS]
@@ -30,7 +28,7 @@ def test_exact_variances_are_those_of_quadrature(a: float) -> None:
 
 
 @pytest.mark.parametrize("a", [0.5, 1 / 3])
-def test_homogenised_variances_are_those_of_quadrature(a: float) -> None:
+def test_homogenised_variances_are_those_of_quadrature(a):
     parts = [
         [float(exact_variance(f, "jittered | shift", n)) for n in module.COUNTS]
         for f in (f"step(at={a})", "linear")

@@ -1,25 +1,21 @@
 """Pictures of Veach's scene: findings, and what would contradict them."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
 from mcspectra.reproduction import veach_pictures as veach
-from mcspectra.reproduction.claims import Exhibit, judge
+from mcspectra.reproduction.claims import judge
 from mcspectra.reproduction.gallery import make_exhibit
 
 pytestmark = pytest.mark.render
 
 
 @pytest.fixture(scope="module")
-def made() -> Exhibit:
+def made():
     return make_exhibit("veach-pictures", quick=True, seed=1)
 
 
-def test_all_findings_agree(made: Exhibit, sound: Callable[[Exhibit], None]) -> None:
+def test_all_findings_agree(made, sound):
     sound(made)
     assert "in place of 1024" in made.caption
 
@@ -36,7 +32,7 @@ def synthetic(noise: dict[str, float]) -> veach.Renders:
     )
 
 
-def test_equal_noise_is_no_failure() -> None:
+def test_equal_noise_is_no_failure():
     same = synthetic({"light": 0.05, "bsdf": 0.05, "mis": 0.05})
     worse = synthetic({"light": 0.05, "bsdf": 0.1, "mis": 0.05})
     assert judge(veach._whole(same)).agrees is False
@@ -45,14 +41,14 @@ def test_equal_noise_is_no_failure() -> None:
     assert judge(veach._region(worse, "wall", "light", "bsdf")).agrees is False
 
 
-def test_darker_images_disagree_with_the_reference() -> None:
+def test_darker_images_disagree_with_the_reference():
     renders = synthetic({"light": 0.05, "bsdf": 0.05, "mis": 0.05})
     assert judge(veach._same_mean(renders, "light")).agrees is True
     renders.repeats["light"] *= 0.99
     assert judge(veach._same_mean(renders, "light")).agrees is False
 
 
-def test_errors_are_squares_as_displayed() -> None:
+def test_errors_are_squares_as_displayed():
     renders = synthetic({"light": 0.0, "bsdf": 0.0, "mis": 0.0})
     assert renders.errors("light").shape == (6, 80, 120)
     assert float(renders.errors("light").max()) < 1e-5

@@ -4,8 +4,6 @@ A new sampler is one row of `rows.ROWS`; a new randomisation one entry of `CHAIN
 does for all of them (counts, dims, seeds that are none) is tested once.
 """
 
-from __future__ import annotations
-
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass

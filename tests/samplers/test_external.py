@@ -1,7 +1,5 @@
 """Points from outside: arrays, files, callables and the engines of scipy.stats.qmc."""
 
-from __future__ import annotations
-
 import pickle
 import subprocess
 import sys

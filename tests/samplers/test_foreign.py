@@ -1,7 +1,5 @@
 """Samplers that other packages register: whatever is wrong with them, the others are listed."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Spec strings, arrays and engines become samplers; what cannot is said in a sentence."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import qmc

@@ -1,7 +1,5 @@
 """The checks for analyses: those of the package pass them, and each finds what is wrong."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar

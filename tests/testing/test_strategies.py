@@ -1,7 +1,5 @@
 """Strategies make what they say, and everything they make is accepted."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

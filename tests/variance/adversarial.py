@@ -3,8 +3,6 @@
 Each is b + h on a set A, or a narrow bell; parts of boxes in half spaces are known exactly.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Chains as samplers in time: the exact error of AR(1), what shorter sums cannot see, causes by name."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

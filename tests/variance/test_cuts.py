@@ -1,7 +1,5 @@
 """Analyses in chunks and by any number of threads: the same bits, for all options and kinds."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -239,6 +239,19 @@ def test_cubic_stratification_is_exact_for_its_polynomials(order):
         Cubic.of(mcs.Estimator(f), order).in_cells(order - 1)
 
 
+def test_cubic_stratification_of_even_order_has_one_cell_more_above_than_below():
+    """Of x⁴ and order 4: the cubic through the centres of a cell, of one below it and of two above."""
+    f = mcs.Integrand.from_function(lambda x: x[..., 0] ** 4, dims=1)
+    cell, u = 3, np.array([[0.53], [0.61]])
+    centres = (np.arange(cell - 1, cell + 3) + 0.5) / 6
+    cubic = np.polynomial.Polynomial.fit(centres, centres**4, 3)
+    pair = np.concatenate([u, (2 * cell + 1) / 6 - u], axis=1)
+    mean = np.diff(cubic.integ()(np.array([cell, cell + 1]) / 6)) * 6
+    expected = (pair**4 - cubic(pair)).mean(axis=1) + mean
+    found = Cubic.of(mcs.Estimator(f), 4).in_cells(6)(u)
+    assert np.asarray(found) == pytest.approx(expected, abs=1e-13)
+
+
 def test_cubic_stratification_is_found_by_remedies_and_charged_for_its_centres():
     made = 0
 

@@ -13,7 +13,7 @@ import mcspectra as mcs
 from mcspectra.core.errors import FileFormatError, ParameterError
 from mcspectra.densities import Learned
 from mcspectra.densities.learned import SplineDensity
-from mcspectra.variance.learned import LEARNED, fit_splines
+from mcspectra.variance.learned import LEARNED, _Seen, fit_splines
 
 OWEN = "sobol | owen"
 KINDS = [k for k in LEARNED if k != "vegas"]  # that package may be missing
@@ -52,6 +52,18 @@ def test_what_is_of_the_family_is_met_whatever_the_points():
     # L-BFGS ends where steps gain 2e-9 of the entropy, quadratic in what p is off
     assert np.abs(found.pdf(x) / true.pdf(x) - 1.0).max() < 1e-3
     np.testing.assert_allclose(found.tables, table, atol=1e-3)
+
+
+def test_slopes_of_the_entropy_are_its_differences():
+    rng = np.random.default_rng(0)
+    rho, weight = rng.dirichlet(np.ones(6), 2).reshape(2, 2, 3)
+    seen = _Seen(basis=[], rho=rho, weight=weight, uniform=None, defensive=0.1, smooth=0.0)
+    logarithm, step = rng.standard_normal((2, 3)), 1e-6
+    _, slope = seen._entropy(logarithm)
+    for place in np.ndindex(2, 3):
+        moved = step * (np.arange(6) == np.ravel_multi_index(place, (2, 3))).reshape(2, 3)
+        ends = [seen._entropy(logarithm + sign * moved)[0] for sign in (1, -1)]
+        assert slope[place] == pytest.approx((ends[0] - ends[1]) / (2 * step), abs=1e-8)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -1,7 +1,5 @@
 """Predictions against precise measurements and closed forms; f is never sampled by the sampler."""
 
-from __future__ import annotations
-
 import math
 import warnings
 

@@ -433,6 +433,17 @@ def test_sets_that_are_few_alike_or_share_an_error_are_a_cause():
         assert name == "none" or abs(found.evidence["away"]) > 6.0
 
 
+def test_few_values_that_make_the_variance_are_a_cause_without_a_largest_one():
+    """A bump of width w on 2 axes: a kurtosis of 1/(π w), nine tenths in a part 1.15 π w, no pole."""
+    found = mcs.profile(lambda x: np.exp(-((x - 0.4) ** 2).sum(-1) / 0.005), dims=2)
+    (tail,) = (cause for cause in found.causes if cause.name == "heavy-tail")
+    assert tail.evidence["kurtosis"] == pytest.approx(1 / (np.pi * 0.005), rel=0.2)
+    assert tail.evidence["nine_tenths"] == pytest.approx(1.15 * np.pi * 0.005, rel=0.2)
+    assert tail.evidence["largest_share"] < 0.1
+    smooth = mcs.profile(lambda x: np.exp(-((x - 0.4) ** 2).sum(-1) / 0.05), dims=2)
+    assert "heavy-tail" not in [cause.name for cause in smooth.causes]
+
+
 def test_rounded_estimates_are_a_cause():
     draws = np.random.default_rng(0).random(500)
     assert mcs.profile(draws.astype(np.float32)).causes[0].name == "none"

@@ -1,7 +1,5 @@
 """What the functions of this room refuse beyond wrong options: `test_cuts.py` has those of analyses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

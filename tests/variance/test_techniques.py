@@ -1,7 +1,5 @@
 """Terms of techniques: sums that are exact, oracles of independent ones, and the bottleneck."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import ClassVar

@@ -1,7 +1,5 @@
 """Exact variances of functions that no node sees are refused, or within their errors."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from tests.variance.adversarial import Case, make
