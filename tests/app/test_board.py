@@ -23,7 +23,7 @@ def board():
     )  # fmt: skip
 
 
-def shown(board: Board, setup: Setup) -> set[str]:
+def shown(board, setup):
     """Run a set-up to its end; the kinds of its figures."""
     board.run(setup)
     end = time.monotonic() + 60
@@ -32,7 +32,7 @@ def shown(board: Board, setup: Setup) -> set[str]:
     return set(board.cards)
 
 
-def is_grey(board: Board, kind: str) -> bool:
+def is_grey(board, kind):
     return board.cards[kind].layout.styles["opacity"] != "1"
 
 

@@ -14,7 +14,7 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Page, expect
+from playwright.sync_api import expect
 
 from mcspectra.app.state import State
 from mcspectra.plots.text import number
@@ -81,7 +81,7 @@ def page(browser, address, seen):
     tab.close()
 
 
-def open_state(page: Page, address: str, query: str) -> None:
+def open_state(page, address, query):
     """Load a state, unless it is on the page and done, and wait for its job to end."""
     here = parse_qs(urlsplit(page.url).query) == parse_qs(query)
     if not (here and page.get_by_text("A: Done.").is_visible()):
@@ -89,23 +89,23 @@ def open_state(page: Page, address: str, query: str) -> None:
     done(page)
 
 
-def any_state(page: Page, address: str) -> None:
+def any_state(page, address):
     """Have some state on the page; a page costs seconds to load."""
     if not (page.url.startswith(address) and page.get_by_text("A: Done.").is_visible()):
         open_state(page, address, _SMALL)
 
 
-def done(page: Page, side: str = "A") -> None:
+def done(page, side="A"):
     """Wait for the end of a side's job."""
     expect(page.get_by_text(f"{side}: Done.")).to_be_visible()
 
 
-def wait_for(page: Page, key: str, value: str) -> None:
+def wait_for(page, key, value):
     """Wait until the address holds a value."""
     page.wait_for_url(lambda url: parse_qs(urlsplit(url).query).get(key) == [value])
 
 
-def state_of(page: Page) -> State:
+def state_of(page):
     """The state that the address says."""
     return State.from_query(urlsplit(page.url).query)
 
@@ -279,7 +279,7 @@ def test_the_integrand_stands_beside_its_density(page, address):
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_axe_finds_nothing_serious(page, address, scheme):
-    page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+    page.emulate_media(color_scheme=scheme)
     pair = "&".join(f"b.{each}" for each in _SMALL.split("&"))
     open_state(page, address, f"{_SMALL}&{pair}&b.sampler=random")
     done(page, "B")
@@ -302,7 +302,7 @@ def test_a_narrow_page_does_not_scroll_sideways(page, address):
     [("", "dark", True), ("", "light", False), ("&theme=light", "dark", False), ("&theme=dark", "light", True)],
 )  # fmt: skip
 def test_the_theme_is_the_browsers_unless_it_is_chosen(page, address, query, preferred, dark):
-    page.emulate_media(color_scheme=preferred)  # type: ignore[arg-type]
+    page.emulate_media(color_scheme=preferred)
     page.goto(f"{address}?{_SMALL}{query}")
     color = page.evaluate("getComputedStyle(document.body).backgroundColor")
     page.emulate_media(color_scheme="light")
@@ -311,7 +311,7 @@ def test_the_theme_is_the_browsers_unless_it_is_chosen(page, address, query, pre
 
 def test_a_tab_that_closes_leaves_no_traceback(page, address, terminal):
     for _ in range(2):
-        other = page.context.browser.new_page()  # type: ignore[union-attr]
+        other = page.context.browser.new_page()
         other.goto(f"{address}?n=1024&realizations=4096&half_width=32")
         other.get_by_text("% done.").wait_for()
         other.close()

@@ -29,7 +29,7 @@ def _no_hurry(monkeypatch):
     monkeypatch.setattr(module, "_LONGEST_ROUND", 1e9)
 
 
-def finished(setup: Setup) -> tuple[list[Update], str]:
+def finished(setup):
     """Run a job to its end; return its updates and its last sentence."""
     updates: list[Update] = []
     sentences: list[str] = []
@@ -78,7 +78,7 @@ def test_the_integrand_is_shown_with_its_density(dims):
     x = np.array([[0.25 + 0.5 / len(found["x0"])] * dims])
     at = found.sel(dict.fromkeys(found.dims, x[0, 0]), method="nearest")
     x = np.array([[float(at[axis]) for axis in found.dims]])
-    assert float(at["f"]) == float(parts.estimator.domain_integrand(x)[0])  # type: ignore[misc]
+    assert float(at["f"]) == float(parts.estimator.domain_integrand(x)[0])
     assert float(at["p"]) == float(parts.density.pdf(x)[0])
     assert float(found["p"].mean()) == pytest.approx(1.0, rel=1e-4)
     assert float((found["f/p"] * found["p"]).mean()) == pytest.approx(float(found["f"].mean()))
@@ -189,7 +189,7 @@ def test_rounds_that_would_take_long_are_not_begun(monkeypatch):
     ],
 )
 def test_what_cannot_be_made_is_a_sentence(changes, said):
-    updates, sentence = finished(replace(SMALL, realizations=2, **changes))  # type: ignore[arg-type]
+    updates, sentence = finished(replace(SMALL, realizations=2, **changes))
     assert said in sentence
     assert not updates or said == ""
 

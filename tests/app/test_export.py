@@ -27,7 +27,7 @@ SETUPS = [
 ]
 
 
-def ran(program: str) -> tuple[dict[str, object], str]:
+def ran(program):
     """Run a program; return its names and what it printed."""
     names: dict[str, object] = {}
     with contextlib.redirect_stdout(io.StringIO()) as printed:
@@ -42,7 +42,7 @@ def test_python_gives_the_numbers_shown(setup):
     for kind in ("predict", "spectrum", "terms", "convergence"):
         shown = compute(kind, setup, setup.realizations)
         for variable in shown:
-            np.testing.assert_array_equal(names[kind][variable], shown[variable])  # type: ignore[index]
+            np.testing.assert_array_equal(names[kind][variable], shown[variable])
     known = is_resolved(*shown["rate_ci"].values)
     assert (f"{float(shown['rate']):.4g}" if known else "unresolved") in printed
 
@@ -50,7 +50,7 @@ def test_python_gives_the_numbers_shown(setup):
 def test_python_of_two_set_ups_has_both():
     names, printed = ran(as_python(State(a=SETUPS[0], b=SETUPS[2])))
     assert printed.count("measured_variance") == 2
-    assert names["sampler"].spec == "jittered"  # type: ignore[attr-defined]
+    assert names["sampler"].spec == "jittered"
 
 
 @pytest.mark.parametrize("setup", SETUPS)
@@ -99,5 +99,5 @@ def test_uploads_are_written_as_files(tmp_path, monkeypatch):
     digest = keep_upload(data.getvalue(), "picture.npy")
     state = State(a=Setup(integrand=f"upload(digest='{digest}')", **SMALL))
     names, _ = ran(as_python(state))
-    assert names["integrand"].integral == 0.25  # type: ignore[attr-defined]
+    assert names["integrand"].integral == 0.25
     assert "--allow-path" in as_toml(state)

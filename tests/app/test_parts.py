@@ -38,7 +38,7 @@ def test_techniques_have_independent_points_so_that_variances_add():
 @pytest.mark.parametrize("changes", [{"density": "linear(slope=1)"}, {"smoothing": 0.1}])
 def test_a_sum_takes_no_density_and_no_smoothing(changes):
     with pytest.raises(McspectraError, match="uniform density and no smoothing"):
-        make_parts(replace(SMALL, integrand=SUM, **changes))  # type: ignore[arg-type]
+        make_parts(replace(SMALL, integrand=SUM, **changes))
 
 
 def test_parts_of_a_sum_have_equal_dims():
@@ -133,7 +133,7 @@ def test_coefficients_are_computed_once_for_all_rounds_and_samplers(changes, mon
 
     monkeypatch.setattr(base, "refined_coefficients", counted)
     monkeypatch.setattr(base, "adaptive_integral", lambda _: Estimate(np.zeros(1), 0.0, "none"))
-    setup = replace(SMALL, half_width=3, **changes)  # type: ignore[arg-type]
+    setup = replace(SMALL, half_width=3, **changes)
     compute("terms", setup, 4)
     first = len(calls)
     assert first >= 1

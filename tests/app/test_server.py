@@ -10,7 +10,7 @@ from mcspectra.core.errors import ParameterError
 PORT = 5006
 
 
-def answers(*headers: tuple[str, str]) -> bool:
+def answers(*headers):
     """Whether a request with these headers reaches the application."""
 
     class Page(web.RequestHandler):
@@ -22,7 +22,7 @@ def answers(*headers: tuple[str, str]) -> bool:
     start = httputil.RequestStartLine("GET", "/", "HTTP/1.1")
     request = httputil.HTTPServerRequest(headers=given, start_line=start)
     delegate = Guard(web.Application([("/", Page)]), PORT).find_handler(request)
-    return delegate.handler_class is Page  # type: ignore[union-attr]
+    return delegate.handler_class is Page
 
 
 OWN = ("Host", f"127.0.0.1:{PORT}")
@@ -65,7 +65,7 @@ def test_others_are_refused(headers):
 @pytest.mark.parametrize("port", [-1, 65536, 1.5, "x", None])
 def test_ports_out_of_range_are_refused(port):
     with pytest.raises(ParameterError, match="port"):
-        make_server(port)  # type: ignore[arg-type]
+        make_server(port)
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ densities = st.sampled_from(["uniform", "linear(slope=-1.25)", "mixture(parts=['
 
 
 @st.composite
-def setups(draw: st.DrawFn) -> Setup:
+def setups(draw):
     dims = draw(st.integers(1, 2))
     return Setup(
         sampler=draw(samplers),
@@ -172,9 +172,9 @@ def test_fields_of_a_wrong_type_are_refused(field, value):
 
 def test_what_is_no_set_up_is_refused():
     with pytest.raises(ParameterError, match="Setup"):
-        State(a="jittered")  # type: ignore[arg-type]
+        State(a="jittered")
     with pytest.raises(ParameterError, match="Setup"):
-        State(b="jittered")  # type: ignore[arg-type]
+        State(b="jittered")
 
 
 def test_the_strata_shift_is_a_step_of_the_sampler():

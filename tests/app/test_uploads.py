@@ -16,7 +16,7 @@ def _own_cache(tmp_path, monkeypatch):
     monkeypatch.setenv("MCSPECTRA_CACHE", str(tmp_path))
 
 
-def png(width: int = 3, height: int = 2) -> bytes:
+def png(width=3, height=2):
     data = io.BytesIO()
     Image.new("L", (width, height), 128).save(data, "PNG")
     return data.getvalue()

@@ -21,14 +21,14 @@ def own_cache(monkeypatch, tmp_path):
     monkeypatch.setenv("MCSPECTRA_CACHE", str(tmp_path / "cache"))
 
 
-def only(monkeypatch: pytest.MonkeyPatch, library: Path) -> None:
+def only(monkeypatch, library):
     """Let there be no other library than the one that the variable names."""
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(library))
     monkeypatch.setattr(backend, "_wheel_library", list)
     monkeypatch.setattr(backend, "_system_libraries", list)
 
 
-def aborting_library(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def aborting_library(folder, monkeypatch):
     """A library that ends the process when it is loaded; without a compiler, a probe that does."""
     library = folder / "libLLVM-99.so"
     compiler = shutil.which("cc")

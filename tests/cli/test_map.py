@@ -17,7 +17,7 @@ pytestmark = pytest.mark.render
 SMALL = ("--size", "24,16", "--crop", "8,6,6,4", "--counts", "4,16", "-m", "8")
 
 
-def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+def run(capsys, *arguments):
     code = main(["map", *map(str, arguments)])
     captured = capsys.readouterr()
     return code, captured.out, captured.err
@@ -151,7 +151,7 @@ def test_folders_that_cannot_take_a_map(made, tmp_path, capsys):
         assert sentence in err
 
 
-def synthetic(**changes: Any) -> xr.Dataset:
+def synthetic(**changes):
     """A map whose numbers need no renderer."""
     shape = (2, 2, 3, 5)
     values = np.geomspace(1e-9, 1e3, 60).reshape(shape)

@@ -33,7 +33,7 @@ MIRROR = f"""{CAMERA}<shape type="rectangle" id="mirror"><bsdf type="conductor"/
 LAMP = f"""{CAMERA}<shape type="rectangle" id="lamp"><emitter type="area"/></shape></scene>"""
 
 
-def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+def run(capsys, *arguments):
     code = main(["pixel", *map(str, arguments)])
     captured = capsys.readouterr()
     return code, captured.out, captured.err

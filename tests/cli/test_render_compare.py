@@ -18,7 +18,7 @@ SMALL = ("veach", "--width", "24", "--height", "16", "--reference-spp", "32", "-
 SCENE = "veach(width=24, height=16)"
 
 
-def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+def run(capsys, *arguments):
     code = main(["render", *map(str, arguments)])
     return code, *capsys.readouterr()
 

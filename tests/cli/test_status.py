@@ -2,7 +2,6 @@
 
 import json
 import os
-from pathlib import Path
 
 import fsspec
 import numpy as np
@@ -26,7 +25,7 @@ NOTE = StudyNote(
 PATHS = tuple(f"{e}/random/{a}" for e in "abc" for a in ("convergence", "terms"))
 
 
-def cell(first: float = 0.0) -> bytes:
+def cell(first=0.0):
     return pack(xr.Dataset({"x": ("n", np.arange(3.0) + first)}))
 
 
@@ -42,12 +41,12 @@ def folder(tmp_path):
     return tmp_path
 
 
-def status(folder: Path, capsys: pytest.CaptureFixture[str], *more: str) -> tuple[int, dict]:
+def status(folder, capsys, *more):
     code = main(["status", str(folder), "--json", *more])
     return code, json.loads(capsys.readouterr().out)
 
 
-def damage(folder: Path, content: bytes) -> None:
+def damage(folder, content):
     """Change a byte of the ledger where it has `content`."""
     file = folder / LEDGER_NAME
     whole = file.read_bytes()

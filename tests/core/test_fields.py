@@ -24,7 +24,7 @@ class Waves(Component):
     dims: int = whole(2, least=1)
     total: ClassVar[float]
 
-    def _check(self) -> None:
+    def _check(self):
         settle(self, total=self.count * self.length)
 
 

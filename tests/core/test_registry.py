@@ -31,7 +31,7 @@ class Flat(Component):
     width: float
 
     @property
-    def dims(self) -> int:
+    def dims(self):
         return 1
 
 

@@ -22,7 +22,6 @@ from mcspectra.plots.description import (
     Dots,
     Image,
     Line,
-    Mark,
     Panel,
     Pixels,
     Plot,
@@ -38,7 +37,7 @@ X = np.array([1.0, 2.0, 4.0, 8.0])
 EVIL = r"$$x$$ \(y\) \[z\]"
 
 
-def marks(factor: float) -> dict[str, Mark]:
+def marks(factor):
     """One of each kind, and variants; values grow with the factor."""
     y = factor * np.array([0.5, np.nan, -2.0, 1e-4])
     hover = {"y": [f"{v:.3g}" for v in y], EVIL: ["a"] * 4}
@@ -75,17 +74,17 @@ def marks(factor: float) -> dict[str, Mark]:
     }  # fmt: skip
 
 
-def plot(name: str, factor: float = 1.0, y: Axis | None = None, **options: Any) -> Plot:
+def plot(name, factor=1.0, y=None, **options):
     """A plot of one mark."""
     panel = Panel(marks=(marks(factor)[name],), y=y or Axis(label="y"), title="a panel")
     return Plot(kind="test", panels=(panel,), words=f"{name} {factor}", **options)
 
 
-def content(model: Any) -> Any:
+def content(model):
     return json.loads(gzip.decompress(base64.b64decode(packed(model))))
 
 
-def data(model: Any) -> list[dict[str, Any]]:
+def data(model):
     """Columns of all that is drawn."""
     return [dict(source.data) for source in model.select({"type": ColumnDataSource})]
 

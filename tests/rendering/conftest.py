@@ -40,7 +40,7 @@ _MIRROR = '<bsdf type="conductor"/>'
 _GRAY = '<bsdf type="diffuse"/>'
 
 
-def _scene(bsdf: str, *lights: str, camera: str = _CAMERA) -> str:
+def _scene(bsdf, *lights, camera=_CAMERA):
     return f'<scene version="3.0.0">{camera}{_FLOOR.format(bsdf=bsdf)}{"".join(lights)}</scene>'
 
 

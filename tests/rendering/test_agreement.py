@@ -6,7 +6,6 @@ must notice a technique that is wrong by 2 %.
 """
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -62,7 +61,7 @@ def stock(scenes):
     return batches
 
 
-def _stock_batches(scene: Any, emitter_samples: int, bsdf_samples: int) -> Array:
+def _stock_batches(scene, emitter_samples, bsdf_samples):
     mitsuba = load_mitsuba()
     counts = {"emitter_samples": emitter_samples, "bsdf_samples": bsdf_samples}
     direct = mitsuba.load_dict({"type": "direct", **counts})
@@ -73,7 +72,7 @@ def _stock_batches(scene: Any, emitter_samples: int, bsdf_samples: int) -> Array
     return np.stack(images).astype(np.float64)
 
 
-def smallest_p_value(stock: Array, ours: Any) -> float:
+def smallest_p_value(stock, ours):
     """Šidák-corrected p-value of the worst pixel and channel, or of the mean of the crop."""
     mean, variance = stock.mean(axis=0), stock.var(axis=0, ddof=1) / BATCHES
     other, rest = ours["image"].values, ours["image_se"].values ** 2
@@ -92,13 +91,13 @@ def smallest_p_value(stock: Array, ours: Any) -> float:
     return float(-np.expm1(hypotheses * np.log1p(-min(worst, 1.0 - 1e-16))))
 
 
-def _variance_of_sum(stock: Array) -> Array:
+def _variance_of_sum(stock):
     return np.asarray(stock.sum(axis=(1, 2)).var(axis=0, ddof=1) / BATCHES)
 
 
-def ours(scene: str, name: str, strategy: str) -> Any:
+def ours(scene, name, strategy):
     options = {"spp": SPP, "realizations": BATCHES, "crop": CROPS[name]}
-    return render(scene, strategy, "sobol | owen", **options, rng=5)  # type: ignore[arg-type]
+    return render(scene, strategy, "sobol | owen", **options, rng=5)
 
 
 @pytest.mark.parametrize("strategy", list(STOCK))

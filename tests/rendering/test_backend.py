@@ -30,13 +30,13 @@ def own_cache(monkeypatch, tmp_path):
     return folder
 
 
-def _library(folder: Path, text: str = "not a library") -> str:
+def _library(folder, text="not a library"):
     file = folder / "libLLVM-99.so"
     file.write_text(text)
     return str(file)
 
 
-def _no_probe(library: str) -> tuple[Verdict, bool]:
+def _no_probe(library):
     raise AssertionError(f"{library} was probed")
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.checks import Array
 from mcspectra.core.environments import synthetic_sky
 from mcspectra.core.errors import ParameterError
 from mcspectra.rendering import (
@@ -42,7 +41,7 @@ SINGLE = 2e-6  # sixteen roundings of float32
 SIGMAS = 4.0
 
 
-def occluder() -> Array:
+def occluder():
     """Return the corners of the square of half side 0.7 around (1.5, 1, 0), turned by 25°."""
     # A turn about y takes +x towards −z.
     turn = math.radians(-25.0) + np.array([1, 3, 5, 7]) * math.pi / 4
@@ -50,7 +49,7 @@ def occluder() -> Array:
     return np.stack([1.5 + x, np.ones(4), z], axis=-1)
 
 
-def radiance(point: Array, polygon: Array) -> float:
+def radiance(point, polygon):
     """Reflected radiance below a polygon: Lambert's formula, ρ/π · L · ½ Σ angle · (edge normal)_y."""
     to = polygon - point
     to = to / np.linalg.norm(to, axis=1, keepdims=True)
@@ -61,7 +60,7 @@ def radiance(point: Array, polygon: Array) -> float:
     return REFLECTANCE / math.pi * RADIANCE * abs(total) / 2
 
 
-def clipped(polygon: Array, shadow: Array) -> Array:
+def clipped(polygon, shadow):
     """Cut a convex polygon by a convex one, both in the plane y = 2 (Sutherland & Hodgman 1974)."""
     center = shadow.mean(axis=0)
     for a, b in zip(shadow, np.roll(shadow, -1, axis=0), strict=True):
@@ -76,7 +75,7 @@ def clipped(polygon: Array, shadow: Array) -> Array:
     return polygon
 
 
-def seen_part(point: Array) -> tuple[float, float]:
+def seen_part(point):
     """Reflected radiance of a point of the floor, and the share of the light's area it sees."""
     hidden = clipped(LIGHT, point + 2.0 * (occluder() - point))  # twice as high: twice as far
     if len(hidden) < 3:
@@ -86,12 +85,12 @@ def seen_part(point: Array) -> tuple[float, float]:
     return radiance(point, LIGHT) - radiance(point, hidden), 1.0 - area / 4.0
 
 
-def pixel(name: str, strategy: str, scene: str = "figure1") -> Pixel:
+def pixel(name, strategy, scene="figure1"):
     x, y = named_pixels(scene)[name]
     return Pixel(scene=scene, x=x, y=y, strategy=strategy)
 
 
-def jittered(strata: int, realizations: int = 40) -> Array:
+def jittered(strata, realizations=40):
     return mcs.sampler("jittered", 2).draw(strata**2, realizations=realizations, rng=1)
 
 
@@ -142,7 +141,7 @@ def test_named_points_are_those_of_the_module():
         assert named_pixels("figure1")[name] == (math.floor(x), math.floor(y))
 
 
-def smooth_radiance(point: Array, edge: float) -> float:
+def smooth_radiance(point, edge):
     """Reflected radiance under the smooth-edged light, by Gauss-Legendre on each smooth part."""
     nodes, weights = np.polynomial.legendre.leggauss(24)
     borders = np.array([-1.0, edge - 1.0, 1.0 - edge, 1.0])

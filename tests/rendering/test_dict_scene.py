@@ -20,7 +20,7 @@ from mcspectra.rendering.scenes import DictScene, as_scene, film_size, scene_nam
 pytestmark = pytest.mark.render
 
 
-def edited(**changes: Any) -> dict[str, Any]:
+def edited(**changes):
     return figure1() | changes
 
 
@@ -89,13 +89,13 @@ def test_messages_call_it_dict():
         project(figure1(), (0, 0, 100))
 
 
-def holding_itself() -> dict[str, Any]:
+def holding_itself():
     scene: dict[str, Any] = {"type": "scene"}
     scene["again"] = scene
     return scene
 
 
-def listing_itself() -> list[Any]:
+def listing_itself():
     entries: list[Any] = []
     entries.append(entries)
     return entries

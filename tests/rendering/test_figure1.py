@@ -18,7 +18,7 @@ SAMPLERS = ["jittered", "jittered | shift"]
 SIGMAS = NormalDist().inv_cdf(1 - (1 - 0.99 ** (1 / 8)) / 2)
 
 
-def estimators(scene: str) -> list[mcs.Estimator]:
+def estimators(scene):
     pixels = named_pixels(scene)
     return [
         mcs.Estimator(pixel_strategies(scene, *pixels[name])[strategy]) for name, strategy in CURVES

@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -23,13 +22,13 @@ from mcspectra.rendering.files import (
 IMAGE = 4.0 * Stream.from_rng(1).uniforms(0, 1, 5 * 7 * 3).reshape(5, 7, 3)
 
 
-def result(*, errors: bool = True) -> xr.Dataset:
+def result(*, errors=True):
     names = ("image", "variance", "image_se") if errors else ("image",)
     arrays = {name: (("y", "x", "channel"), k + IMAGE) for k, name in enumerate(names)}
     return xr.Dataset(arrays, attrs={"sampler": "sobol | owen", "spp": 4})
 
 
-def planes(file: Path) -> dict[str, Any]:
+def planes(file):
     channels = OpenEXR.File(str(file), separate_channels=True).channels()
     return {name: channel.pixels for name, channel in channels.items()}
 
@@ -147,13 +146,13 @@ def test_finite_numbers_stay_finite(tmp_path):
 def test_results_and_paths_that_are_swapped_or_missing(tmp_path):
     file = tmp_path / "a.exr"
     with pytest.raises(ParameterError, match="give the path first, then the result") as refused:
-        write_render(result(), file)  # type: ignore[arg-type]
+        write_render(result(), file)
     assert "\n" not in str(refused.value)
     for wrong in (None, IMAGE, result().drop_vars("image")):
         with pytest.raises(ParameterError, match="give the result of render"):
-            write_render(file, wrong)  # type: ignore[arg-type]
+            write_render(file, wrong)
     with pytest.raises(FileFormatError, match=r"^A Dataset is not the path"):
-        write_exr(result(), {"": IMAGE})  # type: ignore[arg-type]
+        write_exr(result(), {"": IMAGE})
     assert not file.exists()
 
 

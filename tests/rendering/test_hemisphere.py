@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import xarray as xr
 
 from mcspectra.core.errors import ParameterError
 from mcspectra.rendering import Pixel, named_pixels
@@ -13,7 +12,7 @@ from mcspectra.rendering.pixel import incident_light
 pytestmark = pytest.mark.render
 
 
-def solid_angles(data: xr.Dataset) -> xr.DataArray:
+def solid_angles(data):
     """Solid angle of each cell, from the elevations of its borders."""
     half = np.radians(90.0 / data.sizes["elevation"] / 2)
     up = np.radians(data["elevation"])

@@ -1,7 +1,6 @@
 """What an image leaves out is said: a lens, a shutter, lights and surfaces that are delta functions."""
 
 import warnings
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ pytestmark = pytest.mark.render
 FILM = {"type": "hdrfilm", "width": 6, "height": 4}
 
 
-def scene(camera: dict[str, Any] | None = None, **more: Any) -> dict[str, Any]:
+def scene(camera=None, **more):
     """A diffuse wall that fills the view, with what a test adds; lit by a constant sky."""
     sensor = {"type": "perspective", "film": FILM} | (camera or {})
     sky = {} if "sky" in more else {"sky": {"type": "constant"}}
@@ -27,11 +26,11 @@ def scene(camera: dict[str, Any] | None = None, **more: Any) -> dict[str, Any]:
     return {"type": "scene", "sensor": sensor, "wall": wall} | sky | more
 
 
-def sky(values: np.ndarray, **more: Any) -> dict[str, Any]:
+def sky(values, **more):
     return {"type": "envmap", "bitmap": load_mitsuba().Bitmap(values.astype(np.float32)), **more}
 
 
-def silent(scene: Any, strategy: str = "mis", **options: Any) -> None:
+def silent(scene, strategy="mis", **options):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         render(scene, strategy, spp=1, **options)

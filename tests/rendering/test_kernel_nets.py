@@ -1,12 +1,9 @@
 """Scrambled nets that kernels compute: the samplers' own points, and sets in random orders."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from scipy import stats
 
-from mcspectra.core.checks import Array
 from mcspectra.core.streams import Stream
 from mcspectra.rendering import Wavefront, load_mitsuba, render
 from mcspectra.rendering.kernel_nets import NetPoints, Pads, net_of, scramble_key
@@ -18,7 +15,7 @@ LEVEL = 1e-3
 SETS = 20_000
 
 
-def arrays(columns: list[Any], sets: int, count: int) -> Array:
+def arrays(columns, sets, count):
     return np.stack([c.numpy() for c in columns], axis=-1).reshape(sets, count, -1).astype(float)
 
 

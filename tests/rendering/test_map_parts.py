@@ -5,7 +5,6 @@ import pytest
 from scipy.stats import norm, t
 
 import mcspectra as mcs
-from mcspectra.core.checks import Array
 from mcspectra.core.streams import Stream
 from mcspectra.rendering import map_statistics as statistics
 from mcspectra.rendering import map_tiles as prediction
@@ -17,7 +16,7 @@ from mcspectra.variance.fit import fit_rate
 NS = np.array([4, 9, 16, 36, 64])
 
 
-def random_curves(strategies: int = 2, height: int = 3, width: int = 4) -> tuple[Array, Array]:
+def random_curves(strategies=2, height=3, width=4):
     generator = np.random.default_rng(5)
     shape = (strategies, len(NS), height, width)
     slope = generator.uniform(-2, -1, (strategies, 1, height, width))
@@ -26,7 +25,7 @@ def random_curves(strategies: int = 2, height: int = 3, width: int = 4) -> tuple
     return variance, generator.uniform(0.1, 0.3, shape)
 
 
-def lines(level: float, rate: float, se: float = 0.1) -> statistics.LineFits:
+def lines(level, rate, se=0.1):
     """The fit of exact lines log V = level + rate · log n, one pixel."""
     variance = np.exp(level + rate * np.log(NS)).reshape(1, -1, 1, 1)
     return statistics.fit_lines(NS, variance, np.full_like(variance, se), np.ones_like(variance))
@@ -147,7 +146,7 @@ def test_smoothing_is_a_weighted_mean_of_the_window(independent):
     assert np.array_equal(same[0], rate, equal_nan=True)
 
 
-def step(u: Array) -> Array:
+def step(u):
     """Integrands with an edge: u0 + a·u1 < 0.7."""
     return (u[:, :1] + u[:, 1:] * np.linspace(0.2, 1.0, 40) < 0.7).astype(float)
 
@@ -268,7 +267,7 @@ def test_errors_of_few_strata_take_students_t():
     assert np.allclose(prediction._student(squares), expected, rtol=1e-6)
 
 
-def chains(count: int, pixels: int, seed: int) -> np.ndarray:
+def chains(count, pixels, seed):
     """Values of f(x) = x₀ + 2 x₁ + 3 x₀ x₁ + 0 x₂ of normal x, with the first k from one point: (R, 4, P)."""
     x, y = np.random.default_rng(seed).normal(size=(2, count, 3, pixels))
     mixed = [np.concatenate([x[:, :k], y[:, k:]], axis=1) for k in range(4)]

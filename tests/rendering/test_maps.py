@@ -38,12 +38,12 @@ def small():
     return variance_map("veach", **SMALL)
 
 
-def pixel(strategy: str, place: tuple[int, int] = PLATE, **options: Any) -> mcs.Integrand:
+def pixel(strategy, place=PLATE, **options):
     x, y = place
     return mcs.rendering.Pixel(scene=SCENE, x=x, y=y, strategy=strategy, **options)
 
 
-def identical(a: xr.Dataset, b: xr.Dataset) -> bool:
+def identical(a, b):
     names = sorted(map(str, a.data_vars))
     return names == sorted(map(str, b.data_vars)) and all(
         np.array_equal(a[name].values, b[name].values, equal_nan=True) for name in names

@@ -1,7 +1,5 @@
 """Sampler objects of Mitsuba as ours: points, counts read back, and what is no such object."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -15,7 +13,7 @@ pytestmark = pytest.mark.render
 VARIANTS = ["scalar_rgb", "llvm_ad_rgb"]
 
 
-def made(variant: str, **properties: Any) -> Any:
+def made(variant, **properties):
     register_samplers(variant)
     mitsuba = import_mitsuba()
     mitsuba.set_log_level(mitsuba.LogLevel.Error)  # it says each time that it rounds

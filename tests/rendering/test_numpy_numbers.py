@@ -42,10 +42,7 @@ def test_other_views_of_numpy():
 
 def test_maps_take_a_channel_of_numpy():
     small = {"counts": [1, 4], "realizations": 2, "crop": (30, 5, 2, 2), "size": (48, 32)}
-    one, other = (
-        variance_map("veach", ["light"], channel=c, **small)  # type: ignore[arg-type]
-        for c in (np.int64(1), 1)
-    )
+    one, other = (variance_map("veach", ["light"], channel=c, **small) for c in (np.int64(1), 1))
     assert one.identical(other.assign_attrs(one.attrs))
     assert type(one.attrs["channel"]) is int
 

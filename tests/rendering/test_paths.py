@@ -34,13 +34,13 @@ FALSE_ALARM = 1e-6  # of one test, over all pixels, for means and variances
 Scene = dict[str, Any]
 
 
-def cornell() -> Scene:
+def cornell():
     scene: Scene = dict(load_mitsuba().cornell_box())
     scene["integrator"] = {"type": "path", "max_depth": 5, "rr_depth": 100}
     return scene
 
 
-def small(scene: Scene, width: int = 12, height: int = 8) -> Scene:
+def small(scene, width=12, height=8):
     """With a film of a few pixels and the box filter, of which a pixel's mean is an integral."""
     film = {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}}
     return scene | {"sensor": scene["sensor"] | {"film": film}}
@@ -52,7 +52,7 @@ SCENES: dict[str, tuple[Callable[[], Scene], str, list[tuple[int, int]]]] = {
 }
 
 
-def renders(scene: Scene, integrator: str) -> np.ndarray:
+def renders(scene, integrator):
     """The luminance of independent renders (R, h, w) by Mitsuba."""
     mitsuba = load_mitsuba()
     import drjit  # after Mitsuba, which says which LLVM
@@ -133,8 +133,8 @@ def test_lens_and_time_come_after_the_film():
 def test_an_integrator_of_the_users_own():
     mitsuba = load_mitsuba()
 
-    class Product(mitsuba.SamplingIntegrator):  # type: ignore[misc,name-defined]
-        def sample(self, scene, sampler, ray, medium=None, active=True):  # type: ignore[no-untyped-def]
+    class Product(mitsuba.SamplingIntegrator):
+        def sample(self, scene, sampler, ray, medium=None, active=True):
             u, v = sampler.next_2d(active), sampler.next_1d(active)
             return mitsuba.Color3f(u.x * u.y, v, 1.0), mitsuba.Bool(True), []
 

@@ -2,7 +2,6 @@
 
 import pickle
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import numpy as np
 import pytest
@@ -34,11 +33,11 @@ SIGMAS = 4.0
 SINGLE = 2e-6  # sixteen roundings of float32, for means whose statistical error is below that
 
 
-def uniforms(count: int, dims: int = 2, seed: int = 1) -> Array:
+def uniforms(count, dims=2, seed=1):
     return Stream.from_rng(seed).uniforms(0, 1, count * dims).reshape(count, dims)
 
 
-def jittered(n: int, seed: int) -> Array:
+def jittered(n, seed):
     """REALIZATIONS jittered sets of n = s² points."""
     s = round(n**0.5)
     cells = np.stack(np.divmod(np.arange(n), s), axis=-1)
@@ -46,18 +45,18 @@ def jittered(n: int, seed: int) -> Array:
     return (cells + offsets.reshape(REALIZATIONS, n, 2)) / s
 
 
-def mean_and_error(values: Array) -> tuple[Array, Array]:
+def mean_and_error(values):
     return values.mean(axis=0), values.std(axis=0, ddof=1) / len(values) ** 0.5
 
 
-def wall_radiance(position: Any) -> float:
+def wall_radiance(position):
     """Reflected radiance of the wall under light-3: ρ L (r/d)² cos θ, exact for a whole sphere."""
     to_light = np.array([3.75, 0.0, 0.0]) - position
     distance = float(np.linalg.norm(to_light))
     return 0.4 * 1.23457 * (0.9 / distance) ** 2 * float(to_light[2]) / distance
 
 
-def rate_and_error(estimates: list[Array]) -> tuple[float, float]:
+def rate_and_error(estimates):
     """Fit the exponent of variance over the last four counts; errors from the fourth moments."""
     used, counts = estimates[-4:], np.log(COUNTS[-4:])
     centered = [e - e.mean() for e in used]
@@ -143,7 +142,7 @@ def test_weights_are_those_of_the_heuristics():
     np.testing.assert_allclose(power / plain, w**2 / (w**2 + (1 - w) ** 2), rtol=1e-5)
 
 
-def stock_values(scene: str, x: int, y: int, count: int) -> Array:
+def stock_values(scene, x, y, count):
     """Values (count, 3) of Mitsuba's `direct` integrator along the ray of the pixel's centre."""
     import drjit
 
@@ -168,7 +167,7 @@ def test_textures_sky_and_layers_match_the_stock_integrator(scene_files):
     check_against_stock({"scene": scene_files["textured"], "x": 20, "y": 15}, 3)
 
 
-def check_against_stock(place: dict[str, Any], dims: int) -> None:
+def check_against_stock(place, dims):
     count = 2**19
     wanted, wanted_error = mean_and_error(
         stock_values(place["scene"], place["x"], place["y"], count)

@@ -1,13 +1,10 @@
 """What the literature says of rates, found again at pixels, with intervals."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from tests.rendering.slopes import Z, slope_error
 
 import mcspectra as mcs
-from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.rendering import Pixel, describe_pixel, named_pixels, pixel_mis
@@ -24,16 +21,16 @@ PLACES = {
 LIGHT, BSDF = 0, 1
 
 
-def uniforms(count: int, dims: int, seed: int = 1) -> Array:
+def uniforms(count, dims, seed=1):
     return Stream.from_rng(seed).uniforms(0, 1, count * dims).reshape(count, dims)
 
 
 def rates(
-    estimators: list[Any],
-    sampler: str = "jittered",
-    counts: list[int] = COUNTS,
-    realizations: int = 150,
-) -> Array:
+    estimators,
+    sampler="jittered",
+    counts=COUNTS,
+    realizations=150,
+):
     """Rates of estimators with their intervals: rows of (low, rate, high)."""
     found = mcs.convergence(
         estimators, sampler, counts, realizations=realizations, rng=1, fit_last=len(counts)
@@ -43,7 +40,7 @@ def rates(
     return np.stack([rate - half, rate, rate + half], axis=1)
 
 
-def check_slowest_decides(technique: Array, whole: Array) -> None:
+def check_slowest_decides(technique, whole):
     """The BSDF technique is the slower one, apart from the other, and MIS as slow as it is."""
     assert technique[BSDF, 0] > technique[LIGHT, 2]
     assert whole[0] < technique[BSDF, 2]

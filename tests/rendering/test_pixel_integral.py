@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.checks import Array
 from mcspectra.core.streams import Stream
 from mcspectra.integrands import Integrand, integral_accuracy
 from mcspectra.rendering import Pixel, pixel_mis
@@ -18,7 +17,7 @@ SIGMAS = 4.5  # and t with 15 degrees is beyond it by chance once in 2400
 SAMPLES = 2**19
 
 
-def uniforms(dims: int) -> Array:
+def uniforms(dims):
     return Stream.from_rng(3).uniforms(0, 1, SAMPLES * dims).reshape(SAMPLES, dims)
 
 

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import HEURISTICS
-from mcspectra.rendering import Pixel, PixelMIS, load_mitsuba, named_pixels, pixel_mis, sky_pixels
+from mcspectra.rendering import Pixel, load_mitsuba, named_pixels, pixel_mis, sky_pixels
 from mcspectra.rendering.pixel import Draws
 from mcspectra.samplers.registry import as_sampler
 from mcspectra.variance.counterfactuals import Budget, Setup, other_setups
@@ -22,15 +21,15 @@ COUNT = 2**16
 SIGMAS = 4.5  # of some thirty means that are compared: one false alarm in 5000 runs
 
 
-def uniforms(count: int, dims: int = 2, seed: int = 1) -> Array:
+def uniforms(count, dims=2, seed=1):
     return Stream.from_rng(seed).uniforms(0, 1, count * dims).reshape(count, dims)
 
 
-def mean_and_error(values: Array) -> tuple[Array, Array]:
+def mean_and_error(values):
     return values.mean(axis=0), values.std(axis=0, ddof=1) / len(values) ** 0.5
 
 
-def total(mis: PixelMIS, seed: int = 1) -> tuple[Array, Array]:
+def total(mis, seed=1):
     """Mean and standard error of Σ_t g_t of independent random points."""
     parts = [
         mean_and_error(mis.primary_values(t, uniforms(COUNT, mis.dims, seed + t)))
@@ -39,7 +38,7 @@ def total(mis: PixelMIS, seed: int = 1) -> tuple[Array, Array]:
     return sum(m for m, _ in parts), np.sqrt(sum(e**2 for _, e in parts))
 
 
-def random_variance(mis: PixelMIS) -> float:
+def random_variance(mis):
     """Variance of one random sample a unit of counts, Σ_t Var g_t / counts[t]."""
     values = [
         mis.primary_values(t, uniforms(COUNT, mis.dims, 1 + t)) for t in range(len(mis.counts))

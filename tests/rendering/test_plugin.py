@@ -3,14 +3,12 @@
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy import stats
 
 from mcspectra.cli.main import main
-from mcspectra.core.checks import Array
 from mcspectra.core.errors import CountError, FileFormatError, MissingDependency, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.rendering import load_mitsuba, load_scene, register_samplers, render_file
@@ -61,7 +59,7 @@ def files(tmp_path_factory):
     return {name: str(folder / f"{name}.xml") for name in texts}
 
 
-def sampler(variant: str = "llvm_ad_rgb", **properties: Any) -> Any:
+def sampler(variant="llvm_ad_rgb", **properties):
     """An object of the plugin, in a variant that is set until the next call."""
     register_samplers(variant)
     mitsuba = import_mitsuba()
@@ -69,7 +67,7 @@ def sampler(variant: str = "llvm_ad_rgb", **properties: Any) -> Any:
     return mitsuba.load_dict({"type": "mcspectra", **properties})
 
 
-def numbers(source: Any, *dims: int) -> Array:
+def numbers(source, *dims):
     """Draw requests of a wavefront one after the other: (lanes, sum of dims)."""
     parts = [source.next_1d() if d == 1 else source.next_2d() for d in dims]
     return np.concatenate([np.atleast_2d(part.numpy()) for part in parts]).T.astype(np.float64)
@@ -214,7 +212,7 @@ def test_scalar_sets_of_a_pixel_are_the_samplers():
     load_mitsuba()
 
 
-def batches(file: str, variant: str = "llvm_ad_rgb", spp: int = 64, **definitions: str) -> Array:
+def batches(file, variant="llvm_ad_rgb", spp=64, **definitions):
     """Sixteen images with seeds of their own."""
     register_samplers(variant)
     mitsuba = import_mitsuba()
@@ -225,7 +223,7 @@ def batches(file: str, variant: str = "llvm_ad_rgb", spp: int = 64, **definition
     return np.stack([np.array(image, dtype=np.float64) for image in images])
 
 
-def smallest_p_value(a: Array, b: Array) -> float:
+def smallest_p_value(a, b):
     """Šidák-corrected p-value of the worst pixel, by Welch's test; channels are alike."""
     p = stats.ttest_ind(a[..., 0], b[..., 0], equal_var=False).pvalue
     return float(-np.expm1(p.size * np.log1p(-p.min())))
@@ -266,12 +264,12 @@ def test_split_passes_give_the_image_of_one_pass(files):
     passes = {"definitions": {"passes": 4}}
     import_mitsuba().set_log_level(import_mitsuba().LogLevel.Error)
     np.testing.assert_allclose(
-        render_file(files["passes"], "llvm_ad_rgb", **passes),  # type: ignore[arg-type]
+        render_file(files["passes"], "llvm_ad_rgb", **passes),
         render_file(files["ours"], "llvm_ad_rgb"),
         rtol=1e-5,
     )
     with pytest.raises(ParameterError, match="needs the sampler's integer samples_per_pass"):
-        render_file(files["ours"], "llvm_ad_rgb", **passes)  # type: ignore[arg-type]
+        render_file(files["ours"], "llvm_ad_rgb", **passes)
 
 
 @pytest.mark.parametrize("variant", PLUGIN_VARIANTS)

@@ -48,11 +48,11 @@ ROUGH: dict[str, dict[str, Any]] = {
 }
 
 
-def ball(bsdf: dict[str, Any]) -> dict[str, Any]:
+def ball(bsdf):
     return {"type": "sphere", "bsdf": bsdf}
 
 
-def one(scene: Any, **options: Any) -> str:
+def one(scene, **options):
     sentences = check_scene(scene, **options)
     assert len(sentences) == 1
     assert "\n" not in sentences[0]
@@ -158,4 +158,4 @@ def test_unknown_lights_and_scenes_are_errors():
     with pytest.raises(UnknownName, match="veach"):
         check_scene("veech")
     with pytest.raises(ParameterError, match="give the name"):
-        check_scene(None)  # type: ignore[arg-type]
+        check_scene(None)

@@ -1,7 +1,5 @@
 """Scenes whose materials Mitsuba reads but cannot evaluate: refused, and no harm to the next."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -38,19 +36,19 @@ _CASES = {
 }
 
 
-def use_pixel(scene: str) -> object:
+def use_pixel(scene):
     return Pixel(scene=scene, x=4, y=4, dims=3)(np.full((4, 3), 0.3))
 
 
-def use_map(scene: str) -> object:
+def use_map(scene):
     return variance_map(scene, ["light"], counts=[1, 4], realizations=2)
 
 
-def use_means(scene: str) -> object:
+def use_means(scene):
     return Wavefront(scene).means("light", np.array([[4, 4]]), np.full((4, 2), 0.3))
 
 
-def use_values(scene: str) -> object:
+def use_values(scene):
     return Wavefront(scene).values("light", np.array([[4, 4]]), np.full((4, 2), 0.3))
 
 
@@ -104,20 +102,20 @@ def test_whatever_mitsuba_can_evaluate_passes(kind):
 
 def test_lights_are_tried_too():
     class Light:
-        def id(self) -> str:
+        def id(self):
             return "lamp"
 
-        def class_name(self) -> str:
+        def class_name(self):
             return "Broken"
 
-        def sample_direction(self, *_: object) -> None:
+        def sample_direction(self, *_):
             raise RuntimeError("not implemented")
 
     class Scene:
-        def shapes(self) -> list[Any]:
+        def shapes(self):
             return []
 
-        def emitters(self) -> list[Any]:
+        def emitters(self):
             return [Light()]
 
     found = what_fails(Scene())

@@ -1,12 +1,9 @@
 """Densities of ours on the environment of a scene: directions, pdfs, and what they gain."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.checks import Array
 from mcspectra.core.environments import synthetic_sky
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
@@ -21,15 +18,15 @@ FLOOR = {"x": 8, "y": 8}
 ROTATIONS = {"plain": None, "turned": ([0.6, 0.64, -0.48], 70.0)}
 
 
-def uniforms(count: int, dims: int = 2, seed: int = 1) -> Array:
+def uniforms(count, dims=2, seed=1):
     return Stream.from_rng(seed).uniforms(0, 1, count * dims).reshape(count, dims)
 
 
-def mean_and_error(values: Array) -> tuple[Array, Array]:
+def mean_and_error(values):
     return values.mean(axis=0), values.std(axis=0, ddof=1) / len(values) ** 0.5
 
 
-def colored_map() -> Array:
+def colored_map():
     """A map (16, 32, 3) of smooth colours, above 0, with a bright spot."""
     v, u = np.meshgrid(np.arange(16) / 15, (np.arange(32) + 0.5) / 32, indexing="ij")
     phases = np.array([0.0, 0.3, 0.55])
@@ -38,7 +35,7 @@ def colored_map() -> Array:
     return np.asarray(waves + spot[..., None] * [1.0, 0.6, 0.2], np.float32)
 
 
-def open_scene(rotation: Any = None, bsdf: Any = None, lamp: bool = False) -> dict[str, Any]:
+def open_scene(rotation=None, bsdf=None, lamp=False):
     """A disk under an environment map, nothing in the way."""
     mitsuba = load_mitsuba()
     transform = mitsuba.ScalarTransform4f
@@ -77,7 +74,7 @@ def test_directions_are_those_of_the_emitter(rotation):
     np.testing.assert_allclose(found, texels[rows, columns], rtol=1e-3, atol=1e-3)
 
 
-def _matrix(rotation: Any) -> Array:
+def _matrix(rotation):
     """Rodrigues' rotation, written out."""
     if rotation is None:
         return np.eye(3)

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mcspectra.core.checks import Array
 from mcspectra.core.errors import DomainError, FileFormatError, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.rendering import Pixel, wavefront
@@ -18,11 +17,11 @@ PIXELS = np.array([[71, 12], [75, 53], [47, 25], [10, 60]])
 STRATEGIES = ("light", "bsdf", "mis-light", "mis-bsdf")
 
 
-def uniforms(*shape: int, seed: int = 1) -> Array:
+def uniforms(*shape, seed=1):
     return Stream.from_rng(seed).uniforms(0, 1, int(np.prod(shape))).reshape(shape)
 
 
-def all_pixels() -> Array:
+def all_pixels():
     """All pixels of the films of 40 × 30 pixels."""
     return np.stack(np.meshgrid(np.arange(40), np.arange(30)), axis=-1).reshape(-1, 2)
 

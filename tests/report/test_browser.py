@@ -3,11 +3,10 @@
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Browser, Page, Route
+from playwright.sync_api import Page
 
 from mcspectra.report import write_comparison, write_report
 from mcspectra.report.sampler_gallery import QUICK, write_gallery
@@ -36,7 +35,7 @@ def _folder(make, tmp_path_factory):
 class Visit:
     """A page that is open, what it asked of a network, and what it complained about."""
 
-    def __init__(self, browser: Browser, path: Path, **options: Any) -> None:
+    def __init__(self, browser, path, **options):
         self.asked: list[str] = []
         self.complaints: list[str] = []
         context = browser.new_context(**options)
@@ -46,18 +45,18 @@ class Visit:
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
         self.page.goto(path.as_uri())
 
-    def _route(self, route: Route) -> None:
+    def _route(self, route):
         if route.request.url.startswith(LOCAL):
             route.continue_()
         else:
             self.asked.append(route.request.url)
             route.abort()
 
-    def _note(self, message: Any) -> None:
+    def _note(self, message):
         if message.type in ("error", "warning"):
             self.complaints.append(message.text)
 
-    def show(self, label: str, *, last: bool = False) -> Any:
+    def show(self, label, *, last=False):
         """Scroll to the first or last plot whose words begin so, and wait until it is drawn."""
         self.unfold()
         found = self.page.locator(f".live:has(img[alt^='{label}'])")
@@ -67,11 +66,11 @@ class Visit:
         self.page.wait_for_function("Bokeh.documents.every(d => d.is_idle)")
         return plot
 
-    def unfold(self) -> None:
+    def unfold(self):
         """Open all that is folded."""
         self.page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })")
 
-    def wrongs(self) -> list[str]:
+    def wrongs(self):
         """What axe-core calls serious or worse."""
         self.page.evaluate((files("axe_playwright_python") / "axe.min.js").read_text("utf-8"))
         found = self.page.evaluate("axe.run()")["violations"]
@@ -81,14 +80,14 @@ class Visit:
             if each["impact"] in ("serious", "critical")
         ]
 
-    def leave(self) -> None:
+    def leave(self):
         """Close; nothing was asked of a network and nothing went wrong."""
         self.page.context.close()
         assert self.asked == []
         assert self.complaints == []
 
 
-def sweep(visit: Visit, plot: Any, word: str) -> bool:
+def sweep(visit, plot, word):
     """Move the pointer over a plot, row by row, until a tooltip shows `word`."""
     box = plot.bounding_box()
     for part in range(100):

@@ -35,13 +35,13 @@ from mcspectra.report.page import (
 EVIL = "</script><u>&\"'"
 
 
-def plot(words: str = "A line from 0 to 1.", kind: str = "line") -> Plot:
+def plot(words="A line from 0 to 1.", kind="line"):
     x = np.array([0.0, 1.0])
     panel = Panel(marks=(Line(x=x, y=x, color="#0072B2"),), x=Axis(label="x"), y=Axis(label="y"))
     return Plot(kind=kind, panels=(panel,), caption="A line.", words=words)
 
 
-def page(evil: str = EVIL, live: bool = False) -> Page:
+def page(evil=EVIL, live=False):
     table = Table(
         caption=evil,
         columns=("Name", "Value", "Why"),

@@ -1,7 +1,5 @@
 """Rules of the sentences: what is said, and what is not when intervals do not support it."""
 
-from typing import Any
-
 import msgspec
 import pytest
 import xarray as xr
@@ -13,13 +11,13 @@ from mcspectra.studies import SummaryRow
 
 def case(
     *,
-    dc: float = 0.0,
-    power: float = 1.0,
-    predicted: float = 1.0,
-    measured: float = 1.0,
-    width: float = 1.02,
-    space: str = "domain",
-) -> tuple[SummaryRow, xr.Dataset]:
+    dc=0.0,
+    power=1.0,
+    predicted=1.0,
+    measured=1.0,
+    width=1.02,
+    space="domain",
+):
     """A row and its terms; `width` is the factor of the 95 % intervals either way."""
     cross = predicted - dc - power
     ends = [predicted / width, predicted * width]
@@ -51,7 +49,7 @@ def case(
     return row, terms
 
 
-def curve(rate: float | None, half: float = 0.03, **more: Any) -> SummaryRow:
+def curve(rate, half=0.03, **more):
     """A row with a rate alone."""
     ends = {} if rate is None else {"rate_low": rate - half, "rate_high": rate + half}
     return SummaryRow(estimator="e", sampler="s", n=1024, rate=rate, **ends, **more)
@@ -262,7 +260,7 @@ def test_further_sentences(analyses, text):
     assert further_sentences(analyses) == text
 
 
-def measured(variance: list[float], mean: float = 1.0, width: float = 1.2) -> xr.Dataset:
+def measured(variance, mean=1.0, width=1.2):
     """A curve at n = 4, 16, … with intervals of a factor and a standard error of the mean of 0.01."""
     n = [4 ** (k + 1) for k in range(len(variance))]
     ends = [[v / width, v * width] for v in variance]

@@ -244,7 +244,7 @@ def _small(make, tmp_path):
 ASKED = {"E!": ["random", "jittered | shift"], "a": ["b"]}
 
 
-def lacking(failed: dict[str, str], missing: tuple[str, ...] = ()) -> StudyStatus:
+def lacking(failed, missing=()):
     """A status with one finished cell beside these."""
     return StudyStatus(
         title="t", study_hash="", seed=1, versions={}, format=3, state="unfinished", holder=None,
@@ -253,7 +253,7 @@ def lacking(failed: dict[str, str], missing: tuple[str, ...] = ()) -> StudyStatu
     )  # fmt: skip
 
 
-def gaps() -> tuple[str, Table]:
+def gaps():
     """Sentence and table of what a study lacks."""
     _, sentence, table = module._gaps(Path(), ASKED)
     assert isinstance(sentence, Text)

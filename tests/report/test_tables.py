@@ -1,13 +1,10 @@
 """Tables: cells, dashes with their reasons."""
 
-from typing import Any
-
 import msgspec
 import numpy as np
 import xarray as xr
 
 from mcspectra.report import summary_table, terms_table
-from mcspectra.report.page import Table
 from mcspectra.report.sentences import bottleneck
 from mcspectra.studies import SummaryRow
 
@@ -34,7 +31,7 @@ FULL = SummaryRow(
 )
 
 
-def texts(table: Table) -> list[str]:
+def texts(table):
     """Texts of the only row."""
     (row,) = table.rows
     assert len(row) == len(table.columns)
@@ -155,7 +152,7 @@ def test_summary__says_by_which_route_it_was_predicted():
     assert summary_table([far]).rows[0][6].text.endswith("predicted × 2.00.")
 
 
-def terms(power: list[float], **attrs: Any) -> xr.Dataset:
+def terms(power, **attrs):
     """The power term by frequency, in one dim."""
     m = np.arange(-4, 5)
     return xr.Dataset({"power_contribution": ("m0", power)}, {"m0": m}, attrs)

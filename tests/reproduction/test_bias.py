@@ -17,10 +17,7 @@ from mcspectra.reproduction.claims import (
 def test_bias_of_boxes_by_quadrature(width):
     n = 5
     centers = (np.arange(n) + 0.5) / n
-    means = [
-        quad(lambda t, c=c: (c + t * width / n) ** 2, -0.5, 0.5)[0]  # type: ignore[misc]
-        for c in centers
-    ]
+    means = [quad(lambda t, c=c: (c + t * width / n) ** 2, -0.5, 0.5)[0] for c in centers]
     assert bias.box_bias(n, width) == pytest.approx(np.mean(means) - 1 / 3, abs=1e-14)
 
 

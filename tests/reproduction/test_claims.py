@@ -63,7 +63,7 @@ def test_intervals_of_variances_widen_as_ratios():
     assert log.verdict_interval == linear.verdict_interval
 
 
-def _curve(rate: float, half: float) -> xr.Dataset:
+def _curve(rate, half):
     return xr.Dataset({"rate": rate, "rate_ci": ("bound", [rate - half, rate + half])})
 
 
@@ -100,7 +100,7 @@ def test_where_the_other_rate_agrees_too_it_is_said(expected, shown):
     ],
 )
 def test_beyond_a_bound_with_the_whole_interval(limits, agrees):
-    assert judge(Claim("s", Measured(1.0, 0.9, 1.1), **limits)).agrees is agrees  # type: ignore[arg-type]
+    assert judge(Claim("s", Measured(1.0, 0.9, 1.1), **limits)).agrees is agrees
 
 
 def test_identities_have_an_error_and_no_interval():

@@ -29,7 +29,7 @@ def test_the_integral_of_the_map():
     integral = channels.ways()["one"].integral
     for c in range(3):
         parts = [
-            quad(lambda x, c=c: channels.radiance(np.array([x]))[c], k / 8, (k + 1) / 8)[0]  # type: ignore[misc]
+            quad(lambda x, c=c: channels.radiance(np.array([x]))[c], k / 8, (k + 1) / 8)[0]
             for k in range(8)
         ]
         assert integral[c] == pytest.approx(sum(parts), rel=1e-9)

@@ -30,7 +30,7 @@ SLIDES = {
 }
 
 
-def _plot(photograph: bool) -> Plot:
+def _plot(photograph):
     ends = np.array([0.0, 1.0])
     rgb = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
     mark = Pixels(rgb=rgb) if photograph else Line(x=ends, y=ends, color="#0072B2", label="line")
@@ -40,7 +40,7 @@ def _plot(photograph: bool) -> Plot:
     )
 
 
-def _good(*, quick: bool, seed: int) -> Exhibit:
+def _good(*, quick, seed):
     return Exhibit(
         numbers={"quick": quick, "seed": seed},
         plots=(_plot(False), _plot(True)),
@@ -52,7 +52,7 @@ def _good(*, quick: bool, seed: int) -> Exhibit:
     )
 
 
-def _bad(*, quick: bool, seed: int) -> Exhibit:
+def _bad(*, quick, seed):
     raise ZeroDivisionError("it broke")
 
 
@@ -133,24 +133,22 @@ def test_the_pdf_has_a_page_of_text_and_one_for_each_figure(tmp_path):
 def test_captions_in_the_pdf_lie_below_legends():
     import io
 
-    from matplotlib.figure import Figure
-
     class Sheets:
         """A file whose figure is drawn, as it is when a PDF is written."""
 
-        def savefig(self, figure: Figure, **options: object) -> None:
+        def savefig(self, figure, **options):
             drawn: list[tuple[float, float]] = []
             caption, legend = figure.texts[-1], figure.legends[0]
 
-            def look(event: object) -> None:
+            def look(event):
                 drawn.append((caption.get_window_extent().y1, legend.get_window_extent().y0))
 
             figure.canvas.mpl_connect("draw_event", look)
-            figure.savefig(io.BytesIO(), **options)  # type: ignore[arg-type]
+            figure.savefig(io.BytesIO(), **options)
             top, bottom = drawn[-1]
             assert top < bottom
 
-    gallery._add_figure(Sheets(), replace(_plot(False), caption="A $ sign."))  # type: ignore[arg-type]
+    gallery._add_figure(Sheets(), replace(_plot(False), caption="A $ sign."))
 
 
 def test_fonts_in_the_pdf_can_be_edited(tmp_path):
@@ -200,7 +198,7 @@ def test_bad_input_is_refused_before_anything_is_made(tmp_path):
         reproduce(out, ["goood"])
     for seed in (-1, 0.5, "x", float("nan")):
         with pytest.raises(ParameterError, match="seed"):
-            reproduce(out, ["good"], seed=seed)  # type: ignore[arg-type]
+            reproduce(out, ["good"], seed=seed)
     assert not out.exists()
     with pytest.raises(ParameterError, match="no name"):
         reproduce("", ["good"])

@@ -111,7 +111,7 @@ def test_verdicts_stand_out_from_the_page(visit, scheme):
         assert (max(body, each) + 0.05) / (min(body, each) + 0.05) >= 4.5
 
 
-def _luminance(color: list[float]) -> float:
+def _luminance(color):
     """Relative luminance of an sRGB colour, 0 to 255."""
     parts = [c / 255 for c in color]
     linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]

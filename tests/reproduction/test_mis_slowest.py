@@ -10,7 +10,7 @@ from mcspectra.reproduction.claims import judge
 pytestmark = pytest.mark.render
 
 
-def curves(rates: list[float], variances: list[float]) -> xr.Dataset:
+def curves(rates, variances):
     rate, variance = np.array(rates), np.array(variances)[:, None]
     return xr.Dataset(
         {

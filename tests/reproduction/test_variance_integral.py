@@ -21,7 +21,7 @@ def test_power_of_the_bell_by_quadrature():
         def bell(x):
             return complex(np.exp(-((x - center) ** 2) / 0.02 - 2j * np.pi * frequency * x))
 
-        return quad(bell, 0, 1, complex_func=True)[0]  # type: ignore[call-overload,no-any-return]
+        return quad(bell, 0, 1, complex_func=True)[0]
 
     expected = abs(axis(0.45, 2) * axis(0.6, -1)) ** 2
     (row,) = np.flatnonzero((m == (2, -1)).all(axis=1))

@@ -20,7 +20,7 @@ def test_all_findings_agree(made, sound):
     assert "in place of 1024" in made.caption
 
 
-def synthetic(noise: dict[str, float]) -> veach.Renders:
+def synthetic(noise):
     """Images of constant radiance with noise of given sizes."""
     rng = np.random.default_rng(3)
     shape = (6, 80, 120, 3)

@@ -72,18 +72,18 @@ class Case:
     chain: str = ""
 
     @property
-    def n(self) -> int:
+    def n(self):
         return self.row.counts[self.dims]
 
     @property
-    def fixed(self) -> bool:
+    def fixed(self):
         return self.row.fixed and self.chain in FIXED
 
     @property
-    def unbiased(self) -> bool:
+    def unbiased(self):
         return self.row.unbiased or CHAINS[self.chain]
 
-    def __str__(self) -> str:
+    def __str__(self):
         return f"{self.row.spec}{self.chain}-{self.dims}d"
 
 

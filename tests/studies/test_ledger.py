@@ -32,12 +32,12 @@ PATHS = tuple(f"{e}/{s}/{a}" for e in "abcd" for s in "xyz" for a in ("convergen
 RUN = "0-0-10"
 
 
-def payload(path: str, size: int = 3000) -> bytes:
+def payload(path, size=3000):
     """Bytes that stand for the result of a cell."""
     return random.Random(path).randbytes(size)
 
 
-def scalars(path: str) -> dict[str, float]:
+def scalars(path):
     """Numbers that stand for the scalars of a cell."""
     return {"rate": random.Random(path).random(), "none": float("inf")}
 
@@ -289,7 +289,7 @@ with Ledger.resume(out, NOTE, PATHS) as ledger:
 """
 
 
-def killed_at_moments(folder: Path, kills: int) -> None:
+def killed_at_moments(folder, kills):
     """Kill writers at random moments; the ledger is always sound, and grows."""
     killed = done = 0
     while killed < kills:
@@ -323,7 +323,7 @@ def test_killed_at_150_moments_it_is_sound(tmp_path):
     killed_at_moments(tmp_path / "out", 150)
 
 
-def mutated(file: Path, chosen: random.Random) -> None:
+def mutated(file, chosen):
     """Change, zero or cut off random bytes."""
     content = bytearray(file.read_bytes())
     at = chosen.randrange(len(content))
@@ -341,7 +341,7 @@ def mutated(file: Path, chosen: random.Random) -> None:
     file.write_bytes(content)
 
 
-def check_mutation(folder: Path) -> str:
+def check_mutation(folder):
     """What came of a damaged ledger: each value is the right one, or it is said that it is not."""
     noticed = False
     try:
@@ -392,7 +392,7 @@ def check_mutation(folder: Path) -> str:
     return "noticed" if noticed else "without effect"
 
 
-def check_mutations(folder: Path, work: Path, number: int, seed: int) -> dict[str, int]:
+def check_mutations(folder, work, number, seed):
     """Damage copies of a ledger; how many were refused, noticed, or without effect."""
     chosen, found = random.Random(seed), {"refused": 0, "noticed": 0, "without effect": 0}
     for _ in range(number):

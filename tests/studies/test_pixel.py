@@ -61,7 +61,7 @@ def tree(small_effort):
     return analyse_pixel("figure1", "Q", samplers=SAMPLERS, budget=128, rng=3)
 
 
-def estimators() -> dict[str, Any]:
+def estimators():
     x, y = Q
     singles = {
         s: mcs.Estimator(Pixel(scene="figure1", x=x, y=y, strategy=s)) for s in ("light", "bsdf")
@@ -69,7 +69,7 @@ def estimators() -> dict[str, Any]:
     return singles | {h: pixel_mis("figure1", x, y, heuristic=h) for h in ("balance", "power")}
 
 
-def same(found: xr.Dataset, expected: xr.Dataset, *names: str) -> None:
+def same(found, expected, *names):
     for name in names or expected.data_vars:
         assert np.array_equal(found[name].values, expected[name].values, equal_nan=True), name
 

@@ -45,7 +45,7 @@ VARIANCE = np.array([[0.1, 1 / 3, np.nan], [np.inf, -0.0, 1e-300]])
 PATHS = ("a/random/convergence", "b/random/terms", "b/jittered/terms")
 
 
-def convergence() -> xr.Dataset:
+def convergence():
     return xr.Dataset(
         {
             "variance": (("n", "channel"), VARIANCE, {"units": "f²", "long_name": "variance"}),
@@ -66,7 +66,7 @@ def convergence() -> xr.Dataset:
     )
 
 
-def terms() -> xr.Dataset:
+def terms():
     return xr.Dataset(
         {"coefficient": (("m",), np.array([1 + 2j, -0.5j])), "found": (("m",), [True, False])},
         coords={"m": [-1, 1]},
@@ -74,7 +74,7 @@ def terms() -> xr.Dataset:
     )
 
 
-def numbers(seed: int = 0) -> xr.Dataset:
+def numbers(seed=0):
     """Numbers of all kinds that results have."""
     rng = np.random.default_rng(seed)
     found = dataset({"variance": (("n",), rng.random(3))}, {"n": [4, 16, 64]}, seed=seed)
@@ -91,7 +91,7 @@ def numbers(seed: int = 0) -> xr.Dataset:
     ).assign_coords(alone=("n", [0.5, np.nan, 1.5]))
 
 
-def written(folder: Path, cells: dict[str, xr.Dataset], paths: tuple[str, ...] = ()) -> Path:
+def written(folder, cells, paths=()):
     """A study's folder with these cells, and its store."""
     with Ledger.create(folder, NOTE, paths or tuple(cells)) as ledger:
         for path, cell in cells.items():
@@ -121,7 +121,7 @@ def memory():
         files.rm("memory://results-test", recursive=True)
 
 
-def same_results(found: str | Path, expected: str | Path) -> None:
+def same_results(found, expected):
     one, two = open_results(found), open_results(expected)
     assert one.attrs == two.attrs
     assert sorted(node.path for node in one.leaves) == sorted(node.path for node in two.leaves)
@@ -129,7 +129,7 @@ def same_results(found: str | Path, expected: str | Path) -> None:
         identical(node.to_dataset(), two[node.path].to_dataset())
 
 
-def identical(found: xr.Dataset, expected: xr.Dataset) -> None:
+def identical(found, expected):
     xr.testing.assert_identical(found, expected)
     for name in expected.variables:
         assert found[name].dtype == expected[name].dtype
@@ -257,7 +257,7 @@ def test_a_damaged_ledger_is_not_opened_in_silence(copy):
         open_results(copy)
 
 
-def changed(tree: Path, chosen: random.Random) -> str:
+def changed(tree, chosen):
     """Change, remove, add or exchange a file of a store; what was done."""
     files = sorted(file for file in tree.rglob("*") if file.is_file())
     file, other = chosen.sample(files, 2)
@@ -290,7 +290,7 @@ def changed(tree: Path, chosen: random.Random) -> str:
     return f"{kind} {file.relative_to(tree)}"
 
 
-def check_changes(store: Path, work: Path, number: int, seed: int) -> None:
+def check_changes(store, work, number, seed):
     chosen = random.Random(seed)
     for _ in range(number):
         shutil.rmtree(work, ignore_errors=True)
@@ -326,7 +326,7 @@ def test_a_flipped_number_is_noticed_by_plain_readers(copy):
     assert study_status(copy, verify=True).damaged == {}
 
 
-def stranger(folder: Path, change: Any) -> Path:
+def stranger(folder, change):
     """A store of one array that somebody has made, with a digest, after `change` of its files."""
     cell = xr.Dataset({"x": ("n", np.arange(30.0))})
     files = dict(results._store_files({"format": 4}, [("a/b/terms", cell)]))
@@ -343,8 +343,8 @@ def stranger(folder: Path, change: Any) -> Path:
     return folder
 
 
-def with_metadata(**more: Any) -> Any:
-    def change(files: dict[str, bytes]) -> None:
+def with_metadata(**more):
+    def change(files):
         name = "a/b/terms/x/zarr.json"
         files[name] = json.dumps(json.loads(files[name]) | more).encode()
 
@@ -463,7 +463,7 @@ def test_a_store_that_cannot_be_written_leaves_the_earlier_one(copy, monkeypatch
     assert open_results(copy / "results.zarr").leaves
 
 
-def check_table(table: pd.DataFrame) -> None:
+def check_table(table):
     """The long table against the datasets, a row at a time."""
     of = table[table["variable"] == "variance"]
     assert len(of) == 6
@@ -490,7 +490,7 @@ def check_table(table: pd.DataFrame) -> None:
     assert len(table) == 6 + 4 + 1 + 2 + 2
 
 
-def check_attributes(attributes: dict[str, Any]) -> None:
+def check_attributes(attributes):
     assert attributes["study"]["study"]["title"] == "t ü"
     assert attributes["cells"][PATHS[0]]["seed"] == 3
     assert attributes["cells"][PATHS[0]]["labels_channel"] == ["red", "green", "blue"]
