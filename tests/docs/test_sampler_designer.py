@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.processes import python
 
 import mcspectra as mcs
 
@@ -51,13 +52,13 @@ def folder(tmp_path_factory):
 
 def run(folder, line, *more):
     _, *arguments = shlex.split(line)
-    return subprocess.run(
-        [sys.executable, "-m", "mcspectra", *arguments, *more],
-        check=False,
+    return python(
+        "-m",
+        "mcspectra",
+        *arguments,
+        *more,
         cwd=folder,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-        capture_output=True,
-        text=True,
         timeout=500,
     )
 

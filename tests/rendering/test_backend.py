@@ -3,11 +3,11 @@
 import importlib.util
 import json
 import os
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from tests.processes import python
 
 from mcspectra.core.errors import MissingDependency
 from mcspectra.rendering import backend
@@ -52,7 +52,7 @@ def test_describe_finds_a_library_and_leaves_mitsuba_alone():
         "import json, sys; from mcspectra.rendering.backend import describe;"
         "print(json.dumps([describe(), 'mitsuba' in sys.modules]))"
     )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    run = python("-c", code, check=True)
     found, imported = json.loads(run.stdout)
     assert not imported
     assert found["variant"] == VARIANT
@@ -216,9 +216,7 @@ def test_mitsuba_with_a_broken_llvm_before_us_is_refused_in_a_sentence(own_cache
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", best.library)
 
     def printed():
-        run = subprocess.run(
-            [sys.executable, "-c", _AFTER_OURS], capture_output=True, text=True, check=True
-        )
+        run = python("-c", _AFTER_OURS, check=True)
         return run.stdout
 
     assert printed() == "works\n"

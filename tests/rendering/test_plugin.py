@@ -1,12 +1,11 @@
 """Our samplers as Mitsuba's: sets, requests, images, passes, and one sentence an error."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import stats
+from tests.processes import python
 
 from mcspectra.cli.main import main
 from mcspectra.core.errors import CountError, FileFormatError, MissingDependency, ParameterError
@@ -276,13 +275,7 @@ def test_split_passes_give_the_image_of_one_pass(files):
 def test_command_writes_the_image(files, tmp_path, variant):
     out = tmp_path / "image.exr"
     command = ["mitsuba", files["ours"], "-m", variant, "-o", str(out), "--seed", "3"]
-    run = subprocess.run(
-        [sys.executable, "-c", PROGRAM, *command],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=True,
-    )
+    run = python("-c", PROGRAM, *command, timeout=120, check=True)
     assert "8 × 6 pixels" in run.stdout
     written = np.array(load_mitsuba().Bitmap(str(out)), dtype=np.float64)
     # The film writes half floats.

@@ -2,10 +2,9 @@
 
 import json
 import os
-import subprocess
-import sys
 
 import pytest
+from tests.processes import python
 
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
@@ -54,13 +53,7 @@ def environment(tmp_path):
 
 
 def command(environment, *arguments):
-    return subprocess.run(
-        [sys.executable, "-m", "mcspectra", *arguments],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    return python("-m", "mcspectra", *arguments, env=environment)
 
 
 def test_broken_entries_are_listed_as_such(environment):

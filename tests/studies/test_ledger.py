@@ -14,6 +14,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from tests.processes import python
 
 from mcspectra.core.errors import OtherVersionsWarning, StorageError, StoreError
 from mcspectra.core.results import package_versions
@@ -293,13 +294,7 @@ def killed_at_moments(folder, kills):
     """Kill writers at random moments; the ledger is always sound, and grows."""
     killed = done = 0
     while killed < kills:
-        ended = subprocess.run(
-            [sys.executable, "-c", KILLED, str(folder), str(killed)],
-            capture_output=True,
-            text=True,
-            check=False,
-            cwd=Path(__file__).parents[2],
-        )
+        ended = python("-c", KILLED, folder, killed, cwd=Path(__file__).parents[2])
         assert ended.stderr == ""
         assert ended.returncode in (0, -signal.SIGKILL)
         killed += ended.returncode != 0
@@ -438,13 +433,7 @@ except StorageError as error:
 def test_a_full_disk_is_one_sentence_and_loses_nothing(tmp_path):
     out, done = tmp_path / "out", 0
     for limit in (10_000, 100_000, 120_000, 10**6):
-        ended = subprocess.run(
-            [sys.executable, "-c", LIMITED, str(out), str(limit)],
-            capture_output=True,
-            text=True,
-            check=False,
-            cwd=Path(__file__).parents[2],
-        )
+        ended = python("-c", LIMITED, out, limit, cwd=Path(__file__).parents[2])
         assert ended.stderr == ""
         assert ended.returncode == (limit < 10**6)
         assert (
@@ -538,12 +527,8 @@ def test_folders_that_are_shut_are_a_sentence():
         for part, mode in (("", 0o755), ("closed", 0o000), ("read-only", 0o555)):
             Path(name, part).mkdir(exist_ok=True)
             Path(name, part).chmod(mode)
-        ended = subprocess.run(
-            [sys.executable, "-c", SHUT, f"{name}/read-only", f"{name}/closed"],
-            capture_output=True,
-            text=True,
-            check=False,
-            cwd=Path(__file__).parents[2],
+        ended = python(
+            "-c", SHUT, f"{name}/read-only", f"{name}/closed", cwd=Path(__file__).parents[2]
         )
         Path(name, "closed").chmod(0o700)
     assert "read-only' cannot be written: unable to open database file" in ended.stdout

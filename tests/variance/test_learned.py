@@ -3,11 +3,10 @@
 import json
 import math
 import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
+from tests.processes import python
 
 import mcspectra as mcs
 from mcspectra.core.errors import FileFormatError, ParameterError
@@ -144,13 +143,7 @@ def test_threads_and_blocks_do_not_matter(kind):
         f"{kind!r}, {OWEN!r}, 256, dims=3, evaluations=8192).spec)"
     )
     specs = [
-        subprocess.run(
-            [sys.executable, "-c", code],
-            env={**os.environ, "OPENBLAS_NUM_THREADS": threads},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
+        python("-c", code, env={**os.environ, "OPENBLAS_NUM_THREADS": threads}, check=True).stdout
         for threads in ("1", "2")
     ]
     assert specs[0] == specs[1] != "uniform"
