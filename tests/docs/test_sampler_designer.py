@@ -52,15 +52,9 @@ def folder(tmp_path_factory):
 
 def run(folder, line, *more):
     _, *arguments = shlex.split(line)
-    return python(
-        "-m",
-        "mcspectra",
-        *arguments,
-        *more,
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-        timeout=500,
-    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    given = ("-m", "mcspectra", *arguments, *more)
+    return python(*given, cwd=folder, env=environment, timeout=500)
 
 
 def test_a_new_user_gets_a_comparison_in_three_commands(folder):
