@@ -22,7 +22,7 @@ from mcspectra.variance.exact import Exact
 from mcspectra.variance.modes import Modes
 from mcspectra.variance.remedies import Remedies
 from mcspectra.variance.routes import Routes
-from mcspectra.variance.sums import TermSums, spread, student_t
+from mcspectra.variance.sums import TermSums, spread
 from mcspectra.variance.techniques import Techniques
 from mcspectra.variance.terms import Terms
 
@@ -229,10 +229,6 @@ def test_states_grow_by_six_numbers_a_block():
     assert few.measured.extremes.nbytes <= 8 * 128
     grown = len(pack(few)) - len(pack(one)) - sum(s.nbytes for s in squares) - tails
     assert abs(grown - 8 * 6 * 21) < 64  # numbers of shapes take a byte or three
-
-
-def test_two_batches_have_one_degree_of_freedom():
-    assert student_t(2) == pytest.approx(12.7062047)
 
 
 @pytest.mark.parametrize("function", [mcs.variance_terms, mcs.technique_terms])

@@ -22,7 +22,7 @@ def unknown(f):
     return mcs.Integrand.from_function(f, dims=f.dims, integral=f.integral)
 
 
-@pytest.mark.parametrize("n", [16, 1000, 4096, 2**16])
+@pytest.mark.parametrize("n", [16, 4096])
 @pytest.mark.parametrize(
     ("sampler", "dims"), [("rank1-lattice | shift", 2), ("korobov(a=3) | shift", 3)]
 )
@@ -41,12 +41,9 @@ def test_additive_functions_on_lattices(sampler, dims, n):
     ("spec", "sampler", "n"),
     [
         (DISK, "rank1-lattice | shift", 64),
-        (HALF, "rank1-lattice | shift", 1000),
         (DISK, "rank1-lattice(vector=[4, 3]) | shift", 256),
         (HALF, "fibonacci | shift", 610),
         (DISK, "hexagonal | shift", 270),
-        (HALF, "regular | shift", 1024),
-        (DISK, "uniform-jitter", 256),
         (HALF, "uniform-jitter | strata-shift(offset=0.3)", 256),
     ],
 )
