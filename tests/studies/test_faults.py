@@ -138,10 +138,6 @@ def test_killed_at_any_moment_and_resumed(study, tmp_path, straight):
     killed_forks(study, tmp_path, straight, 5, 1)
 
 
-def test_killed_commands_are_resumed(study, tmp_path, straight):
-    killed_at_moments(study, tmp_path, straight, 1, 2)
-
-
 @pytest.mark.endurance
 def test_killed_at_150_moments_and_resumed(study, tmp_path, straight):
     killed_forks(study, tmp_path, straight, 150, 3)
