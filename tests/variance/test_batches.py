@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 import mcspectra as mcs
-from mcspectra.variance.sums import ratio_factors
+from mcspectra.variance.sums import RunningSpread, ratio_factors, spread
 
 RUNS = 60
 
@@ -69,6 +69,27 @@ def test_ratios_of_heavy_weights_are_covered():
         low, high = ratio * ratio_factors(above, below, np.full(20, 0.05))
         inside.append(low <= truth <= high)
     assert np.mean(inside) > 0.9 - 4 * np.sqrt(0.1 * 0.9 / 500)
+
+
+def _merged(blocks, weights):
+    """Spread of four blocks: the last two merged first."""
+    a, b, c, d = map(RunningSpread.of, blocks.copy(), weights)
+    return a.merge(b).merge(c.merge(d))
+
+
+def test_spread_of_blocks_is_that_of_all_kept():
+    """Against the blocks side by side: weights w, errors about the mean with weights w²."""
+    generator = np.random.default_rng(1)
+    weights = np.array([3.0, 3.0, 3.0, 1.0])
+    values = 50.0 + generator.standard_normal((4, 2, 3)) + 1j * generator.standard_normal((4, 2, 3))
+    for blocks in (values.real, values):
+        running = _merged(blocks, weights)
+        off = blocks - np.average(blocks, axis=0, weights=weights**2)
+        squares = np.tensordot((weights / weights.sum()) ** 2, np.abs(off) ** 2, axes=1)
+        np.testing.assert_allclose(running.error(), np.sqrt(squares * 4 / 3), rtol=1e-10)
+    equal = _merged(values.real, [7] * 4)
+    same = spread(values.real - values.real.mean(axis=0), np.full(4, 0.25))
+    np.testing.assert_allclose(equal.error(), same, rtol=1e-10)
 
 
 def _matrix_runs():
