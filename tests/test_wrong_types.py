@@ -171,8 +171,7 @@ def test_wrong_types_are_refused_with_a_sentence(name):
     right = {
         p.name: RIGHT.get(p.name, 1) for p in parameters if p.default is p.empty or p.name in ALWAYS
     }
-    if name == "remedies":
-        right["realizations"] = 100
+    right |= {"remedies": {"realizations": 100}, "sampler_bench": {"counts": [4, 16]}}.get(name, {})
     found = []
     for parameter in parameters:
         for wrong in WRONG:

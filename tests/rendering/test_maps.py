@@ -373,35 +373,6 @@ def test_tiles_measured_apart_change_nothing(monkeypatch):
     xr.testing.assert_identical(compute(plan, SUBJECT, 3, workers=1), found)
 
 
-def test_a_study_cuts_a_map_into_tasks(tmp_path, monkeypatch):
-    from mcspectra.studies import open_results, run_study
-    from mcspectra.studies.files import decode_study
-
-    monkeypatch.setattr(tiles, "TILE_LANES", 8 * 8)
-    study = """
-title = "map"
-seed = 3
-samplers = ["jittered"]
-[[maps]]
-name = "m"
-scene = "penumbra"
-strategies = ["light", "bsdf", "mis"]
-counts = [4, 16]
-realizations = 8
-size = [8, 6]
-crop = [1, 0, 7, 6]
-predict_every = 2
-"""
-    run_study(decode_study(study), tmp_path, workers=2)
-    stored = open_results(tmp_path)["m/jittered/map"]
-    direct = variance_map(
-        "penumbra", ("light", "bsdf", "mis"), counts=(4, 16), realizations=8, size=(8, 6),
-        crop=(1, 0, 7, 6), predict_every=2, rng=3,
-    )  # fmt: skip
-    for name in direct.data_vars:
-        assert np.array_equal(stored[name], direct[name], equal_nan=True), name
-
-
 @pytest.mark.parametrize(
     "changes",
     [

@@ -135,7 +135,7 @@ def killed_at_moments(study, folder, straight, kills, seed):
 
 
 def test_killed_at_any_moment_and_resumed(study, tmp_path, straight):
-    killed_forks(study, tmp_path, straight, 5, 1)
+    killed_forks(study, tmp_path, straight, 3, 1)
 
 
 @pytest.mark.endurance
