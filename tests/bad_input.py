@@ -4,8 +4,6 @@
 program really says.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import sys
@@ -45,7 +43,7 @@ class Row:
     words: str
 
 
-def _rows(door: str, *pairs: tuple[str, str]) -> list[Row]:
+def _rows(door, *pairs):
     return [Row(door, given, words) for given, words in pairs]
 
 
@@ -491,7 +489,7 @@ TOML = _rows(
 ROWS = [*PYTHON, *COMMAND, *TOML]
 
 
-def answer(row: Row, folder: Path) -> tuple[str, str]:
+def answer(row, folder):
     """Run a row; return its exit code (or exception) and the sentence."""
     if row.door == "python":
         return _python_answer(row.given)
@@ -502,7 +500,7 @@ def answer(row: Row, folder: Path) -> tuple[str, str]:
     return _command_answer(row.given.split(), folder)
 
 
-def _python_answer(code: str) -> tuple[str, str]:
+def _python_answer(code):
     import numpy as np
 
     import mcspectra as mcs
@@ -514,7 +512,7 @@ def _python_answer(code: str) -> tuple[str, str]:
     return "nothing", "no error was raised"
 
 
-def _command_answer(arguments: list[str], folder: Path) -> tuple[str, str]:
+def _command_answer(arguments, folder):
     from mcspectra.cli.main import main
 
     (folder / "study.toml").write_text(STUDY, encoding="utf-8")
@@ -524,7 +522,7 @@ def _command_answer(arguments: list[str], folder: Path) -> tuple[str, str]:
     return str(code), (err.getvalue() or out.getvalue()).strip()
 
 
-def line(row: Row, code: str, text: str) -> str:
+def line(row, code, text):
     """The row of the page, of what the program says."""
     given = _difference(row.given) if row.door == "toml" else row.given
     first = text.splitlines()[0].replace("mcspectra: ", "", 1)
@@ -532,14 +530,14 @@ def line(row: Row, code: str, text: str) -> str:
     return "| " + " | ".join([row.door, given, _cell(code), _cell(first)]) + " |"
 
 
-def page() -> str:
+def page():
     """The table as Markdown, from what the program says now."""
     with tempfile.TemporaryDirectory() as name:
         lines = [line(row, *answer(row, Path(name))) for row in ROWS]
     return "\n".join([*HEAD, *lines]) + "\n"
 
 
-def _difference(text: str) -> str:
+def _difference(text):
     """The lines of a bad study that the good one does not have."""
     good = STUDY.splitlines()
     extra = [line for line in text.splitlines() if line and line not in good]
@@ -551,7 +549,7 @@ def _difference(text: str) -> str:
     return f"(without: {'; '.join(missing)})" if missing else "(an estimator twice)"
 
 
-def _cell(text: str) -> str:
+def _cell(text):
     return text.replace("|", "\\|").replace("\n", " ")
 
 

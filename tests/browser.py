@@ -11,7 +11,7 @@ NAMES = ("chromium", "chromium-browser", "google-chrome")
 
 
 @lru_cache
-def chromium() -> str | None:
+def chromium():
     """Return a Chromium that starts: that of ``CHROMIUM``, else of PATH, else Playwright's own.
 
     None where there is none, or Playwright lacks a library of the system.
@@ -32,7 +32,7 @@ def chromium() -> str | None:
     return path if _succeeds(path, "--version") else None
 
 
-def get() -> str | None:
+def get():
     """Return a Chromium that starts; if there is none, have Playwright or Debian bring one."""
     ways = [[(*PLAYWRIGHT, "install", "chromium")]]
     if shutil.which("apt-get") and os.geteuid() == 0:
@@ -47,7 +47,7 @@ def get() -> str | None:
     return chromium()
 
 
-def _succeeds(*command: str) -> bool:
+def _succeeds(*command):
     """Whether a command can be run and exits with 0."""
     try:
         done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)

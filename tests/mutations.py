@@ -264,7 +264,7 @@ MUTATIONS = [
 ]
 
 
-def main(*rooms: str) -> int:
+def main(*rooms):
     """Try the defects of some rooms, of all by default."""
     survivors = 0
     for room, found, instead in MUTATIONS:
@@ -287,7 +287,7 @@ def main(*rooms: str) -> int:
     return int(survivors > 0)
 
 
-def _fails(copy: Path, tests: str) -> bool:
+def _fails(copy, tests):
     command = (sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", tests)
     environment = os.environ | {"PYTHONPATH": str(copy / "src")}
     done = subprocess.run(command, cwd=copy, env=environment, capture_output=True, check=False)

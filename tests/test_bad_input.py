@@ -1,11 +1,9 @@
 """Every row of the table of bad input gets its sentence, at every door, without a traceback."""
 
-import subprocess
-import sys
-
 import pytest
 
 from tests.bad_input import HEAD, PAGE, ROWS, answer, line
+from tests.processes import python
 
 LINES = PAGE.read_text(encoding="utf-8").splitlines()
 
@@ -33,12 +31,7 @@ def test_the_page_has_a_line_for_each_row():
 
 def test_a_real_process_answers_the_same():
     """The exit code and the sentence of the installed command, not of a call."""
-    done = subprocess.run(
-        [sys.executable, "-m", "mcspectra", "points", "jittered", "-n", "250"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = python("-m", "mcspectra", "points", "jittered", "-n", "250")
     assert done.returncode == 2
     assert "225 and 256" in done.stderr
     assert "Traceback" not in done.stderr

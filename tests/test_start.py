@@ -4,10 +4,9 @@ The seconds are in docs/evidence.md, from ``python -m benchmarks start``: a time
 what else the machine does.
 """
 
-import subprocess
-import sys
-
 import pytest
+
+from tests.processes import python
 
 HEAVY = ("numpy", "scipy", "numba", "xarray", "pandas", "zarr", "matplotlib", "mitsuba", "finufft")
 
@@ -17,7 +16,7 @@ HEAVY = ("numpy", "scipy", "numba", "xarray", "pandas", "zarr", "matplotlib", "m
 )
 def test_nothing_heavy_is_imported(code):
     check = f"import sys; {code}; print([m for m in {HEAVY} if m in sys.modules], file=sys.stderr)"
-    done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True)
+    done = python("-c", check, check=True)
     assert done.stderr.strip().endswith("[]")
 
 

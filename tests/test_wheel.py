@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.processes import python
+
 EXTRAS = ("mitsuba", "drjit", "qmcpy", "pyarrow", "vegas", "hypothesis")
 BLOCK = f"""import sys
 sys.modules.update(dict.fromkeys({EXTRAS}))
@@ -28,13 +30,8 @@ def wheel(tmp_path_factory):
 
 
 def run(wheel, folder, *arguments):
-    return subprocess.run(
-        [sys.executable, "-m", "mcspectra", *arguments],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(wheel)},
-        capture_output=True,
-        text=True,
-        check=False,
+    return python(
+        "-m", "mcspectra", *arguments, cwd=folder, env={**os.environ, "PYTHONPATH": str(wheel)}
     )
 
 

@@ -1,7 +1,5 @@
 """Boards without a page: figures come, go and turn grey as their results do."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 
@@ -17,7 +15,7 @@ SMALL = Setup(n=16, half_width=4, realizations=16)
 
 
 @pytest.fixture
-def board() -> Board:
+def board():
     """A board whose page has a single thread: that of the job."""
     return Board(
         "A", InlineStyleSheet(), later=lambda act: act(), on_update=lambda _: None,
@@ -25,7 +23,7 @@ def board() -> Board:
     )  # fmt: skip
 
 
-def shown(board: Board, setup: Setup) -> set[str]:
+def shown(board, setup):
     """Run a set-up to its end; the kinds of its figures."""
     board.run(setup)
     end = time.monotonic() + 60
@@ -34,16 +32,16 @@ def shown(board: Board, setup: Setup) -> set[str]:
     return set(board.cards)
 
 
-def is_grey(board: Board, kind: str) -> bool:
+def is_grey(board, kind):
     return board.cards[kind].layout.styles["opacity"] != "1"
 
 
-def test_figures_of_another_number_of_dims_take_the_place_of_those_before(board: Board) -> None:
+def test_figures_of_another_number_of_dims_take_the_place_of_those_before(board):
     assert shown(board, SMALL) == set(FIGURES) - {"lines"}
     assert shown(board, replace(SMALL, dims=1)) == set(FIGURES) - {"spectrum"}
 
 
-def test_figures_turn_grey_and_back(board: Board) -> None:
+def test_figures_turn_grey_and_back(board):
     shown(board, SMALL)
     shown(board, replace(SMALL, sampler="no-such"))
     assert board.latest == {}
@@ -52,9 +50,7 @@ def test_figures_turn_grey_and_back(board: Board) -> None:
     assert not any(is_grey(board, kind) for kind in board.cards)
 
 
-def test_what_stays_as_it_is_is_not_drawn_again(
-    board: Board, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_stays_as_it_is_is_not_drawn_again(board, monkeypatch):
     shown(board, SMALL)
     updated = []
     monkeypatch.setattr(Drawn, "update", lambda _, plot: updated.append(plot.kind))
@@ -63,7 +59,7 @@ def test_what_stays_as_it_is_is_not_drawn_again(
     assert "integrand" not in updated
 
 
-def test_headings_name_the_side_of_a_pair(board: Board) -> None:
+def test_headings_name_the_side_of_a_pair(board):
     shown(board, SMALL)
     board.pair(True)
     heading = board.cards["points"].layout.children[0]
@@ -72,7 +68,7 @@ def test_headings_name_the_side_of_a_pair(board: Board) -> None:
     assert heading.text == "<h2>Points</h2>"
 
 
-def test_panels_of_the_integrand_are_smaller_in_a_pair(board: Board) -> None:
+def test_panels_of_the_integrand_are_smaller_in_a_pair(board):
     shown(board, SMALL)
     panels = board.cards["integrand"].drawn.model.children
     alone = [panel.frame_width for panel in panels]
@@ -84,7 +80,7 @@ def test_panels_of_the_integrand_are_smaller_in_a_pair(board: Board) -> None:
     assert all(panel.left[0].visible for panel in panels)
 
 
-def test_what_is_refused_leaves_grey_figures_and_no_numbers(board: Board) -> None:
+def test_what_is_refused_leaves_grey_figures_and_no_numbers(board):
     shown(board, SMALL)
     board.refuse("n is -5; give another.")
     assert board.latest == {}

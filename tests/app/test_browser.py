@@ -1,7 +1,5 @@
 """The explorer in a real browser: what a user does, without a request to anywhere else."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os
@@ -10,15 +8,13 @@ import subprocess
 import sys
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
 from importlib.resources import files
-from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Browser, Page, Route, expect
+from playwright.sync_api import expect
 
 from mcspectra.app.state import State
 from mcspectra.plots.text import number
@@ -29,13 +25,13 @@ _SMALL = "half_width=4&realizations=16&n=16"
 
 
 @pytest.fixture(scope="module")
-def terminal(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def terminal(tmp_path_factory):
     """What the explorer writes on standard error."""
     return tmp_path_factory.mktemp("terminal") / "stderr"
 
 
 @pytest.fixture(scope="module")
-def address(tmp_path_factory: pytest.TempPathFactory, terminal: Path) -> Iterator[str]:
+def address(tmp_path_factory, terminal):
     """Address of a running explorer with a cache of its own."""
     cache = str(tmp_path_factory.mktemp("cache"))
     with terminal.open("wb") as stderr:
@@ -56,16 +52,16 @@ def address(tmp_path_factory: pytest.TempPathFactory, terminal: Path) -> Iterato
 
 
 @pytest.fixture(scope="module")
-def seen() -> dict[str, list[str]]:
+def seen():
     """Requests to elsewhere and errors of the page, over all tests."""
     return {"elsewhere": [], "errors": []}
 
 
 @pytest.fixture(scope="module")
-def page(browser: Browser, address: str, seen: dict[str, list[str]]) -> Iterator[Page]:
+def page(browser, address, seen):
     """A tab that can reach nothing but the explorer."""
 
-    def only_here(route: Route) -> None:
+    def only_here(route):
         if route.request.url.startswith((address, "data:", "blob:")):
             route.continue_()
         else:
@@ -85,7 +81,7 @@ def page(browser: Browser, address: str, seen: dict[str, list[str]]) -> Iterator
     tab.close()
 
 
-def open_state(page: Page, address: str, query: str) -> None:
+def open_state(page, address, query):
     """Load a state, unless it is on the page and done, and wait for its job to end."""
     here = parse_qs(urlsplit(page.url).query) == parse_qs(query)
     if not (here and page.get_by_text("A: Done.").is_visible()):
@@ -93,28 +89,28 @@ def open_state(page: Page, address: str, query: str) -> None:
     done(page)
 
 
-def any_state(page: Page, address: str) -> None:
+def any_state(page, address):
     """Have some state on the page; a page costs seconds to load."""
     if not (page.url.startswith(address) and page.get_by_text("A: Done.").is_visible()):
         open_state(page, address, _SMALL)
 
 
-def done(page: Page, side: str = "A") -> None:
+def done(page, side="A"):
     """Wait for the end of a side's job."""
     expect(page.get_by_text(f"{side}: Done.")).to_be_visible()
 
 
-def wait_for(page: Page, key: str, value: str) -> None:
+def wait_for(page, key, value):
     """Wait until the address holds a value."""
     page.wait_for_url(lambda url: parse_qs(urlsplit(url).query).get(key) == [value])
 
 
-def state_of(page: Page) -> State:
+def state_of(page):
     """The state that the address says."""
     return State.from_query(urlsplit(page.url).query)
 
 
-def test_all_that_can_be_operated_has_a_name(page: Page, address: str) -> None:
+def test_all_that_can_be_operated_has_a_name(page, address):
     open_state(page, address, _SMALL)
     expect(page.get_by_role("slider", name="Points n, A", exact=True)).to_be_visible()
     name = "Compare with a second set-up, B"
@@ -125,7 +121,7 @@ def test_all_that_can_be_operated_has_a_name(page: Page, address: str) -> None:
         assert all('"' in line for line in own), own
 
 
-def test_python_that_is_copied_gives_the_figures_shown(page: Page, address: str) -> None:
+def test_python_that_is_copied_gives_the_figures_shown(page, address):
     open_state(page, address, _SMALL)
     program = page.get_by_role("textbox", name="As Python").input_value()
     with contextlib.redirect_stdout(io.StringIO()) as printed:
@@ -137,7 +133,7 @@ def test_python_that_is_copied_gives_the_figures_shown(page: Page, address: str)
     assert shown == pytest.approx(float(found["rate"]), abs=5e-3)
 
 
-def test_a_slider_by_keyboard(page: Page, address: str) -> None:
+def test_a_slider_by_keyboard(page, address):
     open_state(page, address, f"{_SMALL}&density=linear(slope=0.5)")
     page.get_by_role("slider", name="Strata shift, A").press("ArrowRight")
     wait_for(page, "strata_shift", "0.05")
@@ -147,7 +143,7 @@ def test_a_slider_by_keyboard(page: Page, address: str) -> None:
     expect(page.get_by_role("cell", name="strata-shift(offset=0.05)")).to_be_visible()
 
 
-def test_another_sampler_and_a_randomisation(page: Page, address: str) -> None:
+def test_another_sampler_and_a_randomisation(page, address):
     any_state(page, address)
     page.get_by_label("Sampler, A").first.select_option("sobol")
     wait_for(page, "sampler", "sobol")
@@ -157,7 +153,7 @@ def test_another_sampler_and_a_randomisation(page: Page, address: str) -> None:
     expect(page.get_by_role("figure", name="plot of variance against n")).to_be_visible()
 
 
-def test_a_formula(page: Page, address: str) -> None:
+def test_a_formula(page, address):
     any_state(page, address)
     field = page.get_by_label("Formula, A", exact=True)
     field.fill("exp(-x/2)*(y < 0.5)")
@@ -168,7 +164,7 @@ def test_a_formula(page: Page, address: str) -> None:
     expect(page.get_by_role("alert")).to_contain_text("no function '__import__'")
 
 
-def test_two_set_ups_and_the_address_restores_them(page: Page, address: str) -> None:
+def test_two_set_ups_and_the_address_restores_them(page, address):
     open_state(page, address, _SMALL)
     page.get_by_role("checkbox", name="Compare with").check()
     wait_for(page, "b.sampler", "random")
@@ -191,7 +187,7 @@ def test_two_set_ups_and_the_address_restores_them(page: Page, address: str) -> 
     expect(page.get_by_role("group", name=re.compile("^[AB]: "))).to_have_count(18)
 
 
-def test_odd_addresses_get_a_sentence(page: Page, address: str) -> None:
+def test_odd_addresses_get_a_sentence(page, address):
     page.goto(f"{address}?n=100000000000")
     expect(page.get_by_role("alert")).to_contain_text("give a whole number from 1 to 65536")
     expect(page.get_by_role("group", name="A: Points", exact=True)).to_be_visible()
@@ -200,7 +196,7 @@ def test_odd_addresses_get_a_sentence(page: Page, address: str) -> None:
     expect(page.get_by_role("alert")).to_contain_text("no sampler called 'no-such'")
 
 
-def test_a_broken_picture_gets_a_sentence(page: Page, address: str, tmp_path: Path) -> None:
+def test_a_broken_picture_gets_a_sentence(page, address, tmp_path):
     any_state(page, address)
     file = tmp_path / "broken.png"
     file.write_bytes(b"\x89PNG\r\n\x1a\nnothing")
@@ -209,7 +205,7 @@ def test_a_broken_picture_gets_a_sentence(page: Page, address: str, tmp_path: Pa
 
 
 @pytest.mark.render
-def test_a_pixel_of_the_scene(page: Page, address: str) -> None:
+def test_a_pixel_of_the_scene(page, address):
     open_state(page, address, _SMALL)
     page.get_by_role("button", name="Show Veach's scene, A").click()
     picture = page.get_by_role("figure", name="Veach's scene")
@@ -233,7 +229,7 @@ def test_a_pixel_of_the_scene(page: Page, address: str) -> None:
     done(page)
 
 
-def test_what_cannot_be_made_leaves_grey_figures_and_no_numbers(page: Page, address: str) -> None:
+def test_what_cannot_be_made_leaves_grey_figures_and_no_numbers(page, address):
     open_state(page, address, _SMALL)
     height = page.evaluate("document.documentElement.scrollHeight")
     field = page.get_by_label("Sampler spec, A", exact=True)
@@ -256,9 +252,7 @@ def test_what_cannot_be_made_leaves_grey_figures_and_no_numbers(page: Page, addr
     ("label", "text", "again"),
     [("Exact n, A", "-5", "16"), ("Sampler spec, A", "sobolo(1)", "jittered")],
 )
-def test_a_refused_entry_stays_above_grey_figures(
-    page: Page, address: str, label: str, text: str, again: str
-) -> None:
+def test_a_refused_entry_stays_above_grey_figures(page, address, label, text, again):
     open_state(page, address, _SMALL)
     field = page.get_by_label(label, exact=True)
     field.fill(text)
@@ -276,7 +270,7 @@ def test_a_refused_entry_stays_above_grey_figures(
     expect(card).to_have_css("opacity", "1")
 
 
-def test_the_integrand_stands_beside_its_density(page: Page, address: str) -> None:
+def test_the_integrand_stands_beside_its_density(page, address):
     open_state(page, address, f"{_SMALL}&density=linear(slope=1)")
     card = page.get_by_role("group", name=re.compile("^A: Integrand f"))
     expect(card.get_by_text("f/p from")).to_be_visible()
@@ -284,8 +278,8 @@ def test_the_integrand_stands_beside_its_density(page: Page, address: str) -> No
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_axe_finds_nothing_serious(page: Page, address: str, scheme: str) -> None:
-    page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+def test_axe_finds_nothing_serious(page, address, scheme):
+    page.emulate_media(color_scheme=scheme)
     pair = "&".join(f"b.{each}" for each in _SMALL.split("&"))
     open_state(page, address, f"{_SMALL}&{pair}&b.sampler=random")
     done(page, "B")
@@ -295,7 +289,7 @@ def test_axe_finds_nothing_serious(page: Page, address: str, scheme: str) -> Non
     assert [each["id"] for each in found if each["impact"] in ("serious", "critical")] == []
 
 
-def test_a_narrow_page_does_not_scroll_sideways(page: Page, address: str) -> None:
+def test_a_narrow_page_does_not_scroll_sideways(page, address):
     page.set_viewport_size({"width": 390, "height": 800})
     open_state(page, address, f"{_SMALL}&density=linear(slope=0.25)")
     width = page.evaluate("document.documentElement.scrollWidth")
@@ -307,19 +301,17 @@ def test_a_narrow_page_does_not_scroll_sideways(page: Page, address: str) -> Non
     ("query", "preferred", "dark"),
     [("", "dark", True), ("", "light", False), ("&theme=light", "dark", False), ("&theme=dark", "light", True)],
 )  # fmt: skip
-def test_the_theme_is_the_browsers_unless_it_is_chosen(
-    page: Page, address: str, query: str, preferred: str, dark: bool
-) -> None:
-    page.emulate_media(color_scheme=preferred)  # type: ignore[arg-type]
+def test_the_theme_is_the_browsers_unless_it_is_chosen(page, address, query, preferred, dark):
+    page.emulate_media(color_scheme=preferred)
     page.goto(f"{address}?{_SMALL}{query}")
     color = page.evaluate("getComputedStyle(document.body).backgroundColor")
     page.emulate_media(color_scheme="light")
     assert color == ("rgb(27, 30, 35)" if dark else "rgb(255, 255, 255)")
 
 
-def test_a_tab_that_closes_leaves_no_traceback(page: Page, address: str, terminal: Path) -> None:
+def test_a_tab_that_closes_leaves_no_traceback(page, address, terminal):
     for _ in range(2):
-        other = page.context.browser.new_page()  # type: ignore[union-attr]
+        other = page.context.browser.new_page()
         other.goto(f"{address}?n=1024&realizations=4096&half_width=32")
         other.get_by_text("% done.").wait_for()
         other.close()
@@ -332,9 +324,7 @@ def test_a_tab_that_closes_leaves_no_traceback(page: Page, address: str, termina
     ("header", "value"), [("Host", "evil.example"), ("Origin", "http://evil.example")]
 )
 @pytest.mark.parametrize("path", ["", "ws", "static/js/bokeh.min.js", "no-such"])
-def test_other_hosts_and_origins_are_refused(
-    address: str, header: str, value: str, path: str
-) -> None:
+def test_other_hosts_and_origins_are_refused(address, header, value, path):
     request = urllib.request.Request(address + path, headers={header: value})
     with pytest.raises(urllib.error.HTTPError) as caught:
         urllib.request.urlopen(request)
@@ -343,7 +333,5 @@ def test_other_hosts_and_origins_are_refused(
         assert b"its own pages only" in answer.read()
 
 
-def test_nothing_was_asked_of_the_network_and_no_error_was_logged(
-    page: Page, seen: dict[str, list[str]]
-) -> None:
+def test_nothing_was_asked_of_the_network_and_no_error_was_logged(page, seen):
     assert seen == {"elsewhere": [], "errors": []}

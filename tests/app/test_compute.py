@@ -1,7 +1,5 @@
 """Jobs: rounds, cancelling, and what is refused."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import replace
 
@@ -26,12 +24,12 @@ SMALL = Setup(n=16, half_width=4, realizations=64)
 
 
 @pytest.fixture(autouse=True)
-def _no_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
+def _no_hurry(monkeypatch):
     """A slow machine must not end a job early."""
     monkeypatch.setattr(module, "_LONGEST_ROUND", 1e9)
 
 
-def finished(setup: Setup) -> tuple[list[Update], str]:
+def finished(setup):
     """Run a job to its end; return its updates and its last sentence."""
     updates: list[Update] = []
     sentences: list[str] = []
@@ -45,11 +43,11 @@ def finished(setup: Setup) -> tuple[list[Update], str]:
     ("target", "expected"),
     [(1024, [16, 64, 256, 1024]), (16, [16]), (2, [2]), (100, [16, 64, 100])],
 )
-def test_rounds_end_at_the_target(target: int, expected: list[int]) -> None:
+def test_rounds_end_at_the_target(target, expected):
     assert list(rounds(replace(SMALL, realizations=target))) == expected
 
 
-def test_a_job_sends_all_kinds_in_each_round() -> None:
+def test_a_job_sends_all_kinds_in_each_round():
     updates, sentence = finished(SMALL)
     assert sentence == ""
     assert [u.kind for u in updates] == [*KINDS, *KINDS]
@@ -60,7 +58,7 @@ def test_a_job_sends_all_kinds_in_each_round() -> None:
     assert terms.value.attrs["realizations"] == 64
 
 
-def test_points_are_the_first_realisation_with_its_weights() -> None:
+def test_points_are_the_first_realisation_with_its_weights():
     setup = replace(SMALL, density="linear(slope=1)", seed=3)
     found = compute("points", setup, 16)
     parts = make_parts(setup)
@@ -71,7 +69,7 @@ def test_points_are_the_first_realisation_with_its_weights() -> None:
 
 
 @pytest.mark.parametrize("dims", [1, 2])
-def test_the_integrand_is_shown_with_its_density(dims: int) -> None:
+def test_the_integrand_is_shown_with_its_density(dims):
     setup = replace(SMALL, density="linear(slope=1)", dims=dims)
     found = compute("integrand", setup, 16)
     parts = make_parts(setup)
@@ -80,7 +78,7 @@ def test_the_integrand_is_shown_with_its_density(dims: int) -> None:
     x = np.array([[0.25 + 0.5 / len(found["x0"])] * dims])
     at = found.sel(dict.fromkeys(found.dims, x[0, 0]), method="nearest")
     x = np.array([[float(at[axis]) for axis in found.dims]])
-    assert float(at["f"]) == float(parts.estimator.domain_integrand(x)[0])  # type: ignore[misc]
+    assert float(at["f"]) == float(parts.estimator.domain_integrand(x)[0])
     assert float(at["p"]) == float(parts.density.pdf(x)[0])
     assert float(found["p"].mean()) == pytest.approx(1.0, rel=1e-4)
     assert float((found["f/p"] * found["p"]).mean()) == pytest.approx(float(found["f"].mean()))
@@ -88,14 +86,14 @@ def test_the_integrand_is_shown_with_its_density(dims: int) -> None:
     assert compute("integrand", replace(setup, sampler="random", n=8, seed=1), 64) is found
 
 
-def test_techniques_are_shown_in_primary_space() -> None:
+def test_techniques_are_shown_in_primary_space():
     setup = replace(SMALL, integrand="technique-sum(integrands=['gaussian', 'disk'])")
     found = compute("integrand", setup, 16)
     assert list(found) == ["technique 0", "technique 1"]
     assert float(found["technique 1"].max()) == 1.0
 
 
-def test_options_reach_the_analyses_that_have_them() -> None:
+def test_options_reach_the_analyses_that_have_them():
     setup = replace(
         SMALL, basis="cosine", engine="direct", counts=(4, 16), bands="dyadic", fit_last="auto",
         frequency_step=0.5, space="primary", eps=1e-6,
@@ -113,17 +111,17 @@ def test_options_reach_the_analyses_that_have_them() -> None:
     assert analyses_of(SMALL)["convergence"].counts == tuple(ladder(SMALL))
 
 
-def test_the_spectrum_does_not_wait_for_an_integrand() -> None:
+def test_the_spectrum_does_not_wait_for_an_integrand():
     first = compute("spectrum", SMALL, 16)
     other = replace(SMALL, integrand="disk", smoothing=0.1, mirror="random", basis="cosine")
     assert compute("spectrum", other, 16) is first
     assert compute("spectrum", replace(SMALL, seed=1), 16) is not first
 
 
-def test_cancelling_ends_an_analysis_between_its_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cancelling_ends_an_analysis_between_its_blocks(monkeypatch):
     begun, go, told = threading.Event(), threading.Event(), []
 
-    def slow(kind: str, setup: Setup) -> None:
+    def slow(kind, setup):
         del kind, setup
         begun.set()
         go.wait(30)
@@ -142,17 +140,17 @@ def test_cancelling_ends_an_analysis_between_its_blocks(monkeypatch: pytest.Monk
     assert sentences == []
 
 
-def test_a_job_does_not_hear_of_another_that_was_cancelled() -> None:
+def test_a_job_does_not_hear_of_another_that_was_cancelled():
     cancelled = Job(replace(SMALL, seed=6), lambda _: None, lambda _: None)
     cancelled.cancel()
     cancelled.start().join(30)
     assert finished(replace(SMALL, seed=6, realizations=16))[1] == ""
 
 
-def test_a_cancelled_job_says_nothing_more(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cancelled_job_says_nothing_more(monkeypatch):
     entered, go = threading.Event(), threading.Event()
 
-    def slow(kind: str, setup: Setup, realizations: int) -> str:
+    def slow(kind, setup, realizations):
         entered.set()
         assert go.wait(30)
         return "late"
@@ -167,7 +165,7 @@ def test_a_cancelled_job_says_nothing_more(monkeypatch: pytest.MonkeyPatch) -> N
     assert said == []
 
 
-def test_rounds_that_would_take_long_are_not_begun(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rounds_that_would_take_long_are_not_begun(monkeypatch):
     clock = iter(np.arange(0.0, 1e4, 10.0))
     monkeypatch.setattr(module, "_LONGEST_ROUND", 30.0)
     monkeypatch.setattr(module, "compute", lambda *_: None)
@@ -190,21 +188,21 @@ def test_rounds_that_would_take_long_are_not_begun(monkeypatch: pytest.MonkeyPat
         ({"basis": "walsh", "integrand": "disk", "half_width": 3}, ""),
     ],
 )
-def test_what_cannot_be_made_is_a_sentence(changes: dict[str, object], said: str) -> None:
-    updates, sentence = finished(replace(SMALL, realizations=2, **changes))  # type: ignore[arg-type]
+def test_what_cannot_be_made_is_a_sentence(changes, said):
+    updates, sentence = finished(replace(SMALL, realizations=2, **changes))
     assert said in sentence
     assert not updates or said == ""
 
 
-def test_faults_of_components_end_the_job_with_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(*_: object) -> None:
+def test_faults_of_components_end_the_job_with_a_sentence(monkeypatch):
+    def broken(*_):
         raise ZeroDivisionError("by zero")
 
     monkeypatch.setattr(module, "compute", broken)
     assert finished(SMALL)[1] == "Unexpected ZeroDivisionError: by zero."
 
 
-def test_the_ladder_has_counts_that_the_sampler_can_do() -> None:
+def test_the_ladder_has_counts_that_the_sampler_can_do():
     for setup in (SMALL, replace(SMALL, sampler="sobol"), replace(SMALL, n=1), Setup(n=2**16)):
         source = make_parts(setup).sampler
         counts = ladder(setup)
@@ -212,7 +210,7 @@ def test_the_ladder_has_counts_that_the_sampler_can_do() -> None:
         assert all(source.nearest_count(n) == n and n <= 2**16 for n in counts)
 
 
-def test_warnings_of_counts_are_notes() -> None:
+def test_warnings_of_counts_are_notes():
     parts = make_parts(replace(SMALL, sampler="sobol | owen", n=12))
     assert len(parts.notes) == 1
     assert "balanced" in parts.notes[0]

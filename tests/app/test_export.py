@@ -1,11 +1,8 @@
 """What is copied runs as it is and gives the numbers that the explorer shows."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import tomllib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,7 +27,7 @@ SETUPS = [
 ]
 
 
-def ran(program: str) -> tuple[dict[str, object], str]:
+def ran(program):
     """Run a program; return its names and what it printed."""
     names: dict[str, object] = {}
     with contextlib.redirect_stdout(io.StringIO()) as printed:
@@ -40,24 +37,24 @@ def ran(program: str) -> tuple[dict[str, object], str]:
 
 @pytest.mark.filterwarnings("ignore:∫1/p diverges")
 @pytest.mark.parametrize("setup", SETUPS)
-def test_python_gives_the_numbers_shown(setup: Setup) -> None:
+def test_python_gives_the_numbers_shown(setup):
     names, printed = ran(as_python(State(a=setup)))
     for kind in ("predict", "spectrum", "terms", "convergence"):
         shown = compute(kind, setup, setup.realizations)
         for variable in shown:
-            np.testing.assert_array_equal(names[kind][variable], shown[variable])  # type: ignore[index]
+            np.testing.assert_array_equal(names[kind][variable], shown[variable])
     known = is_resolved(*shown["rate_ci"].values)
     assert (f"{float(shown['rate']):.4g}" if known else "unresolved") in printed
 
 
-def test_python_of_two_set_ups_has_both() -> None:
+def test_python_of_two_set_ups_has_both():
     names, printed = ran(as_python(State(a=SETUPS[0], b=SETUPS[2])))
     assert printed.count("measured_variance") == 2
-    assert names["sampler"].spec == "jittered"  # type: ignore[attr-defined]
+    assert names["sampler"].spec == "jittered"
 
 
 @pytest.mark.parametrize("setup", SETUPS)
-def test_toml_is_a_study_of_the_same(setup: Setup, tmp_path: Path) -> None:
+def test_toml_is_a_study_of_the_same(setup, tmp_path):
     file = tmp_path / "copied.toml"
     file.write_text(as_toml(State(a=setup, b=SETUPS[0])), encoding="utf-8")
     study = read_study(file)
@@ -74,7 +71,7 @@ def test_toml_is_a_study_of_the_same(setup: Setup, tmp_path: Path) -> None:
     assert study.seed == setup.seed
 
 
-def test_toml_runs_and_gives_the_numbers_shown(tmp_path: Path) -> None:
+def test_toml_runs_and_gives_the_numbers_shown(tmp_path):
     setup = SETUPS[1]
     file = tmp_path / "copied.toml"
     file.write_text(as_toml(State(a=setup)), encoding="utf-8")
@@ -88,19 +85,19 @@ def test_toml_runs_and_gives_the_numbers_shown(tmp_path: Path) -> None:
     assert float(found[0].squeeze()) == pytest.approx(float(shown["power_term"]), rel=1.0)
 
 
-def test_specs_with_quotes_survive(tmp_path: Path) -> None:
+def test_specs_with_quotes_survive(tmp_path):
     spec = "mixture(parts=['linear(slope=1)', \"tent\"], weights=[0.5, 0.5])"
     state = State(a=Setup(density=spec, **SMALL))
     assert tomllib.loads(as_toml(state))["estimators"][0]["density"] == spec
     assert repr(spec) in as_python(state)
 
 
-def test_uploads_are_written_as_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_uploads_are_written_as_files(tmp_path, monkeypatch):
     monkeypatch.setenv("MCSPECTRA_CACHE", str(tmp_path))
     data = io.BytesIO()
     np.save(data, np.eye(4))
     digest = keep_upload(data.getvalue(), "picture.npy")
     state = State(a=Setup(integrand=f"upload(digest='{digest}')", **SMALL))
     names, _ = ran(as_python(state))
-    assert names["integrand"].integral == 0.25  # type: ignore[attr-defined]
+    assert names["integrand"].integral == 0.25
     assert "--allow-path" in as_toml(state)

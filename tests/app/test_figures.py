@@ -1,7 +1,5 @@
 """Figures of a set-up: further results change their data only, and words hold what was measured."""
 
-from __future__ import annotations
-
 import pytest
 from bokeh.document import Document
 
@@ -23,7 +21,7 @@ SETUPS = {
 
 
 @pytest.mark.parametrize("name", SETUPS)
-def test_new_results_bring_no_new_models(name: str) -> None:
+def test_new_results_bring_no_new_models(name):
     setup = SETUPS[name]
     drawn: dict[str, Drawn] = {}
     document = Document()
@@ -41,7 +39,7 @@ def test_new_results_bring_no_new_models(name: str) -> None:
     assert set(document.models) == before
 
 
-def test_words_hold_what_was_measured() -> None:
+def test_words_hold_what_was_measured():
     setup = SETUPS["two dims"]
     said = {
         plot.kind: plot.words

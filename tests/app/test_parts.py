@@ -1,7 +1,5 @@
 """Estimators of several techniques, channels, and coefficients that are computed once."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +19,7 @@ SUM = "technique-sum(integrands=['gaussian', 'disk'])"
 COLORS = "environment(values=[[[1, 2, 3], [0, 5, 1]]])"
 
 
-def test_a_sum_of_techniques_is_an_estimator_in_primary_space() -> None:
+def test_a_sum_of_techniques_is_an_estimator_in_primary_space():
     parts = make_parts(replace(SMALL, integrand=SUM))
     assert isinstance(parts.estimator, mcs.TechniqueSum)
     assert parts.space == "primary"
@@ -29,7 +27,7 @@ def test_a_sum_of_techniques_is_an_estimator_in_primary_space() -> None:
     assert parts.estimator.integral == pytest.approx(sum(apart), rel=1e-12)
 
 
-def test_techniques_have_independent_points_so_that_variances_add() -> None:
+def test_techniques_have_independent_points_so_that_variances_add():
     whole = compute("terms", replace(SMALL, integrand=SUM), 4096)
     apart = [compute("terms", replace(SMALL, integrand=f), 4096) for f in ("gaussian", "disk")]
     summed = sum(float(each["measured_variance"]) for each in apart)
@@ -38,12 +36,12 @@ def test_techniques_have_independent_points_so_that_variances_add() -> None:
 
 
 @pytest.mark.parametrize("changes", [{"density": "linear(slope=1)"}, {"smoothing": 0.1}])
-def test_a_sum_takes_no_density_and_no_smoothing(changes: dict[str, object]) -> None:
+def test_a_sum_takes_no_density_and_no_smoothing(changes):
     with pytest.raises(McspectraError, match="uniform density and no smoothing"):
-        make_parts(replace(SMALL, integrand=SUM, **changes))  # type: ignore[arg-type]
+        make_parts(replace(SMALL, integrand=SUM, **changes))
 
 
-def test_parts_of_a_sum_have_equal_dims() -> None:
+def test_parts_of_a_sum_have_equal_dims():
     spec = "technique-sum(integrands=['gaussian', 'disk(dims=3)'])"
     with pytest.raises(McspectraError, match="dims"):
         make_parts(replace(SMALL, integrand=spec))
@@ -66,13 +64,13 @@ def test_parts_of_a_sum_have_equal_dims() -> None:
         f"technique-sum(integrands={['disk', SUM]!r})",
     ],
 )
-def test_odd_sums_are_refused(spec: str) -> None:
+def test_odd_sums_are_refused(spec):
     with pytest.raises(McspectraError):
         make_parts(replace(SMALL, integrand=spec))
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_every_strategy_of_a_pixel_is_a_state(strategy: str) -> None:
+def test_every_strategy_of_a_pixel_is_a_state(strategy):
     setup = Setup(integrand=pixel_spec(3, 100, strategy))
     combined = strategy in ("balance", "power")
     specs = techniques(setup.integrand)
@@ -81,7 +79,7 @@ def test_every_strategy_of_a_pixel_is_a_state(strategy: str) -> None:
 
 
 @pytest.mark.render
-def test_a_pixel_by_both_techniques_has_the_integral_of_either() -> None:
+def test_a_pixel_by_both_techniques_has_the_integral_of_either():
     found = {
         strategy: make_parts(replace(SMALL, integrand=pixel_spec(96, 100, strategy))).estimator
         for strategy in ("balance", "power")
@@ -97,7 +95,7 @@ def test_a_pixel_by_both_techniques_has_the_integral_of_either() -> None:
 
 
 @pytest.mark.parametrize("channel", ["0", "1", "2", "luminance"])
-def test_one_of_several_channels_is_shown(channel: str) -> None:
+def test_one_of_several_channels_is_shown(channel):
     setup = replace(SMALL, integrand=COLORS, channel=channel)
     values = np.array([[1, 2, 3], [0, 5, 1]])
     weights = (
@@ -111,7 +109,7 @@ def test_one_of_several_channels_is_shown(channel: str) -> None:
     np.testing.assert_allclose(estimator.primary_values(0, u), values @ weights * sines, rtol=1e-3)
 
 
-def test_a_channel_that_was_written_stays() -> None:
+def test_a_channel_that_was_written_stays():
     spec = "environment(values=[[[1, 2, 3]]], channel=1)"
     assert integrand_specs(replace(SMALL, integrand=spec, channel="2")) == (spec,)
 
@@ -126,18 +124,16 @@ def test_a_channel_that_was_written_stays() -> None:
     ],
     ids=["smoothed", "primary space", "sum"],
 )
-def test_coefficients_are_computed_once_for_all_rounds_and_samplers(
-    changes: dict[str, object], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_coefficients_are_computed_once_for_all_rounds_and_samplers(changes, monkeypatch):
     calls = []
 
-    def counted(_: object, m: list[np.ndarray]) -> Estimate:
+    def counted(_, m):
         calls.append(m)
         return Estimate(np.zeros([len(axis) for axis in m], complex), 0.0, "none")
 
     monkeypatch.setattr(base, "refined_coefficients", counted)
     monkeypatch.setattr(base, "adaptive_integral", lambda _: Estimate(np.zeros(1), 0.0, "none"))
-    setup = replace(SMALL, half_width=3, **changes)  # type: ignore[arg-type]
+    setup = replace(SMALL, half_width=3, **changes)
     compute("terms", setup, 4)
     first = len(calls)
     assert first >= 1

@@ -1,7 +1,5 @@
 """States to and from query strings, and what they refuse."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 
@@ -22,7 +20,7 @@ densities = st.sampled_from(["uniform", "linear(slope=-1.25)", "mixture(parts=['
 
 
 @st.composite
-def setups(draw: st.DrawFn) -> Setup:
+def setups(draw):
     dims = draw(st.integers(1, 2))
     return Setup(
         sampler=draw(samplers),
@@ -49,24 +47,24 @@ def setups(draw: st.DrawFn) -> Setup:
 
 @settings(max_examples=150, deadline=None)
 @given(setups(), st.none() | setups(), st.sampled_from(THEMES))
-def test_a_query_is_its_state(a: Setup, b: Setup | None, theme: str) -> None:
+def test_a_query_is_its_state(a, b, theme):
     state = State(a=a, b=b, theme=theme)
     assert State.from_query(state.query()) == state
     assert State.from_query("?" + state.query()) == state
 
 
-def test_the_defaults_need_no_query() -> None:
+def test_the_defaults_need_no_query():
     assert State().query() == ""
     assert State.from_query("") == State()
 
 
-def test_a_second_set_up_of_defaults_is_kept() -> None:
+def test_a_second_set_up_of_defaults_is_kept():
     assert State.from_query(State(b=Setup()).query()).b == Setup()
 
 
 @settings(max_examples=200, deadline=None)
 @given(st.text(max_size=80))
-def test_any_text_is_a_state_or_an_error_of_ours(query: str) -> None:
+def test_any_text_is_a_state_or_an_error_of_ours(query):
     with contextlib.suppress(ParameterError):
         assert isinstance(State.from_query(query), State)
 
@@ -113,7 +111,7 @@ def test_any_text_is_a_state_or_an_error_of_ours(query: str) -> None:
         ("integrand=upload", "digest"),
     ],
 )
-def test_odd_addresses_get_a_sentence(query: str, said: str) -> None:
+def test_odd_addresses_get_a_sentence(query, said):
     with pytest.raises(ParameterError, match=said) as caught:
         State.from_query(query)
     assert len(str(caught.value)) < 400
@@ -134,12 +132,12 @@ def test_odd_addresses_get_a_sentence(query: str, said: str) -> None:
         "sampler=qmcpy(options={'x': '..\\\\a'})",
     ],
 )
-def test_addresses_open_no_files(query: str) -> None:
+def test_addresses_open_no_files(query):
     with pytest.raises(ParameterError, match=r"file|brackets"):
         State.from_query(query)
 
 
-def test_code_and_folders_are_allowed_by_who_starts_it(tmp_path, monkeypatch) -> None:
+def test_code_and_folders_are_allowed_by_who_starts_it(tmp_path, monkeypatch):
     monkeypatch.setattr(specs, "_folders", [])
     (tmp_path / "in").mkdir()
     inside, outside = tmp_path / "in" / "a.dat", tmp_path / "b.dat"
@@ -165,26 +163,26 @@ def test_code_and_folders_are_allowed_by_who_starts_it(tmp_path, monkeypatch) ->
 
 @pytest.mark.parametrize("field", [each.name for each in dataclasses.fields(Setup)])
 @pytest.mark.parametrize("value", [None, [], True, float("nan"), b"x"])
-def test_fields_of_a_wrong_type_are_refused(field: str, value: object) -> None:
+def test_fields_of_a_wrong_type_are_refused(field, value):
     if value is None and getattr(Setup(), field) is None:
         return  # the explorer's own choice
     with pytest.raises(ParameterError):
         Setup(**{field: value})
 
 
-def test_what_is_no_set_up_is_refused() -> None:
+def test_what_is_no_set_up_is_refused():
     with pytest.raises(ParameterError, match="Setup"):
-        State(a="jittered")  # type: ignore[arg-type]
+        State(a="jittered")
     with pytest.raises(ParameterError, match="Setup"):
-        State(b="jittered")  # type: ignore[arg-type]
+        State(b="jittered")
 
 
-def test_the_strata_shift_is_a_step_of_the_sampler() -> None:
+def test_the_strata_shift_is_a_step_of_the_sampler():
     assert Setup(strata_shift=0.25).displaced_sampler == "jittered | strata-shift(offset=0.25)"
     assert Setup().displaced_sampler == "jittered"
 
 
-def test_formulas_have_slashes_and_dots() -> None:
+def test_formulas_have_slashes_and_dots():
     spec = "formula(expression='exp(-x/2.5)*y.real')"
     assert State.from_query(State(a=Setup(integrand=spec)).query()).a.integrand == spec
     with pytest.raises(ParameterError, match="looks like a file"):

@@ -1,10 +1,7 @@
 """Uploads: kept under their digest, broken ones refused."""
 
-from __future__ import annotations
-
 import hashlib
 import io
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,17 +12,17 @@ from mcspectra.core.errors import FileFormatError
 
 
 @pytest.fixture(autouse=True)
-def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _own_cache(tmp_path, monkeypatch):
     monkeypatch.setenv("MCSPECTRA_CACHE", str(tmp_path))
 
 
-def png(width: int = 3, height: int = 2) -> bytes:
+def png(width=3, height=2):
     data = io.BytesIO()
     Image.new("L", (width, height), 128).save(data, "PNG")
     return data.getvalue()
 
 
-def test_a_picture_is_found_by_its_digest() -> None:
+def test_a_picture_is_found_by_its_digest():
     data = png()
     digest = keep_upload(data, "a folder/My Picture.PNG")
     assert digest == hashlib.sha256(data).hexdigest()
@@ -47,14 +44,14 @@ def test_a_picture_is_found_by_its_digest() -> None:
         (b"x", "a.npy", "cannot be read"),
     ],
 )
-def test_broken_pictures_are_refused(data: bytes, name: str, said: str, tmp_path: Path) -> None:
+def test_broken_pictures_are_refused(data, name, said, tmp_path):
     with pytest.raises(FileFormatError, match=said) as caught:
         keep_upload(data, name)
     assert str(tmp_path) not in str(caught.value)
     assert not list(tmp_path.glob("uploads/*"))
 
 
-def test_pictures_of_too_many_pixels_are_refused() -> None:
+def test_pictures_of_too_many_pixels_are_refused():
     with pytest.raises(FileFormatError, match="^The picture, of .* make a smaller version"):
         keep_upload(png(5000, 4000), "a.png")  # before it is unpacked
     data = io.BytesIO()
@@ -63,13 +60,13 @@ def test_pictures_of_too_many_pixels_are_refused() -> None:
         keep_upload(data.getvalue(), "a.npz")
 
 
-def test_nan_is_refused() -> None:
+def test_nan_is_refused():
     data = io.BytesIO()
     np.save(data, np.full((2, 2), np.nan))
     with pytest.raises(FileFormatError, match="NaN"):
         keep_upload(data.getvalue(), "a.npy")
 
 
-def test_unknown_digests_ask_for_the_picture() -> None:
+def test_unknown_digests_ask_for_the_picture():
     with pytest.raises(FileFormatError, match="upload it again"):
         upload_path("0" * 64)

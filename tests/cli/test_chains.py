@@ -1,7 +1,5 @@
 """The verb `chains`: the formats of draws, its answer, its figure and its refusals."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr

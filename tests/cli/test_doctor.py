@@ -1,7 +1,5 @@
 """What `doctor` says of the renderer: what works, what was refused, and what to install."""
 
-from __future__ import annotations
-
 import importlib.util
 import shutil
 import subprocess
@@ -19,18 +17,18 @@ ABORTING = "#include <stdlib.h>\n__attribute__((constructor)) static void stop(v
 
 
 @pytest.fixture(autouse=True)
-def own_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def own_cache(monkeypatch, tmp_path):
     monkeypatch.setenv("MCSPECTRA_CACHE", str(tmp_path / "cache"))
 
 
-def only(monkeypatch: pytest.MonkeyPatch, library: Path) -> None:
+def only(monkeypatch, library):
     """Let there be no other library than the one that the variable names."""
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(library))
     monkeypatch.setattr(backend, "_wheel_library", list)
     monkeypatch.setattr(backend, "_system_libraries", list)
 
 
-def aborting_library(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def aborting_library(folder, monkeypatch):
     """A library that ends the process when it is loaded; without a compiler, a probe that does."""
     library = folder / "libLLVM-99.so"
     compiler = shutil.which("cc")
@@ -44,7 +42,7 @@ def aborting_library(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return library
 
 
-def test_renderer_names_variants_library_and_version() -> None:
+def test_renderer_names_variants_library_and_version():
     found = backend.describe()
     assert found["variants"] == ["llvm_ad_rgb", "scalar_rgb"]
     assert int(found["llvm"].split(".")[0]) >= 17
@@ -52,7 +50,7 @@ def test_renderer_names_variants_library_and_version() -> None:
     assert found["refused"] is found["reason"] is None
 
 
-def test_version_of_a_kept_verdict_is_the_one_found() -> None:
+def test_version_of_a_kept_verdict_is_the_one_found():
     first, _ = backend.find_library()
     again, _ = backend.find_library()
     assert first == again
@@ -60,9 +58,7 @@ def test_version_of_a_kept_verdict_is_the_one_found() -> None:
     assert first.version
 
 
-def test_library_that_is_none_is_passed_over(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_library_that_is_none_is_passed_over(monkeypatch, tmp_path, capsys):
     library = tmp_path / "libLLVM-99.so"
     library.write_text("no library")
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(library))
@@ -72,9 +68,7 @@ def test_library_that_is_none_is_passed_over(
     assert "variants llvm_ad_rgb, scalar_rgb" in line
 
 
-def test_library_that_aborts_leaves_the_scalar_variant(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_library_that_aborts_leaves_the_scalar_variant(monkeypatch, tmp_path):
     only(monkeypatch, aborting_library(tmp_path, monkeypatch))
     found: dict[str, Any] = backend.describe()
     assert found["variant"] is None
@@ -83,16 +77,14 @@ def test_library_that_aborts_leaves_the_scalar_variant(
     assert "pip install 'mcspectra[render]'" in found["reason"]
 
 
-def test_missing_library_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_missing_library_is_named(monkeypatch, tmp_path):
     only(monkeypatch, tmp_path / "libLLVM-nowhere.so")
     found = backend.describe()
     assert "libLLVM-nowhere.so: there is no such file" in found["reason"]
     assert found["variants"] == ["scalar_rgb"]
 
 
-def test_without_mitsuba_doctor_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_mitsuba_doctor_says_what_to_install(monkeypatch, capsys):
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
     monkeypatch.setattr(backend, "_version", lambda _: None)
     assert main(["doctor"]) == 0

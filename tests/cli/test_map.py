@@ -1,9 +1,6 @@
 """The verb ``map``: files, numbers, resumption, and one sentence for bad input."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,14 +17,14 @@ pytestmark = pytest.mark.render
 SMALL = ("--size", "24,16", "--crop", "8,6,6,4", "--counts", "4,16", "-m", "8")
 
 
-def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+def run(capsys, *arguments):
     code = main(["map", *map(str, arguments)])
     captured = capsys.readouterr()
     return code, captured.out, captured.err
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, xr.Dataset]:
+def made(tmp_path_factory):
     """A map on disk, and what the function returns."""
     from mcspectra.rendering import variance_map
 
@@ -37,7 +34,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, xr.Dataset]:
     return folder, variance_map("veach", realizations=8, rng=3, **options)
 
 
-def test_layers_hold_the_maps(made: tuple[Path, xr.Dataset]) -> None:
+def test_layers_hold_the_maps(made):
     import OpenEXR
 
     folder, result = made
@@ -51,7 +48,7 @@ def test_layers_hold_the_maps(made: tuple[Path, xr.Dataset]) -> None:
     assert np.array_equal(expected["variance.light.n16"], light, equal_nan=True)
 
 
-def test_pictures_and_page(made: tuple[Path, xr.Dataset]) -> None:
+def test_pictures_and_page(made):
     folder, result = made
     page = (folder / "report.html").read_text(encoding="utf-8")
     kinds = [kind.removeprefix("map-").replace("-", "_") for kind in kinds_of(result)]
@@ -68,9 +65,7 @@ def test_pictures_and_page(made: tuple[Path, xr.Dataset]) -> None:
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_json_is_strict_and_complete(
-    made: tuple[Path, xr.Dataset], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_json_is_strict_and_complete(made, capsys):
     folder, result = made
     stored = json.loads((folder / "map.json").read_text(), parse_constant=pytest.fail)
     rate = float(np.nanmedian(result["rate"].sel(strategy="mis")))
@@ -86,7 +81,7 @@ def test_json_is_strict_and_complete(
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_text_has_a_row_a_strategy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_text_has_a_row_a_strategy(tmp_path, capsys):
     options = ("--strategies", "bsdf,light", "--predict-every", 0, "--out", tmp_path)
     code, out, _ = run(capsys, "veach", *SMALL, *options)
     assert code == 0
@@ -101,7 +96,7 @@ def test_text_has_a_row_a_strategy(tmp_path: Path, capsys: pytest.CaptureFixture
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_options_reach_the_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_options_reach_the_map(tmp_path, capsys):
     options = (
         *("--strategies", "light, mis-bsdf", "--sampler", "random", "--light", "light-3"),
         *("--heuristic", "power", "--channel", "1", "--points", "own", "--smoothing", "3"),
@@ -134,9 +129,7 @@ def test_options_reach_the_map(tmp_path: Path, capsys: pytest.CaptureFixture[str
         (("veach", "--seed", "-1"), "--seed"),
     ],
 )
-def test_bad_input_is_one_sentence(
-    options: tuple[str, ...], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_input_is_one_sentence(options, sentence, tmp_path, capsys):
     code, out, err = run(capsys, *options, "--out", tmp_path / "out")
     assert (code, out) == (2, "")
     assert sentence in err
@@ -145,9 +138,7 @@ def test_bad_input_is_one_sentence(
     assert not (tmp_path / "out").exists()
 
 
-def test_folders_that_cannot_take_a_map(
-    made: tuple[Path, xr.Dataset], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_folders_that_cannot_take_a_map(made, tmp_path, capsys):
     folder, _ = made
     (tmp_path / "file").write_text("")
     for target, more, sentence in (
@@ -160,7 +151,7 @@ def test_folders_that_cannot_take_a_map(
         assert sentence in err
 
 
-def synthetic(**changes: Any) -> xr.Dataset:
+def synthetic(**changes):
     """A map whose numbers need no renderer."""
     shape = (2, 2, 3, 5)
     values = np.geomspace(1e-9, 1e3, 60).reshape(shape)
@@ -179,7 +170,7 @@ def synthetic(**changes: Any) -> xr.Dataset:
 
 
 @pytest.mark.parametrize("fill", [None, np.nan, 0.0])
-def test_maps_of_any_numbers_can_be_drawn(fill: float | None) -> None:
+def test_maps_of_any_numbers_can_be_drawn(fill):
     result = synthetic()
     if fill is not None:
         result = result * np.nan + fill if np.isnan(fill) else result * 0 + fill
@@ -189,7 +180,7 @@ def test_maps_of_any_numbers_can_be_drawn(fill: float | None) -> None:
         draw(describe(kind, result)).canvas.draw()
 
 
-def test_the_answer_is_what_has_the_least_variance_at_most_pixels() -> None:
+def test_the_answer_is_what_has_the_least_variance_at_most_pixels():
     """Four pixels: light, BSDF and MIS are best at one each; at the last light misses half of what is there."""
     single = np.array([[1.0, 4.0, 4.0, 0.1], [4.0, 1.0, 4.0, 4.0], [2.0, 2.0, 2.0, 2.0]])
     means = np.ones((3, 1, 4))
@@ -218,7 +209,7 @@ def test_the_answer_is_what_has_the_least_variance_at_most_pixels() -> None:
     )
 
 
-def test_summaries_count_intervals() -> None:
+def test_summaries_count_intervals():
     gains = np.array([[[0.5, 2.0], [1.5, 3.0], [0.1, 0.9], [np.nan, np.nan], [2.0, 9.0]]])
     ci = (("y", "x", "bound"), np.repeat(gains, 3, axis=0))
     result = synthetic(mis_gain_ci=ci).assign_coords(bound=["low", "high"])
@@ -228,9 +219,7 @@ def test_summaries_count_intervals() -> None:
     assert found["bottleneck"] == {"light": 4 / 12, "bsdf": 4 / 12, "undecided": 4 / 12}
 
 
-def test_a_map_of_whole_paths_names_its_worst_pixels_and_resumes(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_map_of_whole_paths_names_its_worst_pixels_and_resumes(capsys, tmp_path):
     scene, folder = "penumbra(width=12, height=8)", tmp_path / "out"
     asked = (
         scene,
@@ -268,9 +257,7 @@ def test_a_map_of_whole_paths_names_its_worst_pixels_and_resumes(
     assert not (tmp_path / "refused").exists()
 
 
-def test_several_samplers_are_compared_and_resume(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_several_samplers_are_compared_and_resume(capsys, tmp_path):
     import OpenEXR
 
     folder = tmp_path / "out"
@@ -298,9 +285,7 @@ def test_several_samplers_are_compared_and_resume(
     assert (folder / "maps.exr").read_bytes() == before
 
 
-def test_a_map_of_black_pixels_has_a_page(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_map_of_black_pixels_has_a_page(capsys, tmp_path):
     asked = ("penumbra(width=24, height=18)", "--crop", "0,0,3,2", "--integrator", "path", "-m", 4,
              "--chains", 8, "--out", tmp_path)  # fmt: skip
     code, _, err = run(capsys, *asked)

@@ -1,10 +1,7 @@
 """The verb ``pixel``: text, JSON, files, and one sentence with exit code 2 for bad input."""
 
-from __future__ import annotations
-
 import json
 import re
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -36,19 +33,19 @@ MIRROR = f"""{CAMERA}<shape type="rectangle" id="mirror"><bsdf type="conductor"/
 LAMP = f"""{CAMERA}<shape type="rectangle" id="lamp"><emitter type="area"/></shape></scene>"""
 
 
-def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+def run(capsys, *arguments):
     code = main(["pixel", *map(str, arguments)])
     captured = capsys.readouterr()
     return code, captured.out, captured.err
 
 
 @pytest.fixture(scope="module", autouse=True)
-def small_effort() -> Iterator[None]:
+def small_effort():
     """Little work, and none twice: the same arguments get the tree that was made for them."""
     small = replace(EFFORTS["quick"], half_width={2: 6, 3: 2}, resolution=16)
     made: dict[str, Any] = {}
 
-    def kept(*given: Any, **options: Any) -> Any:
+    def kept(*given, **options):
         key = repr((given, sorted(options.items())))
         if key not in made:
             made[key] = analyse_pixel(*given, **options)
@@ -61,9 +58,7 @@ def small_effort() -> Iterator[None]:
         yield
 
 
-def test_json_and_files_hold_the_numbers_of_the_library(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_json_and_files_hold_the_numbers_of_the_library(capsys, tmp_path):
     code, out, err = run(
         capsys, "figure1", "Q", *SMALL, "--out", tmp_path / "new" / "out", "--json"
     )
@@ -87,7 +82,7 @@ def test_json_and_files_hold_the_numbers_of_the_library(
     assert json.loads((report.parent / "pixel.json").read_text(encoding="utf-8")) == printed
 
 
-def test_text_has_rows_and_sentences(capsys: pytest.CaptureFixture[str]) -> None:
+def test_text_has_rows_and_sentences(capsys):
     x, y = named_pixels("figure1")["Q"]
     code, out, _ = run(capsys, "figure1", "Q", *SMALL)
     assert code == 0
@@ -104,7 +99,7 @@ def test_text_has_rows_and_sentences(capsys: pytest.CaptureFixture[str]) -> None
     assert not any(line.startswith("remedy") for line in lines)
 
 
-def test_quiet_prints_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+def test_quiet_prints_nothing(capsys):
     assert run(capsys, "figure1", "Q", *SMALL, "--quiet") == (0, "", "")
 
 
@@ -121,9 +116,7 @@ def test_quiet_prints_nothing(capsys: pytest.CaptureFixture[str]) -> None:
         (("figure1", "P", "--quick", "--full"), "not allowed"),
     ],
 )
-def test_bad_input(
-    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], words: str
-) -> None:
+def test_bad_input(capsys, arguments, words):
     code, out, err = run(capsys, *arguments)
     assert (code, out) == (2, "")
     assert words in err
@@ -140,9 +133,7 @@ def test_bad_input(
         ("", 4, "cannot read"),
     ],
 )
-def test_files_that_cannot_be_used(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str, x: int, words: str
-) -> None:
+def test_files_that_cannot_be_used(capsys, tmp_path, text, x, words):
     file = tmp_path / "scene.xml"
     file.write_text(text, encoding="utf-8")
     code, out, err = run(capsys, file, x, 4)
@@ -152,9 +143,7 @@ def test_files_that_cannot_be_used(
 
 
 @pytest.mark.parametrize("missing", ["_no_mitsuba", "_no_library"])
-def test_without_mitsuba_or_llvm(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, missing: str
-) -> None:
+def test_without_mitsuba_or_llvm(capsys, monkeypatch, missing):
     monkeypatch.setattr(backend, "_loaded", [])
     monkeypatch.setattr(backend, "_already_running", lambda: False)
     if missing == "_no_mitsuba":
@@ -167,9 +156,7 @@ def test_without_mitsuba_or_llvm(
     assert err.count("\n") == 1
 
 
-def test_a_folder_that_cannot_be_written(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_folder_that_cannot_be_written(capsys, tmp_path):
     (tmp_path / "file").write_text("", encoding="utf-8")
     code, _, err = run(capsys, "figure1", "Q", *SMALL, "--out", tmp_path / "file" / "out")
     assert code == 2

@@ -1,7 +1,5 @@
 """The verb `points`: files, pictures, UTK's short options, quality figures."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

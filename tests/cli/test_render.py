@@ -1,7 +1,5 @@
 """The verb `render`: what it prints and writes, and one sentence for each mistake."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,9 +1,6 @@
 """``render --compare``: the images of the library, side by side and as layers."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,12 +18,12 @@ SMALL = ("veach", "--width", "24", "--height", "16", "--reference-spp", "32", "-
 SCENE = "veach(width=24, height=16)"
 
 
-def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+def run(capsys, *arguments):
     code = main(["render", *map(str, arguments)])
     return code, *capsys.readouterr()
 
 
-def test_files_and_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_files_and_figures(tmp_path, capsys):
     png, exr = tmp_path / "all.png", tmp_path / "all.exr"
     options = ("--seed", 3, "--spp", 2, "--exposure", "-1", "-o", png, "-o", exr)
     code, out, err = run(capsys, *SMALL, *options, "--json")
@@ -49,7 +46,7 @@ def test_files_and_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert told["files"] == [str(png), str(exr)]
 
 
-def test_text_has_a_row_an_image(capsys: pytest.CaptureFixture[str]) -> None:
+def test_text_has_a_row_an_image(capsys):
     code, out, _ = run(capsys, *SMALL)
     header, _, *rows = out.splitlines()
     assert code == 0
@@ -70,16 +67,14 @@ def test_text_has_a_row_an_image(capsys: pytest.CaptureFixture[str]) -> None:
         (("-o", "a.jpg"), "must end in .exr or .png"),
     ],
 )
-def test_mistakes_are_one_sentence(
-    capsys: pytest.CaptureFixture[str], options: tuple[str, ...], message: str
-) -> None:
+def test_mistakes_are_one_sentence(capsys, options, message):
     code, out, err = run(capsys, *SMALL, *options)
     assert (code, out) == (2, "")
     assert message in err
     assert len(err.splitlines()) == 1
 
 
-def test_reference_samples_are_for_comparisons(capsys: pytest.CaptureFixture[str]) -> None:
+def test_reference_samples_are_for_comparisons(capsys):
     code, _, err = run(capsys, *[option for option in SMALL if option != "--compare"])
     assert code == 2
     assert "--reference-spp is for --compare" in err

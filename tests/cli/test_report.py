@@ -22,7 +22,7 @@ realizations = 4
 
 
 @pytest.fixture(name="folders", scope="module")
-def _folders(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+def _folders(tmp_path_factory):
     """Two studies of one analysis."""
     both = [tmp_path_factory.mktemp(name) for name in "ab"]
     for folder in both:
@@ -30,7 +30,7 @@ def _folders(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     return [str(folder) for folder in both]
 
 
-def test_page_again(folders: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_page_again(folders, capsys):
     assert main(["report", folders[0]]) == 0
     page = Path(folders[0]) / "report.html"
     assert page.is_file()
@@ -38,16 +38,14 @@ def test_page_again(folders: list[str], capsys: pytest.CaptureFixture[str]) -> N
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_comparison_elsewhere(
-    folders: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_comparison_elsewhere(folders, tmp_path, capsys):
     page = str(tmp_path / "c.html")
     assert main(["report", folders[0], "--compare", folders[1], "--out", page, "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"report": page}
     assert "Comparison" in Path(page).read_text(encoding="utf-8")
 
 
-def test_bad_input(folders: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_input(folders, tmp_path, capsys):
     for arguments in (
         [str(tmp_path)],
         [folders[0], "--compare", str(tmp_path)],

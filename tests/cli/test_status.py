@@ -2,7 +2,6 @@
 
 import json
 import os
-from pathlib import Path
 
 import fsspec
 import numpy as np
@@ -26,12 +25,12 @@ NOTE = StudyNote(
 PATHS = tuple(f"{e}/random/{a}" for e in "abc" for a in ("convergence", "terms"))
 
 
-def cell(first: float = 0.0) -> bytes:
+def cell(first=0.0):
     return pack(xr.Dataset({"x": ("n", np.arange(3.0) + first)}))
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     """A study of six cells: four are done, one failed, one is missing."""
     with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
         for i, path in enumerate(PATHS[:4]):
@@ -42,12 +41,12 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def status(folder: Path, capsys: pytest.CaptureFixture[str], *more: str) -> tuple[int, dict]:
+def status(folder, capsys, *more):
     code = main(["status", str(folder), "--json", *more])
     return code, json.loads(capsys.readouterr().out)
 
 
-def damage(folder: Path, content: bytes) -> None:
+def damage(folder, content):
     """Change a byte of the ledger where it has `content`."""
     file = folder / LEDGER_NAME
     whole = file.read_bytes()
@@ -55,9 +54,7 @@ def damage(folder: Path, content: bytes) -> None:
     file.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
 
 
-def test_status_says_what_is_done_failed_and_missing(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_status_says_what_is_done_failed_and_missing(folder, capsys):
     code, found = status(folder, capsys)
     assert code == 1
     assert found["state"] == "unfinished"
@@ -79,7 +76,7 @@ def test_status_says_what_is_done_failed_and_missing(
     assert found["ledger_bytes"] == (folder / LEDGER_NAME).stat().st_size
 
 
-def test_status_as_text(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_status_as_text(folder, capsys):
     assert main(["status", str(folder)]) == 1
     shown = capsys.readouterr().out
     assert shown.startswith("my study: unfinished\nstarted 20")
@@ -88,7 +85,7 @@ def test_status_as_text(folder: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert "with 1 recorded tasks; not verified; --verify checks all digests" in shown
 
 
-def test_verify_finds_damage_and_names_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_verify_finds_damage_and_names_it(folder, capsys):
     damage(folder, cell(1))
     damage(folder, b"half")
     code, found = status(folder, capsys)
@@ -103,7 +100,7 @@ def test_verify_finds_damage_and_names_it(folder: Path, capsys: pytest.CaptureFi
     assert found["analyses"]["terms"] == {"done": 1, "failed": 1, "missing": 0, "damaged": 1}
 
 
-def test_a_finished_study_is_finished(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_finished_study_is_finished(folder, capsys):
     with Ledger.resume(folder, NOTE, PATHS) as ledger:
         code, found = status(folder, capsys)
         assert (code, found["state"], found["holder"]["pid"]) == (0, "running", os.getpid())
@@ -117,9 +114,7 @@ def test_a_finished_study_is_finished(folder: Path, capsys: pytest.CaptureFixtur
     assert ", finished 20" in capsys.readouterr().out
 
 
-def test_status_names_who_did_not_end_in_good_order(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_status_names_who_did_not_end_in_good_order(folder, capsys):
     with Ledger.resume(folder, NOTE, PATHS):
         left = (folder / LEDGER_NAME).read_bytes()
     (folder / LEDGER_NAME).write_bytes(left)
@@ -131,7 +126,7 @@ def test_status_names_who_did_not_end_in_good_order(
     assert "which has ended" in shown
 
 
-def test_export(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_export(folder, tmp_path, capsys):
     file = tmp_path / "out.csv"
     assert main(["export", str(folder), "--to", str(file), "--select", "a/*", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {

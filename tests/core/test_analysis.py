@@ -1,7 +1,5 @@
 """Analyses: their doors in Python, and the same merge tree whatever the chunks and threads."""
 
-from __future__ import annotations
-
 import inspect
 import random
 from dataclasses import dataclass, replace
@@ -80,7 +78,7 @@ class Words:
 
     said: list[str]
 
-    def merge(self, other: Words) -> Words:
+    def merge(self, other):
         self.said[0] = f"({self.said[0]}{other.said[0]})"
         return self
 
@@ -91,7 +89,7 @@ class Skewed:
 
     value: float
 
-    def merge(self, other: Skewed) -> Skewed:
+    def merge(self, other):
         return Skewed(self.value + 0.7 * other.value)
 
 

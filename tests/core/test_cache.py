@@ -1,7 +1,5 @@
 """The cache of arrays: what is kept, what is checked, what is done about damage."""
 
-from __future__ import annotations
-
 import hashlib
 import time
 

@@ -1,7 +1,5 @@
 """Files that are small on disk and huge in memory: refused soon, in one sentence, before decoding."""
 
-from __future__ import annotations
-
 import io
 import json
 import resource

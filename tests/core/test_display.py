@@ -1,11 +1,7 @@
 """What notebooks show: hooks that load nothing from above, and never raise."""
 
-from __future__ import annotations
-
-import subprocess
-import sys
-
 import pytest
+from tests.processes import python
 
 import mcspectra as mcs
 from mcspectra.core.display import html_of, register_accessor
@@ -33,7 +29,7 @@ def test_nothing_above_is_loaded_before_something_is_shown(make):
     )
     code += "assert c._repr_html_(); print(x, 'mcspectra.report' in sys.modules, "
     code += "any(m in sys.modules for m in ('matplotlib', 'xarray')))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = python("-c", code, check=True)
     assert done.stdout.split() == ["False", "True", "False"]
 
 

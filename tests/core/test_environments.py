@@ -1,7 +1,5 @@
 """Lat-long geometry and the synthetic sky."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

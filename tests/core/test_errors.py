@@ -1,7 +1,5 @@
 """Errors: one root, built-in parents, data beside the message; hints name what is close."""
 
-from __future__ import annotations
-
 import builtins
 from pathlib import Path
 

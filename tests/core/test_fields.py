@@ -1,9 +1,7 @@
 """Fields that check what they are given, as components of all kinds declare them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -26,11 +24,11 @@ class Waves(Component):
     dims: int = whole(2, least=1)
     total: ClassVar[float]
 
-    def _check(self) -> None:
+    def _check(self):
         settle(self, total=self.count * self.length)
 
 
-def test_fields_hold_what_their_checks_return() -> None:
+def test_fields_hold_what_their_checks_return():
     made = Waves(count=2.0, length=np.float32(3), axis=5, dims=3.0)
     assert made == Waves(count=2, length=3.0, axis=2, dims=3)
     assert [type(v) for v in (made.count, made.length, made.axis)] == [
@@ -57,6 +55,6 @@ def test_fields_hold_what_their_checks_return() -> None:
         ("dims", 0),
     ],
 )
-def test_a_field_refuses_by_its_name(name: str, value: Any) -> None:
+def test_a_field_refuses_by_its_name(name, value):
     with pytest.raises(ParameterError, match=rf"^{name.rstrip('_')} is "):
         Waves(**{"count": 1, name: value})

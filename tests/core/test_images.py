@@ -1,7 +1,5 @@
 """Reading of pictures: values, orientation, alpha, layers, and every way a file can be wrong."""
 
-from __future__ import annotations
-
 import io
 import struct
 import zlib

@@ -1,7 +1,5 @@
 """Options: declared once, checked and read by one rule; what is wrong is one sentence."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Literal
 

@@ -1,7 +1,5 @@
 """Point-set files: what is written is read back, what others write is read, the rest is refused."""
 
-from __future__ import annotations
-
 import io
 import json
 import struct

@@ -1,7 +1,5 @@
 """States of reductions: they merge by the rules of their fields, and survive as bytes bit for bit."""
 
-from __future__ import annotations
-
 import math
 import tracemalloc
 from dataclasses import dataclass
@@ -44,7 +42,7 @@ class Own:
 
     words: str
 
-    def merge(self, other: Own) -> Own:
+    def merge(self, other):
         return Own(f"({self.words}{other.words})")
 
 
@@ -60,11 +58,11 @@ class Outer:
     parts: list[Inner]
 
 
-def _inner(value: float) -> Inner:
+def _inner(value):
     return Inner(np.array([value, 2 * value]), 1)
 
 
-def _outer(value: float, maybe: Array | None = None) -> Outer:
+def _outer(value, maybe=None):
     return Outer(
         rows=np.full((1, 2), value),
         columns=np.full((2, 1), value),
@@ -159,7 +157,7 @@ NUMBERS = st.one_of(
 )
 
 
-def _same(one: Array, other: Array) -> bool:
+def _same(one, other):
     return (one.dtype, one.shape, one.tobytes()) == (other.dtype, other.shape, other.tobytes())
 
 
@@ -207,7 +205,7 @@ def test_states_that_were_bytes_merge_to_the_same_bits(blocks, seed):
     assert pack(direct.total()) == pack(through.total())
 
 
-def _dataset() -> xr.Dataset:
+def _dataset():
     return dataset(
         {
             "variance": (("n", "channel"), np.array([ODD, ODD[::-1]])),
@@ -269,7 +267,7 @@ def test_objects_of_python_are_refused(state):
 # --- bytes of others --------------------------------------------------------------------------------
 
 
-def _refused(kind: object, payload: bytes) -> None:
+def _refused(kind, payload):
     """The payload is refused with one sentence, and nothing larger than it is allocated."""
     tracemalloc.start()
     try:
@@ -280,7 +278,7 @@ def _refused(kind: object, payload: bytes) -> None:
         tracemalloc.stop()
 
 
-def _forged(tree: object, arrays: object, data: bytes = b"") -> bytes:
+def _forged(tree, arrays, data=b""):
     header = msgspec.msgpack.encode((tree, arrays))
     return b"mcs1" + len(header).to_bytes(8, "little") + header + data
 

@@ -1,7 +1,5 @@
 """Works cited: docstrings cite works that exist, entries are whole, and texts show them."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

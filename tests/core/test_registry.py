@@ -1,7 +1,5 @@
 """Registries: names to classes, close matches, names that other distributions add."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from typing import ClassVar
@@ -33,7 +31,7 @@ class Flat(Component):
     width: float
 
     @property
-    def dims(self) -> int:
+    def dims(self):
         return 1
 
 

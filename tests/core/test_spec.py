@@ -1,7 +1,5 @@
 """Spec strings: what is read, what is refused without being evaluated, the way back to text."""
 
-from __future__ import annotations
-
 import re
 import warnings
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ Every statistical check is a p-value (or several) given to `assert_plausible`, w
 file to one false alarm in a million runs. Seeds are fixed: what passes once passes always.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

@@ -1,7 +1,5 @@
 """Densities of all kinds, for the tests that every density has to pass."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -12,24 +10,24 @@ from mcspectra.densities import ImageDensity, Learned, PiecewiseConstant
 from mcspectra.densities.learned import DEGREE, SplineDensity
 
 
-def table(*shape: int) -> np.ndarray:
+def table(*shape):
     """Relative densities over three decades, a quarter of them 0."""
     rng = np.random.default_rng(shape)
     return 10 ** rng.uniform(-3, 0, shape) * (rng.random(shape) > 0.25)
 
 
-def pixel_centers(height: int, width: int) -> np.ndarray:
+def pixel_centers(height, width):
     """Centres of pixels, (height, width, 2): x_0 over columns, x_1 over rows."""
     rows, columns = ((np.arange(k) + 0.5) / k for k in (height, width))
     return np.stack(np.meshgrid(columns, rows), axis=-1)
 
 
-def midpoints(side: int) -> np.ndarray:
+def midpoints(side):
     """Centres of side × side cells, (side², 2)."""
     return pixel_centers(side, side).reshape(-1, 2)
 
 
-def with_a_jump(x: np.ndarray) -> np.ndarray:
+def with_a_jump(x):
     """2x/3 to the left of ½, 2 (1 − x)/3 + 1 to the right."""
     left = x[..., 0] < 0.5
     return np.where(left, x[..., 0], (1 - x[..., 0]) + 1.5)

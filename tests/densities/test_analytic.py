@@ -1,7 +1,5 @@
 """Closed forms: SciPy's distributions, quadrature, extremes and small digits."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

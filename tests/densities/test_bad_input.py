@@ -1,7 +1,5 @@
 """What densities refuse at the door: one table of fields and their bad values."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -154,9 +152,7 @@ def test_what_does_not_go_together_is_said(name, options, error, says):
 @pytest.mark.parametrize(
     ("spec", "dims", "says"),
     [
-        ("linear(slop=1)", 1, "no parameter 'slop'"),
         ("cosine-weighted(power=2)", 1, "no parameter"),
-        ("uniform(dims=2)", 3, "dims"),
         ("disk", 3, "dims"),
         ("sphere", 3, "dims"),
         ("spherical-triangle", 3, "dims"),
@@ -165,8 +161,6 @@ def test_what_does_not_go_together_is_said(name, options, error, says):
         ("piecewise-constant(values=[1, 2])", 2, "for 1 dims, but 2"),
         ("piecewise-constant", 2, "needs values"),
         ("vegas", 2, "needs integrand"),
-        ("vegas(integrand='gausian')", 2, "no integrand called"),
-        ("uniformm", 1, "Did you mean 'uniform'"),
         ("uniform | uniform", 1, "chains"),
         ("", 1, "name"),
     ],

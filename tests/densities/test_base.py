@@ -1,7 +1,5 @@
 """Ratios f/p where p vanishes, and pdfs that floats cannot hold."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bilinear tables: values between nodes, continuity, quadratures, seams, and what they refuse."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

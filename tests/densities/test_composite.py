@@ -1,7 +1,5 @@
 """Mixtures and products: the selecting piece, an extra coordinate, defensive shares, nested specs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

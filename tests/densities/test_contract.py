@@ -1,7 +1,5 @@
 """What every density promises: warp and inverse, shapes, range, mass, and samples that follow it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import chi2

@@ -1,7 +1,5 @@
 """The disk and directions: moments, references of the maps, special points, poles and seams."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Densities of pictures and environment maps: pixels, solid angles, channels, compensation."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """∫1/p, divergence, and a check that finds each kind of mismatch."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

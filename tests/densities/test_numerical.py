@@ -1,7 +1,5 @@
 """Warps computed from a pdf alone, against closed forms, and what they refuse."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Lines between nodes and bins of equal shares: exact cdfs, empty cells, the exact ∫1/p."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from fractions import Fraction

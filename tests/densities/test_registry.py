@@ -1,7 +1,5 @@
 """Names, dims and conversion of densities."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -3,8 +3,6 @@
 The warps have the same pdf, masses and cells; different jumps, and so variances.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,16 +1,13 @@
 """The page on adding a sampler: its code is what it says, from the class to the command line."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.processes import python
 
 import mcspectra as mcs
 from mcspectra.core.errors import CountError
@@ -61,11 +58,7 @@ def test_the_command_line_knows_it_by_its_entry_point(tmp_path):
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: antithetic\nVersion: 1\n")
     group, entry = re.search(r'entry-points\."(.*?)"\]\n(.*)', NAMES).groups()
     (info / "entry_points.txt").write_text(f"[{group}]\n{entry.replace(chr(34), '')}\n")
-    done = subprocess.run(
-        [sys.executable, "-m", "mcspectra", "points", "antithetic | shift", "-n", "16", "--json"],
-        env={**os.environ, "PYTHONPATH": str(tmp_path)},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    arguments = ("points", "antithetic | shift", "-n", "16", "--json")
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    done = python("-m", "mcspectra", *arguments, env=environment, check=True)
     assert '"sampler": "antithetic | shift"' in done.stdout

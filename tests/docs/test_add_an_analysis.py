@@ -1,7 +1,5 @@
 """The page on adding an analysis: its one file is found in Python, study files, verbs and reports."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import re

@@ -1,7 +1,5 @@
 """The pages on adding a density and an integrand: their code does what they say."""
 
-from __future__ import annotations
-
 import importlib
 import re
 import sys

@@ -1,7 +1,5 @@
 """The pages on findings: linked, illustrated, quoting what was printed, and the statements themselves."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

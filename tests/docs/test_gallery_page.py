@@ -1,7 +1,5 @@
 """The gallery in the documentation names every sampler, with its present summary, dims and counts."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

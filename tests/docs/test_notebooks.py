@@ -1,7 +1,5 @@
 """The page on notebooks: every block runs, and IPython shows what it says."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

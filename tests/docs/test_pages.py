@@ -1,7 +1,5 @@
 """The pages as a whole: links, citations, all names and verbs, code that is the README's."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import json

@@ -1,7 +1,5 @@
 """The how-to page for sampler designers: its three commands, from a program to a PDF."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex
@@ -12,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.processes import python
 
 import mcspectra as mcs
 
@@ -53,15 +52,9 @@ def folder(tmp_path_factory):
 
 def run(folder, line, *more):
     _, *arguments = shlex.split(line)
-    return subprocess.run(
-        [sys.executable, "-m", "mcspectra", *arguments, *more],
-        check=False,
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-        capture_output=True,
-        text=True,
-        timeout=500,
-    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    given = ("-m", "mcspectra", *arguments, *more)
+    return python(*given, cwd=folder, env=environment, timeout=500)
 
 
 def test_a_new_user_gets_a_comparison_in_three_commands(folder):

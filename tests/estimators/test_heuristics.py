@@ -1,7 +1,5 @@
 """Heuristics: weights as defined, variances by quadrature of polynomials, optimal ones, bad input."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np
@@ -138,7 +136,7 @@ def _exact(case, name):
 
 @pytest.mark.parametrize("name", ALL)
 def test_the_exact_variance_is_the_quadrature_of_the_definition_and_that_of_a_simulation(name):
-    (f, slopes, counts), n, realizations = CASES["cubic"], 5, 6000
+    (f, slopes, counts), n, realizations = CASES["cubic"], 5, 2000
     e, exact = _estimator(f, slopes, counts, name), _exact("cubic", name)
     alpha = getattr(as_heuristic(name), "alpha", 1.0)
     cuts = _crossings(slopes, counts, alpha)

@@ -1,7 +1,5 @@
 """How well an estimator's integral is known: 0 where it is exact, else what its parts say."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,13 +9,13 @@ from mcspectra.integrands import integral_accuracy
 CORNER = mcs.integrand("formula(expression='where(x + y < 0.7, 1, 0)')", dims=2)
 
 
-def test_exact_integrals_have_no_error() -> None:
+def test_exact_integrals_have_no_error():
     for spec in ("linear", "disk"):
         assert mcs.Estimator(spec).integral_error == 0.0
     assert mcs.Mirrored("disk", "uniform").integral_error == 0.0
 
 
-def test_it_is_that_of_the_integrand_inside() -> None:
+def test_it_is_that_of_the_integrand_inside():
     error = integral_accuracy(CORNER)[1]
     assert error > 0.0
     assert mcs.Estimator(CORNER).integral_error == error
@@ -25,7 +23,7 @@ def test_it_is_that_of_the_integrand_inside() -> None:
     assert abs(CORNER.integral - 0.245) < 10 * error
 
 
-def test_bias_is_as_uncertain_as_mean_and_integral() -> None:
+def test_bias_is_as_uncertain_as_mean_and_integral():
     exact, numeric = (
         mcs.convergence(mcs.Estimator(f), "jittered", [4, 16], realizations=50, rng=2)
         for f in ("disk", CORNER)
@@ -36,6 +34,6 @@ def test_bias_is_as_uncertain_as_mean_and_integral() -> None:
     assert numeric["bias_se"].attrs["units"] == "f"
 
 
-def test_sums_and_channels() -> None:
+def test_sums_and_channels():
     parts = mcs.TechniqueSum([CORNER, CORNER])
     assert parts.integral_error == pytest.approx(2 * integral_accuracy(CORNER)[1])

@@ -1,7 +1,5 @@
 """Mirrored estimators: the sampler's mirroring bit for bit, exact variances, the slides' rates."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

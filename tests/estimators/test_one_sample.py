@@ -1,7 +1,5 @@
 """One-sample model: mixture sampling with the balance heuristic, exact variances, bad input."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Deterministic split: counts in proportion, every point weighs 1/p of the mixture."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Regions where p is 0 and f is not: found however small, and no false alarm at zeros of p."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The share of ∫f²/p that no sample reaches, against closed forms, and where it is said."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Errors of integrals hold for functions that no node sees; the probe keeps what it promises."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from tests.variance.adversarial import FAMILIES, make

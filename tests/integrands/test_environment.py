@@ -1,7 +1,5 @@
 """Irradiance by environment maps: integrals, normals, interpolation, and what they refuse."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Formulas: the values of NumPy's functions, and nothing but a sentence for everything else."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np
@@ -77,55 +75,55 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("text", VALUES)
-def test_values_are_numpys(text: str) -> None:
+def test_values_are_numpys(text):
     np.testing.assert_allclose(Formula(expression=text, dims=3)(X), VALUES[text], rtol=1e-15)
 
 
 @pytest.mark.parametrize("text", REFUSED, ids=lambda text: text[:24])
-def test_anything_else_gets_a_sentence(text: str) -> None:
+def test_anything_else_gets_a_sentence(text):
     with pytest.raises(ParameterError, match=REFUSED[text]) as caught:
         Formula(expression=text, dims=3)
     assert len(str(caught.value)) < 400
 
 
 @pytest.mark.parametrize("given", [None, b"x"])
-def test_what_is_no_text_is_refused(given: object) -> None:
+def test_what_is_no_text_is_refused(given):
     with pytest.raises(ParameterError, match="give text"):
         Formula(expression=given)
 
 
 @pytest.mark.parametrize(("text", "dims"), [("y", 1), ("x3", 3)])
-def test_coordinates_beyond_the_dims_are_refused(text: str, dims: int) -> None:
+def test_coordinates_beyond_the_dims_are_refused(text, dims):
     with pytest.raises(ParameterError, match=f"in {dims} dims has no '{text}'"):
         Formula(expression=text, dims=dims)
     assert Formula(expression=text, dims=dims + 1).dims == dims + 1
 
 
-def test_every_function_takes_its_arguments() -> None:
+def test_every_function_takes_its_arguments():
     for name, (_, arity) in FUNCTIONS.items():
         call = f"{name}({', '.join(['x', 'y', 'z'][:arity])})"
         assert np.isfinite(Formula(expression=call, dims=3)(X)).all(), call
 
 
 @pytest.mark.parametrize("text", ["1/(x - 0.5)", "log(x*y*z)"])
-def test_what_is_infinite_on_a_line_only_is_taken(text: str) -> None:
+def test_what_is_infinite_on_a_line_only_is_taken(text):
     assert np.isfinite(Formula(expression=text, dims=3)(X)).all()
 
 
-def test_a_place_where_it_is_not_finite_is_named() -> None:
+def test_a_place_where_it_is_not_finite_is_named():
     f = Formula(expression="1/x")
     with pytest.raises(ParameterError, match=r"NaN or infinite, for example \(0, 0.5\)"):
         f([[0.25, 0.5], [0.0, 0.5]])
 
 
-def test_comparisons_to_numbers_are_breaks_of_the_quadrature() -> None:
+def test_comparisons_to_numbers_are_breaks_of_the_quadrature():
     f = Formula(expression="(x < 0.3)*(0.2 <= y)*(y <= 1)*(x < pi)*(x < y)", dims=2)
     assert f.breaks == ((0.3,), (0.2,))
     g = Formula(expression="(x0 < 0.3)*(1 + y)", dims=2)
     assert g.integral == pytest.approx(0.45, rel=1e-12)
 
 
-def test_integral_and_coefficients_are_those_of_the_same_function_in_closed_form() -> None:
+def test_integral_and_coefficients_are_those_of_the_same_function_in_closed_form():
     known = mcs.integrand("gaussian(center=[0.3, 0.6], width=0.25)", dims=2)
     text = "exp(-((x - 0.3)**2 + (y - 0.6)**2) / (2 * 0.25**2))"
     f = mcs.integrand(f"formula(expression={text!r})", dims=2)
@@ -134,7 +132,7 @@ def test_integral_and_coefficients_are_those_of_the_same_function_in_closed_form
     np.testing.assert_allclose(scale * f.fourier_grid(4), known.fourier_grid(4), atol=1e-10)
 
 
-def test_specs_and_pickles_make_it_again() -> None:
+def test_specs_and_pickles_make_it_again():
     f = Formula(expression="where(x < 0.5, 1, x/2)", dims=1)
     assert mcs.integrand(f.spec, dims=1) == f
     assert pickle.loads(pickle.dumps(f)) == f

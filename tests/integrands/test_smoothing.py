@@ -1,7 +1,5 @@
 """Smoothed edges: ramps by their definition, coefficients by quadrature, boxes that keep integrals."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The backend of pages: every mark, axis and scale; updates; nothing from a network."""
 
-from __future__ import annotations
-
 import base64
 import dataclasses
 import gzip
@@ -24,7 +22,6 @@ from mcspectra.plots.description import (
     Dots,
     Image,
     Line,
-    Mark,
     Panel,
     Pixels,
     Plot,
@@ -40,7 +37,7 @@ X = np.array([1.0, 2.0, 4.0, 8.0])
 EVIL = r"$$x$$ \(y\) \[z\]"
 
 
-def marks(factor: float) -> dict[str, Mark]:
+def marks(factor):
     """One of each kind, and variants; values grow with the factor."""
     y = factor * np.array([0.5, np.nan, -2.0, 1e-4])
     hover = {"y": [f"{v:.3g}" for v in y], EVIL: ["a"] * 4}
@@ -77,23 +74,23 @@ def marks(factor: float) -> dict[str, Mark]:
     }  # fmt: skip
 
 
-def plot(name: str, factor: float = 1.0, y: Axis | None = None, **options: Any) -> Plot:
+def plot(name, factor=1.0, y=None, **options):
     """A plot of one mark."""
     panel = Panel(marks=(marks(factor)[name],), y=y or Axis(label="y"), title="a panel")
     return Plot(kind="test", panels=(panel,), words=f"{name} {factor}", **options)
 
 
-def content(model: Any) -> Any:
+def content(model):
     return json.loads(gzip.decompress(base64.b64decode(packed(model))))
 
 
-def data(model: Any) -> list[dict[str, Any]]:
+def data(model):
     """Columns of all that is drawn."""
     return [dict(source.data) for source in model.select({"type": ColumnDataSource})]
 
 
 @pytest.mark.parametrize("name", marks(1.0))
-def test_every_mark_is_a_quiet_figure_in_words(name: str) -> None:
+def test_every_mark_is_a_quiet_figure_in_words(name):
     model = draw(plot(name)).model
     assert isinstance(model, figure)
     assert model.toolbar.active_drag is None
@@ -108,7 +105,7 @@ def test_every_mark_is_a_quiet_figure_in_words(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", marks(1.0))
-def test_an_update_is_as_if_drawn_anew_and_brings_no_new_models(name: str) -> None:
+def test_an_update_is_as_if_drawn_anew_and_brings_no_new_models(name):
     first, second = plot(name, 1.0), plot(name, 3.0)
     drawn = draw(first)
     document = Document()
@@ -121,7 +118,7 @@ def test_an_update_is_as_if_drawn_anew_and_brings_no_new_models(name: str) -> No
     assert content(drawn.model) == content(draw(second).model)
 
 
-def test_another_structure_is_refused() -> None:
+def test_another_structure_is_refused():
     drawn = draw(plot("line"))
     for other in (
         plot("dots"),
@@ -134,7 +131,7 @@ def test_another_structure_is_refused() -> None:
             drawn.update(other)
 
 
-def test_signed_axes_have_places_and_ticks_of_their_own() -> None:
+def test_signed_axes_have_places_and_ticks_of_their_own():
     values = np.array([-3e-4, 2e-8, 0.7])
     axis = scales.signed_axis("y", [values])
     bars = Bars(at=np.arange(3.0), value=values, color=PALETTE[0], low=values / 2, high=values * 2)
@@ -150,7 +147,7 @@ def test_signed_axes_have_places_and_ticks_of_their_own() -> None:
     assert [model.y_range.start, model.y_range.end] == ends.tolist()
 
 
-def test_logarithmic_axes_have_no_place_for_zero() -> None:
+def test_logarithmic_axes_have_no_place_for_zero():
     y = np.array([0.0, 1.0, -1.0])
     mark = Dots(x=y + 2, y=y, color=PALETTE[0], low=y - 1, high=y + 1)
     axis = Axis(kind="log", low=0.1, high=2.0)
@@ -160,7 +157,7 @@ def test_logarithmic_axes_have_no_place_for_zero() -> None:
     np.testing.assert_array_equal(whiskers["y0"], [0.1, 0.1, 0.1])
 
 
-def test_gaps_interrupt_bands() -> None:
+def test_gaps_interrupt_bands():
     y = np.array([1.0, 2.0, np.nan, 4.0, 5.0, 6.0])
     mark = Line(x=np.arange(6.0), y=y, low=y, high=y + 1, color=PALETTE[0])
     band = next(
@@ -173,7 +170,7 @@ def test_gaps_interrupt_bands() -> None:
 
 
 @pytest.mark.parametrize("name", ["image", "log image", "beyond"])
-def test_shades_follow_the_values_and_nothing_has_none(name: str) -> None:
+def test_shades_follow_the_values_and_nothing_has_none(name):
     mark: Any = marks(1.0)[name]
     (columns,) = data(draw(plot(name)).model)
     shades, values = columns["image"][0], mark.values
@@ -188,7 +185,7 @@ def test_shades_follow_the_values_and_nothing_has_none(name: str) -> None:
     assert (columns["x"], columns["dw"]) == ([-3.5], [7.0])
 
 
-def test_signed_maps_are_white_at_zero_with_ticks_at_their_shades() -> None:
+def test_signed_maps_are_white_at_zero_with_ticks_at_their_shades():
     mark: Any = marks(1.0)["image"]
     model: Any = draw(plot("image")).model
     (columns,) = data(model)
@@ -199,7 +196,7 @@ def test_signed_maps_are_white_at_zero_with_ticks_at_their_shades() -> None:
     assert 0.0 in bar.ticker.ticks
 
 
-def test_names_have_a_legend_and_are_read_under_the_pointer() -> None:
+def test_names_have_a_legend_and_are_read_under_the_pointer():
     model: Any = draw(plot("names")).model
     assert [item.label.value for item in model.select_one({"type": Legend}).items] == ["no", "yes"]
     columns = next(each for each in data(model) if "image" in each)
@@ -209,13 +206,13 @@ def test_names_have_a_legend_and_are_read_under_the_pointer() -> None:
 
 
 @pytest.mark.parametrize("flipped", [False, True])
-def test_the_first_row_of_a_picture_is_on_top(flipped: bool) -> None:
+def test_the_first_row_of_a_picture_is_on_top(flipped):
     (columns,) = data(draw(plot("pixels", y=Axis(low=0, high=2, flipped=flipped))).model)
     image = columns["image"][0].view(np.uint8).reshape(2, 4, 4)
     assert image[0 if flipped else 1, 0].tolist() == [0, 1, 2, 255]
 
 
-def test_panels_share_a_bar_a_legend_and_the_zoom() -> None:
+def test_panels_share_a_bar_a_legend_and_the_zoom():
     image: Any = marks(1.0)["image"]
     panels = tuple(
         Panel(marks=(image, Dots(x=X, y=X, color=PALETTE[0], label="dots")), square=True)
@@ -234,14 +231,14 @@ def test_panels_share_a_bar_a_legend_and_the_zoom() -> None:
     assert document.validate() is None
 
 
-def test_one_button_turns_all_tooltips_off() -> None:
+def test_one_button_turns_all_tooltips_off():
     both = (marks(1.0)["line"], marks(1.0)["bars"])
     model: Any = draw(Plot(kind="t", panels=(Panel(marks=both),))).model
     tools = model.select({"type": HoverTool})
     assert sorted(tool.visible for tool in tools) == [False, True]
 
 
-def test_limits_that_stay_keep_the_zoom() -> None:
+def test_limits_that_stay_keep_the_zoom():
     axis = Axis(low=0.0, high=2.0)
     drawn = draw(plot("line", 1.0, y=axis))
     model: Any = drawn.model
@@ -252,18 +249,18 @@ def test_limits_that_stay_keep_the_zoom() -> None:
     assert (model.y_range.start, model.y_range.end) == (0.0, 3.0)
 
 
-def test_the_same_plot_is_the_same_text() -> None:
+def test_the_same_plot_is_the_same_text():
     assert packed(draw(plot("line")).model) == packed(draw(plot("line")).model)
 
 
-def test_the_script_stands_alone() -> None:
+def test_the_script_stands_alone():
     code = gzip.decompress(base64.b64decode(script())).decode()
     assert "embed_item" in code
     assert "sourceMappingURL" not in code or "http" not in code.split("sourceMappingURL")[-1][:200]
 
 
-def test_colors_are_seen_on_dark_and_light() -> None:
-    def luminance(color: str) -> float:
+def test_colors_are_seen_on_dark_and_light():
+    def luminance(color):
         parts = [int(color[i : i + 2], 16) / 255 for i in (1, 3, 5)]
         linear = [p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts]
         return float(np.dot(linear, [0.2126, 0.7152, 0.0722]))

@@ -1,7 +1,5 @@
 """Plots of scenes: maps, pictures by each strategy, the light at a pixel."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr

@@ -36,7 +36,7 @@ from mcspectra.plots.text import (
         (5e-324, "4.94×10⁻³²⁴"),
     ],
 )
-def test_number(value: float | None, text: str) -> None:
+def test_number(value, text):
     assert number(value) == text
 
 
@@ -54,7 +54,7 @@ def test_number(value: float | None, text: str) -> None:
         ((math.nan, math.nan, math.nan), "–"),
     ],
 )
-def test_rate(values: tuple[float, float, float], text: str) -> None:
+def test_rate(values, text):
     assert rate(*values) == text
 
 
@@ -70,11 +70,11 @@ def test_rate(values: tuple[float, float, float], text: str) -> None:
         (29.0, "2900 %"),
     ],
 )
-def test_percent(fraction: float, text: str) -> None:
+def test_percent(fraction, text):
     assert percent(fraction) == text
 
 
-def test_number_beside__rounding_is_no_number() -> None:
+def test_number_beside__rounding_is_no_number():
     assert number_beside(4e-17, 1e-3) == "≈ 0"
     assert number_beside(-4e-17, 1e-3) == "≈ 0"
     assert number_beside(0.0, 1e-3) == "0"
@@ -83,28 +83,28 @@ def test_number_beside__rounding_is_no_number() -> None:
     assert number_beside(math.inf, 1.0) == number_beside(math.inf, math.inf) == "∞"
 
 
-def test_interval() -> None:
+def test_interval():
     assert interval(1e-6, 2.5e-6) == "1.00×10⁻⁶ … 2.50×10⁻⁶"
     assert interval(None, 1.0) == interval(math.nan, 1.0) == "–"
 
 
-def test_power_of_ten() -> None:
+def test_power_of_ten():
     assert power_of_ten(-120) == "10⁻¹²⁰"
 
 
-def test_shorten__one_line_of_at_most_the_length() -> None:
+def test_shorten__one_line_of_at_most_the_length():
     assert shorten("a  b\nc", 10) == "a b c"
     long = shorten("x" * 50 + "end", 20)
     assert len(long) == 20
     assert long.endswith("end")
 
 
-def test_shorten__words_stay_whole_where_little_is_lost() -> None:
+def test_shorten__words_stay_whole_where_little_is_lost():
     text = "stratified(jitter=uniform) | shift(kind=patterson) | homogenize"
     assert shorten(text, 50) == "stratified(jitter=uniform) |…) | homogenize"
     assert all(len(shorten(text, length)) <= length for length in range(2, 60))
 
 
-def test_slug() -> None:
+def test_slug():
     assert slug('A <"b"> & c_1.5') == "a-b-c-1.5"
     assert slug("日本") == "x"

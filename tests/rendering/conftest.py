@@ -1,9 +1,6 @@
 """Scenes for the tests of the renderer's bridge."""
 
-from __future__ import annotations
-
 import gc
-from collections.abc import Iterator
 
 import pytest
 
@@ -43,7 +40,7 @@ _MIRROR = '<bsdf type="conductor"/>'
 _GRAY = '<bsdf type="diffuse"/>'
 
 
-def _scene(bsdf: str, *lights: str, camera: str = _CAMERA) -> str:
+def _scene(bsdf, *lights, camera=_CAMERA):
     return f'<scene version="3.0.0">{camera}{_FLOOR.format(bsdf=bsdf)}{"".join(lights)}</scene>'
 
 
@@ -57,7 +54,7 @@ _TEXTS = {
 
 
 @pytest.fixture(scope="module", autouse=True)
-def forget_scenes() -> Iterator[None]:
+def forget_scenes():
     """Drop a module's scenes: Dr.Jit traces the BSDFs of all that are alive at every call."""
     yield
     for cache in (scenes._built, hits_of, dimensions_of, _sky):
@@ -66,7 +63,7 @@ def forget_scenes() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def scene_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+def scene_files(tmp_path_factory):
     """Paths of small scenes: textured (layered BSDF, sky), mirror, lamp, dark, blind."""
     folder = tmp_path_factory.mktemp("scenes")
     for name, text in _TEXTS.items():

@@ -1,16 +1,13 @@
 """Errors of fitted rates by noise, for tests of curves that wobble about their line."""
 
-from __future__ import annotations
-
 from statistics import NormalDist
 
 import numpy as np
-import xarray as xr
 
 Z = NormalDist().inv_cdf(0.975)
 
 
-def slope_error(curve: xr.Dataset) -> float:
+def slope_error(curve):
     """Standard error of a slope by the noise of its variances, or by the scatter about it if larger."""
     low, high = np.log(curve["variance_ci"].transpose("bound", "n").values)
     weight = ((high - low) / 2 / Z) ** -2.0

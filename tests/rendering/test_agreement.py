@@ -5,10 +5,7 @@ the crop is one more hypothesis. All are held to one level by Šidák's correcti
 must notice a technique that is wrong by 2 %.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -38,7 +35,7 @@ STOCK = {"light": (1, 0), "bsdf": (0, 1), "mis": (1, 1)}
 
 
 @pytest.fixture(scope="module")
-def scenes(scene_files: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+def scenes(scene_files, tmp_path_factory):
     """Veach's scene, and a principled floor under a textured light and a sky."""
     text = Path(scene_files["textured"]).read_text(encoding="utf-8")
     for old, new in CHANGES.items():
@@ -50,11 +47,11 @@ def scenes(scene_files: dict[str, str], tmp_path_factory: pytest.TempPathFactory
 
 
 @pytest.fixture(scope="module")
-def stock(scenes: dict[str, str]) -> Any:
+def stock(scenes):
     """Batches of the stock integrator, kept: (scene, strategy) to (BATCHES, h, w, 3)."""
     kept: dict[tuple[str, str], Array] = {}
 
-    def batches(name: str, strategy: str) -> Array:
+    def batches(name, strategy):
         key = (name, strategy)
         if key not in kept:
             kept[key] = _stock_batches(load_scene(scenes[name]), *STOCK[strategy])
@@ -64,7 +61,7 @@ def stock(scenes: dict[str, str]) -> Any:
     return batches
 
 
-def _stock_batches(scene: Any, emitter_samples: int, bsdf_samples: int) -> Array:
+def _stock_batches(scene, emitter_samples, bsdf_samples):
     mitsuba = load_mitsuba()
     counts = {"emitter_samples": emitter_samples, "bsdf_samples": bsdf_samples}
     direct = mitsuba.load_dict({"type": "direct", **counts})
@@ -75,7 +72,7 @@ def _stock_batches(scene: Any, emitter_samples: int, bsdf_samples: int) -> Array
     return np.stack(images).astype(np.float64)
 
 
-def smallest_p_value(stock: Array, ours: Any) -> float:
+def smallest_p_value(stock, ours):
     """Šidák-corrected p-value of the worst pixel and channel, or of the mean of the crop."""
     mean, variance = stock.mean(axis=0), stock.var(axis=0, ddof=1) / BATCHES
     other, rest = ours["image"].values, ours["image_se"].values ** 2
@@ -94,20 +91,18 @@ def smallest_p_value(stock: Array, ours: Any) -> float:
     return float(-np.expm1(hypotheses * np.log1p(-min(worst, 1.0 - 1e-16))))
 
 
-def _variance_of_sum(stock: Array) -> Array:
+def _variance_of_sum(stock):
     return np.asarray(stock.sum(axis=(1, 2)).var(axis=0, ddof=1) / BATCHES)
 
 
-def ours(scene: str, name: str, strategy: str) -> Any:
+def ours(scene, name, strategy):
     options = {"spp": SPP, "realizations": BATCHES, "crop": CROPS[name]}
-    return render(scene, strategy, "sobol | owen", **options, rng=5)  # type: ignore[arg-type]
+    return render(scene, strategy, "sobol | owen", **options, rng=5)
 
 
 @pytest.mark.parametrize("strategy", list(STOCK))
 @pytest.mark.parametrize("name", list(CROPS))
-def test_every_pixel_is_that_of_the_stock_integrator(
-    scenes: dict[str, str], stock: Any, name: str, strategy: str
-) -> None:
+def test_every_pixel_is_that_of_the_stock_integrator(scenes, stock, name, strategy):
     p = smallest_p_value(stock(name, strategy), ours(scenes[name], name, strategy))
     assert p > LEVEL
 
@@ -115,15 +110,15 @@ def test_every_pixel_is_that_of_the_stock_integrator(
 @pytest.mark.parametrize("strategy", ["light", "bsdf"])
 @pytest.mark.parametrize("name", list(CROPS))
 def test_two_percent_are_noticed(
-    monkeypatch: pytest.MonkeyPatch,
-    scenes: dict[str, str],
-    stock: Any,
-    name: str,
-    strategy: str,
-) -> None:
+    monkeypatch,
+    scenes,
+    stock,
+    name,
+    strategy,
+):
     right = getattr(wavefront, f"sample_{strategy}")
 
-    def too_bright(*given: Any) -> Any:
+    def too_bright(*given):
         value, own, other = right(*given)
         return 1.02 * value, own, other
 
@@ -133,9 +128,7 @@ def test_two_percent_are_noticed(
 
 
 @pytest.mark.parametrize("name", list(CROPS))
-def test_weights_that_do_not_add_up_are_noticed(
-    monkeypatch: pytest.MonkeyPatch, scenes: dict[str, str], stock: Any, name: str
-) -> None:
+def test_weights_that_do_not_add_up_are_noticed(monkeypatch, scenes, stock, name):
     right = wavefront.heuristic_weight
     monkeypatch.setattr(wavefront, "heuristic_weight", lambda *given: 1.02 * right(*given))
     assert smallest_p_value(stock(name, "mis"), ours(scenes[name], name, "mis")) < LEVEL

@@ -1,15 +1,13 @@
 """The search for LLVM: order, verdicts, cache, and the sentence where nothing works."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from tests.processes import python
 
 from mcspectra.core.errors import MissingDependency
 from mcspectra.rendering import backend
@@ -19,42 +17,42 @@ pytestmark = pytest.mark.render
 
 
 @pytest.fixture
-def not_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
+def not_loaded(monkeypatch):
     """Make `load_mitsuba` start from nothing."""
     monkeypatch.setattr(backend, "_loaded", [])
     monkeypatch.setattr(backend, "_already_running", lambda: False)
 
 
 @pytest.fixture
-def own_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+def own_cache(monkeypatch, tmp_path):
     folder = tmp_path / "cache"
     monkeypatch.setenv("MCSPECTRA_CACHE", str(folder))
     return folder
 
 
-def _library(folder: Path, text: str = "not a library") -> str:
+def _library(folder, text="not a library"):
     file = folder / "libLLVM-99.so"
     file.write_text(text)
     return str(file)
 
 
-def _no_probe(library: str) -> tuple[Verdict, bool]:
+def _no_probe(library):
     raise AssertionError(f"{library} was probed")
 
 
-def test_loaded_module_has_the_variant_even_after_another_was_set() -> None:
+def test_loaded_module_has_the_variant_even_after_another_was_set():
     mitsuba = load_mitsuba()
     assert mitsuba.variant() == VARIANT
     mitsuba.set_variant("scalar_rgb")
     assert load_mitsuba().variant() == VARIANT
 
 
-def test_describe_finds_a_library_and_leaves_mitsuba_alone() -> None:
+def test_describe_finds_a_library_and_leaves_mitsuba_alone():
     code = (
         "import json, sys; from mcspectra.rendering.backend import describe;"
         "print(json.dumps([describe(), 'mitsuba' in sys.modules]))"
     )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    run = python("-c", code, check=True)
     found, imported = json.loads(run.stdout)
     assert not imported
     assert found["variant"] == VARIANT
@@ -64,9 +62,7 @@ def test_describe_finds_a_library_and_leaves_mitsuba_alone() -> None:
     assert found["drjit"]
 
 
-def test_second_search_takes_the_kept_verdict(
-    monkeypatch: pytest.MonkeyPatch, own_cache: Path
-) -> None:
+def test_second_search_takes_the_kept_verdict(monkeypatch, own_cache):
     first, _ = find_library()
     assert first is not None
     assert len(list(own_cache.iterdir())) == 1
@@ -77,9 +73,7 @@ def test_second_search_takes_the_kept_verdict(
 
 
 @pytest.mark.parametrize("kept", ["", "{", "[]", '{"works": true}', "null"])
-def test_broken_cache_file_is_written_anew(
-    monkeypatch: pytest.MonkeyPatch, own_cache: Path, tmp_path: Path, kept: str
-) -> None:
+def test_broken_cache_file_is_written_anew(monkeypatch, own_cache, tmp_path, kept):
     library = _library(tmp_path)
     own_cache.mkdir()
     file = own_cache / f"llvm-{backend._fingerprint(library)}.json"
@@ -91,23 +85,21 @@ def test_broken_cache_file_is_written_anew(
     assert backend._read_verdict(file, library) == verdict
 
 
-def test_verdicts_are_kept_in_the_cache_that_is_chosen(
-    monkeypatch: pytest.MonkeyPatch, own_cache: Path, tmp_path: Path
-) -> None:
+def test_verdicts_are_kept_in_the_cache_that_is_chosen(monkeypatch, own_cache, tmp_path):
     verdict = Verdict(_library(tmp_path), False, "no")
     monkeypatch.setattr(backend, "_probe", lambda _: (verdict, True))
     backend._verdict(verdict.library, fresh=False)
     assert [file.name[:5] for file in own_cache.iterdir()] == ["llvm-"]
 
 
-def test_cache_that_cannot_be_written_is_no_error(own_cache: Path) -> None:
+def test_cache_that_cannot_be_written_is_no_error(own_cache):
     own_cache.write_text("a file where the folder should be")
     best, _ = find_library()
     assert best is not None
     assert best.works
 
 
-def test_fingerprint_follows_the_file(tmp_path: Path) -> None:
+def test_fingerprint_follows_the_file(tmp_path):
     library = _library(tmp_path)
     before = backend._fingerprint(library)
     assert backend._fingerprint(library) == before
@@ -115,9 +107,7 @@ def test_fingerprint_follows_the_file(tmp_path: Path) -> None:
     assert backend._fingerprint(library) != before
 
 
-def test_users_library_comes_first_and_a_bad_one_is_passed_over(
-    monkeypatch: pytest.MonkeyPatch, own_cache: Path, tmp_path: Path
-) -> None:
+def test_users_library_comes_first_and_a_bad_one_is_passed_over(monkeypatch, own_cache, tmp_path):
     missing = str(tmp_path / "libLLVM-nowhere.so")
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", missing)
     best, refused = find_library()
@@ -125,7 +115,7 @@ def test_users_library_comes_first_and_a_bad_one_is_passed_over(
     assert refused == [Verdict(missing, False, "there is no such file")]
 
 
-def test_library_that_is_none_is_refused_with_a_reason(own_cache: Path, tmp_path: Path) -> None:
+def test_library_that_is_none_is_refused_with_a_reason(own_cache, tmp_path):
     verdict, final = backend._probe(_library(tmp_path))
     assert final
     assert not verdict.works
@@ -141,13 +131,13 @@ def test_library_that_is_none_is_refused_with_a_reason(own_cache: Path, tmp_path
     ],
 )
 def test_probe_survives_crashes_and_hangs(
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-    probe: str,
-    seconds: float,
-    reason: str,
-    final: bool,
-) -> None:
+    monkeypatch,
+    tmp_path,
+    probe,
+    seconds,
+    reason,
+    final,
+):
     monkeypatch.setattr(backend, "_PROBE", probe)
     monkeypatch.setattr(backend, "_PROBE_SECONDS", seconds)
     verdict, kept = backend._probe(_library(tmp_path))
@@ -156,18 +146,14 @@ def test_probe_survives_crashes_and_hangs(
     assert kept is final
 
 
-def test_without_library_the_error_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, not_loaded: None
-) -> None:
+def test_without_library_the_error_says_what_to_install(monkeypatch, not_loaded):
     monkeypatch.setattr(backend, "_candidates", lambda: iter(()))
     with pytest.raises(MissingDependency, match=r"pip install 'mcspectra\[render\]'.*LLVM ≥ 19"):
         load_mitsuba()
     assert "none was found" in describe()["reason"]
 
 
-def test_without_mitsuba_the_error_names_the_extra(
-    monkeypatch: pytest.MonkeyPatch, not_loaded: None
-) -> None:
+def test_without_mitsuba_the_error_names_the_extra(monkeypatch, not_loaded):
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
     monkeypatch.setattr(backend, "_version", lambda _: None)
     with pytest.raises(MissingDependency, match=r"pip install 'mcspectra\[render\]'"):
@@ -189,13 +175,11 @@ def test_without_mitsuba_the_error_names_the_extra(
         ("/a/bin/LLVM-C.dll", None),
     ],
 )
-def test_version_is_read_from_the_path(path: str, version: int | None) -> None:
+def test_version_is_read_from_the_path(path, version):
     assert backend._llvm_version(path) == version
 
 
-def test_system_libraries_run_from_new_to_old_without_those_too_old(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_system_libraries_run_from_new_to_old_without_those_too_old(monkeypatch, tmp_path):
     for version in (15, 19, 21):
         (tmp_path / f"libLLVM-{version}.so").touch()
     folders = {backend.platform.system(): ((str(tmp_path), "libLLVM*.so*"),)}
@@ -204,7 +188,7 @@ def test_system_libraries_run_from_new_to_old_without_those_too_old(
     assert names == ["libLLVM-21.so", "libLLVM-19.so"]
 
 
-def test_candidates_name_each_file_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_candidates_name_each_file_once(monkeypatch, tmp_path):
     library = os.path.realpath(_library(tmp_path))
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", library)
     monkeypatch.setattr(backend, "_wheel_library", lambda: [library])
@@ -226,17 +210,13 @@ else:
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux says what is loaded")
-def test_mitsuba_with_a_broken_llvm_before_us_is_refused_in_a_sentence(
-    own_cache: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_mitsuba_with_a_broken_llvm_before_us_is_refused_in_a_sentence(own_cache, monkeypatch):
     best, _ = find_library()
     assert best is not None
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", best.library)
 
-    def printed() -> str:
-        run = subprocess.run(
-            [sys.executable, "-c", _AFTER_OURS], capture_output=True, text=True, check=True
-        )
+    def printed():
+        run = python("-c", _AFTER_OURS, check=True)
         return run.stdout
 
     assert printed() == "works\n"

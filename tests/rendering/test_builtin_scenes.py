@@ -1,14 +1,11 @@
 """The built-in scenes: what their named pixels see, and light against Lambert's formula."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.checks import Array
 from mcspectra.core.environments import synthetic_sky
 from mcspectra.core.errors import ParameterError
 from mcspectra.rendering import (
@@ -44,7 +41,7 @@ SINGLE = 2e-6  # sixteen roundings of float32
 SIGMAS = 4.0
 
 
-def occluder() -> Array:
+def occluder():
     """Return the corners of the square of half side 0.7 around (1.5, 1, 0), turned by 25°."""
     # A turn about y takes +x towards −z.
     turn = math.radians(-25.0) + np.array([1, 3, 5, 7]) * math.pi / 4
@@ -52,7 +49,7 @@ def occluder() -> Array:
     return np.stack([1.5 + x, np.ones(4), z], axis=-1)
 
 
-def radiance(point: Array, polygon: Array) -> float:
+def radiance(point, polygon):
     """Reflected radiance below a polygon: Lambert's formula, ρ/π · L · ½ Σ angle · (edge normal)_y."""
     to = polygon - point
     to = to / np.linalg.norm(to, axis=1, keepdims=True)
@@ -63,7 +60,7 @@ def radiance(point: Array, polygon: Array) -> float:
     return REFLECTANCE / math.pi * RADIANCE * abs(total) / 2
 
 
-def clipped(polygon: Array, shadow: Array) -> Array:
+def clipped(polygon, shadow):
     """Cut a convex polygon by a convex one, both in the plane y = 2 (Sutherland & Hodgman 1974)."""
     center = shadow.mean(axis=0)
     for a, b in zip(shadow, np.roll(shadow, -1, axis=0), strict=True):
@@ -78,7 +75,7 @@ def clipped(polygon: Array, shadow: Array) -> Array:
     return polygon
 
 
-def seen_part(point: Array) -> tuple[float, float]:
+def seen_part(point):
     """Reflected radiance of a point of the floor, and the share of the light's area it sees."""
     hidden = clipped(LIGHT, point + 2.0 * (occluder() - point))  # twice as high: twice as far
     if len(hidden) < 3:
@@ -88,36 +85,36 @@ def seen_part(point: Array) -> tuple[float, float]:
     return radiance(point, LIGHT) - radiance(point, hidden), 1.0 - area / 4.0
 
 
-def pixel(name: str, strategy: str, scene: str = "figure1") -> Pixel:
+def pixel(name, strategy, scene="figure1"):
     x, y = named_pixels(scene)[name]
     return Pixel(scene=scene, x=x, y=y, strategy=strategy)
 
 
-def jittered(strata: int, realizations: int = 40) -> Array:
+def jittered(strata, realizations=40):
     return mcs.sampler("jittered", 2).draw(strata**2, realizations=realizations, rng=1)
 
 
 @pytest.mark.parametrize("scene", list(SEEN))
 @pytest.mark.parametrize("size", ["", "(width=150, height=100)"])
-def test_named_pixels_see_what_they_should(scene: str, size: str) -> None:
+def test_named_pixels_see_what_they_should(scene, size):
     found = named_pixels(scene + size)
     seen = {name: describe_pixel(scene + size, *xy)["shape"] for name, xy in found.items()}
     assert seen == SEEN[scene]
 
 
 @pytest.mark.parametrize("scene", list(SEEN))
-def test_built_in_scenes_are_supported(scene: str) -> None:
+def test_built_in_scenes_are_supported(scene):
     assert check_scene(scene) == []
     assert SEEN.keys() <= set(SCENES)
 
 
-def test_named_pixels_outside_a_narrow_film_are_left_out() -> None:
+def test_named_pixels_outside_a_narrow_film_are_left_out():
     assert set(named_pixels("veach(width=20, height=100)")) == {"floor"}
 
 
 @pytest.mark.parametrize("strategy", ["light", "bsdf"])
 @pytest.mark.parametrize("name", ["P", "Q"])
-def test_figure1_has_the_exact_radiance(name: str, strategy: str) -> None:
+def test_figure1_has_the_exact_radiance(name, strategy):
     g = pixel(name, strategy)
     position = np.array(describe_pixel("figure1", g.x, g.y)["position"])
     exact, _ = seen_part(position * [1, 0, 1])
@@ -127,7 +124,7 @@ def test_figure1_has_the_exact_radiance(name: str, strategy: str) -> None:
     assert abs(means.mean() - exact) < SIGMAS * error + SINGLE * exact
 
 
-def test_p_sees_all_of_the_light_and_q_the_exact_part() -> None:
+def test_p_sees_all_of_the_light_and_q_the_exact_part():
     u = jittered(128, realizations=1)[0]
     assert (pixel("P", "light")(u) > 0).all()
     g = pixel("Q", "light")
@@ -138,13 +135,13 @@ def test_p_sees_all_of_the_light_and_q_the_exact_part() -> None:
     assert abs(np.mean(g(u) > 0) - share) < SIGMAS * 0.5 * math.sqrt(2 * 128) / 128**2
 
 
-def test_named_points_are_those_of_the_module() -> None:
+def test_named_points_are_those_of_the_module():
     for name, point in (("P", P), ("Q", Q)):
         x, y = project("figure1", point)
         assert named_pixels("figure1")[name] == (math.floor(x), math.floor(y))
 
 
-def smooth_radiance(point: Array, edge: float) -> float:
+def smooth_radiance(point, edge):
     """Reflected radiance under the smooth-edged light, by Gauss-Legendre on each smooth part."""
     nodes, weights = np.polynomial.legendre.leggauss(24)
     borders = np.array([-1.0, edge - 1.0, 1.0 - edge, 1.0])
@@ -158,7 +155,7 @@ def smooth_radiance(point: Array, edge: float) -> float:
 
 @pytest.mark.parametrize("strategy", ["light", "bsdf"])
 @pytest.mark.parametrize("edge", [0.2, 1.0])
-def test_smooth_edge_follows_its_profile(edge: float, strategy: str) -> None:
+def test_smooth_edge_follows_its_profile(edge, strategy):
     scene = f"smooth-light(edge={edge})"
     g = pixel("P", strategy, scene)
     position = np.array(describe_pixel(scene, g.x, g.y)["position"])
@@ -180,7 +177,7 @@ SHADES: dict[str, set[str]] = {
 
 
 @pytest.mark.parametrize("name", list(SHADES))
-def test_penumbrae_are_those_of_their_occluders(name: str) -> None:
+def test_penumbrae_are_those_of_their_occluders(name):
     full, (x, y) = penumbra(), named_pixels("penumbra")[name]
     u = jittered(64, realizations=1)[0]
     seen = Pixel(scene=full, x=x, y=y)(u) > 0
@@ -191,7 +188,7 @@ def test_penumbrae_are_those_of_their_occluders(name: str) -> None:
         assert changes == (shape in SHADES[name])
 
 
-def test_edge_of_width_zero_is_the_constant_light() -> None:
+def test_edge_of_width_zero_is_the_constant_light():
     u = jittered(16)
     x, y = named_pixels("figure1")["P"]
     hard = Pixel(scene="figure1(edge=0)", x=x, y=y)
@@ -200,7 +197,7 @@ def test_edge_of_width_zero_is_the_constant_light() -> None:
     np.testing.assert_allclose(thin(u), pixel("P", "bsdf")(u), rtol=1e-5)
 
 
-def test_sky_is_the_synthetic_one_with_its_first_row_up() -> None:
+def test_sky_is_the_synthetic_one_with_its_first_row_up():
     mitsuba, sky = load_mitsuba(), load_scene("sky").emitters()[0]
     pixels = synthetic_sky(64, 128)
     for row, column in ((3, 10), (20, 80), (45, 100)):
@@ -226,7 +223,7 @@ def test_sky_is_the_synthetic_one_with_its_first_row_up() -> None:
         ("penumbra(width=1000000000)", "width is 1000000000"),
     ],
 )
-def test_bad_parameters_are_one_sentence(scene: str, words: str) -> None:
+def test_bad_parameters_are_one_sentence(scene, words):
     with pytest.raises(ParameterError) as caught:
         load_scene(scene)
     assert words in str(caught.value)

@@ -1,7 +1,5 @@
 """Scenes given as dictionaries: one object for equal contents, copies, and bad dictionaries."""
 
-from __future__ import annotations
-
 import pickle
 from typing import Any
 
@@ -22,11 +20,11 @@ from mcspectra.rendering.scenes import DictScene, as_scene, film_size, scene_nam
 pytestmark = pytest.mark.render
 
 
-def edited(**changes: Any) -> dict[str, Any]:
+def edited(**changes):
     return figure1() | changes
 
 
-def test_equal_contents_are_one_scene() -> None:
+def test_equal_contents_are_one_scene():
     # Each has transforms of its own, and for the smooth light a bitmap.
     assert load_scene(figure1()) is load_scene(figure1())
     assert load_scene(figure1(edge=0.5)) is load_scene(figure1(edge=0.5))
@@ -34,7 +32,7 @@ def test_equal_contents_are_one_scene() -> None:
     assert hash(DictScene(figure1())) == hash(DictScene(figure1()))
 
 
-def test_any_other_content_is_another_scene() -> None:
+def test_any_other_content_is_another_scene():
     rectangle = figure1()["floor"]
     moved = rectangle | {"to_world": figure1()["light"]["to_world"]}
     others: list[dict[str, Any]] = [
@@ -51,7 +49,7 @@ def test_any_other_content_is_another_scene() -> None:
     assert DictScene(figure1()) != figure1()
 
 
-def test_objects_of_mitsuba_compare_by_identity() -> None:
+def test_objects_of_mitsuba_compare_by_identity():
     load = load_mitsuba().load_dict
     first, second = load({"type": "diffuse"}), load({"type": "diffuse"})
     pair = [{"type": "scene", "floor": {"type": "rectangle", "b": b}} for b in (first, second)]
@@ -59,7 +57,7 @@ def test_objects_of_mitsuba_compare_by_identity() -> None:
     assert load_scene(pair[0]) is not load_scene(pair[1])
 
 
-def test_later_changes_do_not_reach_the_handle() -> None:
+def test_later_changes_do_not_reach_the_handle():
     scene = figure1()
     handle = as_scene(scene)
     assert as_scene(handle) is handle
@@ -71,7 +69,7 @@ def test_later_changes_do_not_reach_the_handle() -> None:
     assert film_size(handle) == (384, 256)
 
 
-def test_a_pixel_of_a_dictionary_is_that_of_its_name() -> None:
+def test_a_pixel_of_a_dictionary_is_that_of_its_name():
     x, y = named_pixels("figure1")["Q"]
     u = (np.arange(200).reshape(100, 2) + 0.5) / 200
     by_dict = Pixel(scene=figure1(), x=x, y=y)
@@ -82,7 +80,7 @@ def test_a_pixel_of_a_dictionary_is_that_of_its_name() -> None:
     assert named_pixels(figure1()) == {}
 
 
-def test_messages_call_it_dict() -> None:
+def test_messages_call_it_dict():
     blind = {key: value for key, value in figure1().items() if key != "sensor"}
     assert scene_name(blind) == "'dict'"
     with pytest.raises(ParameterError, match="The scene 'dict' has no camera"):
@@ -91,19 +89,19 @@ def test_messages_call_it_dict() -> None:
         project(figure1(), (0, 0, 100))
 
 
-def holding_itself() -> dict[str, Any]:
+def holding_itself():
     scene: dict[str, Any] = {"type": "scene"}
     scene["again"] = scene
     return scene
 
 
-def listing_itself() -> list[Any]:
+def listing_itself():
     entries: list[Any] = []
     entries.append(entries)
     return entries
 
 
-def test_lists_and_arrays_are_copied_too() -> None:
+def test_lists_and_arrays_are_copied_too():
     center, data = [0.0, 1.0, 2.0], np.ones((2, 3), np.float32)
     ball = {"type": "sphere", "center": center}
     scene = {"type": "scene", "ball": ball, "data": data}
@@ -137,9 +135,7 @@ def test_lists_and_arrays_are_copied_too() -> None:
         ({"type": "scene", "a": {"type": "ply", "filename": "no.ply"}}, FileFormatError, "no.ply"),
     ],
 )
-def test_bad_dictionaries_are_one_sentence(
-    scene: dict[Any, Any], error: type[Exception], words: str
-) -> None:
+def test_bad_dictionaries_are_one_sentence(scene, error, words):
     with pytest.raises(error) as caught:
         load_scene(scene)
     assert words in str(caught.value)
@@ -148,6 +144,6 @@ def test_bad_dictionaries_are_one_sentence(
 
 
 @pytest.mark.parametrize("scene", [None, 7, "", "  ", [], ["veach"], b"veach", np.zeros(3)])
-def test_what_is_no_scene_is_refused(scene: Any) -> None:
+def test_what_is_no_scene_is_refused(scene):
     with pytest.raises(ParameterError, match="give the name of a scene"):
         as_scene(scene)

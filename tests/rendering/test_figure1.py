@@ -1,11 +1,8 @@
 """Figure 1 of the paper: eight rates of two pixels under a square light, jittered, 95 % intervals."""
 
-from __future__ import annotations
-
 from statistics import NormalDist
 
 import pytest
-import xarray as xr
 from tests.rendering.slopes import slope_error
 
 import mcspectra as mcs
@@ -21,7 +18,7 @@ SAMPLERS = ["jittered", "jittered | shift"]
 SIGMAS = NormalDist().inv_cdf(1 - (1 - 0.99 ** (1 / 8)) / 2)
 
 
-def estimators(scene: str) -> list[mcs.Estimator]:
+def estimators(scene):
     pixels = named_pixels(scene)
     return [
         mcs.Estimator(pixel_strategies(scene, *pixels[name])[strategy]) for name, strategy in CURVES
@@ -29,7 +26,7 @@ def estimators(scene: str) -> list[mcs.Estimator]:
 
 
 @pytest.fixture(scope="module")
-def curves() -> xr.Dataset:
+def curves():
     return mcs.convergence(
         estimators("figure1"), SAMPLERS, COUNTS, realizations=REALIZATIONS, rng=1
     )
@@ -37,7 +34,7 @@ def curves() -> xr.Dataset:
 
 @pytest.mark.parametrize("sampler", SAMPLERS)
 @pytest.mark.parametrize(("name", "strategy"), CURVES)
-def test_rate(curves: xr.Dataset, name: str, strategy: str, sampler: str) -> None:
+def test_rate(curves, name, strategy, sampler):
     fastest = (name, strategy, sampler) == ("P", "light", "jittered")
     expected = -2.0 if fastest else -1.5
     at = {"estimator": CURVES.index((name, strategy)), "sampler": SAMPLERS.index(sampler)}
@@ -47,7 +44,7 @@ def test_rate(curves: xr.Dataset, name: str, strategy: str, sampler: str) -> Non
     assert abs(difference) < min(0.1, SIGMAS * error)
 
 
-def test_strategies_agree_on_the_mean(curves: xr.Dataset) -> None:
+def test_strategies_agree_on_the_mean(curves):
     mean, se = curves["mean"].isel(n=-1).values, curves["mean_se"].isel(n=-1).values
     for light, bsdf in ((0, 1), (2, 3)):
         for s in range(len(SAMPLERS)):
@@ -55,7 +52,7 @@ def test_strategies_agree_on_the_mean(curves: xr.Dataset) -> None:
             assert abs(mean[light, s] - mean[bsdf, s]) < 4 * error
 
 
-def test_a_smooth_edge_raises_the_rate_of_bsdf_sampling() -> None:
+def test_a_smooth_edge_raises_the_rate_of_bsdf_sampling():
     x, y = named_pixels("smooth-light")["P"]
     hard, soft = (
         mcs.convergence(

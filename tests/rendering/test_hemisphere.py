@@ -1,12 +1,9 @@
 """Light that arrives at a pixel: f integrates to what every strategy estimates."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import pytest
-import xarray as xr
 
 from mcspectra.core.errors import ParameterError
 from mcspectra.rendering import Pixel, named_pixels
@@ -15,7 +12,7 @@ from mcspectra.rendering.pixel import incident_light
 pytestmark = pytest.mark.render
 
 
-def solid_angles(data: xr.Dataset) -> xr.DataArray:
+def solid_angles(data):
     """Solid angle of each cell, from the elevations of its borders."""
     half = np.radians(90.0 / data.sizes["elevation"] / 2)
     up = np.radians(data["elevation"])
@@ -27,7 +24,7 @@ def solid_angles(data: xr.Dataset) -> xr.DataArray:
     [("figure1", "P", None), ("figure1", "Q", None), ("veach", "wall", "light-3"),
      ("veach", "plate-3", "light-3"), ("sky", "floor", None)],
 )  # fmt: skip
-def test_f_integrates_to_the_pixel_s_value(scene: str, name: str, light: str | None) -> None:
+def test_f_integrates_to_the_pixel_s_value(scene, name, light):
     x, y = named_pixels(scene)[name]
     data = incident_light(scene, x, y, light=light, resolution=256)
     total = float((data["reflected_radiance"] * solid_angles(data)).sum())
@@ -35,13 +32,13 @@ def test_f_integrates_to_the_pixel_s_value(scene: str, name: str, light: str | N
     assert total == pytest.approx(Pixel(scene=scene, x=x, y=y, light=light).integral, rel=0.01)
 
 
-def test_a_constant_light_shows_its_radiance() -> None:
+def test_a_constant_light_shows_its_radiance():
     x, y = named_pixels("figure1")["P"]
     radiance = incident_light("figure1", x, y, resolution=64)["incident_radiance"].values
     assert set(np.unique(radiance)) == {0.0, 9.0}
 
 
-def test_a_diffuse_floor_reflects_by_the_cosine() -> None:
+def test_a_diffuse_floor_reflects_by_the_cosine():
     x, y = named_pixels("figure1")["P"]
     data = incident_light("figure1", x, y, resolution=64)
     cosine = np.sin(np.radians(data["elevation"]))
@@ -49,7 +46,7 @@ def test_a_diffuse_floor_reflects_by_the_cosine() -> None:
     assert np.allclose(data["reflected_radiance"], expected, rtol=1e-5)
 
 
-def test_what_lies_above_the_plane_of_the_light_only() -> None:
+def test_what_lies_above_the_plane_of_the_light_only():
     """From P (-1.2, 0, 0.7) the corners of the light, 2 above, span these elevations."""
     x, y = named_pixels("figure1")["P"]
     data = incident_light("figure1", x, y, resolution=180)
@@ -73,7 +70,7 @@ def test_what_lies_above_the_plane_of_the_light_only() -> None:
         ({"y": -1}, "outside the film"),
     ],
 )
-def test_bad_input_is_one_sentence(changes: dict[str, Any], words: str) -> None:
+def test_bad_input_is_one_sentence(changes, words):
     x, y = named_pixels("figure1")["P"]
     given: dict[str, Any] = {"scene": "figure1", "x": x, "y": y} | changes
     with pytest.raises(ParameterError, match=words):

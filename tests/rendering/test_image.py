@@ -1,7 +1,5 @@
 """Images: the same numbers as a pixel at a time, moments over realisations, crops, bad input."""
 
-from __future__ import annotations
-
 import threading
 from typing import Any
 
@@ -23,7 +21,7 @@ SOBOL = "sobol | owen"  # computed in kernels: see test_kernel_nets
 DRAWN = "sobol | digital-shift"
 
 
-def test_every_pixel_is_the_mean_of_its_realisation_of_the_sampler() -> None:
+def test_every_pixel_is_the_mean_of_its_realisation_of_the_sampler():
     found = render(VEACH, "mis", DRAWN, 8, rng=3)["image"]
     waves = Wavefront(VEACH, film="sampled", emission=True)
     points = mcs.sampler(DRAWN, 6).draw_stream(8, Stream.from_rng(3).child(0), 0, 24 * 16)
@@ -32,11 +30,11 @@ def test_every_pixel_is_the_mean_of_its_realisation_of_the_sampler() -> None:
     np.testing.assert_array_equal(found, expected)
 
 
-def test_moments_are_those_of_single_images(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_moments_are_those_of_single_images(monkeypatch):
     single: list[Any] = []
     original = Wavefront.means
 
-    def kept(self: Wavefront, *given: Any) -> Any:
+    def kept(self, *given):
         single.append(original(self, *given))
         return single[-1]
 
@@ -50,7 +48,7 @@ def test_moments_are_those_of_single_images(monkeypatch: pytest.MonkeyPatch) -> 
     np.testing.assert_allclose(result["image_se"] ** 2, variance / 5, rtol=1e-10, atol=1e-25)
 
 
-def test_first_image_is_that_of_a_single_one() -> None:
+def test_first_image_is_that_of_a_single_one():
     waves = Wavefront(VEACH, film="sampled", emission=True)
     assert waves.dims("light") == 4
     two = render(VEACH, "light", SOBOL, 4, realizations=2)
@@ -64,9 +62,7 @@ def test_first_image_is_that_of_a_single_one() -> None:
 
 
 @pytest.mark.parametrize("lanes", [32, 8 * 24 * 3 + 5, 8 * 24 * 16 * 2])
-def test_tiles_and_threads_do_not_change_the_image(
-    monkeypatch: pytest.MonkeyPatch, lanes: int
-) -> None:
+def test_tiles_and_threads_do_not_change_the_image(monkeypatch, lanes):
     options: dict[str, Any] = {"spp": 8, "realizations": 3, "crop": (3, 2, 9, 4), "rng": 2}
     whole = render(VEACH, "bsdf", workers=1, **options)
     monkeypatch.setattr(module, "_TILE_LANES", lanes)
@@ -80,14 +76,14 @@ def test_tiles_and_threads_do_not_change_the_image(
 @pytest.mark.parametrize(
     "sampler", [SOBOL, "random", "sobol | owen | decorrelate(mode='digital-shift')"]
 )
-def test_a_crop_is_the_same_part_of_the_whole(sampler: str) -> None:
+def test_a_crop_is_the_same_part_of_the_whole(sampler):
     whole = render(VEACH, "light", sampler, 4, rng=9)["image"]
     crop = render(VEACH, "light", sampler, 4, rng=9, crop=(5, 3, 7, 6))["image"]
     assert crop.shape == (6, 7, 3)
     assert whole.sel(x=crop.x, y=crop.y).identical(crop.assign_attrs(whole.attrs))
 
 
-def test_the_error_of_a_reference_is_the_distance_to_another() -> None:
+def test_the_error_of_a_reference_is_the_distance_to_another():
     a = reference(VEACH, 128, batches=16, rng=1, sampler="random")
     b = reference(VEACH, 128, batches=16, rng=2, sampler="random")
     total = np.sqrt(a["image_se"] ** 2 + b["image_se"] ** 2).values
@@ -99,7 +95,7 @@ def test_the_error_of_a_reference_is_the_distance_to_another() -> None:
     assert abs(z.mean()) < 4 / np.sqrt(len(z))
 
 
-def test_provenance_says_how_it_was_made() -> None:
+def test_provenance_says_how_it_was_made():
     result = render(VEACH, "mis", SOBOL, 4, realizations=2, heuristic="power", rng=7)
     told = result.attrs
     assert told["strategy"] == "mis"
@@ -110,18 +106,18 @@ def test_provenance_says_how_it_was_made() -> None:
     assert result["channel"].values.tolist() == ["R", "G", "B"]
 
 
-def test_strategies_are_compared_at_equal_samples() -> None:
+def test_strategies_are_compared_at_equal_samples():
     images = compare_strategies(VEACH, 4, reference_spp=32)
     assert list(images) == ["reference", "light", "bsdf", "mis"]
     assert [images[s].attrs["spp"] for s in ("light", "bsdf", "mis")] == [4, 4, 2]
     assert "image_se" in images["reference"]
 
 
-def test_progress_ends_at_one() -> None:
+def test_progress_ends_at_one():
     heard: list[float] = []
     thread = threading.get_ident()
 
-    def listen(what: str, fraction: float) -> None:
+    def listen(what, fraction):
         assert (what, threading.get_ident()) == ("render", thread)
         heard.append(fraction)
 
@@ -131,12 +127,12 @@ def test_progress_ends_at_one() -> None:
     assert heard[-1] == 1.0
 
 
-def test_memory_of_points_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_of_points_is_bounded(monkeypatch):
     monkeypatch.setattr(module, "_TILE_LANES", 2**13)
     sizes: list[int] = []
     original = Wavefront.means
 
-    def watched(self: Wavefront, strategy: str, pixels: Any, u: Any) -> Any:
+    def watched(self, strategy, pixels, u):
         sizes.append(u.shape[0] * u.shape[1])
         return original(self, strategy, pixels, u)
 
@@ -160,7 +156,7 @@ def test_memory_of_points_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
         5,
     ],
 )
-def test_crops_that_are_refused(crop: Any) -> None:
+def test_crops_that_are_refused(crop):
     with pytest.raises(ParameterError, match="crop"):
         render(VEACH, crop=crop)
 
@@ -186,17 +182,17 @@ def test_crops_that_are_refused(crop: Any) -> None:
         {"scene": "veach(width=65536, height=65536)", "spp": 1},
     ],
 )
-def test_options_that_are_refused(options: dict[str, Any]) -> None:
+def test_options_that_are_refused(options):
     with pytest.raises(McspectraError):
         render(**{"scene": VEACH, **options})
 
 
-def test_counts_that_a_sampler_cannot_make_are_refused() -> None:
+def test_counts_that_a_sampler_cannot_make_are_refused():
     with pytest.raises(CountError, match="jittered"):
         render(VEACH, "light", "jittered", 5)
 
 
-def test_references_and_comparisons_that_are_refused() -> None:
+def test_references_and_comparisons_that_are_refused():
     with pytest.raises(ParameterError, match="multiple of batches"):
         reference(VEACH, 100, batches=16)
     with pytest.raises(ParameterError, match="batches"):

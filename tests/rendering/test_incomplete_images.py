@@ -1,9 +1,6 @@
 """What an image leaves out is said: a lens, a shutter, lights and surfaces that are delta functions."""
 
-from __future__ import annotations
-
 import warnings
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +16,7 @@ pytestmark = pytest.mark.render
 FILM = {"type": "hdrfilm", "width": 6, "height": 4}
 
 
-def scene(camera: dict[str, Any] | None = None, **more: Any) -> dict[str, Any]:
+def scene(camera=None, **more):
     """A diffuse wall that fills the view, with what a test adds; lit by a constant sky."""
     sensor = {"type": "perspective", "film": FILM} | (camera or {})
     sky = {} if "sky" in more else {"sky": {"type": "constant"}}
@@ -29,11 +26,11 @@ def scene(camera: dict[str, Any] | None = None, **more: Any) -> dict[str, Any]:
     return {"type": "scene", "sensor": sensor, "wall": wall} | sky | more
 
 
-def sky(values: np.ndarray, **more: Any) -> dict[str, Any]:
+def sky(values, **more):
     return {"type": "envmap", "bitmap": load_mitsuba().Bitmap(values.astype(np.float32)), **more}
 
 
-def silent(scene: Any, strategy: str = "mis", **options: Any) -> None:
+def silent(scene, strategy="mis", **options):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         render(scene, strategy, spp=1, **options)
@@ -51,9 +48,7 @@ SHUTTER = {"shutter_open": 0.0, "shutter_close": 0.5}
         (LENS | SHUTTER, 2 * ["has a"], "center of the lens, middle of the shutter's time"),
     ],
 )
-def test_cameras_that_are_not_sampled_are_named(
-    camera: dict[str, Any], words: list[str], rays: str
-) -> None:
+def test_cameras_that_are_not_sampled_are_named(camera, words, rays):
     made = scene(camera)
     sentences = check_scene(made)
     assert len(sentences) == len(words)
@@ -70,13 +65,13 @@ def test_cameras_that_are_not_sampled_are_named(
         assert result.attrs["camera"] == rays
 
 
-def test_pinholes_are_rendered_in_silence() -> None:
+def test_pinholes_are_rendered_in_silence():
     assert check_scene(scene()) == []
     silent(scene())
     assert camera_rays(scene()) == "pinhole"
 
 
-def test_strategies_that_leave_out_a_light_say_so() -> None:
+def test_strategies_that_leave_out_a_light_say_so():
     lamp = {"type": "point", "position": [0, 0, 1]}
     made = scene(lamp=lamp, spot={"type": "spot"})
     with pytest.warns(
@@ -89,7 +84,7 @@ def test_strategies_that_leave_out_a_light_say_so() -> None:
     silent(made, "bsdf", light="sky")
 
 
-def test_strategies_that_leave_out_a_mirror_say_so() -> None:
+def test_strategies_that_leave_out_a_mirror_say_so():
     made = scene(ball={"type": "sphere", "bsdf": {"type": "conductor"}})
     with pytest.warns(IncompleteImageWarning, match="'light' leaves out specular .*'ball'"):
         render(made, "light", spp=1)
@@ -97,7 +92,7 @@ def test_strategies_that_leave_out_a_mirror_say_so() -> None:
     warn_missed(made, "mis-light")
 
 
-def test_scaled_environments_are_refused() -> None:
+def test_scaled_environments_are_refused():
     with LOCK:
         transform = load_mitsuba().ScalarTransform4f
         twice, turned = (
@@ -116,7 +111,7 @@ def test_scaled_environments_are_refused() -> None:
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
-def test_environments_with_a_broken_pixel_are_refused(value: float) -> None:
+def test_environments_with_a_broken_pixel_are_refused(value):
     pixels = np.ones((4, 8, 3))
     pixels[2, 3, 1] = value
     made = scene(sky=sky(pixels), lamp={"type": "point"})
@@ -131,7 +126,7 @@ def test_environments_with_a_broken_pixel_are_refused(value: float) -> None:
             refused()
 
 
-def test_maps_that_see_nothing_say_what_is_in_the_way() -> None:
+def test_maps_that_see_nothing_say_what_is_in_the_way():
     made = scene(
         wall={"type": "rectangle"}, ball={"type": "sphere", "bsdf": {"type": "dielectric"}}
     )

@@ -1,14 +1,9 @@
 """Scrambled nets that kernels compute: the samplers' own points, and sets in random orders."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 from scipy import stats
 
-from mcspectra.core.checks import Array
 from mcspectra.core.streams import Stream
 from mcspectra.rendering import Wavefront, load_mitsuba, render
 from mcspectra.rendering.kernel_nets import NetPoints, Pads, net_of, scramble_key
@@ -20,7 +15,7 @@ LEVEL = 1e-3
 SETS = 20_000
 
 
-def arrays(columns: list[Any], sets: int, count: int) -> Array:
+def arrays(columns, sets, count):
     return np.stack([c.numpy() for c in columns], axis=-1).reshape(sets, count, -1).astype(float)
 
 
@@ -35,7 +30,7 @@ def arrays(columns: list[Any], sets: int, count: int) -> Array:
     ],
 )
 @pytest.mark.filterwarnings("ignore::mcspectra.core.errors.NotPowerOfTwoWarning")
-def test_points_are_those_of_hashed_owen_scrambling(net: str, dims: int, count: int) -> None:
+def test_points_are_those_of_hashed_owen_scrambling(net, dims, count):
     mitsuba, sampler = load_mitsuba(), as_sampler(f"{net} | owen(method='hash')", dims)
     import drjit
 
@@ -67,12 +62,12 @@ def test_points_are_those_of_hashed_owen_scrambling(net: str, dims: int, count: 
         ("jittered | owen", False),
     ],
 )
-def test_nets_are_found_where_owen_alone_scrambles_them(spec: str, there: bool) -> None:
+def test_nets_are_found_where_owen_alone_scrambles_them(spec, there):
     assert (net_of(as_sampler(spec, 2)) is not None) == there
 
 
 @pytest.mark.parametrize("film", ["center", "sampled"])
-def test_images_have_the_samplers_points_in_each_pixel(film: str) -> None:
+def test_images_have_the_samplers_points_in_each_pixel(film):
     scene, spec, width = "veach(width=12, height=8)", "sobol | owen(method='hash')", 12
     waves = Wavefront(scene, film=film, emission=True)
     sampler = as_sampler(spec, waves.dims("mis"))
@@ -94,7 +89,7 @@ def test_images_have_the_samplers_points_in_each_pixel(film: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def pads() -> dict[str, Array]:
+def pads():
     """Sets of 16 points that 20,000 pixels ask for: two pairs and a single number."""
     mitsuba = load_mitsuba()
     import drjit
@@ -105,14 +100,14 @@ def pads() -> dict[str, Array]:
     source = Pads(mitsuba, (single, pair), 16, Stream(9))
     lane = drjit.arange(mitsuba.UInt32, 16 * SETS)
 
-    def drawn(dims: int, request: int) -> Array:
+    def drawn(dims, request):
         number = drjit.full(mitsuba.UInt32, request, 16 * SETS)
         return arrays(source.draw(dims, lane // 16, number, lane % 16), SETS, 16)
 
     return {"first": drawn(2, 0), "second": drawn(2, 1), "single": drawn(1, 0)}
 
 
-def test_pads_are_balanced_in_every_elementary_interval(pads: dict[str, Array]) -> None:
+def test_pads_are_balanced_in_every_elementary_interval(pads):
     for name in ("first", "second"):
         for columns in (1, 2, 4, 8, 16):
             cells = np.floor(pads[name] * [columns, 16 // columns]) @ [16 // columns, 1]
@@ -120,7 +115,7 @@ def test_pads_are_balanced_in_every_elementary_interval(pads: dict[str, Array]) 
     assert (np.sort(np.floor(pads["single"][..., 0] * 16), axis=1) == np.arange(16)).all()
 
 
-def test_every_point_of_a_pad_is_uniform(pads: dict[str, Array]) -> None:
+def test_every_point_of_a_pad_is_uniform(pads):
     points = np.concatenate(list(pads.values()), axis=-1).reshape(SETS, -1)
     assert points.max() < 1.0
     p = min(stats.kstest(column, "uniform").pvalue for column in points.T)
@@ -128,8 +123,8 @@ def test_every_point_of_a_pad_is_uniform(pads: dict[str, Array]) -> None:
 
 
 def test_pairs_of_a_scrambled_set_are_independent_below_their_first_different_digit(
-    pads: dict[str, Array],
-) -> None:
+    pads,
+):
     # Points of one half of the interval: their next two digits are those of all pairs of points
     # that differ there, and the digits after the fourth are independent uniform ones.
     x = np.sort(pads["first"][..., 0], axis=1)
@@ -142,7 +137,7 @@ def test_pairs_of_a_scrambled_set_are_independent_below_their_first_different_di
 @pytest.mark.parametrize(
     ("one", "other"), [("first", "second"), ("first", "single"), ("second", "single")]
 )
-def test_orders_of_requests_are_independent(pads: dict[str, Array], one: str, other: str) -> None:
+def test_orders_of_requests_are_independent(pads, one, other):
     # Of 8 of 16 in one half against 8 of 16 in the other's: hypergeometric, mean 4.
     halves = (pads[name][..., 0] < 0.5 for name in (one, other))
     together = np.logical_and(*halves).sum(axis=1)
@@ -151,7 +146,7 @@ def test_orders_of_requests_are_independent(pads: dict[str, Array], one: str, ot
     assert stats.chisquare(found, found.sum() * mass / mass.sum()).pvalue > LEVEL
 
 
-def test_requests_and_neighbours_share_no_set(pads: dict[str, Array]) -> None:
+def test_requests_and_neighbours_share_no_set(pads):
     numbers = np.concatenate([pads["first"][..., 0].ravel(), pads["second"][..., 0].ravel()])
     expected = numbers.size**2 / 2.0**25  # equal pairs of independent numbers of 24 bits
     _, times = np.unique(numbers, return_counts=True)

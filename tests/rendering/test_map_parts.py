@@ -1,13 +1,10 @@
 """Statistics of maps against one fit a pixel."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import norm, t
 
 import mcspectra as mcs
-from mcspectra.core.checks import Array
 from mcspectra.core.streams import Stream
 from mcspectra.rendering import map_statistics as statistics
 from mcspectra.rendering import map_tiles as prediction
@@ -19,7 +16,7 @@ from mcspectra.variance.fit import fit_rate
 NS = np.array([4, 9, 16, 36, 64])
 
 
-def random_curves(strategies: int = 2, height: int = 3, width: int = 4) -> tuple[Array, Array]:
+def random_curves(strategies=2, height=3, width=4):
     generator = np.random.default_rng(5)
     shape = (strategies, len(NS), height, width)
     slope = generator.uniform(-2, -1, (strategies, 1, height, width))
@@ -28,13 +25,13 @@ def random_curves(strategies: int = 2, height: int = 3, width: int = 4) -> tuple
     return variance, generator.uniform(0.1, 0.3, shape)
 
 
-def lines(level: float, rate: float, se: float = 0.1) -> statistics.LineFits:
+def lines(level, rate, se=0.1):
     """The fit of exact lines log V = level + rate · log n, one pixel."""
     variance = np.exp(level + rate * np.log(NS)).reshape(1, -1, 1, 1)
     return statistics.fit_lines(NS, variance, np.full_like(variance, se), np.ones_like(variance))
 
 
-def test_lines_are_the_fits_of_single_curves() -> None:
+def test_lines_are_the_fits_of_single_curves():
     variance, se = random_curves()
     mean = np.ones_like(variance)
     variance[0, -2:, 0, 0] = 1e-20  # rounding of float32, at large n: left out
@@ -48,7 +45,7 @@ def test_lines_are_the_fits_of_single_curves() -> None:
         assert got == pytest.approx((one.rate, *one.interval, one.chi2), rel=1e-12)
 
 
-def test_variances_that_were_missed_leave_no_rate() -> None:
+def test_variances_that_were_missed_leave_no_rate():
     variance, se = random_curves()
     variance[0, 0, 1, 1] = 0.0
     variance[1, :4, 2, 2] = 0.0
@@ -60,7 +57,7 @@ def test_variances_that_were_missed_leave_no_rate() -> None:
     assert np.array_equal(without, np.isnan(fits.rate_se))
 
 
-def test_errors_of_a_line_are_those_of_many_lines() -> None:
+def test_errors_of_a_line_are_those_of_many_lines():
     # 4000 curves with known errors: rates and levels must scatter by the errors that are stated.
     generator = np.random.default_rng(2)
     se = np.broadcast_to(np.array([0.1, 0.2, 0.1, 0.3, 0.2]).reshape(1, -1, 1, 1), (1, 5, 1, 4000))
@@ -80,7 +77,7 @@ def test_errors_of_a_line_are_those_of_many_lines() -> None:
         assert abs(z.var() - 1) < 4 * (2 / 4000) ** 0.5
 
 
-def test_gain_compares_equal_totals() -> None:
+def test_gain_compares_equal_totals():
     better, worse, mis = lines(0.0, -2.0), lines(1.0, -1.5), lines(0.5, -1.5)
     single = statistics.LineFits(
         **{
@@ -96,20 +93,20 @@ def test_gain_compares_equal_totals() -> None:
     assert np.isnan(statistics.gain(missing, mis, 64)[0]).all()
 
 
-def test_slowest_needs_a_difference_apart_from_zero() -> None:
+def test_slowest_needs_a_difference_apart_from_zero():
     rate = np.array([[[-2.0, -1.0, -1.5, np.nan, np.nan]], [[-1.0, -2.0, -1.6, -1.0, np.nan]]])
     found = statistics.slowest(rate, np.full_like(rate, 0.1))
     assert np.array_equal(found[0], [1, 0, -1, -1, np.nan], equal_nan=True)
 
 
-def test_slowest_is_decided_where_intervals_still_overlap() -> None:
+def test_slowest_is_decided_where_intervals_still_overlap():
     """1.96 · √2 · 0.1 = 0.277 is enough; intervals are apart from 0.392."""
     rate, se = np.array([[[-2.0, -2.0]], [[-1.7, -1.73]]]), np.full((2, 1, 2), 0.1)
     assert np.array_equal(statistics.slowest(rate, se)[0], [1, -1])
 
 
 @pytest.mark.parametrize("difference", [0.0, 0.2, 0.5, 1.0])
-def test_slowest_decides_as_often_as_a_normal_test(difference: float) -> None:
+def test_slowest_decides_as_often_as_a_normal_test(difference):
     """Shares of right, wrong and no decision, for errors that differ by a factor of 3."""
     count, errors = 20_000, np.array([0.05, 0.15])
     noise = np.random.default_rng(11).standard_normal((2, count, 1))
@@ -122,14 +119,14 @@ def test_slowest_decides_as_often_as_a_normal_test(difference: float) -> None:
         assert abs((found == technique).mean() - chance) <= 4.5 * spread + 1e-4
 
 
-def test_dominant_needs_a_ratio_apart_from_one() -> None:
+def test_dominant_needs_a_ratio_apart_from_one():
     variance = np.array([[[4.0, 1.0, 1.1, np.nan, 0.0, 0.0]], [[1.0, 4.0, 1.0, 1.0, 0.0, 1.0]]])
     found = statistics.dominant(variance, np.full_like(variance, 0.2))
     assert np.array_equal(found[0], [0, 1, -1, np.nan, np.nan, 1], equal_nan=True)
 
 
 @pytest.mark.parametrize("independent", [True, False])
-def test_smoothing_is_a_weighted_mean_of_the_window(independent: bool) -> None:
+def test_smoothing_is_a_weighted_mean_of_the_window(independent):
     generator = np.random.default_rng(3)
     rate, se = generator.normal(-1.5, 0.2, (2, 5, 6)), generator.uniform(0.1, 0.4, (2, 5, 6))
     rate[0, 2, 3] = se[0, 2, 3] = np.nan
@@ -149,7 +146,7 @@ def test_smoothing_is_a_weighted_mean_of_the_window(independent: bool) -> None:
     assert np.array_equal(same[0], rate, equal_nan=True)
 
 
-def step(u: Array) -> Array:
+def step(u):
     """Integrands with an edge: u0 + a·u1 < 0.7."""
     return (u[:, :1] + u[:, 1:] * np.linspace(0.2, 1.0, 40) < 0.7).astype(float)
 
@@ -157,7 +154,7 @@ def step(u: Array) -> Array:
 @pytest.mark.parametrize(
     "spec", ["jittered", "random", "jittered | shift", "random | shift", "sobol | owen"]
 )
-def test_predictions_agree_with_measured_variances(spec: str) -> None:
+def test_predictions_agree_with_measured_variances(spec):
     points, n, realizations = sampler(spec, dims=2), 64, 4000
     forecast = prediction.prediction_for(points, n, Stream.from_rng(3))
     assert forecast is not None
@@ -170,7 +167,7 @@ def test_predictions_agree_with_measured_variances(spec: str) -> None:
     assert se.mean() < 0.25 * predicted.mean()
 
 
-def test_gains_see_what_varies_within_the_cells_of_the_grid() -> None:
+def test_gains_see_what_varies_within_the_cells_of_the_grid():
     """A grid of midpoints misses a quarter of the variance of a smooth integrand."""
     forecast = prediction.prediction_for(sampler("sobol | owen", dims=2), 64, Stream.from_rng(3))
     assert forecast is not None
@@ -180,7 +177,7 @@ def test_gains_see_what_varies_within_the_cells_of_the_grid() -> None:
     assert se[0] < 0.1 * exact
 
 
-def test_strata_are_predicted_without_bias() -> None:
+def test_strata_are_predicted_without_bias():
     # g = u0 in 2 × 2 strata of side ½: every stratum has the variance ¼/12, the estimate a quarter.
     made = [
         prediction.prediction_for(sampler("jittered", dims=2), 4, Stream.from_rng(seed))
@@ -192,7 +189,7 @@ def test_strata_are_predicted_without_bias() -> None:
     assert error < 1e-3 / 48
 
 
-def test_integrals_of_predictions_have_honest_errors() -> None:
+def test_integrals_of_predictions_have_honest_errors():
     forecast = prediction.prediction_for(sampler("jittered", dims=2), 64, Stream.from_rng(4))
     assert forecast is not None
     mean, se = forecast.mean(step(forecast.samples))
@@ -204,7 +201,7 @@ def test_integrals_of_predictions_have_honest_errors() -> None:
 
 
 @pytest.mark.parametrize("spec", ["jittered", "random", "jittered | shift"])
-def test_light_that_only_another_technique_meets_is_an_error(spec: str) -> None:
+def test_light_that_only_another_technique_meets_is_an_error(spec):
     forecast = prediction.prediction_for(sampler(spec, dims=2), 64, Stream.from_rng(5))
     assert forecast is not None
     u = forecast.samples
@@ -219,7 +216,7 @@ def test_light_that_only_another_technique_meets_is_an_error(spec: str) -> None:
     assert (prediction.unmet(forecast, met, mean - 0.1) == 0.0).all()
 
 
-def test_strategies_that_met_less_light_than_another_are_found() -> None:
+def test_strategies_that_met_less_light_than_another_are_found():
     row = {"light": 0, "bsdf": 1, "mis-light": 2, "mis-bsdf": 3, "mis": 4}
     means = [1.0, 0.5, 0.6, 0.4, 1.0]
     mean = np.array(means).reshape(-1, 1, 1) + np.zeros((5, 1, 3))
@@ -232,7 +229,7 @@ def test_strategies_that_met_less_light_than_another_are_found() -> None:
     assert not alone.any()
 
 
-def test_ratios_of_what_was_missed_are_left_out() -> None:
+def test_ratios_of_what_was_missed_are_left_out():
     shape = (1, 1, 3)
     maps = Maps(
         status=np.zeros((1, 3), np.int8),
@@ -251,7 +248,7 @@ def test_ratios_of_what_was_missed_are_left_out() -> None:
     assert np.isnan(found["predicted_ratio_ci"][0, 0, 1:]).all()
 
 
-def test_unequal_strata_and_three_dims() -> None:
+def test_unequal_strata_and_three_dims():
     unequal = prediction.prediction_for(sampler("jittered(sides_=(2, 8))", 2), 16, Stream(1))
     assert unequal is not None
     value = unequal.variance(unequal.samples[:, :1])[0][0]
@@ -263,21 +260,21 @@ def test_unequal_strata_and_three_dims() -> None:
         assert prediction.prediction_for(sampler(spec, 2), 16, Stream(1)) is None
 
 
-def test_errors_of_few_strata_take_students_t() -> None:
+def test_errors_of_few_strata_take_students_t():
     """Where J strata differ alike there are J degrees of freedom, where one does there is one."""
     squares = np.array([[1.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
     expected = t.ppf(0.975, [1, 4, 1]) / norm.ppf(0.975)
     assert np.allclose(prediction._student(squares), expected, rtol=1e-6)
 
 
-def chains(count: int, pixels: int, seed: int) -> np.ndarray:
+def chains(count, pixels, seed):
     """Values of f(x) = x₀ + 2 x₁ + 3 x₀ x₁ + 0 x₂ of normal x, with the first k from one point: (R, 4, P)."""
     x, y = np.random.default_rng(seed).normal(size=(2, count, 3, pixels))
     mixed = [np.concatenate([x[:, :k], y[:, k:]], axis=1) for k in range(4)]
     return np.stack([z[:, 0] + 2 * z[:, 1] + 3 * z[:, 0] * z[:, 1] for z in mixed], axis=1)
 
 
-def test_shares_of_a_known_function() -> None:
+def test_shares_of_a_known_function():
     # Var = 1 + 4 + 9; x₀ alone makes 1, what x₁ adds is 4 + 9, and x₂ nothing
     partitions = [np.eye(3, dtype=bool), np.array([[True, False, True], [False, True, False]])]
     whole, shares, largest = statistics.path_shares(chains(1000, 400, 7), partitions)
@@ -296,14 +293,14 @@ def test_shares_of_a_known_function() -> None:
     assert np.array_equal(largest, np.ones((2, 400)))
 
 
-def test_shares_of_equal_parts_have_no_largest() -> None:
+def test_shares_of_equal_parts_have_no_largest():
     x, y = np.random.default_rng(3).normal(size=(2, 64, 2, 2000))
     values = np.stack([y.sum(axis=1), x[:, 0] + y[:, 1], x.sum(axis=1)], axis=1)
     _, _, (largest,) = statistics.path_shares(values, [np.eye(2, dtype=bool)])
     assert (largest == statistics.UNDECIDED).mean() > 0.95 - 4 * (0.95 * 0.05 / 2000) ** 0.5
 
 
-def test_shares_that_one_chain_carries_are_not_told() -> None:
+def test_shares_that_one_chain_carries_are_not_told():
     values = np.zeros((128, 3, 2))
     values[5, 1:, 0] = 1.0
     whole, shares, largest = statistics.path_shares(values, [np.eye(2, dtype=bool)])
@@ -312,7 +309,7 @@ def test_shares_that_one_chain_carries_are_not_told() -> None:
     assert np.isnan(largest).all()
 
 
-def test_the_least_variance_needs_ratios_apart_from_one() -> None:
+def test_the_least_variance_needs_ratios_apart_from_one():
     variance = np.array([[1.0, 1.0, 1.0, 0.0], [1.2, 3.0, 3.0, 1.0], [3.0, 3.1, 0.1, 1.0]])
     found = statistics.least(variance, np.full((3, 4), 0.1))
     assert np.array_equal(found, [statistics.UNDECIDED, 0.0, 2.0, np.nan], equal_nan=True)

@@ -1,8 +1,5 @@
 """Maps against the same pixels measured one by one, tiles, bad input."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +11,6 @@ from mcspectra.core.analysis import Subject, compute
 from mcspectra.core.errors import (
     CountError,
     FileFormatError,
-    McspectraError,
     ParameterError,
     UnknownName,
 )
@@ -38,16 +34,16 @@ SCENE = "veach(width=24, height=16)"
 
 
 @pytest.fixture(scope="module")
-def small() -> xr.Dataset:
+def small():
     return variance_map("veach", **SMALL)
 
 
-def pixel(strategy: str, place: tuple[int, int] = PLATE, **options: Any) -> mcs.Integrand:
+def pixel(strategy, place=PLATE, **options):
     x, y = place
     return mcs.rendering.Pixel(scene=SCENE, x=x, y=y, strategy=strategy, **options)
 
 
-def identical(a: xr.Dataset, b: xr.Dataset) -> bool:
+def identical(a, b):
     names = sorted(map(str, a.data_vars))
     return names == sorted(map(str, b.data_vars)) and all(
         np.array_equal(a[name].values, b[name].values, equal_nan=True) for name in names
@@ -55,7 +51,7 @@ def identical(a: xr.Dataset, b: xr.Dataset) -> bool:
 
 
 @pytest.mark.parametrize("strategy", ["light", "mis-light", "mis"])
-def test_a_pixel_is_what_convergence_measures(small: xr.Dataset, strategy: str) -> None:
+def test_a_pixel_is_what_convergence_measures(small, strategy):
     # The same points: the only difference is float32, in which Mitsuba computes values.
     if strategy == "mis":
         estimator: Any = mcs.TechniqueSum([pixel("mis-light"), pixel("mis-bsdf")])
@@ -70,7 +66,7 @@ def test_a_pixel_is_what_convergence_measures(small: xr.Dataset, strategy: str) 
     assert float(own["mean_se"]) == pytest.approx(float(one["mean_se"][-1]), rel=1e-4)
 
 
-def test_points_of_its_own_give_a_pixel_the_same_variance() -> None:
+def test_points_of_its_own_give_a_pixel_the_same_variance():
     place = {"crop": (*PLATE, 1, 1), "light": "light-3", "counts": (4, 16), "realizations": 600}
     own = variance_map("veach", size=(24, 16), points="own", rng=3, **place).squeeze()
     for strategy in ("light", "bsdf"):
@@ -81,7 +77,7 @@ def test_points_of_its_own_give_a_pixel_the_same_variance() -> None:
         assert (np.abs(log_ratio) < 4 * 2**0.5 * se).all()
 
 
-def test_own_points_are_numbered_by_the_pixel() -> None:
+def test_own_points_are_numbered_by_the_pixel():
     # Pixel (x, y) has realisations (y·width + x)·R … of the stream of each count.
     x, y = PLATE
     found = variance_map(
@@ -95,7 +91,7 @@ def test_own_points_are_numbered_by_the_pixel() -> None:
     assert got == pytest.approx(float(expected), rel=1e-4)
 
 
-def test_wide_light_on_the_wall() -> None:
+def test_wide_light_on_the_wall():
     # Light sampling sees a smooth integrand: −2; the light's edge makes BSDF sampling −1.5, and
     # MIS follows it [Singh et al.]. A single pixel, as in test_pixel.
     found = variance_map(
@@ -113,7 +109,7 @@ def test_wide_light_on_the_wall() -> None:
     assert float(found["mis_gain_ci"].sel(bound="high")) < 1  # light sampling alone is better
 
 
-def test_predictions_cover_what_is_measured() -> None:
+def test_predictions_cover_what_is_measured():
     found = variance_map(
         "veach", size=(48, 32), crop=(4, 3, 24, 4), light="light-3", counts=(4, 64),
         realizations=200, points="own", strategies=("light", "mis"),
@@ -126,7 +122,7 @@ def test_predictions_cover_what_is_measured() -> None:
 
 
 @pytest.mark.parametrize("lamp", [False, True])
-def test_predictions_that_miss_a_rare_light_say_so(lamp: bool) -> None:
+def test_predictions_that_miss_a_rare_light_say_so(lamp):
     # One BSDF sample of a million meets the lamp: neither the prediction nor the measurement know
     # of it, and would agree. Light sampling takes every second sample from it.
     scene = figure1()
@@ -141,7 +137,7 @@ def test_predictions_that_miss_a_rare_light_say_so(lamp: bool) -> None:
     assert known.tolist() == [True, not lamp]
 
 
-def test_what_is_not_a_receiver_has_no_numbers(small: xr.Dataset) -> None:
+def test_what_is_not_a_receiver_has_no_numbers(small):
     seen = np.isfinite(small["mean"].values[0])
     assert 0 < (~seen).sum() < 40
     for y, x in (*np.argwhere(~seen)[::4], *np.argwhere(seen)[::90]):
@@ -154,7 +150,7 @@ def test_what_is_not_a_receiver_has_no_numbers(small: xr.Dataset) -> None:
     assert np.isnan(small["rate"].values[:, ~seen]).all()
 
 
-def test_variables_are_labelled(small: xr.Dataset) -> None:
+def test_variables_are_labelled(small):
     assert list(small["strategy"].values) == ["light", "bsdf", "mis-light", "mis-bsdf", "mis"]
     for name, variable in small.data_vars.items():
         assert variable.attrs["long_name"], name
@@ -164,9 +160,7 @@ def test_variables_are_labelled(small: xr.Dataset) -> None:
     assert set(np.unique(small["bottleneck"])[:-1]) <= {-1.0, 0.0, 1.0}
 
 
-def test_crops_and_tiles_do_not_change_bits(
-    small: xr.Dataset, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_crops_and_tiles_do_not_change_bits(small, monkeypatch):
     monkeypatch.setattr(tiles, "TILE_LANES", 37 * 32)
     assert identical(variance_map("veach", **SMALL), small)
     crop = variance_map("veach", crop=(3, 9, 11, 5), **SMALL)
@@ -175,9 +169,7 @@ def test_crops_and_tiles_do_not_change_bits(
     assert identical(single, small.isel(x=[PLATE[0]], y=[PLATE[1]]))
 
 
-def test_threads_and_blocks_do_not_change_bits(
-    small: xr.Dataset, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_threads_and_blocks_do_not_change_bits(small, monkeypatch):
     import drjit
 
     before = drjit.thread_count()
@@ -190,7 +182,7 @@ def test_threads_and_blocks_do_not_change_bits(
     assert np.allclose(merged["variance"], small["variance"], rtol=1e-10, equal_nan=True)
 
 
-def test_own_points_do_not_depend_on_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_own_points_do_not_depend_on_tiles(monkeypatch):
     options = {**SMALL, "points": "own", "crop": (8, 9, 6, 3)}
     whole = variance_map("veach", **options)
     monkeypatch.setattr(tiles, "TILE_LANES", 5 * 32)
@@ -199,7 +191,7 @@ def test_own_points_do_not_depend_on_tiles(monkeypatch: pytest.MonkeyPatch) -> N
     assert not identical(other, whole)
 
 
-def test_lobes_take_a_third_dimension(scene_files: dict[str, str]) -> None:
+def test_lobes_take_a_third_dimension(scene_files):
     scene, place = scene_files["textured"], {"crop": (18, 16, 4, 2), "realizations": 200}
     with pytest.raises(ParameterError, match="give dims=3"):
         variance_map(scene, counts=(4, 16), **place)
@@ -212,7 +204,7 @@ def test_lobes_take_a_third_dimension(scene_files: dict[str, str]) -> None:
     variance_map(scene, ("light",), counts=(4, 16), crop=(18, 16, 1, 1), realizations=4)
 
 
-def test_channels_and_heuristics() -> None:
+def test_channels_and_heuristics():
     options = {**SMALL, "crop": (*PLATE, 1, 1), "predict_every": 0}
     red = variance_map("veach", channel=0, heuristic="power", **options)
     estimator = [pixel(s, channel=0, heuristic="power") for s in ("mis-light", "mis-bsdf")]
@@ -231,7 +223,7 @@ def test_channels_and_heuristics() -> None:
         (("mis-bsdf", "light"), {"light", "mis-bsdf"}),
     ],
 )
-def test_strategies_are_a_choice(small: xr.Dataset, strategies: Any, expected: set[str]) -> None:
+def test_strategies_are_a_choice(small, strategies, expected):
     found = variance_map("veach", strategies, crop=(8, 9, 6, 3), **SMALL)
     assert set(found["strategy"].values) == expected
     assert ("bottleneck" in found) == ("mis" in expected)
@@ -240,7 +232,7 @@ def test_strategies_are_a_choice(small: xr.Dataset, strategies: Any, expected: s
     assert np.array_equal(found["variance"], part["variance"], equal_nan=True)
 
 
-def test_predictions_of_every_third_pixel(small: xr.Dataset) -> None:
+def test_predictions_of_every_third_pixel(small):
     found = variance_map("veach", crop=(1, 5, 9, 6), predict_every=3, **SMALL)
     whole = small["predicted_ratio"].isel(x=slice(1, 10), y=slice(5, 11))
     there = np.isfinite(found["predicted_ratio"].values)
@@ -249,7 +241,7 @@ def test_predictions_of_every_third_pixel(small: xr.Dataset) -> None:
     assert np.allclose(found["predicted_ratio"].values[there], whole.values[there], rtol=1e-12)
 
 
-def test_smoothing_narrows_the_intervals_of_own_points() -> None:
+def test_smoothing_narrows_the_intervals_of_own_points():
     options = {**SMALL, "crop": (8, 0, 9, 5), "light": "light-3", "points": "own"}
     rough, smooth = (variance_map("veach", ("light",), smoothing=k, **options) for k in (1, 3))
     assert float(smooth["rate_se"].mean()) < 0.5 * float(rough["rate_se"].mean())
@@ -257,7 +249,7 @@ def test_smoothing_narrows_the_intervals_of_own_points() -> None:
     assert np.array_equal(smooth["variance"], rough["variance"], equal_nan=True)
 
 
-def test_progress_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_is_told(monkeypatch):
     monkeypatch.setattr(tiles, "TILE_LANES", 100 * 32)
     told: list[float] = []
     with listening(lambda _, done: told.append(done)):
@@ -271,7 +263,7 @@ def test_progress_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("largest", "realizations"), [(64, 64), (4096, 64), (64, 10**6), (2**20, 2)]
 )
-def test_tiles_bound_the_memory(own: bool, largest: int, realizations: int) -> None:
+def test_tiles_bound_the_memory(own, largest, realizations):
     lighting = Lighting(
         scene="veach", light=None, heuristic="balance", channel="luminance", size=(9999, 9999)
     )
@@ -290,7 +282,7 @@ def test_tiles_bound_the_memory(own: bool, largest: int, realizations: int) -> N
     assert tables <= 2**23
 
 
-def test_values_that_are_not_finite_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_values_that_are_not_finite_are_refused(monkeypatch):
     sums = Receivers._sums
     monkeypatch.setattr(Receivers, "_sums", lambda *a: tuple(e * np.nan for e in sums(*a)))
     with pytest.raises(ParameterError, match=r"NaN or infinite values, first at pixel \(8, 9\)"):
@@ -335,9 +327,7 @@ def test_values_that_are_not_finite_are_refused(monkeypatch: pytest.MonkeyPatch)
         ({"workers": 0}, ParameterError, "workers is 0"),
     ],
 )
-def test_bad_input_is_one_sentence(
-    options: dict[str, Any], error: type[McspectraError], sentence: str
-) -> None:
+def test_bad_input_is_one_sentence(options, error, sentence):
     given = {"scene": "veach", **SMALL, **options}
     with pytest.raises(error, match=sentence) as caught:
         variance_map(**given)
@@ -347,27 +337,25 @@ def test_bad_input_is_one_sentence(
 @pytest.mark.parametrize(
     ("scene", "sentence"), [("lamp", "delta"), ("dark", "no lights"), ("blind", "no camera")]
 )
-def test_scenes_that_cannot_be_measured(
-    scene_files: dict[str, str], scene: str, sentence: str
-) -> None:
+def test_scenes_that_cannot_be_measured(scene_files, scene, sentence):
     with pytest.raises(ParameterError, match=sentence):
         variance_map(scene_files[scene], counts=(4, 16), realizations=4)
 
 
-def test_pixels_that_see_nothing_useful(scene_files: dict[str, str]) -> None:
+def test_pixels_that_see_nothing_useful(scene_files):
     for scene, crop in (("mirror", (20, 18, 1, 1)), ("mirror", (0, 0, 1, 1))):
         with pytest.raises(ParameterError, match="No pixel of the crop"):
             variance_map(scene_files[scene], counts=(4, 16), realizations=4, crop=crop)
 
 
-def test_crops_may_touch_the_borders() -> None:
+def test_crops_may_touch_the_borders():
     plan = Map(scene="veach", crop=(23, 15, 1, 1), size=(24, 16))
     assert checked(plan).need(SUBJECT).cost == (4 + 9 + 16 + 36 + 64) * 64 * 4
     whole = Map(scene="veach", size=(1024, 1024))
     assert checked(whole).need(SUBJECT).memory < 2**30
 
 
-def test_tiles_measured_apart_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tiles_measured_apart_change_nothing(monkeypatch):
     monkeypatch.setattr(tiles, "TILE_LANES", 8 * 8)  # eight pixels, which cross rows
     plan = Map(
         scene="penumbra",
@@ -385,35 +373,6 @@ def test_tiles_measured_apart_change_nothing(monkeypatch: pytest.MonkeyPatch) ->
     xr.testing.assert_identical(compute(plan, SUBJECT, 3, workers=1), found)
 
 
-def test_a_study_cuts_a_map_into_tasks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from mcspectra.studies import open_results, run_study
-    from mcspectra.studies.files import decode_study
-
-    monkeypatch.setattr(tiles, "TILE_LANES", 8 * 8)
-    study = """
-title = "map"
-seed = 3
-samplers = ["jittered"]
-[[maps]]
-name = "m"
-scene = "penumbra"
-strategies = ["light", "bsdf", "mis"]
-counts = [4, 16]
-realizations = 8
-size = [8, 6]
-crop = [1, 0, 7, 6]
-predict_every = 2
-"""
-    run_study(decode_study(study), tmp_path, workers=2)
-    stored = open_results(tmp_path)["m/jittered/map"]
-    direct = variance_map(
-        "penumbra", ("light", "bsdf", "mis"), counts=(4, 16), realizations=8, size=(8, 6),
-        crop=(1, 0, 7, 6), predict_every=2, rng=3,
-    )  # fmt: skip
-    for name in direct.data_vars:
-        assert np.array_equal(stored[name], direct[name], equal_nan=True), name
-
-
 @pytest.mark.parametrize(
     "changes",
     [
@@ -428,6 +387,6 @@ predict_every = 2
         {"channel": "rgb"},
     ],
 )
-def test_what_cannot_be_is_refused_without_the_scene(changes: dict[str, Any]) -> None:
+def test_what_cannot_be_is_refused_without_the_scene(changes):
     with pytest.raises(ParameterError):
         checked(Map(scene="never-read.xml", **changes)).need(SUBJECT)

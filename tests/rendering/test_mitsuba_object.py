@@ -1,9 +1,5 @@
 """Sampler objects of Mitsuba as ours: points, counts read back, and what is no such object."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -17,7 +13,7 @@ pytestmark = pytest.mark.render
 VARIANTS = ["scalar_rgb", "llvm_ad_rgb"]
 
 
-def made(variant: str, **properties: Any) -> Any:
+def made(variant, **properties):
     register_samplers(variant)
     mitsuba = import_mitsuba()
     mitsuba.set_log_level(mitsuba.LogLevel.Error)  # it says each time that it rounds
@@ -27,7 +23,7 @@ def made(variant: str, **properties: Any) -> Any:
 
 @pytest.mark.parametrize("variant", VARIANTS)
 @pytest.mark.parametrize("kind", ["stratified", "multijitter", "ldsampler", "mcspectra"])
-def test_every_realization_has_the_strata_of_its_kind(variant: str, kind: str) -> None:
+def test_every_realization_has_the_strata_of_its_kind(variant, kind):
     points = from_mitsuba(made(variant, type=kind, sample_count=4), 3).draw(
         16, realizations=5, rng=1
     )
@@ -38,7 +34,7 @@ def test_every_realization_has_the_strata_of_its_kind(variant: str, kind: str) -
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_realizations_do_not_depend_on_how_many_are_drawn(variant: str) -> None:
+def test_realizations_do_not_depend_on_how_many_are_drawn(variant):
     source = made(variant, type="independent")
     source.seed(3, 8)
     sampler = from_mitsuba(source)
@@ -47,13 +43,13 @@ def test_realizations_do_not_depend_on_how_many_are_drawn(variant: str) -> None:
     assert source.sample_count() == 4  # a fork was drawn from
 
 
-def test_scalar_objects_draw_what_the_spec_draws() -> None:
+def test_scalar_objects_draw_what_the_spec_draws():
     sampler = from_mitsuba(made("scalar_rgb", type="multijitter"), 3)
     expected = MitsubaSampler(sampler="multijitter", dims=3).draw(12, realizations=3, rng=2)
     np.testing.assert_array_equal(sampler.draw(12, realizations=3, rng=2), expected)
 
 
-def test_counts_are_read_back() -> None:
+def test_counts_are_read_back():
     sampler = from_mitsuba(made("scalar_rgb", type="orthogonal", sample_count=9))
     assert sampler.spec == "mitsuba-object(OrthogonalSampler, sample_count=9)"
     with pytest.raises(CountError, match="the nearest count is 25"):
@@ -63,12 +59,12 @@ def test_counts_are_read_back() -> None:
 
 
 @pytest.mark.parametrize("source", [None, "multijitter", 3, np.zeros((4, 2))])
-def test_what_is_no_sampler_of_mitsuba(source: object) -> None:
+def test_what_is_no_sampler_of_mitsuba(source):
     with pytest.raises(ParameterError, match="is not a sampler of Mitsuba"):
         from_mitsuba(source)
 
 
-def test_classes_and_bad_dims_are_refused() -> None:
+def test_classes_and_bad_dims_are_refused():
     source = made("scalar_rgb", type="independent")
     with pytest.raises(ParameterError, match="is not a sampler of Mitsuba"):
         from_mitsuba(type(source))

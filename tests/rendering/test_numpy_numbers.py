@@ -1,9 +1,5 @@
 """Pixel numbers and channels that come out of arrays: NumPy's integers are as good as Python's."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -19,7 +15,7 @@ U = np.array([[0.3, 0.7], [0.9, 0.1]])
 
 
 @pytest.mark.parametrize("kind", [np.int64, np.int32, np.uint16])
-def test_pixels_and_channels_of_numpy(kind: Any) -> None:
+def test_pixels_and_channels_of_numpy(kind):
     given = {name: kind(value) for name, value in PLACE.items()}
     pixel = Pixel(**WALL, **given, channel=kind(1), dims=kind(2))
     same = Pixel(**WALL, **PLACE, channel=1)
@@ -29,13 +25,13 @@ def test_pixels_and_channels_of_numpy(kind: Any) -> None:
     assert np.array_equal(pixel(U), same(U))
 
 
-def test_positions_in_the_pixel() -> None:
+def test_positions_in_the_pixel():
     u = np.concatenate([U, U], axis=1)
     given = {name: np.int64(value) for name, value in PLACE.items()}
     assert np.array_equal(Pixel(**WALL, **given, dims=4)(u), Pixel(**WALL, **PLACE, dims=4)(u))
 
 
-def test_other_views_of_numpy() -> None:
+def test_other_views_of_numpy():
     x, y, green = (np.int64(value) for value in (*PLACE.values(), 1))
     assert describe_pixel("veach", x, y) == describe_pixel("veach", **PLACE)
     mis = pixel_mis("veach", x, y, light="light-3", channel=green)
@@ -44,18 +40,15 @@ def test_other_views_of_numpy() -> None:
     assert [type(sky.attrs[name]) for name in ("x", "y", "channel")] == [int, int, int]
 
 
-def test_maps_take_a_channel_of_numpy() -> None:
+def test_maps_take_a_channel_of_numpy():
     small = {"counts": [1, 4], "realizations": 2, "crop": (30, 5, 2, 2), "size": (48, 32)}
-    one, other = (
-        variance_map("veach", ["light"], channel=c, **small)  # type: ignore[arg-type]
-        for c in (np.int64(1), 1)
-    )
+    one, other = (variance_map("veach", ["light"], channel=c, **small) for c in (np.int64(1), 1))
     assert one.identical(other.assign_attrs(one.attrs))
     assert type(one.attrs["channel"]) is int
 
 
 @pytest.mark.parametrize("channel", [np.int64(3), np.float64(1.5), np.True_, np.array([1]), None])
-def test_other_channels_are_refused(channel: Any) -> None:
+def test_other_channels_are_refused(channel):
     with pytest.raises(ParameterError, match="give 'luminance', 'rgb', 0, 1 or 2"):
         Pixel(**WALL, **PLACE, channel=channel)
     with pytest.raises(ParameterError, match="give 'luminance', 0, 1 or 2"):

@@ -1,7 +1,5 @@
 """Whole paths as integrands: against Mitsuba's own renders, what their coordinates are, bad input."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -36,13 +34,13 @@ FALSE_ALARM = 1e-6  # of one test, over all pixels, for means and variances
 Scene = dict[str, Any]
 
 
-def cornell() -> Scene:
+def cornell():
     scene: Scene = dict(load_mitsuba().cornell_box())
     scene["integrator"] = {"type": "path", "max_depth": 5, "rr_depth": 100}
     return scene
 
 
-def small(scene: Scene, width: int = 12, height: int = 8) -> Scene:
+def small(scene, width=12, height=8):
     """With a film of a few pixels and the box filter, of which a pixel's mean is an integral."""
     film = {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}}
     return scene | {"sensor": scene["sensor"] | {"film": film}}
@@ -54,7 +52,7 @@ SCENES: dict[str, tuple[Callable[[], Scene], str, list[tuple[int, int]]]] = {
 }
 
 
-def renders(scene: Scene, integrator: str) -> np.ndarray:
+def renders(scene, integrator):
     """The luminance of independent renders (R, h, w) by Mitsuba."""
     mitsuba = load_mitsuba()
     import drjit  # after Mitsuba, which says which LLVM
@@ -69,7 +67,7 @@ def renders(scene: Scene, integrator: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_mean_and_variance_are_those_of_mitsubas_render(name: str) -> None:
+def test_mean_and_variance_are_those_of_mitsubas_render(name):
     make, integrator, pixels = SCENES[name]
     scene = small(make())
     theirs = renders(scene, integrator)
@@ -84,7 +82,7 @@ def test_mean_and_variance_are_those_of_mitsubas_render(name: str) -> None:
             assert abs(stats.ttest_ind(a, b, equal_var=False).statistic) < level, (x, y)
 
 
-def test_coordinates_of_cornells_box_are_found_and_named() -> None:
+def test_coordinates_of_cornells_box_are_found_and_named():
     f = path_pixel(small(cornell()), 6, 5)
     assert f.dims == 2 + 5 * 6
     assert [str(d) for d in f.dimensions[:8]] == [
@@ -111,13 +109,13 @@ def test_coordinates_of_cornells_box_are_found_and_named() -> None:
         ("depth", 2, {"film"}),
     ],
 )
-def test_other_integrators(integrator: str, dims: int, decisions: set[str]) -> None:
+def test_other_integrators(integrator, dims, decisions):
     f = path_pixel(small(cornell()), 6, 5, integrator=integrator)
     assert f.dims == dims
     assert {d.decision for d in f.dimensions} == decisions
 
 
-def test_lens_and_time_come_after_the_film() -> None:
+def test_lens_and_time_come_after_the_film():
     scene = small(cornell())
     scene["sensor"] |= {
         "type": "thinlens", "aperture_radius": 0.1, "focus_distance": 3.0,
@@ -132,11 +130,11 @@ def test_lens_and_time_come_after_the_film() -> None:
     assert not np.array_equal(f(u), f(v))
 
 
-def test_an_integrator_of_the_users_own() -> None:
+def test_an_integrator_of_the_users_own():
     mitsuba = load_mitsuba()
 
-    class Product(mitsuba.SamplingIntegrator):  # type: ignore[misc,name-defined]
-        def sample(self, scene, sampler, ray, medium=None, active=True):  # type: ignore[no-untyped-def]
+    class Product(mitsuba.SamplingIntegrator):
+        def sample(self, scene, sampler, ray, medium=None, active=True):
             u, v = sampler.next_2d(active), sampler.next_1d(active)
             return mitsuba.Color3f(u.x * u.y, v, 1.0), mitsuba.Bool(True), []
 
@@ -150,7 +148,7 @@ def test_an_integrator_of_the_users_own() -> None:
     np.testing.assert_allclose(f(u), expected, rtol=1e-6)
 
 
-def test_bits_do_not_depend_on_the_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bits_do_not_depend_on_the_chunks(monkeypatch):
     f = path_pixel(small(cornell()), 6, 5)
     u = np.random.default_rng(5).random((1000, f.dims))
     whole = f(u)
@@ -160,7 +158,7 @@ def test_bits_do_not_depend_on_the_chunks(monkeypatch: pytest.MonkeyPatch) -> No
     assert f(u[:0]).shape == (0,)
 
 
-def test_numbers_beyond_the_dims_are_hashed_without_bias() -> None:
+def test_numbers_beyond_the_dims_are_hashed_without_bias():
     scene, rng = small(cornell()), np.random.default_rng(5)
     whole, cut = (path_pixel(scene, 6, 6, dims=dims) for dims in (None, 8))
     assert cut.dimensions == whole.dimensions[:8]
@@ -174,7 +172,7 @@ def test_numbers_beyond_the_dims_are_hashed_without_bias() -> None:
     assert path_pixel(scene, 6, 6, dims=40).dimensions[-1] == Dimension(6, "unknown")
 
 
-def test_good_points_help_and_the_spec_makes_the_same_integrand() -> None:
+def test_good_points_help_and_the_spec_makes_the_same_integrand():
     scene = "penumbra(width=16, height=12)"
     f = path_pixel(scene, 8, 9, integrator="path(max_depth=3)")
     again = mcs.integrand(f.spec)
@@ -206,14 +204,14 @@ def test_good_points_help_and_the_spec_makes_the_same_integrand() -> None:
         ({"scene": "penumbra", "integrator": None}, "names no integrator"),
     ],
 )
-def test_bad_input_is_one_sentence(change: dict[str, Any], message: str) -> None:
+def test_bad_input_is_one_sentence(change, message):
     given = {"scene": small(cornell()), "x": 6, "y": 5} | change
     with pytest.raises(ParameterError, match=message) as caught:
         path_pixel(**given)
     assert "\n" not in str(caught.value)
 
 
-def test_a_map_agrees_with_mitsubas_renders_at_all_pixels() -> None:
+def test_a_map_agrees_with_mitsubas_renders_at_all_pixels():
     scene = small(cornell(), 6, 4)
     found = variance_map(scene, integrator="scene", sampler="random", counts=(16, N),
                          realizations=REPEATS, points="own", rng=5)  # fmt: skip
@@ -234,7 +232,7 @@ def test_a_map_agrees_with_mitsubas_renders_at_all_pixels() -> None:
     assert (np.abs(np.log(variance / their_variance)) < level * both).all()
 
 
-def test_a_pixel_of_a_map_is_what_convergence_measures(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_pixel_of_a_map_is_what_convergence_measures(monkeypatch):
     scene: Any = small(cornell())
     given: dict[str, Any] = {"integrator": "path(max_depth=3)", "realizations": 16, "rng": 9}
     whole = variance_map(scene, **given)
@@ -253,7 +251,7 @@ def test_a_pixel_of_a_map_is_what_convergence_measures(monkeypatch: pytest.Monke
     np.testing.assert_array_equal(one["variance"][..., 0, 0], whole["variance"].sel(x=6, y=5))
 
 
-def test_shares_of_a_map_are_those_of_anova() -> None:
+def test_shares_of_a_map_are_those_of_anova():
     scene: Any = small(cornell())
     given: dict[str, Any] = {
         "integrator": "path(max_depth=3)",
@@ -285,7 +283,7 @@ def test_shares_of_a_map_are_those_of_anova() -> None:
     assert "bounce_share" not in variance_map(scene, crop=(6, 5, 1, 1), chains=0, **given)
 
 
-def test_samplers_are_compared_at_each_pixel() -> None:
+def test_samplers_are_compared_at_each_pixel():
     given: dict[str, Any] = {
         "integrator": "path(max_depth=2)", "crop": (2, 5, 6, 3), "counts": (4, 64),
         "realizations": 200, "rng": 2, "points": "own", "chains": 8,
@@ -323,13 +321,13 @@ def test_samplers_are_compared_at_each_pixel() -> None:
         ({"integrator": None, "dims": 4}, "from 2 to 3"),
     ],
 )
-def test_a_map_refuses_in_one_sentence(change: dict[str, Any], message: str) -> None:
+def test_a_map_refuses_in_one_sentence(change, message):
     with pytest.raises(ParameterError, match=message) as caught:
         variance_map(**({"scene": small(cornell()), "integrator": "path"} | change))
     assert "\n" not in str(caught.value)
 
 
-def test_a_scene_that_says_path_is_warned_of_where_direct_light_is_measured() -> None:
+def test_a_scene_that_says_path_is_warned_of_where_direct_light_is_measured():
     scene = cornell()
     given: dict[str, Any] = {"crop": (9, 5, 2, 2), "counts": (4, 16), "realizations": 4}
     with pytest.warns(IncompleteImageWarning, match=r"PathIntegrator.*direct light alone"):
@@ -351,7 +349,7 @@ def test_a_scene_that_says_path_is_warned_of_where_direct_light_is_measured() ->
 LAMPS = "veach(width=48, height=32)"
 
 
-def test_parts_of_lights_sum_to_the_pixel_and_are_those_of_each_light_alone() -> None:
+def test_parts_of_lights_sum_to_the_pixel_and_are_those_of_each_light_alone():
     scene = small(builtin.veach(), 48, 32)
     f = path_pixel(scene, 24, 26, integrator="path(max_depth=4)")
     u = np.random.default_rng(3).random((2**14, f.dims))
@@ -370,7 +368,7 @@ def test_parts_of_lights_sum_to_the_pixel_and_are_those_of_each_light_alone() ->
     assert np.array_equal(f(u), values)
 
 
-def test_lights_chosen_by_second_moments_have_the_variance_that_theory_says() -> None:
+def test_lights_chosen_by_second_moments_have_the_variance_that_theory_says():
     """Light sampling alone, as f = h_J/p_J: Σ p E f_j² becomes (Σ √(p E f_j²))²; 5 standard errors."""
     integrator = "direct(emitter_samples=1, bsdf_samples=0)"
     f = path_pixel(LAMPS, 24, 26, integrator=integrator)
@@ -388,8 +386,8 @@ def test_lights_chosen_by_second_moments_have_the_variance_that_theory_says() ->
     assert (values**2).mean() + 5 * error < (before**2).mean()
 
 
-def test_roulette_costs_fewer_numbers() -> None:
-    def asked(rr_depth: int) -> float:
+def test_roulette_costs_fewer_numbers():
+    def asked(rr_depth):
         integrator = f"path(max_depth=6, rr_depth={rr_depth})"
         return path_pixel(small(cornell()), 6, 6, integrator=integrator).numbers_per_path
 
@@ -399,7 +397,7 @@ def test_roulette_costs_fewer_numbers() -> None:
 @pytest.mark.parametrize(
     "spec", ["halton | owen", "faure | owen | shift", "sobol | owen | decorrelate"]
 )
-def test_samplers_in_other_dims_are_those_of_their_spec(spec: str) -> None:
+def test_samplers_in_other_dims_are_those_of_their_spec(spec):
     made, other = in_dims(mcs.sampler(spec, 2), 5), mcs.sampler(spec, 5)
     assert made == other
     points = made.draw(25 if "faure" in spec else 16, realizations=2, rng=1)

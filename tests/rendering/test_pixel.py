@@ -1,10 +1,7 @@
 """A pixel against the exact irradiance of a sphere, Mitsuba's own integrator, and known rates."""
 
-from __future__ import annotations
-
 import pickle
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import numpy as np
 import pytest
@@ -36,11 +33,11 @@ SIGMAS = 4.0
 SINGLE = 2e-6  # sixteen roundings of float32, for means whose statistical error is below that
 
 
-def uniforms(count: int, dims: int = 2, seed: int = 1) -> Array:
+def uniforms(count, dims=2, seed=1):
     return Stream.from_rng(seed).uniforms(0, 1, count * dims).reshape(count, dims)
 
 
-def jittered(n: int, seed: int) -> Array:
+def jittered(n, seed):
     """REALIZATIONS jittered sets of n = s² points."""
     s = round(n**0.5)
     cells = np.stack(np.divmod(np.arange(n), s), axis=-1)
@@ -48,18 +45,18 @@ def jittered(n: int, seed: int) -> Array:
     return (cells + offsets.reshape(REALIZATIONS, n, 2)) / s
 
 
-def mean_and_error(values: Array) -> tuple[Array, Array]:
+def mean_and_error(values):
     return values.mean(axis=0), values.std(axis=0, ddof=1) / len(values) ** 0.5
 
 
-def wall_radiance(position: Any) -> float:
+def wall_radiance(position):
     """Reflected radiance of the wall under light-3: ρ L (r/d)² cos θ, exact for a whole sphere."""
     to_light = np.array([3.75, 0.0, 0.0]) - position
     distance = float(np.linalg.norm(to_light))
     return 0.4 * 1.23457 * (0.9 / distance) ** 2 * float(to_light[2]) / distance
 
 
-def rate_and_error(estimates: list[Array]) -> tuple[float, float]:
+def rate_and_error(estimates):
     """Fit the exponent of variance over the last four counts; errors from the fourth moments."""
     used, counts = estimates[-4:], np.log(COUNTS[-4:])
     centered = [e - e.mean() for e in used]
@@ -71,7 +68,7 @@ def rate_and_error(estimates: list[Array]) -> tuple[float, float]:
 
 
 @pytest.fixture(scope="module")
-def wall_estimates() -> dict[str, list[Array]]:
+def wall_estimates():
     """Estimates of the wall pixel by jittered points: name -> per count, (REALIZATIONS,)."""
     strategies = pixel_strategies(**WALL)
     out: dict[str, list[Array]] = {
@@ -84,23 +81,21 @@ def wall_estimates() -> dict[str, list[Array]]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "theory"), [("light", -2.0), ("bsdf", -1.5), ("mis", -1.5)])
-def test_rate_of_the_wall_pixel(
-    wall_estimates: dict[str, list[Array]], name: str, theory: float
-) -> None:
+def test_rate_of_the_wall_pixel(wall_estimates, name, theory):
     rate, error = rate_and_error(wall_estimates[name])
     assert error < 0.03  # so that -1.5 and -2 are many errors apart
     assert abs(rate - theory) < SIGMAS * error
 
 
 @pytest.mark.slow
-def test_mis_is_as_slow_as_its_slowest_strategy(wall_estimates: dict[str, list[Array]]) -> None:
+def test_mis_is_as_slow_as_its_slowest_strategy(wall_estimates):
     mis, error = rate_and_error(wall_estimates["mis"])
     bsdf, other = rate_and_error(wall_estimates["bsdf"])
     assert abs(mis - bsdf) < min(0.1, SIGMAS * float(np.hypot(error, other)))
 
 
 @pytest.mark.slow
-def test_random_points_converge_at_minus_one() -> None:
+def test_random_points_converge_at_minus_one():
     light = pixel_strategies(**WALL)["light"]
     shapes = [(REALIZATIONS, n, 2) for n in COUNTS]
     points = [uniforms(int(np.prod(s[:2])), seed=i).reshape(s) for i, s in enumerate(shapes)]
@@ -110,22 +105,20 @@ def test_random_points_converge_at_minus_one() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["light", "bsdf", "mis"])
-def test_every_strategy_has_the_exact_mean(
-    wall_estimates: dict[str, list[Array]], name: str
-) -> None:
+def test_every_strategy_has_the_exact_mean(wall_estimates, name):
     exact = wall_radiance(describe_pixel("veach", 568, 100)["position"])
     for estimates in wall_estimates[name]:
         mean, error = mean_and_error(estimates)
         assert abs(mean - exact) < SIGMAS * error + SINGLE * exact
 
 
-def test_wall_pixel_sees_the_whole_light() -> None:
+def test_wall_pixel_sees_the_whole_light():
     assert (pixel_strategies(**WALL)["light"](uniforms(10_000)) > 0).all()
 
 
 @pytest.mark.parametrize("heuristic", ["balance", "power"])
 @pytest.mark.parametrize("place", [WALL, PLATE], ids=["wall", "plate"])
-def test_strategies_agree(place: dict[str, Any], heuristic: str) -> None:
+def test_strategies_agree(place, heuristic):
     values = {
         name: g(uniforms(2**18, seed=t))
         for t, (name, g) in enumerate(pixel_strategies(**place, heuristic=heuristic).items())
@@ -137,7 +130,7 @@ def test_strategies_agree(place: dict[str, Any], heuristic: str) -> None:
         assert abs(mean - light) < SIGMAS * np.hypot(error, light_error) + SINGLE * light
 
 
-def test_weights_are_those_of_the_heuristics() -> None:
+def test_weights_are_those_of_the_heuristics():
     # With the same u both heuristics weigh the same f/p: w = r/(1+r) and r²/(1+r²), r = own/other.
     u = uniforms(4096)
     plain = Pixel(**WALL)(u)
@@ -149,7 +142,7 @@ def test_weights_are_those_of_the_heuristics() -> None:
     np.testing.assert_allclose(power / plain, w**2 / (w**2 + (1 - w) ** 2), rtol=1e-5)
 
 
-def stock_values(scene: str, x: int, y: int, count: int) -> Array:
+def stock_values(scene, x, y, count):
     """Values (count, 3) of Mitsuba's `direct` integrator along the ray of the pixel's centre."""
     import drjit
 
@@ -166,15 +159,15 @@ def stock_values(scene: str, x: int, y: int, count: int) -> Array:
 
 @pytest.mark.parametrize("dims", [2, 3])
 @pytest.mark.parametrize("place", [WALL, PLATE], ids=["wall", "plate"])
-def test_all_lights_match_the_stock_integrator(place: dict[str, Any], dims: int) -> None:
+def test_all_lights_match_the_stock_integrator(place, dims):
     check_against_stock({**place, "light": None}, dims)
 
 
-def test_textures_sky_and_layers_match_the_stock_integrator(scene_files: dict[str, str]) -> None:
+def test_textures_sky_and_layers_match_the_stock_integrator(scene_files):
     check_against_stock({"scene": scene_files["textured"], "x": 20, "y": 15}, 3)
 
 
-def check_against_stock(place: dict[str, Any], dims: int) -> None:
+def check_against_stock(place, dims):
     count = 2**19
     wanted, wanted_error = mean_and_error(
         stock_values(place["scene"], place["x"], place["y"], count)
@@ -188,7 +181,7 @@ def check_against_stock(place: dict[str, Any], dims: int) -> None:
 
 
 @pytest.mark.parametrize("strategy", ["light", "bsdf"])  # MIS weights change with the lights
-def test_lights_add_up(strategy: str) -> None:
+def test_lights_add_up(strategy):
     place = {"scene": "veach", "x": 600, "y": 430, "strategy": strategy}
     u = uniforms(2**18)
     whole, error = mean_and_error(Pixel(**place)(u))
@@ -198,7 +191,7 @@ def test_lights_add_up(strategy: str) -> None:
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_shapes_and_channels(strategy: str) -> None:
+def test_shapes_and_channels(strategy):
     u = uniforms(12).reshape(2, 6, 2)
     scalar = Pixel(**PLATE, strategy=strategy)
     color = Pixel(**PLATE, strategy=strategy, channel="rgb")
@@ -217,16 +210,14 @@ def test_shapes_and_channels(strategy: str) -> None:
     np.testing.assert_allclose(scalar(u), rec709, rtol=1e-5)
 
 
-def test_light_that_is_never_met_gives_zeros() -> None:
+def test_light_that_is_never_met_gives_zeros():
     # light-0 covers about 1e-5 of the wall's hemisphere: of 16 BSDF samples none meets it.
     values = Pixel(**{**WALL, "light": "light-0"}, strategy="bsdf", channel="rgb")(uniforms(16))
     np.testing.assert_array_equal(values, np.zeros((16, 3)))
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_chunks_threads_and_order_do_not_change_bits(
-    monkeypatch: pytest.MonkeyPatch, strategy: str
-) -> None:
+def test_chunks_threads_and_order_do_not_change_bits(monkeypatch, strategy):
     g, u = Pixel(**WALL, strategy=strategy), uniforms(8000).reshape(8, 1000, 2)
     whole = g(u)
     with ThreadPoolExecutor(4) as pool:
@@ -236,35 +227,35 @@ def test_chunks_threads_and_order_do_not_change_bits(
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_corners_of_the_square_are_finite(strategy: str) -> None:
+def test_corners_of_the_square_are_finite(strategy):
     ends = np.array([0.0, 2.0**-30, 0.5, 1.0 - 2.0**-53])
     corners = np.stack(np.meshgrid(ends, ends), axis=-1)
     for place in (WALL, PLATE, {**PLATE, "light": None}):
         assert np.isfinite(Pixel(**place, strategy=strategy)(corners)).all()
 
 
-def test_single_precision_never_rounds_a_sample_up_to_one() -> None:
+def test_single_precision_never_rounds_a_sample_up_to_one():
     (samples,) = sample_columns(np.array([[0.0, 0.25, 1.0 - 2.0**-53, 1.0]]).T)
     np.testing.assert_array_equal(samples, [0.0, 0.25, 1.0 - 2.0**-24, 1.0 - 2.0**-24])
 
 
-def test_a_million_points() -> None:
+def test_a_million_points():
     values = pixel_strategies(**WALL)["light"](uniforms(2**20 + 1))
     assert values.shape == (2**20 + 1,)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -0.1, 1.1])
-def test_samples_outside_the_square_are_refused(bad: float) -> None:
+def test_samples_outside_the_square_are_refused(bad):
     with pytest.raises(DomainError, match="unit cube"):
         Pixel(**WALL)([[0.5, bad]])
 
 
-def test_samples_of_other_dims_are_refused() -> None:
+def test_samples_of_other_dims_are_refused():
     with pytest.raises(DomainError, match="shape"):
         Pixel(**WALL)(uniforms(4, 3))
 
 
-def test_spec_string_makes_the_same_pixel() -> None:
+def test_spec_string_makes_the_same_pixel():
     registry = Registry("integrand", "none", {"pixel": "mcspectra.rendering.pixel:Pixel"})
     made = Pixel(**PLATE, strategy="mis-bsdf", heuristic="power", channel=1)
     again = registry.build(parse(made.spec), 2)
@@ -298,7 +289,7 @@ def test_spec_string_makes_the_same_pixel() -> None:
         ({"scene": "nowhere"}, "no scene called 'nowhere'"),
     ],
 )
-def test_bad_parameters_are_one_sentence(changes: dict[str, Any], words: str) -> None:
+def test_bad_parameters_are_one_sentence(changes, words):
     with pytest.raises(ParameterError) as caught:
         Pixel(**{**WALL, **changes})
     assert words in str(caught.value)
@@ -318,20 +309,18 @@ def test_bad_parameters_are_one_sentence(changes: dict[str, Any], words: str) ->
         ("textured", {"y": 0, "x": 0}, "sees the light 'sky'"),
     ],
 )
-def test_pixels_that_are_no_integrands_say_why(
-    scene_files: dict[str, str], scene: str, changes: dict[str, Any], words: str
-) -> None:
+def test_pixels_that_are_no_integrands_say_why(scene_files, scene, changes, words):
     with pytest.raises(ParameterError) as caught:
         Pixel(**{"scene": scene_files[scene], "x": 20, "y": 15, **changes})
     assert words in str(caught.value)
 
 
-def test_one_area_light_beside_a_delta_light_is_fine(scene_files: dict[str, str]) -> None:
+def test_one_area_light_beside_a_delta_light_is_fine(scene_files):
     values = Pixel(scene=scene_files["lamp"], x=20, y=15, light="screen")(uniforms(64))
     assert (values > 0).any()
 
 
-def test_describe_pixel_shows_lights_and_the_void(scene_files: dict[str, str]) -> None:
+def test_describe_pixel_shows_lights_and_the_void(scene_files):
     assert describe_pixel("veach", 642, 72)["light"] == "light-3"
     void = describe_pixel(scene_files["mirror"], 0, 0)
     assert set(void.values()) == {None}

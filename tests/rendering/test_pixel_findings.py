@@ -1,15 +1,10 @@
 """What the literature says of rates, found again at pixels, with intervals."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 from tests.rendering.slopes import Z, slope_error
 
 import mcspectra as mcs
-from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.rendering import Pixel, describe_pixel, named_pixels, pixel_mis
@@ -26,16 +21,16 @@ PLACES = {
 LIGHT, BSDF = 0, 1
 
 
-def uniforms(count: int, dims: int, seed: int = 1) -> Array:
+def uniforms(count, dims, seed=1):
     return Stream.from_rng(seed).uniforms(0, 1, count * dims).reshape(count, dims)
 
 
 def rates(
-    estimators: list[Any],
-    sampler: str = "jittered",
-    counts: list[int] = COUNTS,
-    realizations: int = 150,
-) -> Array:
+    estimators,
+    sampler="jittered",
+    counts=COUNTS,
+    realizations=150,
+):
     """Rates of estimators with their intervals: rows of (low, rate, high)."""
     found = mcs.convergence(
         estimators, sampler, counts, realizations=realizations, rng=1, fit_last=len(counts)
@@ -45,7 +40,7 @@ def rates(
     return np.stack([rate - half, rate, rate + half], axis=1)
 
 
-def check_slowest_decides(technique: Array, whole: Array) -> None:
+def check_slowest_decides(technique, whole):
     """The BSDF technique is the slower one, apart from the other, and MIS as slow as it is."""
     assert technique[BSDF, 0] > technique[LIGHT, 2]
     assert whole[0] < technique[BSDF, 2]
@@ -53,7 +48,7 @@ def check_slowest_decides(technique: Array, whole: Array) -> None:
 
 
 @pytest.mark.parametrize("shape", PLACES)
-def test_slowest_technique_determines_mis(shape: str) -> None:
+def test_slowest_technique_determines_mis(shape):
     place = PLACES[shape]
     assert describe_pixel(place["scene"], place["x"], place["y"])["shape"] == shape
     mis = pixel_mis(**place)
@@ -62,7 +57,7 @@ def test_slowest_technique_determines_mis(shape: str) -> None:
 
 
 @pytest.mark.slow
-def test_terms_of_techniques_name_the_bottleneck() -> None:
+def test_terms_of_techniques_name_the_bottleneck():
     found = mcs.technique_terms(
         pixel_mis(**WALL), "jittered", COUNTS, half_width=2, realizations=150, rng=1, fit_last=4
     )
@@ -72,7 +67,7 @@ def test_terms_of_techniques_name_the_bottleneck() -> None:
 
 
 @pytest.fixture(scope="module")
-def figure1() -> dict[str, Array]:
+def figure1():
     """Rates of BSDF sampling, and of light sampling and its mirrored form, shifted jittered sets."""
     x, y = named_pixels("figure1")["P"]
     sharp, smooth = (
@@ -89,20 +84,20 @@ def figure1() -> dict[str, Array]:
 
 
 def test_smoothing_the_edge_of_the_light_raises_the_rate_of_the_bsdf(
-    figure1: dict[str, Array],
-) -> None:
+    figure1,
+):
     assert figure1["smooth"][2] < figure1["sharp"][0]
     assert figure1["sharp"][0] < -1.5 < figure1["sharp"][2]  # edges: n^-1.5
 
 
-def test_mirroring_raises_the_shifted_rate(figure1: dict[str, Array]) -> None:
+def test_mirroring_raises_the_shifted_rate(figure1):
     assert figure1["mirrored"][2] < figure1["shifted"][0]
     assert figure1["mirrored"][0] < -2.0 < figure1["mirrored"][2]  # no edges: n^-2
 
 
 @pytest.mark.parametrize("place", [WALL, PLACES["plate-3"]], ids=["wall", "plate"])
 @pytest.mark.parametrize("strategy", ["light", "bsdf"])
-def test_spectrum_predicts_the_variance(place: dict[str, Any], strategy: str) -> None:
+def test_spectrum_predicts_the_variance(place, strategy):
     """Of light sampling all that is measured; across edges the share below the half width.
 
     What a spectrum of a light with edges misses is positive: its tail beyond 24 waves.
@@ -126,7 +121,7 @@ def test_spectrum_predicts_the_variance(place: dict[str, Any], strategy: str) ->
 
 
 @pytest.mark.parametrize("n", [16, 64])
-def test_quadrature_of_strata_predicts_the_variance(n: int) -> None:
+def test_quadrature_of_strata_predicts_the_variance(n):
     """Within 4 σ of what 1000 realisations measure, σ from the reported interval."""
     light = Pixel(**WALL)
     exact = mcs.exact_variance(light, "jittered", n, tolerance=1e-3)
@@ -136,7 +131,7 @@ def test_quadrature_of_strata_predicts_the_variance(n: int) -> None:
     assert abs(np.log(float(found["variance"][0]) / exact)) < 4 * error
 
 
-def test_positions_in_the_pixel_average_it() -> None:
+def test_positions_in_the_pixel_average_it():
     """The mean over a pixel, first over a grid of positions, then by four dims and by five."""
     place = {"scene": "figure1", "x": 200, "y": 190}
     whole = [Pixel(**place, strategy=s, dims=d) for s, d in (("light", 4), ("bsdf", 5))]
@@ -154,7 +149,7 @@ def test_positions_in_the_pixel_average_it() -> None:
     assert abs(values.mean() - means[0]) < 4 * np.hypot(errors[0], values.std() / 32)
 
 
-def test_position_at_the_centre_is_the_pixel_of_two_dims() -> None:
+def test_position_at_the_centre_is_the_pixel_of_two_dims():
     u = uniforms(1000, 3)
     for strategy in ("light", "bsdf", "mis-light", "mis-bsdf"):
         middle = np.full((1000, 2), 0.5)
@@ -165,14 +160,14 @@ def test_position_at_the_centre_is_the_pixel_of_two_dims() -> None:
             np.testing.assert_allclose(moved, flat, rtol=1e-4, atol=1e-5 * flat.max())
 
 
-def test_first_two_samples_run_from_the_upper_left_corner() -> None:
+def test_first_two_samples_run_from_the_upper_left_corner():
     """Positions near a border of the pixel are those near the opposite border of its neighbour."""
     u, small = uniforms(500, 2), 2.0**-10
     here, right, below = (
         Pixel(scene="figure1", x=x, y=y, dims=4) for x, y in ((200, 190), (201, 190), (200, 191))
     )
 
-    def at(pixel: Pixel, dx: float, dy: float) -> Array:
+    def at(pixel, dx, dy):
         return pixel(np.column_stack([np.full(500, dx), np.full(500, dy), u]))
 
     np.testing.assert_allclose(at(here, 1 - small, 0.5), at(right, small, 0.5), rtol=1e-3)
@@ -180,7 +175,7 @@ def test_first_two_samples_run_from_the_upper_left_corner() -> None:
     assert not np.allclose(at(here, small, 0.5), at(right, small, 0.5), rtol=1e-3)
 
 
-def test_rays_that_see_a_light_or_nothing_count_as_zero() -> None:
+def test_rays_that_see_a_light_or_nothing_count_as_zero():
     """The pixel that the left border of light-3 crosses: wall on the left, light on the right."""
     assert describe_pixel("veach", 579, 72)["light"] == "light-3"
     u = uniforms(2**14, 4)

@@ -1,12 +1,9 @@
 """Integrals of pixels: right within the error they state, whatever jumps there are."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.checks import Array
 from mcspectra.core.streams import Stream
 from mcspectra.integrands import Integrand, integral_accuracy
 from mcspectra.rendering import Pixel, pixel_mis
@@ -20,12 +17,12 @@ SIGMAS = 4.5  # and t with 15 degrees is beyond it by chance once in 2400
 SAMPLES = 2**19
 
 
-def uniforms(dims: int) -> Array:
+def uniforms(dims):
     return Stream.from_rng(3).uniforms(0, 1, SAMPLES * dims).reshape(SAMPLES, dims)
 
 
 @pytest.mark.parametrize(("strategy", "dims"), [("light", 2), ("light", 4), ("mis-bsdf", 4)])
-def test_it_is_the_mean_of_random_points(strategy: str, dims: int) -> None:
+def test_it_is_the_mean_of_random_points(strategy, dims):
     pixel = Pixel(**FLOOR, dims=dims, strategy=strategy)
     values = pixel(uniforms(dims))
     error = np.hypot(values.std() / SAMPLES**0.5, integral_accuracy(pixel)[1])
@@ -33,7 +30,7 @@ def test_it_is_the_mean_of_random_points(strategy: str, dims: int) -> None:
     assert error < 0.1 * pixel.integral  # so that the test can fail
 
 
-def test_errors_cover_discontinuities(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_errors_cover_discontinuities(monkeypatch):
     """An ellipse whose area is known: z-scores of 40 placements have the variance of a t."""
     monkeypatch.setattr(module, "_POINTS", 2**10)
     scores = []
@@ -49,7 +46,7 @@ def test_errors_cover_discontinuities(monkeypatch: pytest.MonkeyPatch) -> None:
     assert abs(spread - 15 / 13) < 4 * 15 / 13 * np.sqrt((2 + 6 / 11) / 40)
 
 
-def test_accuracy_says_how_it_was_made() -> None:
+def test_accuracy_says_how_it_was_made():
     pixel = Pixel(**FLOOR)
     assert pixel.integral_source == SOURCE
     source, error = integral_accuracy(pixel)
@@ -57,7 +54,7 @@ def test_accuracy_says_how_it_was_made() -> None:
     assert 0.0 < error < 1e-3 * pixel.integral
 
 
-def test_it_is_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_is_computed_once(monkeypatch):
     monkeypatch.setattr(module, "_POINTS", 2**10)
     pixel = Pixel(**FLOOR)
     kept = pixel.integral
@@ -65,14 +62,14 @@ def test_it_is_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     assert pixel.integral == kept
 
 
-def test_channels_have_an_integral_each(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_channels_have_an_integral_each(monkeypatch):
     monkeypatch.setattr(module, "_POINTS", 2**10)
     together = Pixel(**FLOOR, channel="rgb").integral
     single = [Pixel(**FLOOR, channel=c).integral for c in range(3)]
     assert np.allclose(together, single, rtol=1e-6)
 
 
-def test_sums_of_techniques_add_their_errors(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sums_of_techniques_add_their_errors(monkeypatch):
     monkeypatch.setattr(module, "_POINTS", 2**14)
     mis = pixel_mis(**FLOOR, light=0)
     parts = [mis.primary_integrand(t) for t in range(2)]
@@ -86,7 +83,7 @@ def test_sums_of_techniques_add_their_errors(monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.mark.parametrize("dims", [2, 4])
-def test_convergence_reports_no_false_bias(dims: int) -> None:
+def test_convergence_reports_no_false_bias(dims):
     pixel = Pixel(**FLOOR, dims=dims)
     found = mcs.convergence(pixel, "random", [64], realizations=4000, rng=1)
     assert abs(float(found["bias"][0])) < SIGMAS * float(found["bias_se"][0])
@@ -95,7 +92,7 @@ def test_convergence_reports_no_false_bias(dims: int) -> None:
     assert found.attrs["integral_source"] == SOURCE
 
 
-def test_a_constant_is_known_to_the_rounding_of_its_values() -> None:
+def test_a_constant_is_known_to_the_rounding_of_its_values():
     f = Integrand.from_function(lambda x: np.full(x.shape[:-1], 3.0), dims=2)
     found = mean_of_points(f)
     assert found.value == 3.0

@@ -1,18 +1,13 @@
 """Multiple importance sampling at a pixel by every heuristic: means, exact variances, analyses."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import HEURISTICS
-from mcspectra.rendering import Pixel, PixelMIS, load_mitsuba, named_pixels, pixel_mis, sky_pixels
+from mcspectra.rendering import Pixel, load_mitsuba, named_pixels, pixel_mis, sky_pixels
 from mcspectra.rendering.pixel import Draws
 from mcspectra.samplers.registry import as_sampler
 from mcspectra.variance.counterfactuals import Budget, Setup, other_setups
@@ -26,15 +21,15 @@ COUNT = 2**16
 SIGMAS = 4.5  # of some thirty means that are compared: one false alarm in 5000 runs
 
 
-def uniforms(count: int, dims: int = 2, seed: int = 1) -> Array:
+def uniforms(count, dims=2, seed=1):
     return Stream.from_rng(seed).uniforms(0, 1, count * dims).reshape(count, dims)
 
 
-def mean_and_error(values: Array) -> tuple[Array, Array]:
+def mean_and_error(values):
     return values.mean(axis=0), values.std(axis=0, ddof=1) / len(values) ** 0.5
 
 
-def total(mis: PixelMIS, seed: int = 1) -> tuple[Array, Array]:
+def total(mis, seed=1):
     """Mean and standard error of Σ_t g_t of independent random points."""
     parts = [
         mean_and_error(mis.primary_values(t, uniforms(COUNT, mis.dims, seed + t)))
@@ -43,7 +38,7 @@ def total(mis: PixelMIS, seed: int = 1) -> tuple[Array, Array]:
     return sum(m for m, _ in parts), np.sqrt(sum(e**2 for _, e in parts))
 
 
-def random_variance(mis: PixelMIS) -> float:
+def random_variance(mis):
     """Variance of one random sample a unit of counts, Σ_t Var g_t / counts[t]."""
     values = [
         mis.primary_values(t, uniforms(COUNT, mis.dims, 1 + t)) for t in range(len(mis.counts))
@@ -52,7 +47,7 @@ def random_variance(mis: PixelMIS) -> float:
 
 
 @pytest.fixture(scope="module")
-def truth() -> dict[str, tuple[float, float]]:
+def truth():
     """Mean and error by light sampling alone, which no weight touches."""
     places = {"wall": WALL, "plate": PLATE}
     return {k: mean_and_error(Pixel(**p)(uniforms(2**18, seed=99))) for k, p in places.items()}
@@ -60,9 +55,7 @@ def truth() -> dict[str, tuple[float, float]]:
 
 @pytest.mark.parametrize("heuristic", [*HEURISTICS, "power(beta=3.5)", "cutoff(alpha=0.5)"])
 @pytest.mark.parametrize("counts", [(1, 1), (1, 5)])
-def test_every_heuristic_estimates_the_same(
-    truth: dict[str, tuple[float, float]], heuristic: str, counts: tuple[int, int]
-) -> None:
+def test_every_heuristic_estimates_the_same(truth, heuristic, counts):
     for name, place in (("wall", WALL), ("plate", PLATE)):
         mean, error = total(pixel_mis(**place, heuristic=heuristic, counts=counts))
         wanted, wanted_error = truth[name]
@@ -70,7 +63,7 @@ def test_every_heuristic_estimates_the_same(
 
 
 @pytest.mark.parametrize("heuristic", ["balance", "power"])
-def test_equal_counts_are_the_kernels_of_pixel(heuristic: str) -> None:
+def test_equal_counts_are_the_kernels_of_pixel(heuristic):
     mis, u = pixel_mis(**PLATE, heuristic=heuristic), uniforms(4096)
     for technique, strategy in enumerate(("mis-light", "mis-bsdf")):
         single = Pixel(**PLATE, strategy=strategy, heuristic=heuristic)(u)
@@ -80,9 +73,7 @@ def test_equal_counts_are_the_kernels_of_pixel(heuristic: str) -> None:
 
 @pytest.mark.parametrize("counts", [(1, 1), (3, 2)])
 @pytest.mark.parametrize("heuristic", ["balance", "power(beta=3)", "maximum", "cutoff"])
-def test_weights_sum_to_one_where_both_techniques_sample(
-    heuristic: str, counts: tuple[int, int]
-) -> None:
+def test_weights_sum_to_one_where_both_techniques_sample(heuristic, counts):
     # What a technique drew, handed to the other with that one's f/p, weighs one together
     mis = pixel_mis(**PLATE, heuristic=heuristic, counts=counts)
     drawn = mis.draws(0, uniforms(4096))
@@ -97,7 +88,7 @@ def test_weights_sum_to_one_where_both_techniques_sample(
     np.testing.assert_allclose(sums, f[shared], rtol=1e-12)
 
 
-def test_counts_enter_the_weights() -> None:
+def test_counts_enter_the_weights():
     mis, u = pixel_mis(**PLATE, counts=(3, 2)), uniforms(4096)
     for technique, count in enumerate((3, 2)):
         drawn = mis.draws(technique, u)
@@ -106,7 +97,7 @@ def test_counts_enter_the_weights() -> None:
         np.testing.assert_allclose(mis.primary_values(technique, u), wanted, rtol=1e-12)
 
 
-def test_optimal_weights_have_the_least_variance() -> None:
+def test_optimal_weights_have_the_least_variance():
     # 4096 pilot samples leave α off by some percent: the minimum is flat, 3 % is allowed
     for place in (WALL, PLATE):
         found = {h: random_variance(pixel_mis(**place, heuristic=h)) for h in HEURISTICS}
@@ -114,13 +105,13 @@ def test_optimal_weights_have_the_least_variance() -> None:
         assert found["variance-aware"] < found["balance"]
 
 
-def test_one_light_sample_decides_where_it_has_no_variance() -> None:
+def test_one_light_sample_decides_where_it_has_no_variance():
     # light-3 covers little of the wall's sky: almost all goes to light sampling
     mis = pixel_mis(**WALL, heuristic="variance-aware")
     assert mis.shares[0] > 20 * mis.shares[1]
 
 
-def test_pilots_are_reproducible_and_have_a_seed() -> None:
+def test_pilots_are_reproducible_and_have_a_seed():
     made = [pixel_mis(**PLATE, heuristic=f"optimal(seed={s})").control for s in (0, 0, 1)]
     assert all(c is not None for c in made)
     np.testing.assert_array_equal(made[0], made[1])
@@ -129,7 +120,7 @@ def test_pilots_are_reproducible_and_have_a_seed() -> None:
 
 
 @pytest.mark.parametrize("heuristic", ["balance", "optimal", "variance-aware"])
-def test_channels_are_weighted_by_the_same_densities(heuristic: str) -> None:
+def test_channels_are_weighted_by_the_same_densities(heuristic):
     mis = pixel_mis(**PLATE, heuristic=heuristic, channel="rgb")
     mean, error = total(mis)
     for c in range(3):
@@ -140,7 +131,7 @@ def test_channels_are_weighted_by_the_same_densities(heuristic: str) -> None:
         assert mis.control.shape == (2, 3)
 
 
-def test_samples_below_the_surface_do_not_bias_optimal_weights() -> None:
+def test_samples_below_the_surface_do_not_bias_optimal_weights():
     # A wide lobe at a grazing angle reaches below: the control variate must cancel there
     camera = {
         "type": "perspective",
@@ -163,7 +154,7 @@ def test_samples_below_the_surface_do_not_bias_optimal_weights() -> None:
     assert abs(mean - wanted) < SIGMAS * np.hypot(error, wanted_error)
 
 
-def test_blocked_light_does_not_bias_optimal_weights() -> None:
+def test_blocked_light_does_not_bias_optimal_weights():
     # Rays to a hidden part of the light and rays to what hides it are no samples of each other
     x, y = named_pixels("figure1")["Q"]
     mis = pixel_mis("figure1", x, y, heuristic="optimal")
@@ -174,7 +165,7 @@ def test_blocked_light_does_not_bias_optimal_weights() -> None:
     assert abs(mean - wanted) < SIGMAS * np.hypot(error, wanted_error)
 
 
-def test_densities_of_the_environment_join_in() -> None:
+def test_densities_of_the_environment_join_in():
     sky = [f"environment(interpolation='bilinear', channel={c})" for c in range(3)]
     karlik = "environment(compensation=True)"
     wanted, wanted_error = total(pixel_mis(**PLASTIC, channel="rgb", dims=3), seed=77)
@@ -191,7 +182,7 @@ def test_densities_of_the_environment_join_in() -> None:
         assert (abs(mean - wanted) < SIGMAS * np.hypot(error, wanted_error)).all()
 
 
-def test_analyses_work() -> None:
+def test_analyses_work():
     mis = pixel_mis(**WALL, heuristic="optimal", counts=(1, 4))
     found = mcs.convergence(mis, "jittered", [4, 16, 64], realizations=40, rng=1)
     assert np.isfinite(found["rate"])
@@ -202,7 +193,7 @@ def test_analyses_work() -> None:
     assert float(parts) == pytest.approx(float(terms["predicted_variance"]), rel=1e-9)
 
 
-def test_remedies_try_every_heuristic_and_each_technique() -> None:
+def test_remedies_try_every_heuristic_and_each_technique():
     given = Setup(pixel_mis(**PLATE), as_sampler("jittered", 2))
     budget = Budget(256, 100, Stream.from_rng(1))
     names = {o.name for o in other_setups(given, ("heuristic", "techniques"), budget)}
@@ -210,7 +201,7 @@ def test_remedies_try_every_heuristic_and_each_technique() -> None:
     assert names == heuristics | {"only light", "only bsdf"}
 
 
-def test_same_techniques_with_another_heuristic() -> None:
+def test_same_techniques_with_another_heuristic():
     mis = pixel_mis(**PLATE, counts=(2, 3), sets="joint")
     other = mis.with_heuristic("power")
     assert (other.counts, other.sets, other.heuristic) == ((2, 3), "joint", "power")
@@ -223,7 +214,7 @@ def test_same_techniques_with_another_heuristic() -> None:
     )
 
 
-def test_maps_cover_all_directions() -> None:
+def test_maps_cover_all_directions():
     pixels = sky_pixels("sky", 64)
     assert pixels.shape == (64, 128, 3)
     assert (pixels > 0).all()
@@ -251,7 +242,7 @@ def test_maps_cover_all_directions() -> None:
         ({"channel": 4}, "channel is 4"),
     ],
 )
-def test_bad_parameters_are_one_sentence(changes: dict[str, Any], words: str) -> None:
+def test_bad_parameters_are_one_sentence(changes, words):
     with pytest.raises(ParameterError) as caught:
         pixel_mis(**{**WALL, **changes})
     assert words in str(caught.value)

@@ -1,18 +1,13 @@
 """Our samplers as Mitsuba's: sets, requests, images, passes, and one sentence an error."""
 
-from __future__ import annotations
-
-import subprocess
-import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy import stats
+from tests.processes import python
 
 from mcspectra.cli.main import main
-from mcspectra.core.checks import Array
 from mcspectra.core.errors import CountError, FileFormatError, MissingDependency, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.rendering import load_mitsuba, load_scene, register_samplers, render_file
@@ -44,7 +39,7 @@ OURS = '<string name="spec" value="$spec"/>'
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("plugin")
     texts = {
         "ours": OURS,
@@ -63,7 +58,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     return {name: str(folder / f"{name}.xml") for name in texts}
 
 
-def sampler(variant: str = "llvm_ad_rgb", **properties: Any) -> Any:
+def sampler(variant="llvm_ad_rgb", **properties):
     """An object of the plugin, in a variant that is set until the next call."""
     register_samplers(variant)
     mitsuba = import_mitsuba()
@@ -71,13 +66,13 @@ def sampler(variant: str = "llvm_ad_rgb", **properties: Any) -> Any:
     return mitsuba.load_dict({"type": "mcspectra", **properties})
 
 
-def numbers(source: Any, *dims: int) -> Array:
+def numbers(source, *dims):
     """Draw requests of a wavefront one after the other: (lanes, sum of dims)."""
     parts = [source.next_1d() if d == 1 else source.next_2d() for d in dims]
     return np.concatenate([np.atleast_2d(part.numpy()) for part in parts]).T.astype(np.float64)
 
 
-def test_pads_are_the_samplers_sets_in_another_order() -> None:
+def test_pads_are_the_samplers_sets_in_another_order():
     sets = PaddedSets(spec="sobol | owen", count=16)
     for dims in (1, 2):
         points = sets.pads(dims, Stream(5), 0, 40)
@@ -89,14 +84,14 @@ def test_pads_are_the_samplers_sets_in_another_order() -> None:
 
 
 @pytest.mark.parametrize("spec", ["sobol | owen", "random"])
-def test_sets_in_one_dim_share_no_numbers_with_pairs(spec: str) -> None:
+def test_sets_in_one_dim_share_no_numbers_with_pairs(spec):
     sets = PaddedSets(spec=spec, count=16)
     single, pair = (sets.pads(dims, Stream(5), 0, 20) for dims in (1, 2))
     # 320 against 640 numbers of 24 bits: 0.01 equal pairs are expected
     assert np.isin(single, pair).sum() <= 1
 
 
-def test_sets_do_not_depend_on_how_many_are_drawn_at_once() -> None:
+def test_sets_do_not_depend_on_how_many_are_drawn_at_once():
     sets = PaddedSets(spec="jittered", count=256, joint=4)
     whole = sets.pads(2, Stream(5), 0, 1500)  # two blocks
     np.testing.assert_array_equal(whole[1022:1026], sets.pads(2, Stream(5), 1022, 4))
@@ -104,7 +99,7 @@ def test_sets_do_not_depend_on_how_many_are_drawn_at_once() -> None:
     np.testing.assert_array_equal(whole[511:514], sets.joints(Stream(5), 511, 3))
 
 
-def test_orders_of_two_sets_are_independent() -> None:
+def test_orders_of_two_sets_are_independent():
     # Without shuffling, points in the first half would meet points in the first half only.
     points = PaddedSets(spec="sobol", count=16).pads(1, Stream(5), 0, 2000)[..., 0]
     halves = points < 0.5
@@ -117,21 +112,21 @@ def test_orders_of_two_sets_are_independent() -> None:
     assert p > LEVEL
 
 
-def test_numbers_stay_below_one() -> None:
+def test_numbers_stay_below_one():
     points = PaddedSets(spec="mitsuba(sampler='independent')", count=4).pads(2, Stream(1), 0, 3)
     assert points.max() <= LARGEST_SAMPLE
     assert float(LARGEST_SAMPLE) < 1.0
 
 
 @pytest.mark.parametrize("pixels", [1, 7, 509, 5000, 2**20])
-def test_requests_of_a_pixel_take_different_sets(pixels: int) -> None:
+def test_requests_of_a_pixel_take_different_sets(pixels):
     rounds = Rounds.of(pixels, 4, 2 * 64)
     assert 2 * 64 * rounds.size <= 2**27
     taken = {request * rounds.stride % rounds.size for request in range(509)}
     assert len(taken) == 509
 
 
-def test_first_requests_of_all_pixels_take_different_sets() -> None:
+def test_first_requests_of_all_pixels_take_different_sets():
     rounds = Rounds.of(300, 4, 32)
     taken = {
         (p + request * rounds.stride) % rounds.size for p in range(300) for request in range(4)
@@ -140,7 +135,7 @@ def test_first_requests_of_all_pixels_take_different_sets() -> None:
 
 
 @pytest.mark.parametrize("joint", [0, 4])
-def test_lanes_are_samples_of_pixels(joint: int) -> None:
+def test_lanes_are_samples_of_pixels(joint):
     source = sampler(sample_count=16, joint_dims=joint)
     source.seed(3, 16 * 50)
     drawn = numbers(source, 2, 2, 1, 2).reshape(50, 16, 7)
@@ -151,7 +146,7 @@ def test_lanes_are_samples_of_pixels(joint: int) -> None:
     assert len(np.unique(drawn[..., 0])) > 790  # of 800: no pixel has another's set
 
 
-def test_joint_dims_are_one_set_in_its_own_order() -> None:
+def test_joint_dims_are_one_set_in_its_own_order():
     source = sampler(sample_count=16, joint_dims=4, spec="sobol", seed=9)
     source.seed(3, 16 * 2)
     drawn = numbers(source, 2, 1, 2).reshape(2, 16, 5)
@@ -160,8 +155,8 @@ def test_joint_dims_are_one_set_in_its_own_order() -> None:
     assert not np.array_equal(drawn[0, :, 3], plain[:, 3])  # two numbers do not fit: a pad
 
 
-def test_seeds_change_points_and_are_reproducible() -> None:
-    def first(seed: int, own: int) -> Array:
+def test_seeds_change_points_and_are_reproducible():
+    def first(seed, own):
         source = sampler(sample_count=4, seed=own)
         source.seed(seed, 32)
         return numbers(source, 2, 1)
@@ -172,7 +167,7 @@ def test_seeds_change_points_and_are_reproducible() -> None:
         assert not np.isin(other, base).any()
 
 
-def test_clones_go_on_alike_and_forks_need_a_seed() -> None:
+def test_clones_go_on_alike_and_forks_need_a_seed():
     source = sampler(sample_count=4)
     source.seed(1, 8)
     numbers(source, 2)
@@ -183,7 +178,7 @@ def test_clones_go_on_alike_and_forks_need_a_seed() -> None:
 
 
 @pytest.mark.parametrize("dims", [1, 2])
-def test_passes_share_a_pixels_set(dims: int) -> None:
+def test_passes_share_a_pixels_set(dims):
     source = sampler(sample_count=16)
     source.set_samples_per_wavefront(4)
     source.seed(1, 4 * 5)
@@ -197,7 +192,7 @@ def test_passes_share_a_pixels_set(dims: int) -> None:
         source.next_1d()
 
 
-def test_scalar_sets_of_a_pixel_are_the_samplers() -> None:
+def test_scalar_sets_of_a_pixel_are_the_samplers():
     source = sampler("scalar_rgb", sample_count=16, joint_dims=2)
     source.seed(7)
     twin = source.clone()
@@ -216,7 +211,7 @@ def test_scalar_sets_of_a_pixel_are_the_samplers() -> None:
     load_mitsuba()
 
 
-def batches(file: str, variant: str = "llvm_ad_rgb", spp: int = 64, **definitions: str) -> Array:
+def batches(file, variant="llvm_ad_rgb", spp=64, **definitions):
     """Sixteen images with seeds of their own."""
     register_samplers(variant)
     mitsuba = import_mitsuba()
@@ -227,7 +222,7 @@ def batches(file: str, variant: str = "llvm_ad_rgb", spp: int = 64, **definition
     return np.stack([np.array(image, dtype=np.float64) for image in images])
 
 
-def smallest_p_value(a: Array, b: Array) -> float:
+def smallest_p_value(a, b):
     """Šidák-corrected p-value of the worst pixel, by Welch's test; channels are alike."""
     p = stats.ttest_ind(a[..., 0], b[..., 0], equal_var=False).pvalue
     return float(-np.expm1(p.size * np.log1p(-p.min())))
@@ -242,9 +237,7 @@ def smallest_p_value(a: Array, b: Array) -> float:
         ("ours", "direct", "scalar_rgb"),
     ],
 )
-def test_images_are_those_of_the_stock_sampler_with_less_noise(
-    files: dict[str, str], name: str, integrator: str, variant: str
-) -> None:
+def test_images_are_those_of_the_stock_sampler_with_less_noise(files, name, integrator, variant):
     ours = batches(files[name], variant, integrator=integrator)
     stock = batches(files["stock"], variant, integrator=integrator)
     assert smallest_p_value(stock, ours) > LEVEL
@@ -253,49 +246,43 @@ def test_images_are_those_of_the_stock_sampler_with_less_noise(
     assert np.median(ratio) > stats.f.isf(1e-6, 15 * 24, 15 * 24)
 
 
-def test_two_percent_are_noticed(files: dict[str, str]) -> None:
+def test_two_percent_are_noticed(files):
     ours, stock = batches(files["ours"], spp=256), batches(files["stock"], spp=1024)
     assert smallest_p_value(stock, 1.02 * ours) < LEVEL
     assert smallest_p_value(stock, ours) > LEVEL
 
 
-def test_images_repeat_and_seeds_change_them(files: dict[str, str]) -> None:
+def test_images_repeat_and_seeds_change_them(files):
     for variant in PLUGIN_VARIANTS:
         image = render_file(files["ours"], variant, seed=1)
         np.testing.assert_array_equal(image, render_file(files["ours"], variant, seed=1))
         assert not np.array_equal(image, render_file(files["ours"], variant, seed=2))
 
 
-def test_split_passes_give_the_image_of_one_pass(files: dict[str, str]) -> None:
+def test_split_passes_give_the_image_of_one_pass(files):
     passes = {"definitions": {"passes": 4}}
     import_mitsuba().set_log_level(import_mitsuba().LogLevel.Error)
     np.testing.assert_allclose(
-        render_file(files["passes"], "llvm_ad_rgb", **passes),  # type: ignore[arg-type]
+        render_file(files["passes"], "llvm_ad_rgb", **passes),
         render_file(files["ours"], "llvm_ad_rgb"),
         rtol=1e-5,
     )
     with pytest.raises(ParameterError, match="needs the sampler's integer samples_per_pass"):
-        render_file(files["ours"], "llvm_ad_rgb", **passes)  # type: ignore[arg-type]
+        render_file(files["ours"], "llvm_ad_rgb", **passes)
 
 
 @pytest.mark.parametrize("variant", PLUGIN_VARIANTS)
-def test_command_writes_the_image(files: dict[str, str], tmp_path: Path, variant: str) -> None:
+def test_command_writes_the_image(files, tmp_path, variant):
     out = tmp_path / "image.exr"
     command = ["mitsuba", files["ours"], "-m", variant, "-o", str(out), "--seed", "3"]
-    run = subprocess.run(
-        [sys.executable, "-c", PROGRAM, *command],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=True,
-    )
+    run = python("-c", PROGRAM, *command, timeout=120, check=True)
     assert "8 × 6 pixels" in run.stdout
     written = np.array(load_mitsuba().Bitmap(str(out)), dtype=np.float64)
     # The film writes half floats.
     np.testing.assert_allclose(written, render_file(files["ours"], variant, seed=3), rtol=1e-3)
 
 
-def test_counts_that_cannot_be_made_name_the_nearest(files: dict[str, str]) -> None:
+def test_counts_that_cannot_be_made_name_the_nearest(files):
     for variant in PLUGIN_VARIANTS:
         with pytest.raises(CountError, match="nearest counts are 9 and 16"):
             render_file(files["ours"], variant, spp=15, definitions={"spec": "jittered"})
@@ -318,7 +305,7 @@ def test_counts_that_cannot_be_made_name_the_nearest(files: dict[str, str]) -> N
         ({"sed": 1}, "unreferenced property"),
     ],
 )
-def test_bad_properties(properties: dict[str, Any], words: str) -> None:
+def test_bad_properties(properties, words):
     with pytest.raises(RuntimeError, match=words):
         sampler(**properties)
 
@@ -337,16 +324,14 @@ def test_bad_properties(properties: dict[str, Any], words: str) -> None:
         (["-o", "nowhere/image.exr"], "in a folder that exists"),
     ],
 )
-def test_bad_commands_are_one_sentence(
-    files: dict[str, str], capsys: pytest.CaptureFixture[str], options: list[str], words: str
-) -> None:
+def test_bad_commands_are_one_sentence(files, capsys, options, words):
     assert main(["mitsuba", files["ours"], *options]) == 2
     printed = capsys.readouterr().err
     assert words in printed
     assert printed.count("\n") == 1
 
 
-def test_bad_files_are_one_sentence(tmp_path: Path) -> None:
+def test_bad_files_are_one_sentence(tmp_path):
     with pytest.raises(FileFormatError, match="There is no scene file"):
         render_file(tmp_path / "missing.xml")
     broken = tmp_path / "broken.xml"
@@ -359,7 +344,7 @@ def test_bad_files_are_one_sentence(tmp_path: Path) -> None:
         render_file(blind)
 
 
-def test_scenes_with_our_sampler_are_ours_too(files: dict[str, str], tmp_path: Path) -> None:
+def test_scenes_with_our_sampler_are_ours_too(files, tmp_path):
     assert film_size(files["ours"]) == (8, 6)
     wrong = tmp_path / "wrong.xml"
     text = Path(files["ours"]).read_text(encoding="utf-8").replace("sobol | owen", "nosuch")
@@ -369,16 +354,16 @@ def test_scenes_with_our_sampler_are_ours_too(files: dict[str, str], tmp_path: P
     assert "Traceback" not in str(caught.value)
 
 
-def test_variant_is_put_back(files: dict[str, str]) -> None:
+def test_variant_is_put_back(files):
     mitsuba = load_mitsuba()
     render_file(files["ours"], "scalar_rgb")
     assert mitsuba.variant() == "llvm_ad_rgb"
 
 
-def test_without_llvm_only_the_scalar_plugin_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_llvm_only_the_scalar_plugin_is_made(monkeypatch):
     from mcspectra.rendering import plugin
 
-    def missing() -> None:
+    def missing():
         raise MissingDependency("no LLVM")
 
     monkeypatch.setattr(plugin, "load_mitsuba", missing)

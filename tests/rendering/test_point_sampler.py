@@ -1,11 +1,10 @@
 """Mitsuba's samplers as ours: its counts, its points, and a renderer left undisturbed."""
 
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pytest
+from tests.processes import python
 
 import mcspectra as mcs
 from mcspectra.core.errors import CountError, ParameterError
@@ -106,12 +105,7 @@ def test_points_and_pixels_do_not_disturb_each_other_in_either_order():
         f"{_PIXEL}; {_DRAW}; again = value; {_PIXEL}",
         f"{_DRAW}; {_PIXEL}; again = value",
     ):
-        run = subprocess.run(
-            [sys.executable, "-c", _PROGRAM.format(steps=steps)],
-            capture_output=True,
-            text=True,
-            check=True,
-        )
+        run = python("-c", _PROGRAM.format(steps=steps), check=True)
         outputs.add(run.stdout)
     assert len(outputs) == 1
 

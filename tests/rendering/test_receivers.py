@@ -1,7 +1,5 @@
 """What is remembered of pixels, and what that keeps alive."""
 
-from __future__ import annotations
-
 import gc
 import weakref
 from typing import Any
@@ -17,15 +15,15 @@ class Stub:
 
 
 @pytest.mark.render
-def test_a_pixel_is_traced_once() -> None:
+def test_a_pixel_is_traced_once():
     scene = load_scene("figure1")
     assert techniques.primary_hit(scene, 96, 205) is techniques.primary_hit(scene, 96, 205)
 
 
-def test_few_scenes_and_pixels_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_few_scenes_and_pixels_are_kept(monkeypatch):
     traced: list[tuple[int, int]] = []
 
-    def hit(scene: Any, x: int, y: int) -> tuple[Any, int, int]:
+    def hit(scene, x, y):
         traced.append((x, y))
         return scene, x, y
 

@@ -1,7 +1,5 @@
 """What is not supported is listed in full, one sentence each, that names the culprit."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
@@ -50,11 +48,11 @@ ROUGH: dict[str, dict[str, Any]] = {
 }
 
 
-def ball(bsdf: dict[str, Any]) -> dict[str, Any]:
+def ball(bsdf):
     return {"type": "sphere", "bsdf": bsdf}
 
 
-def one(scene: Any, **options: Any) -> str:
+def one(scene, **options):
     sentences = check_scene(scene, **options)
     assert len(sentences) == 1
     assert "\n" not in sentences[0]
@@ -63,7 +61,7 @@ def one(scene: Any, **options: Any) -> str:
 
 
 @pytest.mark.parametrize("name", list(LAMPS))
-def test_delta_lights_are_named(name: str) -> None:
+def test_delta_lights_are_named(name):
     scene = figure1() | {name: LAMPS[name]}
     assert f"The light '{name}' of 'dict'" in one(scene)
     assert "delta function" in one(scene)
@@ -73,7 +71,7 @@ def test_delta_lights_are_named(name: str) -> None:
     check_lights(scene, "light")
 
 
-def test_lights_without_id_have_a_number(tmp_path: Any) -> None:
+def test_lights_without_id_have_a_number(tmp_path):
     file = tmp_path / "scene.xml"
     camera = '<sensor type="perspective"/>'
     lights = '<emitter type="constant" id="sky"/><emitter type="point"/>'
@@ -84,18 +82,18 @@ def test_lights_without_id_have_a_number(tmp_path: Any) -> None:
 
 
 @pytest.mark.parametrize("name", list(SPECULAR))
-def test_specular_shapes_are_named(name: str) -> None:
+def test_specular_shapes_are_named(name):
     sentence = one(figure1() | {"ball": ball(SPECULAR[name])})
     assert "the shape 'ball' (" in sentence
     assert "delta function" in sentence
 
 
 @pytest.mark.parametrize("name", list(ROUGH))
-def test_rough_shapes_are_supported(name: str) -> None:
+def test_rough_shapes_are_supported(name):
     assert check_scene(figure1() | {"ball": ball(ROUGH[name])}) == []
 
 
-def test_media_are_named_with_their_shapes() -> None:
+def test_media_are_named_with_their_shapes():
     scene = figure1() | {"fog": FOG, "mist": {**FOG, "bsdf": {"type": "diffuse"}}}
     media, null = check_scene(scene)
     assert "participating media (the shape 'fog', the shape 'mist')" in media
@@ -109,18 +107,18 @@ def test_media_are_named_with_their_shapes() -> None:
         Wavefront(scene)
 
 
-def test_medium_around_the_camera_is_one_too() -> None:
+def test_medium_around_the_camera_is_one_too():
     scene = figure1()
     scene["sensor"]["medium"] = {"type": "homogeneous"}
     assert "participating media (the camera 'sensor')" in one(scene)
 
 
-def test_outside_of_a_shape_counts_too() -> None:
+def test_outside_of_a_shape_counts_too():
     fog = {"type": "sphere", "bsdf": {"type": "diffuse"}, "exterior": {"type": "homogeneous"}}
     assert "the shape 'ball'" in one(figure1() | {"ball": fog})
 
 
-def test_all_is_listed_at_once_and_in_order() -> None:
+def test_all_is_listed_at_once_and_in_order():
     scene = {key: value for key, value in figure1().items() if key not in ("sensor", "light")}
     scene |= {"fog": FOG, "ball": ball(SPECULAR["dielectric"])} | LAMPS
     sentences = check_scene(scene)
@@ -130,21 +128,21 @@ def test_all_is_listed_at_once_and_in_order() -> None:
         assert word in sentence
 
 
-def test_scene_of_nothing() -> None:
+def test_scene_of_nothing():
     assert check_scene({"type": "scene"}) == [
         "The scene 'dict' has no camera; add a <sensor>.",
         "The scene 'dict' has no lights; add an emitter to it.",
     ]
 
 
-def test_files_are_called_by_their_path(scene_files: dict[str, str]) -> None:
+def test_files_are_called_by_their_path(scene_files):
     path = scene_files["lamp"]
     assert check_scene(path) == [s for s in check_scene(path) if path in s] != []
     assert check_scene(path, light="screen") == []
     assert "the shape 'floor' (SmoothConductor)" in check_scene(scene_files["mirror"])[0]
 
 
-def test_shapes_without_id_are_called_so(tmp_path: Any) -> None:
+def test_shapes_without_id_are_called_so(tmp_path):
     file = tmp_path / "anonymous.xml"
     file.write_text(
         "<scene version='3.0.0'><sensor type='perspective'/><emitter type='constant'/>"
@@ -154,10 +152,10 @@ def test_shapes_without_id_are_called_so(tmp_path: Any) -> None:
     assert "The BSDF of a shape without id (SmoothConductor)" in sentence
 
 
-def test_unknown_lights_and_scenes_are_errors() -> None:
+def test_unknown_lights_and_scenes_are_errors():
     with pytest.raises(ParameterError, match="no light 'sun'"):
         check_scene("veach", light="sun")
     with pytest.raises(UnknownName, match="veach"):
         check_scene("veech")
     with pytest.raises(ParameterError, match="give the name"):
-        check_scene(None)  # type: ignore[arg-type]
+        check_scene(None)

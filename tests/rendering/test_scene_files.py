@@ -1,9 +1,6 @@
 """All files that a scene refers to are found, and a change of one is a change of the map."""
 
-from __future__ import annotations
-
 import os
-from pathlib import Path
 
 import pytest
 
@@ -27,7 +24,7 @@ NAMES = ["parts/lights.xml", "parts/sky.exr", "textures/wall.png"]
 
 
 @pytest.fixture
-def scene(tmp_path: Path) -> Path:
+def scene(tmp_path):
     for name in ("parts", "textures", "unused"):
         (tmp_path / name).mkdir()
     for name in (*NAMES, "unused/wall.png", "x"):
@@ -38,7 +35,7 @@ def scene(tmp_path: Path) -> Path:
     return tmp_path / "scene.xml"
 
 
-def test_files_of_includes_paths_and_defaults_are_found(scene: Path) -> None:
+def test_files_of_includes_paths_and_defaults_are_found(scene):
     assert referenced_files(scene) == {(scene.parent / name).resolve() for name in NAMES}
     sizes = {path.name: size for path, size, _ in watched_state(scene)}
     assert sizes == {
@@ -50,7 +47,7 @@ def test_files_of_includes_paths_and_defaults_are_found(scene: Path) -> None:
 
 
 @pytest.mark.parametrize("name", [*NAMES, "scene.xml"])
-def test_a_watched_scene_shows_every_change(scene: Path, name: str) -> None:
+def test_a_watched_scene_shows_every_change(scene, name):
     before = watched_state(scene)
     assert {path for path, *_ in before} == referenced_files(scene) | {scene.resolve()}
     assert watched_state(scene) == before
@@ -60,7 +57,7 @@ def test_a_watched_scene_shows_every_change(scene: Path, name: str) -> None:
     assert {path for path, *_ in after} == {path for path, *_ in before}
 
 
-def test_a_watched_scene_shows_files_that_come_and_go(scene: Path) -> None:
+def test_a_watched_scene_shows_files_that_come_and_go(scene):
     before = watched_state(scene)
     (scene.parent / "textures" / "wall.png").unlink()
     assert watched_state(scene) == tuple(s for s in before if s[0].name != "wall.png")
@@ -69,20 +66,20 @@ def test_a_watched_scene_shows_files_that_come_and_go(scene: Path) -> None:
     assert (scene.parent / "unused" / "wall.png").resolve() in [p for p, *_ in watched_state(scene)]
 
 
-def test_only_changed_scenes_are_read_again(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_changed_scenes_are_read_again(scene, monkeypatch):
     before = watched_state(scene)
     monkeypatch.setattr(scenes, "referenced_files", lambda _: 1 / 0)
     assert watched_state(scene) == before
 
 
 @pytest.mark.parametrize("text", ["", "<scene>", "\x00", "<scene><string value='a\x01b'/></scene>"])
-def test_what_is_no_xml_refers_to_nothing(tmp_path: Path, text: str) -> None:
+def test_what_is_no_xml_refers_to_nothing(tmp_path, text):
     file = tmp_path / "scene.xml"
     file.write_text(text, encoding="utf-8")
     assert referenced_files(file) == set()
 
 
-def test_files_elsewhere_are_found(tmp_path: Path) -> None:
+def test_files_elsewhere_are_found(tmp_path):
     folder = tmp_path / "scene"
     folder.mkdir()
     (tmp_path / "a.png").write_text("any")

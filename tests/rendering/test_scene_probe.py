@@ -1,11 +1,5 @@
 """Scenes whose materials Mitsuba reads but cannot evaluate: refused, and no harm to the next."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -42,24 +36,24 @@ _CASES = {
 }
 
 
-def use_pixel(scene: str) -> object:
+def use_pixel(scene):
     return Pixel(scene=scene, x=4, y=4, dims=3)(np.full((4, 3), 0.3))
 
 
-def use_map(scene: str) -> object:
+def use_map(scene):
     return variance_map(scene, ["light"], counts=[1, 4], realizations=2)
 
 
-def use_means(scene: str) -> object:
+def use_means(scene):
     return Wavefront(scene).means("light", np.array([[4, 4]]), np.full((4, 2), 0.3))
 
 
-def use_values(scene: str) -> object:
+def use_values(scene):
     return Wavefront(scene).values("light", np.array([[4, 4]]), np.full((4, 2), 0.3))
 
 
 @pytest.mark.parametrize("case", _CASES)
-def test_what_cannot_be_evaluated_is_named(case: str, tmp_path: Path) -> None:
+def test_what_cannot_be_evaluated_is_named(case, tmp_path):
     bsdf, reason = _CASES[case]
     file = tmp_path / "bad.xml"
     file.write_text(_TEXT.format(bsdf=bsdf), encoding="utf-8")
@@ -70,7 +64,7 @@ def test_what_cannot_be_evaluated_is_named(case: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("use", [use_pixel, use_map, use_means, use_values])
-def test_the_next_scene_works(use: Callable[[str], Any], tmp_path: Path) -> None:
+def test_the_next_scene_works(use, tmp_path):
     file, good = tmp_path / "bad.xml", tmp_path / "good.xml"
     file.write_text(_TEXT.format(bsdf=_NORMALMAP), encoding="utf-8")
     good.write_text(_TEXT.format(bsdf=_PLASTIC), encoding="utf-8")
@@ -82,7 +76,7 @@ def test_the_next_scene_works(use: Callable[[str], Any], tmp_path: Path) -> None
     assert np.isfinite(np.asarray(use_pixel(str(good)))).all()
 
 
-def test_a_scene_alive_spoils_the_others(tmp_path: Path) -> None:
+def test_a_scene_alive_spoils_the_others(tmp_path):
     """Why all of this: a scene loaded beside ours, by Mitsuba itself."""
     good = tmp_path / "good.xml"
     good.write_text(_TEXT.format(bsdf=_PLASTIC), encoding="utf-8")
@@ -95,33 +89,33 @@ def test_a_scene_alive_spoils_the_others(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_our_own_scenes_pass(name: str) -> None:
+def test_our_own_scenes_pass(name):
     assert what_fails(load_scene(name)) is None
 
 
 @pytest.mark.parametrize("kind", ["mask", "dielectric", "null", "hair", "principled"])
-def test_whatever_mitsuba_can_evaluate_passes(kind: str) -> None:
+def test_whatever_mitsuba_can_evaluate_passes(kind):
     inside = _PLASTIC if kind == "mask" else ""
     text = _TEXT.format(bsdf=f'<bsdf type="{kind}">{inside}</bsdf>')
     assert what_fails(load_mitsuba().load_string(text)) is None
 
 
-def test_lights_are_tried_too() -> None:
+def test_lights_are_tried_too():
     class Light:
-        def id(self) -> str:
+        def id(self):
             return "lamp"
 
-        def class_name(self) -> str:
+        def class_name(self):
             return "Broken"
 
-        def sample_direction(self, *_: object) -> None:
+        def sample_direction(self, *_):
             raise RuntimeError("not implemented")
 
     class Scene:
-        def shapes(self) -> list[Any]:
+        def shapes(self):
             return []
 
-        def emitters(self) -> list[Any]:
+        def emitters(self):
             return [Light()]
 
     found = what_fails(Scene())

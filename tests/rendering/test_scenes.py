@@ -1,11 +1,8 @@
 """Veach's scene against the published numbers; names, files and film coordinates."""
 
-from __future__ import annotations
-
 import math
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -33,7 +30,7 @@ PLATES = [
 ]
 
 
-def test_four_spheres_have_equal_power() -> None:
+def test_four_spheres_have_equal_power():
     scene = veach()
     power = [scene[k]["radius"] ** 2 * scene[k]["emitter"]["radiance"]["value"] for k in LIGHTS[:4]]
     # The smallest radius is published with four digits: 0.03333 for 1/30, 1e-4 relative.
@@ -45,7 +42,7 @@ def test_four_spheres_have_equal_power() -> None:
 
 @pytest.mark.parametrize("i", range(4))
 @pytest.mark.parametrize("t", [0.05, 0.5, 0.95])
-def test_plates_lie_between_their_edges_and_face_up(i: int, t: float) -> None:
+def test_plates_lie_between_their_edges_and_face_up(i, t):
     front, back, alpha = PLATES[i]
     y, z = (1 - t) * np.array(front) + t * np.array(back)
     for x in (-3.9, 0.3, 3.9):
@@ -59,7 +56,7 @@ def test_plates_lie_between_their_edges_and_face_up(i: int, t: float) -> None:
     assert veach()[f"plate-{i}"]["bsdf"]["alpha"] == alpha
 
 
-def test_plates_end_at_their_edges() -> None:
+def test_plates_end_at_their_edges():
     for i, (front, back, _) in enumerate(PLATES):
         edge = np.array(back) - np.array(front)
         for x, (y, z) in ((4.1, front), (0.0, back + 0.08 * edge), (0.0, front - 0.08 * edge)):
@@ -68,14 +65,14 @@ def test_plates_end_at_their_edges() -> None:
 
 
 @pytest.mark.parametrize(("x", "y"), [(0, 0), (568, 100), (767, 511), (384, 500)])
-def test_project_undoes_the_camera(x: int, y: int) -> None:
+def test_project_undoes_the_camera(x, y):
     seen = describe_pixel("veach", x, y)
     assert seen["shape"] in ("wall", "floor")
     # float32 coordinates up to 15 at 60 pixels a unit: 15 × 2^-23 × 60 × 10 roundings.
     assert project("veach", seen["position"]) == pytest.approx((x + 0.5, y + 0.5), abs=1e-3)
 
 
-def test_floor_and_wall_are_where_they_should_be() -> None:
+def test_floor_and_wall_are_where_they_should_be():
     floor, wall = describe_pixel("veach", 384, 500), describe_pixel("veach", 568, 100)
     assert floor["position"][1] == pytest.approx(-4.14615)
     assert wall["position"][2] == pytest.approx(-2.0)
@@ -83,7 +80,7 @@ def test_floor_and_wall_are_where_they_should_be() -> None:
     assert floor["normal"] == pytest.approx((0.0, 1.0, 0.0))
 
 
-def test_lights_and_film_follow_the_options() -> None:
+def test_lights_and_film_follow_the_options():
     assert [emitter_name(e) for e in load_scene("veach").emitters()] == LIGHTS
     few = "veach(lights=['light-3', 'fill-light'], width=96, height=64)"
     assert [emitter_name(e) for e in load_scene(few).emitters()] == ["light-3", "fill-light"]
@@ -94,12 +91,12 @@ def test_lights_and_film_follow_the_options() -> None:
     assert "veach" in SCENES
 
 
-def test_scene_is_loaded_once(scene_files: dict[str, str]) -> None:
+def test_scene_is_loaded_once(scene_files):
     assert load_scene("veach") is load_scene(" veach ")
     assert load_scene(scene_files["dark"]) is load_scene(Path(scene_files["dark"]))
 
 
-def test_changed_file_is_read_again(scene_files: dict[str, str], tmp_path: Path) -> None:
+def test_changed_file_is_read_again(scene_files, tmp_path):
     file = tmp_path / "scene.xml"
     file.write_text(Path(scene_files["dark"]).read_text())
     assert load_scene(file).emitters() == []
@@ -108,7 +105,7 @@ def test_changed_file_is_read_again(scene_files: dict[str, str], tmp_path: Path)
     assert [emitter_name(e) for e in load_scene(file).emitters()] == ["screen", "sky"]
 
 
-def test_changed_mesh_is_read_again(tmp_path: Path) -> None:
+def test_changed_mesh_is_read_again(tmp_path):
     file, mesh = tmp_path / "scene.xml", tmp_path / "panel.obj"
     shape = '<shape type="obj"><string name="filename" value="panel.obj"/></shape>'
     file.write_text(f'<scene version="3.0.0">{shape}</scene>')
@@ -138,7 +135,7 @@ def test_changed_mesh_is_read_again(tmp_path: Path) -> None:
         (Path("missing"), FileFormatError, "There is no scene file"),
     ],
 )
-def test_bad_requests_are_one_sentence(scene: Any, error: type[Exception], words: str) -> None:
+def test_bad_requests_are_one_sentence(scene, error, words):
     with pytest.raises(error, match=None) as caught:
         load_scene(scene)
     assert words in str(caught.value)
@@ -165,7 +162,7 @@ _BITMAP = """<scene version="3.0.0"><sensor type="perspective"/>
         ("<scene version='3.0.0'>", ""),
     ],
 )
-def test_broken_file_is_one_sentence(tmp_path: Path, text: str, words: str) -> None:
+def test_broken_file_is_one_sentence(tmp_path, text, words):
     file = tmp_path / "broken.xml"
     file.write_text(text)
     with pytest.raises(
@@ -177,7 +174,7 @@ def test_broken_file_is_one_sentence(tmp_path: Path, text: str, words: str) -> N
     assert ".cpp" not in str(caught.value)
 
 
-def test_texture_is_found_beside_its_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_texture_is_found_beside_its_scene(tmp_path, monkeypatch):
     scenes, elsewhere = tmp_path / "scenes", tmp_path / "elsewhere"
     (scenes / "textures").mkdir(parents=True)
     elsewhere.mkdir()
@@ -198,14 +195,14 @@ def test_texture_is_found_beside_its_scene(tmp_path: Path, monkeypatch: pytest.M
         load_scene("other.xml")
 
 
-def test_file_of_something_else_is_refused(tmp_path: Path) -> None:
+def test_file_of_something_else_is_refused(tmp_path):
     file = tmp_path / "bsdf.xml"
     file.write_text("<bsdf version='3.0.0' type='diffuse'/>")
     with pytest.raises(FileFormatError, match="holds no scene"):
         load_scene(str(file))
 
 
-def test_scene_without_camera_is_refused(scene_files: dict[str, str]) -> None:
+def test_scene_without_camera_is_refused(scene_files):
     with pytest.raises(ParameterError, match="no camera"):
         sensor_of(scene_files["blind"])
 
@@ -213,18 +210,18 @@ def test_scene_without_camera_is_refused(scene_files: dict[str, str]) -> None:
 @pytest.mark.parametrize(
     "point", [(0, 0, 30), (0, 100, 0), (0, 0), (0, 0, 0, 0), (0, math.nan, 0), "abc", 1.0, None]
 )
-def test_project_refuses_what_it_cannot_show(point: Any) -> None:
+def test_project_refuses_what_it_cannot_show(point):
     with pytest.raises(ParameterError):
         project("veach", point)
 
 
 @pytest.mark.parametrize("light", [5, -1, 1.5, "light-9", True])
-def test_unknown_light_lists_those_there_are(light: Any) -> None:
+def test_unknown_light_lists_those_there_are(light):
     with pytest.raises(ParameterError, match="light-3"):
         find_emitter("veach", light)
 
 
-def test_scene_without_lights_has_none_to_find(scene_files: dict[str, str]) -> None:
+def test_scene_without_lights_has_none_to_find(scene_files):
     for light in (0, "sun"):
         with pytest.raises(ParameterError, match="has no light"):
             find_emitter(scene_files["dark"], light)

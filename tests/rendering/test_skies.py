@@ -1,14 +1,9 @@
 """Densities of ours on the environment of a scene: directions, pdfs, and what they gain."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.core.checks import Array
 from mcspectra.core.environments import synthetic_sky
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
@@ -23,15 +18,15 @@ FLOOR = {"x": 8, "y": 8}
 ROTATIONS = {"plain": None, "turned": ([0.6, 0.64, -0.48], 70.0)}
 
 
-def uniforms(count: int, dims: int = 2, seed: int = 1) -> Array:
+def uniforms(count, dims=2, seed=1):
     return Stream.from_rng(seed).uniforms(0, 1, count * dims).reshape(count, dims)
 
 
-def mean_and_error(values: Array) -> tuple[Array, Array]:
+def mean_and_error(values):
     return values.mean(axis=0), values.std(axis=0, ddof=1) / len(values) ** 0.5
 
 
-def colored_map() -> Array:
+def colored_map():
     """A map (16, 32, 3) of smooth colours, above 0, with a bright spot."""
     v, u = np.meshgrid(np.arange(16) / 15, (np.arange(32) + 0.5) / 32, indexing="ij")
     phases = np.array([0.0, 0.3, 0.55])
@@ -40,7 +35,7 @@ def colored_map() -> Array:
     return np.asarray(waves + spot[..., None] * [1.0, 0.6, 0.2], np.float32)
 
 
-def open_scene(rotation: Any = None, bsdf: Any = None, lamp: bool = False) -> dict[str, Any]:
+def open_scene(rotation=None, bsdf=None, lamp=False):
     """A disk under an environment map, nothing in the way."""
     mitsuba = load_mitsuba()
     transform = mitsuba.ScalarTransform4f
@@ -64,7 +59,7 @@ def open_scene(rotation: Any = None, bsdf: Any = None, lamp: bool = False) -> di
 
 
 @pytest.mark.parametrize("rotation", ROTATIONS.values(), ids=ROTATIONS)
-def test_directions_are_those_of_the_emitter(rotation: Any) -> None:
+def test_directions_are_those_of_the_emitter(rotation):
     """Mitsuba's texels are at θ = π i/(h − 1), φ = 2π (j + ½)/w: there the map is met exactly."""
     scene, texels = open_scene(rotation), colored_map()
     rows, columns = np.divmod(np.arange(32, 480), 32)  # poles belong to all columns
@@ -79,7 +74,7 @@ def test_directions_are_those_of_the_emitter(rotation: Any) -> None:
     np.testing.assert_allclose(found, texels[rows, columns], rtol=1e-3, atol=1e-3)
 
 
-def _matrix(rotation: Any) -> Array:
+def _matrix(rotation):
     """Rodrigues' rotation, written out."""
     if rotation is None:
         return np.eye(3)
@@ -90,7 +85,7 @@ def _matrix(rotation: Any) -> Array:
 
 @pytest.mark.parametrize("rotation", ROTATIONS.values(), ids=ROTATIONS)
 @pytest.mark.parametrize("density", ["environment", "environment(interpolation='bilinear')"])
-def test_pdf_is_that_of_the_samples_and_integrates_to_one(rotation: Any, density: str) -> None:
+def test_pdf_is_that_of_the_samples_and_integrates_to_one(rotation, density):
     sky = sky_technique(open_scene(rotation), density, "rgb")
     directions, own = sky.sample(uniforms(2000))
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, rtol=1e-6)
@@ -107,7 +102,7 @@ def test_pdf_is_that_of_the_samples_and_integrates_to_one(rotation: Any, density
     assert total == pytest.approx(1.0, abs=2e-3)
 
 
-def test_mean_over_the_sphere_is_that_of_a_constant_sky() -> None:
+def test_mean_over_the_sphere_is_that_of_a_constant_sky():
     """A diffuse floor under constant radiance L reflects ρ L exactly, whatever the density."""
     scene = open_scene()
     scene["sky"] = {"type": "constant", "radiance": {"type": "rgb", "value": [0.5, 1.0, 2.0]}}
@@ -136,7 +131,7 @@ BSDFS = {
 
 @pytest.mark.parametrize(("bsdf", "dims"), BSDFS.values(), ids=BSDFS)
 @pytest.mark.parametrize("rotation", ROTATIONS.values(), ids=ROTATIONS)
-def test_strategies_agree_on_every_bsdf(bsdf: dict[str, Any], dims: int, rotation: Any) -> None:
+def test_strategies_agree_on_every_bsdf(bsdf, dims, rotation):
     place = {"scene": open_scene(rotation, bsdf), **FLOOR, "channel": "rgb"}
     wanted, error = mean_and_error(Pixel(**place, strategy="light")(uniforms(2**18)))
     for k, (strategy, needed) in enumerate({"bsdf": dims, "environment": 2}.items()):
@@ -146,7 +141,7 @@ def test_strategies_agree_on_every_bsdf(bsdf: dict[str, Any], dims: int, rotatio
 
 
 @pytest.mark.parametrize("name", ["roughplastic", "principled"])
-def test_layered_bsdfs_need_a_dim_for_the_lobe(name: str) -> None:
+def test_layered_bsdfs_need_a_dim_for_the_lobe(name):
     scene = open_scene(bsdf=BSDFS[name][0])
     with pytest.raises(ParameterError, match="give dims=3"):
         Pixel(scene=scene, **FLOOR, strategy="bsdf")
@@ -154,7 +149,7 @@ def test_layered_bsdfs_need_a_dim_for_the_lobe(name: str) -> None:
         Pixel(scene=scene, **FLOOR, strategy="bsdf", dims=4)
 
 
-def test_density_of_the_channel_leaves_the_cosine_alone() -> None:
+def test_density_of_the_channel_leaves_the_cosine_alone():
     """By a density of its own a channel is 2π² sin θ cos θ / p, so f/p is ρ/π cos θ times ∫L dω."""
     scene = open_scene()
     for channel in range(3):
@@ -168,7 +163,7 @@ def test_density_of_the_channel_leaves_the_cosine_alone() -> None:
         assert ratio.std() / ratio.mean() < 5e-3
 
 
-def test_own_channels_beat_luminance_in_rate_and_by_decades() -> None:
+def test_own_channels_beat_luminance_in_rate_and_by_decades():
     """Blue under a sky with coloured patches: continuous by its own density."""
     scene = open_scene()
     pixels = synthetic_sky(32, 64).astype(np.float32)
@@ -191,7 +186,7 @@ def test_own_channels_beat_luminance_in_rate_and_by_decades() -> None:
     assert np.log10(other / own) > 2.5
 
 
-def test_channels_by_their_own_densities() -> None:
+def test_channels_by_their_own_densities():
     """Each channel by its own density estimates what all by one do."""
     scene = open_scene()
     mis = pixel_mis(
@@ -220,14 +215,14 @@ def test_channels_by_their_own_densities() -> None:
         ({"light": "floor"}, "no light 'floor'"),
     ],
 )
-def test_bad_densities_are_one_sentence(changes: dict[str, Any], words: str) -> None:
+def test_bad_densities_are_one_sentence(changes, words):
     with pytest.raises(mcs.McspectraError) as caught:
         Pixel(**{"scene": open_scene(), **FLOOR, "strategy": "environment", **changes})
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_other_lights_that_count_are_an_error() -> None:
+def test_other_lights_that_count_are_an_error():
     place = {"scene": open_scene(lamp=True), **FLOOR, "strategy": "environment"}
     with pytest.raises(ParameterError, match="give light='sky'"):
         Pixel(**place)
@@ -236,7 +231,7 @@ def test_other_lights_that_count_are_an_error() -> None:
     assert (Pixel(**place, light="sky")(uniforms(64)) >= 0).all()
 
 
-def test_map_that_is_scaled_is_refused() -> None:
+def test_map_that_is_scaled_is_refused():
     scene = open_scene()
     scene["sky"]["to_world"] = load_mitsuba().ScalarTransform4f().scale([1.0, 2.0, 1.0])
     with pytest.raises(ParameterError, match="not a rotation"):
@@ -244,17 +239,17 @@ def test_map_that_is_scaled_is_refused() -> None:
 
 
 @pytest.mark.parametrize("rows", [0, 1, 10**9, 2.5, float("nan")])
-def test_rows_of_a_map_are_checked(rows: Any) -> None:
+def test_rows_of_a_map_are_checked(rows):
     with pytest.raises(ParameterError, match="rows"):
         sky_pixels("sky", rows)
 
 
-def test_scene_without_environment_has_no_pixels() -> None:
+def test_scene_without_environment_has_no_pixels():
     with pytest.raises(ParameterError, match="no environment"):
         sky_pixels("veach")
 
 
-def test_density_object_is_taken_as_it_is() -> None:
+def test_density_object_is_taken_as_it_is():
     density = EnvironmentDensity(values=colored_map(), channel=1)
     sky = sky_technique(open_scene(), density, "rgb")
     assert isinstance(sky, Sky)

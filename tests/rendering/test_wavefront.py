@@ -1,14 +1,10 @@
 """Many pixels at once against one pixel at a time, and what may not be asked."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from mcspectra.core.checks import Array
 from mcspectra.core.errors import DomainError, FileFormatError, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.rendering import Pixel, wavefront
@@ -21,11 +17,11 @@ PIXELS = np.array([[71, 12], [75, 53], [47, 25], [10, 60]])
 STRATEGIES = ("light", "bsdf", "mis-light", "mis-bsdf")
 
 
-def uniforms(*shape: int, seed: int = 1) -> Array:
+def uniforms(*shape, seed=1):
     return Stream.from_rng(seed).uniforms(0, 1, int(np.prod(shape))).reshape(shape)
 
 
-def all_pixels() -> Array:
+def all_pixels():
     """All pixels of the films of 40 × 30 pixels."""
     return np.stack(np.meshgrid(np.arange(40), np.arange(30)), axis=-1).reshape(-1, 2)
 
@@ -35,9 +31,7 @@ def all_pixels() -> Array:
     [(None, "balance", 3), (None, "power", 2), ("light-3", "balance", 2)],
 )
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_values_are_those_of_each_pixel_alone(
-    strategy: str, dims: int, heuristic: str, light: str | None
-) -> None:
+def test_values_are_those_of_each_pixel_alone(strategy, dims, heuristic, light):
     u = uniforms(len(PIXELS), 32, dims)
     found = Wavefront(VEACH, light, heuristic=heuristic).values(strategy, PIXELS, u)
     assert found.dtype == np.float32
@@ -56,7 +50,7 @@ def test_values_are_those_of_each_pixel_alone(
 
 
 @pytest.mark.parametrize("film", ["center", "sampled"])
-def test_mis_is_the_sum_of_its_shares_each_with_its_own_columns(film: str) -> None:
+def test_mis_is_the_sum_of_its_shares_each_with_its_own_columns(film):
     both = Wavefront(VEACH, film=film)
     place = 2 if film == "sampled" else 0
     u = uniforms(len(PIXELS), 16, both.dims("mis"))
@@ -66,7 +60,7 @@ def test_mis_is_the_sum_of_its_shares_each_with_its_own_columns(film: str) -> No
 
 
 @pytest.mark.parametrize("strategy", WAVEFRONT_STRATEGIES)
-def test_sampled_position_in_the_middle_is_the_center(strategy: str) -> None:
+def test_sampled_position_in_the_middle_is_the_center(strategy):
     center, sampled = Wavefront(VEACH), Wavefront(VEACH, film="sampled")
     u = uniforms(len(PIXELS), 16, center.dims(strategy))
     middle = np.concatenate([np.full((len(PIXELS), 16, 2), 0.5), u], axis=-1)
@@ -75,7 +69,7 @@ def test_sampled_position_in_the_middle_is_the_center(strategy: str) -> None:
     )
 
 
-def test_sampled_positions_are_those_of_a_larger_film() -> None:
+def test_sampled_positions_are_those_of_a_larger_film():
     # The centre of pixel (x, y) of a film three times as large is a place in pixel (x/3, y/3).
     large, small = Wavefront("veach(width=288, height=192)"), Wavefront(VEACH, film="sampled")
     u = uniforms(9, 8, 2)
@@ -86,7 +80,7 @@ def test_sampled_positions_are_those_of_a_larger_film() -> None:
     np.testing.assert_allclose(found, expected, rtol=2e-4, atol=1e-6)  # float32 positions
 
 
-def test_shared_samples_are_those_given_to_every_pixel() -> None:
+def test_shared_samples_are_those_given_to_every_pixel():
     waves, u = Wavefront(VEACH), uniforms(40, 2)
     own = np.broadcast_to(u, (len(PIXELS), 40, 2))
     np.testing.assert_array_equal(
@@ -94,7 +88,7 @@ def test_shared_samples_are_those_given_to_every_pixel() -> None:
     )
 
 
-def test_means_are_those_of_the_values_in_float64() -> None:
+def test_means_are_those_of_the_values_in_float64():
     waves, u = Wavefront(VEACH, film="sampled"), uniforms(len(PIXELS), 50, 6)
     expected = waves.values("mis", PIXELS, u).astype(np.float64).mean(axis=1)
     found = waves.means("mis", PIXELS, u)
@@ -104,9 +98,7 @@ def test_means_are_those_of_the_values_in_float64() -> None:
 
 @pytest.mark.parametrize("lanes", [7, 32, 100])
 @pytest.mark.parametrize("shape", [(4, 32, 2), (32, 2)])
-def test_chunks_do_not_change_values(
-    monkeypatch: pytest.MonkeyPatch, lanes: int, shape: tuple[int, ...]
-) -> None:
+def test_chunks_do_not_change_values(monkeypatch, lanes, shape):
     u = uniforms(*shape)
     waves = Wavefront(VEACH)
     expected = waves.values("light", PIXELS, u)
@@ -116,7 +108,7 @@ def test_chunks_do_not_change_values(
     np.testing.assert_allclose(found, mean, rtol=1e-13)
 
 
-def test_the_camera_sees_the_radiance_of_a_light() -> None:
+def test_the_camera_sees_the_radiance_of_a_light():
     # light-3 covers the pixel around its centre; its BSDF is black.
     seen = Wavefront(VEACH, emission=True)
     from mcspectra.rendering import project
@@ -128,7 +120,7 @@ def test_the_camera_sees_the_radiance_of_a_light() -> None:
     np.testing.assert_array_equal(other.means("light", [[x, y]], uniforms(4, 2)), np.zeros((1, 3)))
 
 
-def test_lobes_need_a_column_of_their_own(scene_files: dict[str, str]) -> None:
+def test_lobes_need_a_column_of_their_own(scene_files):
     waves = Wavefront(scene_files["textured"], film="sampled")
     assert waves.selects_lobe
     assert [waves.dims(s) for s in WAVEFRONT_STRATEGIES] == [4, 5, 4, 5, 8]
@@ -138,7 +130,7 @@ def test_lobes_need_a_column_of_their_own(scene_files: dict[str, str]) -> None:
     assert not Wavefront(VEACH).selects_lobe
 
 
-def test_a_mirror_reflects_the_light_in_full_in_mis(scene_files: dict[str, str]) -> None:
+def test_a_mirror_reflects_the_light_in_full_in_mis(scene_files):
     waves = Wavefront(scene_files["mirror"])
     u = uniforms(4, 4)
     mirrored = waves.means("bsdf", all_pixels(), u[:, 2:])
@@ -146,7 +138,7 @@ def test_a_mirror_reflects_the_light_in_full_in_mis(scene_files: dict[str, str])
     np.testing.assert_array_equal(waves.means("mis", all_pixels(), u), mirrored)
 
 
-def test_a_point_light_counts_in_full_in_mis(scene_files: dict[str, str], tmp_path: Path) -> None:
+def test_a_point_light_counts_in_full_in_mis(scene_files, tmp_path):
     # The lamp of that scene stands above a screen that keeps all of its light from the floor.
     text = Path(scene_files["lamp"]).read_text(encoding="utf-8")
     (tmp_path / "low.xml").write_text(text.replace('y="4"', 'y="1"'), encoding="utf-8")
@@ -170,7 +162,7 @@ def test_a_point_light_counts_in_full_in_mis(scene_files: dict[str, str], tmp_pa
         ("pixels", "give integers"),
     ],
 )
-def test_pixels_that_are_refused(pixels: Any, message: str) -> None:
+def test_pixels_that_are_refused(pixels, message):
     with pytest.raises(ParameterError, match=message):
         Wavefront(VEACH).means("light", pixels, uniforms(4, 2))
 
@@ -191,12 +183,12 @@ def test_pixels_that_are_refused(pixels: Any, message: str) -> None:
         (np.zeros((1, 4, 4, 2)), ParameterError),
     ],
 )
-def test_samples_that_are_refused(u: Array, error: type[Exception]) -> None:
+def test_samples_that_are_refused(u, error):
     with pytest.raises(error):
         Wavefront(VEACH).means("light", PIXELS, u)
 
 
-def test_too_many_values_are_refused_at_once() -> None:
+def test_too_many_values_are_refused_at_once():
     u = np.broadcast_to(np.zeros(2), (2**25, 2))
     with pytest.raises(ParameterError, match="for means"):
         Wavefront(VEACH).values("light", PIXELS, u)
@@ -212,7 +204,7 @@ def test_too_many_values_are_refused_at_once() -> None:
         ({"scene": 3}, "name of a scene"),
     ],
 )
-def test_options_that_are_refused(options: dict[str, Any], message: str) -> None:
+def test_options_that_are_refused(options, message):
     with pytest.raises(ParameterError, match=message):
         Wavefront(**{"scene": VEACH, **options})
     with pytest.raises(ParameterError, match="mis-bsdf"):
@@ -220,17 +212,17 @@ def test_options_that_are_refused(options: dict[str, Any], message: str) -> None
 
 
 @pytest.mark.parametrize(("name", "message"), [("dark", "no lights"), ("blind", "no camera")])
-def test_scenes_that_are_refused(scene_files: dict[str, str], name: str, message: str) -> None:
+def test_scenes_that_are_refused(scene_files, name, message):
     with pytest.raises(ParameterError, match=message):
         Wavefront(scene_files[name])
 
 
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
+def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(FileFormatError, match="nothing.xml"):
         Wavefront(tmp_path / "nothing.xml")
 
 
-def test_samples_rounded_up_to_one_stay_below() -> None:
+def test_samples_rounded_up_to_one_stay_below():
     waves = Wavefront(VEACH)
     below, above = np.full((4, 2), 1.0 - 2.0**-24), np.full((4, 2), 1.0 - 2.0**-53)
     np.testing.assert_array_equal(

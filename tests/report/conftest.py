@@ -1,11 +1,7 @@
 """Small results like those of a study, made with plain numpy: f(x) = Π x_i and simple samplers."""
 
-from __future__ import annotations
-
 import itertools
 import math
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,8 +12,6 @@ from mcspectra.core.records import pack
 from mcspectra.core.results import dataset
 from mcspectra.plots.text import slug
 from mcspectra.report import page
-from mcspectra.report.page import Figure
-from mcspectra.studies import StudyConfig
 from mcspectra.studies.files import decode_study
 from mcspectra.studies.ledger import Ledger, StudyNote
 
@@ -25,7 +19,7 @@ Z = 1.959963984540054
 SAMPLERS = ("random", "jittered", "jittered | shift")
 
 
-def draw(sampler: str, n: int, dims: int, realizations: int, seed: int = 1) -> np.ndarray:
+def draw(sampler, n, dims, realizations, seed=1):
     """Points (R, n, d) of one of `SAMPLERS`."""
     generator = np.random.default_rng(seed)
     x = generator.random((realizations, n, dims))
@@ -37,7 +31,7 @@ def draw(sampler: str, n: int, dims: int, realizations: int, seed: int = 1) -> n
     return (x + generator.random((realizations, 1, dims))) % 1.0 if "shift" in sampler else x
 
 
-def spectra(points: np.ndarray, half_width: int) -> np.ndarray:
+def spectra(points, half_width):
     """S_m on the full grid, complex (R, (2K+1)^d), by direct summation, one axis at a time."""
     m = np.arange(-half_width, half_width + 1)
     phases = np.exp(-2j * np.pi * points[..., None] * m)  # (R, n, d, 2K+1)
@@ -47,7 +41,7 @@ def spectra(points: np.ndarray, half_width: int) -> np.ndarray:
     return s.reshape(len(points), -1) / points.shape[1]
 
 
-def coefficients(half_width: int, dims: int) -> np.ndarray:
+def coefficients(half_width, dims):
     """f_m of Π x_i on the full grid, flat."""
     m = np.arange(-half_width, half_width + 1)
     one = np.where(m == 0, 0.5, 1j / (2 * np.pi * np.where(m == 0, 1, m)))
@@ -57,23 +51,23 @@ def coefficients(half_width: int, dims: int) -> np.ndarray:
     return f.ravel()
 
 
-def interval(variance: np.ndarray, realizations: int) -> np.ndarray:
+def interval(variance, realizations):
     """Interval of a variance of normal values."""
     factor = math.exp(Z * math.sqrt(2 / realizations))
     return np.stack([variance / factor, variance * factor], axis=-1)
 
 
 def make_terms(
-    sampler: str = "jittered",
+    sampler="jittered",
     *,
-    dims: int = 1,
-    n: int = 16,
-    half_width: int = 16,
-    realizations: int = 200,
-    matrix: bool = False,
-    channels: int = 0,
-    techniques: int = 1,
-) -> xr.Dataset:
+    dims=1,
+    n=16,
+    half_width=16,
+    realizations=200,
+    matrix=False,
+    channels=0,
+    techniques=1,
+):
     """What `variance_terms` returns."""
     points = draw(sampler, n, dims, realizations)
     s, f = spectra(points, half_width), coefficients(half_width, dims)
@@ -136,7 +130,7 @@ def make_terms(
     return result.assign_attrs(sampler_spec=sampler, estimator_name="x")
 
 
-def make_infinite(terms: xr.Dataset) -> xr.Dataset:
+def make_infinite(terms):
     """Replace the spectral part as `variance_terms` does where ∫1/p diverges."""
     changed = terms.copy(deep=True)
     for name in changed.data_vars:
@@ -150,14 +144,14 @@ RATES = {"random": -1.0, "jittered": -3.0, "jittered | shift": -2.0}
 
 
 def make_curve(
-    sampler: str = "jittered",
+    sampler="jittered",
     *,
-    rate: float | None = None,
-    counts: tuple[int, ...] = (16, 64, 256, 1024),
-    zero: tuple[int, ...] = (),
-    channels: int = 0,
-    half: float = 0.03,
-) -> xr.Dataset:
+    rate=None,
+    counts=(16, 64, 256, 1024),
+    zero=(),
+    channels=0,
+    half=0.03,
+):
     """What `convergence` returns: a power law; variances number `zero` are 0."""
     slope = RATES.get(sampler, -1.5) if rate is None else rate
     variance = 0.08 * np.array(counts, dtype=float) ** slope
@@ -180,9 +174,7 @@ def make_curve(
     return result.assign_attrs(sampler_spec=sampler, estimator_name="x")
 
 
-def make_spectrum(
-    sampler: str = "jittered", *, dims: int = 1, n: int = 16, half_width: int = 16
-) -> xr.Dataset:
+def make_spectrum(sampler="jittered", *, dims=1, n=16, half_width=16):
     """What `power_spectrum` returns."""
     power = (np.abs(spectra(draw(sampler, n, dims, 60), half_width)) ** 2).mean(axis=0)
     names = tuple(f"m{i}" for i in range(dims))
@@ -204,7 +196,7 @@ def make_spectrum(
     return result.assign_attrs(sampler_spec=sampler, estimator_name="x")
 
 
-def make_points(sampler: str = "jittered", *, dims: int = 1, n: int = 16) -> xr.Dataset:
+def make_points(sampler="jittered", *, dims=1, n=16):
     """What a study's cell of points holds."""
     values = {"points": (("point", "axis"), draw(sampler, n, dims, 1)[0])}
     return dataset(values, {"axis": np.arange(dims)}, n=n).assign_attrs(sampler_spec=sampler)
@@ -213,7 +205,7 @@ def make_points(sampler: str = "jittered", *, dims: int = 1, n: int = 16) -> xr.
 Cells = dict[tuple[str, str], dict[str, xr.Dataset]]
 
 
-def write_study(folder: Path, cells: Cells, title: str = "A study") -> Path:
+def write_study(folder, cells, title="A study"):
     """Write a ledger as `run_study` does; `cells` by (estimator, sampler) and analysis."""
     slugs: dict[str, str] = {}
     found: dict[str, bytes] = {}
@@ -232,7 +224,7 @@ def write_study(folder: Path, cells: Cells, title: str = "A study") -> Path:
     return folder
 
 
-def study_config(title: str, cells: Cells) -> StudyConfig:
+def study_config(title, cells):
     """A study file's contents with these estimators and samplers."""
     lines = [f"title = {quoted(title)}", "seed = 1"]
     for estimator in dict.fromkeys(e for e, _ in cells):
@@ -242,12 +234,12 @@ def study_config(title: str, cells: Cells) -> StudyConfig:
     return decode_study("\n".join(lines))
 
 
-def quoted(text: str) -> str:
+def quoted(text):
     """A TOML string."""
     return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
-def all_analyses(sampler: str, dims: int = 1, n: int | None = None) -> dict[str, xr.Dataset]:
+def all_analyses(sampler, dims=1, n=None):
     """Every analysis of one pair, small."""
     count = n or {1: 16, 2: 16, 3: 27}[dims]
     width = {1: 16, 2: 6, 3: 3}[dims]
@@ -260,11 +252,11 @@ def all_analyses(sampler: str, dims: int = 1, n: int | None = None) -> dict[str,
 
 
 @pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+def undrawn(monkeypatch):
     """Pages whose figures are words alone: for tests of what else they say."""
     blank = {**dict.fromkeys(("png", "file", "live"), ""), "width": 1, "height": 1}
 
-    def words(figure: Figure, *_: object) -> dict[str, Any]:
+    def words(figure, *_):
         plot = figure.plot
         said = {"words": plot.words, "caption": plot.caption}
         return blank | said | {"wide": plot.wide, "abreast": False}
@@ -273,7 +265,7 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(name="make", scope="session")
-def _make() -> dict[str, Callable[..., Any]]:
+def _make():
     """Makers of results, by name."""
     return {
         "terms": make_terms,
@@ -287,7 +279,7 @@ def _make() -> dict[str, Callable[..., Any]]:
 
 
 @pytest.fixture(scope="session")
-def study_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def study_folder(tmp_path_factory):
     """A study of three samplers: all analyses in one dim, spectra in two."""
     cells: Cells = {("product in 1-D", sampler): all_analyses(sampler, 1) for sampler in SAMPLERS}
     for sampler in SAMPLERS:

@@ -1,10 +1,5 @@
 """Results draw and explain themselves."""
 
-from __future__ import annotations
-
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -12,6 +7,7 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
+from tests.processes import python
 
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
@@ -198,7 +194,7 @@ def test_pyplot_shows_and_writes_the_figure(tmp_path):
 
 def test_importing_the_module_registers_the_accessor():
     code = "import xarray as xr, mcspectra.report.accessor; print(xr.Dataset().mcspectra.kinds)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = python("-c", code, check=True)
     assert done.stdout == "()\n"
     assert accessor.Result(xr.Dataset()).kinds == ()
 

@@ -1,7 +1,5 @@
 """The pages of a bench, in every format, and the verb that writes them."""
 
-from __future__ import annotations
-
 import csv
 import re
 

@@ -1,15 +1,12 @@
 """The report in Chromium: tooltips, legends, sorting, phones, paper; no network, no errors."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Browser, Page, Route
+from playwright.sync_api import Page
 
 from mcspectra.report import write_comparison, write_report
 from mcspectra.report.sampler_gallery import QUICK, write_gallery
@@ -21,7 +18,7 @@ EVIL = "</script><script>document.title='run'</script>$$x$$"
 
 
 @pytest.fixture(scope="module", name="folder")
-def _folder(make: Make, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def _folder(make, tmp_path_factory):
     """Reports of a small study, one of whose names tries to break out, and of a comparison."""
     root = tmp_path_factory.mktemp("browser")
     cells = {("1-D", s): make["analyses"](s, 1) for s in ("random", "jittered")}
@@ -38,7 +35,7 @@ def _folder(make: Make, tmp_path_factory: pytest.TempPathFactory) -> Path:
 class Visit:
     """A page that is open, what it asked of a network, and what it complained about."""
 
-    def __init__(self, browser: Browser, path: Path, **options: Any) -> None:
+    def __init__(self, browser, path, **options):
         self.asked: list[str] = []
         self.complaints: list[str] = []
         context = browser.new_context(**options)
@@ -48,18 +45,18 @@ class Visit:
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
         self.page.goto(path.as_uri())
 
-    def _route(self, route: Route) -> None:
+    def _route(self, route):
         if route.request.url.startswith(LOCAL):
             route.continue_()
         else:
             self.asked.append(route.request.url)
             route.abort()
 
-    def _note(self, message: Any) -> None:
+    def _note(self, message):
         if message.type in ("error", "warning"):
             self.complaints.append(message.text)
 
-    def show(self, label: str, *, last: bool = False) -> Any:
+    def show(self, label, *, last=False):
         """Scroll to the first or last plot whose words begin so, and wait until it is drawn."""
         self.unfold()
         found = self.page.locator(f".live:has(img[alt^='{label}'])")
@@ -69,11 +66,11 @@ class Visit:
         self.page.wait_for_function("Bokeh.documents.every(d => d.is_idle)")
         return plot
 
-    def unfold(self) -> None:
+    def unfold(self):
         """Open all that is folded."""
         self.page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })")
 
-    def wrongs(self) -> list[str]:
+    def wrongs(self):
         """What axe-core calls serious or worse."""
         self.page.evaluate((files("axe_playwright_python") / "axe.min.js").read_text("utf-8"))
         found = self.page.evaluate("axe.run()")["violations"]
@@ -83,14 +80,14 @@ class Visit:
             if each["impact"] in ("serious", "critical")
         ]
 
-    def leave(self) -> None:
+    def leave(self):
         """Close; nothing was asked of a network and nothing went wrong."""
         self.page.context.close()
         assert self.asked == []
         assert self.complaints == []
 
 
-def sweep(visit: Visit, plot: Any, word: str) -> bool:
+def sweep(visit, plot, word):
     """Move the pointer over a plot, row by row, until a tooltip shows `word`."""
     box = plot.bounding_box()
     for part in range(100):
@@ -102,7 +99,7 @@ def sweep(visit: Visit, plot: Any, word: str) -> bool:
     return False
 
 
-def test_the_pointer_shows_exact_values(browser: Browser, folder: Path) -> None:
+def test_the_pointer_shows_exact_values(browser, folder):
     visit = Visit(browser, folder / "a" / "report.html")
     assert sweep(visit, visit.show("Bars of the three terms"), "95 %:")
     assert sweep(
@@ -115,7 +112,7 @@ def test_the_pointer_shows_exact_values(browser: Browser, folder: Path) -> None:
     visit.leave()
 
 
-def test_a_click_in_the_legend_hides_a_line(browser: Browser, folder: Path) -> None:
+def test_a_click_in_the_legend_hides_a_line(browser, folder):
     visit = Visit(browser, folder / "a" / "report.html")
     plot = visit.show("Logarithmic plot of variance")
     hidden = """() => Bokeh.documents.flatMap(d => Array.from(d._all_models.values()))
@@ -128,7 +125,7 @@ def test_a_click_in_the_legend_hides_a_line(browser: Browser, folder: Path) -> N
     visit.leave()
 
 
-def test_the_overview_sorts(browser: Browser, folder: Path) -> None:
+def test_the_overview_sorts(browser, folder):
     visit = Visit(browser, folder / "a" / "report.html")
     head = visit.page.get_by_role("button", name="Rate")
     rates = """() => Array.from(document.querySelectorAll(".sortable tbody tr"))
@@ -144,9 +141,7 @@ def test_the_overview_sorts(browser: Browser, folder: Path) -> None:
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [390, 1200])
-def test_every_plot_draws_and_nothing_spills(
-    browser: Browser, folder: Path, width: int, scheme: Any
-) -> None:
+def test_every_plot_draws_and_nothing_spills(browser, folder, width, scheme):
     for name in ("a/report.html", "comparison.html"):
         visit = Visit(
             browser, folder / name, viewport={"width": width, "height": 800}, color_scheme=scheme
@@ -161,7 +156,7 @@ def test_every_plot_draws_and_nothing_spills(
         visit.leave()
 
 
-def test_pictures_without_scripts_and_on_paper(browser: Browser, folder: Path) -> None:
+def test_pictures_without_scripts_and_on_paper(browser, folder):
     visit = Visit(browser, folder / "a" / "report.html", java_script_enabled=False)
     for summary in visit.page.locator("summary").all():
         summary.click()
@@ -179,7 +174,7 @@ def test_pictures_without_scripts_and_on_paper(browser: Browser, folder: Path) -
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("name", ["a/report.html", "comparison.html", "gallery/index.html"])
-def test_axe_finds_nothing_serious(browser: Browser, folder: Path, name: str, scheme: Any) -> None:
+def test_axe_finds_nothing_serious(browser, folder, name, scheme):
     visit = Visit(
         browser, folder / name, color_scheme=scheme, viewport={"width": 1200, "height": 800}
     )
@@ -192,7 +187,7 @@ def test_axe_finds_nothing_serious(browser: Browser, folder: Path, name: str, sc
     visit.leave()
 
 
-def test_a_link_into_folded_details_opens_them(browser: Browser, folder: Path) -> None:
+def test_a_link_into_folded_details_opens_them(browser, folder):
     visit = Visit(browser, folder / "a" / "report.html")
     inside = visit.page.locator("details dl").first
     assert not inside.is_visible()

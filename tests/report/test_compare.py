@@ -3,7 +3,6 @@
 import html
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ Make = dict[str, Callable[..., Any]]
 Z = 1.959963984540054
 
 
-def test_power_laws(make: Make) -> None:
+def test_power_laws(make):
     """Makers' intervals are those of R = 1000 normal values: log-variances have se √(2/R)."""
     first = make["curve"]("random", rate=-1.0, half=0.03)
     second = make["curve"]("random", rate=-1.5, half=0.04)
@@ -31,7 +30,7 @@ def test_power_laws(make: Make) -> None:
     assert found.rate_high - found.rate == pytest.approx(0.05)
 
 
-def test_turned_round(make: Make) -> None:
+def test_turned_round(make):
     pair = make["curve"]("random"), make["curve"]("jittered")
     there, back = compare_curves(*pair), compare_curves(*pair[::-1])
     assert there.ratio * back.ratio == pytest.approx(1.0)
@@ -39,7 +38,7 @@ def test_turned_round(make: Make) -> None:
     assert there.rate == -back.rate
 
 
-def test_intervals_cover(make: Make) -> None:
+def test_intervals_cover(make):
     """Of 2000 pairs of sample variances with a true ratio of 2, 95 % lie inside: within 4 σ."""
     generator = np.random.default_rng(5)
     size, trials, inside = 200, 2000, 0
@@ -57,7 +56,7 @@ def test_intervals_cover(make: Make) -> None:
     assert abs(inside / trials - 0.95) < 4 * math.sqrt(0.95 * 0.05 / trials)
 
 
-def test_largest_common_count(make: Make) -> None:
+def test_largest_common_count(make):
     first = make["curve"]("random", counts=(16, 64, 256))
     second = make["curve"]("random", counts=(64, 128))
     assert compare_curves(first, second).n == 64
@@ -66,19 +65,19 @@ def test_largest_common_count(make: Make) -> None:
     assert math.isnan(none.ratio)
 
 
-def test_zero_variance_has_no_ratio(make: Make) -> None:
+def test_zero_variance_has_no_ratio(make):
     first, second = make["curve"]("random"), make["curve"]("random", zero=(3,))
     assert math.isnan(compare_curves(first, second).ratio)
     assert math.isnan(compare_curves(second, first).ratio_high)
 
 
-def test_channels__the_first(make: Make) -> None:
+def test_channels__the_first(make):
     found = compare_curves(make["curve"]("random", channels=3), make["curve"]("random"))
     assert found.ratio == pytest.approx(1.0)
 
 
 @pytest.fixture(name="folders")
-def _folders(make: Make, tmp_path: Path) -> list[Path]:
+def _folders(make, tmp_path):
     """Two studies that share a pair."""
     curve = make["curve"]
     cells = [
@@ -88,7 +87,7 @@ def _folders(make: Make, tmp_path: Path) -> list[Path]:
     return [make["study"](tmp_path / n, c, title=n) for n, c in zip("ab", cells, strict=True)]
 
 
-def test_page(folders: list[Path]) -> None:
+def test_page(folders):
     page = write_comparison(*folders)
     assert page == folders[1] / "comparison.html"
     text = page.read_text(encoding="utf-8")
@@ -103,7 +102,7 @@ def test_page(folders: list[Path]) -> None:
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_nothing_in_common(make: Make, tmp_path: Path) -> None:
+def test_nothing_in_common(make, tmp_path):
     a, b = (
         make["study"](tmp_path / n, {(n, "random"): {"convergence": make["curve"]("random")}})
         for n in "ab"
@@ -113,14 +112,14 @@ def test_nothing_in_common(make: Make, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_the_command_quotes_folders(make: Make, tmp_path: Path) -> None:
+def test_the_command_quotes_folders(make, tmp_path):
     cells = {("e", "random"): {"points": make["points"](n=4)}}
     a, b = (make["study"](tmp_path / name, cells) for name in ("a b", "c;d"))
     text = html.unescape(write_comparison(a, b).read_text(encoding="utf-8"))
     assert f"mcspectra report '{a}' --compare '{b}'" in text
 
 
-def test_bad_input(folders: list[Path], tmp_path: Path) -> None:
+def test_bad_input(folders, tmp_path):
     with pytest.raises(ParameterError, match="two different"):
         write_comparison(folders[0], folders[0])
     with pytest.raises(StoreError, match="no results"):

@@ -1,13 +1,10 @@
 """Pages: blocks in order, escaping, self-containment, one step, words for every figure."""
 
-from __future__ import annotations
-
 import base64
 import json
 import math
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -38,13 +35,13 @@ from mcspectra.report.page import (
 EVIL = "</script><u>&\"'"
 
 
-def plot(words: str = "A line from 0 to 1.", kind: str = "line") -> Plot:
+def plot(words="A line from 0 to 1.", kind="line"):
     x = np.array([0.0, 1.0])
     panel = Panel(marks=(Line(x=x, y=x, color="#0072B2"),), x=Axis(label="x"), y=Axis(label="y"))
     return Plot(kind=kind, panels=(panel,), caption="A line.", words=words)
 
 
-def page(evil: str = EVIL, live: bool = False) -> Page:
+def page(evil=EVIL, live=False):
     table = Table(
         caption=evil,
         columns=("Name", "Value", "Why"),
@@ -75,7 +72,7 @@ def page(evil: str = EVIL, live: bool = False) -> Page:
     )
 
 
-def test_regions_have_distinct_labels(tmp_path: Path) -> None:
+def test_regions_have_distinct_labels(tmp_path):
     """Two tables alike, in one section and in another."""
     table = Table(caption="Rates.", columns=("Name",), rows=(text_cells("a"),))
     sections = [Section(title=t, anchor=t, blocks=(table, table)) for t in ("one", "two")]
@@ -85,14 +82,14 @@ def test_regions_have_distinct_labels(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("count", "classes"), [(1, "wide"), (2, "wide abreast")])
-def test_panels_abreast_alone_scroll_on_a_phone(tmp_path: Path, count: int, classes: str) -> None:
+def test_panels_abreast_alone_scroll_on_a_phone(tmp_path, count, classes):
     wide = replace(plot(), panels=plot().panels * count, columns=2, wide=True)
     section = Section(title="a", anchor="a", blocks=(Figures(figures=(Figure(plot=wide),)),))
     file = write_page(Page(title="p", what="test", sections=(section,)), tmp_path / "x.html")
     assert Parsed(file.read_text("utf-8")).all("figure") == [{"class": classes}]
 
 
-def test_no_half_of_a_page_stays_empty(tmp_path: Path) -> None:
+def test_no_half_of_a_page_stays_empty(tmp_path):
     """What has no neighbour takes both columns, as do rows of live panels."""
     rows = Figure(plot=replace(plot(), panels=plot().panels * 4, columns=2), live=True)
     three = Figure(plot=replace(plot(), panels=plot().panels * 3, columns=3))
@@ -104,7 +101,7 @@ def test_no_half_of_a_page_stays_empty(tmp_path: Path) -> None:
     assert classes == ["", "wide abreast", "", "alone", "wide abreast"]
 
 
-def test_all_text_is_escaped_and_all_tags_close(tmp_path: Path) -> None:
+def test_all_text_is_escaped_and_all_tags_close(tmp_path):
     text = write_page(page(), tmp_path / "x.html").read_text(encoding="utf-8")
     found = Parsed(text)
     assert "<u>" not in text
@@ -117,7 +114,7 @@ def test_all_text_is_escaped_and_all_tags_close(tmp_path: Path) -> None:
     assert all(image["alt"] for image in found.all("img"))
 
 
-def test_nothing_is_loaded(tmp_path: Path) -> None:
+def test_nothing_is_loaded(tmp_path):
     text = write_page(page(), tmp_path / "x.html").read_text(encoding="utf-8")
     assert not re.search(r"url\(|@import|<link|https?://(?!www\.w3\.org)", text)
     for image in Parsed(text).all("img"):
@@ -128,32 +125,30 @@ def test_nothing_is_loaded(tmp_path: Path) -> None:
         assert size == [int(str(image[k])) for k in ("width", "height")]
 
 
-def test_figures_become_files_where_a_folder_is_given(tmp_path: Path) -> None:
+def test_figures_become_files_where_a_folder_is_given(tmp_path):
     text = write_page(page(), tmp_path / "x.html", tmp_path / "figures").read_text("utf-8")
     names = sorted(each.name for each in (tmp_path / "figures").iterdir())
     assert names == ["a-line.pdf", "a-line.png", "folded.pdf", "folded.png"]
     assert "(figures/a-line.pdf)" in Parsed(text).text
 
 
-def test_the_same_page_has_the_same_bytes(tmp_path: Path) -> None:
+def test_the_same_page_has_the_same_bytes(tmp_path):
     first, second = (write_page(page(live=True), tmp_path / n).read_bytes() for n in "ab")
     assert first == second
 
 
-def test_live_figures_bring_the_script_once(tmp_path: Path) -> None:
+def test_live_figures_bring_the_script_once(tmp_path):
     found = Parsed(write_page(page(live=True), tmp_path / "x.html").read_text("utf-8"))
     packed = [s for s in found.all("script") if s.get("type") == "application/gzip"]
     assert [s.get("id") for s in packed] == [None, "bokeh"]
     assert sum(d.get("class") == "plot" for d in found.all("div")) == 1
 
 
-def test_a_page_that_fails_leaves_the_old_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_page_that_fails_leaves_the_old_one(tmp_path, monkeypatch):
     file = write_page(page(), tmp_path / "x.html")
     before = file.read_bytes()
 
-    def fail(_: object) -> None:
+    def fail(_):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(backend_matplotlib, "draw", fail)
@@ -162,24 +157,24 @@ def test_a_page_that_fails_leaves_the_old_one(
     assert file.read_bytes() == before
 
 
-def test_no_place_for_a_page(tmp_path: Path) -> None:
+def test_no_place_for_a_page(tmp_path):
     with pytest.raises(StoreError, match="cannot be written"):
         write_page(page(), tmp_path / "nowhere" / "x.html")
     with pytest.raises(StoreError, match="cannot be written"):
         write_json(tmp_path, {})
 
 
-def test_json_is_strict(tmp_path: Path) -> None:
+def test_json_is_strict(tmp_path):
     write_json(tmp_path / "new" / "x.json", {"a": np.array([1.0, math.nan]), "b": (math.inf, "∞")})
     text = (tmp_path / "new" / "x.json").read_text(encoding="utf-8")
     assert json.loads(text) == {"a": [1.0, None], "b": ["inf", "∞"]}
 
 
-def test_anchors_are_distinct() -> None:
+def test_anchors_are_distinct():
     assert anchors(["A b", "a-b", "c"], "e-") == ["e-a-b", "e-a-b-2", "e-c"]
 
 
-def test_columns_are_chosen_by_name() -> None:
+def test_columns_are_chosen_by_name():
     table = Table(caption="", columns=("a", "b", "c"), rows=(text_cells("1", "2", "3"),))
     chosen = columns_of(table, ("c", "a"))
     assert chosen.columns == ("c", "a")

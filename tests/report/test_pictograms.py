@@ -1,7 +1,5 @@
 """Small pictures: what is drawn lies where the numbers say, in SVG that parses."""
 
-from __future__ import annotations
-
 import base64
 import io
 import re
@@ -16,12 +14,12 @@ from mcspectra.report.reprs import curve, map_image, scatter, strip
 SVG = "{http://www.w3.org/2000/svg}"
 
 
-def pixels_of(svg: str) -> np.ndarray:
+def pixels_of(svg):
     data = re.search(r'base64,([^"]*)"', svg).group(1)
     return np.asarray(Image.open(io.BytesIO(base64.b64decode(data))))
 
 
-def path_of(svg: str, index: int) -> np.ndarray:
+def path_of(svg, index):
     path = ET.fromstring(svg).findall(f"{SVG}path")[index]
     return np.array(re.findall(r"[ML]([\d.-]+) ([\d.-]+)", path.get("d")), dtype=float)
 

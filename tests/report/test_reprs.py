@@ -1,7 +1,5 @@
 """What notebooks show of components: well-formed, with the right figures, without long work."""
 
-from __future__ import annotations
-
 import time
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass

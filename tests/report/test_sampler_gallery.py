@@ -1,7 +1,5 @@
 """The gallery: what is measured for a card, and the page and files it becomes."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys

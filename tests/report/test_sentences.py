@@ -1,8 +1,5 @@
 """Rules of the sentences: what is said, and what is not when intervals do not support it."""
 
-from collections.abc import Callable
-from typing import Any
-
 import msgspec
 import pytest
 import xarray as xr
@@ -14,13 +11,13 @@ from mcspectra.studies import SummaryRow
 
 def case(
     *,
-    dc: float = 0.0,
-    power: float = 1.0,
-    predicted: float = 1.0,
-    measured: float = 1.0,
-    width: float = 1.02,
-    space: str = "domain",
-) -> tuple[SummaryRow, xr.Dataset]:
+    dc=0.0,
+    power=1.0,
+    predicted=1.0,
+    measured=1.0,
+    width=1.02,
+    space="domain",
+):
     """A row and its terms; `width` is the factor of the 95 % intervals either way."""
     cross = predicted - dc - power
     ends = [predicted / width, predicted * width]
@@ -52,7 +49,7 @@ def case(
     return row, terms
 
 
-def curve(rate: float | None, half: float = 0.03, **more: Any) -> SummaryRow:
+def curve(rate, half=0.03, **more):
     """A row with a rate alone."""
     ends = {} if rate is None else {"rate_low": rate - half, "rate_high": rate + half}
     return SummaryRow(estimator="e", sampler="s", n=1024, rate=rate, **ends, **more)
@@ -76,7 +73,7 @@ def curve(rate: float | None, half: float = 0.03, **more: Any) -> SummaryRow:
         (SummaryRow(estimator="e", sampler="s"), ""),
     ],
 )
-def test_rate(row: SummaryRow, words: str) -> None:
+def test_rate(row, words):
     assert words in explain(row)
 
 
@@ -112,21 +109,21 @@ def test_rate(row: SummaryRow, words: str) -> None:
         ),
     ],
 )
-def test_what_the_numbers_say(options: Any, said: list[str], unsaid: list[str]) -> None:
+def test_what_the_numbers_say(options, said, unsaid):
     text = explain(*case(**options))
     assert all(words in text for words in said)
     assert not any(words in text for words in unsaid)
 
 
 @pytest.mark.parametrize("predicted", [0.9, 1.1])
-def test_cross_term__nothing_that_the_interval_does_not_support(predicted: float) -> None:
+def test_cross_term__nothing_that_the_interval_does_not_support(predicted):
     text = explain(*case(predicted=predicted, measured=predicted, width=1.2))
     assert "statistically indistinguishable from zero (power term: 1.00)" in text
     assert "removes" not in text
     assert "adds" not in text
 
 
-def test_shift__no_promise_where_the_samples_are_weighted() -> None:
+def test_shift__no_promise_where_the_samples_are_weighted():
     weighted = explain(*case(dc=0.3, power=0.7, predicted=0.1, measured=0.1))
     assert "removes 90 % of what the dc and power terms predict together" in weighted
     assert "shift" not in weighted
@@ -134,7 +131,7 @@ def test_shift__no_promise_where_the_samples_are_weighted() -> None:
     assert "a random shift would lose that" in primary
 
 
-def test_infinite_terms(make: dict[str, Callable[..., Any]]) -> None:
+def test_infinite_terms(make):
     terms = make["infinite"](half_width=2, realizations=10)
     row = SummaryRow(estimator="e", sampler="s", terms_n=16, measured=0.25)
     text = explain(row, terms)
@@ -143,7 +140,7 @@ def test_infinite_terms(make: dict[str, Callable[..., Any]]) -> None:
     assert "removes" not in text
 
 
-def test_simulated_jitter_of_a_ramp(make: dict[str, Callable[..., Any]]) -> None:
+def test_simulated_jitter_of_a_ramp(make):
     """f = x, jittered: power 1/(6n²) − …, cross negative, sum 1/(12n³): a shift would lose that."""
     terms = make["terms"]("jittered", n=16, half_width=32, realizations=400)
     low, high = terms["measured_variance_ci"].values
@@ -175,14 +172,14 @@ def test_simulated_jitter_of_a_ramp(make: dict[str, Callable[..., Any]]) -> None
         (1.01, "statistically indistinguishable from zero (power term: 1.00)."),
     ],
 )
-def test_other_bases_say_nothing_of_shifts(predicted: float, words: str) -> None:
+def test_other_bases_say_nothing_of_shifts(predicted, words):
     row, terms = case(predicted=predicted, measured=predicted)
     text = explain(msgspec.structs.replace(row, basis="cosine"), terms)
     assert words in text
     assert "shift" not in text
 
 
-def test_the_cross_term_follows_its_own_interval() -> None:
+def test_the_cross_term_follows_its_own_interval():
     """−1.23e-7 ± 0.61e-7 is not zero, whatever the interval of the prediction."""
     row, terms = case(predicted=0.9, measured=0.9, width=1.5)
     certain = msgspec.structs.replace(row, cross_low=-0.15, cross_high=-0.05)
@@ -205,19 +202,19 @@ def test_the_cross_term_follows_its_own_interval() -> None:
         ),
     ],
 )
-def test_one_sentence_says_why_a_prediction_is_off(options: Any, words: str) -> None:
+def test_one_sentence_says_why_a_prediction_is_off(options, words):
     assert headline(*case(**options)).startswith(words)
 
 
 @pytest.mark.parametrize("predicted", [0.5, 0.85, 0.95, 1.0, 1.08, 1.18, 3.0])
 @pytest.mark.parametrize("width", [1.01, 1.3])
-def test_sentence_and_headline_agree_on_agreement(predicted: float, width: float) -> None:
+def test_sentence_and_headline_agree_on_agreement(predicted, width):
     row, terms = case(predicted=predicted, power=predicted, width=width)
     said = "Prediction and measurement agree" in explain(row, terms)
     assert said == ("Prediction agrees" in headline(row, terms))
 
 
-def test_predictions_are_off_where_intervals_of_all_rows_together_say_so() -> None:
+def test_predictions_are_off_where_intervals_of_all_rows_together_say_so():
     """2.3 standard errors away are chance among 18 rows, not alone: z is 1.96 and 2.98."""
     half = 1.15 ** (1.96 / 2.3)
     row = SummaryRow(
@@ -227,7 +224,7 @@ def test_predictions_are_off_where_intervals_of_all_rows_together_say_so() -> No
     assert "prediction agrees" in headline(row, rows=18).lower()
 
 
-def test_one_sentence_without_terms() -> None:
+def test_one_sentence_without_terms():
     assert headline(curve(-1.52)) == "Faster than random sampling."
     assert headline(curve(-1.0)) == "Random sampling's rate."
     assert headline(curve(-1.2, half=0.3)) == "Rate undecided."
@@ -259,11 +256,11 @@ def test_one_sentence_without_terms() -> None:
         ),
     ],
 )
-def test_further_sentences(analyses: dict[str, xr.Dataset], text: str) -> None:
+def test_further_sentences(analyses, text):
     assert further_sentences(analyses) == text
 
 
-def measured(variance: list[float], mean: float = 1.0, width: float = 1.2) -> xr.Dataset:
+def measured(variance, mean=1.0, width=1.2):
     """A curve at n = 4, 16, … with intervals of a factor and a standard error of the mean of 0.01."""
     n = [4 ** (k + 1) for k in range(len(variance))]
     ends = [[v / width, v * width] for v in variance]
@@ -278,7 +275,7 @@ def measured(variance: list[float], mean: float = 1.0, width: float = 1.2) -> xr
     )
 
 
-def test_the_answer_is_the_least_error_that_is_sure_and_unbiased() -> None:
+def test_the_answer_is_the_least_error_that_is_sure_and_unbiased():
     random = measured([0.04, 0.01, 0.0025])
     setups = {"sobol": measured([0.02, 0.0001]), "random": random}
     assert answer(setups) == "Use sobol: RMSE 0.0100 instead of 0.100 with random at 16 points."

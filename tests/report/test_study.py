@@ -26,7 +26,7 @@ Make = dict[str, Callable[..., Any]]
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Path:
+def folder(tmp_path_factory, request):
     """The report of a small study."""
     study = request.getfixturevalue("study_folder")
     write_report(study)
@@ -34,12 +34,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequ
 
 
 @pytest.fixture(scope="module")
-def page(folder: Path) -> Parsed:
+def page(folder):
     """Its page, parsed."""
     return Parsed((folder / "report.html").read_text(encoding="utf-8"))
 
 
-def test_sections(page: Parsed) -> None:
+def test_sections(page):
     ids = [attributes["id"] for attributes in page.all("section")]
     assert ids[0] == "summary"
     assert ids[-1] == "provenance"
@@ -50,12 +50,12 @@ def test_sections(page: Parsed) -> None:
     assert all(attributes["scope"] in ("col", "row") for attributes in page.all("th"))
 
 
-def test_ids_are_unique(page: Parsed) -> None:
+def test_ids_are_unique(page):
     ids = [attributes["id"] for _, attributes in page.tags if "id" in attributes]
     assert len(set(ids)) == len(ids)
 
 
-def test_interactive_figures_have_pictures_too(page: Parsed) -> None:
+def test_interactive_figures_have_pictures_too(page):
     packed = [s for s in page.all("script") if s.get("type") == "application/gzip"]
     assert packed.pop()["id"] == "bokeh"
     assert len(packed) == 6 + 3  # all but captured, bands and cross-matrix
@@ -63,7 +63,7 @@ def test_interactive_figures_have_pictures_too(page: Parsed) -> None:
     assert len(plots) == len(packed)
 
 
-def test_overview_can_be_sorted_and_leads_to_sections(page: Parsed) -> None:
+def test_overview_can_be_sorted_and_leads_to_sections(page):
     (table,) = (t for t in page.all("table") if t.get("class") == "sortable")
     assert table
     orders = [float(str(d["data-order"])) for d in page.all("td") if "data-order" in d]
@@ -71,7 +71,7 @@ def test_overview_can_be_sorted_and_leads_to_sections(page: Parsed) -> None:
     assert all(math.isfinite(order) for order in orders)
 
 
-def test_page_elsewhere(make: Make, tmp_path: Path) -> None:
+def test_page_elsewhere(make, tmp_path):
     study = make["study"](tmp_path / "s", {("e", "random"): {"points": make["points"](n=4)}})
     (tmp_path / "web").mkdir()
     page = write_report(study, tmp_path / "web" / "x.html")
@@ -82,7 +82,7 @@ def test_page_elsewhere(make: Make, tmp_path: Path) -> None:
         write_report(study, tmp_path / "nowhere" / "x.html")
 
 
-def test_figures_have_words_and_sizes(page: Parsed) -> None:
+def test_figures_have_words_and_sizes(page):
     images = page.all("img")
     assert len(images) == 9 + 3  # all kinds in 1-D; image, radial mean and points in 2-D
     for attributes in images:
@@ -91,7 +91,7 @@ def test_figures_have_words_and_sizes(page: Parsed) -> None:
     assert page.tags.count(("figcaption", {})) == len(images)
 
 
-def test_numbers_and_sentences(page: Parsed) -> None:
+def test_numbers_and_sentences(page):
     assert "−3.00 ± 0.03" in page.text
     assert "Variance at n = 1024" in page.text
     assert "7.45×10⁻¹¹" in page.text
@@ -99,12 +99,12 @@ def test_numbers_and_sentences(page: Parsed) -> None:
     assert "nan" not in page.text.lower().split()
 
 
-def test_samplers_in_the_order_of_the_study(page: Parsed) -> None:
+def test_samplers_in_the_order_of_the_study(page):
     places = [page.text.index(f"{s}: The rate") for s in ("random", "jittered", "jittered | shift")]
     assert places == sorted(places)
 
 
-def test_provenance(folder: Path, page: Parsed) -> None:
+def test_provenance(folder, page):
     tree = open_results(folder)
     assert tree.attrs["study_hash"] in page.text
     assert "mcspectra run study.toml" in page.text
@@ -124,17 +124,17 @@ def test_provenance(folder: Path, page: Parsed) -> None:
         ("integrand = \"python(function='m:f; rm')\"", " --allow-code m:f"),
     ],
 )
-def test_python_functions_are_allowed_by_the_command(study: str, options: str) -> None:
+def test_python_functions_are_allowed_by_the_command(study, options):
     assert module._allowed(study) == options
 
 
-def test_the_study_in_the_page_is_the_study(folder: Path) -> None:
+def test_the_study_in_the_page_is_the_study(folder):
     attributes = open_results(folder).attrs
     again = decode_study(study_toml(attributes["study"]))
     assert StudyNote.of(again, {}).study_hash == attributes["study_hash"]
 
 
-def test_study_toml__odd_text_and_all_tables() -> None:
+def test_study_toml__odd_text_and_all_tables():
     config = decode_study(
         'title = "a \\"b\\" \\\\ \\u007f \\n ü 🎲"\nsamplers = ["x(path=\'C:\\\\\\\\y\')"]\n'
         "[convergence]\ncounts = [1, 2]\n"
@@ -146,7 +146,7 @@ def test_study_toml__odd_text_and_all_tables() -> None:
     assert decode_study(study_toml(plain_study(config))) == config
 
 
-def test_names_are_escaped(make: Make, tmp_path: Path) -> None:
+def test_names_are_escaped(make, tmp_path):
     evil = '<script>alert("1")</script> & $\\frac{$'
     cells = {(evil, evil): {"convergence": make["curve"]("random")}}
     text = write_report(make["study"](tmp_path, cells, title=evil)).read_text(encoding="utf-8")
@@ -156,7 +156,7 @@ def test_names_are_escaped(make: Make, tmp_path: Path) -> None:
     assert evil in str(page.all("img")[0]["alt"])
 
 
-def test_odd_results(make: Make, tmp_path: Path) -> None:
+def test_odd_results(make, tmp_path):
     """Each of these is in the page with its reason, and none breaks it."""
     small = {"half_width": 2, "realizations": 10}
     cells = {
@@ -182,7 +182,7 @@ def test_odd_results(make: Make, tmp_path: Path) -> None:
     assert all(attributes["title"] for attributes in page.all("abbr"))
 
 
-def test_predictions_stand_in_the_measured_curves(make: Make, tmp_path: Path) -> None:
+def test_predictions_stand_in_the_measured_curves(make, tmp_path):
     """Crosses in the figure of convergence and a folded table; a figure of their own at other counts."""
     f = mcs.integrand("gaussian(width=0.3)")
     curve = make["curve"]("random")
@@ -200,7 +200,7 @@ def test_predictions_stand_in_the_measured_curves(make: Make, tmp_path: Path) ->
         assert f"random {n} {number(float(value))}" in text
 
 
-def test_a_plan_and_a_prediction_have_files_of_their_own(make: Make, tmp_path: Path) -> None:
+def test_a_plan_and_a_prediction_have_files_of_their_own(make, tmp_path):
     f = mcs.integrand("gaussian(width=0.3)")
     found = {
         "plan": mcs.plan(f, "random", target_error=0.1),
@@ -212,7 +212,7 @@ def test_a_plan_and_a_prediction_have_files_of_their_own(make: Make, tmp_path: P
     assert all((file.parent / each).exists() for each in cited)
 
 
-def test_only_spectra(make: Make, tmp_path: Path) -> None:
+def test_only_spectra(make, tmp_path):
     cells = {("e", "random"): {"spectrum": make["spectrum"](dims=3, n=8, half_width=2)}}
     page = Parsed(write_report(make["study"](tmp_path, cells)).read_text(encoding="utf-8"))
     assert "neither convergence nor terms" in page.text
@@ -221,13 +221,13 @@ def test_only_spectra(make: Make, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_no_results_yet(make: Make, tmp_path: Path) -> None:
+def test_no_results_yet(make, tmp_path):
     cells: Any = {("e", "random"): {}}
     page = Parsed(write_report(make["study"](tmp_path, cells)).read_text(encoding="utf-8"))
     assert "There are no results yet." in page.text
 
 
-def test_figures_cannot_be_written(make: Make, tmp_path: Path) -> None:
+def test_figures_cannot_be_written(make, tmp_path):
     make["study"](tmp_path, {("e", "random"): {"points": make["points"](n=4)}})
     (tmp_path / "figures").write_text("a file in the way")
     with pytest.raises(StoreError, match="cannot be written"):
@@ -235,7 +235,7 @@ def test_figures_cannot_be_written(make: Make, tmp_path: Path) -> None:
 
 
 @pytest.fixture(name="small")
-def _small(make: Make, tmp_path: Path) -> Path:
+def _small(make, tmp_path):
     """A finished study of one cell."""
     study: Path = make["study"](tmp_path, {("e", "random"): {"convergence": make["curve"]()}})
     return study
@@ -244,7 +244,7 @@ def _small(make: Make, tmp_path: Path) -> Path:
 ASKED = {"E!": ["random", "jittered | shift"], "a": ["b"]}
 
 
-def lacking(failed: dict[str, str], missing: tuple[str, ...] = ()) -> StudyStatus:
+def lacking(failed, missing=()):
     """A status with one finished cell beside these."""
     return StudyStatus(
         title="t", study_hash="", seed=1, versions={}, format=3, state="unfinished", holder=None,
@@ -253,7 +253,7 @@ def lacking(failed: dict[str, str], missing: tuple[str, ...] = ()) -> StudyStatu
     )  # fmt: skip
 
 
-def gaps() -> tuple[str, Table]:
+def gaps():
     """Sentence and table of what a study lacks."""
     _, sentence, table = module._gaps(Path(), ASKED)
     assert isinstance(sentence, Text)
@@ -262,13 +262,13 @@ def gaps() -> tuple[str, Table]:
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_finished_study_lacks_nothing(small: Path) -> None:
+def test_a_finished_study_lacks_nothing(small):
     assert list(module._gaps(small, {})) == []
     text = write_report(small).read_text(encoding="utf-8")
     assert "What is missing" not in text
 
 
-def test_analyses_of_one_reason_share_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_analyses_of_one_reason_share_a_row(monkeypatch):
     failed = {
         "e/random/terms": "It raised.",
         "e/random/spectrum": "It raised.",
@@ -287,7 +287,7 @@ def test_analyses_of_one_reason_share_a_row(monkeypatch: pytest.MonkeyPatch) -> 
     assert "--resume --retry" in sentence
 
 
-def test_only_missing_ones_need_no_retry(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_missing_ones_need_no_retry(monkeypatch):
     monkeypatch.setattr(module, "study_status", lambda _: lacking({}, ("e/shift/terms",)))
     (_, sentence, _) = module._gaps(Path(), ASKED)
     assert isinstance(sentence, Text)
@@ -295,7 +295,7 @@ def test_only_missing_ones_need_no_retry(monkeypatch: pytest.MonkeyPatch) -> Non
     assert "--retry" not in sentence.text
 
 
-def test_thousands_are_not_listed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_thousands_are_not_listed(monkeypatch):
     failed = {f"e{i:05}/random/terms": "It raised." for i in range(3000)}
     monkeypatch.setattr(module, "study_status", lambda _: lacking(failed))
     _, table = gaps()
@@ -304,8 +304,8 @@ def test_thousands_are_not_listed(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_an_unreadable_ledger_is_said(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(_: Path) -> StudyStatus:
+def test_an_unreadable_ledger_is_said(small, monkeypatch):
+    def refuse(_):
         raise StoreError("The ledger has format 9 <x>.")
 
     monkeypatch.setattr(module, "study_status", refuse)
@@ -314,7 +314,7 @@ def test_an_unreadable_ledger_is_said(small: Path, monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_the_page_has_the_reasons(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_page_has_the_reasons(small, monkeypatch):
     status = lacking({"e/random/terms": "It raised ValueError: <b>."})
     monkeypatch.setattr(module, "study_status", lambda _: status)
     text = write_report(small).read_text(encoding="utf-8")
@@ -322,7 +322,7 @@ def test_the_page_has_the_reasons(small: Path, monkeypatch: pytest.MonkeyPatch) 
     assert "It raised ValueError: &lt;b&gt;." in text
 
 
-def test_figures_of_the_same_samples_stand_once(make: Make, tmp_path: Path) -> None:
+def test_figures_of_the_same_samples_stand_once(make, tmp_path):
     spectra = {s: make["spectrum"](s, dims=2, n=16, half_width=3) for s in ("random", "jittered")}
     cells = {("first", s): {"spectrum": data} for s, data in spectra.items()}
     cells["second", "random"] = {"spectrum": spectra["random"], "points": make["points"](n=4)}
@@ -337,7 +337,7 @@ def test_figures_of_the_same_samples_stand_once(make: Make, tmp_path: Path) -> N
     }
 
 
-def test_bands_of_a_cross_term_that_is_noise_are_left_out(make: Make, tmp_path: Path) -> None:
+def test_bands_of_a_cross_term_that_is_noise_are_left_out(make, tmp_path):
     terms = make["terms"]("jittered", half_width=4, realizations=20)
     noise = terms.assign(cross_term_ci=("bound", [-1.0, 1.0]))
     certain = terms.assign(cross_term_ci=("bound", [-2.0, -1.0]))
@@ -347,7 +347,7 @@ def test_bands_of_a_cross_term_that_is_noise_are_left_out(make: Make, tmp_path: 
     assert [name.partition("-")[2] for name in names] == ["certain-bands.png"]
 
 
-def test_details_are_folded_and_what_says_most_is_not(page: Parsed) -> None:
+def test_details_are_folded_and_what_says_most_is_not(page):
     summaries = page.text
     for name in ("Frequencies", "Spectra and points of the samples", "Three terms in numbers"):
         assert name in summaries

@@ -1,13 +1,10 @@
 """Tables: cells, dashes with their reasons."""
 
-from typing import Any
-
 import msgspec
 import numpy as np
 import xarray as xr
 
 from mcspectra.report import summary_table, terms_table
-from mcspectra.report.page import Table
 from mcspectra.report.sentences import bottleneck
 from mcspectra.studies import SummaryRow
 
@@ -34,14 +31,14 @@ FULL = SummaryRow(
 )
 
 
-def texts(table: Table) -> list[str]:
+def texts(table):
     """Texts of the only row."""
     (row,) = table.rows
     assert len(row) == len(table.columns)
     return [cell.text for cell in row]
 
 
-def test_summary() -> None:
+def test_summary():
     assert texts(summary_table([FULL])) == [
         "e",
         "s",
@@ -53,7 +50,7 @@ def test_summary() -> None:
     ]
 
 
-def test_terms() -> None:
+def test_terms():
     assert texts(terms_table([FULL])) == [
         "s",
         "256",
@@ -67,7 +64,7 @@ def test_terms() -> None:
     ]
 
 
-def test_terms__have_half_their_intervals() -> None:
+def test_terms__have_half_their_intervals():
     row = msgspec.structs.replace(
         FULL,
         dc_low=0.0,
@@ -94,12 +91,12 @@ def test_terms__have_half_their_intervals() -> None:
     assert texts(terms_table([blank]))[2] == "≈ 0"
 
 
-def test_terms__rounding_is_shown_as_such() -> None:
+def test_terms__rounding_is_shown_as_such():
     row = SummaryRow(estimator="e", sampler="s", terms_n=4, dc=1e-20, power=1e-6)
     assert texts(terms_table([row]))[2] == "≈ 0"
 
 
-def test_every_dash_has_a_reason() -> None:
+def test_every_dash_has_a_reason():
     rows = [
         SummaryRow(estimator="e", sampler="nothing"),
         SummaryRow(estimator="e", sampler="one count", n=4, variance=0.0),
@@ -112,21 +109,21 @@ def test_every_dash_has_a_reason() -> None:
     assert summary_table(rows).rows[2][4].why == "infinite: ∫1/p diverges"
 
 
-def test_terms__only_where_analysed_and_channels_named() -> None:
+def test_terms__only_where_analysed_and_channels_named():
     rows = [SummaryRow(estimator="e", sampler="s", n=4)]
     assert terms_table(rows).rows == ()
     channel = SummaryRow(estimator="e [2]", sampler="s", terms_n=4)
     assert terms_table([channel]).rows[0][0].text == "s, channel 2"
 
 
-def test_summary__a_term_that_takes_away_is_no_bottleneck() -> None:
+def test_summary__a_term_that_takes_away_is_no_bottleneck():
     row = msgspec.structs.replace(FULL, dc=3e-6, power=2e-6, cross=-9e-6, largest_term="cross")
     assert texts(summary_table([row]))[5] == "weights: p does not follow f"
     negative = msgspec.structs.replace(row, dc=0.0, power=0.0)
     assert texts(summary_table([negative]))[5] == "–"
 
 
-def test_summary__links_orders_and_bottlenecks() -> None:
+def test_summary__links_orders_and_bottlenecks():
     found = [{"techniques": xr.Dataset(attrs={"bottleneck": "light"})}, {}]
     table = summary_table([FULL, FULL], links=["#a", "#b"], analyses=found)
     assert table.columns[5] == "Bottleneck"
@@ -138,14 +135,14 @@ def test_summary__links_orders_and_bottlenecks() -> None:
     assert [cell.order for cell in table.rows[0]][2:5] == [-1.52, 1.234e-6, 0.96]
 
 
-def test_summary__other_counts_are_named() -> None:
+def test_summary__other_counts_are_named():
     rows = [FULL, FULL, msgspec.structs.replace(FULL, n=256)]
     table = summary_table(rows)
     assert table.columns[3] == "Variance at n = 1024"
     assert [row[3].text for row in table.rows] == ["1.23×10⁻⁶", "1.23×10⁻⁶", "1.23×10⁻⁶ (n = 256)"]
 
 
-def test_summary__says_by_which_route_it_was_predicted() -> None:
+def test_summary__says_by_which_route_it_was_predicted():
     row = msgspec.structs.replace(FULL, ratio=1.02, ratio_low=0.97, ratio_high=1.07, route="exact")
     table = summary_table([row])
     assert table.rows[0][4].text == "1.02 ± 0.050 (exact)"
@@ -155,13 +152,13 @@ def test_summary__says_by_which_route_it_was_predicted() -> None:
     assert summary_table([far]).rows[0][6].text.endswith("predicted × 2.00.")
 
 
-def terms(power: list[float], **attrs: Any) -> xr.Dataset:
+def terms(power, **attrs):
     """The power term by frequency, in one dim."""
     m = np.arange(-4, 5)
     return xr.Dataset({"power_contribution": ("m0", power)}, {"m0": m}, attrs)
 
 
-def test_bottleneck__where_half_of_the_power_term_lies() -> None:
+def test_bottleneck__where_half_of_the_power_term_lies():
     low = terms([0, 0, 0, 5, 9, 5, 0, 0, 1])
     high = terms([9, 1, 0, 0, 9, 0, 0, 1, 9])
     row = msgspec.structs.replace(FULL, terms_n=8)

@@ -1,7 +1,5 @@
 """Verdicts: what agrees, what does not, and how often chance would contradict a true statement."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -19,23 +17,23 @@ from mcspectra.reproduction.claims import (
 )
 
 
-def test_verdicts_take_the_level_of_sidak() -> None:
+def test_verdicts_take_the_level_of_sidak():
     z = VERDICT_WIDENING * ndtri(0.975)
     assert (2 * ndtr(z) - 1) ** GALLERY_FINDINGS == pytest.approx(0.95, rel=1e-9)
 
 
-def test_true_statements_agree_as_often_as_they_should() -> None:
+def test_true_statements_agree_as_often_as_they_should():
     # Pr(all of 100 agree) = 0.95; of 4000 galleries the frequency has σ = 0.0034.
     z = np.random.default_rng(1).standard_normal((4000, GALLERY_FINDINGS))
     within = np.abs(z) <= VERDICT_WIDENING * ndtri(0.975)
     assert within.all(axis=1).mean() == pytest.approx(0.95, abs=4 * 0.0034)
 
 
-def test_an_expected_number_at_the_ends_of_the_interval() -> None:
+def test_an_expected_number_at_the_ends_of_the_interval():
     measured = Measured.normal(2.0, 0.1)
     low, high = measured.verdict_interval
 
-    def agrees(expected: float, tolerance: float = 0.0) -> bool | None:
+    def agrees(expected, tolerance=0.0):
         return judge(Claim("s", measured, expected=expected, tolerance=tolerance)).agrees
 
     assert all(map(agrees, (low + 1e-9, high - 1e-9)))
@@ -44,7 +42,7 @@ def test_an_expected_number_at_the_ends_of_the_interval() -> None:
     assert not agrees(high + 0.05, tolerance=0.04)
 
 
-def test_a_number_without_an_interval_is_judged_by_its_tolerance() -> None:
+def test_a_number_without_an_interval_is_judged_by_its_tolerance():
     found = judge(Claim("s", 1.5, expected=1.0, tolerance=0.5))
     assert (found.agrees, found.measured, found.interval, found.expected) == (
         True,
@@ -56,7 +54,7 @@ def test_a_number_without_an_interval_is_judged_by_its_tolerance() -> None:
     assert judge(Claim("s", 1.0 + 1e-15, expected=1.0)).agrees is False
 
 
-def test_intervals_of_variances_widen_as_ratios() -> None:
+def test_intervals_of_variances_widen_as_ratios():
     low, high = Measured(2.0, 1.0, 4.0, log=True).verdict_interval
     assert low == pytest.approx(2.0 * 0.5**VERDICT_WIDENING)
     assert high == pytest.approx(2.0 * 2.0**VERDICT_WIDENING)
@@ -65,11 +63,11 @@ def test_intervals_of_variances_widen_as_ratios() -> None:
     assert log.verdict_interval == linear.verdict_interval
 
 
-def _curve(rate: float, half: float) -> xr.Dataset:
+def _curve(rate, half):
     return xr.Dataset({"rate": rate, "rate_ci": ("bound", [rate - half, rate + half])})
 
 
-def test_rates_are_judged_by_their_own_interval() -> None:
+def test_rates_are_judged_by_their_own_interval():
     assert judge(rate_claim("s", _curve(-3.0, 0.5), -3.0)).agrees
     wrong = judge(rate_claim("s", _curve(-3.0, 0.5), -1.0))
     assert wrong.agrees is False
@@ -77,7 +75,7 @@ def test_rates_are_judged_by_their_own_interval() -> None:
 
 
 @pytest.mark.parametrize("expected", [-1.5, -2.0])
-def test_a_clear_rate_of_a_pixel_agrees_with_itself_alone(expected: float) -> None:
+def test_a_clear_rate_of_a_pixel_agrees_with_itself_alone(expected):
     clear = judge(pixel_rate("s", _curve(expected, 0.05), expected))
     assert clear.agrees is True
     assert "rule out" not in clear.note
@@ -85,7 +83,7 @@ def test_a_clear_rate_of_a_pixel_agrees_with_itself_alone(expected: float) -> No
 
 
 @pytest.mark.parametrize(("expected", "shown"), [(-1.5, "−2.0"), (-2.0, "−1.5")])
-def test_where_the_other_rate_agrees_too_it_is_said(expected: float, shown: str) -> None:
+def test_where_the_other_rate_agrees_too_it_is_said(expected, shown):
     weak = judge(pixel_rate("s", _curve(-1.75, 0.2), expected))
     assert weak.agrees is True
     assert weak.note.endswith(f"So few realisations do not rule out {shown}.")
@@ -101,11 +99,11 @@ def test_where_the_other_rate_agrees_too_it_is_said(expected: float, shown: str)
         ({"above": 0.83}, False),
     ],
 )
-def test_beyond_a_bound_with_the_whole_interval(limits: dict[str, float], agrees: bool) -> None:
-    assert judge(Claim("s", Measured(1.0, 0.9, 1.1), **limits)).agrees is agrees  # type: ignore[arg-type]
+def test_beyond_a_bound_with_the_whole_interval(limits, agrees):
+    assert judge(Claim("s", Measured(1.0, 0.9, 1.1), **limits)).agrees is agrees
 
 
-def test_identities_have_an_error_and_no_interval() -> None:
+def test_identities_have_an_error_and_no_interval():
     exact = judge(Claim("s", -3e-13, at_most=1e-12))
     assert (exact.agrees, exact.expected, exact.interval) == (True, "≤ 1e-12", None)
     assert judge(Claim("s", 2e-12, at_most=1e-12)).agrees is False
@@ -115,13 +113,13 @@ def test_identities_have_an_error_and_no_interval() -> None:
     ("at_most", "shown"),
     [(1e-15, "1e-15"), (0.01, "1e-2"), (1 / 256, "4e-3"), (1.2207e-3, "1.3e-3"), (9.96e-3, "1e-2")],
 )
-def test_limits_are_not_shown_smaller_than_they_are(at_most: float, shown: str) -> None:
+def test_limits_are_not_shown_smaller_than_they_are(at_most, shown):
     assert judge(Claim("s", at_most, at_most=at_most)).expected == f"≤ {shown}"
     assert float(shown) >= at_most
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
-def test_what_is_no_number_agrees_with_nothing(value: float) -> None:
+def test_what_is_no_number_agrees_with_nothing(value):
     measured = Measured(value, value, value)
     assert judge(Claim("s", measured, expected=1.0)).agrees is False
     assert judge(Claim("s", measured, below=2.0)).agrees is False
@@ -129,12 +127,12 @@ def test_what_is_no_number_agrees_with_nothing(value: float) -> None:
 
 
 @pytest.mark.parametrize("holds", [True, False, None])
-def test_an_exhibit_may_decide_itself(holds: bool | None) -> None:
+def test_an_exhibit_may_decide_itself(holds):
     found = judge(Claim("s", "words", holds=holds, shown="other words", note="why"))
     assert (found.agrees, found.measured, found.expected) == (holds, "words", "other words")
 
 
-def test_errors_of_differences_and_ratios_add_as_independent_ones_do() -> None:
+def test_errors_of_differences_and_ratios_add_as_independent_ones_do():
     difference = Measured.normal(5.0, 3.0) - Measured.normal(1.0, 4.0)
     assert difference.value == 4.0
     assert (difference.high - difference.low) / 2 == pytest.approx(5.0 * CONFIDENCE_Z, rel=1e-14)

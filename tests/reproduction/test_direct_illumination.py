@@ -1,35 +1,31 @@
 """Light and BSDF sampling of two pixels: findings, and what would contradict them."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 import xarray as xr
 
 from mcspectra.reproduction import direct_illumination as direct
-from mcspectra.reproduction.claims import Exhibit, judge, pixel_rate
+from mcspectra.reproduction.claims import judge, pixel_rate
 from mcspectra.reproduction.gallery import make_exhibit
 
 pytestmark = pytest.mark.render
 
 
 @pytest.fixture(scope="module")
-def made() -> Exhibit:
+def made():
     return make_exhibit("direct-illumination", quick=True, seed=1)
 
 
-def test_all_findings_agree(made: Exhibit, sound: Callable[[Exhibit], None]) -> None:
+def test_all_findings_agree(made, sound):
     sound(made)
 
 
-def test_one_of_eight_curves_is_smooth(made: Exhibit) -> None:
+def test_one_of_eight_curves_is_smooth(made):
     rates = [f.expected.split()[0] for f in made.findings[:8]]
     assert rates == ["−2.0", *["−1.5"] * 7]
 
 
-def test_the_two_theories_are_told_apart(made: Exhibit) -> None:
+def test_the_two_theories_are_told_apart(made):
     for f in made.findings[:8]:
         assert f.interval is not None
         curve = xr.Dataset({"rate": f.measured, "rate_ci": ("bound", list(f.interval))})
@@ -38,7 +34,7 @@ def test_the_two_theories_are_told_apart(made: Exhibit) -> None:
         assert judge(pixel_rate("", curve, -3.5 - right)).agrees is False
 
 
-def test_integrands_have_edges_but_light_sampling_at_p() -> None:
+def test_integrands_have_edges_but_light_sampling_at_p():
     u = (np.arange(64) + 0.5) / 64
     x = np.stack(np.meshgrid(u, u), axis=-1)
     steps = {}
@@ -49,8 +45,8 @@ def test_integrands_have_edges_but_light_sampling_at_p() -> None:
     assert smooth < 0.1 < min(steps.values())
 
 
-def test_different_radiances_disagree() -> None:
-    def curve(mean: float) -> xr.Dataset:
+def test_different_radiances_disagree():
+    def curve(mean):
         return xr.Dataset({"mean": ("n", [mean]), "mean_se": ("n", [0.01])})
 
     curves = {

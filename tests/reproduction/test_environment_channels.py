@@ -1,9 +1,5 @@
 """Gray against all channels: findings, jumps counted by hand, and what would contradict them."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -11,42 +7,42 @@ from scipy.integrate import quad
 import mcspectra as mcs
 from mcspectra.plots.backend_matplotlib import draw, panel_axes
 from mcspectra.reproduction import environment_channels as channels
-from mcspectra.reproduction.claims import Exhibit, judge
+from mcspectra.reproduction.claims import judge
 from mcspectra.reproduction.gallery import make_exhibit
 
 
 @pytest.fixture(scope="module")
-def made() -> Exhibit:
+def made():
     return make_exhibit("environment-channels", quick=True, seed=1)
 
 
-def test_all_findings_agree(made: Exhibit, sound: Callable[[Exhibit], None]) -> None:
+def test_all_findings_agree(made, sound):
     sound(made)
 
 
-def test_theory_has_two_rates(made: Exhibit) -> None:
+def test_theory_has_two_rates(made):
     rates = [f.expected.split()[0] for f in made.findings[:9]]
     assert rates == ["−2.0"] * 3 + ["−3.0"] * 3 + ["−2.0"] * 3
 
 
-def test_the_integral_of_the_map() -> None:
+def test_the_integral_of_the_map():
     integral = channels.ways()["one"].integral
     for c in range(3):
         parts = [
-            quad(lambda x, c=c: channels.radiance(np.array([x]))[c], k / 8, (k + 1) / 8)[0]  # type: ignore[misc]
+            quad(lambda x, c=c: channels.radiance(np.array([x]))[c], k / 8, (k + 1) / 8)[0]
             for k in range(8)
         ]
         assert integral[c] == pytest.approx(sum(parts), rel=1e-9)
 
 
-def test_luminance_leaves_jumps(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_luminance_leaves_jumps(monkeypatch):
     gray = channels.PIXELS @ channels.LUMINANCE
     right = channels.weighted
     monkeypatch.setattr(channels, "weighted", lambda _, channel, t: right(gray, channel, t))
     assert [judge(channels._continuous(c)).agrees for c in range(3)] == [False] * 3
 
 
-def test_rates_of_one_way_are_not_those_of_another() -> None:
+def test_rates_of_one_way_are_not_those_of_another():
     ways = channels.ways()
     counts = channels.COUNTS["own"]
     curves = {
@@ -60,7 +56,7 @@ def test_rates_of_one_way_are_not_those_of_another() -> None:
     assert judge(channels._gain(0, swapped)).agrees is False
 
 
-def test_no_curve_of_the_map_is_cut_off(made: Exhibit) -> None:
+def test_no_curve_of_the_map_is_cut_off(made):
     plot = next(p for p in made.plots if p.kind == "environment-map")
     for axes in panel_axes(draw(plot)):
         low, high = axes.get_ylim()

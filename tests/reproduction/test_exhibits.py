@@ -1,12 +1,7 @@
 """Every claim of every exhibit holds, as quickly made; those whose tests look closer make their own."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-
 import pytest
 
-from mcspectra.reproduction.claims import Exhibit
 from mcspectra.reproduction.gallery import make_exhibit, slides
 
 ELSEWHERE = {
@@ -27,5 +22,5 @@ RENDERED = {"light-smoothing", "mis-slowest"}
         if name not in ELSEWHERE
     ],
 )
-def test_all_findings_agree(name: str, sound: Callable[[Exhibit], None]) -> None:
+def test_all_findings_agree(name, sound):
     sound(make_exhibit(name, quick=True, seed=1))

@@ -1,7 +1,5 @@
 """The gallery: page, pictures, PDF and findings of exhibits made up for the purpose."""
 
-from __future__ import annotations
-
 import base64
 import json
 import re
@@ -32,7 +30,7 @@ SLIDES = {
 }
 
 
-def _plot(photograph: bool) -> Plot:
+def _plot(photograph):
     ends = np.array([0.0, 1.0])
     rgb = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
     mark = Pixels(rgb=rgb) if photograph else Line(x=ends, y=ends, color="#0072B2", label="line")
@@ -42,7 +40,7 @@ def _plot(photograph: bool) -> Plot:
     )
 
 
-def _good(*, quick: bool, seed: int) -> Exhibit:
+def _good(*, quick, seed):
     return Exhibit(
         numbers={"quick": quick, "seed": seed},
         plots=(_plot(False), _plot(True)),
@@ -54,12 +52,12 @@ def _good(*, quick: bool, seed: int) -> Exhibit:
     )
 
 
-def _bad(*, quick: bool, seed: int) -> Exhibit:
+def _bad(*, quick, seed):
     raise ZeroDivisionError("it broke")
 
 
 @pytest.fixture
-def exhibits(monkeypatch: pytest.MonkeyPatch) -> None:
+def exhibits(monkeypatch):
     here: dict[str, Callable[..., Exhibit]] = {"good": _good, "bad": _bad}
     monkeypatch.setattr(gallery, "slides", lambda: SLIDES)
     monkeypatch.setattr(gallery, "load_exhibit", here.__getitem__)
@@ -68,7 +66,7 @@ def exhibits(monkeypatch: pytest.MonkeyPatch) -> None:
 pytestmark = pytest.mark.usefixtures("exhibits")
 
 
-def test_findings_are_plain_json(tmp_path: Path) -> None:
+def test_findings_are_plain_json(tmp_path):
     reproduce(tmp_path, ["good"])
     rows = json.loads((tmp_path / "findings.json").read_text(encoding="utf-8"))
     assert [set(row) for row in rows] == [
@@ -79,7 +77,7 @@ def test_findings_are_plain_json(tmp_path: Path) -> None:
     assert [row["agrees"] for row in rows] == [True, False, None]
 
 
-def test_a_failing_exhibit_fails_itself_only(tmp_path: Path) -> None:
+def test_a_failing_exhibit_fails_itself_only(tmp_path):
     seen: list[str] = []
     made = reproduce(tmp_path, done=lambda entry: seen.append(f"{entry.name} {entry.tally}"))
     assert made.failed == ("bad",)
@@ -92,7 +90,7 @@ def test_a_failing_exhibit_fails_itself_only(tmp_path: Path) -> None:
     assert "It could not be made: ZeroDivisionError: it broke" in page
 
 
-def test_the_page_stands_alone_and_escapes(tmp_path: Path) -> None:
+def test_the_page_stands_alone_and_escapes(tmp_path):
     page = reproduce(tmp_path, ["good"], seed=7).page.read_text(encoding="utf-8")
     assert "One is &lt;one&gt;." in page
     assert "Slide &amp; quotation" in page
@@ -109,14 +107,14 @@ def test_the_page_stands_alone_and_escapes(tmp_path: Path) -> None:
     }
 
 
-def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
+def test_the_same_seed_gives_the_same_bytes(tmp_path):
     for folder in ("a", "b"):
         reproduce(tmp_path / folder, ["good"], seed=3)
     for name in ("index.html", "reproduce.pdf", "findings.json", "figures/good-plot.png"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 
-def test_photographs_keep_their_colours(tmp_path: Path) -> None:
+def test_photographs_keep_their_colours(tmp_path):
     from PIL import Image
 
     reproduce(tmp_path, ["good"])
@@ -125,47 +123,43 @@ def test_photographs_keep_their_colours(tmp_path: Path) -> None:
             assert image.mode == mode
 
 
-def test_the_pdf_has_a_page_of_text_and_one_for_each_figure(tmp_path: Path) -> None:
+def test_the_pdf_has_a_page_of_text_and_one_for_each_figure(tmp_path):
     reproduce(tmp_path, ["good"])
     pdf = (tmp_path / "reproduce.pdf").read_bytes()
     assert pdf.startswith(b"%PDF")
     assert re.findall(rb"/Count (\d+)", pdf) == [b"3"]
 
 
-def test_captions_in_the_pdf_lie_below_legends() -> None:
+def test_captions_in_the_pdf_lie_below_legends():
     import io
-
-    from matplotlib.figure import Figure
 
     class Sheets:
         """A file whose figure is drawn, as it is when a PDF is written."""
 
-        def savefig(self, figure: Figure, **options: object) -> None:
+        def savefig(self, figure, **options):
             drawn: list[tuple[float, float]] = []
             caption, legend = figure.texts[-1], figure.legends[0]
 
-            def look(event: object) -> None:
+            def look(event):
                 drawn.append((caption.get_window_extent().y1, legend.get_window_extent().y0))
 
             figure.canvas.mpl_connect("draw_event", look)
-            figure.savefig(io.BytesIO(), **options)  # type: ignore[arg-type]
+            figure.savefig(io.BytesIO(), **options)
             top, bottom = drawn[-1]
             assert top < bottom
 
-    gallery._add_figure(Sheets(), replace(_plot(False), caption="A $ sign."))  # type: ignore[arg-type]
+    gallery._add_figure(Sheets(), replace(_plot(False), caption="A $ sign."))
 
 
-def test_fonts_in_the_pdf_can_be_edited(tmp_path: Path) -> None:
+def test_fonts_in_the_pdf_can_be_edited(tmp_path):
     reproduce(tmp_path, ["good"])
     pdf = (tmp_path / "reproduce.pdf").read_bytes()
     assert b"/Type3" not in pdf
     assert b"/CIDFontType2" in pdf
 
 
-def test_an_interrupt_ends_all_and_leaves_no_part_of_a_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupted(name: str) -> Callable[..., Exhibit]:
+def test_an_interrupt_ends_all_and_leaves_no_part_of_a_file(tmp_path, monkeypatch):
+    def interrupted(name):
         if name == "bad":
             raise KeyboardInterrupt
         return _good
@@ -175,7 +169,7 @@ def test_an_interrupt_ends_all_and_leaves_no_part_of_a_file(
     assert [path.name for path in tmp_path.iterdir()] == ["figures"]
 
 
-def test_a_folder_that_cannot_be_written_has_a_sentence(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_has_a_sentence(tmp_path):
     (tmp_path / "figures").write_text("a file")
     with pytest.raises(StoreError, match="cannot be written"):
         reproduce(tmp_path, ["good"])
@@ -186,7 +180,7 @@ def test_a_folder_that_cannot_be_written_has_a_sentence(tmp_path: Path) -> None:
     assert not list(tmp_path.glob(".*partial"))
 
 
-def test_what_is_not_ours_stays(tmp_path: Path) -> None:
+def test_what_is_not_ours_stays(tmp_path):
     (tmp_path / "figures").mkdir()
     kept = [tmp_path / "notes.txt", tmp_path / "figures" / "mine.png"]
     for path in kept:
@@ -198,13 +192,13 @@ def test_what_is_not_ours_stays(tmp_path: Path) -> None:
     assert not list(tmp_path.glob(".*partial"))
 
 
-def test_bad_input_is_refused_before_anything_is_made(tmp_path: Path) -> None:
+def test_bad_input_is_refused_before_anything_is_made(tmp_path):
     out = tmp_path / "out"
     with pytest.raises(UnknownName, match="Did you mean 'good'"):
         reproduce(out, ["goood"])
     for seed in (-1, 0.5, "x", float("nan")):
         with pytest.raises(ParameterError, match="seed"):
-            reproduce(out, ["good"], seed=seed)  # type: ignore[arg-type]
+            reproduce(out, ["good"], seed=seed)
     assert not out.exists()
     with pytest.raises(ParameterError, match="no name"):
         reproduce("", ["good"])
@@ -223,16 +217,12 @@ def test_bad_input_is_refused_before_anything_is_made(tmp_path: Path) -> None:
         (2.5e-13, None, ("2.50×10⁻¹³", "")),
     ],
 )
-def test_digits_follow_the_interval(
-    value: float | str | None, interval: tuple[float, float] | None, shown: tuple[str, str]
-) -> None:
+def test_digits_follow_the_interval(value, interval, shown):
     finding = Finding(statement="s", expected="1", measured=value, interval=interval, agrees=True)
     assert measured_text(finding) == shown
 
 
-def test_command_says_what_disagrees_and_what_failed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_command_says_what_disagrees_and_what_failed(tmp_path, capsys):
     assert main(["reproduce", "--quick", "--seed", "5", "--out", str(tmp_path)]) == 1
     out, err = capsys.readouterr()
     assert "good: 1 of 2 agree" in out
@@ -244,7 +234,7 @@ def test_command_says_what_disagrees_and_what_failed(
     assert "<code>mcspectra reproduce --quick --seed 5</code>" in page
 
 
-def test_command_in_json_and_quiet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_in_json_and_quiet(tmp_path, capsys):
     assert main(["reproduce", "good", "--json", "--out", str(tmp_path)]) == 0
     told = json.loads(capsys.readouterr().out)
     assert (told["figures"], told["agree"], told["judged"], told["failed"]) == (["good"], 1, 2, [])
@@ -253,7 +243,7 @@ def test_command_in_json_and_quiet(tmp_path: Path, capsys: pytest.CaptureFixture
     assert capsys.readouterr().out == ""
 
 
-def test_command_lists_without_making(capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_lists_without_making(capsys):
     assert main(["reproduce", "--list"]) == 0
     assert capsys.readouterr().out == "good  good things\nbad   bad things\n"
     assert main(["reproduce", "--list", "--json"]) == 0

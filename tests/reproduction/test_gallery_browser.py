@@ -1,12 +1,7 @@
 """The gallery in Chromium: contents, phones, dark, paper; no network, no scripts, no complaints."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterator
-from typing import Any
-
 import pytest
-from playwright.sync_api import Browser, ConsoleMessage, Page, Route
+from playwright.sync_api import Page
 
 from mcspectra.reproduction.gallery import load_exhibit, reproduce
 
@@ -18,11 +13,11 @@ SHOWN = """name => { const y = document.getElementById(name).getBoundingClientRe
 
 
 @pytest.fixture(scope="module", name="gallery")
-def _gallery(tmp_path_factory: pytest.TempPathFactory) -> str:
+def _gallery(tmp_path_factory):
     """Two exhibits, and one that fails with words that try to break out of the page."""
     load = load_exhibit
 
-    def broken(*, quick: bool, seed: int) -> Any:
+    def broken(*, quick, seed):
         raise ValueError(EVIL)
 
     with pytest.MonkeyPatch.context() as patch:
@@ -36,24 +31,24 @@ def _gallery(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 @pytest.fixture(name="visit")
-def _visit(browser: Browser, gallery: str) -> Iterator[Callable[..., Page]]:
+def _visit(browser, gallery):
     """Open the gallery; at the end nothing was asked of a network and nothing was complained of."""
     asked: list[str] = []
     complaints: list[str] = []
     opened: list[Page] = []
 
-    def route(asking: Route) -> None:
+    def route(asking):
         if asking.request.url.startswith(("file:", "data:")):
             asking.continue_()
         else:
             asked.append(asking.request.url)
             asking.abort()
 
-    def note(message: ConsoleMessage) -> None:
+    def note(message):
         if message.type in ("error", "warning"):
             complaints.append(message.text)
 
-    def visit(width: int = 1200, **options: Any) -> Page:
+    def visit(width=1200, **options):
         context = browser.new_context(viewport={"width": width, "height": 800}, **options)
         page = context.new_page()
         page.route("**/*", route)
@@ -69,7 +64,7 @@ def _visit(browser: Browser, gallery: str) -> Iterator[Callable[..., Page]]:
     assert (asked, complaints) == ([], [])
 
 
-def test_contents_lead_to_every_figure(visit: Callable[..., Page]) -> None:
+def test_contents_lead_to_every_figure(visit):
     page = visit()
     links = page.locator("nav a")
     assert links.evaluate_all("all => all.map(a => a.hash.slice(1))") == [*NAMES, "provenance"]
@@ -80,7 +75,7 @@ def test_contents_lead_to_every_figure(visit: Callable[..., Page]) -> None:
         page.wait_for_function(SHOWN, arg=name)
 
 
-def test_what_failed_is_said_and_runs_nothing(visit: Callable[..., Page]) -> None:
+def test_what_failed_is_said_and_runs_nothing(visit):
     page = visit()
     assert page.title() == "The slides, reproduced – mcspectra gallery"
     assert EVIL in page.locator("#bias").inner_text()
@@ -90,9 +85,7 @@ def test_what_failed_is_said_and_runs_nothing(visit: Callable[..., Page]) -> Non
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [390, 1200])
-def test_nothing_spills_and_every_picture_loads(
-    visit: Callable[..., Page], width: int, scheme: str
-) -> None:
+def test_nothing_spills_and_every_picture_loads(visit, width, scheme):
     page = visit(width, color_scheme=scheme)
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     sizes = page.locator("img").evaluate_all("all => all.map(i => [i.naturalWidth, i.alt.length])")
@@ -104,7 +97,7 @@ def test_nothing_spills_and_every_picture_loads(
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_verdicts_stand_out_from_the_page(visit: Callable[..., Page], scheme: str) -> None:
+def test_verdicts_stand_out_from_the_page(visit, scheme):
     """Contrast of WCAG 2.1, at least 4.5 for text of this size."""
     page = visit(color_scheme=scheme)
     colors = page.evaluate(
@@ -118,14 +111,14 @@ def test_verdicts_stand_out_from_the_page(visit: Callable[..., Page], scheme: st
         assert (max(body, each) + 0.05) / (min(body, each) + 0.05) >= 4.5
 
 
-def _luminance(color: list[float]) -> float:
+def _luminance(color):
     """Relative luminance of an sRGB colour, 0 to 255."""
     parts = [c / 255 for c in color]
     linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
     return float(0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2])
 
 
-def test_formulas_and_tables_fit_their_frames(visit: Callable[..., Page]) -> None:
+def test_formulas_and_tables_fit_their_frames(visit):
     """Letters of a formula are not cut off above or below; a phone shows findings in one column."""
     page = visit()
     cut = "all => all.filter(e => e.scrollHeight > e.clientHeight).length"
@@ -143,5 +136,5 @@ def test_formulas_and_tables_fit_their_frames(visit: Callable[..., Page]) -> Non
     )
 
 
-def test_it_prints(visit: Callable[..., Page]) -> None:
+def test_it_prints(visit):
     assert visit().pdf().startswith(b"%PDF")

@@ -1,7 +1,5 @@
 """Smoothed lights: findings, and what would contradict them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -12,13 +10,13 @@ from mcspectra.reproduction.claims import judge
 pytestmark = pytest.mark.render
 
 
-def test_a_ramp_of_another_width_disagrees(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_ramp_of_another_width_disagrees(monkeypatch):
     right = mcs.exact_variance
     monkeypatch.setattr(mcs, "exact_variance", lambda *a: 1.1 * right(*a))
     assert judge(smoothing._ramp(0.2)).agrees is False
 
 
-def test_the_bias_of_the_disk_by_counting() -> None:
+def test_the_bias_of_the_disk_by_counting():
     """The area of the smoothed disk, on a fine grid."""
     width = 0.2
     disk = mcs.smoothed(mcs.integrand(smoothing.DISK), width)
@@ -28,7 +26,7 @@ def test_the_bias_of_the_disk_by_counting() -> None:
     assert area == pytest.approx(expected, rel=1e-5)
 
 
-def test_scans_without_a_gain_disagree() -> None:
+def test_scans_without_a_gain_disagree():
     scan = mcs.smoothing_scan(
         smoothing.DISK, "jittered", smoothing.BUDGETS, [0.0, 0.2], realizations=100, rng=1
     )

@@ -1,7 +1,5 @@
 """Mirroring: findings, exact variances by other routes, and what would contradict them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import dblquad
@@ -12,7 +10,7 @@ from mcspectra.reproduction.claims import Measured, judge, known_rate
 
 
 @pytest.mark.parametrize("mode", ["random", "uniform"])
-def test_exact_variances_without_a_shift_by_the_package(mode: str) -> None:
+def test_exact_variances_without_a_shift_by_the_package(mode):
     expected = mcs.exact_variance(mcs.Mirrored(mirroring.INTEGRAND, mode), "jittered", 64)
     assert mirroring.exact_mirrored(mode, 64, homogenized=False) == pytest.approx(
         expected, rel=1e-9
@@ -20,7 +18,7 @@ def test_exact_variances_without_a_shift_by_the_package(mode: str) -> None:
 
 
 @pytest.mark.parametrize("mode", ["random", "uniform"])
-def test_exact_variances_with_a_shift_by_simulation(mode: str) -> None:
+def test_exact_variances_with_a_shift_by_simulation(mode):
     n = 64
     curve = mcs.convergence(
         mcs.Mirrored(mirroring.INTEGRAND, mode), "jittered | shift", [n], realizations=4000, rng=2
@@ -31,8 +29,8 @@ def test_exact_variances_with_a_shift_by_simulation(mode: str) -> None:
     assert abs(found - np.log(float(curve["variance"][0]))) < 4 * error
 
 
-def test_the_varianceamong_images_by_quadrature() -> None:
-    def squares(y: float, x: float) -> float:
+def test_the_varianceamong_images_by_quadrature():
+    def squares(y, x):
         f = np.exp(-(x**2) - y**2)
         h = mirroring.symmetrized(np.array(x)) * mirroring.symmetrized(np.array(y))
         return float(f**2 - h**2)
@@ -40,7 +38,7 @@ def test_the_varianceamong_images_by_quadrature() -> None:
     assert mirroring.among_images() == pytest.approx(dblquad(squares, 0, 1, 0, 1)[0], rel=1e-9)
 
 
-def test_the_six_rates_disagree_with_their_neighbors() -> None:
+def test_the_six_rates_disagree_with_their_neighbors():
     study = mcs.mirror_study(
         mirroring.INTEGRAND, "jittered", [64, 256, 1024], mirrorings=["original"],
         realizations=600, rng=1,
@@ -59,7 +57,7 @@ def test_the_six_rates_disagree_with_their_neighbors() -> None:
     assert 1.0 < times.low < times.value < times.high
 
 
-def test_the_mirrored_points_of_the_picture_are_images() -> None:
+def test_the_mirrored_points_of_the_picture_are_images():
     own = mcs.sampler("jittered", 2).draw(16, rng=5)[0]
     x = mcs.sampler("jittered | mirror(mode='uniform')", 2).draw(64, rng=5)[0]
     images = np.concatenate([np.abs(np.array(e) - own) for e in ((0, 0), (0, 1), (1, 0), (1, 1))])

@@ -1,7 +1,5 @@
 """Names of exhibits."""
 
-from __future__ import annotations
-
 import pytest
 
 from mcspectra.core.errors import UnknownName
@@ -33,15 +31,15 @@ _ORDER = [
 ]
 
 
-def test_all_exhibits_stand_in_the_order_of_the_slides() -> None:
+def test_all_exhibits_stand_in_the_order_of_the_slides():
     assert exhibit_names([]) == list(slides()) == _ORDER
 
 
-def test_chosen_names_keep_that_order_and_come_once() -> None:
+def test_chosen_names_keep_that_order_and_come_once():
     assert exhibit_names(["bias", "phase", "bias"]) == ["phase", "bias"]
 
 
-def test_unknown_names_are_answered_with_close_ones() -> None:
+def test_unknown_names_are_answered_with_close_ones():
     with pytest.raises(UnknownName, match="no figure called 'biass'.*Did you mean 'bias'"):
         exhibit_names(["phase", "biass"])
     with pytest.raises(UnknownName):

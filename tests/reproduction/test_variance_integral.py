@@ -1,7 +1,5 @@
 """The variance of stationary samples: findings, and what would contradict them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -10,20 +8,20 @@ from mcspectra.reproduction import variance_integral
 from mcspectra.reproduction.claims import judge
 
 
-def test_reference_of_importance_samples_by_quadrature() -> None:
+def test_reference_of_importance_samples_by_quadrature():
     """(∫f²/p − I²)/N of f = ½ + x, p = ¼ + 3x/2."""
     second = quad(lambda x: (0.5 + x) ** 2 / (0.25 + 1.5 * x), 0, 1)[0]
     assert variance_integral.exact_weighted() == pytest.approx((second - 1.0) / 64, rel=1e-9)
 
 
-def test_power_of_the_bell_by_quadrature() -> None:
+def test_power_of_the_bell_by_quadrature():
     m, power = variance_integral.integrand_power()
 
-    def axis(center: float, frequency: int) -> complex:
-        def bell(x: float) -> complex:
+    def axis(center, frequency):
+        def bell(x):
             return complex(np.exp(-((x - center) ** 2) / 0.02 - 2j * np.pi * frequency * x))
 
-        return quad(bell, 0, 1, complex_func=True)[0]  # type: ignore[call-overload,no-any-return]
+        return quad(bell, 0, 1, complex_func=True)[0]
 
     expected = abs(axis(0.45, 2) * axis(0.6, -1)) ** 2
     (row,) = np.flatnonzero((m == (2, -1)).all(axis=1))
@@ -31,13 +29,13 @@ def test_power_of_the_bell_by_quadrature() -> None:
     assert len(m) == 25**2 - 1
 
 
-def test_correlated_frequencies_disagree() -> None:
+def test_correlated_frequencies_disagree():
     """Of importance samples, whose covariances C_ml are those of 1/p."""
     weighted = variance_integral.importance_terms(1000, 1)
     assert judge(variance_integral._diagonal("random", weighted)).agrees is False
 
 
-def test_the_sum_of_another_sampler_disagrees(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_sum_of_another_sampler_disagrees(monkeypatch):
     exact = variance_integral.exact("random")
     monkeypatch.setattr(variance_integral, "exact", lambda name: exact * 1.0001)
     assert judge(variance_integral._closed_sum("random")).agrees is False

@@ -1,7 +1,5 @@
 """The samplers that are held to the contract: one row each, more where parameters change much."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 __all__ = ["ANY", "GRIDS", "ROWS", "Row"]

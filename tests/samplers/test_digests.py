@@ -5,8 +5,6 @@ seeds 7 and 8 (of realisation 1 where sets are optimised). Delete a line and run
 ``python -m tests.samplers.test_digests`` to store new ones; say in the changelog why points changed.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from pathlib import Path

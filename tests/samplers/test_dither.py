@@ -1,7 +1,5 @@
 """Void and cluster: every step is the best there is; low-discrepancy blue noise: exact strata."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import qmc

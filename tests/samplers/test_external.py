@@ -1,15 +1,13 @@
 """Points from outside: arrays, files, callables and the engines of scipy.stats.qmc."""
 
-from __future__ import annotations
-
 import pickle
-import subprocess
 import sys
 
 import numpy as np
 import pytest
 from scipy import stats
 from scipy.stats import qmc
+from tests.processes import python
 
 import mcspectra as mcs
 from mcspectra.core.errors import (
@@ -653,5 +651,5 @@ def test_scipy_stats_is_imported_only_for_engines():
         "import sys; from mcspectra.samplers import external, poisson, sampler; "
         "sampler('points(points=[[0.5]])').draw(1); print('scipy.stats' in sys.modules)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = python("-c", code, check=True)
     assert done.stdout.strip() == "False"

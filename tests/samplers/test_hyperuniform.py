@@ -1,7 +1,5 @@
 """Hyperuniform sets: spectra, pairs and moments against closed forms; no power, exactly."""
 
-from __future__ import annotations
-
 import itertools
 from collections import Counter
 

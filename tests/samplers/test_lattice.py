@@ -1,7 +1,5 @@
 """Lattices and Kronecker points: dual lattices and multiples exactly, searches, gaps, discrepancy."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from fractions import Fraction

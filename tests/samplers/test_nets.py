@@ -1,7 +1,5 @@
 """Digital nets: against SciPy, slow references and theory; matrices; the quality t by two ways."""
 
-from __future__ import annotations
-
 import os
 from itertools import product
 from math import comb

@@ -1,7 +1,5 @@
 """What optimised samplers share: cache, progress, sets used again, descent."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar, final
 

@@ -1,7 +1,5 @@
 """Latin hypercubes and orthogonal arrays: every projection that must be stratified, exactly."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -4,8 +4,6 @@ The checks themselves (fractions, NaN, text for numbers) are tests of `core.chec
 for each field, and each rule of a class's own.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from mcspectra.core.errors import ParameterError

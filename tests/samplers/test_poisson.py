@@ -1,7 +1,5 @@
 """Points that keep apart: declared distances, no gaps, slow references, the law of dart throwing."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Progressive sequences: strata and elementary intervals of every power of two points, exactly."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

@@ -1,7 +1,5 @@
 """Projective blue noise: the declared distance in every projection, uniform points, a clear error."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

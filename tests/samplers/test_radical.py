@@ -1,7 +1,5 @@
 """Radical inverses: against SciPy, balance in base b, and the laws of the scrambled digits."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

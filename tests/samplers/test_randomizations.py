@@ -1,7 +1,5 @@
 """Randomisations of whole sets: what they keep exactly, what they make uniform, exact variances."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rates of convergence, of variance in n: fitted slopes against theory."""
 
-from __future__ import annotations
-
 import pytest
 
 import mcspectra as mcs

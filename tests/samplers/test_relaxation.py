@@ -1,7 +1,5 @@
 """Relaxed points: cells and energies against slow references, results, cost of transport."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Randomisations of digits: what they keep exactly in every base, what becomes uniform, counts."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 import numpy as np

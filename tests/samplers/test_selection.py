@@ -1,7 +1,5 @@
 """Subset, skip, shuffle: which points, in which order, with which probability; counts."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

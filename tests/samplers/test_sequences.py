@@ -1,7 +1,5 @@
 """Sequences: the first points of a longer set are the shorter set; what skip and mirror make of sets."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

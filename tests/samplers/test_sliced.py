@@ -1,7 +1,5 @@
 """Sliced optimal transport: quantiles of projected cubes in closed form, evenness on new lines."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

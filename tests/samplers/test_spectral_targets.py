@@ -1,7 +1,5 @@
 """Sets made to measure: transforms in closed form, gradients, power within its band, refusals."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import special

@@ -1,7 +1,5 @@
 """Parameters of stochastic and optimised samplers: what is out of range is refused by its name."""
 
-from __future__ import annotations
-
 import pytest
 
 from mcspectra.core.errors import ParameterError

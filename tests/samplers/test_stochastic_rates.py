@@ -1,7 +1,5 @@
 """Rates of convergence: of the variance on a disk, whose edge decides, and on smooth integrands."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Grids: who sits in which cell, exactly; what is random in it, by χ² and moments; lattices."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

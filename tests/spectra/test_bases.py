@@ -1,7 +1,5 @@
 """Bases: transforms against the functions written out, the identity of the terms, what fits what."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """What the functions of this room refuse: two tables, by the error."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Executors hand back every task once, hold few, and survive what tasks do."""
 
-import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
@@ -10,6 +8,7 @@ import dask
 import distributed  # noqa: F401 - whose configuration must be there before it is changed
 import msgspec
 import pytest
+from tests.processes import python
 
 from mcspectra.core.errors import NotPowerOfTwoWarning, ParameterError
 from mcspectra.studies import executors
@@ -146,9 +145,7 @@ if __name__ == "__main__":
 def test_processes_begin_deaf_to_ctrl_c(tmp_path):
     """The first one too: before it, multiprocessing starts a process, and then unblocks Ctrl-C."""
     (tmp_path / "masks.py").write_text(MASKS)
-    found = subprocess.run(
-        [sys.executable, "masks.py"], cwd=tmp_path, capture_output=True, text=True, check=True
-    )
+    found = python("masks.py", cwd=tmp_path, check=True)
     assert found.stdout.splitlines() == ["True", "True", "False"]
 
 

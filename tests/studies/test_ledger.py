@@ -14,6 +14,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from tests.processes import python
 
 from mcspectra.core.errors import OtherVersionsWarning, StorageError, StoreError
 from mcspectra.core.results import package_versions
@@ -32,18 +33,18 @@ PATHS = tuple(f"{e}/{s}/{a}" for e in "abcd" for s in "xyz" for a in ("convergen
 RUN = "0-0-10"
 
 
-def payload(path: str, size: int = 3000) -> bytes:
+def payload(path, size=3000):
     """Bytes that stand for the result of a cell."""
     return random.Random(path).randbytes(size)
 
 
-def scalars(path: str) -> dict[str, float]:
+def scalars(path):
     """Numbers that stand for the scalars of a cell."""
     return {"rate": random.Random(path).random(), "none": float("inf")}
 
 
 @pytest.fixture
-def running(tmp_path: Path) -> Path:
+def running(tmp_path):
     """A ledger of which half is finished, a cell has failed, and tasks are recorded."""
     with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
         for path in PATHS[:12]:
@@ -55,14 +56,14 @@ def running(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def finished(tmp_path: Path) -> Path:
+def finished(tmp_path):
     with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
         for path in PATHS:
             ledger.finish(path, payload(path), scalars(path))
     return tmp_path
 
 
-def test_what_is_told_is_read(running: Path) -> None:
+def test_what_is_told_is_read(running):
     with Ledger.read(running) as ledger:
         assert ledger.study == msgspec.structs.replace(NOTE, config="")
         assert ledger.config == NOTE.config
@@ -88,7 +89,7 @@ def test_what_is_told_is_read(running: Path) -> None:
         assert (ledger.tally.holder, ledger.tally.finished) == (None, None)
 
 
-def test_what_is_not_yet_committed_can_be_read_by_its_writer(tmp_path: Path) -> None:
+def test_what_is_not_yet_committed_can_be_read_by_its_writer(tmp_path):
     with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
         ledger.record(PATHS[0], RUN, (0, 2), b"state")
         assert ledger.state(PATHS[0], RUN, (0, 2)) == b"state"
@@ -99,7 +100,7 @@ def test_what_is_not_yet_committed_can_be_read_by_its_writer(tmp_path: Path) -> 
             ledger.finish(PATHS[0], b"other")
 
 
-def test_a_resumed_ledger_goes_on(running: Path) -> None:
+def test_a_resumed_ledger_goes_on(running):
     with Ledger.resume(running, NOTE, PATHS) as ledger:
         assert ledger.damaged == {}
         assert tuple(ledger.done) == PATHS[:12]
@@ -117,7 +118,7 @@ def test_a_resumed_ledger_goes_on(running: Path) -> None:
         assert not ledger.done
 
 
-def test_scalars_and_the_text_of_a_study_that_are_damaged_are_noticed(running: Path) -> None:
+def test_scalars_and_the_text_of_a_study_that_are_damaged_are_noticed(running):
     import sqlite3
 
     with contextlib.closing(sqlite3.connect(running / LEDGER_NAME)) as connection, connection:
@@ -134,7 +135,7 @@ def test_scalars_and_the_text_of_a_study_that_are_damaged_are_noticed(running: P
         assert PATHS[3] not in ledger.done
 
 
-def test_the_last_sentence_and_state_count_and_are_bounded(tmp_path: Path) -> None:
+def test_the_last_sentence_and_state_count_and_are_bounded(tmp_path):
     with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
         for text in ("first", "\ud800" + "much " * 10**5):
             ledger.fail(PATHS[0], text)
@@ -144,7 +145,7 @@ def test_the_last_sentence_and_state_count_and_are_bounded(tmp_path: Path) -> No
         assert ledger.state(PATHS[1], RUN, (0, 1)) == b"?mu"
 
 
-def test_commits_come_by_themselves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commits_come_by_themselves(tmp_path, monkeypatch):
     monkeypatch.setattr(ledger_module, "_COMMIT_SECONDS", 0.02)
     with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
         ledger.finish(PATHS[0], b"first")
@@ -156,27 +157,27 @@ def test_commits_come_by_themselves(tmp_path: Path, monkeypatch: pytest.MonkeyPa
             assert reader.result(PATHS[0]) == b"first"
 
 
-def test_much_is_committed_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_much_is_committed_at_once(tmp_path, monkeypatch):
     monkeypatch.setattr(ledger_module, "_COMMIT_SECONDS", 1000.0)
     with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
         ledger.finish(PATHS[0], bytes(2**25 + 1))
         assert ledger.tally.done == 1
 
 
-def test_results_are_not_written_over(running: Path) -> None:
+def test_results_are_not_written_over(running):
     with pytest.raises(StoreError, match="holds results already; give another --out, or --resume"):
         Ledger.create(running, NOTE, PATHS)
     Ledger.resume(running, NOTE, PATHS).close()  # it has been given free
 
 
-def test_another_study_is_refused(running: Path) -> None:
+def test_another_study_is_refused(running):
     other = msgspec.structs.replace(NOTE, study_hash="0" * 64)
     for note, paths in ((other, PATHS), (NOTE, PATHS[1:])):
         with pytest.raises(StoreError, match="belongs to another study or another version"):
             Ledger.resume(running, note, paths)
 
 
-def test_another_version_is_refused_and_of_other_packages_is_said(running: Path) -> None:
+def test_another_version_is_refused_and_of_other_packages_is_said(running):
     for name, refused in (("mcspectra", True), ("scipy", False)):
         other = msgspec.structs.replace(NOTE, versions=NOTE.versions | {f"version_{name}": "0.0.1"})
         context = pytest.raises(StoreError, match=r"this is 0\.0\.1, whose numbers may differ")
@@ -186,7 +187,7 @@ def test_another_version_is_refused_and_of_other_packages_is_said(running: Path)
             Ledger.resume(running, other, PATHS).close()
 
 
-def test_changed_inputs_are_refused_or_their_cells_forgotten(running: Path) -> None:
+def test_changed_inputs_are_refused_or_their_cells_forgotten(running):
     other = msgspec.structs.replace(NOTE, inputs={"data/a.npy": "1" * 64})
     with pytest.raises(StoreError, match=r"not of the file 'data/a.npy' as found now: .*--retry"):
         Ledger.resume(running, other, PATHS)
@@ -202,7 +203,7 @@ def test_changed_inputs_are_refused_or_their_cells_forgotten(running: Path) -> N
         assert ledger.verify() == {}
 
 
-def test_a_second_writer_is_refused_and_told_of_the_first(running: Path) -> None:
+def test_a_second_writer_is_refused_and_told_of_the_first(running):
     with Ledger.resume(running, NOTE, PATHS) as first:
         assert is_held(running)
         with pytest.raises(StoreError, match=f"written by process {os.getpid()} on host"):
@@ -212,7 +213,7 @@ def test_a_second_writer_is_refused_and_told_of_the_first(running: Path) -> None
     Ledger.resume(running, NOTE, PATHS).close()
 
 
-def test_a_note_of_a_holder_is_no_lock(running: Path) -> None:
+def test_a_note_of_a_holder_is_no_lock(running):
     code = (
         "import os, sys\nfrom tests.studies.test_ledger import *\n"
         f"ledger = Ledger.resume(Path({str(running)!r}), NOTE, PATHS)\nos.kill(os.getpid(), 9)\n"
@@ -228,11 +229,11 @@ def test_a_note_of_a_holder_is_no_lock(running: Path) -> None:
         assert ledger.tally.holder.pid == os.getpid()
 
 
-def test_readers_see_whole_commits_while_it_is_written(tmp_path: Path) -> None:
+def test_readers_see_whole_commits_while_it_is_written(tmp_path):
     over = threading.Event()
     seen: list[int] = []
 
-    def look() -> None:
+    def look():
         while not over.is_set():
             with Ledger.read(tmp_path) as reader:
                 assert not reader.damaged
@@ -289,17 +290,11 @@ with Ledger.resume(out, NOTE, PATHS) as ledger:
 """
 
 
-def killed_at_moments(folder: Path, kills: int) -> None:
+def killed_at_moments(folder, kills):
     """Kill writers at random moments; the ledger is always sound, and grows."""
     killed = done = 0
     while killed < kills:
-        ended = subprocess.run(
-            [sys.executable, "-c", KILLED, str(folder), str(killed)],
-            capture_output=True,
-            text=True,
-            check=False,
-            cwd=Path(__file__).parents[2],
-        )
+        ended = python("-c", KILLED, folder, killed, cwd=Path(__file__).parents[2])
         assert ended.stderr == ""
         assert ended.returncode in (0, -signal.SIGKILL)
         killed += ended.returncode != 0
@@ -314,16 +309,16 @@ def killed_at_moments(folder: Path, kills: int) -> None:
             done = 0
 
 
-def test_killed_at_any_moment_it_is_sound(tmp_path: Path) -> None:
+def test_killed_at_any_moment_it_is_sound(tmp_path):
     killed_at_moments(tmp_path / "out", 6)
 
 
 @pytest.mark.endurance
-def test_killed_at_150_moments_it_is_sound(tmp_path: Path) -> None:
+def test_killed_at_150_moments_it_is_sound(tmp_path):
     killed_at_moments(tmp_path / "out", 150)
 
 
-def mutated(file: Path, chosen: random.Random) -> None:
+def mutated(file, chosen):
     """Change, zero or cut off random bytes."""
     content = bytearray(file.read_bytes())
     at = chosen.randrange(len(content))
@@ -341,7 +336,7 @@ def mutated(file: Path, chosen: random.Random) -> None:
     file.write_bytes(content)
 
 
-def check_mutation(folder: Path) -> str:
+def check_mutation(folder):
     """What came of a damaged ledger: each value is the right one, or it is said that it is not."""
     noticed = False
     try:
@@ -392,7 +387,7 @@ def check_mutation(folder: Path) -> str:
     return "noticed" if noticed else "without effect"
 
 
-def check_mutations(folder: Path, work: Path, number: int, seed: int) -> dict[str, int]:
+def check_mutations(folder, work, number, seed):
     """Damage copies of a ledger; how many were refused, noticed, or without effect."""
     chosen, found = random.Random(seed), {"refused": 0, "noticed": 0, "without effect": 0}
     for _ in range(number):
@@ -405,18 +400,14 @@ def check_mutations(folder: Path, work: Path, number: int, seed: int) -> dict[st
 
 
 @pytest.mark.parametrize("kind", ["running", "finished"])
-def test_no_damage_gives_a_wrong_value(
-    request: pytest.FixtureRequest, tmp_path: Path, kind: str
-) -> None:
+def test_no_damage_gives_a_wrong_value(request, tmp_path, kind):
     found = check_mutations(request.getfixturevalue(kind), tmp_path / "work", 20, 1)
     assert found["noticed"] > 5
 
 
 @pytest.mark.endurance
 @pytest.mark.parametrize("kind", ["running", "finished"])
-def test_no_damage_of_many_gives_a_wrong_value(
-    request: pytest.FixtureRequest, tmp_path: Path, kind: str
-) -> None:
+def test_no_damage_of_many_gives_a_wrong_value(request, tmp_path, kind):
     print(kind, check_mutations(request.getfixturevalue(kind), tmp_path / "work", 500, 2))
 
 
@@ -439,16 +430,10 @@ except StorageError as error:
 """
 
 
-def test_a_full_disk_is_one_sentence_and_loses_nothing(tmp_path: Path) -> None:
+def test_a_full_disk_is_one_sentence_and_loses_nothing(tmp_path):
     out, done = tmp_path / "out", 0
     for limit in (10_000, 100_000, 120_000, 10**6):
-        ended = subprocess.run(
-            [sys.executable, "-c", LIMITED, str(out), str(limit)],
-            capture_output=True,
-            text=True,
-            check=False,
-            cwd=Path(__file__).parents[2],
-        )
+        ended = python("-c", LIMITED, out, limit, cwd=Path(__file__).parents[2])
         assert ended.stderr == ""
         assert ended.returncode == (limit < 10**6)
         assert (
@@ -469,12 +454,10 @@ def test_a_full_disk_is_one_sentence_and_loses_nothing(tmp_path: Path) -> None:
     assert done == len(PATHS)
 
 
-def test_what_a_commit_of_the_thread_meets_ends_the_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_commit_of_the_thread_meets_ends_the_run(tmp_path, monkeypatch):
     monkeypatch.setattr(ledger_module, "_COMMIT_SECONDS", 0.01)
 
-    def finish_all(ledger: Ledger) -> None:
+    def finish_all(ledger):
         monkeypatch.setattr(ledger_module, "_PUT_TEXT", "INSERT INTO none VALUES (?, ?, ?, ?)")
         for path in PATHS:
             ledger.finish(path, payload(path))
@@ -492,22 +475,20 @@ def test_what_a_commit_of_the_thread_meets_ends_the_run(
     Ledger.resume(tmp_path, NOTE, PATHS).close()
 
 
-def test_an_interrupted_commit_is_made_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_commit_is_made_again(tmp_path, monkeypatch):
     """Ctrl-C while it is being written: nothing of it is there, and closing writes it."""
     monkeypatch.setattr(ledger_module, "_COMMIT_SECONDS", 1000.0)
     write = Ledger._write
 
-    def interrupted(self: Ledger, steps: object, tally: object) -> None:
-        def steps_then_signal() -> object:
+    def interrupted(self, steps, tally):
+        def steps_then_signal():
             yield from steps
             raise KeyboardInterrupt
 
         monkeypatch.setattr(Ledger, "_write", write)
         write(self, steps_then_signal(), tally)
 
-    def run() -> None:
+    def run():
         with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
             ledger.finish(PATHS[0], payload(PATHS[0]))
             monkeypatch.setattr(Ledger, "_write", interrupted)
@@ -521,7 +502,7 @@ def test_an_interrupted_commit_is_made_again(
         assert ledger.tally.holder is None
 
 
-def test_folders_that_cannot_be_written_are_a_sentence(tmp_path: Path) -> None:
+def test_folders_that_cannot_be_written_are_a_sentence(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(StoreError, match="cannot be written: Not a directory; give another") as met:
         Ledger.create(tmp_path / "file" / "out", NOTE, PATHS)
@@ -540,27 +521,21 @@ for look in (lambda: Ledger.create(Path(sys.argv[1]), NOTE, PATHS), lambda: chec
 """
 
 
-def test_folders_that_are_shut_are_a_sentence() -> None:
+def test_folders_that_are_shut_are_a_sentence():
     """Of a user without root's rights, who does not reach pytest's folders."""
     with tempfile.TemporaryDirectory() as name:
         for part, mode in (("", 0o755), ("closed", 0o000), ("read-only", 0o555)):
             Path(name, part).mkdir(exist_ok=True)
             Path(name, part).chmod(mode)
-        ended = subprocess.run(
-            [sys.executable, "-c", SHUT, f"{name}/read-only", f"{name}/closed"],
-            capture_output=True,
-            text=True,
-            check=False,
-            cwd=Path(__file__).parents[2],
+        ended = python(
+            "-c", SHUT, f"{name}/read-only", f"{name}/closed", cwd=Path(__file__).parents[2]
         )
         Path(name, "closed").chmod(0o700)
     assert "read-only' cannot be written: unable to open database file" in ended.stdout
     assert "closed' cannot be read: Permission denied." in ended.stdout, ended.stderr
 
 
-def test_a_finished_ledger_is_read_without_the_right_to_write(
-    finished: Path, tmp_path: Path
-) -> None:
+def test_a_finished_ledger_is_read_without_the_right_to_write(finished, tmp_path):
     (finished / LEDGER_NAME).chmod(0o444)
     with Ledger.read(finished) as ledger:
         assert ledger.result(PATHS[0]) == payload(PATHS[0])
@@ -583,9 +558,7 @@ def test_a_finished_ledger_is_read_without_the_right_to_write(
         ("figures", "nothing-there"),
     ],
 )
-def test_a_folder_with_links_is_not_written(
-    running: Path, tmp_path_factory: pytest.TempPathFactory, link: str, target: str
-) -> None:
+def test_a_folder_with_links_is_not_written(running, tmp_path_factory, link, target):
     secret = tmp_path_factory.mktemp("secret")
     (secret / "key").write_text("mine")
     place = running / link
@@ -600,7 +573,7 @@ def test_a_folder_with_links_is_not_written(
     assert {file.name: file.read_text() for file in secret.iterdir()} == {"key": "mine"}
 
 
-def test_what_whoever_runs_it_has_linked_is_fine(running: Path, tmp_path: Path) -> None:
+def test_what_whoever_runs_it_has_linked_is_fine(running, tmp_path):
     """The output folder itself, and other files in the folder."""
     (tmp_path / "scratch").symlink_to(running)
     (running / "notes").symlink_to(tmp_path)
@@ -610,7 +583,7 @@ def test_what_whoever_runs_it_has_linked_is_fine(running: Path, tmp_path: Path) 
     check_links(running / LEDGER_NAME)
 
 
-def test_a_stranger_is_no_ledger(tmp_path: Path) -> None:
+def test_a_stranger_is_no_ledger(tmp_path):
     import sqlite3
 
     (tmp_path / LEDGER_NAME).write_bytes(b"text")

@@ -7,7 +7,6 @@ import random
 import shutil
 import warnings
 import zipfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +45,7 @@ VARIANCE = np.array([[0.1, 1 / 3, np.nan], [np.inf, -0.0, 1e-300]])
 PATHS = ("a/random/convergence", "b/random/terms", "b/jittered/terms")
 
 
-def convergence() -> xr.Dataset:
+def convergence():
     return xr.Dataset(
         {
             "variance": (("n", "channel"), VARIANCE, {"units": "f²", "long_name": "variance"}),
@@ -67,7 +66,7 @@ def convergence() -> xr.Dataset:
     )
 
 
-def terms() -> xr.Dataset:
+def terms():
     return xr.Dataset(
         {"coefficient": (("m",), np.array([1 + 2j, -0.5j])), "found": (("m",), [True, False])},
         coords={"m": [-1, 1]},
@@ -75,7 +74,7 @@ def terms() -> xr.Dataset:
     )
 
 
-def numbers(seed: int = 0) -> xr.Dataset:
+def numbers(seed=0):
     """Numbers of all kinds that results have."""
     rng = np.random.default_rng(seed)
     found = dataset({"variance": (("n",), rng.random(3))}, {"n": [4, 16, 64]}, seed=seed)
@@ -92,7 +91,7 @@ def numbers(seed: int = 0) -> xr.Dataset:
     ).assign_coords(alone=("n", [0.5, np.nan, 1.5]))
 
 
-def written(folder: Path, cells: dict[str, xr.Dataset], paths: tuple[str, ...] = ()) -> Path:
+def written(folder, cells, paths=()):
     """A study's folder with these cells, and its store."""
     with Ledger.create(folder, NOTE, paths or tuple(cells)) as ledger:
         for path, cell in cells.items():
@@ -102,19 +101,19 @@ def written(folder: Path, cells: dict[str, xr.Dataset], paths: tuple[str, ...] =
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     cells = {PATHS[0]: convergence(), PATHS[1]: terms()}
     return written(tmp_path_factory.mktemp("study"), cells, PATHS)
 
 
 @pytest.fixture
-def copy(folder: Path, tmp_path: Path) -> Path:
+def copy(folder, tmp_path):
     """The study's folder, to be damaged."""
     return Path(shutil.copytree(folder, tmp_path / "out"))
 
 
 @pytest.fixture
-def memory() -> Iterator[str]:
+def memory():
     """A URL of memory, empty again afterwards."""
     yield "memory://results-test"
     files = fsspec.filesystem("memory")
@@ -122,7 +121,7 @@ def memory() -> Iterator[str]:
         files.rm("memory://results-test", recursive=True)
 
 
-def same_results(found: str | Path, expected: str | Path) -> None:
+def same_results(found, expected):
     one, two = open_results(found), open_results(expected)
     assert one.attrs == two.attrs
     assert sorted(node.path for node in one.leaves) == sorted(node.path for node in two.leaves)
@@ -130,14 +129,14 @@ def same_results(found: str | Path, expected: str | Path) -> None:
         identical(node.to_dataset(), two[node.path].to_dataset())
 
 
-def identical(found: xr.Dataset, expected: xr.Dataset) -> None:
+def identical(found, expected):
     xr.testing.assert_identical(found, expected)
     for name in expected.variables:
         assert found[name].dtype == expected[name].dtype
         assert found[name].values.tobytes() == expected[name].values.tobytes()
 
 
-def test_numbers_are_read_bit_for_bit_from_the_ledger_and_from_the_store(tmp_path: Path) -> None:
+def test_numbers_are_read_bit_for_bit_from_the_ledger_and_from_the_store(tmp_path):
     cells = {f"a/s{seed}/terms": numbers(seed) for seed in range(3)}
     out = written(tmp_path, cells)
     for source in (out, out / "results.zarr"):
@@ -154,7 +153,7 @@ def test_numbers_are_read_bit_for_bit_from_the_ledger_and_from_the_store(tmp_pat
 
 
 @pytest.mark.parametrize("consolidated", [True, False])
-def test_xarray_and_zarr_alone_read_the_store(folder: Path, consolidated: bool) -> None:
+def test_xarray_and_zarr_alone_read_the_store(folder, consolidated):
     store = folder / "results.zarr"
     tree = xr.open_datatree(store, engine="zarr", consolidated=consolidated)
     found = tree[PATHS[0]].to_dataset()
@@ -167,7 +166,7 @@ def test_xarray_and_zarr_alone_read_the_store(folder: Path, consolidated: bool) 
     assert root[f"{PATHS[1]}/found"].shape == (2,)
 
 
-def test_consolidated_metadata_are_those_that_zarr_writes(copy: Path) -> None:
+def test_consolidated_metadata_are_those_that_zarr_writes(copy):
     document = copy / "results.zarr" / "zarr.json"
     ours = json.loads(document.read_text())["consolidated_metadata"]["metadata"]
     with warnings.catch_warnings(action="ignore"):
@@ -179,7 +178,7 @@ def test_consolidated_metadata_are_those_that_zarr_writes(copy: Path) -> None:
             assert ours[path].get(key) == expected.get(key)
 
 
-def test_documents_are_those_that_xarray_and_zarr_write() -> None:
+def test_documents_are_those_that_xarray_and_zarr_write():
     kinds = ("?", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f2", "f4", "f8", "c8", "c16")
     cell = numbers().assign({f"of_{kind}": ("b", np.zeros(3, kind)) for kind in kinds})
     ours = dict(results._store_files({}, [("a/b/terms", cell)]))
@@ -195,14 +194,14 @@ def test_documents_are_those_that_xarray_and_zarr_write() -> None:
             assert ours[name] == content.to_bytes(), name
 
 
-def test_texts_become_labels(folder: Path) -> None:
+def test_texts_become_labels(folder):
     cell = open_results(folder)[PATHS[0]].to_dataset()
     assert sorted(cell.coords) == ["n"]
     assert cell.attrs["labels_channel"] == ["red", "green", "blue"]
     assert "labels_bound" not in cell.attrs
 
 
-def test_a_part_can_be_opened(folder: Path) -> None:
+def test_a_part_can_be_opened(folder):
     for source in (folder, folder / "results.zarr"):
         for select in ("b/*", PATHS[1], "b/random/terms"):
             tree = open_results(source, select)
@@ -215,7 +214,7 @@ def test_a_part_can_be_opened(folder: Path) -> None:
         open_results(folder, PATHS[2])
 
 
-def test_scalars_of_all_results_are_a_table(folder: Path, tmp_path: Path) -> None:
+def test_scalars_of_all_results_are_a_table(folder, tmp_path):
     with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
         for path, cell in ((PATHS[0], convergence()), (PATHS[1], numbers())):
             ledger.finish(path, pack(cell), scalars_of(cell))
@@ -228,14 +227,14 @@ def test_scalars_of_all_results_are_a_table(folder: Path, tmp_path: Path) -> Non
         assert result_scalars(source, "a/*") == {PATHS[0]: {"rate": -1.5}}
 
 
-def test_a_cell_by_its_path_comes_without_the_text_of_the_study(folder: Path, copy: Path) -> None:
+def test_a_cell_by_its_path_comes_without_the_text_of_the_study(folder, copy):
     tree = open_results(folder, PATHS[0])
     assert (tree.attrs["study_hash"], "study" in tree.attrs) == (NOTE.study_hash, False)
     export_results(folder, copy / "x.json", PATHS[0])
     assert json.loads((copy / "x.json").read_text())["attributes"]["study"]["title"] == "t ü"
 
 
-def test_results_of_a_running_study_are_read(tmp_path: Path) -> None:
+def test_results_of_a_running_study_are_read(tmp_path):
     with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
         ledger.finish(PATHS[1], pack(terms()))
         ledger.commit()
@@ -244,7 +243,7 @@ def test_results_of_a_running_study_are_read(tmp_path: Path) -> None:
         assert study_status(tmp_path).state == "running"
 
 
-def test_a_damaged_ledger_is_not_opened_in_silence(copy: Path) -> None:
+def test_a_damaged_ledger_is_not_opened_in_silence(copy):
     content = (copy / LEDGER_NAME).read_bytes()
     at = content.index(np.float64(1 / 3).tobytes())
     (copy / LEDGER_NAME).write_bytes(content[:at] + b"!" + content[at + 1 :])
@@ -258,7 +257,7 @@ def test_a_damaged_ledger_is_not_opened_in_silence(copy: Path) -> None:
         open_results(copy)
 
 
-def changed(tree: Path, chosen: random.Random) -> str:
+def changed(tree, chosen):
     """Change, remove, add or exchange a file of a store; what was done."""
     files = sorted(file for file in tree.rglob("*") if file.is_file())
     file, other = chosen.sample(files, 2)
@@ -291,7 +290,7 @@ def changed(tree: Path, chosen: random.Random) -> str:
     return f"{kind} {file.relative_to(tree)}"
 
 
-def check_changes(store: Path, work: Path, number: int, seed: int) -> None:
+def check_changes(store, work, number, seed):
     chosen = random.Random(seed)
     for _ in range(number):
         shutil.rmtree(work, ignore_errors=True)
@@ -305,16 +304,16 @@ def check_changes(store: Path, work: Path, number: int, seed: int) -> None:
             pytest.fail(done)
 
 
-def test_every_change_of_a_store_is_noticed(folder: Path, tmp_path: Path) -> None:
+def test_every_change_of_a_store_is_noticed(folder, tmp_path):
     check_changes(folder / "results.zarr", tmp_path / "x.zarr", 30, 3)
 
 
 @pytest.mark.endurance
-def test_every_change_of_many_of_a_store_is_noticed(folder: Path, tmp_path: Path) -> None:
+def test_every_change_of_many_of_a_store_is_noticed(folder, tmp_path):
     check_changes(folder / "results.zarr", tmp_path / "x.zarr", 1000, 4)
 
 
-def test_a_flipped_number_is_noticed_by_plain_readers(copy: Path) -> None:
+def test_a_flipped_number_is_noticed_by_plain_readers(copy):
     chunk = copy / "results.zarr" / PATHS[0] / "variance" / "c" / "0" / "0"
     content = chunk.read_bytes()
     chunk.write_bytes(b"!" + content[1:])
@@ -327,7 +326,7 @@ def test_a_flipped_number_is_noticed_by_plain_readers(copy: Path) -> None:
     assert study_status(copy, verify=True).damaged == {}
 
 
-def stranger(folder: Path, change: Any) -> Path:
+def stranger(folder, change):
     """A store of one array that somebody has made, with a digest, after `change` of its files."""
     cell = xr.Dataset({"x": ("n", np.arange(30.0))})
     files = dict(results._store_files({"format": 4}, [("a/b/terms", cell)]))
@@ -344,8 +343,8 @@ def stranger(folder: Path, change: Any) -> Path:
     return folder
 
 
-def with_metadata(**more: Any) -> Any:
-    def change(files: dict[str, bytes]) -> None:
+def with_metadata(**more):
+    def change(files):
         name = "a/b/terms/x/zarr.json"
         files[name] = json.dumps(json.loads(files[name]) | more).encode()
 
@@ -375,18 +374,14 @@ CRC = {"name": "crc32c"}
         ({"dimension_names": 3}, "is damaged"),
     ],
 )
-def test_arrays_that_results_never_hold_are_refused(
-    tmp_path: Path, changes: dict[str, Any], sentence: str
-) -> None:
+def test_arrays_that_results_never_hold_are_refused(tmp_path, changes, sentence):
     open_results(stranger(tmp_path / "sound.zarr", lambda _: None))
     with pytest.raises(StoreError, match=sentence):
         open_results(stranger(tmp_path / "x.zarr", with_metadata(**changes)))
 
 
 @pytest.mark.parametrize("number", [3, "4", None, [2]])
-def test_other_formats_are_refused_and_earlier_ones_told_how_to_read(
-    copy: Path, number: Any
-) -> None:
+def test_other_formats_are_refused_and_earlier_ones_told_how_to_read(copy, number):
     file = copy / "results.zarr" / "zarr.json"
     document = json.loads(file.read_text())
     document["attributes"]["format"] = number
@@ -399,7 +394,7 @@ def test_other_formats_are_refused_and_earlier_ones_told_how_to_read(
         Ledger.resume(copy, NOTE, PATHS)
 
 
-def test_what_is_no_store_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_no_store_is_a_sentence(tmp_path, monkeypatch):
     (tmp_path / "bad.zip").write_bytes(b"PK\x03\x04 and no more")
     with zipfile.ZipFile(tmp_path / "empty.zip", "w"):
         pass
@@ -418,7 +413,7 @@ def test_what_is_no_store_is_a_sentence(tmp_path: Path, monkeypatch: pytest.Monk
         with pytest.raises(StoreError, match=sentence):
             open_results(source)
 
-    def missing(_: str) -> None:
+    def missing(_):
         raise ImportError("Install s3fs\n to access S3.")
 
     monkeypatch.setattr("fsspec.core.url_to_fs", missing)
@@ -429,9 +424,7 @@ def test_what_is_no_store_is_a_sentence(tmp_path: Path, monkeypatch: pytest.Monk
         open_results("memory://x")
 
 
-def test_what_is_larger_than_memory_is_refused(
-    folder: Path, tmp_path: Path, memory: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_larger_than_memory_is_refused(folder, tmp_path, memory, monkeypatch):
     file = export_results(folder, tmp_path / "x.zarr.zip")
     url = export_results(folder, f"{memory}/x.zarr")
     monkeypatch.setattr(results, "available_memory", lambda: 100)
@@ -442,7 +435,7 @@ def test_what_is_larger_than_memory_is_refused(
 
 
 @pytest.mark.parametrize("link", ["a", "b/random/terms", "b/random/terms/m/c/0", "zarr.json"])
-def test_links_inside_a_store_are_not_read(copy: Path, tmp_path: Path, link: str) -> None:
+def test_links_inside_a_store_are_not_read(copy, tmp_path, link):
     inside = copy / "results.zarr" / link
     inside.rename(tmp_path / "elsewhere")  # the same bytes: nothing but the link can be the reason
     inside.symlink_to(tmp_path / "elsewhere")
@@ -453,19 +446,15 @@ def test_links_inside_a_store_are_not_read(copy: Path, tmp_path: Path, link: str
         open_results(tmp_path / "some.zarr")
 
 
-def test_a_study_of_many_cells_has_no_store_at_its_end(
-    folder: Path, copy: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_study_of_many_cells_has_no_store_at_its_end(folder, copy, monkeypatch):
     monkeypatch.setattr(results, "MOST_STORED", 1)
     assert write_zarr(copy) is None
     assert not (copy / "results.zarr").exists()
     same_results(export_results(copy, copy / "x.zarr"), folder)
 
 
-def test_a_store_that_cannot_be_written_leaves_the_earlier_one(
-    copy: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def failing(*_: Any) -> None:
+def test_a_store_that_cannot_be_written_leaves_the_earlier_one(copy, monkeypatch):
+    def failing(*_):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(results, "_write_folder", failing)
@@ -474,7 +463,7 @@ def test_a_store_that_cannot_be_written_leaves_the_earlier_one(
     assert open_results(copy / "results.zarr").leaves
 
 
-def check_table(table: pd.DataFrame) -> None:
+def check_table(table):
     """The long table against the datasets, a row at a time."""
     of = table[table["variable"] == "variance"]
     assert len(of) == 6
@@ -501,13 +490,13 @@ def check_table(table: pd.DataFrame) -> None:
     assert len(table) == 6 + 4 + 1 + 2 + 2
 
 
-def check_attributes(attributes: dict[str, Any]) -> None:
+def check_attributes(attributes):
     assert attributes["study"]["study"]["title"] == "t ü"
     assert attributes["cells"][PATHS[0]]["seed"] == 3
     assert attributes["cells"][PATHS[0]]["labels_channel"] == ["red", "green", "blue"]
 
 
-def test_csv(folder: Path, tmp_path: Path) -> None:
+def test_csv(folder, tmp_path):
     file = export_results(folder, tmp_path / "out.csv")
     first = file.read_text(encoding="utf-8").partition("\n")[0]
     check_attributes(json.loads(first.removeprefix("# ")))
@@ -519,15 +508,15 @@ def test_csv(folder: Path, tmp_path: Path) -> None:
     assert {"0.1", "0.3333333333333333", "nan", "inf", "-0.0", "1e-300"} <= values
 
 
-def test_parquet(folder: Path, tmp_path: Path) -> None:
+def test_parquet(folder, tmp_path):
     file = export_results(str(folder), str(tmp_path / "out.parquet"))
     table = pyarrow.parquet.read_table(file)
     check_attributes(json.loads(table.schema.metadata[b"mcspectra"]))
     check_table(table.to_pandas())
 
 
-def test_json(folder: Path, tmp_path: Path) -> None:
-    def refuse(text: str) -> None:
+def test_json(folder, tmp_path):
+    def refuse(text):
         raise AssertionError(text)
 
     file = export_results(folder, tmp_path / "out.json")
@@ -544,7 +533,7 @@ def test_json(folder: Path, tmp_path: Path) -> None:
     assert cells[PATHS[1]]["variables"]["found"]["values"] == [True, False]
 
 
-def test_netcdf(folder: Path, tmp_path: Path) -> None:
+def test_netcdf(folder, tmp_path):
     file = export_results(folder, tmp_path / "out.nc")
     with xr.open_dataset(file, engine="scipy") as found:
         name = "a.random.convergence"
@@ -561,14 +550,14 @@ def test_netcdf(folder: Path, tmp_path: Path) -> None:
         assert json.loads(found.attrs[name])["labels_channel"] == ["red", "green", "blue"]
 
 
-def test_netcdf_refuses_whole_numbers_that_it_would_round(tmp_path: Path) -> None:
+def test_netcdf_refuses_whole_numbers_that_it_would_round(tmp_path):
     written(tmp_path / "out", {"a/b/terms": xr.Dataset({"x": ("n", np.array([2**53 + 1]))})})
     with pytest.raises(StoreError, match="no whole numbers beyond"):
         export_results(tmp_path / "out", tmp_path / "out.nc")
     assert not (tmp_path / "out.nc").exists()
 
 
-def test_netcdf_refuses_cells_of_one_name(tmp_path: Path) -> None:
+def test_netcdf_refuses_cells_of_one_name(tmp_path):
     written(tmp_path / "out", {"a/b.c/terms": terms(), "a.b/c/terms": terms()})
     words = "'a/b.c/terms' and 'a.b/c/terms' would both be 'a.b.c.terms'"
     with pytest.raises(StoreError, match=words):
@@ -579,9 +568,7 @@ def test_netcdf_refuses_cells_of_one_name(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("select", ["", 5, b"a/*", ["a/*"]])
 @pytest.mark.parametrize("inside", ["", "results.zarr"])
-def test_what_selects_nothing_is_refused(
-    folder: Path, tmp_path: Path, inside: str, select: Any
-) -> None:
+def test_what_selects_nothing_is_refused(folder, tmp_path, inside, select):
     for call in (
         lambda: open_results(folder / inside, select),
         lambda: result_scalars(folder / inside, select),
@@ -591,7 +578,7 @@ def test_what_selects_nothing_is_refused(
             call()
 
 
-def test_names_without_letters_in_a_zip_are_damage(folder: Path, tmp_path: Path) -> None:
+def test_names_without_letters_in_a_zip_are_damage(folder, tmp_path):
     file = export_results(folder, tmp_path / "x.zarr.zip")
     content = bytearray(file.read_bytes())
     start = content.rindex(b"PK\x01\x02")  # the last entry of the central directory
@@ -601,7 +588,7 @@ def test_names_without_letters_in_a_zip_are_damage(folder: Path, tmp_path: Path)
         open_results(file)
 
 
-def test_zip_is_the_store_and_the_same_bytes_each_time(folder: Path, tmp_path: Path) -> None:
+def test_zip_is_the_store_and_the_same_bytes_each_time(folder, tmp_path):
     one = export_results(folder, tmp_path / "one.zarr.zip")
     two = export_results(folder, tmp_path / "two.zarr.zip")
     assert one.read_bytes() == two.read_bytes()
@@ -616,7 +603,7 @@ def test_zip_is_the_store_and_the_same_bytes_each_time(folder: Path, tmp_path: P
     assert table.read_bytes() == export_results(folder, tmp_path / "out.csv").read_bytes()
 
 
-def test_a_part_can_be_exported(folder: Path, tmp_path: Path) -> None:
+def test_a_part_can_be_exported(folder, tmp_path):
     found = json.loads(export_results(folder, tmp_path / "b.json", "b/*").read_text("utf-8"))
     assert [each["path"] for each in found["cells"]] == [PATHS[1]]
     part = export_results(folder, tmp_path / "b.zarr.zip", "b/*")
@@ -626,14 +613,12 @@ def test_a_part_can_be_exported(folder: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["out.txt", "out", "csv", "out.zip"])
-def test_other_ends_are_refused(folder: Path, tmp_path: Path, name: str) -> None:
+def test_other_ends_are_refused(folder, tmp_path, name):
     with pytest.raises(ParameterError, match="has none of the ends"):
         export_results(folder, tmp_path / name)
 
 
-def test_what_cannot_be_written_is_a_sentence_and_leaves_nothing(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_written_is_a_sentence_and_leaves_nothing(folder, tmp_path, monkeypatch):
     with pytest.raises(ParameterError, match="cannot be written: there is no such folder"):
         export_results(folder, tmp_path / "none" / "out.csv")
     with pytest.raises(StoreError, match="no results"):
@@ -641,7 +626,7 @@ def test_what_cannot_be_written_is_a_sentence_and_leaves_nothing(
     old = tmp_path / "out.json"
     old.write_text("old")
 
-    def failing(*_: Any) -> None:
+    def failing(*_):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setitem(results._WRITERS, ".json", failing)
@@ -654,9 +639,7 @@ def test_what_cannot_be_written_is_a_sentence_and_leaves_nothing(
     assert [path.name for path in tmp_path.iterdir()] == ["out.json"]
 
 
-def test_a_store_goes_to_a_folder_and_to_a_url_and_back(
-    folder: Path, tmp_path: Path, memory: str
-) -> None:
+def test_a_store_goes_to_a_folder_and_to_a_url_and_back(folder, tmp_path, memory):
     local = export_results(folder, tmp_path / "copy.zarr")
     assert local == tmp_path / "copy.zarr"
     same_results(local, folder)
@@ -677,9 +660,7 @@ def test_a_store_goes_to_a_folder_and_to_a_url_and_back(
     same_results(f"{memory}/study", folder)
 
 
-def test_a_store_that_is_there_is_not_written_over(
-    folder: Path, tmp_path: Path, memory: str
-) -> None:
+def test_a_store_that_is_there_is_not_written_over(folder, tmp_path, memory):
     (tmp_path / "x.zarr").mkdir()
     with pytest.raises(ParameterError, match="exists already"):
         export_results(folder, tmp_path / "x.zarr")
@@ -689,7 +670,7 @@ def test_a_store_that_is_there_is_not_written_over(
     same_results(f"{memory}/x.zarr", folder)
 
 
-def test_urls_take_stores_only(folder: Path) -> None:
+def test_urls_take_stores_only(folder):
     for name in ("memory://x.csv", "s3://bucket/x.zarr.zip"):
         with pytest.raises(ParameterError, match="is a URL, where only a store can be written"):
             export_results(folder, name)
@@ -697,13 +678,11 @@ def test_urls_take_stores_only(folder: Path) -> None:
         export_results(folder, "strange://x.zarr")
 
 
-def test_a_url_that_fails_has_no_half_of_a_store(
-    folder: Path, memory: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_url_that_fails_has_no_half_of_a_store(folder, memory, monkeypatch):
     files = fsspec.filesystem("memory")
     piped, done = type(files).pipe, []
 
-    def failing(self: Any, path: str, value: bytes) -> None:
+    def failing(self, path, value):
         done.append(path)
         if len(done) > 3:
             raise RuntimeError("no space\nleft.")
@@ -717,7 +696,7 @@ def test_a_url_that_fails_has_no_half_of_a_store(
 
 
 @pytest.mark.parametrize("path", ["../evil/terms", "a/../../evil", "c:/evil", "a\\..\\evil/x"])
-def test_names_that_lead_out_of_a_store_are_not_followed(tmp_path: Path, path: str) -> None:
+def test_names_that_lead_out_of_a_store_are_not_followed(tmp_path, path):
     with Ledger.create(tmp_path / "out", NOTE, (path,)) as ledger:
         ledger.finish(path, pack(terms()))
     with pytest.raises(StoreError, match="which is no path in a store|may not contain"):
@@ -725,7 +704,7 @@ def test_names_that_lead_out_of_a_store_are_not_followed(tmp_path: Path, path: s
     assert sorted(file.name for file in tmp_path.rglob("*")) == ["out", "study.lock", LEDGER_NAME]
 
 
-def test_the_status_says_what_is_done_failed_and_missing(tmp_path: Path) -> None:
+def test_the_status_says_what_is_done_failed_and_missing(tmp_path):
     with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
         ledger.finish(PATHS[0], pack(convergence()))
         ledger.fail(PATHS[1], "It gave NaN.")
@@ -753,7 +732,7 @@ def test_the_status_says_what_is_done_failed_and_missing(tmp_path: Path) -> None
     assert status.finished is not None
 
 
-def test_damage_is_counted_when_it_is_looked_for(copy: Path) -> None:
+def test_damage_is_counted_when_it_is_looked_for(copy):
     content = (copy / LEDGER_NAME).read_bytes()
     at = content.index(np.float64(1 / 3).tobytes())
     (copy / LEDGER_NAME).write_bytes(content[:at] + b"!" + content[at + 1 :])
@@ -764,7 +743,7 @@ def test_damage_is_counted_when_it_is_looked_for(copy: Path) -> None:
     assert status.analyses["convergence"] == results.AnalysisCount(damaged=1)
 
 
-def test_only_a_studys_folder_has_a_status(folder: Path, tmp_path: Path) -> None:
+def test_only_a_studys_folder_has_a_status(folder, tmp_path):
     file = export_results(folder, tmp_path / "x.zarr.zip")
     store = export_results(folder, tmp_path / "x.zarr")
     for place in ("memory://x", file, store):
@@ -786,14 +765,14 @@ def test_only_a_studys_folder_has_a_status(folder: Path, tmp_path: Path) -> None
         (__file__, r"is a file; give another --out\."),
     ],
 )
-def test_studies_run_in_folders(out: str, sentence: str) -> None:
+def test_studies_run_in_folders(out, sentence):
     with pytest.raises(ParameterError, match=sentence):
         output_folder(out)
     assert output_folder("out/some.thing") == Path("out/some.thing")
 
 
 @pytest.mark.endurance
-def test_a_million_cells_are_listed_and_opened_by_one(tmp_path: Path) -> None:
+def test_a_million_cells_are_listed_and_opened_by_one(tmp_path):
     import resource
     import time
 

@@ -98,11 +98,6 @@ def test_stored_is_what_the_functions_return(finished):
             assert finished[f"{path}/{name}"] == data[name].values.tobytes(), name
 
 
-def test_threads_give_the_same_bits(finished, tmp_path, stored_values):
-    run_study(decode_study(STUDY), tmp_path, workers=3)
-    assert stored_values(tmp_path) == finished
-
-
 def test_chunks_of_one_block_give_the_same_bits(finished, tmp_path, stored_values, monkeypatch):
     """Each of which is recorded here for a while; else threads record no state of short work."""
     keys = []

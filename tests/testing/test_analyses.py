@@ -1,7 +1,5 @@
 """The checks for analyses: those of the package pass them, and each finds what is wrong."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
@@ -11,6 +9,7 @@ import numpy as np
 import pytest
 from msgspec import Meta
 
+import mcspectra as mcs
 from mcspectra.core.analysis import ANALYSES, Analysis, Need, Reduction
 from mcspectra.core.options import COUNT, REALIZATIONS
 from mcspectra.core.records import JOIN, SUM
@@ -22,7 +21,11 @@ MANY = {"realizations": 45}
 QUICK = {
     "convergence": ({"counts": (4, 16), "realizations": 700}, "gaussian", "jittered"),
     "terms": ({"n": 16, "half_width": 2, **MANY}, "gaussian", "jittered"),
-    "techniques": ({"counts": 16, "half_width": 2, **MANY}, "gaussian", "jittered"),
+    "techniques": (
+        {"counts": (4, 16), "half_width": 2, **MANY},
+        mcs.MultipleImportance("gaussian", ["linear", "uniform"], dims=1),
+        "jittered",
+    ),
     "spectrum": ({"n": 16, "half_width": 2, **MANY}, None, "jittered"),
     "points": ({"n": 16}, None, "jittered"),
     "pcf": ({"n": 16, "bins": 8, "realizations": 9}, None, "jittered"),

@@ -1,7 +1,5 @@
 """The checks for users' integrands: what is wrong is found, what is registered passes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 

@@ -1,7 +1,5 @@
 """The checks for users' samplers find what is wrong."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 

@@ -1,14 +1,10 @@
 """Strategies make what they say, and everything they make is accepted."""
 
-from __future__ import annotations
-
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from tests.processes import python
 
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
@@ -102,6 +98,6 @@ def test_without_hypothesis_the_checks_work_and_strategies_say_what_is_missing()
         "try:\n    import mcspectra.testing.strategies\n"
         "except MissingDependency as error:\n    print(error)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = python("-c", code, check=True)
     assert "needs hypothesis" in done.stdout
     assert "pip install mcspectra[testing]" in done.stdout

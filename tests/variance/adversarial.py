@@ -3,8 +3,6 @@
 Each is b + h on a set A, or a narrow bell; parts of boxes in half spaces are known exactly.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable
@@ -16,7 +14,6 @@ from scipy.special import erf
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.integrands import Integrand
 
 FAMILIES = ("slab", "box", "bell", "ridge", "oblique-step", "hidden-step", "product")
 BASE = 0.5
@@ -34,10 +31,10 @@ class Case:
     volume: float
     moments: Callable[[Array, Array], tuple[Array, Array]]
 
-    def integrand(self) -> Integrand:
+    def integrand(self):
         return mcs.Integrand.from_function(self.function, dims=self.dims)
 
-    def variance(self, sides: tuple[int, ...]) -> float:
+    def variance(self, sides):
         """Of one point in each of the strata; () is for a random point."""
         s = sides or (1,) * self.dims
         low = np.stack(np.meshgrid(*(np.arange(k) / k for k in s), indexing="ij"), -1)
@@ -47,7 +44,7 @@ class Case:
         return float(np.mean(squares - means**2) / len(means))
 
 
-def half_space(a: Array, t: float, low: Array, high: Array) -> Array:
+def half_space(a, t, low, high):
     """Part of boxes (..., d) where a·x <= t."""
     size = high - low
     rest = t - np.minimum(a * low, a * high).sum(-1)
@@ -60,19 +57,19 @@ def half_space(a: Array, t: float, low: Array, high: Array) -> Array:
     return np.asarray(np.clip(found / (math.factorial(len(a)) * steps.prod(-1)), 0.0, 1.0))
 
 
-def overlap(lo: Array, hi: Array, low: Array, high: Array) -> Array:
+def overlap(lo, hi, low, high):
     """Part of boxes (..., d) in the box lo … hi."""
     part = np.clip(np.minimum(hi, high) - np.maximum(lo, low), 0.0, None) / (high - low)
     return np.asarray(part.prod(-1))
 
 
-def indicator(family: str, dims: int, height: float, inside: Any, part: Any) -> Case:
+def indicator(family, dims, height, inside, part):
     """b + h in a set, of which `part` is known for boxes."""
 
-    def function(x: Array) -> Array:
+    def function(x):
         return np.asarray(BASE + height * inside(x))
 
-    def moments(low: Array, high: Array) -> tuple[Array, Array]:
+    def moments(low, high):
         p = part(low, high)
         mean_square = BASE**2 + (2 * BASE * height + height**2) * p
         return BASE + height * p, mean_square
@@ -82,7 +79,7 @@ def indicator(family: str, dims: int, height: float, inside: Any, part: Any) -> 
     return Case(family, dims, function, mean, square, min(volume, 1 - volume), moments)
 
 
-def make(family: str, dims: int, seed: int) -> Case:
+def make(family, dims, seed):
     """One case; the same for the same arguments."""
     rng = np.random.default_rng([FAMILIES.index(family), dims, seed])
     height = float(rng.choice([-1.0, 1.0]) * 10 ** rng.uniform(-0.5, 1.5))
@@ -130,15 +127,15 @@ def make(family: str, dims: int, seed: int) -> Case:
         s = max(10 ** -rng.uniform(1, 5), 1e-4) ** (1 / dims) / 3
         c = rng.uniform(0.1, 0.9, dims)
 
-        def part(low: Array, high: Array, s: float) -> Array:
+        def part(low, high, s):
             r = s * math.sqrt(2)
             mass = 0.5 * (erf((high - c) / r) - erf((low - c) / r)) * math.sqrt(2 * math.pi) * s
             return np.asarray((mass / (high - low)).prod(-1))
 
-        def bell(x: Array) -> Array:
+        def bell(x):
             return np.asarray(BASE + height * np.exp(-(((x - c) / s) ** 2).sum(-1) / 2))
 
-        def of_bell(low: Array, high: Array) -> tuple[Array, Array]:
+        def of_bell(low, high):
             one, two = part(low, high, s), part(low, high, s / math.sqrt(2))
             return BASE + height * one, BASE**2 + 2 * BASE * height * one + height**2 * two
 
@@ -150,10 +147,10 @@ def make(family: str, dims: int, seed: int) -> Case:
     hi = lo + widths
     heights = rng.uniform(0.5, 3, dims)
 
-    def product(x: Array) -> Array:
+    def product(x):
         return np.asarray((1 + heights * ((x >= lo) & (x < hi))).prod(-1))
 
-    def of_product(low: Array, high: Array) -> tuple[Array, Array]:
+    def of_product(low, high):
         p = np.clip(np.minimum(hi, high) - np.maximum(lo, low), 0.0, None) / (high - low)
         return (1 + heights * p).prod(-1), (1 + (2 * heights + heights**2) * p).prod(-1)
 
@@ -161,7 +158,7 @@ def make(family: str, dims: int, seed: int) -> Case:
     return Case(family, dims, product, m, q, float(widths.min()), of_product)
 
 
-def cases(count: int) -> list[Case]:
+def cases(count):
     """The first `count`, all families and dims in turn."""
     kinds = [(family, d) for family in FAMILIES for d in (1, 2, 3, 4)]
     return [make(*kinds[i % len(kinds)], i // len(kinds)) for i in range(count)]

@@ -1,7 +1,5 @@
 """Alignment: variance against the offset of strata in closed form, and the optimiser verified."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Bands: partitions by name, and the parts of the variance that they name."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

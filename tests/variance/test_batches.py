@@ -1,7 +1,5 @@
 """Standard errors of the terms: as large as the spread over independent runs says."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

@@ -1,7 +1,5 @@
 """The bench: its parts are those of the analyses, its ranks hold together, and it says what it did."""
 
-from __future__ import annotations
-
 import zlib
 
 import numpy as np

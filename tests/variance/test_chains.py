@@ -1,7 +1,5 @@
 """Chains as samplers in time: the exact error of AR(1), what shorter sums cannot see, causes by name."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,7 +11,7 @@ import mcspectra as mcs
 from mcspectra.core.errors import DomainError, ParameterError
 from mcspectra.core.results import VARIABLES, check_variables
 
-SEEDS = 500
+SEEDS = 300
 # Lowest share of SEEDS intervals of 95 % that hold: five standard errors of that share below
 LEAST = 0.95 - 5 * np.sqrt(0.95 * 0.05 / SEEDS)
 
@@ -43,9 +41,7 @@ def cause(draws, **options):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("rho", "chains"), [(-0.9, 1), (-0.5, 4), (0.0, 1), (0.5, 4), (0.9, 1), (0.99, 1), (0.99, 4)]
-)
+@pytest.mark.parametrize(("rho", "chains"), [(-0.9, 1), (0.0, 1), (0.5, 4), (0.99, 1)])
 def test_intervals_cover_the_mean_and_the_exact_error(rho, chains):
     times = 40 // chains  # autocorrelation times in a chain
     n = max(200, int(times * (1 + rho) / (1 - rho)))

@@ -1,7 +1,5 @@
 """Designs: objectives, searches against brute force and measurement, certificates, doors."""
 
-from __future__ import annotations
-
 import itertools
 import json
 

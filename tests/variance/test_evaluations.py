@@ -1,7 +1,5 @@
 """Calls of a user's function at every public entry: as many as were asked for, and no more."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

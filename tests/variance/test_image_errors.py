@@ -54,6 +54,19 @@ def test_a_mask_of_blue_noise_has_less_at_low_frequencies():
     assert low["white"] > 0.8
 
 
+def test_the_low_share_is_that_of_frequencies_below_an_eighth():
+    chain = "sobol | decorrelate(mask='blue-noise', width=32)"
+    found = mcs.image_error_spectrum(
+        "gaussian(width=0.3)", chain, 4, dims=2, half_width=8, images=2
+    )
+    distance = np.hypot(*np.meshgrid(*2 * [np.fft.fftfreq(32)]))
+    sizes = np.bincount((32 * distance).astype(int).ravel())[:16]
+    np.testing.assert_allclose(found["radius"], (np.arange(16) + 0.5) / 32)
+    power = found["predicted_power"].values
+    share = np.average(power[:4], weights=sizes[:4]) / np.average(power, weights=sizes)
+    assert float(found["low_share"]) == pytest.approx(share, rel=1e-9)
+
+
 @pytest.mark.parametrize("dims", [1, 2])
 def test_pixels_of_different_integrands(dims):
     """A light that moves from pixel to pixel: each has its own coefficients."""

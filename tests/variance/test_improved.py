@@ -239,6 +239,19 @@ def test_cubic_stratification_is_exact_for_its_polynomials(order):
         Cubic.of(mcs.Estimator(f), order).in_cells(order - 1)
 
 
+def test_cubic_stratification_of_even_order_has_one_cell_more_above_than_below():
+    """Of x⁴ y and order 4: y times the cubic through the centres of a cell, of one below it and of two above."""
+    f = mcs.Integrand.from_function(lambda x: x[..., 0] ** 4 * x[..., 1], dims=2)
+    cell, u = np.array([3, 2]), np.array([[0.53, 0.36], [0.61, 0.48]])
+    centres = (np.arange(2, 6) + 0.5) / 6
+    cubic = np.polynomial.Polynomial.fit(centres, centres**4, 3)
+    x, y = np.stack([u, (2 * cell + 1) / 6 - u]).T
+    mean = np.diff(cubic.integ()(np.array([3, 4]) / 6)) * 6 * 2.5 / 6
+    expected = ((x**4 - cubic(x)) * y).mean(axis=1) + mean
+    found = Cubic.of(mcs.Estimator(f), 4).in_cells(6)(u)
+    assert np.asarray(found) == pytest.approx(expected, abs=1e-13)
+
+
 def test_cubic_stratification_is_found_by_remedies_and_charged_for_its_centres():
     made = 0
 

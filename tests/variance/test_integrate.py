@@ -1,7 +1,5 @@
 """Integrals for a budget of calls: never more of them, intervals that cover, the split."""
 
-from __future__ import annotations
-
 import json
 import math
 

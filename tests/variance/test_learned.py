@@ -3,17 +3,16 @@
 import json
 import math
 import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
+from tests.processes import python
 
 import mcspectra as mcs
 from mcspectra.core.errors import FileFormatError, ParameterError
 from mcspectra.densities import Learned
 from mcspectra.densities.learned import SplineDensity
-from mcspectra.variance.learned import LEARNED, fit_splines
+from mcspectra.variance.learned import LEARNED, _Seen, fit_splines
 
 OWEN = "sobol | owen"
 KINDS = [k for k in LEARNED if k != "vegas"]  # that package may be missing
@@ -32,10 +31,10 @@ def _own_cache(tmp_path, monkeypatch):
     monkeypatch.setenv("MCSPECTRA_CACHE", str(tmp_path / "cache"))
 
 
-def variance(density, n, sampler=OWEN, f=peaks):
-    u = mcs.sampler(sampler, dims=2).draw(n, realizations=REALIZATIONS, rng=5)
+def variance(density, n, realizations=REALIZATIONS):
+    u = mcs.sampler(OWEN, dims=2).draw(n, realizations=realizations, rng=5)
     x = u if density is None else density.sample(u)
-    ratio = f(x) if density is None else f(x) / density.pdf(x)
+    ratio = peaks(x) if density is None else peaks(x) / density.pdf(x)
     return ratio.mean(axis=1).var(ddof=1)
 
 
@@ -52,6 +51,18 @@ def test_what_is_of_the_family_is_met_whatever_the_points():
     # L-BFGS ends where steps gain 2e-9 of the entropy, quadratic in what p is off
     assert np.abs(found.pdf(x) / true.pdf(x) - 1.0).max() < 1e-3
     np.testing.assert_allclose(found.tables, table, atol=1e-3)
+
+
+def test_slopes_of_the_entropy_are_its_differences():
+    rng = np.random.default_rng(0)
+    rho, weight = rng.dirichlet(np.ones(6), 2).reshape(2, 2, 3)
+    seen = _Seen(basis=[], rho=rho, weight=weight, uniform=None, defensive=0.1, smooth=0.0)
+    logarithm, step = rng.standard_normal((2, 3)), 1e-6
+    _, slope = seen._entropy(logarithm)
+    for place in np.ndindex(2, 3):
+        moved = step * (np.arange(6) == np.ravel_multi_index(place, (2, 3))).reshape(2, 3)
+        ends = [seen._entropy(logarithm + sign * moved)[0] for sign in (1, -1)]
+        assert slope[place] == pytest.approx((ends[0] - ends[1]) / (2 * step), abs=1e-8)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -86,9 +97,10 @@ def test_the_variance_under_the_sampler_is_smaller(kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_warps_keep_the_rate_of_nets(kind):
     """T is continuous: from n to 16 n the variance falls faster than by 16^1.5, which is what a jump
-    across a curve would leave."""
+    across a curve would leave. Smooth ones leave 16^3: far beyond the noise of 50 nets, a factor of 3."""
     p = mcs.learned_density(peaks, kind, OWEN, 1024, dims=2)
-    assert variance(p, 2**14) * NOISE < variance(p, 2**10) * 16.0**-1.5
+    noise = math.exp(4.0 * math.sqrt(2.0 * 2.0 / 49))
+    assert variance(p, 2**14, 50) * noise < variance(p, 2**10, 50) * 16.0**-1.5
 
 
 def test_the_same_seed_gives_the_same_density_and_its_spec_makes_it_again(tmp_path):
@@ -124,34 +136,30 @@ def test_the_size_and_the_sign_of_f_do_not_matter():
     assert specs[0] != "uniform"
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_threads_and_blocks_do_not_matter(kind):
+def test_threads_and_blocks_do_not_matter():
     """Neither those of BLAS to the fit, nor how points are shared out to what uses it."""
     code = (
-        "import mcspectra as mcs; print(mcs.learned_density('gaussian(width=0.1, center=0.3)', "
-        f"{kind!r}, {OWEN!r}, 256, dims=3, evaluations=8192).spec)"
+        "import mcspectra as mcs\n"
+        f"for kind in {KINDS}: print(mcs.learned_density('gaussian(width=0.1, center=0.3)', "
+        f"kind, {OWEN!r}, 256, dims=3, evaluations=8192).spec)"
     )
-    specs = [
-        subprocess.run(
-            [sys.executable, "-c", code],
-            env={**os.environ, "OPENBLAS_NUM_THREADS": threads},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
+    one, two = (
+        python("-c", code, env={**os.environ, "OPENBLAS_NUM_THREADS": threads}, check=True).stdout
         for threads in ("1", "2")
-    ]
-    assert specs[0] == specs[1] != "uniform"
-    p = mcs.density(specs[0].strip())
-    u = np.random.default_rng(0).random((1000, 3))
-    whole, parts = p.sample_pdf(u), [p.sample_pdf(block) for block in np.split(u, [1, 300])]
-    for a, b in zip(whole, zip(*parts, strict=True), strict=True):
-        np.testing.assert_array_equal(a, np.concatenate(b))
-    found = [
-        mcs.convergence(mcs.Estimator("gaussian(width=0.1)", p), OWEN, [64, 256], workers=w)
-        for w in (1, 2)
-    ]
-    np.testing.assert_array_equal(found[0]["variance"], found[1]["variance"])
+    )
+    assert one == two
+    for spec in one.splitlines():
+        assert spec != "uniform"
+        p = mcs.density(spec)
+        u = np.random.default_rng(0).random((1000, 3))
+        whole, parts = p.sample_pdf(u), [p.sample_pdf(block) for block in np.split(u, [1, 300])]
+        for a, b in zip(whole, zip(*parts, strict=True), strict=True):
+            np.testing.assert_array_equal(a, np.concatenate(b))
+        found = [
+            mcs.convergence(mcs.Estimator("gaussian(width=0.1)", p), OWEN, [64, 256], workers=w)
+            for w in (1, 2)
+        ]
+        np.testing.assert_array_equal(found[0]["variance"], found[1]["variance"])
 
 
 def test_where_nothing_is_gained_it_is_uniform(tmp_path):

@@ -119,7 +119,7 @@ def test_measured_variances(name, sampler, dims, n):
 def measured(found, f, sampler, n):
     """Within five standard errors of a measurement, and the interval of the prediction."""
     result = mcs.convergence(
-        mcs.Estimator(f), mcs.sampler(sampler, f.dims), [n], realizations=2000, rng=3
+        mcs.Estimator(f), mcs.sampler(sampler, f.dims), [n], realizations=500, rng=3
     )
     low, high = result.variance_ci.values.ravel()
     error = (high - low) / (2.0 * 1.96)

@@ -2,12 +2,11 @@
 
 import json
 import math
-import subprocess
-import sys
 import tracemalloc
 
 import numpy as np
 import pytest
+from tests.processes import python
 
 import mcspectra as mcs
 from mcspectra.core import parallel
@@ -95,5 +94,5 @@ def test_bands_take_their_square_and_no_more():
 
 
 def test_513_squared_stays_far_below_a_gigabyte():
-    run = subprocess.run([sys.executable, "-c", LARGE], capture_output=True, check=True, text=True)
+    run = python("-c", LARGE, check=True)
     assert json.loads(run.stdout) < 1e9

@@ -35,11 +35,11 @@ def test_strata_reach_it_at_the_first_count_that_they_can_do():
 def test_planned_counts_do_what_was_planned():
     f = mcs.integrand("disk(center=(0.4,0.55),radius=0.3)", dims=2)
     samplers = ["sobol | owen", "jittered | shift", "random"]
-    plan = mcs.plan(f, samplers, target_error=4e-3)
+    plan = mcs.plan(f, samplers, target_error=8e-3)
     for sampler, n in zip(samplers, plan["planned_n"].values, strict=True):
-        measured = mcs.convergence(f, sampler, [int(n)], realizations=4000, rng=3)
+        measured = mcs.convergence(f, sampler, [int(n)], realizations=1000, rng=3)
         low, _ = np.sqrt(measured["variance_ci"].values[0])
-        assert low <= 4e-3 * 1.05  # the accuracy of predictions of disks
+        assert low <= 8e-3 * 1.05  # the accuracy of predictions of disks
     found = plan["planned_n"].sel(sampler="sobol | owen")
     assert int(found).bit_count() == 1
     assert f" {int(found):,} with sobol | owen" in plan.attrs["recommendation"]

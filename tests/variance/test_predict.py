@@ -1,7 +1,5 @@
 """Predictions against precise measurements and closed forms; f is never sampled by the sampler."""
 
-from __future__ import annotations
-
 import math
 import warnings
 
@@ -26,12 +24,9 @@ def _measured(f, sampler, n, realizations):
     [
         (DISK, "jittered | shift", 64),
         (DISK, "halton | shift", 256),
-        (DISK, "rank1-lattice | shift", 256),
         ("christensen-triangle", "rank1-lattice | shift", 64),
         ("christensen-gaussian", "halton | shift", 256),
-        ("half-space(normal=(1.0,0.37),offset=0.6)", "jittered | shift", 256),
         (DISK, "poisson-disk", 64),
-        ("christensen-gaussian", "poisson-disk", 64),
     ],
 )
 def test_torus_invariant_sets_are_predicted_within_their_interval(f, sampler, n):
@@ -41,7 +36,7 @@ def test_torus_invariant_sets_are_predicted_within_their_interval(f, sampler, n)
         float(found["predicted_variance"][0]),
         *found["predicted_variance_ci"].values[0],
     )
-    measured, error = _measured(f, sampler, n, 12_500)  # 4 √(2/12500) = 0.05, as below
+    measured, error = _measured(f, sampler, n, 3200)  # 4 √(2/3200) = 0.1
     assert str(found["route"].values[0]).startswith(("torus", "exact"))
     # four standard errors of the reference, beyond the interval of the prediction
     assert low - 4 * error < measured < high + 4 * error
@@ -112,7 +107,7 @@ def test_nothing_is_predicted_as_zero():
 def test_mirrored_points_see_another_integrand():
     f = mcs.integrand(DISK, dims=2)
     found = mcs.predict(f, "halton | shift | mirror(mode='fold')", [256])
-    measured, error = _measured(f, "halton | shift | mirror(mode='fold')", 256, 20_000)
+    measured, error = _measured(f, "halton | shift | mirror(mode='fold')", 256, 3200)
     assert "torus" in str(found["route"].values[0])
     value, half = float(found["predicted_variance"][0]), found["predicted_variance_ci"].values[0]
     assert abs(value - measured) < 4 * error + 0.5 * float(np.diff(half)[0])
@@ -126,9 +121,9 @@ def test_techniques_add_up_and_dependent_ones_are_measured():
     assert float(found["predicted_variance"][0]) == pytest.approx(exact, rel=1e-6)
 
 
-@pytest.mark.parametrize(("sampler", "n"), [("sobol | owen", 300), ("halton | owen", 1024)])
-def test_jumps_across_many_axes_are_measured_at_counts_next_to_n(sampler, n):
-    """Sums of products miss them: 1.49 and 1.33 times the variance, within intervals that reach 0."""
+def test_jumps_across_many_axes_are_measured_at_counts_next_to_n():
+    """Sums of products miss them: 1.49 times the variance, within intervals that reach 0."""
+    sampler, n = "sobol | owen", 300
     f = mcs.Integrand.from_function(lambda x: (x @ np.arange(1.0, 7.0) > 11.3) * 1.0, dims=6)
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
@@ -146,12 +141,11 @@ def test_jumps_across_many_axes_are_measured_at_counts_next_to_n(sampler, n):
 
 
 @pytest.mark.parametrize(
-    ("sampler", "n"),
-    [("rank1-lattice | shift", 16), ("korobov | shift", 251), ("sobol | digital-shift", 256)],
-)
-@pytest.mark.parametrize(
-    "f",
-    [lambda x: 1.0 * (x.sum(-1) < 1.25), lambda x: np.abs(x.sum(-1) - 2.0)],
+    ("f", "sampler", "n"),
+    [
+        (lambda x: 1.0 * (x.sum(-1) < 1.25), "rank1-lattice | shift", 16),
+        (lambda x: np.abs(x.sum(-1) - 2.0), "sobol | digital-shift", 256),
+    ],
     ids=["jump", "kink"],
 )
 def test_sets_that_one_offset_moves_are_moved_where_products_miss_what_f_has(f, sampler, n):
@@ -176,9 +170,9 @@ def test_what_no_theory_predicts_is_extrapolated_and_named():
 
     sampler = mcs.Sampler.from_function(strata, dims=4)
     f = "half-space(normal=[1.0, 0.5, 0.7, 0.3], offset=1.2)"
-    found = mcs.predict(f, sampler, [512])
-    assert str(found["route"].values[0]) == "extrapolated from measurements at 128, 256, 1024, 2048"
-    measured, error = _measured(mcs.integrand(f, dims=4), sampler, 512, 4000)
+    found = mcs.predict(f, sampler, [128])
+    assert str(found["route"].values[0]) == "extrapolated from measurements at 32, 64, 256, 512"
+    measured, error = _measured(mcs.integrand(f, dims=4), sampler, 128, 4000)
     low, high = found["predicted_variance_ci"].values[0]
     assert low - 4 * error < measured < high + 4 * error
     assert float(found["energy_share"][0]) == 0.0
@@ -197,7 +191,7 @@ def test_sets_of_any_sampler_measure_a_table(f, sampler, n):
     """Extrapolation was off by 11 times for the narrow one; a pole that the table cuts widens the interval."""
     found = mcs.predict(mcs.integrand(f, dims=2), sampler, [n])
     assert "sets on a table of g" in str(found["route"].values[0])
-    measured, error = _measured(mcs.integrand(f, dims=2), sampler, n, 4000)
+    measured, error = _measured(mcs.integrand(f, dims=2), sampler, n, 2000)
     low, high = found["predicted_variance_ci"].values[0]
     assert low - 4 * error < measured < high + 4 * error
     if "formula" not in f:
@@ -220,20 +214,19 @@ def test_a_table_keeps_its_channels_and_its_bits():
 
 
 @pytest.mark.parametrize(
-    ("sampler", "n"),
+    ("f", "sampler", "n"),
     [
-        ("multi-jittered", 64),
-        ("pmj02 | shuffle", 256),
-        ("pmj", 128),
-        ("latin-hypercube(strength=2)", 49),
-        ("orthogonal-array", 121),
+        (DISK, "multi-jittered", 64),
+        ("gaussian(width=0.1)", "pmj02 | shuffle", 256),
+        (DISK, "pmj", 128),
+        ("gaussian(width=0.1)", "latin-hypercube(strength=2)", 49),
+        (DISK, "orthogonal-array", 121),
     ],
 )
-@pytest.mark.parametrize("f", [DISK, "gaussian(width=0.1)"])
 def test_sets_that_are_scrambles_of_one_set_have_the_variance_of_a_scrambled_net(f, sampler, n):
     found = mcs.predict(f, sampler, [n])
     assert "extrapolated" not in str(found["route"].values[0])
-    measured, error = _measured(f, sampler, n, 4000)
+    measured, error = _measured(f, sampler, n, 2000)
     low, high = found["predicted_variance_ci"].values[0]
     assert low - 4 * error < measured < high + 4 * error
     assert high < 1.1 * float(found["predicted_variance"][0])
@@ -319,11 +312,10 @@ def test_a_peak_bends_where_strata_resolve_it():
     assert (5 * 0.02) ** -2 < bend < 0.02**-2
 
 
-@pytest.mark.parametrize("sampler", ["rank1-lattice | shift", "korobov | shift"])
-def test_limits_are_not_known_where_slopes_do_not_agree(sampler):
+def test_limits_are_not_known_where_slopes_do_not_agree():
     """Lattices see half planes at −2.8, −2.0, −0.6 in turn, but never at the −3 of smooth functions."""
     f = mcs.integrand("formula(expression='(x0+x1>1)*1.')", dims=2)
-    found = mcs.predict(f, sampler, [64, 1024])
+    found = mcs.predict(f, "rank1-lattice | shift", [64, 1024])
     assert math.isnan(float(found["limit_rate"]))
     assert "limit_rate is not known: the last local rates are" in found.attrs["note"]
 
@@ -365,9 +357,8 @@ def test_jumps_decide_on_limits(f, density, sampler, counts, limit):
     assert float(found["limit_rate"]) == pytest.approx(limit, abs=1e-9)
 
 
-@pytest.mark.parametrize("dims", [5, 7])
-def test_random_points_have_their_rate_in_all_dims(dims):
-    f = mcs.Integrand.from_function(lambda x: np.exp(-x.sum(axis=-1)), dims=dims)
+def test_random_points_have_their_rate_in_many_dims():
+    f = mcs.Integrand.from_function(lambda x: np.exp(-x.sum(axis=-1)), dims=7)
     assert float(mcs.predict(f, "random", [64, 256])["limit_rate"]) == -1.0
 
 

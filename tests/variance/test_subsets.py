@@ -77,7 +77,6 @@ class TestExact:
     @pytest.mark.parametrize(
         ("function", "spec"),
         [
-            (product, "sobol | owen"),
             (oscillating, "sobol | owen"),
             (product, "halton | owen"),
             (oscillating, "sobol | digital-shift"),

@@ -22,7 +22,7 @@ def unknown(f):
     return mcs.Integrand.from_function(f, dims=f.dims, integral=f.integral)
 
 
-@pytest.mark.parametrize("n", [16, 1000, 4096, 2**16])
+@pytest.mark.parametrize("n", [16, 4096])
 @pytest.mark.parametrize(
     ("sampler", "dims"), [("rank1-lattice | shift", 2), ("korobov(a=3) | shift", 3)]
 )
@@ -41,12 +41,9 @@ def test_additive_functions_on_lattices(sampler, dims, n):
     ("spec", "sampler", "n"),
     [
         (DISK, "rank1-lattice | shift", 64),
-        (HALF, "rank1-lattice | shift", 1000),
         (DISK, "rank1-lattice(vector=[4, 3]) | shift", 256),
         (HALF, "fibonacci | shift", 610),
         (DISK, "hexagonal | shift", 270),
-        (HALF, "regular | shift", 1024),
-        (DISK, "uniform-jitter", 256),
         (HALF, "uniform-jitter | strata-shift(offset=0.3)", 256),
     ],
 )
@@ -72,17 +69,3 @@ def test_sets_that_are_no_lattices_go_another_way():
     f = mcs.integrand("linear", dims=2)
     for sampler in ("kronecker | shift", "halton | shift", "sobol | shift"):
         assert predicted(f, sampler, 64).route == "torus (one transform)"
-
-
-def test_a_rotated_step_on_a_lattice_is_as_measured():
-    """In 3-D and without coefficients, five standard errors and the interval of the prediction."""
-    f = mcs.Integrand.from_function(lambda x: 1.0 * (x @ np.array([1.0, 0.53, 0.31]) < 0.7), dims=3)
-    found = predicted(f, "rank1-lattice | shift", 256)
-    result = mcs.convergence(
-        mcs.Estimator(f), mcs.sampler("rank1-lattice | shift", 3), [256], realizations=2000, rng=3
-    )
-    low, high = result.variance_ci.values.ravel()
-    assert abs(found.variance[0] - float(result.variance.values[0])) <= (
-        5.0 * (high - low) / (2.0 * 1.96) + found.error[0]
-    )
-    assert found.error[0] < 0.1 * found.variance[0]

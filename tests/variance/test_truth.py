@@ -1,10 +1,8 @@
 """Exact variances of functions that no node sees are refused, or within their errors."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from tests.variance.adversarial import Case, make
+from tests.variance.adversarial import make
 
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
@@ -12,7 +10,7 @@ from mcspectra.variance.exact import estimated_variance, of_integrand
 from mcspectra.variance.quadrature import square_integral
 
 
-def _worst(case: Case, sampler: str, n: int, sides: tuple[int, ...]) -> float:
+def _worst(case, sampler, n, sides):
     """Largest error over the claimed one, of all tolerances; 0 where the variance is refused."""
     g, found = mcs.Estimator(case.integrand()).primary_integrand(0), [0.0]
     for tolerance in (1e-6, 1e-2, 1e-1):
