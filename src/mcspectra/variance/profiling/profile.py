@@ -540,9 +540,9 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
 
         # Values at some of the points again
         first = sets.points[t].reshape(-1, estimator.dims)[: max(1, min(_AGAIN, allowed // _AGAIN))]
-        known = sets.values[t].ravel()[: len(first)]
-        off = np.abs(g(first) - known)
-        if off.max(initial=0.0) > _SAME_VALUE * max(np.ptp(sets.pooled), np.abs(known).max()):
+        before = sets.values[t].ravel()[: len(first)]
+        off = np.abs(g(first) - before)
+        if off.max(initial=0.0) > _SAME_VALUE * max(np.ptp(sets.pooled), np.abs(before).max()):
             noise = max(noise, 0.5 * float((off**2).mean()))
 
         own, beside = stream.child(1 + t).generator(0), allowed // 4 // estimator.dims
