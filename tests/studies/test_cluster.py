@@ -326,9 +326,9 @@ def listening():
 
 
 def workers_here():
-    """Processes that were started for work; Python's own helpers stay."""
+    """Processes that Python's own server forked for work, which itself stays."""
     family = psutil.Process().children(recursive=True)
-    return {each.pid for each in family if any("spawn_main" in part for part in each.cmdline())}
+    return {each.pid for each in family if each.ppid() != os.getpid()}
 
 
 def test_a_cluster_of_this_machine_is_on_loopback_encrypted_and_gone_afterwards(encrypted):
@@ -336,6 +336,7 @@ def test_a_cluster_of_this_machine_is_on_loopback_encrypted_and_gone_afterwards(
     engine = Dask(TEXT, Cluster(workers=1), squares())
     try:
         assert engine.workers == 1
+        assert workers_here() > before
         assert engine.address.startswith("tls://127.0.0.1:")
         assert engine.dashboard.startswith("http://127.0.0.1:")
         assert listening() == {"127.0.0.1"}
