@@ -33,7 +33,11 @@ _CARRIED = 0.05  # share of the variance in fireflies that is worth a word
 
 def frame_summary(result: xr.Dataset) -> dict[str, Any]:
     """Numbers over the whole picture: a row for each number of samples, and what is told besides."""
-    told = {key: _plain(value) for key, value in result.attrs.items()}
+    # Lists were written as text
+    told = {
+        key: json.loads(value) if isinstance(value, str) and value[:1] == "[" else value
+        for key, value in result.attrs.items()
+    }
     rows = []
     for k, n in enumerate(result["n"].values.tolist()):
         one = result.isel(n=k)
@@ -59,12 +63,6 @@ def frame_summary(result: xr.Dataset) -> dict[str, Any]:
         percentiles = np.nanpercentile(need, [50, 95])
         found["needed_median"], found["needed_95"] = map(float, percentiles)
     return found
-
-
-def _plain(value: Any) -> Any:
-    """An attribute as it was before it became text."""
-    listed = isinstance(value, str) and value[:1] == "["
-    return json.loads(value) if listed else value
 
 
 def frame_findings(result: xr.Dataset) -> list[str]:

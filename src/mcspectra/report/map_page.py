@@ -282,7 +282,19 @@ def map_summary(result: xr.Dataset) -> dict[str, Any]:
         }
     if "best_sampler" in whole and "answer" not in found:
         found["answer"] = _sampler_answer(whole.isel(strategy=-1, n=-1), found)
-    found["worst_pixels"] = list(_worst(result))
+    # List the pixels of the largest variance by the last strategy, at the largest n
+    variance = result["variance"].isel(strategy=-1, n=-1).values
+    order = np.argsort(np.nan_to_num(variance, nan=-1.0), axis=None, kind="stable")[::-1]
+    found["worst_pixels"] = [
+        {
+            "x": int(result["x"][column]),
+            "y": int(result["y"][row]),
+            "variance": float(variance[row, column]),
+            "share": float(variance[row, column]) / float(np.nansum(variance)),
+        }
+        for row, column in zip(*np.unravel_index(order[:_WORST], variance.shape), strict=True)
+        if variance[row, column] > 0
+    ]
     return found
 
 
@@ -377,18 +389,6 @@ def _sampler_answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
         if rows
     ]
     return f"{text} Cause: most of the variance is of {' and of '.join(makes)}." if makes else text
-
-
-def _worst(result: xr.Dataset) -> Iterator[dict[str, Any]]:
-    """Pixels of the largest variance by the last strategy, at the largest n, with their part of the sum."""
-    variance = result["variance"].isel(strategy=-1, n=-1).values
-    total = float(np.nansum(variance))
-    order = np.argsort(np.nan_to_num(variance, nan=-1.0), axis=None, kind="stable")[::-1]
-    for row, column in zip(*np.unravel_index(order[:_WORST], variance.shape), strict=True):
-        if variance[row, column] > 0:
-            x, y = int(result["x"][column]), int(result["y"][row])
-            value = float(variance[row, column])
-            yield {"x": x, "y": y, "variance": value, "share": value / total}
 
 
 def map_note(summary: Mapping[str, Any]) -> str:

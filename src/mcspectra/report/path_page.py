@@ -211,25 +211,22 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
     elif known.get("lights_note"):
         said.append(("lights", str(known["lights_note"])))
     if "remedies" in tree.children:
-        said.append(("padding", _padding(tree)))
+        # Find the fewest first coordinates whose good points are not surely worse than those of all
+        tried = tree["remedies"].to_dataset()
+        enough = (tried["kind"].values == "padding") & (tried["verdict"].values != "worse")
+        fewest = [int(str(name).split()[0]) for name in tried["remedy"].values[enough]]
+        text = f"All {known['dims']} coordinates deserve points of {known['sampler']}."
+        if fewest:
+            dims = min(fewest)
+            text = (
+                f"Points of {known['sampler']} for the first {dims} coordinates, up to "
+                f"{known['dimensions'][dims - 1]}, and random numbers for the others are as good as for all "
+                f"{known['dims']}, as far as 95 % intervals tell."
+            )
+        said.append(("padding", text))
         text = f"With {known['sampler']} as given: {tree['remedies'].attrs['recommendation']}"
         said.append(("remedies", text))
     return said
-
-
-def _padding(tree: xr.DataTree) -> str:
-    """The fewest first coordinates whose good points are not surely worse than those of all."""
-    found, known = tree["remedies"].to_dataset(), tree.attrs
-    enough = (found["kind"].values == "padding") & (found["verdict"].values != "worse")
-    fewest = [int(str(name).split()[0]) for name in found["remedy"].values[enough]]
-    if not fewest:
-        return f"All {known['dims']} coordinates deserve points of {known['sampler']}."
-    dims = min(fewest)
-    return (
-        f"Points of {known['sampler']} for the first {dims} coordinates, up to "
-        f"{known['dimensions'][dims - 1]}, and random numbers for the others are as good as for all "
-        f"{known['dims']}, as far as 95 % intervals tell."
-    )
 
 
 def path_summary(tree: xr.DataTree) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import base64
 import io
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from html import escape
 from typing import Any, TypeAlias
 
@@ -98,15 +98,10 @@ def _sampler(sampler: Sampler) -> tuple[Pictures, Rows]:
     tree = KDTree(points, boxsize=np.ones(points.shape[1]))
     least = float(np.min(tree.query(points, k=[2])[0]))
     rows.append(("smallest distance", f"{number(least)} (of these points)"))
-    return [_points(points)], rows
-
-
-def _points(points: Array) -> tuple[str, str]:
-    n, dims = points.shape
-    caption = f"{n} points" + (f", axes 0 and 1 of {dims}" if dims > 2 else "")
-    if dims == 1:
-        return strip(points[:, 0], caption), caption
-    return scatter(points[:, :2], caption), caption
+    dims = sampler.dims
+    caption = f"{len(points)} points" + (f", axes 0 and 1 of {dims}" if dims > 2 else "")
+    picture = strip(points[:, 0], caption) if dims == 1 else scatter(points[:, :2], caption)
+    return [(picture, caption)], rows
 
 
 def _density(density: Density) -> tuple[Pictures, Rows]:
@@ -152,22 +147,20 @@ def _estimator(estimator: AbstractEstimator) -> tuple[Pictures, Rows]:
         rows.append(("sets", estimator.sets))
     if _is_costly(estimator):
         return [], rows
-    return list(_views(estimator)), [*rows, *_integral(estimator)]
-
-
-def _views(estimator: AbstractEstimator) -> Iterator[tuple[str, str]]:
-    """Pictures of f, p and g(u), or of f and the g of every technique."""
+    # Pictures of f, p and g(u), or of f and the g of every technique
+    pictures: Pictures = []
     f = estimator.domain_integrand
     if f is not None:
-        yield from _picture(_values(f, f.dims), "f(x)", f.dims)
+        pictures += _picture(_values(f, f.dims), "f(x)", f.dims)
     density = estimator.density if isinstance(estimator, Estimator) else None
     if density is not None:
-        yield from _picture(_values(density.pdf, density.dims), "p(x)", density.dims)
-    for t in range(min(len(estimator.counts), _MOST_TECHNIQUES)):
+        pictures += _picture(_values(density.pdf, density.dims), "p(x)", density.dims)
+    for t in range(min(techniques, _MOST_TECHNIQUES)):
         g = estimator.primary_integrand(t)
         if g is not f:
-            name = f"g{t}(u)" if len(estimator.counts) > 1 else "g(u)"
-            yield from _picture(_values(g, g.dims), name, g.dims)
+            name = f"g{t}(u)" if techniques > 1 else "g(u)"
+            pictures += _picture(_values(g, g.dims), name, g.dims)
+    return pictures, [*rows, *_integral(estimator)]
 
 
 def _values(function: Callable[[Array], Array], dims: int) -> Array | None:

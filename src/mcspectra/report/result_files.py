@@ -157,7 +157,9 @@ def latex_table(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
         if value is None:
             return "--"
         text = number(value) if isinstance(value, float) else short_spec(str(value))
-        return _POWER.sub(_as_power, text.translate(_TEX))
+        return _POWER.sub(
+            lambda found: rf"$\times10^{{{found[1].translate(_RAISED)}}}$", text.translate(_TEX)
+        )
 
     words = [any(isinstance(row[i], str) for row in rows) for i in range(len(columns))]
     lines = [
@@ -170,10 +172,6 @@ def latex_table(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
         r"\end{tabular}",
     ]
     return "\n".join(lines) + "\n"
-
-
-def _as_power(found: re.Match[str]) -> str:
-    return rf"$\times10^{{{found[1].translate(_RAISED)}}}$"
 
 
 def _plain(value: Any) -> Any:

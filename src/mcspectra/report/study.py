@@ -293,12 +293,8 @@ def _answers(estimates: Sequence[Estimates]) -> Iterator[html.Block]:
         text = said[0] if said else answer(curves, why=why)
         rows += [(each.name, text)] if text else []
     if rows:
-        shown = html.Sentences(rows=tuple(rows))
-        yield (
-            shown
-            if len(rows) <= _MOST_ANSWERS
-            else html.Folded(summary="What to do", blocks=(shown,))
-        )
+        shown, few = html.Sentences(rows=tuple(rows)), len(rows) <= _MOST_ANSWERS
+        yield shown if few else html.Folded(summary="What to do", blocks=(shown,))
 
 
 def _allowed(study: str) -> str:

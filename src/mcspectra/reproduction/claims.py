@@ -320,15 +320,18 @@ def pixel_rate(statement: str, curve: xr.Dataset, expected: float) -> Claim:
     return claim
 
 
-def normal_limit(count: int) -> float:
-    """Return what the largest of `count` normal errors exceeds with the gallery's level for one finding."""
-    from scipy.special import ndtri
+def normal_limit(count: int, freedom: int = 0) -> float:
+    """Return what the largest of `count` normal errors exceeds with the gallery's level for one finding.
 
-    level = 0.95 ** (1 / (GALLERY_FINDINGS * count))
-    return float(ndtri((1 + level) / 2))
+    With degrees of freedom, of so many Student variables.
+    """
+    from scipy.special import ndtri, stdtrit
+
+    p = (1 + 0.95 ** (1 / (GALLERY_FINDINGS * count))) / 2
+    return float(stdtrit(freedom, p) if freedom else ndtri(p))
 
 
-def largest_distance(statement: str, away: Array, se: Array) -> Claim:
+def largest_distance(statement: str, away: Array, se: Array, freedom: int = 0) -> Claim:
     """Claim that differences vanish, all of them at once.
 
     Parameters
@@ -337,12 +340,15 @@ def largest_distance(statement: str, away: Array, se: Array) -> Claim:
         Without a full stop; what was measured is added.
     away, se
         Measured minus expected and standard errors above 0, of one shape.
+    freedom
+        Degrees of freedom of standard errors from a few batches.
     """
-    limit = normal_limit(away.size)
+    limit = normal_limit(away.size, freedom)
+    batches = "as many Student variables, of the batches,"
     return Claim(
         f"{statement}: largest distance in standard errors.",
         float(np.max(np.abs(away) / se)),
         at_most=limit,
         shown=f"≤ {limit:.1f}",
-        note=f"The limit is that of {away.size} normal errors at the gallery's level.",
+        note=f"The limit is that of {batches if freedom else f'{away.size} normal errors'} at the gallery's level.",
     )

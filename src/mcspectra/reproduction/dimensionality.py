@@ -14,7 +14,7 @@ from mcspectra.plots.kinds import describe
 from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import ACCENT, PALETTE
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import GALLERY_FINDINGS, Claim, Exhibit
+from mcspectra.reproduction.claims import Claim, Exhibit, largest_distance
 from mcspectra.reproduction.panels import in_columns, plot_of
 
 __all__ = ["exhibit"]
@@ -29,8 +29,6 @@ _BYTES = 16  # of a complex number
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Compare maps and bands with the matrix where it can be had, and use them where it cannot."""
-    from scipy.special import stdtrit
-
     realizations = 200 if quick else 4000
     whole = {d: bell_terms("jittered", d, SMALL[d], realizations, seed, matrix=True) for d in SMALL}
     runs = {d: bell_terms("jittered", d, RUNS[d], realizations, seed) for d in RUNS}
@@ -66,8 +64,6 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         np.diag(random[name].values)[kept] for name in ("band_covariance", "band_covariance_se")
     )
     expected = np.array([known[order[k]] / n for k in kept])
-    level = 0.95 ** (1 / (GALLERY_FINDINGS * len(kept)))
-    limit = float(stdtrit(int(random.attrs["batches"]) - 1, (1 + level) / 2))
 
     # A Latin hypercube integrates additive functions with o(1/N), by Stein (1987)
     tenth = main_share(random) / 10
@@ -108,13 +104,12 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 max(errors),
                 at_most=1e-10,
             ),
-            Claim(
+            largest_distance(
                 f"In three dims, of random points the variance of each of {len(kept)} ANOVA bands is the ANOVA "
-                "component of f over N: largest distance in standard errors.",
-                float(np.max(np.abs(found - expected) / se)),
-                at_most=limit,
-                shown=f"≤ {limit:.1f}",
-                note="The limit is that of as many Student variables, of the batches, at the gallery's level.",
+                "component of f over N",
+                found - expected,
+                se,
+                freedom=int(random.attrs["batches"]) - 1,
             ),
             Claim(
                 "The bands show what a sampler is for: a Latin hypercube takes away the functions of one coordinate, "
