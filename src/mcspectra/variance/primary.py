@@ -16,6 +16,7 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.core.results import dataset
 from mcspectra.estimators import AbstractEstimator, as_estimator
 from mcspectra.quality.jumps import find_jumps, grid_centers
+from mcspectra.variance.quadrature import grid
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -108,9 +109,8 @@ def primary_picture(
     reaches_zero = False
     density: Density | None = getattr(found.primary_integrand(number), "density", None)
     if density is not None:
-        probes = np.meshgrid(*[np.linspace(0.0, 1.0, _PROBES)] * density.dims)
-        grid = np.stack(probes, axis=-1).reshape(-1, density.dims)
-        p = density.pdf(np.concatenate([grid, density.zero_points()]))
+        probes = grid(np.linspace(0.0, 1.0, _PROBES), density.dims)
+        p = density.pdf(np.concatenate([probes, density.zero_points()]))
         reaches_zero = bool(p.min() <= _ZERO * p.max())
 
     cells = tuple(f"u{axis}" for axis in range(found.dims))

@@ -29,6 +29,7 @@ from mcspectra.core.spec import Call, parse
 from mcspectra.integrands import Integrand
 from mcspectra.integrands.registry import INTEGRANDS, as_integrand
 from mcspectra.samplers.stratified import Random
+from mcspectra.variance.quadrature import grid
 
 __all__ = ["Objective", "Values", "as_objective"]
 
@@ -246,7 +247,7 @@ def _of_waves(given: Mapping[str, Any], dims: int | None) -> Objective:
         source = np.asarray(source)
         dims = dims or (source.ndim if kind == "spectrum" else 2)
         half = (round(len(source) ** (1.0 if kind == "spectrum" else 1.0 / dims)) - 1) // 2
-    m = np.array(list(itertools.product(range(-half, half + 1), repeat=dims)))
+    m = grid(np.arange(-half, half + 1), dims)
     if not callable(source):
         needed = (2 * half + 1,) * dims if kind == "spectrum" else (len(m), len(m))
         if source.shape != needed or half < 1:

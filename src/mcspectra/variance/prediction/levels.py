@@ -36,7 +36,7 @@ from mcspectra.variance.doors import NO_VARIANCE
 from mcspectra.variance.exact import level_variances, paired
 from mcspectra.variance.prediction.known import Known, Predicted
 from mcspectra.variance.prediction.torus import of_moves
-from mcspectra.variance.quadrature import in_closed_form, mesh, stratum_moments
+from mcspectra.variance.quadrature import grid, in_closed_form, stratum_moments
 
 __all__ = ["of_levels"]
 
@@ -260,7 +260,7 @@ def _cell_moments(
         node, weight = gauss_rule(order)
         nodes = ((np.arange(_PARTS[dims])[:, None] + node) / _PARTS[dims]).ravel()
         weights = np.tile(weight / _PARTS[dims], _PARTS[dims])
-        inside, shares = (mesh(*[each] * dims).reshape(-1, dims) for each in (nodes, weights))
+        inside, shares = grid(nodes, dims), grid(weights, dims)
         shares = shares.prod(axis=1)
         step = max(1, _BLOCK // len(shares))
         for start in range(0, len(chosen), step):
@@ -281,15 +281,15 @@ def _strata(
     `whole` where g is the same for all n, so that ∫g² is worth to be known by itself.
     """
     # Cells of multiples of the sides, up to a number or as many as there are
-    grid = sides
+    sizes = sides
     while not in_closed_form(known.g):
-        axis = int(np.argmin(grid))
-        finer = tuple(cells + (i == axis) * sides[i] for i, cells in enumerate(grid))
+        axis = int(np.argmin(sizes))
+        finer = tuple(cells + (i == axis) * sides[i] for i, cells in enumerate(sizes))
         if math.prod(finer) > _CELLS[known.g.dims]:
             break
-        grid = finer
+        sizes = finer
     means, squares = known.once(
-        ("moments", grid, *offset), lambda: _cell_moments(known.g, grid, offset)
+        ("moments", sizes, *offset), lambda: _cell_moments(known.g, sizes, offset)
     )
     square = squares[-1].reshape(-1, squares.shape[-1]).mean(axis=0)
     value, error = _spread(_merged(means, sides), _merged(squares, sides))
