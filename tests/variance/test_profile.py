@@ -312,9 +312,10 @@ def test_what_was_interrupted_is_not_called_again(tmp_path):
         ).to_dict()
 
     first = profiled()
-    assert made == first["calls"]
+    # Of eight values that are asked for again the cache has seven; one is held against the function
+    assert made == first["calls"] - 7
     assert profiled() == first
-    assert made == first["calls"] + 1  # one value of the cache is held against the function
+    assert made == first["calls"] - 7 + 1
 
 
 def test_draws_of_chains_and_estimates_are_profiled():
