@@ -4,6 +4,7 @@ import json
 import shutil
 import socket
 import threading
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from mcspectra.cli.main import main
 from mcspectra.core.errors import FileFormatError, ParameterError
 from mcspectra.core.images import read_image
 from mcspectra.plots.kinds import KINDS, describe, kinds_of
-from mcspectra.rendering import frames, write_exr, write_png
+from mcspectra.rendering import frame_statistics, frames, write_exr, write_png
 from mcspectra.report.frames_page import frame_findings
 
 HEIGHT, WIDTH = 96, 128
@@ -49,6 +50,14 @@ def write(folder, noise=white, *, counts=(16, 64), frames=8, seed=1, change=lamb
             image = TRUTH * (1 + error / error.std() * SIGMA / np.sqrt(n))
             np.save(folder / f"view_{n}spp_{k}.npy", change(k, image).astype(np.float32))
     return folder
+
+
+@contextmanager
+def monkeyed_header(samples):
+    """EXR headers that say so many samples a pixel, as pbrt's do."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(frame_statistics, "exr_attributes", lambda _: {"samplesPerPixel": samples})
+        yield
 
 
 def said(result):
@@ -178,6 +187,86 @@ def test_two_sets_are_held_against_each_other(tmp_path):
     assert "do not converge to one picture: 384 of 12288 pixels" in text
 
 
+def test_pixels_without_numbers_in_one_set_are_left_out_of_both(tmp_path):
+    """The brightest and noisiest columns have a NaN in one frame of one set."""
+
+    def holed(k, image):
+        return np.where((k == 0) & (np.arange(WIDTH) > 100), np.nan, image)
+
+    ours = write(tmp_path / "a", counts=(16,), change=holed)
+    result = frames(ours, against=write(tmp_path / "b", counts=(16,), seed=2))
+    low, high = result["picture_ratio_ci"].values
+    assert low < 1.0 < high
+    assert high / low < 1.2
+    assert abs(result.attrs["mean_difference_z"]) < 4
+    assert result.attrs["compared_pixels"] == HEIGHT * 101
+    assert result.attrs["biased_pixels"] == 0
+
+
+def test_two_equal_values_of_a_pixel_are_no_certainty(tmp_path):
+    """Pixels of two values: a quarter of those of two frames do not vary, and half of these differ."""
+
+    def coins(seed, folder):
+        rng = np.random.default_rng(seed)
+        folder.mkdir()
+        for k in range(2):
+            np.save(folder / f"{k}.npy", rng.integers(0, 2, (HEIGHT, WIDTH)).astype(np.float32))
+        return folder
+
+    result = frames(coins(1, tmp_path / "a"), against=coins(2, tmp_path / "b"))
+    assert result.attrs["biased_pixels"] == 0
+    assert not result.attrs["identical"]
+
+
+@pytest.mark.parametrize("count", [2, 4])
+def test_relative_errors_of_few_frames_have_the_right_median(tmp_path, count):
+    result = frames(write(tmp_path / "a", counts=(16,), frames=count), target=SIGMA / 4)
+    sigma = result["relative_rmse"].values / (SIGMA / 4)
+    # Half of the pixels, to five standard errors
+    assert abs((sigma < 1.0).mean() - 0.5) < 5 * 0.5 / np.sqrt(sigma.size)
+
+
+def test_what_was_written_before_is_no_frame(tmp_path):
+    folder = write(tmp_path / "a", counts=(16,), frames=3)
+    for file in folder.glob("*.npy"):
+        file.rename(folder / f"{file.stem[-1]}.npy")
+    shown = []
+    for _ in range(2):
+        assert (
+            main(["frames", str(folder), "--out", str(folder / "out"), "--no-flip", "--quiet"]) == 0
+        )
+        shown.append(json.loads((folder / "out" / "frames.json").read_text())["frame_count"])
+    assert shown == [[3], [3]]
+
+
+def test_the_least_period_is_named(tmp_path):
+    def small_tiles(rng):
+        return np.tile(rng.standard_normal((8, 8)), (12, 16))
+
+    assert "repeats after 8 pixels across and 0 down" in said(
+        frames(write(tmp_path / "a", small_tiles))
+    )
+
+
+@pytest.mark.parametrize("shape", [(1, 40), (40, 1), (1, 1), (2, 2)])
+def test_frames_of_few_pixels_are_told_in_words(tmp_path, shape, capsys):
+    rng = np.random.default_rng(1)
+    for k in range(2):
+        np.save(tmp_path / f"{k}.npy", -1.0 - rng.random(shape))
+    assert main(["frames", str(tmp_path), "--target", "0.1", "--no-flip"]) == 0
+    shown = capsys.readouterr()
+    assert "not resolved" in shown.out
+    assert shown.err == ""
+    assert "not resolved" in frames(tmp_path, flip=False).mcspectra.summary()
+
+
+def test_names_and_headers_that_disagree_are_refused(tmp_path):
+    for k in range(2):
+        write_exr(tmp_path / f"{k}_64spp.exr", {"": np.full((4, 4), 1.0 + k)}, comment="")
+    with monkeyed_header(16), pytest.raises(ParameterError, match="64 .*by its name and 16"):
+        frames(tmp_path)
+
+
 def test_samples_and_times_come_from_headers_and_folders(tmp_path):
     import OpenEXR
 
@@ -218,7 +307,7 @@ def test_portable_float_maps(tmp_path):
         (lambda p: [np.save(p / f"{k}.npy", np.ones((4, 4))) for k in "ab"], ParameterError,
          "the same to the last bit"),
         (lambda p: [np.save(p / f"{k}.npy", np.full((4, 4), np.nan)) for k in "ab"], ParameterError,
-         "have no number"),
+         "a.npy has no finite pixel"),
         (lambda p: [np.save(p / f"{k}.npy", np.eye(k)) for k in (3, 4)], ParameterError, "of one view"),
         (lambda p: [write_png(p / f"{k}.png", np.eye(4) / k) for k in (1, 2)], FileFormatError,
          "tone-mapped"),

@@ -80,6 +80,7 @@ def test_maps_are_no_pgf(tmp_path):
     result = mcs.power_spectrum("jittered", 16, half_width=4, realizations=4)
     with pytest.raises(ParameterError, match="give a .pdf"):
         write_result_file(result, str(tmp_path / "s.pgf"), "t")
+    assert not (tmp_path / "s.pgf").exists()
 
 
 def test_a_place_that_is_none(curve, tmp_path):

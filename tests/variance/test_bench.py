@@ -60,6 +60,16 @@ def test_sets_that_do_not_vary_are_randomised_and_it_is_said(result):
     assert free_of(mcs.sampler("box-jitter")).spec == "box-jitter"
 
 
+def test_a_function_without_randomness_is_randomised_too():
+    def same(n, rng):
+        return np.random.default_rng(1).random((n, 1))
+
+    source = mcs.Sampler.from_function(same, dims=1)
+    found = mcs.sampler_bench([source, "random"], counts=[16, 64], dims=1, realizations=20)
+    assert (found["variance"].values > 0).all()
+    assert "are those of" in found.attrs["note"]
+
+
 def test_given_sets_count_as_many_as_there_are(tmp_path):
     for n in (16, 64):
         for k in range(20):
@@ -130,6 +140,8 @@ def test_a_wide_interval_gives_a_wide_rank():
     # Only the ends that face each other matter
     assert found([1.0, 2.0], [[0.9, 1.1], [1.8, np.inf]]) == ([1, 2], [[1, 1], [2, 2]])
     assert found([2.0, 0.5], [[1.8, 2.2], [0.4, np.inf]]) == ([2, 1], [[1, 2], [1, 2]])
+    # What does not vary is the best for sure
+    assert found([0.0, 0.5], [[0.0, 0.0], [0.4, 0.6]]) == ([1, 2], [[1, 1], [2, 2]])
     # Half the variance at twice the points is no better
     assert found([1.0, 0.5], [[0.9, 1.1], [0.45, 0.55]], (64.0, 128.0))[1] == [[1, 2], [1, 2]]
     rank, ends = found([1.0, np.nan], [[0.9, 1.1], [np.nan, np.nan]])

@@ -19,6 +19,7 @@ from mcspectra.samplers import SharedCells
 from mcspectra.samplers.stratified import write_cells
 from mcspectra.variance.design import design as doors
 from mcspectra.variance.design import searches
+from mcspectra.variance.design._kernels import improve_code
 from mcspectra.variance.design.objectives import as_objective
 
 GAUSSIANS = "gaussian(center=uniform(0, 1), width=uniform(0.15, 0.4))"
@@ -141,6 +142,12 @@ def test_a_list_is_its_own_class_and_a_mixture_has_equal_shares():
     mixed = as_objective(["gaussians", g], 2)
     assert mixed.whole is None
     assert len(mixed.draw(10, np.random.default_rng(0))(x)) == 6  # 5 Gaussians and the disk
+
+
+@pytest.mark.parametrize("level", [-1.0, 1.0, -1e-18])
+def test_flips_that_change_nothing_end_a_search(level):
+    found = improve_code(np.full(64, level), np.zeros(3, np.int64), 6, np.empty(8, np.int64))
+    assert found == pytest.approx(level)
 
 
 def test_a_covariance_is_that_of_its_functions():

@@ -136,6 +136,8 @@ def matching_files(path: str | PathLike[str]) -> list[tuple[Path, int | None]]:
     text = str(path)
     pattern = any(mark in text for mark in ("*", "?", "{n}"))
     file = known_path(path, "a point set")
+    if not (file.suffix or pattern or file.exists()):
+        raise FileFormatError(f"There is no file or folder {text!r}; give a point set.")
     if file.is_file() or not (pattern or file.is_dir()):
         return [(file, None)]
     if file.is_dir():

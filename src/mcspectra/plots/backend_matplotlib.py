@@ -253,17 +253,18 @@ def _write_pgf(figure: Figure, file: Path) -> None:
     canvas.draw()  # type: ignore[no-untyped-call]
     figure.set_layout_engine("none")
     width, height = figure.get_size_inches()
-    with file.open("w", encoding="utf-8") as stream:
-        stream.write(
-            "% for LuaLaTeX or XeLaTeX with the package pgf\n"
-            "\\begingroup\n\\makeatletter\n\\begin{pgfpicture}\n"
-            f"\\pgfpathrectangle{{\\pgfpointorigin}}{{\\pgfqpoint{{{width:f}in}}{{{height:f}in}}}}\n"
-            "\\pgfusepath{use as bounding box, clip}\n"
-        )
-        inner = Renderer(figure, stream)  # type: ignore[no-untyped-call]
-        mixed: Any = MixedModeRenderer(figure, width, height, figure.dpi, inner)  # type: ignore[no-untyped-call]
-        figure.draw(mixed)
-        stream.write("\\end{pgfpicture}\n\\makeatother\n\\endgroup\n")
+    stream = io.StringIO()
+    inner = Renderer(figure, stream)  # type: ignore[no-untyped-call]
+    mixed: Any = MixedModeRenderer(figure, width, height, figure.dpi, inner)  # type: ignore[no-untyped-call]
+    figure.draw(mixed)
+    file.write_text(
+        "% for LuaLaTeX or XeLaTeX with the package pgf\n"
+        "\\begingroup\n\\makeatletter\n\\begin{pgfpicture}\n"
+        f"\\pgfpathrectangle{{\\pgfpointorigin}}{{\\pgfqpoint{{{width:f}in}}{{{height:f}in}}}}\n"
+        "\\pgfusepath{use as bounding box, clip}\n"
+        f"{stream.getvalue()}\\end{{pgfpicture}}\n\\makeatother\n\\endgroup\n",
+        encoding="utf-8",
+    )
 
 
 def _share(axes: Axes, first: Axes, share: str) -> None:

@@ -39,6 +39,7 @@ _LINEAR = (".exr", ".pfm", ".npy")
 _ENCODED = (".png", ".jpg", ".jpeg")
 _MOST_SPP = 2**40
 _REACH = 8  # pixels to either side for which correlations are listed
+_FILTER = 2  # pixels that a reconstruction filter may join
 _SAMPLE = 2**14  # pixels by which frames are held against one another
 _TAIL = 64  # extreme deviations of a frame that are kept, as many as `Moments` looks at
 _TABLE = 4001  # correlations that are looked up
@@ -175,6 +176,8 @@ def frames(
         slope = np.where(np.isfinite(rate), np.minimum(rate, _SLOWEST), -1.0)
         with np.errstate(over="ignore", invalid="ignore"):
             need = best.spp * (best.relative_rmse / given["target"]) ** (-2.0 / slope)
+        if best.told["spp_known"]:
+            need = np.maximum(need, 1.0)
         variables["needed_spp"] = (("y", "x"), need)
 
     told: dict[str, Any] = {name: [each.told[name] for each in found] for name in best.told}
@@ -182,7 +185,7 @@ def frames(
     if against is not None:
         other = _measured(against, read)
         times = given["seconds"], given["seconds_against"]
-        compared, said = _compared(found, other, times)
+        compared, said = _compared(found, other, times, read)
         variables |= compared
         told |= {**said, "against": _said(against)}
     lags = {
@@ -243,12 +246,13 @@ class _Reader:
     def about(self, file: Path) -> tuple[int | None, float | None]:
         """Samples a pixel and seconds of a frame, as far as names and headers tell."""
         named = _SPP.search(file.stem) or _SPP.search(file.parent.name)
-        spp, seconds = self.spp or (int(named[1] or named[2]) if named else None), None
+        own = int(named[1] or named[2]) if named else None
+        told, seconds = None, None
         header = exr_attributes(file) if file.suffix.lower() == ".exr" else {}
         try:
             for key, value in header.items():
                 if key == "samplesPerPixel" or re.fullmatch(r"cycles\..*\.samples", key):
-                    spp = spp or int(str(value))
+                    told = told or int(str(value))
                 elif key == "renderTimeSeconds":
                     seconds = float(str(value))
                 elif key == "RenderTime":  # of Blender, [hours:]minutes:seconds
@@ -258,6 +262,12 @@ class _Reader:
             raise FileFormatError(
                 f"{file} says {key} = {value!r}; give spp= and seconds=."
             ) from None
+        spp = next((s for s in (self.spp, own, told) if s is not None), None)
+        if self.spp is None and None not in (own, told) and own != told:
+            raise ParameterError(
+                f"{file} has {own} samples a pixel by its name and {told} by its header; give spp=, or "
+                "mend the name."
+            )
         if spp is not None and not 1 <= spp <= _MOST_SPP:
             raise ParameterError(
                 f"{file} has {spp} samples a pixel by its name or header; give spp=."
@@ -287,9 +297,19 @@ class _Group:
 
     @property
     def relative_rmse(self) -> Array:
-        """σ / mean of one frame; NaN where the mean is not positive."""
+        """σ / mean of one frame, too small as often as too large; NaN where the mean is not positive."""
+        from scipy.special import chdtri
+
+        degrees = self.moments.count - 1  # of normal noise: s² is below σ² more often than above
         positive = np.where(self.moments.mean > 0, self.moments.mean, np.nan)
-        return np.asarray(np.sqrt(self.moments.variance) / positive)
+        s = np.sqrt(degrees / chdtri(degrees, 0.5) * self.moments.variance)
+        return np.asarray(s / positive)
+
+    def within(self, pixels: Array, read: _Reader) -> _Group:
+        """The same of some pixels alone, where other frames have numbers, too."""
+        mean, m2 = (np.where(pixels, v, np.nan) for v in (self.moments.mean, self.moments.m2))
+        means = [float(read.plane(file, None)[0][pixels].mean()) for file in self.files]
+        return replace(self, moments=replace(self.moments, mean=mean, m2=m2), means=np.array(means))
 
     @property
     def picture_variance(self) -> float:
@@ -349,6 +369,10 @@ def _listed(paths: Any) -> list[Path]:
     if not isinstance(paths, str | PathLike):
         if not isinstance(paths, Sequence) or not paths or not all(map(is_path, paths)):
             raise ParameterError(f"paths is {paths!r:.80}; give a folder, a pattern or files.")
+        if folder := next((each for each in paths if Path(each).is_dir()), None):
+            raise ParameterError(
+                f"{folder} is a folder; give one alone, or files such as {folder}/*.exr."
+            )
         return [Path(each) for each in paths]
     place = Path(paths)
     if not place.is_dir():
@@ -360,6 +384,7 @@ def _listed(paths: Any) -> list[Path]:
             )
         return matching
     inside = sorted([*place.glob("*"), *place.glob("*/*")])
+    inside = [f for f in inside if f.name != "frames.exr" or not f.with_suffix(".json").exists()]
     for kinds in (_LINEAR, _ENCODED):  # pictures beside the frames are their previews
         if files := [file for file in inside if file.suffix.lower() in kinds]:
             return files
@@ -388,7 +413,9 @@ def _group(
         each, shape = Moments.of(plane[None]), image.shape
         moments = each if moments is None else moments.merge(each)
         low, high, image_sum = np.fmin(low, plane), np.fmax(high, plane), image_sum + image
-        means.append(np.nanmean(plane) if np.isfinite(plane).any() else np.nan)
+        if not np.isfinite(plane).any():
+            raise ParameterError(f"{file} has no finite pixel; leave it out.")
+        means.append(np.nanmean(plane))
         report("frames", (done + k) / total)
     assert moments is not None
     varied = moments.variance > 0
@@ -526,8 +553,15 @@ def _lags(every: Array, variance: float) -> tuple[Array, list[int] | None, float
     # A pattern repeats at multiples: the nearest of those
     rows, columns = np.nonzero(far >= 0.9 * largest)
     nearest = np.argmin(np.hypot(down[rows], right[columns]))
-    row, column = rows[nearest], columns[nearest]
-    return listed, [abs(int(down[row])), abs(int(right[column]))], float(every[row, column])
+    lag = int(down[rows[nearest]]), int(right[columns[nearest]])
+    # It may have a smaller period, among the lags that are near
+    for part in range(2, math.gcd(*lag) + 1):
+        inner = lag[0] // part, lag[1] // part
+        whole = math.gcd(*lag) % part == 0 and max(map(abs, inner)) > _FILTER
+        if whole and abs(every[inner]) >= 0.9 * largest:
+            lag = inner
+            break
+    return listed, [abs(lag[0]), abs(lag[1])], float(every[lag])
 
 
 def _related(sample: Array, alike: float) -> tuple[tuple[int, int] | None, float]:
@@ -581,7 +615,10 @@ def _flip(reference: Array, test: Array) -> Array | None:
 
 
 def _compared(
-    ours: list[_Group], others: list[_Group], times: tuple[float | None, float | None]
+    ours: list[_Group],
+    others: list[_Group],
+    times: tuple[float | None, float | None],
+    read: _Reader,
 ) -> tuple[dict[str, tuple[tuple[str, ...], Any]], dict[str, Any]]:
     """Means and variances of two sets of frames against each other."""
     common = {each.spp for each in ours} & {each.spp for each in others}
@@ -594,11 +631,18 @@ def _compared(
             f"{b.files[0]} has the size {b.moments.mean.shape}, {a.files[0]} {a.moments.mean.shape}; give "
             "frames of one view."
         )
+    both = np.isfinite(a.moments.mean) & np.isfinite(b.moments.mean)
+    if not both.any():
+        raise ParameterError(
+            f"{a.files[0]} and {b.files[0]} have no pixel with numbers in all frames of both; give others."
+        )
+    if not both.all():
+        a, b = (each.within(both, read) for each in (a, b))
     z = _welch(*((each.moments.mean, each.moments.variance, each.moments.count) for each in (a, b)))
     whole = _welch(
         *((each.means.mean(), each.means.var(ddof=1), each.means.size) for each in (a, b))
     )
-    pixels = int(np.isfinite(z).sum())
+    pixels = int((~np.isnan(z)).sum())
     limit = _sidak(pixels)
     with np.errstate(invalid="ignore", divide="ignore"):
         variances = a.moments.variance / b.moments.variance
@@ -621,7 +665,7 @@ def _compared(
         found["equal_time_ratio_ci"] = (("bound",), bounds * faster)
     return found, {
         "compared_n": [a.spp, b.spp],
-        "identical": int(bool((z[np.isfinite(z)] == 0).all())),
+        "identical": int(np.array_equal(a.moments.mean, b.moments.mean, equal_nan=True)),
         "biased_pixels": int((np.abs(z) > limit).sum()),
         "compared_pixels": pixels,
         "z_limit": limit,
@@ -640,5 +684,7 @@ def _welch(a: tuple[Any, Any, int], b: tuple[Any, Any, int]) -> Array:
         t = (mean - other) / np.sqrt(first + second)
         degrees = (first + second) ** 2 / (first**2 / (count - 1) + second**2 / (other_count - 1))
         deviate = -ndtri(np.maximum(stdtr(degrees, -np.abs(t)), 1e-300)) * np.sign(t)
-    certain = np.where(mean == other, 0.0, np.copysign(np.inf, mean - other))
+    # A few equal values are no certainty
+    sure = np.inf if min(count, other_count) >= _LEAST_GRUBBS else np.nan
+    certain = np.where(mean == other, 0.0, np.copysign(sure, mean - other))
     return np.asarray(np.where(first + second == 0, certain, deviate))

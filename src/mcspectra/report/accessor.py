@@ -105,7 +105,11 @@ class Result:
         """What the result says in sentences: rates, terms, predictions, or its numbers with intervals."""
         attributes = (self._data.attrs.get(key, "") for key in _SENTENCES)
         said: Iterable[str] = ()
-        if "map-variance" in self.kinds:
+        if "frames-picture" in self.kinds:
+            from mcspectra.report.frames_page import frame_findings
+
+            said = frame_findings(self._data)
+        elif "map-variance" in self.kinds:
             from mcspectra.report.map_page import map_sentences
 
             said = map_sentences(self._data)

@@ -25,6 +25,7 @@ __all__ = ["frame_findings", "frame_layers", "frame_summary", "frame_table", "wr
 _COLUMNS = ("Samples a pixel", "Frames", "Variance", "95 %", "σ / mean", "FLIP")
 _LOW = 0.125  # cycles a pixel
 _BLUE, _RED = 0.8, 1.25  # power there, below and above which noise is not called white
+_UNSURE = 0.5  # error of that power, relative to it, which tells nothing
 _ALIKE = 0.1  # correlation of neighbours that is worth a word
 _SURE = 2.24  # standard errors that the larger of two correlations of white noise exceeds in 5 %
 _HEAVY = 0.5  # tail index of infinite variance
@@ -46,7 +47,7 @@ def frame_summary(result: xr.Dataset) -> dict[str, Any]:
             "frames": told["frame_count"][k],
             "picture_variance": float(one["picture_variance"]),
             "picture_variance_ci": one["picture_variance_ci"].values.tolist(),
-            "median_relative_rmse": float(np.nanmedian(one["relative_rmse"].values)),
+            "median_relative_rmse": float(one["relative_rmse"].median()),
         }
         if "flip" in one:
             row["mean_flip"] = float(one["flip"].mean())
@@ -55,7 +56,7 @@ def frame_summary(result: xr.Dataset) -> dict[str, Any]:
     for name in ("picture_rate", "picture_ratio", "equal_time_ratio"):
         if name in result:
             found |= {name: float(result[name]), f"{name}_ci": result[f"{name}_ci"].values.tolist()}
-    if "needed_spp" in result:
+    if "needed_spp" in result and np.isfinite(result["needed_spp"].values).any():
         need = result["needed_spp"].values
         best = result["relative_rmse"].isel(n=-1).values
         seen = best[np.isfinite(best)]
@@ -80,20 +81,23 @@ def _against(found: dict[str, Any]) -> Iterator[str]:
         return
     ours, others = found["compared_n"]
     at = f"{ours} samples a pixel" + ("" if ours == others else f", the others {others}")
-    ends = interval(*found["picture_ratio_ci"])
-    yield f"At {at} the variance is {number(found['picture_ratio'])} ({ends}) of that of {found['against']}."
-    if "equal_time_ratio" in found:
-        ends = interval(*found["equal_time_ratio_ci"])
-        yield f"At equal time it is {number(found['equal_time_ratio'])} ({ends})."
     biased, pixels = found["biased_pixels"], found["compared_pixels"]
     z = found["mean_difference_z"]
-    apart = f"the means of the pictures differ by {percent(abs(found['mean_difference']))} ({number(z)} standard errors)"
+    apart = (
+        f"the means of the pictures differ by {percent(abs(found['mean_difference']))} (as unlikely as {number(abs(z))} "
+        "standard errors of a normal)"
+    )
     if biased or abs(z) > 3:
         yield (
             f"The two do not converge to one picture: {biased} of {pixels} pixels differ by more than "
             f"{number(found['z_limit'])} standard errors (none would in 95 % of equal pairs), and {apart}."
         )
-    else:
+    ends = interval(*found["picture_ratio_ci"])
+    yield f"At {at} the variance is {number(found['picture_ratio'])} ({ends}) of that of {found['against']}."
+    if "equal_time_ratio" in found:
+        ends = interval(*found["equal_time_ratio_ci"])
+        yield f"At equal time it is {number(found['equal_time_ratio'])} ({ends})."
+    if not biased and abs(z) <= 3:
         yield f"No bias is seen: no pixel differs significantly, and {apart}."
 
 
@@ -116,7 +120,7 @@ def _doubts(found: dict[str, Any]) -> Iterator[str]:
                 f"Fireflies: at {count} pixels one frame is far brighter ({number(expected, 2)} expected of normal "
                 f"noise); these pixels make {percent(share)} of the picture's variance"
                 + (
-                    f"; the errors of all pixels together have the tail index {number(tail, 2)}."
+                    f"; the errors of all pixels together have the tail index {number(tail, 2)}, and from ½ on the variance is infinite."
                     if tail and tail > _HEAVY
                     else "."
                 )
@@ -151,25 +155,31 @@ def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[str]:
     last = result.isel(n=-1)
     lowest = last["radius"].values < _LOW
     power, ends = last["error_spectrum"].values[lowest], last["error_spectrum_ci"].values[lowest]
-    level = float(power.mean())
+    level = float(power.sum()) / max(power.size, 1)
     half = float(np.linalg.norm(ends[:, 1] - power)) / max(power.size, 1)
     near = last["error_correlation"]
-    beside = (
-        [float(near.sel(lag_y=0, lag_x=1)), float(near.sel(lag_y=1, lag_x=0))]
-        if near.size > 1
-        else [0]
+    beside = tuple(
+        float(near.reindex(lag_y=[y], lag_x=[x], fill_value=0.0).squeeze())
+        for y, x in ((0, 1), (1, 0))
     )
     have = f"{number(level)} ± {number(half, 2)} times the power of white noise"
-    below = f"below {_LOW} cycles a pixel the errors have {have}"
-    factor = math.exp(half / level) if level > 0 else math.inf  # errors of powers are relative
+    below = f"below {_LOW} cycles a pixel " + (
+        f"the errors have {have}" if power.size else "so small a picture has no errors"
+    )
+    factor = (
+        math.exp(min(half / level, 700.0)) if level > 0 else math.inf
+    )  # errors of powers are relative
     if level < _BLUE and level * factor < 1.0:
         yield f"Blue noise: {below}, which the eye, and a denoiser, blurs away."
     elif level > _RED and level > factor:
         yield (
             f"Neighbours err together: {below}; a wide reconstruction filter, or points shared by pixels."
         )
-    else:
-        yield f"The noise is {'white' if 1.0 < level * factor < factor**2 else 'nearly white'} between pixels: {below}."
+    elif half > _UNSURE * level or not power.size:
+        yield f"Whether the noise is white between pixels is not resolved: {below}."
+    elif not found["repeat"][-1]:
+        white = level < factor and level * factor > 1.0
+        yield f"The noise is {'white' if white else 'nearly white'} between pixels: {below}."
     if max(map(abs, beside)) > max(_ALIKE, _SURE * found["correlation_error"][-1]):
         yield f"Errors of neighbours correlate by {number(beside[0])} across and {number(beside[1])} down."
     if lag := found["repeat"][-1]:

@@ -272,8 +272,14 @@ class OneByOne(Sampler):
                 "its parameters."
             )
         if points.shape != (n, self.dims):
+            own = points.ndim == 2 and points.shape[1] != self.dims
             raise ParameterError(
-                f"{self.spec} returned shape {points.shape}; {(n, self.dims)} is needed."
+                f"{self.spec} returned shape {points.shape}; {(n, self.dims)} is needed"
+                + (
+                    f": its points are in {points.shape[1]} dims, write dims={points.shape[1]}."
+                    if own
+                    else "."
+                )
             )
         return points
 
@@ -538,9 +544,9 @@ def loaded_function(name: object) -> Callable[..., Any]:
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # whatever the code of others does
+        hint = "; name its folder in PYTHONPATH" if isinstance(error, ModuleNotFoundError) else ""
         raise ParameterError(
-            f"The function {name!r} cannot be imported: {reason_of(error, 200)}; name its folder in "
-            "PYTHONPATH."
+            f"The function {name!r} cannot be imported: {reason_of(error, 200)}{hint}."
         ) from error
     if not callable(found):
         raise ParameterError(f"{name!r} is {found!r:.80}, not a function.")

@@ -200,6 +200,10 @@ def sampler_bench(
         parts = [_look(sources[wanted[0]], asked, own, seed)] if wanted[0] in sources else []
         for d, source in sources.items():
             free = free_of(source)
+            if free is source:  # a function may use no generator
+                n = max(_nearest(source, asked).values())
+                if different_realizations(source, n, Stream.from_rng(own), 2) == 1:
+                    free = randomized(source)
             if free.spec != source.spec and not (
                 notes and notes[-1].startswith(f"variances of {label} ")
             ):
@@ -277,16 +281,17 @@ def ranks(variance: Array, variance_ci: Array, n: Array) -> tuple[Array, Array]:
         the number of samplers that are better for sure, by differences of independent estimates of
         log variance and Bonferroni over all pairs on all tasks.
     """
-    known = (variance > 0.0) & np.isfinite(variance)
+    known = (variance >= 0.0) & np.isfinite(variance)
     with np.errstate(divide="ignore", invalid="ignore"):
         logs = np.where(known, np.log(n * variance), np.nan)
         steps = np.abs(np.log(variance_ci / variance[..., None])) / stats.norm.ppf(0.975)
+    steps = np.where((variance == 0.0)[..., None], 0.0, steps)
     pairs = sum(math.comb(int(k), 2) for k in known.sum(axis=0))
     z = stats.norm.ppf(1.0 - (1.0 - _LEVEL) / (2.0 * max(pairs, 1)))
 
     # i is better than k for sure where the ends that face each other leave a gap
-    gap = logs[None] - logs[:, None]
     with np.errstate(invalid="ignore"):
+        gap = logs[None] - logs[:, None]
         sure = gap > z * np.hypot(steps[:, None, :, 1], steps[None, ..., 0])
     ends = np.stack([1.0 + sure.sum(axis=0), known.sum(axis=0) - sure.sum(axis=1)], axis=-1)
     rank = 1.0 + (gap < 0.0).sum(axis=1)

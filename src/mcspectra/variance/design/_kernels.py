@@ -48,6 +48,7 @@ def span_mean(table: Array, columns: Array, span: Array) -> float:
 def improve_code(table: Array, columns: Array, bits: int, span: Array) -> float:
     # Flip bits of the columns while the mean of the table falls
     best = span_mean(table, columns, span)
+    floor = 1e-14 * np.abs(table).max()  # means that vanish are rounding, of either sign
     better = True
     while better:
         better = False
@@ -55,7 +56,7 @@ def improve_code(table: Array, columns: Array, bits: int, span: Array) -> float:
             for bit in range(bits):
                 columns[c] ^= 1 << bit
                 value = span_mean(table, columns, span)
-                if value < best * (1.0 - 1e-9):
+                if value < best - 1e-9 * abs(best) - floor:
                     best, better = value, True
                 else:
                     columns[c] ^= 1 << bit

@@ -38,7 +38,7 @@ Values: TypeAlias = Callable[[Array], Array]
 
 _MAX_DIMS = 8
 _MOST_WAVES = 1024
-_PROBE_MEMBERS, _PROBE_POINTS = 16, 256
+_PROBE_MEMBERS, _PROBE_POINTS = 16, 8192
 
 _FAMILIES = {
     "gaussians": "gaussian(center=uniform(0, 1), width=uniform(0.1, 0.4))",
