@@ -52,7 +52,7 @@ def test_latex_is_plain_text_of_latex():
     text = latex_table(
         ["a_b", "x"], [["50 % & {more}", 1.25e-7], ["points(path='p', name='mine')", None]]
     )
-    assert r"a b & x \\" in text
+    assert r"a\_b & x \\" in text  # a name of the user's
     assert r"50 \% \& \{more\} & 1.25$\times10^{-7}$ \\" in text
     assert r"mine & -- \\" in text
     with pytest.raises(ParameterError, match="more than 500"):

@@ -250,6 +250,10 @@ def draw_never(n, generator):
     raise RuntimeError("no more ink")
 
 
+def draw_and_leave(n, rng):
+    raise SystemExit(3)
+
+
 class TestPythonSampler:
     """A function by its name, which must be allowed before a spec may say it."""
 
@@ -280,6 +284,8 @@ class TestPythonSampler:
         refused(CountError, "returned 3 of 4", few.draw, 4)
         never = PythonSampler(function=f"{__name__}:draw_never")
         refused(CountError, "cannot make 4 points: no more ink", never.draw, 4)
+        leaves = PythonSampler(function=f"{__name__}:draw_and_leave")
+        refused(CountError, "cannot make 4 points: 3", leaves.draw, 4)
 
 
 PROGRAM = """\

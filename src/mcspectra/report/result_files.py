@@ -79,7 +79,9 @@ def write_result_file(result: xr.Dataset, file: str, title: str) -> None:
                 about = {k: v for k, v in known.items() if "\n" not in str(v)}
                 path.write_text(csv_text(*result_table(result), about), encoding="utf-8")
             case ".tex":
-                path.write_text(latex_table(*result_table(result)), encoding="utf-8")
+                columns, rows = result_table(result)
+                named = [name.replace("_", " ") for name in columns]
+                path.write_text(latex_table(named, rows), encoding="utf-8")
             case ".html":
                 write_result(result, file, title)
             case _:
@@ -165,7 +167,7 @@ def latex_table(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
     lines = [
         rf"\begin{{tabular}}{{{''.join('l' if w else 'r' for w in words)}}}",
         r"\hline",
-        " & ".join(cell(name.replace("_", " ")) for name in columns) + r" \\",
+        " & ".join(cell(name) for name in columns) + r" \\",
         r"\hline",
         *(" & ".join(map(cell, row)) + r" \\" for row in rows),
         r"\hline",

@@ -284,11 +284,11 @@ class OneByOne(Sampler):
         return points
 
     @contextmanager
-    def refusals_named(self, n: int, kind: type[Exception]) -> Iterator[None]:
+    def refusals_named(self, n: int, *kinds: type[BaseException]) -> Iterator[None]:
         """Say which sampler cannot make `n` points, and why."""
         try:
             yield
-        except kind as error:
+        except kinds as error:
             raise CountError(
                 f"{self.spec} cannot make {n} points: {reason_of(error, 200)}."
             ) from error
@@ -381,7 +381,7 @@ class PythonSampler(OneByOne):
     def make_one(self, n: int, stream: Stream, realization: int) -> object:
         """Call the function."""
         function = loaded_function(self.function)
-        with self.refusals_named(n, Exception):
+        with self.refusals_named(n, Exception, SystemExit):
             return function(n, stream.generator(realization))
 
 
