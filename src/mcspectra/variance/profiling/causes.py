@@ -53,7 +53,8 @@ _HEAVY = 30.0  # kurtosis
 _LARGE = 0.2  # of all squares, by one value
 _FEW, _VERY_FEW = 0.05, 0.01  # of the values, that make nine tenths of the variance
 _ALIKE = 0.05  # of all evaluations, as different values: a function in steps
-_SAME = 2e-3  # along lines, of places that are the same
+_LOOKED = 4  # lines that show what is rough
+_SAME, _PLACES = 1e-4, 1000  # along lines: of equal places; so many do not agree by chance
 _TURNS = 0.33  # of the places along a line, as extremes: of noise two thirds
 _WAVES = 6.0  # along a line
 _RESOLVED = 4.0  # gain of nets over random points, from which on they see what g does
@@ -446,6 +447,7 @@ def _jumps(seen: Evidence) -> Cause | None:
 
 def _clustered(places: Array) -> bool:
     """Whether most places along parallel lines are shared by several lines."""
+    places = places[:_PLACES]
     near = np.abs(places[:, None] - places) < _SAME
     return bool((near.sum(axis=1) > 1).mean() > 0.7)
 
@@ -581,6 +583,19 @@ def causes_of(seen: Evidence) -> list[Cause]:
         and heavy.evidence["nine_tenths"] > _VERY_FEW
     ):
         found = sorted(found, key=lambda c: c.name == "heavy-tail")
-    return found or [
+    if found:
+        return found
+    # Half of what is wrong shows on lines alone
+    looked = len(seen.each("axis"))
+    if looked < _LOOKED:
+        return [
+            Cause(
+                "few-realizations",
+                f"Nothing was found that costs precision, but {looked or 'no'} line{'s' * (looked != 1)} through the "
+                f"cube {'were' if looked != 1 else 'was'} looked at: give {math.ceil(_LOOKED / max(looked, 1))} times the evaluations.",
+                {"lines": float(looked)},
+            )
+        ]
+    return [
         Cause("none", "Nothing was found that costs precision: g is smooth, and its sets show it.")
     ]

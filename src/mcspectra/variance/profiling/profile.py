@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 __all__ = ["Change", "Profile", "Profiling", "profile"]
 
 _LEAST = 256  # evaluations
-_NETS = 20  # at least; fewer tell little of errors
+_NETS, _MORE_FROM = 20, 16384  # at least, fewer tell little of errors; more from so many points on
 _LINES, _GIVEN, _CHECK = 0.2, 0.25, 0.15  # of the budget
 _AGAIN = 8  # points whose values are asked for twice
 _SAME_VALUE = 1e-6  # of the size of values: rounding of sums whose order changes
@@ -67,6 +67,8 @@ _GIVEN_COUNTS = 5
 _LEAST_SETS = 3
 _PAIRS = "antithetic-jittered"
 _THEORY = 0.08  # of a rate, at counts of points that are not large
+_EXPONENTS = {"interior-jump": 1.0, "axis-parallel-jump": 1.0, "none": 2.0}  # beyond random points
+_TEETH = 0.5  # of a slope over few octaves, as ends of strata fall anywhere beside a jump
 _ALIKE = 0.4  # rates of estimators before and after a change, unless they are seen to differ
 _FEW_POINTS, _STEEPEST = 16, -2.0
 _WEIGHTED = 3  # functions: f, pdf and sample
@@ -500,14 +502,16 @@ def _shares(estimator: AbstractEstimator, budget: int, *, apart: bool) -> tuple[
     """Evaluations of a point, points of a net, and number of nets."""
     each = sum(estimator.counts) * estimator.evaluations_per_point
     share = 1.0 - _LINES - _CHECK - (_GIVEN if apart else 0.0)
-    n = int(share * budget) // (_NETS * each)
+    # The error of a rate falls with the number of nets alone, that of the integral with their size, too
+    nets = int(_NETS * max(1.0, math.sqrt(budget / (each * _MORE_FROM))))
+    n = int(share * budget) // (nets * each)
     if n < 4:
         raise ParameterError(
             f"A budget of {budget} evaluations is too small where each point takes {each}; give at least "
             f"{math.ceil(4 * _NETS * each / share)}."
         )
     n = 1 << (n.bit_length() - 1)
-    return each, n, min(int(share * budget) // (n * each), 2 * _NETS)
+    return each, n, min(int(share * budget) // (n * each), 2 * nets)
 
 
 def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
@@ -696,10 +700,17 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     resolved_by = math.inf if waves is None else waves.evidence["resolved_by"]
     if name != "random" and max(curve.counts, default=math.inf) < resolved_by <= points:
         return replace(curve, rate=math.nan, rate_se=math.nan)
-    # Of n strata n^(1 − 1/d) meet a jump
-    if causes[0].name == "interior-jump" and name in {NETS, "jittered"}:
-        return curve.towards(-1.0 - 1.0 / dims, _THEORY)
-    return curve
+    first = causes[0].name
+    if name not in {NETS, "jittered"} or first not in _EXPONENTS or not math.isfinite(curve.rate):
+        return curve
+    # Of n strata n^(1 − 1/d) meet a jump; nets see one along axes as in 1-D, and so what is smooth, but for at
+    # most d − 1 logarithms: two thirds of them, give or take one
+    strata = name == "jittered" or first == "interior-jump"
+    third = 0.0 if strata else (dims - 1) / (3.0 * math.log(curve.counts[-1]))
+    rate = -1.0 - _EXPONENTS[first] / (dims if strata else 1) + 2.0 * third
+    if first == "axis-parallel-jump":  # the curve is a saw
+        curve = replace(curve, rate_se=math.hypot(curve.rate_se, _TEETH))
+    return curve.towards(rate, math.hypot(_THEORY, third))
 
 
 def _scalar(estimator: AbstractEstimator, values: Array) -> Array:

@@ -111,23 +111,30 @@ class _Part:
     points: Array
     values: Array
 
-    def without(self, r: int) -> _Part:
-        """All nets but one."""
-        keep = np.arange(len(self.values)) != r
-        return _Part(self.points[keep], self.values[keep])
-
-    def between(self, cell: Array, cells: int) -> float:
+    def between(self, cell: Array, cells: int) -> Array:
         """Mean over cells of the square of their means, without products within a net."""
         r = len(self.values)
         place = (np.arange(r)[:, None] * cells + cell).ravel()
         sums = np.bincount(place, self.values.ravel(), r * cells).reshape(r, cells)
         numbers = np.bincount(place, minlength=r * cells).reshape(r, cells)
-        pairs = numbers.sum(axis=0) ** 2 - (numbers**2).sum(axis=0)
-        products = sums.sum(axis=0) ** 2 - (sums**2).sum(axis=0)
-        return float((products[pairs > 0] / pairs[pairs > 0]).mean())
+        pairs = _sums(numbers) ** 2 - _sums(numbers**2)
+        products = _sums(sums) ** 2 - _sums(sums**2)
+        return np.asarray(np.mean(products / np.maximum(pairs, 1), axis=1, where=pairs > 0))
 
 
-_Estimate = Callable[[_Part, int], float]
+# Of all nets, then without each of them: (1 + R,)
+_Estimate = Callable[[_Part, int], Array]
+
+
+def _sums(x: Array) -> Array:
+    """Sums over all nets, then over all but each of them: (1 + R, …) of (R, …)."""
+    whole = x.sum(axis=0)
+    return np.concatenate([whole[None], whole - x])
+
+
+def _means(x: Array) -> Array:
+    """Means over all nets, then over all but each of them: (1 + R,) of (R,)."""
+    return np.asarray(_sums(x) / _sums(np.ones(len(x))))
 
 
 @final
@@ -199,16 +206,12 @@ class Sets:
         """Values of an estimate and its jackknife."""
         parts = [_Part(p, v - v.mean()) for p, v in zip(self.points, self.values, strict=True)]
 
-        def of(parts: list[_Part], n: int) -> float:
-            return sum(estimate(p, n * c) for p, c in zip(parts, self.counts, strict=True))
-
-        found = np.array([of(parts, int(n)) for n in counts])
-        left = np.array([
-            [of([p.without(r) for p in parts], int(n)) for n in counts]
-            for r in range(len(parts[0].values))
-        ])  # fmt: skip
+        found = np.stack([
+            np.sum([estimate(p, int(n) * c) for p, c in zip(parts, self.counts, strict=True)], axis=0)
+            for n in counts
+        ], axis=1)  # fmt: skip
         size = float(self.estimates.mean())
-        return _fitted(counts, found, left, size, rate, exact=estimate is _of_nets)
+        return _fitted(counts, found[0], found[1:], size, rate, exact=estimate is _of_nets)
 
 
 def curve_of(counts: Sequence[int], estimates: Sequence[Array]) -> Curve:
@@ -264,27 +267,32 @@ def _fitted(
     return Curve(counts, found, error, slope, math.sqrt(spread), degrees, drift, vanishes)
 
 
-def _of_nets(part: _Part, n: int) -> float:
+def _of_nets(part: _Part, n: int) -> Array:
     """Variance of the mean over n points of a scrambled net."""
     r = len(part.values)
-    runs = part.values.reshape(r, -1, n).mean(axis=2)
+    squares = (part.values.reshape(r, -1, n).mean(axis=2) ** 2).mean(axis=1)
     own = part.values.mean(axis=1)
-    return float(((runs - own.mean()) ** 2).mean() + own.var(ddof=1) / r)
+    mean = _means(own)
+    # The square of a mean is too large by the variance of that mean
+    return np.asarray(
+        _means(squares) - mean**2 + (_means(own**2) - mean**2) / (_sums(np.ones(r)) - 1.0)
+    )
 
 
-def _of_strata(part: _Part, n: int) -> float:
+def _of_strata(part: _Part, n: int) -> Array:
     """Variance of the mean over n jittered points."""
     side = round(n ** (1.0 / part.points.shape[2]))
     index = np.floor(part.points * side).astype(np.int64)
     cell = index @ side ** np.arange(part.points.shape[2])
-    return max(float((part.values**2).mean()) - part.between(cell, n), 0.0) / n
+    rest = _means((part.values**2).mean(axis=1)) - part.between(cell, n)
+    return np.asarray(np.maximum(rest, 0.0) / n)
 
 
-def _of_slabs(part: _Part, n: int) -> float:
+def _of_slabs(part: _Part, n: int) -> Array:
     """Variance of the mean over a Latin hypercube of n points, many more than slabs."""
     whole = _of_nets(part, 1)
     mean = part.between(np.zeros(part.values.shape, np.int64), 1)
     for axis in range(part.points.shape[2]):
         slab = np.floor(part.points[..., axis] * _SLABS).astype(np.int64)
-        whole -= max(part.between(slab, _SLABS) - mean, 0.0)
-    return max(whole, 0.0) / n
+        whole -= np.maximum(part.between(slab, _SLABS) - mean, 0.0)
+    return np.asarray(np.maximum(whole, 0.0) / n)
