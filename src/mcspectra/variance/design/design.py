@@ -200,8 +200,8 @@ def certificate(
     -------
     xarray.Dataset
         `mean_variance(sampler)` with `mean_variance_ci`, and `design_ratio`, `design_ratio_ci`: that of the
-        sampler over that of the best rival. 95 % intervals by Student's t over groups, of the ratio by
-        the jackknife. Choosing the least of several estimates makes the ratio no smaller.
+        sampler over that of the best rival, chosen for each half of the groups by the other. 95 % intervals
+        by Student's t over groups, of the ratio by the jackknife.
 
     Raises
     ------
@@ -238,8 +238,12 @@ def certificate(
     if not means[best] > 0.0:
         raise ParameterError(f"The variance of {samplers[best].spec} vanishes; there is no ratio.")
     spread = _T95 * sums.std(axis=1, ddof=1) / math.sqrt(_GROUPS)
-    ratio = means[0] / means[best]
-    left = (means[0] * _GROUPS - sums[0]) / (means[best] * _GROUPS - sums[best])
+    # The least of several estimates is too small: each half of the groups has the rival that is best in the other
+    halves = sums.reshape(len(samplers), -1, 2)
+    chosen = 1 + halves.sum(axis=1)[1:, ::-1].argmin(axis=0)
+    rival = halves[chosen, :, (0, 1)].T.ravel()
+    ratio = sums[0].sum() / rival.sum()
+    left = (sums[0].sum() - sums[0]) / (rival.sum() - rival)
     width = _T95 * float(np.sqrt((_GROUPS - 1) / _GROUPS * ((left - left.mean()) ** 2).sum()))
     return dataset(
         {
