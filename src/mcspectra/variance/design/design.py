@@ -238,7 +238,7 @@ def certificate(
     if not means[best] > 0.0:
         raise ParameterError(f"The variance of {samplers[best].spec} vanishes; there is no ratio.")
     spread = _T95 * sums.std(axis=1, ddof=1) / math.sqrt(_GROUPS)
-    # The least of several estimates is too small: each half of the groups has the beaten that is best in the other
+    # The least of several estimates is too small: each half of the groups has the rival that is best in the other
     halves = sums.reshape(len(samplers), -1, 2)
     chosen = 1 + halves.sum(axis=1)[1:, ::-1].argmin(axis=0)
     beaten = halves[chosen, :, (0, 1)].T.ravel()
