@@ -59,6 +59,22 @@ FUNCTIONS = {
     "wider lognormal": (1, lambda x: np.exp(0.3 * ndtri(inner(x[..., 0]))), {"border-growth"}),
     "corner": (2, lambda x: 1.0 / x.sum(axis=-1), {"infinite-variance"}),
     "corner of 3 dims": (3, lambda x: 1.0 / x.sum(axis=-1), {"border-growth"}),
+    "powers of faces": (2, lambda x: (inner(x) ** (-0.45, -0.2)).prod(axis=-1), {"border-growth"}),
+    "powers of 3 faces": (
+        3,
+        lambda x: (inner(x) ** (-0.3, -0.2, -0.4)).prod(axis=-1),
+        {"border-growth"},
+    ),
+    "face and corner": (
+        2,
+        lambda x: inner(x[..., 0]) ** -0.3 * x.sum(axis=-1) ** -0.4,
+        {"border-growth"},
+    ),
+    "face and steep corner": (
+        2,
+        lambda x: inner(x[..., 0]) ** -0.3 * x.sum(axis=-1) ** -0.8,
+        {"infinite-variance"},
+    ),
     "point": (2, lambda x: distance(x, (0.3, 0.7)) ** -1.0, {"infinite-variance"}),
     "finite point": (2, lambda x: distance(x, (0.3, 0.7)) ** -0.8, {"heavy-tail"}),
     "finite place": (1, lambda x: distance(x, 0.32) ** -0.45, {"heavy-tail"}),

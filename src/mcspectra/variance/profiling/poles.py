@@ -5,7 +5,8 @@ and halved where they do not; the ellipsoid of directions learns from the moves 
 r^−a towards a set of codimension k leads to it. Along rays from the top the differences
 g(r) − g(4r) ∝ r^−a tell a, whatever constant is added. |g|^(−2/a) is a quadratic form of the distance: its
 rank is k, with one for each face that the top lies on. The volume where |g| > λ is ∝ λ^(−k/a): ∫g² is
-infinite where a/k ≥ ½, and there is no integral where a/k ≥ 1.
+infinite where a/k ≥ ½, and there is no integral where a/k ≥ 1. Where faces meet, a product of powers of
+distances to some of them has a tail of the largest power towards one, or of the mean of all.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ _RAYS = 6
 _LEARNS = 0.4  # of the shape of a climb, from each move
 _RADII = 2.0 ** np.arange(4.0, 14.0, 2.0)  # of the last step
 _FORM = 2.0**10  # of the last step: where the form is looked at
+_ASIDE = 2.0**15  # of the last step, from all faces but one
+_ALONE = 0.05  # exponent, towards one face
 _RANK = 0.004  # of its largest eigenvalue
 _BETTER = 1.005  # height, after a move
 _FAR = 16, 0.1  # the largest of so many heights stands out from them by so much of itself
@@ -87,7 +90,7 @@ def pole_of(
         return np.abs(g(x) - centre)
 
     # Of what is bounded the largest values are alike
-    measure, order = _RAYS * len(_RADII) + d * (d + 1) // 2, np.argsort(values)
+    measure, order = (_RAYS + d) * len(_RADII) + d * (d + 1) // 2, np.argsort(values)
     for largest in sorted((order[::-1], order), key=lambda k: -abs(values[k[0]] - centre)):
         top, least = np.abs(values[largest[[0, min(_FAR[0], len(values)) - 1]]] - centre)
         if not top - least > _FAR[1] * top:
@@ -144,15 +147,23 @@ def _measured(g: Function, top: Array, step: float, rng: np.random.Generator) ->
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     rays = top + step * _RADII[:, None, None] * ways
     values = g(rays.reshape(-1, d)).reshape(len(_RADII), _RAYS)
-    falls = values[:-1] - values[1:]
-    if (falls <= 0.0).any(axis=0).mean() > 0.25:
+    if (np.diff(values, axis=0) >= 0.0).any(axis=0).mean() > 0.25:
         return None
-    slopes = np.log(np.maximum(falls[:-1], 1e-300) / np.maximum(falls[1:], 1e-300)) / math.log(4.0)
-    exponent = float(np.median(slopes[1:]))
+    exponent = float(np.median(_slopes(values)[1:]))
     if exponent < _LEAST:
         return None
     if exponent < -_LEAST:
         return Pole(top, 0.0, 1, bool(side.any()))
+    if side.sum() > 1:  # towards each face, away from the others
+        faces = np.flatnonzero(side)
+        aside = np.where(side, top + _ASIDE * step * inward, top)
+        near = np.tile(aside, (len(_RADII), len(faces), 1))
+        near[:, np.arange(len(faces)), faces] = (top + step * _RADII[:, None] * inward)[:, faces]
+        values = g(near.reshape(-1, d)).reshape(len(_RADII), -1)
+        alone = float(_slopes(values).mean(axis=0).max())
+        if alone > _ALONE:
+            together = Pole(top, exponent, len(faces), True)
+            return together if together.tail > alone else Pole(top, alone, 1, True)
     # Take away the constant that is added; a quadratic form by its values at sums of two axes
     factor = 4.0**exponent
     rest = float(np.median((factor * values[-1] - values[-2]) / (factor - 1.0)))
@@ -170,3 +181,9 @@ def _measured(g: Function, top: Array, step: float, rng: np.random.Generator) ->
     free = np.linalg.eigvalsh(form[np.ix_(~side, ~side)])
     rank = int(side.sum() + (free > _RANK * own.max()).sum())
     return Pole(top, exponent, max(rank, 1), bool(side.any()))
+
+
+def _slopes(values: Array) -> Array:
+    """Exponents a of values ∝ r^−a, but for a constant, at `_RADII`, (5, k): (3, k)."""
+    falls = np.maximum(values[:-1] - values[1:], 1e-300)
+    return np.asarray(np.log(falls[:-1] / falls[1:]) / math.log(4.0))
