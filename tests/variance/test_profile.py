@@ -113,9 +113,9 @@ def test_rates_of_large_budgets_are_those_of_theory(function, dims, rate):
 
 
 def test_nothing_is_not_said_to_be_wrong_where_hardly_anything_was_looked_at():
-    found = mcs.profile(lambda x: -np.log(inner(x[..., 0])), dims=1, budget=512)
+    found = mcs.profile(lambda x: x[..., 0] ** 2, dims=1, budget=256)
     assert [cause.name for cause in found.causes] == ["few-realizations"]
-    assert "no lines" in found.text
+    assert found.causes[0].evidence["lines"] < 4
 
 
 def test_a_jump_that_equal_steps_of_a_line_miss_is_found_at_its_end():

@@ -29,6 +29,7 @@ _ENDS = 0.3  # of the gain before: the value is bounded
 _RAYS = 6
 _LEARNS = 0.4  # of the shape of a climb, from each move
 _RADII = 2.0 ** np.arange(4.0, 14.0, 2.0)  # of the last step
+_NEAR = _RADII[:3]  # of a face
 _FORM = 2.0**10  # of the last step: where the form is looked at
 _ASIDE = 2.0**15  # of the last step, from all faces but one
 _ALONE = 0.05  # exponent, towards one face
@@ -90,7 +91,8 @@ def pole_of(
         return np.abs(g(x) - centre)
 
     # Of what is bounded the largest values are alike
-    measure, order = (_RAYS + d) * len(_RADII) + d * (d + 1) // 2, np.argsort(values)
+    measure = _RAYS * len(_RADII) + d * len(_NEAR) + d * (d + 1) // 2
+    order = np.argsort(values)
     for largest in sorted((order[::-1], order), key=lambda k: -abs(values[k[0]] - centre)):
         top, least = np.abs(values[largest[[0, min(_FAR[0], len(values)) - 1]]] - centre)
         if not top - least > _FAR[1] * top:
@@ -157,9 +159,9 @@ def _measured(g: Function, top: Array, step: float, rng: np.random.Generator) ->
     if side.sum() > 1:  # towards each face, away from the others
         faces = np.flatnonzero(side)
         aside = np.where(side, top + _ASIDE * step * inward, top)
-        near = np.tile(aside, (len(_RADII), len(faces), 1))
-        near[:, np.arange(len(faces)), faces] = (top + step * _RADII[:, None] * inward)[:, faces]
-        values = g(near.reshape(-1, d)).reshape(len(_RADII), -1)
+        near = np.tile(aside, (len(_NEAR), len(faces), 1))
+        near[:, np.arange(len(faces)), faces] = (top + step * _NEAR[:, None] * inward)[:, faces]
+        values = g(near.reshape(-1, d)).reshape(len(_NEAR), -1)
         alone = float(_slopes(values).mean(axis=0).max())
         if alone > _ALONE:
             together = Pole(top, exponent, len(faces), True)
@@ -184,6 +186,6 @@ def _measured(g: Function, top: Array, step: float, rng: np.random.Generator) ->
 
 
 def _slopes(values: Array) -> Array:
-    """Exponents a of values ∝ r^−a, but for a constant, at `_RADII`, (5, k): (3, k)."""
+    """Exponents a of values ∝ r^−a, but for a constant, at radii r, 4r, …, (m, k): (m − 2, k)."""
     falls = np.maximum(values[:-1] - values[1:], 1e-300)
     return np.asarray(np.log(falls[:-1] / falls[1:]) / math.log(4.0))
