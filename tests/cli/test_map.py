@@ -89,7 +89,7 @@ def test_text_has_a_row_a_strategy(tmp_path, capsys):
     assert note.startswith(
         "Medians over the 24 pixels that see a lit surface; mean and variance at"
     )
-    assert "Half of the light or more is missed by samples of BSDF sampling" in note
+    assert "Half of the light or more is missed by BSDF sampling" in note
     assert "All pixels have the same points" in note
     assert header.split() == ["strategy", "mean", "variance", "rate", "rate_se"]
     assert [row.split()[0] for row in rows] == ["light", "bsdf"]

@@ -411,7 +411,7 @@ def map_note(summary: Mapping[str, Any]) -> str:
     lost = [_named(name) for name, mean in rows.items() if mean < 0.5 * max(rows.values())]
     if lost:
         note += (
-            f" Half of the light or more is missed by samples of {' and '.join(lost)}, as the means show: "
+            f" Half of the light or more is missed by {' and '.join(lost)}, as the means show: "
             "their variances are too small."
         )
     if summary["points"] == "own":
