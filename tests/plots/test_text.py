@@ -13,6 +13,7 @@ from mcspectra.plots.text import (
     rate,
     shorten,
     slug,
+    with_error,
 )
 
 
@@ -38,6 +39,27 @@ from mcspectra.plots.text import (
 )
 def test_number(value, text):
     assert number(value) == text
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ((0.961, 0.11), "0.96 ± 0.11"),  # to one place
+        ((1.00004, 0.0018), "1.0000 ± 0.0018"),
+        ((9.996, 0.02), "9.996 ± 0.020"),
+        ((39.7, 12.0), "40 ± 12"),
+        ((-1.86e-6, 3.6e-6), "−1.9×10⁻⁶ ± 3.6×10⁻⁶"),
+        ((-1.85e-4, 0.0019), "−2×10⁻⁴ ± 0.0019"),
+        ((0.0, 0.1), "0 ± 0.10"),
+        ((1e-20, 1e-21, 1.0), "≈ 0"),
+        ((0.63, math.inf), "0.630"),
+        ((0.63, None), "0.630"),
+        ((math.inf, 1.0), "∞"),
+        ((None, 1.0), "–"),
+    ],
+)
+def test_with_error(values, text):
+    assert with_error(*values) == text
 
 
 @pytest.mark.parametrize(

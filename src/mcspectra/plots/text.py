@@ -60,12 +60,19 @@ def number_beside(value: float | None, scale: float | None) -> str:
     return number(value)
 
 
-def with_error(text: str, half: float | None) -> str:
-    """Return ``0.0123 ± 0.0004``: a shown number and half the width of its interval, if any."""
-    known = half is not None and math.isfinite(half) and half > 0
-    if not known or text == MISSING or text.startswith("≈"):
+def with_error(value: float | None, half: float | None, beside: float | None = None) -> str:
+    """Return ``0.012 ± 0.034``: a number and half the width of its interval, if any, to the same place.
+
+    As `number_beside` of another quantity, if that is given.
+    """
+    text = number_beside(value, beside)
+    if value is None or half is None or text.startswith("≈"):
         return text
-    return f"{text} ± {number(half, 2)}"
+    if not (math.isfinite(value) and math.isfinite(half) and half > 0):
+        return text
+    first, last = (int(text.partition("e")[2]) for text in (f"{value:.9e}", f"{half:.1e}"))
+    digits = min(max(first - last + 2, 1), 6)
+    return f"{number(value, digits)} ± {number(half, 2)}"
 
 
 def power_of_ten(exponent: int) -> str:

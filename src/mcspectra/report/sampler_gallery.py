@@ -424,7 +424,7 @@ def _card_facts(card: Card) -> list[tuple[str, str]]:
         *((f"Rate on {text.partition('(')[0]}{measured}", rate(*v)) for text, v in rates.items()),
         # An error of rounding size is none
         *(
-            (name, with_error(number(mean), se if se > NEGLIGIBLE * abs(mean) else None))
+            (name, with_error(mean, se if se > NEGLIGIBLE * abs(mean) else None))
             for name, mean, se in card.quality.values()
         ),
         ("Speed", f"{number(card.speed, 2)} points/s at n = {card.n}"),

@@ -17,7 +17,6 @@ from mcspectra.plots.text import (
     MISSING,
     interval,
     number,
-    number_beside,
     percent,
     rate,
     with_error,
@@ -66,7 +65,7 @@ def summary_table(
         variance = number(row.variance)
         at = f" (n = {row.n})" if row.n not in (None, usual) and variance != MISSING else ""
         route = basis_name(row.route) if row.route else ""
-        predicted = with_error(number(row.ratio), _half(row.ratio_low, row.ratio_high))
+        predicted = with_error(row.ratio, _half(row.ratio_low, row.ratio_high))
         techniques = found.get("techniques")
         slow = "" if techniques is None else str(techniques.attrs.get("bottleneck") or "")
         limit = bottleneck(row, terms, slow)
@@ -120,9 +119,9 @@ def terms_table(rows: Sequence[SummaryRow]) -> Table:
             why: str = why,
             beside: float | None = row.power,
         ) -> Cell:
-            return _cell(with_error(number_beside(given, beside), _half(low, high)), why)
+            return _cell(with_error(given, _half(low, high), beside), why)
 
-        captured = with_error(number(row.captured), _half(row.captured_low, row.captured_high))
+        captured = with_error(row.captured, _half(row.captured_low, row.captured_high))
         # `summarize` appends the channel to the estimator's name
         head, bracket, channel = row.estimator.rpartition(" [")
         several = bool(head and bracket and channel.rstrip("]").isdigit())
