@@ -456,6 +456,16 @@ def test_labels_of_another_length_are_left_alone():
     assert "other" not in found.coords
 
 
+def test_convergence__one_count_has_no_lines_and_none_in_the_caption():
+    curve = mcs.convergence("gaussian", "random", [16, 32], realizations=8, rng=0)
+    one, two = (
+        describe("convergence", each) for each in (curve.isel(n=[0]).assign(rate=np.nan), curve)
+    )
+    assert not marks(one, Line)
+    assert "lines" not in one.caption
+    assert "fitted lines" in two.caption
+
+
 def test_plan__the_wanted_error_is_a_line_and_the_axis_ends_with_the_curve():
     found = mcs.plan(mcs.integrand("gaussian", dims=1), "jittered", target_error=0.1, relative=True)
     plot = describe("prediction", found)

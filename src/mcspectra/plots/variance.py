@@ -120,8 +120,12 @@ def convergence(group: Group, styles: Styles) -> Plot:
     return Plot(
         kind="convergence",
         panels=(_variance_panel(curves, group.values()),),
-        caption="Variance against the number of points, with 95 % intervals, fitted lines and their "
-        "rates; dotted, the rate of random sampling."
+        caption="Variance against the number of points, with 95 % intervals"
+        + (
+            ", fitted lines and their rates; dotted, the rate of random sampling."
+            if any(isinstance(mark, Line) for mark in curves)
+            else "."
+        )
         + (" Crosses are predicted, with their 95 % intervals." if predicted else "")
         + (
             " Variances that are not finite, zero or of rounding size are left out."
