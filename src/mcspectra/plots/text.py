@@ -99,7 +99,7 @@ def rate(value: float | None, low: float | None, high: float | None) -> str:
     # As many decimals as the interval has meaning, two to four.
     decimals = 4 if half <= 0 else min(max(-math.floor(math.log10(half)), 2), 4)
     spread = f"± {half:.{decimals}f}" if half >= 0.5e-4 else "± <0.0001"
-    return f"{value:.{decimals}f} {spread}".replace("-", "−")
+    return f"{round(value, decimals) + 0.0:.{decimals}f} {spread}".replace("-", "−")  # no −0.00
 
 
 def percent(fraction: float) -> str:
