@@ -300,7 +300,7 @@ def _captured_sentence(row: SummaryRow, terms: xr.Dataset) -> str:
         return f"Prediction and measurement agree ({share})."
     return (
         f"At half width {half_width} the spectrum predicts {percent(row.captured)} of the measured "
-        "variance; its interval holds 100 %."
+        "variance; with what may lie beyond, its interval holds 100 %."
     )
 
 

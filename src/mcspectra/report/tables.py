@@ -87,8 +87,8 @@ def summary_table(
     return Table(
         caption="Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval, "
         "unresolved where that is more than 0.5. "
-        "Predicted / measured ± half its 95 % interval says in brackets how the variance was predicted, "
-        "a basis where by its sum over frequencies, cut at a half width. The bottleneck is the "
+        "Predicted / measured has ± half its 95 % interval, and in brackets how the variance was "
+        "predicted; a basis there means a sum over frequencies, cut at a half width. The bottleneck is the "
         "technique with the slowest rate (undecided: their intervals overlap), else what adds most: with "
         "|m| ≤ k or ≥ k, half of the power term lies below or above the frequency k.",
         columns=(
