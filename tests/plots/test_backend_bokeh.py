@@ -222,8 +222,8 @@ def test_panels_share_a_bar_a_legend_and_the_zoom():
     assert isinstance(model, Row)
     assert len({id(each.x_range) for each in model.children}) == 1
     assert [len(each.select({"type": ColorBar})) for each in model.children] == [0, 0, 1]
-    assert [len(each.select({"type": Legend})) for each in model.children] == [1, 0, 0]
-    (item,) = model.children[0].select_one({"type": Legend}).items
+    assert [len(each.select({"type": Legend})) for each in model.children] == [0, 0, 1]
+    (item,) = model.children[2].select_one({"type": Legend}).items
     (drawn,) = item.renderers
     assert len(drawn.js_property_callbacks["change:visible"]) == 2
     document = Document()

@@ -456,6 +456,24 @@ def test_labels_of_another_length_are_left_alone():
     assert "other" not in found.coords
 
 
+def test_convergence__one_count_has_no_lines_and_none_in_the_caption():
+    curve = mcs.convergence("gaussian", "random", [16, 32], realizations=8, rng=0)
+    one, two = (
+        describe("convergence", each) for each in (curve.isel(n=[0]).assign(rate=np.nan), curve)
+    )
+    assert not marks(one, Line)
+    assert "lines" not in one.caption
+    assert "fitted lines" in two.caption
+
+
+def test_plan__the_wanted_error_is_a_line_and_the_axis_ends_with_the_curve():
+    found = mcs.plan(mcs.integrand("gaussian", dims=1), "jittered", target_error=0.1, relative=True)
+    plot = describe("prediction", found)
+    (rule,), (line,) = marks(plot, Rule), marks(plot, Line)
+    assert rule.at == pytest.approx((0.1 * mcs.integrand("gaussian", dims=1).integral) ** 2)
+    assert line.x[-1] < plot.panels[0].x.high < 2 * line.x[-1] < found["n"][-1]
+
+
 def test_anova__the_largest_parts_first_and_few():
     size = np.arange(1.0, 21.0)
     labels = [f"x{k}" for k in range(20)]
@@ -467,6 +485,10 @@ def test_anova__the_largest_parts_first_and_few():
     (bars,) = marks(plot, Bars)
     np.testing.assert_array_equal(bars.value, np.arange(20.0, 8.0, -1.0))
     assert "8 smaller parts are left out" in plot.caption
+    assert "each axis of primary space alone and from each set of them together" in plot.caption
+    size[[3, 7, 17]] = 0.0, -1e-15, 1e-15  # rounding
+    (bars,) = marks(describe("anova", {"a": data.assign_attrs(axes="bounce", order=1)}), Bars)
+    np.testing.assert_array_equal(bars.value, [20, 19, 17, 16, 15, 14, 13, 12, 11, 10, 9, 7])
 
 
 def test_techniques__bars_sum_to_the_variance():

@@ -286,6 +286,7 @@ def test_samples_and_times_come_from_headers_and_folders(tmp_path):
     assert [found[name]["n"].item() for name in found] == [32, 128, 4]
     assert found["pbrt"].attrs["seconds"] == "[1.5]"
     assert found["blender"].attrs["seconds"] == "[62.5]"
+    assert [found[name].attrs.get("layer") for name in found] == ["ViewLayer", "ViewLayer", None]
     assert frames(tmp_path / "blender", layer="ViewLayer.G")["mean"].shape == (1, 8, 8)
 
 

@@ -85,12 +85,17 @@ def test_gain_compares_equal_totals():
             for name in statistics.LineFits.__dataclass_fields__
         }
     )
-    value, ci = statistics.gain(single, mis, 64)
+    met = np.zeros((2, 1, 1), bool)
+    value, ci = statistics.gain(single, mis, 64, met)
     assert value[0, 0] == pytest.approx(64.0**-2 / (np.exp(0.5) * 32.0**-1.5), rel=1e-12)
     assert ci[0, 0, 0] < value[0, 0] < ci[0, 0, 1]
     assert ci[0, 0].prod() == pytest.approx(value[0, 0] ** 2)
     missing = lines(0.0, -2.0, se=np.nan)
-    assert np.isnan(statistics.gain(missing, mis, 64)[0]).all()
+    assert np.isnan(statistics.gain(missing, mis, 64, met[:1])[0]).all()
+    # Where the better one missed light, the other counts; where both did, nothing is known
+    alone = statistics.gain(worse, mis, 64, met[:1])[0]
+    assert statistics.gain(single, mis, 64, np.array([[[False]], [[True]]]))[0] == alone
+    assert np.isnan(statistics.gain(single, mis, 64, ~met)[0]).all()
 
 
 def test_slowest_needs_a_difference_apart_from_zero():

@@ -131,6 +131,16 @@ def test_shift__no_promise_where_the_samples_are_weighted():
     assert "a random shift would lose that" in primary
 
 
+@pytest.mark.parametrize("spec", ["random", "jittered | shift"])
+@pytest.mark.parametrize(("predicted", "words"), [(0.9, "removes 10 % of"), (1.1, "adds 10 % to")])
+def test_cross_term__of_shifted_points_is_chance(spec, predicted, words):
+    row, terms = case(predicted=predicted, measured=predicted)
+    text = explain(row, terms.assign_attrs(sampler_spec=spec))
+    assert f"{words} what the power term predicts, by chance: of points shifted at random" in text
+    digital = explain(row, terms.assign_attrs(sampler_spec="sobol | digital-shift"))
+    assert "by chance" not in digital
+
+
 def test_infinite_terms(make):
     terms = make["infinite"](half_width=2, realizations=10)
     row = SummaryRow(estimator="e", sampler="s", terms_n=16, measured=0.25)

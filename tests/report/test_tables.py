@@ -81,7 +81,7 @@ def test_terms__have_half_their_intervals():
     assert texts(terms_table([row]))[2:5] == [
         "0",
         "2.00×10⁻⁶ ± 2.0×10⁻⁷",
-        "−8.00×10⁻⁷ ± 1.0×10⁻⁷",
+        "−8.0×10⁻⁷ ± 1.0×10⁻⁷",
     ]
     assert texts(terms_table([row]))[-1] == "0.960 ± 0.020"
     assert texts(summary_table([row]))[4] == "0.960 ± 0.020 (Fourier)"
@@ -145,7 +145,7 @@ def test_summary__other_counts_are_named():
 def test_summary__says_by_which_route_it_was_predicted():
     row = msgspec.structs.replace(FULL, ratio=1.02, ratio_low=0.97, ratio_high=1.07, route="exact")
     table = summary_table([row])
-    assert table.rows[0][4].text == "1.02 ± 0.050 (exact)"
+    assert table.rows[0][4].text == "1.020 ± 0.050 (exact)"
     assert table.rows[0][4].order == 1.02
     assert table.rows[0][6].text == "Faster than random sampling; prediction agrees."
     far = msgspec.structs.replace(row, ratio=2.0, ratio_low=1.5, ratio_high=2.7)

@@ -39,7 +39,7 @@ _WIDGETS = """
   --hover-color: var(--raised); --placeholder-color: var(--soft); --icon-color: var(--soft);
   --disabled-color: var(--soft); --disabled-background-color: var(--raised);
   --font-size: 13px; }
-.bk-btn { color: var(--ink); background: var(--raised); border-color: var(--line); }
+.bk-btn, input[type=file]::file-selector-button { color: var(--ink); background: var(--raised); border-color: var(--line); }
 .bk-btn[disabled] { color: var(--soft); background: var(--raised); opacity: 1; }
 h2 { font-size: 15px; margin: 8px 0 0; } h3 { font-size: 13px; margin: 4px 0 0; font-weight: 500; }
 p { margin: 0 0 4px; } .soft { color: var(--soft); } a { color: var(--link); }

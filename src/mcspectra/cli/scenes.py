@@ -279,7 +279,8 @@ def pixel_(options: argparse.Namespace) -> Answer:
         )
         parts = [f"{title}\n{answer}"]
         rows = path_page.path_rows(tree).items()
-        parts += [text_table(path_page.PATH_TABLES[name], each) for name, each in rows]
+        heads = path_page.PATH_TABLES
+        parts += [text_table(heads[name][: len(each[0])], each) for name, each in rows]
         data, said = path_page.path_summary(tree), path_page.path_sentences(tree)
         write = path_page.write_path
     written = None if options.out is None else write(tree, options.out)

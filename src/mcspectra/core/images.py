@@ -23,7 +23,15 @@ from mcspectra.core.checks import Array, as_real_array
 from mcspectra.core.decoding import check_decoded_size, opened, read_npy, read_npz
 from mcspectra.core.errors import FileFormatError, ParameterError
 
-__all__ = ["IMAGE_EXTENSIONS", "REC709", "Rings", "exr_attributes", "luminance", "read_image"]
+__all__ = [
+    "IMAGE_EXTENSIONS",
+    "REC709",
+    "Rings",
+    "exr_attributes",
+    "exr_layer",
+    "luminance",
+    "read_image",
+]
 
 IMAGE_EXTENSIONS = (".png", ".jpg", ".jpeg", ".exr", ".pfm", ".npy", ".npz")
 """Names that `read_image` knows."""
@@ -179,6 +187,22 @@ def exr_attributes(path: str | PathLike[str]) -> dict[str, object]:
         return {key: part.header[key] for part in reversed(parts) for key in part.header}
 
 
+def exr_layer(path: str | PathLike[str]) -> str:
+    """Return the layer of an EXR file that `read_image` takes by default; the nameless one is empty.
+
+    Raises
+    ------
+    FileFormatError
+        No such file, or broken, or without a picture.
+    """
+    import OpenEXR
+
+    with opened(path, "an image", (".exr",)) as (_, _, file, _):
+        parts = OpenEXR.File(file, separate_channels=True, header_only=True).parts
+        listed = {channel.name for part in parts for channel in part.header["channels"]}
+        return _picture_channels(file, listed, None)[0].rpartition(".")[0]
+
+
 def _read_exr(name: str, size: int, layer: str | None) -> Array:
     import OpenEXR
 
@@ -196,7 +220,17 @@ def _read_exr(name: str, size: int, layer: str | None) -> Array:
         stored += 4 * len(part.header["channels"]) * (pixels + tile)  # values of 2 or 4 bytes
         largest = max(largest, pixels)
 
-    # Take R, G, B, else Y, of the first layer that has them; the nameless layer comes first
+    names = _picture_channels(name, listed, layer)
+    check_decoded_size(name, size, stored + 9 * len(names) * largest)  # float64, and a mask
+    parts = OpenEXR.File(name, separate_channels=True).parts
+    planes = {name: c.pixels for part in reversed(parts) for name, c in part.channels.items()}
+    if any(planes.get(name) is None for name in names):
+        raise EOFError
+    return np.stack([planes[name] for name in names], axis=-1, dtype=np.float64)
+
+
+def _picture_channels(name: str, listed: set[str], layer: str | None) -> list[str]:
+    """R, G, B, else Y, of the first layer that has them; the nameless layer comes first."""
     layers = sorted({channel.rpartition(".")[0] for channel in listed})
     if layer is not None and layer not in (*layers, *listed):
         raise FileFormatError(
@@ -216,12 +250,7 @@ def _read_exr(name: str, size: int, layer: str | None) -> Array:
             f"{name} has the channels {', '.join(sorted(listed)) or 'none'}; "
             "R, G and B, or Y, are needed."
         )
-    check_decoded_size(name, size, stored + 9 * len(names) * largest)  # float64, and a mask
-    parts = OpenEXR.File(name, separate_channels=True).parts
-    planes = {name: c.pixels for part in reversed(parts) for name, c in part.channels.items()}
-    if any(planes.get(name) is None for name in names):
-        raise EOFError
-    return np.stack([planes[name] for name in names], axis=-1, dtype=np.float64)
+    return names
 
 
 @final

@@ -148,6 +148,7 @@ mode_vector | fc | 1 | mode technique? m | pattern of the mode over the frequenc
 mse | f | f² | n | mean squared error against the integral
 noise_edge | f | f² | | largest sample eigenvalue of a flat spectrum of the same trace
 planned_error | f | f | | predicted root mean square error at the planned count
+target_variance | f | f² | | square of the root mean square error that is wanted
 planned_n | f | 1 | | least number of points for which the error is predicted to be reached
 planned_n_ci | f | 1 | bound | its ends where variances are at the ends of their 95 % intervals
 pair_correlation | f | 1 | r | pair correlation g(r), 1 for random points

@@ -163,16 +163,16 @@ class Drawn:
             )  # fmt: skip
             frame.add_layout(bar, "below")
             self._bars.append(bar)
-        # Each label below the first figure that has it; hiding it hides its marks in all figures
+        # Each label below the last figure that has it; hiding it hides its marks in all figures
         items: dict[str, Any] = {}
         for k, frame in enumerate(self._figures):
-            own = {label: drawn[k] for label, drawn in entries.items() if min(drawn) == k}
+            own = {label: drawn[k] for label, drawn in entries.items() if max(drawn) == k}
             if own:
                 items |= dict(zip(own, _legend(frame, own), strict=True))
         for places in entries.values():
-            first, *others = [each for _, several in sorted(places.items()) for each in several]
+            *others, last = [each for _, several in sorted(places.items()) for each in several]
             for other in others:
-                first.js_link("visible", other, "visible")
+                last.js_link("visible", other, "visible")
         self._items = [items[label] for label in entries]
         # Panels side by side in as many rows as the place is narrow, or one above the other
         for other in self._figures[1:]:

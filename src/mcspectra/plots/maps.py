@@ -47,6 +47,7 @@ _DECADES, _LIGHT_DECADES = 6, 4  # of a map, and of radiance, that are told apar
 _LARGEST_RATIO = 8.0  # of the scales of ratios
 _RATIOS = (0.125, 0.25, 0.5, 0.8, 1.0, 1.25, 2.0, 4.0, 8.0)
 _MOST_STOPS = 64.0
+_SMOOTHED = ("rate", "rate_se", "bottleneck")  # means over windows
 
 
 def image_map(
@@ -71,6 +72,9 @@ def image_map(
         shown = {name: d.dropna("x", how="all").dropna("y", how="all") for name, d in shown.items()}
     if once:
         shown = dict(itertools.islice(shown.items(), 1))
+    window = next(iter(group.values())).attrs.get("smoothing", 1)
+    if window > 1 and variable in _SMOOTHED:
+        caption += f" Over windows of {window} × {window} pixels."
     every = np.concatenate([np.ravel(each.values) for each in shown.values()])
     found, panels = scale(every), []
     for name, data in shown.items():

@@ -38,7 +38,7 @@ from mcspectra.plots.groups import (
     numbers,
     shared,
 )
-from mcspectra.plots.scales import log_axis, signed_axis, signed_scale, whole_ticks
+from mcspectra.plots.scales import log_axis, signed_axis, signed_scale, tick_label, whole_ticks
 from mcspectra.plots.style import FAINT, GRAY, INK, labels, sampler_styles
 from mcspectra.plots.text import number, percent
 
@@ -525,6 +525,9 @@ def _power_panel(
     power = Axis(label=label, low=0.0, high=1.08 * top)
     if logarithmic:
         power = log_axis(label, max(low, _FLOOR), top)
+        if low < _FLOOR:
+            ticks = {**(power.ticks or {}), _FLOOR: f"≤ {tick_label(_FLOOR)}"}
+            power = replace(power, ticks=ticks)
     note = "" if every.size else "not finite"
     return Panel(marks=tuple(marks), x=axis, y=power, grid=True, note=note)
 

@@ -60,12 +60,19 @@ def number_beside(value: float | None, scale: float | None) -> str:
     return number(value)
 
 
-def with_error(text: str, half: float | None) -> str:
-    """Return ``0.0123 ± 0.0004``: a shown number and half the width of its interval, if any."""
-    known = half is not None and math.isfinite(half) and half > 0
-    if not known or text == MISSING or text.startswith("≈"):
+def with_error(value: float | None, half: float | None, beside: float | None = None) -> str:
+    """Return ``0.012 ± 0.034``: a number and half the width of its interval, if any, to the same place.
+
+    As `number_beside` of another quantity, if that is given.
+    """
+    text = number_beside(value, beside)
+    if value is None or half is None or text.startswith("≈"):
         return text
-    return f"{text} ± {number(half, 2)}"
+    if not (math.isfinite(value) and math.isfinite(half) and half > 0):
+        return text
+    first, last = (int(text.partition("e")[2]) for text in (f"{value:.9e}", f"{half:.1e}"))
+    digits = min(max(first - last + 2, 1), 6)
+    return f"{number(value, digits)} ± {number(half, 2)}"
 
 
 def power_of_ten(exponent: int) -> str:
@@ -92,7 +99,7 @@ def rate(value: float | None, low: float | None, high: float | None) -> str:
     # As many decimals as the interval has meaning, two to four.
     decimals = 4 if half <= 0 else min(max(-math.floor(math.log10(half)), 2), 4)
     spread = f"± {half:.{decimals}f}" if half >= 0.5e-4 else "± <0.0001"
-    return f"{value:.{decimals}f} {spread}".replace("-", "−")
+    return f"{round(value, decimals) + 0.0:.{decimals}f} {spread}".replace("-", "−")  # no −0.00
 
 
 def percent(fraction: float) -> str:

@@ -120,8 +120,12 @@ def convergence(group: Group, styles: Styles) -> Plot:
     return Plot(
         kind="convergence",
         panels=(_variance_panel(curves, group.values()),),
-        caption="Variance against the number of points, with 95 % intervals, fitted lines and their "
-        "rates; dotted, the rate of random sampling."
+        caption="Variance against the number of points, with 95 % intervals"
+        + (
+            ", fitted lines and their rates; dotted, the rate of random sampling."
+            if any(isinstance(mark, Line) for mark in curves)
+            else "."
+        )
         + (" Crosses are predicted, with their 95 % intervals." if predicted else "")
         + (
             " Variances that are not finite, zero or of rounding size are left out."
@@ -202,7 +206,7 @@ def prediction(group: Group, styles: Styles) -> Plot:
     if all("planned_n" in each for each in group.values()):
         caption = (
             "Predicted variance against the number of points, with 95 % intervals, and the least n "
-            "that is predicted to reach the error."
+            "that is predicted to reach the error, whose square is dashed."
         )
     return _known_curves(group, styles, "prediction", "predicted variance", caption)
 
@@ -253,8 +257,14 @@ def _known_curves(group: Group, styles: Styles, kind: str, what: str, caption: s
         marker = styles[name].marker
         dots = Dots(x=line.x, y=line.y, color=line.color, marker=marker, label=line.label)
         marks += [replace(line, **bands.get(name, {})), dots]
-    values = np.concatenate([variance for _, variance in curves.values()])
-    counts = [int(n) for each in group.values() for n in each["n"].values]
+    wanted = [
+        np.ravel(each["target_variance"]) for each in group.values() if "target_variance" in each
+    ]
+    marks += [Rule(at=float(at), color=INK, dashes="--") for at in np.unique(wanted)]
+    values = np.concatenate([*(variance for _, variance in curves.values()), *wanted])
+    # Further counts have no values
+    shown = np.concatenate([n for n, _ in curves.values()])
+    counts = shown.astype(int).tolist() or [int(n) for each in group.values() for n in each["n"]]
     return Plot(
         kind=kind,
         panels=(
@@ -408,7 +418,10 @@ def anova(group: Group, styles: Styles) -> Plot:
     most, panels = 12, []
     for name, each in group.items():
         variance, error = each["anova_variance"].values, each["anova_variance_se"].values
-        order = np.argsort(-variance, kind="stable")[:most]
+        # What is rounding beside the largest shows nothing
+        size, order = np.abs(variance), np.argsort(-variance, kind="stable")
+        seen = size > NEGLIGIBLE * size.max(initial=0.0)
+        order = order[seen[order] | ~seen.any()][:most]
         rows = [str(each["subset_label"].values[k]) for k in order]
         low, high = (variance + sign * CONFIDENCE_Z * error for sign in (-1, 1))
         ends = np.stack([low, high], axis=-1)[order]
@@ -418,12 +431,15 @@ def anova(group: Group, styles: Styles) -> Plot:
         panels.append(_bar_panel(name, color, rows, variance[order], ends, texts, axis))
     shown = max(len(panel.y.ticks or ()) for panel in panels)
     more = max(each.sizes["subset"] for each in group.values()) - shown
+    known = next(iter(group.values())).attrs
+    axes, sets = known.get("axes", "axis of primary space"), known.get("order", 2) > 1
     return Plot(
         kind="anova",
         panels=tuple(panels),
         columns=min(2, abreast(len(panels))),
-        caption="Part of the variance that comes from each axis of primary space alone and from each set "
-        "of axes together, the largest first; whiskers are 95 % intervals."
+        caption=f"Part of the variance that comes from each {axes} alone"
+        + (" and from each set of them together" if sets else "")
+        + ", the largest first; whiskers are 95 % intervals."
         + (f" {more} smaller parts are left out." if more > 0 else ""),
         words="Bars of the axes' parts of the variance. "
         + for_each(

@@ -23,7 +23,7 @@ import xarray as xr
 
 from mcspectra.core.checks import Array, as_integer, as_real, is_path
 from mcspectra.core.errors import FileFormatError, ParameterError
-from mcspectra.core.images import Rings, exr_attributes, luminance, read_image
+from mcspectra.core.images import Rings, exr_attributes, exr_layer, luminance, read_image
 from mcspectra.core.progress import report
 from mcspectra.core.records import student_t
 from mcspectra.core.results import dataset
@@ -130,6 +130,8 @@ def frames(
     read = _Reader(layer=layer, tone_mapped=tone_mapped, spp=spp)
     found = _measured(paths, read)
     best, ns = found[-1], np.array([each.spp for each in found])
+    if layer is None and best.files[0].suffix.lower() == ".exr":
+        layer = exr_layer(best.files[0]) or None
 
     # Pixels and the picture at every number of samples
     stacked: dict[str, tuple[tuple[str, ...], list[Any]]] = {

@@ -236,13 +236,16 @@ def path_shares(chains: Array, partitions: list[Array]) -> tuple[Array, Array, A
     return np.stack([whole, error]), np.concatenate(shares, axis=1), np.stack(largest)
 
 
-def gain(single: LineFits, mis: LineFits, total: float) -> tuple[Array, Array]:
+def gain(single: LineFits, mis: LineFits, total: float, missed: Array) -> tuple[Array, Array]:
     """Variance of the best single strategy over that of MIS at `total` samples in all.
+
+    Where a strategy `missed` light, its variance is too small to count.
 
     Both are read off the fitted lines, MIS at half as many samples of each technique. The standard
     error takes them as independent: they share points, which makes it too large rather than small.
     """
     levels, errors = single.at(total)
+    levels = np.where(missed, np.nan, levels)
     best = np.argmin(np.where(np.isnan(levels), np.inf, levels), axis=0)[None]
     level, error = (np.take_along_axis(a, best, axis=0)[0] for a in (levels, errors))
     other, other_error = mis.at(total / 2)

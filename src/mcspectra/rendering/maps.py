@@ -303,7 +303,7 @@ class Map(Analysis, frozen=True, kw_only=True):
         if len(counts) < 2:
             raise ParameterError(
                 f"counts is {list(counts)}; give two or more ascending numbers of samples that "
-                f"{sampler.spec} can make in {sampler.dims} dims."
+                f"{sampler.spec} can make."
             )
         for n in counts:
             sampler.check_count(n)
@@ -427,7 +427,8 @@ def variance_map(
         ``dominant_technique``, the one with the larger variance at the largest n, likewise; with the
         single strategies too: ``mis_gain``,
         variance of the better of them over that of MIS at the same total of samples (the largest n,
-        from the fitted lines), and ``mis_gain_ci``; ``predicted_ratio(strategy)``, predicted over
+        from the fitted lines; a strategy whose estimates met surely less light than another is left out),
+        and ``mis_gain_ci``; ``predicted_ratio(strategy)``, predicted over
         measured variance at the largest n, and ``predicted_ratio_ci``, NaN where the relative standard
         error of the prediction is more than ½, or that of the measurement more than rates allow. That
         error counts light that another strategy sees and the prediction's samples did not meet; NaN,
@@ -539,10 +540,12 @@ def labelled(
         found["bottleneck"] = statistics.slowest(rate[shares], rate_se[shares])
         last = (variance[shares, -1], relative_se[shares, -1])
         found["dominant_technique"] = statistics.dominant(*last)
+    missed = _missed(row, found["mean"], found["mean_se"], measurement.realizations)
     if row.keys() >= {"mis", *_SINGLE}:
-        single, mis = (fits.of(rows) for rows in ([row[s] for s in _SINGLE], [row["mis"]]))
-        total = measurement.counts[-1]
-        found["mis_gain"], found["mis_gain_ci"] = statistics.gain(single, mis, total)
+        rows, total = [row[s] for s in _SINGLE], measurement.counts[-1]
+        single, mis = fits.of(rows), fits.of([row["mis"]])
+        gain = statistics.gain(single, mis, total, missed[rows])
+        found["mis_gain"], found["mis_gain_ci"] = gain
     if measurement.chains:
         found |= zip(("path_variance", "path_variance_se"), maps.path_variance, strict=True)
         found |= zip(("largest_bounce", "largest_decision"), maps.largest, strict=True)
@@ -550,7 +553,6 @@ def labelled(
         for name, (share, *ends) in zip(("bounce_share", "decision_share"), parts, strict=True):
             found |= {name: share, f"{name}_ci": np.stack(ends, axis=-1)}
     if np.isfinite(maps.predicted).any():
-        missed = _missed(row, found["mean"], found["mean_se"], measurement.realizations)
         found |= _predicted(maps, largest_se, missed)
     bounces, decisions = (list(each) for each in measurement.partitions)
     return dataset(

@@ -25,6 +25,7 @@ from mcspectra.plots.text import MISSING, number, rate
 from mcspectra.plots.variance import task_curves
 from mcspectra.report import page as html
 from mcspectra.report.result_files import check_result_file, csv_text, latex_table, result_table
+from mcspectra.report.sampler_gallery import QUALITY_HEADS
 from mcspectra.variance.bench import BENCH_QUALITY
 from mcspectra.version import __version__
 
@@ -36,6 +37,7 @@ __all__ = ["BENCH_FILES", "bench_plots", "bench_table", "write_bench"]
 BENCH_FILES = (".html", ".pdf", ".csv", ".tex", ".pgf")
 """Extensions that `write_bench` knows."""
 
+_HEADS = QUALITY_HEADS | {"generalized_l2_discrepancy": "Generalised L2 discrepancy"}
 _ROWS = 44  # on a sheet
 _MOST_AXES = 10
 _CURVES = ["points_made", "variance", "variance_ci", "rate", "rate_ci", "rank", "rank_ci"]
@@ -106,7 +108,7 @@ def _sampler_table(bench: xr.Dataset) -> tuple[list[str], list[list[str]]]:
         speed = float(last["points_per_second"][k]) if "points_per_second" in bench else math.nan
         n = float(bench["pictured_n"][k]) if "pictured_n" in bench else math.nan
         rows.append([label, f"{n:.0f}" if n > 0 else MISSING, *cells, number(speed, 2)])
-    return ["Sampler", "n", *(name.replace("_", " ") for name in names), "points/s"], rows
+    return ["Sampler", "n", *(_HEADS[name] for name in names), "Points/s"], rows
 
 
 def _labels(bench: xr.Dataset) -> list[str]:
@@ -142,15 +144,15 @@ def bench_plots(bench: xr.Dataset) -> Iterator[tuple[str, Plot]]:
     spectra, where = of("power", "radial_power"), "Spectra and pairs"
     if spectra:
         if "m1" in bench.dims and "m2" not in bench.dims:
-            yield where, describe("spectrum", spectra, styles)
-        yield where, describe("radial", spectra, styles)
+            yield f"{where}: spectra", describe("spectrum", spectra, styles)
+        yield f"{where}: means over directions", describe("radial", spectra, styles)
     if "anisotropy_db" in bench and (rings := of("anisotropy_db", "anisotropy_noise_db")):
         plot, panels = describe("anything", rings, styles), []
         for panel, title in zip(plot.panels, ("anisotropy", "made by noise alone"), strict=True):
             panels.append(replace(panel, y=replace(panel.y, label="dB"), title=title))
-        yield where, replace(plot, panels=tuple(panels), height=0.9)
+        yield f"{where}: anisotropy", replace(plot, panels=tuple(panels), height=0.9)
     if pairs := of("pair_correlation", "pair_correlation_ci"):
-        yield where, describe("pair-correlation", pairs, styles)
+        yield f"{where}: pair correlation", describe("pair-correlation", pairs, styles)
 
     # Quality, on logarithmic axes where figures are positive
     known = [name for name in BENCH_QUALITY if name in bench]
@@ -164,7 +166,7 @@ def bench_plots(bench: xr.Dataset) -> Iterator[tuple[str, Plot]]:
             low, high = np.nanmin(values), np.nanmax(values)
             y = log_axis("", low, high, 5) if low > 0 else replace(panel.y, label="")
             x = count_axis("number of points n", bench["n"].values.tolist(), 4)
-            panels.append(replace(panel, x=x, y=y, title=name.replace("_", " ")))
+            panels.append(replace(panel, x=x, y=y, title=_HEADS[name]))
         yield "Quality", replace(plot, panels=tuple(panels), columns=3, height=0.8, wide=True)
 
     # One set of each, on all pairs of axes

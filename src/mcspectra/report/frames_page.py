@@ -145,12 +145,15 @@ def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[str]:
     if "needed_median" in found:
         known = found["spp_known"][-1]
         times = "" if known else " times as many"
+        # Of normal noise; the need is proportional to σ²
+        doubt = math.sqrt(2.0 / max(found["samples"][-1]["frames"] - 1, 1))
         yield (
             f"{percent(found['reached_share'])} of the pixels reach σ / mean = {number(found['target'])} "
             + (f"at {result['n'].values[-1]} samples" if known else "in a frame")
             + f"; half of them need {number(found['needed_median'])}{times}, "
             f"95 % of them {number(found['needed_95'])}{times}"
-            + (", by their rates." if "rate" in result else ", if the variance falls as 1/n.")
+            + (", by their rates" if "rate" in result else ", if the variance falls as 1/n")
+            + f". A pixel's own need is known to ± {percent(doubt)}, which makes that of 95 % too large."
         )
     last = result.isel(n=-1)
     lowest = last["radius"].values < _LOW
@@ -253,7 +256,8 @@ def write_frames(result: xr.Dataset, folder: str | Path) -> Path:
         for kind in kinds.kinds_of(result)
         if kind.startswith("frames-")
     }
-    facts = (("Frames", found["frames"]), ("Versions", html.versions_of(result.attrs)))
+    layer = (("Layer", found["layer"]),) if "layer" in found else ()
+    facts = (("Frames", found["frames"]), *layer, ("Versions", html.versions_of(result.attrs)))
     page = html.Page(
         title=f"Noise of {Path(found['frames']).name}",
         what="frames",

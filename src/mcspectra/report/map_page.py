@@ -161,8 +161,9 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
         kind.removeprefix("map-").replace("-", "_"): kinds.describe(kind, result)
         for kind in sorted(shown, key=lambda each: each != "map-picture")
     }
-    own = ((name, str(known[key])) for key, name in _PROVENANCE.items() if key in known)
-    facts = (*own, ("Versions", html.versions_of(known)))
+    own = ((name, summary[key]) for key, name in _PROVENANCE.items() if key in known)
+    texts = ((name, ", ".join(map(str, v)) if isinstance(v, list) else str(v)) for name, v in own)
+    facts = (*texts, ("Versions", html.versions_of(known)))
     page = html.Page(
         title=f"Variance map of {Path(known['scene']).name}",
         what="map",
@@ -352,14 +353,16 @@ def _answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
     rest = "".join(
         f", {_STRATEGIES[name]} at {percent(shares[name])}" for name in others if shares[name]
     )
+    met = np.isfinite(singles).all(axis=0)
     errors = ", ".join(
-        f"{_STRATEGIES[k]} {number(_median(last['variance'].sel(strategy=k).values) ** 0.5)}"
+        f"{_STRATEGIES[k]} {number(_median(last['variance'].sel(strategy=k).values[met]) ** 0.5)}"
         for k in shares
     )
+    where = "" if met[known].all() else ", at pixels where none misses light"
     text = (
         f"Use {_STRATEGIES[first]} with {found['sampler']}: at as many samples in all it has the least "
         f"variance at {percent(shares[first])} of the pixels{rest}. Median RMSE at n = "
-        f"{found['counts'][-1]} of each technique: {errors}."
+        f"{found['counts'][-1]} of each technique{where}: {errors}."
     )
     slow = found.get("bottleneck", {})
     worse = max(names, key=lambda name: slow.get(name, 0.0))
@@ -404,6 +407,13 @@ def map_note(summary: Mapping[str, Any]) -> str:
             f" Predicted by {_ROUTES[summary['prediction']]}; each pixel's interval is of 95 %, of both "
             "the prediction and the measurement."
         )
+    rows = {name: row["mean"] for name, row in summary["strategies"].items() if "mis-" not in name}
+    lost = [_named(name) for name, mean in rows.items() if mean < 0.5 * max(rows.values())]
+    if lost:
+        note += (
+            f" Half of the light or more is missed by {' and '.join(lost)}, as the means show: "
+            "their variances are too small."
+        )
     if summary["points"] == "own":
         return note
     return (
@@ -429,7 +439,8 @@ def shown_numbers(row: Mapping[str, float]) -> list[str]:
     """The numbers of a strategy as one reads them: a rate without the error beside it, if a finding."""
     slope, half = row["rate"], 2.0 * row["rate_se"]
     known = rate(slope, slope - half, slope + half).partition(" ")[0]
-    return [known if name == "rate" else number(value) for name, value in row.items()]
+    shown = {name: percent if name.endswith("within_ci") else number for name in row}
+    return [known if name == "rate" else shown[name](value) for name, value in row.items()]
 
 
 def _strategy_summary(data: xr.Dataset) -> dict[str, float]:
@@ -467,11 +478,11 @@ def _sentences(summary: Mapping[str, Any]) -> Iterator[str]:
         if kind in summary:
             parts = {k: v["share"] for k, v in summary[kind].items() if v["share"] >= _TOLD}
             told = ", ".join(
-                f"{k} {percent(v)}" for k, v in sorted(parts.items(), key=lambda p: -p[1])
+                f"{k} ({percent(v)})" for k, v in sorted(parts.items(), key=lambda p: -p[1])
             )
             yield f"Shares of the picture's variance by {kind[:-1]}: {told or 'unknown'}."
     for strategy, shares in summary.get("best_sampler", {}).items():
-        told = ", ".join(f"{k} {percent(v)}" for k, v in shares.items())
+        told = ", ".join(f"{k} ({percent(v)})" for k, v in shares.items())
         yield (
             f"Sampler of the least variance, {_named(strategy)} at n = {summary['counts'][-1]}, by share of "
             f"the pixels: {told}."
@@ -481,6 +492,6 @@ def _sentences(summary: Mapping[str, Any]) -> Iterator[str]:
         yield (
             f"At equal totals of samples MIS has less variance than the better single strategy in "
             f"{percent(gain['above_1'])} of the pixels, more in {percent(gain['below_1'])}, by 95 % "
-            f"intervals; the median gain is {number(gain['median'])}. Light sampling alone suffices in "
+            f"intervals; the median ratio of the two variances is {number(gain['median'])}. Light sampling alone suffices in "
             f"{percent(summary['light_suffices'])}."
         )

@@ -29,11 +29,11 @@ __all__ = [
 ]
 
 PATH_TABLES = {
-    "rates": ("Sampler", "Rate", "n", "Variance", "95 %", "Predicted"),
+    "rates": ("Sampler", "Rate", "n", "Variance", "95 % interval", "Predicted"),
     "parts": ("Part", "Alone", "With all others", "Up to here"),
-    "lights": ("Light", "Share", "95 %", "Mean", "Chosen", "Better chosen"),
+    "lights": ("Light", "Share", "95 % interval", "Mean", "Chosen", "Better chosen"),
 }
-"""Columns of the tables of `path_rows`."""
+"""Columns of the tables of `path_rows`; rows without predictions end before theirs."""
 
 _TOGETHER = 0.3  # share of the variance that larger sets of decisions make
 _SHOWN = 0.005  # of the variance: smaller parts are not named
@@ -47,7 +47,8 @@ _ABOUT = {
     "rates": "Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval.",
     "parts": (
         "Shares of the variance of one random path by what its numbers decide, in their order: by them "
-        "alone, with all sets of numbers that hold them (these overlap), and by all numbers up to here."
+        "alone, with all sets of numbers that hold them (these overlap), and by all numbers up to here. Parts of 0 "
+        "are left out."
     ),
     "lights": (
         "Shares of the variance of one random path by the light that gives it, Cov(part, path) / variance, which "
@@ -70,16 +71,14 @@ def path_rows(tree: xr.DataTree) -> dict[str, list[list[str]]]:
     rows: dict[str, list[list[str]]] = {name: [] for name in PATH_TABLES}
     for sampler in curves["sampler"].values.tolist():
         one = curves.sel(sampler=sampler)
-        predicted = float("nan")
-        if "predict" in tree.children:
-            known = tree["predict"].to_dataset().sel(sampler=sampler)
-            predicted = float(known["predicted_variance"].isel(last))
         at = one.isel(last)
         rows["rates"].append(
             [sampler, rate(float(one["rate"]), *one["rate_ci"].values.tolist()), str(int(at["n"])),
-             number(float(at["variance"])), interval(*at["variance_ci"].values.tolist()),
-             number(predicted)]
+             number(float(at["variance"])), interval(*at["variance_ci"].values.tolist())]
         )  # fmt: skip
+        if "predict" in tree.children:
+            known = tree["predict"].to_dataset().sel(sampler=sampler).isel(last)
+            rows["rates"][-1].append(number(float(known["predicted_variance"])))
     for kind in ("bounce", "decision"):
         found = _parts(tree, kind)
         names = found["axis_label"].values.tolist()
@@ -89,6 +88,8 @@ def path_rows(tree: xr.DataTree) -> dict[str, list[list[str]]]:
         if kind == "decision":  # their order is not that of the numbers
             shown = [(name, alone, total, np.nan) for name, alone, total, _ in shown]
         for name, *shares in shown:
+            if not np.nan_to_num(shares[:2]).any():
+                continue
             texts = ["" if np.isnan(share) else percent(float(share)) for share in shares]
             rows["parts"].append([name, *texts])
     if "lights" in tree.children:
@@ -101,7 +102,7 @@ def path_rows(tree: xr.DataTree) -> dict[str, list[list[str]]]:
                 [str(light), percent(float(one["light_share"])), f"{ends} %",
                  number(float(one["light_mean"])), *chosen]
             )  # fmt: skip
-    return {name: found for name, found in rows.items() if found or name != "lights"}
+    return {name: found for name, found in rows.items() if found}
 
 
 def path_answer(tree: xr.DataTree) -> str:
@@ -160,7 +161,7 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
             return [("noise", "The pixel has no noise: every path has the same value.")]
         order = np.argsort(-shares)[:3]
         parts = [
-            f"{found['subset_label'].values[k]} {percent(float(shares[k]))}"
+            f"{found['subset_label'].values[k]} ({percent(float(shares[k]))})"
             for k in order
             if k == order[0] or shares[k] > _SHOWN
         ]
@@ -200,7 +201,7 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
         lights = tree["lights"].to_dataset()
         largest = lights.isel(light=np.argsort(-lights["light_share"].values)[:3])
         pairs = zip(largest["light"].values, largest["light_share"].values, strict=True)
-        named = ", ".join(f"{light} {percent(float(share))}" for light, share in pairs)
+        named = ", ".join(f"{light} ({percent(float(share))})" for light, share in pairs)
         gain = number(float(lights["selection_ratio"]))
         low, high = map(number, lights["selection_ratio_ci"].values.tolist())
         text = (
@@ -343,4 +344,6 @@ def _table(name: str, rows: Sequence[Sequence[str]]) -> html.Table:
     cells = tuple(
         (*html.text_cells(first), *(html.Cell(text=text) for text in rest)) for first, *rest in rows
     )
-    return html.Table(caption=_ABOUT[name], columns=PATH_TABLES[name], rows=cells, stacked=True)
+    return html.Table(
+        caption=_ABOUT[name], columns=PATH_TABLES[name][: len(rows[0])], rows=cells, stacked=True
+    )

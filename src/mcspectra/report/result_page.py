@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.plots import kinds
-from mcspectra.plots.text import MISSING, interval, number
+from mcspectra.plots.text import MISSING, interval, number, shorten
 from mcspectra.report import page as html
 from mcspectra.variance.fit import is_resolved
 
@@ -29,7 +29,7 @@ def write_result(result: xr.Dataset, out: str | Path, title: str = "Result") -> 
     out
         The file.
     title
-        Of the page.
+        Of the page; the estimator is added.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def write_result(result: xr.Dataset, out: str | Path, title: str = "Result") -> 
     tables = [
         html.Table(
             caption="Numbers with their 95 % intervals",
-            columns=("number", "value", "95 %", "meaning"),
+            columns=("number", "value", "95 % interval", "meaning"),
             rows=single,
         ),
         *(_curves(result, dims) for dims in (("sampler",), ("n",), ("sampler", "n"))),
@@ -77,8 +77,9 @@ def write_result(result: xr.Dataset, out: str | Path, title: str = "Result") -> 
         "Numbers": tuple(table for table in tables if table.rows),
         "Provenance": (html.Facts(rows=facts, code=True),),
     }
+    about = shorten(str(attributes.get("estimator", "")), 60)
     page = html.Page(
-        title=title,
+        title=f"{title}: {about}" if about else title,
         what="result",
         lead=tuple(html.Text(text=sentence) for sentence in said),
         sections=tuple(

@@ -48,6 +48,7 @@ from mcspectra.version import __version__
 __all__ = [
     "FORMATS",
     "FULL",
+    "QUALITY_HEADS",
     "QUICK",
     "Card",
     "Effort",
@@ -72,7 +73,7 @@ _ALSO = (
 
 
 _PROJECTED_DIMS = 4
-_QUALITY = {
+QUALITY_HEADS = {
     "relative_minimum_distance": "Minimum distance",
     "star_discrepancy": "Star discrepancy",
     "centered_discrepancy": "Centred discrepancy",
@@ -259,7 +260,7 @@ def measure_card(spec: str, *, effort: Effort = FULL, rng: int = 0) -> Card:
         different_realizations(light, n, Stream.from_rng(rng), most)
         for most in (SHARED_SETS if slow else effort.spectra, SHARED_SETS)
     )
-    found = quality_figures(light, n, figures=tuple(_QUALITY), realizations=few, rng=rng)
+    found = quality_figures(light, n, figures=tuple(QUALITY_HEADS), realizations=few, rng=rng)
     return Card(
         name=spec,
         facts=sampler_facts(name) if name in SAMPLERS else None,
@@ -385,7 +386,7 @@ def _table(cards: Sequence[Card], names: Sequence[str]) -> html.Table:
             "Sampler",
             "n",
             *(f"Rate on {text.partition('(')[0]}" for text in texts),
-            *(_QUALITY[key] for key in figures),
+            *(QUALITY_HEADS[key] for key in figures),
             "Points/s",
         ),
         rows=tuple(rows),
@@ -423,7 +424,7 @@ def _card_facts(card: Card) -> list[tuple[str, str]]:
         *((f"Rate on {text.partition('(')[0]}{measured}", rate(*v)) for text, v in rates.items()),
         # An error of rounding size is none
         *(
-            (name, with_error(number(mean), se if se > NEGLIGIBLE * abs(mean) else None))
+            (name, with_error(mean, se if se > NEGLIGIBLE * abs(mean) else None))
             for name, mean, se in card.quality.values()
         ),
         ("Speed", f"{number(card.speed, 2)} points/s at n = {card.n}"),

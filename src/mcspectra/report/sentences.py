@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping
 from statistics import NormalDist
 
@@ -107,7 +108,7 @@ def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
         half = (
             None if row.ratio_low is None else 0.5 * ((row.ratio_high or math.inf) - row.ratio_low)
         )
-        shown = with_error(number(row.ratio), half)
+        shown = with_error(row.ratio, half)
         sentences.append(f"Predicted over measured variance is {shown} ({row.route}).")
     sentences += () if terms is None else _term_sentences(row, terms)
     return " ".join(sentence for sentence in sentences if sentence)
@@ -247,35 +248,35 @@ def _term_sentences(row: SummaryRow, terms: xr.Dataset) -> Iterator[str]:
             f"Before correlation, {percent(row.dc / (row.dc + row.power))} of the variance is the dc "
             "term: noise of the weights 1/p, which f does not shape."
         )
-    yield _cross_sentence(row, row.dc + row.power, uniform)
+    spec = str(terms.attrs.get("sampler_spec", row.sampler))
+    shifted = re.search(r"(\| shift|^random)$", spec) is not None
+    yield _cross_sentence(row, row.dc + row.power, uniform, shifted)
     yield _captured_sentence(row, terms)
 
 
-def _cross_sentence(row: SummaryRow, diagonal: float, uniform: bool) -> str:
+def _cross_sentence(row: SummaryRow, diagonal: float, uniform: bool, shifted: bool) -> str:
     """Say what the cross term gives or takes of dc + power, and what of that a shift would change."""
     if row.cross is None or row.cross_low is None or row.cross_high is None or diagonal <= 0:
         return ""
-    fourier = row.basis in (None, "fourier")
+    if row.cross_low <= 0 <= row.cross_high:
+        beside = "power term" if uniform else "dc and power terms"
+        return f"The cross term is statistically indistinguishable from zero ({beside}: {number(diagonal)})."
+    fourier, removes = row.basis in (None, "fourier"), row.cross < 0
     what = "the power term predicts" if uniform else "the dc and power terms predict together"
     if not fourier:
         what = f"the diagonal of the {basis_name(row.basis)} basis predicts"
-    change = _cross_share(row)
-    if row.cross_high < 0:
-        if not fourier:
-            return f"The cross term removes {change} of what {what}."
-        fate = "; a random shift would lose that" if uniform else ""
-        cause = "strata aligned to it" if uniform else "a density that follows it"
-        return (
-            f"The cross term removes {change} of what {what}: frequencies are correlated "
-            f"in the integrand's favour, as with {cause}{fate}."
+    text = f"The cross term {'removes' if removes else 'adds'} {_cross_share(row)} {'of' if removes else 'to'} what {what}"
+    if fourier and uniform and shifted:
+        text += ", by chance: of points shifted at random its mean is zero"
+    elif fourier and removes:
+        text += ": frequencies are correlated in the integrand's favour, as with " + (
+            "strata aligned to it; a random shift would lose that"
+            if uniform
+            else "a density that follows it"
         )
-    if row.cross_low > 0:
-        cure = (
-            "; for unbiased points a random shift would avoid that" if uniform and fourier else ""
-        )
-        return f"The cross term adds {change} to what {what}{cure}."
-    beside = "power term" if uniform else "dc and power terms"
-    return f"The cross term is statistically indistinguishable from zero ({beside}: {number(diagonal)})."
+    elif fourier and uniform:
+        text += "; for unbiased points a random shift would avoid that"
+    return f"{text}."
 
 
 def _captured_sentence(row: SummaryRow, terms: xr.Dataset) -> str:
@@ -299,7 +300,7 @@ def _captured_sentence(row: SummaryRow, terms: xr.Dataset) -> str:
         return f"Prediction and measurement agree ({share})."
     return (
         f"At half width {half_width} the spectrum predicts {percent(row.captured)} of the measured "
-        "variance; its interval holds 100 %."
+        "variance; with what may lie beyond, its interval holds 100 %."
     )
 
 

@@ -17,7 +17,6 @@ from mcspectra.plots.text import (
     MISSING,
     interval,
     number,
-    number_beside,
     percent,
     rate,
     with_error,
@@ -66,7 +65,7 @@ def summary_table(
         variance = number(row.variance)
         at = f" (n = {row.n})" if row.n not in (None, usual) and variance != MISSING else ""
         route = basis_name(row.route) if row.route else ""
-        predicted = with_error(number(row.ratio), _half(row.ratio_low, row.ratio_high))
+        predicted = with_error(row.ratio, _half(row.ratio_low, row.ratio_high))
         techniques = found.get("techniques")
         slow = "" if techniques is None else str(techniques.attrs.get("bottleneck") or "")
         limit = bottleneck(row, terms, slow)
@@ -88,8 +87,8 @@ def summary_table(
     return Table(
         caption="Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval, "
         "unresolved where that is more than 0.5. "
-        "Predicted / measured ± half its 95 % interval says in brackets how the variance was predicted, "
-        "a basis where by its sum over frequencies, cut at a half width. The bottleneck is the "
+        "Predicted / measured has ± half its 95 % interval, and in brackets how the variance was "
+        "predicted; a basis there means a sum over frequencies, cut at a half width. The bottleneck is the "
         "technique with the slowest rate (undecided: their intervals overlap), else what adds most: with "
         "|m| ≤ k or ≥ k, half of the power term lies below or above the frequency k.",
         columns=(
@@ -120,9 +119,9 @@ def terms_table(rows: Sequence[SummaryRow]) -> Table:
             why: str = why,
             beside: float | None = row.power,
         ) -> Cell:
-            return _cell(with_error(number_beside(given, beside), _half(low, high)), why)
+            return _cell(with_error(given, _half(low, high), beside), why)
 
-        captured = with_error(number(row.captured), _half(row.captured_low, row.captured_high))
+        captured = with_error(row.captured, _half(row.captured_low, row.captured_high))
         # `summarize` appends the channel to the estimator's name
         head, bracket, channel = row.estimator.rpartition(" [")
         several = bool(head and bracket and channel.rstrip("]").isdigit())

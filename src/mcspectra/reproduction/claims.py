@@ -19,7 +19,7 @@ import xarray as xr
 from mcspectra.core.checks import Array
 from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.plots.description import Plot
-from mcspectra.plots.text import number, rate
+from mcspectra.plots.text import number, power_of_ten, rate
 
 __all__ = [
     "GALLERY_FINDINGS",
@@ -183,7 +183,7 @@ class Finding:
     statement, note
         Of the claim.
     expected
-        What theory says, as ``"−3"`` or ``"≤ 1e-12"``.
+        What theory says, as ``"−3"`` or ``"≤ 10⁻¹²"``.
     measured
         A number, words, or None where nothing could be measured.
     interval
@@ -264,11 +264,11 @@ def judge(claim: Claim) -> Finding:
 
 
 def _limit(at_most: float) -> str:
-    """A limit as ``1e-10`` or ``1.3e-3``: of two digits, never less than it is."""
+    """A limit as ``10⁻¹⁰`` or ``1.3×10⁻³``: of two digits, never less than it is."""
     exact = Decimal(f"{at_most:.12e}")
     step = Decimal(1).scaleb(exact.adjusted() - 1)
     digits, exponent = f"{exact.quantize(step, ROUND_CEILING):.1e}".replace(".0e", "e").split("e")
-    return f"{digits}e{int(exponent)}"
+    return ("" if digits == "1" else f"{digits}×") + power_of_ten(int(exponent))
 
 
 def mean_and_error(values: Array) -> tuple[Array, Array]:

@@ -67,6 +67,12 @@ _EFFORTS = {
     "quick": ((16, 64, 256, 1024), 200, 10_000, 2**14, False),
     "full": ((16, 64, 256, 1024, 4096), 1000, 100_000, 2**17, True),
 }
+_AXES = {
+    "bounce": "bounce",
+    "decision": "kind of decision, at all bounces together,",
+    "request": "decision",
+    "coordinate": "coordinate",
+}  # as captions call them
 _MOST_GROUPS = 64
 _MOST_SAMPLES = 2**20
 _FEWEST = 100  # realisations that tell one change from another
@@ -175,7 +181,7 @@ def analyse_path(
             said = [" × ".join(labels[int(i)] for i in u) for u in axes]
             parts[f"anova/{kind}"] = found.assign_coords(
                 subset_label=("subset", said), axis_label=("axis", labels)
-            )
+            ).assign_attrs(axes=_AXES[kind])
 
     # Which lights make the noise, and what would lower it
     report("path: lights", 0.7)

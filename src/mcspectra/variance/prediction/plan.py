@@ -46,7 +46,7 @@ class Plan(Counted, frozen=True, kw_only=True):
     verb = "plan"
     several = ("sampler",)
     variables = (
-        *("planned_n", "planned_n_ci", "planned_error"),
+        *("planned_n", "planned_n_ci", "planned_error", "target_variance"),
         *("predicted_variance", "predicted_variance_ci"),
     )
 
@@ -124,6 +124,7 @@ class Plan(Counted, frozen=True, kw_only=True):
                 "planned_n": (("sampler",), np.array(planned, float)),
                 "planned_n_ci": (("sampler", "bound"), np.array(ranges, float)),
                 "planned_error": (("sampler", "channel"), np.array(errors)),
+                "target_variance": (("channel",), np.broadcast_to(target, scale.shape)),
                 "predicted_variance": (("sampler", "n", "channel"), curves),
                 "predicted_variance_ci": (("sampler", "n", "channel", "bound"), bounds),
             },
@@ -297,8 +298,8 @@ def plan(
         of two, and counts 4 % apart about the place where the line between two of them reaches it, for nets
         in base 2 (sobol, pmj02 and the like, which other counts leave unbalanced) powers of two alone; NaN
         where none is known. ``planned_n_ci(bound)``, this count if the variances were at the ends of their
-        95 % intervals, or fell as fast and as slowly as they did last; ``planned_error``, the RMSE there; the
-        curve ``predicted_variance(n)`` with ``predicted_variance_ci(n, bound)`` at powers of two that the
+        95 % intervals, or fell as fast and as slowly as they did last; ``planned_error``, the RMSE there; ``target_variance``, the
+        square of the target; the curve ``predicted_variance(n)`` with ``predicted_variance_ci(n, bound)`` at powers of two that the
         sampler can do, to a quarter of the wanted variance or 2^16. Beyond them n follows from the last slope, and ``route`` says so. A
         list adds the dim sampler. The attribute ``recommendation`` says it in words.
 
