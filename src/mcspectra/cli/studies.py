@@ -137,12 +137,6 @@ def run_(options: argparse.Namespace) -> Answer:
             trust=trust,
             force=options.force,
         )
-    except KeyboardInterrupt:
-        print(
-            f"mcspectra: Interrupted; what was finished is in {out}, --resume continues.",
-            file=sys.stderr,
-        )
-        return Answer(code=130)
     except CellFailed as error:
         code = 1
         print(f"mcspectra: {error}", file=sys.stderr)
