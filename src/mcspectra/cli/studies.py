@@ -231,6 +231,8 @@ def report_(options: argparse.Namespace) -> Answer:
         raise ParameterError(
             f"{str(options.folder)!r} is a store, in which no page is written; give --out FILE.html."
         )
+    if options.out is not None and not options.out.lower().endswith(".html"):
+        raise ParameterError(f"--out is {options.out!r}; the page is a file .html.")
     if options.compare is None:
         page = write_report(options.folder, options.out)
     else:
