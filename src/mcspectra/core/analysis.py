@@ -455,7 +455,9 @@ def finished(analysis: Analysis, result: xr.Dataset, rng: RngLike = None) -> xr.
         A variable is not declared, or has other dims or another kind.
     """
     check_variables(result, type(analysis).variables, type(analysis).__name__)
-    return result.assign_attrs(attributes_of(seed=rng)) if isinstance(rng, int) else result
+    if isinstance(rng, int | numbers.Integral):  # of NumPy, too
+        return result.assign_attrs(attributes_of(seed=rng))
+    return result
 
 
 def compute(
