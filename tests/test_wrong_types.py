@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra import studies, testing
+from mcspectra import densities, integrands, quality, studies, testing
 from mcspectra.core import analysis
 from mcspectra.core.errors import McspectraError
 from mcspectra.studies import files, results
@@ -129,6 +129,13 @@ DOORS = (
     (files.study_of, {"table": {}}),
     (files.plain_study, {"config": None}),
     (files.expand_grids, {"table": {}}),
+    (densities.check_density, {"density": "linear"}),
+    (densities.reciprocal_integral, {"density": "linear"}),
+    (integrands.fourier_accuracy, {"integrand": "linear", "half_width": 2}),
+    (integrands.fourier_grid, {"integrand": "linear", "half_width": 2}),
+    (integrands.integral_accuracy, {"integrand": "linear"}),
+    (integrands.Channel, {"integrand": "linear", "channel": 0}),
+    (quality.summarize, {"figures": None}),
     (testing.check_analysis, {"analysis": Convergence(counts=(4, 16), realizations=50)}),
     (testing.check_sampler, {"sampler": "jittered", "counts": (4,)}),
     (analysis.compute, {"analysis": None, "subject": None}),

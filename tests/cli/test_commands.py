@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.processes import python
 
 import mcspectra as mcs
 from mcspectra.report import sampler_gallery
@@ -276,3 +277,25 @@ def test_what_ends_a_command_is_a_code_and_a_line(run, monkeypatch, raised, code
     assert (found, out) == (code, "")
     assert err.startswith(f"mcspectra: {words}")
     assert err.count("\n") == 1
+
+
+def test_an_interrupted_command_does_not_wait_for_tasks_that_go_on():
+    """Nothing of Python's end is run, which waits for native code, and may abort."""
+    code = """
+import atexit, sys, time
+from mcspectra.cli import main as module
+from mcspectra.studies.executors import Threads
+
+def ended(arguments):
+    Threads(1).submit(None, lambda: time.sleep(100))
+    atexit.register(print, "Python has ended")
+    raise KeyboardInterrupt("what was finished is in out, --resume continues")
+
+module._dispatch = ended
+sys.exit(module.main())
+"""
+    done = python("-c", code)
+    assert (done.returncode, done.stdout) == (130, "")
+    assert done.stderr == (
+        "mcspectra: Interrupted; what was finished is in out, --resume continues.\n"
+    )

@@ -51,6 +51,7 @@ def test_bad_input(folders, tmp_path, capsys):
         [folders[0], "--compare", str(tmp_path)],
         [folders[0], "--compare", folders[0]],
         [folders[0], "--out", str(tmp_path / "nowhere" / "x.html")],
+        [folders[0], "--out", str(tmp_path / "x")],  # a device, say, which a page would replace
         [],
     ):
         assert main(["report", *arguments]) == 2

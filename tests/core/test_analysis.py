@@ -311,7 +311,8 @@ def test_a_seed_is_an_attribute_where_the_result_can_be_had_again():
         variables: ClassVar = ("variance",)
 
     unseeded = _small().drop_attrs()
-    assert finished(Variances(), unseeded, 7).attrs == {"seed": 7}
+    for rng, seed in ((7, 7), (np.int64(7), 7), (2**64, str(2**64))):
+        assert finished(Variances(), unseeded, rng).attrs == {"seed": seed}
     for rng in (np.random.default_rng(3), None):
         assert finished(Variances(), unseeded, rng).attrs == {}
     with pytest.raises(TypeError, match="Said gives the variable 'variance'.*not declare"):

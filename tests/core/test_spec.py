@@ -121,7 +121,7 @@ def test_nothing_is_evaluated(value):
         ("a)", "closes a bracket that it did not open, at character 2"),
         ("a(x=1))", "at character 7"),
         ("a(x=(1]))", "closes a bracket|not key=value"),
-        ("a(1)", "was given 1 without a name; write key=1"),
+        ("a(1)", "was given 1 without a name; write parameter=1, with the name of"),
         ("a(x)", "was given x without a name"),
         ("a(*[1])", "without a name"),
         ("a(**{'x': 1})", r"'\*\*'"),

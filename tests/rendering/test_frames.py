@@ -328,6 +328,14 @@ def test_frames_that_are_none_are_refused(tmp_path, make, error, match):
         frames(tmp_path)
 
 
+def test_one_number_of_samples_is_not_given_to_frames_of_several(tmp_path):
+    for k, spp in enumerate((4, 4, 16, 16)):
+        np.save(tmp_path / f"{k}_{spp}spp.npy", np.eye(4) * (k + 1))
+    with pytest.raises(ParameterError, match="spp is 8, and the frames are of 4 and 16 samples"):
+        frames(tmp_path, spp=8)
+    assert frames(str(tmp_path / "*_4spp.npy"), spp=8)["n"] == 8
+
+
 @pytest.mark.parametrize(
     "options",
     [{"spp": 0}, {"target": 0.0}, {"target": np.nan}, {"seconds": -1.0}, {"layer": "none"}],

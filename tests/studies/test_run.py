@@ -10,6 +10,7 @@ import tracemalloc
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import psutil
 import pytest
@@ -19,7 +20,14 @@ import mcspectra as mcs
 from mcspectra.core.analysis import Analysis, Need, Reduction
 from mcspectra.core.errors import StoreError
 from mcspectra.core.records import SUM, unpack
-from mcspectra.studies import Trust, foreign_code, make_plan, open_results, run_study
+from mcspectra.studies import (
+    Trust,
+    export_results,
+    foreign_code,
+    make_plan,
+    open_results,
+    run_study,
+)
 from mcspectra.studies import schedule as schedule_module
 from mcspectra.studies.executors import Cluster, Dask, Threads
 from mcspectra.studies.files import decode_study
@@ -75,6 +83,18 @@ def finished(tmp_path_factory, stored_values):
     folder = tmp_path_factory.mktemp("study")
     run_study(decode_study(STUDY), folder, workers=1)
     return stored_values(folder)
+
+
+def test_a_seed_of_128_bits_comes_back(tmp_path):
+    """As numpy's SeedSequence gives them, larger than stores and ledgers hold as numbers."""
+    seed = 2**127 + 1
+    config = msgspec.structs.replace(
+        decode_study(FUNCTIONS + "[[estimators]]\nname = 'a'\nintegrand = 'disk'\n"), seed=seed
+    )
+    run_study(config, tmp_path, workers=1)
+    cells = [node for node in open_results(tmp_path).subtree if "seed" in node.attrs]
+    assert {int(cell.attrs["seed"]) for cell in cells} == {seed}
+    assert export_results(tmp_path, tmp_path / "x.nc").is_file()
 
 
 def test_stored_is_what_the_functions_return(finished):

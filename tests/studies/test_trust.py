@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mcspectra.core.analysis import Analysis
-from mcspectra.core.errors import ConfigError
+from mcspectra.core.errors import ConfigError, ParameterError
 from mcspectra.core.spec import parse_chain
 from mcspectra.studies import Trust, make_plan, run_study
 from mcspectra.studies.files import decode_study
@@ -118,6 +118,19 @@ def test_samplers_of_code_are_allowed_by_name(tmp_path, monkeypatch):
     points = by_inputs[("mine",)].draw(4, realizations=2, rng=1)
     offsets = (4 * points[..., 0]) % 1.0
     np.testing.assert_allclose(offsets, offsets[:, :1].repeat(4, axis=1))
+
+
+def test_a_program_is_not_looked_for_where_the_study_is_run_from(tmp_path, monkeypatch):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    program = elsewhere / "mine"
+    program.write_text("#!/bin/sh\necho 0.5\n")
+    program.chmod(0o755)
+    monkeypatch.chdir(elsewhere)
+    config = _with('["random"]', "[\"command('./mine {seed}', dims=1)\"]")
+    (cell, *_) = make_plan(config, tmp_path, Trust(code=("./mine",))).cells
+    with pytest.raises(ParameterError, match="cannot be run: No such file"):
+        cell.subject.sampler.draw(1)
 
 
 @pytest.mark.parametrize("name", ["strangers", "a b:c", "a:b()", "", ":", "a:b:c"])

@@ -15,6 +15,7 @@ import json
 import os
 import re
 import sys
+import threading
 from collections import defaultdict
 from collections.abc import Sequence
 from contextlib import suppress
@@ -119,8 +120,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _dispatch(given)
     except SystemExit as stop:  # argparse: --help (0) or bad usage (2)
         return int(stop.code or 0)
-    except KeyboardInterrupt:
-        print("mcspectra: Interrupted.", file=sys.stderr)
+    except KeyboardInterrupt as stop:
+        print(f"mcspectra: {'; '.join(['Interrupted', *map(str, stop.args)])}.", file=sys.stderr)
+        tasks = (each.name == "mcspectra-tasks" for each in threading.enumerate())
+        if arguments is None and any(tasks):
+            # Native code that still computes would keep the process for a minute, or abort it
+            sys.stderr.flush()
+            os._exit(130)
         return 130
     except BrokenPipeError:
         # The reader has gone (… | head): nothing is wrong. Keep Python from flushing at exit.

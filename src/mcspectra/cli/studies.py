@@ -137,12 +137,6 @@ def run_(options: argparse.Namespace) -> Answer:
             trust=trust,
             force=options.force,
         )
-    except KeyboardInterrupt:
-        print(
-            f"mcspectra: Interrupted; what was finished is in {out}, --resume continues.",
-            file=sys.stderr,
-        )
-        return Answer(code=130)
     except CellFailed as error:
         code = 1
         print(f"mcspectra: {error}", file=sys.stderr)
@@ -237,6 +231,8 @@ def report_(options: argparse.Namespace) -> Answer:
         raise ParameterError(
             f"{str(options.folder)!r} is a store, in which no page is written; give --out FILE.html."
         )
+    if options.out is not None and not options.out.lower().endswith(".html"):
+        raise ParameterError(f"--out is {options.out!r}; the page is a file .html.")
     if options.compare is None:
         page = write_report(options.folder, options.out)
     else:

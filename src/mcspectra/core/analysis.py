@@ -357,7 +357,8 @@ def needed(analysis: Analysis, subject: Subject) -> Need:
             raise ParameterError(
                 f"{_name(analysis)} takes one {what} at a time; ask it for each of the list."
             )
-    names = [getattr(each, "spec", None) for each in subject.samplers]
+    listed = subject.sampler if isinstance(subject.sampler, list | tuple) else ()
+    names = [getattr(each, "spec", None) for each in listed]
     for name in names:
         if names.count(name) > 1:
             raise ParameterError(f"The sampler {name} is listed twice; list each once.")
@@ -445,7 +446,8 @@ def _single(reduction: Reduction[State], name: str) -> Steps:
 def finished(analysis: Analysis, result: xr.Dataset, rng: RngLike = None) -> xr.Dataset:
     """Check a result against the variables that its analysis declares; return it with its seed.
 
-    The seed is an attribute where `rng` is a whole number, by which the result can be had again.
+    The seed is an attribute where `rng` is a whole number, by which the result can be had again: a
+    text from 2^63 on.
 
     Raises
     ------
@@ -453,7 +455,9 @@ def finished(analysis: Analysis, result: xr.Dataset, rng: RngLike = None) -> xr.
         A variable is not declared, or has other dims or another kind.
     """
     check_variables(result, type(analysis).variables, type(analysis).__name__)
-    return result.assign_attrs(seed=rng) if isinstance(rng, int) else result
+    if isinstance(rng, int | numbers.Integral):  # of NumPy, too
+        return result.assign_attrs(attributes_of(seed=rng))
+    return result
 
 
 def compute(

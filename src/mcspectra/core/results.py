@@ -293,12 +293,17 @@ def dataset(
 
 
 def attributes_of(**provenance: Any) -> dict[str, str | int | float]:
-    """Return what every storage format can hold: numbers, strings, or JSON text; None is left out."""
+    """Return what every storage format can hold: numbers of 64 bits, strings, or JSON text; no None."""
     attributes = {}
     for key, value in provenance.items():
         plain = value.item() if isinstance(value, np.generic) else value
         if plain is not None:
-            attributes[key] = plain if isinstance(plain, str | int | float) else json.dumps(plain)
+            fits = (
+                plain.bit_length() < 64
+                if isinstance(plain, int)
+                else isinstance(plain, str | float)
+            )
+            attributes[key] = plain if fits else json.dumps(plain)
     return attributes
 
 

@@ -205,7 +205,10 @@ def _parse_call(part: str, whole: str) -> Call:
     elif tree.args:
         # Not ast.unparse, which recurses and gives up on deep nesting.
         shown = _brief(ast.get_source_segment(source, tree.args[0]) or "a value")
-        raise SpecError(f"{name} was given {shown} without a name; write key={shown}.")
+        raise SpecError(
+            f"{name} was given {shown} without a name; write parameter={shown}, with the name of a "
+            "parameter that it has."
+        )
     arguments: dict[str, Any] = {}
     for key, value in keywords:
         if key is None:

@@ -551,6 +551,8 @@ def reciprocal_integral(density: Density) -> float:
     a > 0.81 (three standard errors below) is counted as that. A zero of p that occupies less than
     about 1e-5 of the domain is not seen.
     """
+    if not isinstance(density, Density):
+        raise DensityError(f"{density!r:.80} is not a density; give what mcs.density makes.")
 
     def reciprocal(x: Array) -> Array:
         with np.errstate(divide="ignore", over="ignore"):

@@ -61,6 +61,8 @@ def check_density(density: Density) -> None:
     A density with errors smaller than those bounds passes. Peaks narrower than 2^-20 (2^-12 in 2-D)
     of the domain are not resolved.
     """
+    if not hasattr(density, "_pdf"):
+        raise DensityError(f"{density!r:.80} is not a density; give what mcs.density makes.")
     with np.errstate(all="ignore"):  # what is not finite is reported below, or allowed at one point
         x = recurrences(density.dims)[0]
         p = density._pdf(x)

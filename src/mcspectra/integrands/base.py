@@ -379,8 +379,15 @@ class NamedFunction(Derived):
         return self.integrand._fourier(m)
 
 
+def _as_integrand(given: Integrand) -> Integrand:
+    """Return what is an integrand; specs are for `mcspectra.integrand` to read."""
+    if not isinstance(given, Integrand):
+        raise ParameterError(f"{given!r:.80} is not an integrand; give what mcs.integrand makes.")
+    return given
+
+
 def _as_channel(name: str, channel: object, f: Integrand) -> int | str:
-    if not f.channels:
+    if not _as_integrand(f).channels:
         raise ParameterError(f"{f.spec} is scalar: it has no channels to choose.")
     if channel != "luminance":
         return as_integer(name, channel, least=0, most=f.channels - 1)
@@ -494,7 +501,7 @@ class FunctionIntegrand(Integrand):
 
 def fourier_grid(integrand: Integrand, half_width: int) -> Array:
     """`Integrand.fourier_grid` of an integrand."""
-    return integrand.fourier_grid(half_width)
+    return _as_integrand(integrand).fourier_grid(half_width)
 
 
 def fourier_accuracy(integrand: Integrand, half_width: int) -> tuple[str, float]:
@@ -506,7 +513,7 @@ def fourier_accuracy(integrand: Integrand, half_width: int) -> tuple[str, float]
         Description, and an estimate of the largest absolute error: 0 where they are exact, else the
         largest difference from a grid of half the nodes (for smooth f far above the true error).
     """
-    if integrand._fourier(np.zeros((1, integrand.dims))) is not None:
+    if _as_integrand(integrand)._fourier(np.zeros((1, integrand.dims))) is not None:
         return integrand.fourier_source, 0.0
     found = _quadrature(integrand, _all_frequencies(integrand, half_width))
     return f"{integrand.fourier_source}, {found.method}", found.error
@@ -526,7 +533,7 @@ def numeric_integral(integrand: Integrand) -> Any:
 
 def integral_accuracy(integrand: Integrand) -> tuple[str, float]:
     """Say how `integral` is found, and an estimate of its largest absolute error (0 if exact)."""
-    if integrand._integral() is not None:
+    if _as_integrand(integrand)._integral() is not None:
         return "exact", 0.0
     found = _integral_estimate(integrand)
     return found.method, found.error

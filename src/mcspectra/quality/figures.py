@@ -166,6 +166,10 @@ class FigureSummary:
 
 def summarize(figures: xr.Dataset) -> list[FigureSummary]:
     """Return mean and standard error of each figure that `quality_figures` returned."""
+    if not isinstance(figures, xr.Dataset):
+        raise ParameterError(
+            f"{figures!r:.80} has no figures; give what mcs.quality_figures returns."
+        )
     found = []
     for name, figure in figures.data_vars.items():
         values = figure.values

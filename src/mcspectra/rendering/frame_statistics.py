@@ -246,7 +246,7 @@ class _Reader:
         return luminance(image), image
 
     def about(self, file: Path) -> tuple[int | None, float | None]:
-        """Samples a pixel and seconds of a frame, as far as names and headers tell."""
+        """Samples a pixel and seconds of a frame, as far as its name and header tell."""
         named = _SPP.search(file.stem) or _SPP.search(file.parent.name)
         own = int(named[1] or named[2]) if named else None
         told, seconds = None, None
@@ -264,13 +264,13 @@ class _Reader:
             raise FileFormatError(
                 f"{file} says {key} = {value!r}; give spp= and seconds=."
             ) from None
-        spp = next((s for s in (self.spp, own, told) if s is not None), None)
+        spp = told if own is None else own
         if self.spp is None and None not in (own, told) and own != told:
             raise ParameterError(
                 f"{file} has {own} samples a pixel by its name and {told} by its header; give spp=, or "
                 "mend the name."
             )
-        if spp is not None and not 1 <= spp <= _MOST_SPP:
+        if self.spp is None and spp is not None and not 1 <= spp <= _MOST_SPP:
             raise ParameterError(
                 f"{file} has {spp} samples a pixel by its name or header; give spp=."
             )
@@ -334,10 +334,18 @@ class _Group:
 
 def _measured(paths: Frames, read: _Reader) -> list[_Group]:
     """Frames by their number of samples, ascending, each group measured."""
-    groups = defaultdict(list)
+    groups: dict[int | None, list[tuple[Path, float | None]]] = defaultdict(list)
     for file in _listed(paths):
         spp, seconds = read.about(file)
         groups[spp].append((file, seconds))
+    if read.spp is not None:
+        told = sorted(spp for spp in groups if spp is not None)
+        if len(told) > 1:
+            raise ParameterError(
+                f"spp is {read.spp}, and the frames are of {' and '.join(map(str, told))} samples a pixel "
+                "by their names or headers; give frames of one number, or leave spp out."
+            )
+        groups = {read.spp: [each for members in groups.values() for each in members]}
     if None in groups and len(groups) > 1:
         raise ParameterError(
             f"{groups[None][0][0]} does not tell its samples a pixel, others do; name it such as "

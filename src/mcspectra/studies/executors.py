@@ -106,7 +106,10 @@ class Threads:
         self._finished: queue.SimpleQueue[Outcome] = queue.SimpleQueue()
         self._under_way = 0
         # Daemons: an integrand that hangs does not keep the program from ending.
-        self._threads = [threading.Thread(target=self._work, daemon=True) for _ in range(workers)]
+        self._threads = [
+            threading.Thread(target=self._work, name="mcspectra-tasks", daemon=True)
+            for _ in range(workers)
+        ]
         for thread in self._threads:
             thread.start()
 

@@ -251,7 +251,7 @@ class _Planner:
                     error = str(failure)
             parent = self._slugs(entry.name)
             asked = list(self._asked(entry))
-            samplers = self._samplers(entry, dims)
+            samplers = self._samplers(entry, dims, whose)
         except ConfigError:
             raise
         except McspectraError as refusal:
@@ -298,7 +298,9 @@ class _Planner:
                 if asked[0] == name or asked[0] not in tables:
                     yield asked
 
-    def _samplers(self, entry: EstimatorConfig | SceneConfig, dims: int | None) -> _Samplers:
+    def _samplers(
+        self, entry: EstimatorConfig | SceneConfig, dims: int | None, whose: str
+    ) -> _Samplers:
         """Samplers of an entry; those that entries share are the same objects."""
         texts = self._config.samplers_of(entry)
         key = texts, dims
@@ -306,8 +308,13 @@ class _Planner:
             slugs, specs, found = _Slugs(), dict[str, str](), _Samplers()
             for text in texts:
                 if (text, dims) not in self._one:
-                    calls, inputs = self.vetting.sampler(text)
-                    self._one[text, dims] = sampler_from_calls(calls, dims), inputs
+                    try:
+                        calls, inputs = self.vetting.sampler(text)
+                        self._one[text, dims] = sampler_from_calls(calls, dims), inputs
+                    except ConfigError:
+                        raise
+                    except McspectraError as refusal:
+                        raise ConfigError(f"{whose}, sampler {text!r:.80}: {refusal}") from refusal
                 sampler, inputs = self._one[text, dims]
                 first = specs.setdefault(sampler.spec, text)
                 if first != text:

@@ -102,7 +102,7 @@ def run_study(
     CellFailed
         After everything else has run.
     KeyboardInterrupt
-        Passed on; finished cells and finished tasks are kept, and the run can be resumed.
+        Passed on, with a text; finished cells and finished tasks are kept, and the run can be resumed.
 
     Warns
     -----
@@ -119,10 +119,11 @@ def run_study(
     text = StudyText.of(config, Path(folder), trust, force=force, inputs=plan.inputs)
     note, paths = StudyNote.of(config, plan.inputs), [cell.path for cell in plan.cells]
     with (
+        _told_where(out),
         Ledger.resume(out, note, paths, outdated=_outdated(plan, out) if retry else ())
         if resume
-        else Ledger.create(out, note, paths)
-    ) as ledger:
+        else Ledger.create(out, note, paths) as ledger,
+    ):
         if resume and retry:
             ledger.forget(list(ledger.failures()))  # with their states: code may have been mended
 
@@ -168,6 +169,14 @@ def run_study(
             f"--retry tries these again. First: {path}: {message}",
             failed,
         )
+
+
+@contextlib.contextmanager
+def _told_where(out: Path) -> Iterator[None]:
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"what was finished is in {out}, --resume continues") from None
 
 
 def drive(schedule: Schedule, executor: Executor) -> Iterator[Settled]:

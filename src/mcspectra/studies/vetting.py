@@ -148,12 +148,13 @@ class Vetting:
         files: dict[Path, str] = {}
         match first.name, first.arguments:
             case "command", {"run": str(run)}:
-                program, blank, others = run.strip().partition(" ")
-                file = (self._folder / program).absolute()
-                if "/" in program and file.is_file():
-                    files[file] = ""
-                    run = f"{shlex.quote(str(file))}{blank}{others}"
-                    first = Call("command", {**first.arguments, "run": run})
+                with suppress(ValueError):  # no command: its sampler refuses it
+                    program, *others = shlex.split(run)
+                    if "/" in program:
+                        file = (self._folder / program).absolute()
+                        files[file] = ""
+                        run = shlex.join([str(file), *others])
+                        first = Call("command", {**first.arguments, "run": run})
                 allow_code(run)
             case "python", {"function": str(name)}:
                 allow_code(name)
