@@ -248,23 +248,19 @@ def test_what_cannot_be_made_leaves_grey_figures_and_no_numbers(page, address):
     expect(card).to_have_css("opacity", "1")
 
 
-@pytest.mark.parametrize(
-    ("label", "text", "again"),
-    [("Exact n, A", "-5", "16"), ("Sampler spec, A", "sobolo(1)", "jittered")],
-)
-def test_a_refused_entry_stays_above_grey_figures(page, address, label, text, again):
+def test_a_refused_entry_stays_above_grey_figures(page, address):
     open_state(page, address, _SMALL)
-    field = page.get_by_label(label, exact=True)
-    field.fill(text)
+    field = page.get_by_label("Exact n, A", exact=True)
+    field.fill("-5")
     field.press("Enter")
     expect(page.get_by_role("alert")).to_contain_text("A: ")
-    expect(field).to_have_value(text)
+    expect(field).to_have_value("-5")
     card = page.get_by_role("group", name="A: Convergence", exact=True)
     expect(card).to_have_css("opacity", "0.35")
     cells = page.get_by_role("row", name="A jittered").get_by_role("cell").all_inner_texts()
     assert cells[2:] == ["–", "–", "–"]
     # What was before is computed again
-    field.fill(again)
+    field.fill("16")
     field.press("Enter")
     done(page)
     expect(card).to_have_css("opacity", "1")
@@ -310,11 +306,10 @@ def test_the_theme_is_the_browsers_unless_it_is_chosen(page, address, query, pre
 
 
 def test_a_tab_that_closes_leaves_no_traceback(page, address, terminal):
-    for _ in range(2):
-        other = page.context.browser.new_page()
-        other.goto(f"{address}?n=1024&realizations=4096&half_width=32")
-        other.get_by_text("% done.").wait_for()
-        other.close()
+    other = page.context.browser.new_page()
+    other.goto(f"{address}?n=1024&realizations=4096&half_width=32")
+    other.get_by_text("% done.").wait_for()
+    other.close()
     any_state(page, address)
     open_state(page, address, f"{_SMALL}&seed=7")
     assert "Traceback" not in terminal.read_text()
