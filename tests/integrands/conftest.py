@@ -31,6 +31,7 @@ SPECS = [
     ("disk(center=[1.2, 0.5], radius=0.4)", 2),
     ("disk(center=0.5, radius=3)", 2),
     ("disk(center=2, radius=0.1)", 2),
+    ("disk(radius=0.4)", 3),
     ("disk(center=0.2, radius=0.4)", 3),
     ("half-space(normal=-2, offset=-0.4)", 1),
     ("half-space(normal=[1, 2], offset=0.9)", 2),
