@@ -66,6 +66,14 @@ def test_the_low_share_is_that_of_frequencies_below_an_eighth():
     assert float(found["low_share"]) == pytest.approx(share, rel=1e-9)
 
 
+def test_the_tail_is_the_energy_that_the_half_width_leaves():
+    f = mcs.integrand("disk")
+    chain = "sobol | shift | decorrelate(mask='blue-noise', width=16)"
+    found = mcs.image_error_spectrum(f, chain, 4, half_width=12)
+    energy = (np.abs(f.fourier_grid(12)) ** 2).sum()  # of ∫f² = ∫f
+    assert float(found["tail_term"]) == pytest.approx((f.integral - energy) / 4)
+
+
 def test_pixels_of_different_integrands():
     """A light that moves from pixel to pixel: each has its own coefficients."""
     places = np.linspace(0.2, 0.8, 16**2)
