@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.studies.conftest import predicted_bell
+from tests.studies.conftest import of_a_bell, predicted_bell
 
 from mcspectra.cli.main import main
 from mcspectra.estimators import Estimator
@@ -17,6 +17,7 @@ from mcspectra.report.pixel_page import STRATEGY_NAMES
 from mcspectra.studies import pixel
 from mcspectra.studies.pixel import EFFORTS, analyse_pixel
 from mcspectra.variance.convergence import convergence
+from mcspectra.variance.terms import variance_terms
 
 pytestmark = pytest.mark.render
 
@@ -53,6 +54,7 @@ def small_effort():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pixel, "predict", predicted_bell)
+        patch.setattr(pixel, "variance_terms", of_a_bell(variance_terms))
         patch.setitem(EFFORTS, "quick", small)
         patch.setattr(pixel, "analyse_pixel", kept)
         yield

@@ -1,6 +1,7 @@
 """The pages on findings: linked, illustrated, quoting what was printed, and the statements themselves."""
 
 import re
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,16 @@ def test_intervals_hold_their_estimates():
         assert float(low) <= float(value) <= float(high)
 
 
+@cache
+def _edge_variance(heuristic, n):
+    return mcs.exact_variance(_light_edge(heuristic), "jittered", n, tolerance=1e-2)
+
+
+def _edge_rate(heuristic, low, high):
+    a, b = (_edge_variance(heuristic, n) for n in (low, high))
+    return np.log(b / a) / np.log(high / low)
+
+
 def _rate(estimator, sampler, low, high):
     a, b = (mcs.exact_variance(estimator, sampler, n, tolerance=1e-2) for n in (low, high))
     return np.log(b / a) / np.log(high / low)
@@ -93,21 +104,20 @@ def _light_edge(heuristic):
 def test_the_power_heuristic_only_delays_the_slow_technique(beta):
     """Exactly: jumps of (1 + x) p_u^(β-1)/(p_u^β + p_l^β) at both edges leave, with p_l = 5,
     Σ ({an}(1 − {an})/n²) jump², up to what the smooth rest adds, O(n⁻³)."""
-    e, n = _light_edge(f"power(beta={beta})"), 16384
+    heuristic, n = f"power(beta={beta})", 16384
     cuts = np.array([0.3, 0.5]) * n % 1
     jumps = np.array([1.3, 1.5]) / (1 + 5.0**beta)
     expected = float((cuts * (1 - cuts) * jumps**2).sum()) / n**2
-    variance = mcs.exact_variance(e, "jittered", n, tolerance=1e-2)
-    rest = mcs.exact_variance(_light_edge("maximum"), "jittered", n, tolerance=1e-2)
-    assert variance == pytest.approx(expected + rest, rel=0.05)
-    assert _rate(e, "jittered", 4, 16) > (-2.5 if beta < 4 else -3.1)
-    assert _rate(_light_edge("maximum"), "jittered", 4, 16) == pytest.approx(-3.0, abs=1e-6)
+    rest = _edge_variance("maximum", n)
+    assert _edge_variance(heuristic, n) == pytest.approx(expected + rest, rel=0.05)
+    assert _edge_rate(heuristic, 4, 16) > (-2.5 if beta < 4 else -3.1)
+    assert _edge_rate("maximum", 4, 16) == pytest.approx(-3.0, abs=1e-6)
 
 
 def test_larger_powers_are_lower_and_slow_down_later():
     """Where the rate passes −2.5: at once for balance, after hundreds of points for β = 4."""
-    early = [_rate(_light_edge(f"power(beta={b})"), "jittered", 4, 16) for b in (1, 4)]
-    late = [_rate(_light_edge(f"power(beta={b})"), "jittered", 1024, 4096) for b in (1, 4)]
+    early = [_edge_rate(f"power(beta={b})", 4, 16) for b in (1, 4)]
+    late = [_edge_rate(f"power(beta={b})", 1024, 4096) for b in (1, 4)]
     assert early[0] > -2.5 > early[1]
     assert min(late) > -2.5
 

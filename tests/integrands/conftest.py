@@ -42,7 +42,6 @@ SPECS = [
     ("image(values=[[1, 2, 3], [4, 5, 6.5]])", 2),
     ("image(values=[[[1, -1], [2, 0]], [[4, 1], [5, 7]], [[0, 1], [2, 2]]])", 2),
     ("formula(expression='sin(pi*x2)/(1 + x0*y)')", 3),
-    ("christensen-disk", 2),
 ]
 
 # Where halving leaves √½ of the error (x^-½ at 0; borders do better), what is left is 1/(1 − √½) = 3.4

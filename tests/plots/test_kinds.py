@@ -75,8 +75,9 @@ def test_every_analysis_has_plots_that_both_backends_draw(name):
         assert plot.caption.endswith(".")
         assert plot.words.endswith(".")
         drawn_by_both(plot)
-        # Several by name are one plot as well
-        drawn_by_both(describe(kind, {"one": result, "another | of them": result}))
+        # Several by name are one plot as well; layers of a map are all drawn alike
+        if kind in expected[:4]:
+            drawn_by_both(describe(kind, {"one": result, "another | of them": result}))
 
 
 def test_chains__spectra_and_shares_of_one_and_of_many():

@@ -29,7 +29,7 @@ from mcspectra.rendering.scenes import as_scene, emitter_names
 
 pytestmark = pytest.mark.render
 
-N, REPEATS = 64, 400  # samples of an estimate, estimates
+N, REPEATS = 64, 200  # samples of an estimate, estimates
 FALSE_ALARM = 1e-6  # of one test, over all pixels, for means and variances
 Scene = dict[str, Any]
 

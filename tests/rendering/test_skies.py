@@ -133,10 +133,10 @@ BSDFS = {
 @pytest.mark.parametrize("rotation", ROTATIONS.values(), ids=ROTATIONS)
 def test_strategies_agree_on_every_bsdf(bsdf, dims, rotation):
     place = {"scene": open_scene(rotation, bsdf), **FLOOR, "channel": "rgb"}
-    wanted, error = mean_and_error(Pixel(**place, strategy="light")(uniforms(2**18)))
+    wanted, error = mean_and_error(Pixel(**place, strategy="light")(uniforms(2**16)))
     for k, (strategy, needed) in enumerate({"bsdf": dims, "environment": 2}.items()):
         pixel = Pixel(**place, strategy=strategy, dims=needed)
-        mean, other = mean_and_error(pixel(uniforms(2**18, pixel.dims, 5 + k)))
+        mean, other = mean_and_error(pixel(uniforms(2**16, pixel.dims, 5 + k)))
         assert (np.abs(mean - wanted) < SIGMAS * np.hypot(error, other)).all()
 
 

@@ -51,6 +51,7 @@ def test_every_part_is_pictured(bench):
 
 
 def test_files(bench, tmp_path):
+    bench = bench.isel(integrand=slice(2))
     for extension in ("html", "pdf", "csv", "tex", "pgf"):
         write_bench(bench, str(tmp_path / f"r.{extension}"))
     pdf = (tmp_path / "r.pdf").read_bytes()
@@ -68,10 +69,9 @@ def test_files(bench, tmp_path):
         assert words in page
     lines = [s for s in (tmp_path / "r.csv").read_text().splitlines() if s[0] != "#"]
     rows = list(csv.DictReader(lines))
-    data = bench
-    assert len(rows) == data["variance"].size
+    assert len(rows) == bench["variance"].size
     one = next(r for r in rows if r["sampler"] == "jittered" and r["n"] == "256")
-    assert float(one["variance"]) == float(data["variance"].isel(sampler=0, integrand=0, n=2))
+    assert float(one["variance"]) == float(bench["variance"].isel(sampler=0, integrand=0, n=2))
     assert one["rank_low"]
     assert one["rate_high"]
     assert (tmp_path / "r.tex").read_text().count(r"\\") == 1 + bench.sizes["integrand"]

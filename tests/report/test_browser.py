@@ -139,8 +139,7 @@ def test_the_overview_sorts(browser, folder):
     visit.leave()
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [390, 1200])
+@pytest.mark.parametrize(("width", "scheme"), [(390, "dark"), (1200, "light")])
 def test_every_plot_draws_and_nothing_spills(browser, folder, width, scheme):
     for name in ("a/report.html", "comparison.html"):
         visit = Visit(

@@ -156,6 +156,7 @@ def test_names_are_escaped(make, tmp_path):
     assert evil in str(page.all("img")[0]["alt"])
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_odd_results(make, tmp_path):
     """Each of these is in the page with its reason, and none breaks it."""
     small = {"half_width": 2, "realizations": 10}

@@ -83,8 +83,7 @@ def test_what_failed_is_said_and_runs_nothing(visit):
     assert page.locator("#bias img, #bias script").count() == 0
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [390, 1200])
+@pytest.mark.parametrize(("width", "scheme"), [(390, "dark"), (1200, "light")])
 def test_nothing_spills_and_every_picture_loads(visit, width, scheme):
     page = visit(width, color_scheme=scheme)
     assert page.evaluate("document.documentElement.scrollWidth") <= width

@@ -9,13 +9,20 @@ from tests.report.conftest import undrawn
 import mcspectra as mcs
 from mcspectra.studies import open_results
 
-__all__ = ["predicted_bell", "undrawn"]
+__all__ = ["of_a_bell", "predicted_bell", "undrawn"]
 
 
-def predicted_bell(estimator, samplers, counts, **options):
-    """What `predict` says of a bell: in place of an estimator of a pixel, which takes 15 s, and named by it."""
-    bell = mcs.integrand("gaussian", dims=estimator.dims)
-    return mcs.predict(bell, samplers, counts, **options).assign_attrs(given=estimator.spec)
+def of_a_bell(analysis):
+    """The analysis of a bell in place of an estimator of a pixel, which takes seconds, and named by it."""
+
+    def call(estimator, *given, **options):
+        bell = mcs.integrand("gaussian", dims=estimator.dims)
+        return analysis(bell, *given, **options).assign_attrs(given=estimator.spec)
+
+    return call
+
+
+predicted_bell = of_a_bell(mcs.predict)
 
 
 MODULE = '''
