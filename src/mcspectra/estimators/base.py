@@ -14,6 +14,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, final, runtime_checkable
 
 import numpy as np
@@ -143,9 +144,19 @@ class AbstractEstimator(ABC):
         """Evaluations that were spent on a pilot, before any sample."""
         return 0
 
+    def primary_integrand(self, technique: int = 0) -> Integrand:
+        """The integrand g_t of the primary view, the same object each time: it keeps what was computed for it."""
+        if technique not in self._primaries:
+            self._primaries[technique] = self._primary(technique)
+        return self._primaries[technique]
+
+    @cached_property
+    def _primaries(self) -> dict[int, Integrand]:
+        return {}
+
     @abstractmethod
-    def primary_integrand(self, technique: int) -> Integrand:
-        """The integrand g_t of the primary view."""
+    def _primary(self, technique: int) -> Integrand:
+        """Make g_t."""
 
     def primary_breaks(self, technique: int) -> Breaks:
         """Where g_t may jump or kink, along each axis of primary space."""

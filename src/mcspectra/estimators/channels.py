@@ -101,7 +101,7 @@ class ChannelSampling(DomainEstimator):
             return super().draw(sampler, n, stream, first, count)
         return [sampler.draw_stream(n, stream, first, count)] * len(self.densities)
 
-    def primary_integrand(self, technique: int) -> Integrand:
+    def _primary(self, technique: int) -> Integrand:
         """g_c(u) = f_c(T_c(u))/p_c(T_c(u)) in channel c, 0 in the others."""
         return PrimaryIntegrand(self, technique, self.integrand, self.densities[technique])
 

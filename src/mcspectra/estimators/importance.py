@@ -69,12 +69,6 @@ class Estimator(DomainEstimator):
         self.density = as_density(density, self.integrand.dims)
         if self.density is not None:
             check_support(self.integrand, [self.density])
-        # Kept, because it keeps what was computed for it
-        self._primary = (
-            self.integrand
-            if self.density is None
-            else PrimaryIntegrand(self, 0, self.integrand, self.density)
-        )
 
     @property
     def dims(self) -> int:
@@ -94,9 +88,11 @@ class Estimator(DomainEstimator):
     def infinite_weights(self) -> bool:
         return self.density is not None and not np.isfinite(self.density.reciprocal_integral())
 
-    def primary_integrand(self, technique: int = 0) -> Integrand:  # noqa: ARG002
-        """g(u) = f(T(u))/p(T(u)), the same object each time; f itself where p is uniform."""
-        return self._primary
+    def _primary(self, technique: int) -> Integrand:
+        """g(u) = f(T(u))/p(T(u)); f itself where p is uniform."""
+        if self.density is None:
+            return self.integrand
+        return PrimaryIntegrand(self, technique, self.integrand, self.density)
 
     def primary_breaks(self, technique: int = 0) -> Breaks:  # noqa: ARG002
         own = self.density

@@ -150,7 +150,7 @@ class Mirrored(AbstractEstimator):
         """Draw as the estimator inside does, n_t points each, reflected ones among them."""
         return self.estimator.draw(self.randomized(sampler), n, stream, first, count)
 
-    def primary_integrand(self, technique: int) -> Integrand:
+    def _primary(self, technique: int) -> Integrand:
         """g_t folded for ``"integrand"``; g_t for the other modes, which reflect the points."""
         g = self.estimator.primary_integrand(technique)
         return FoldedIntegrand(g) if self.mode == "integrand" else g

@@ -153,7 +153,7 @@ class MultipleImportance(Combined):
         shown = ", ".join(f"{c}×{p.spec}" if c > 1 else p.spec for c, p in parts)
         return f"{self.integrand.spec} / {self.heuristic}[{shown}]{self.sets_label}"
 
-    def primary_integrand(self, technique: int) -> Integrand:
+    def _primary(self, technique: int) -> Integrand:
         density = self.densities[technique]
         return PrimaryIntegrand(self, technique, self.integrand, density)
 
@@ -281,7 +281,7 @@ class OneSampleMIS(Combined):
         split = ", coordinate" if self.selection == "coordinate" else ""
         return f"{self.integrand.spec} / one-sample {self.heuristic}{split}[{shown}]"
 
-    def primary_integrand(self, technique: int = 0) -> Integrand:
+    def _primary(self, technique: int) -> Integrand:
         """g(u), of all techniques together."""
         return PrimaryIntegrand(self, technique, self.integrand)
 
@@ -405,7 +405,7 @@ class TechniqueSum(AbstractEstimator):
         """None: the techniques share no domain."""
         return
 
-    def primary_integrand(self, technique: int) -> Integrand:
+    def _primary(self, technique: int) -> Integrand:
         return self.integrands[technique]
 
     def primary_values(self, technique: int, u: Array) -> Array:

@@ -543,7 +543,6 @@ class PixelMIS(AbstractEstimator):
         self.sets = check_sets(sets, self.counts)
         pilot = _PixelPilot(self, np.asarray(self.counts, np.float64))
         self.shares, self.control = self._weights.adapt(pilot)
-        self._integrands = tuple(_Weighted(self, t) for t in range(len(self.counts)))
 
     def __repr__(self) -> str:
         return f"PixelMIS({self.spec})"
@@ -586,9 +585,8 @@ class PixelMIS(AbstractEstimator):
         """None: the techniques share directions, but no unit cube."""
         return
 
-    def primary_integrand(self, technique: int) -> Integrand:
-        """g_t, the same object each time: it keeps what was computed for it."""
-        return self._integrands[technique]
+    def _primary(self, technique: int) -> Integrand:
+        return _Weighted(self, technique)
 
     def primary_values(self, technique: int, u: Array) -> Array:
         """w_t f/p_t, which with optimal weights is α_t + (f − Σ α_s p_s) w_t/p_t."""
