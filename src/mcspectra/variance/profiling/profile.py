@@ -388,7 +388,8 @@ def profile(
     dims
         Number of dims, of functions and specs.
     budget
-        Evaluations of f, at most and in all, from 256.
+        Evaluations of f, at most and in all, from 256. Where f is quick, 262,144 tell rates to about 0.05 instead
+        of 0.1, in less than a second.
     rng
         Seed (SPEC 7).
     vectorized, workers, cache
