@@ -63,7 +63,7 @@ def test_latex_is_plain_text_of_latex():
 def test_pictures_in_every_format(curve, tmp_path, extension):
     file = tmp_path / f"c.{extension}"
     write_result_file(curve, str(file), "t")
-    head = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF", "pgf": b"% for LuaLaTeX"}[extension]
+    head = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF", "pgf": b"% for LaTeX"}[extension]
     data = file.read_bytes()
     assert data.startswith(head)
     if extension == "pdf":
@@ -74,6 +74,17 @@ def test_pictures_in_every_format(curve, tmp_path, extension):
     again = tmp_path / f"d.{extension}"
     write_result_file(curve, str(again), "t")
     assert again.read_bytes() == data
+
+
+def test_a_pgf_has_the_maths_of_latex(tmp_path):
+    """Fonts of LaTeX have no ⁻, and its oldest ones a dash in place of the bar."""
+    result = mcs.convergence("disk", "sobol | owen", [16, 64], realizations=20, rng=0)
+    write_result_file(result, str(tmp_path / "c.pgf"), "t")
+    text = (tmp_path / "c.pgf").read_text("utf-8")
+    assert "sobol $|$ owen" in text
+    assert "n$^{-1}$, the rate of random sampling" in text
+    assert "10$^{-3}$" in text
+    assert text.isascii()
 
 
 def test_maps_are_no_pgf(tmp_path):

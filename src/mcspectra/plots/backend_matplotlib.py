@@ -37,7 +37,7 @@ from mcspectra.plots.description import (
 )
 from mcspectra.plots.scales import log_ticks
 from mcspectra.plots.style import FAINT, GRADIENTS, GRAY, INK, PAPER
-from mcspectra.plots.text import shorten
+from mcspectra.plots.text import latex_maths, shorten
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -258,11 +258,11 @@ def _write_pgf(figure: Figure, file: Path) -> None:
     mixed: Any = MixedModeRenderer(figure, width, height, figure.dpi, inner)  # type: ignore[no-untyped-call]
     figure.draw(mixed)
     file.write_text(
-        "% for LuaLaTeX or XeLaTeX with the package pgf\n"
+        "% for LaTeX with the package pgf\n"
         "\\begingroup\n\\makeatletter\n\\begin{pgfpicture}\n"
         f"\\pgfpathrectangle{{\\pgfpointorigin}}{{\\pgfqpoint{{{width:f}in}}{{{height:f}in}}}}\n"
         "\\pgfusepath{use as bounding box, clip}\n"
-        f"{stream.getvalue()}\\end{{pgfpicture}}\n\\makeatother\n\\endgroup\n",
+        f"{latex_maths(stream.getvalue())}\\end{{pgfpicture}}\n\\makeatother\n\\endgroup\n",
         encoding="utf-8",
     )
 

@@ -29,6 +29,14 @@ NEGLIGIBLE = 1e-9
 """Share of the largest term below which a term is rounding of the transform, not a quantity."""
 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_LEVEL = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹₀₁₂₃₄₅₆₇₈₉ₗₘ", "-01234567890123456789lm")
+_LATEX = {
+    "|": "|", "<": "<", ">": ">",
+    "−": "-", "±": r"\pm", "×": r"\times", "·": r"\cdot", "…": r"\dots", "∞": r"\infty", "≤": r"\leq",
+    "≥": r"\geq", "≈": r"\approx", "→": r"\to", "√": r"\surd", "∫": r"\int", "σ": r"\sigma",
+    "Σ": r"\Sigma", "⟨": r"\langle", "⟩": r"\rangle",
+}  # fmt: skip
+_MATHS = re.compile(f"(×10)?([⁻⁰¹²³⁴-⁹]+)|([₀-₉ₗₘ]+)|([{''.join(_LATEX)}])")
 _FIXED_FROM, _FIXED_BELOW = -3, 5  # powers of ten written out
 
 
@@ -73,6 +81,22 @@ def with_error(value: float | None, half: float | None, beside: float | None = N
     first, last = (int(text.partition("e")[2]) for text in (f"{value:.9e}", f"{half:.1e}"))
     digits = min(max(first - last + 2, 1), 6)
     return f"{number(value, digits)} ± {number(half, 2)}"
+
+
+def latex_maths(text: str) -> str:
+    """Return a text with its signs, exponents and indices as maths of LaTeX, whose fonts lack them."""
+
+    def maths(found: re.Match[str]) -> str:
+        power, raised, lowered, sign = found.groups()
+        if sign:
+            return f"${_LATEX[sign]}$"
+        if lowered:
+            return f"$_{{{lowered.translate(_LEVEL)}}}$"
+        return (
+            f"${power.replace('×', _LATEX['×']) if power else ''}^{{{raised.translate(_LEVEL)}}}$"
+        )
+
+    return _MATHS.sub(maths, text)
 
 
 def power_of_ten(exponent: int) -> str:

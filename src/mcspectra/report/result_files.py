@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import math
-import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from mcspectra.core.errors import ParameterError, writing
 from mcspectra.core.spec import short_spec
 from mcspectra.plots import backend_matplotlib
 from mcspectra.plots.kinds import describe, kinds_of
-from mcspectra.plots.text import number
+from mcspectra.plots.text import latex_maths, number
 from mcspectra.report.result_page import write_result
 
 __all__ = [
@@ -33,11 +32,9 @@ RESULT_FILES = (".npz", ".csv", ".tex", *backend_matplotlib.FORMATS, ".html")
 """Extensions that `write_result_file` knows."""
 
 _MOST_TEX_ROWS = 500
-_POWER, _RAISED = re.compile("×10([⁻⁰¹²³⁴-⁹]+)"), str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 _TEX = str.maketrans({
     **{c: f"\\{c}" for c in "&%$#_{}"},
     "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
-    "−": "$-$", "…": r"\dots{}", "|": r"\textbar{}", "±": r"$\pm$", "∞": r"$\infty$",
 })  # fmt: skip
 
 
@@ -159,9 +156,7 @@ def latex_table(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
         if value is None:
             return "--"
         text = number(value) if isinstance(value, float) else short_spec(str(value))
-        return _POWER.sub(
-            lambda found: rf"$\times10^{{{found[1].translate(_RAISED)}}}$", text.translate(_TEX)
-        )
+        return latex_maths(text.translate(_TEX))
 
     words = [any(isinstance(row[i], str) for row in rows) for i in range(len(columns))]
     lines = [
