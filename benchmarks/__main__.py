@@ -41,6 +41,9 @@ NAMES = (
 
 def main() -> int:
     """Print each benchmark's lines; unknown names are refused."""
+    if "--help" in sys.argv or "-h" in sys.argv:
+        print(f"{__doc__}\n\n{', '.join(NAMES)}")
+        return 0
     flags = [argument for argument in sys.argv[1:] if argument.startswith("--")]
     chosen = [argument for argument in sys.argv[1:] if argument not in flags] or NAMES
     for name in chosen:
