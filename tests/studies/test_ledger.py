@@ -13,13 +13,14 @@ import time
 from pathlib import Path
 
 import msgspec
+import psutil
 import pytest
 from tests.processes import python
 
 from mcspectra.core.errors import OtherVersionsWarning, StorageError, StoreError
 from mcspectra.core.results import package_versions
 from mcspectra.studies import ledger as ledger_module
-from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote, check_links, is_held
+from mcspectra.studies.ledger import FORMAT, LEDGER_NAME, Ledger, StudyNote, check_links, is_held
 
 NOTE = StudyNote(
     title="t",
@@ -98,6 +99,18 @@ def test_what_is_not_yet_committed_can_be_read_by_its_writer(tmp_path):
         assert ledger.tasks(PATHS[0]) == []
         with pytest.raises(StoreError, match="is finished already"):
             ledger.finish(PATHS[0], b"other")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="bytes read are counted by Linux")
+def test_a_cell_is_finished_without_reading_the_text_of_its_study(tmp_path):
+    long = msgspec.structs.replace(NOTE, config="x" * 2**24)
+    with Ledger.create(tmp_path, long, PATHS) as ledger:
+        ledger.commit()
+        before = psutil.Process().io_counters().read_chars
+        for path in PATHS:
+            ledger.finish(path, payload(path), scalars(path))
+        ledger.commit()
+        assert psutil.Process().io_counters().read_chars - before < 2**22
 
 
 def test_a_resumed_ledger_goes_on(running):
@@ -592,12 +605,12 @@ def test_a_stranger_is_no_ledger(tmp_path):
     (tmp_path / LEDGER_NAME).unlink()
     with sqlite3.connect(tmp_path / LEDGER_NAME) as connection:
         connection.execute("CREATE VIEW cells AS SELECT 1 AS place, zeroblob(10) AS path")
-        connection.execute("PRAGMA user_version = 4")
+        connection.execute(f"PRAGMA user_version = {FORMAT}")
     connection.close()
     with pytest.raises(StoreError, match="or it is no ledger: give another folder"):
         Ledger.read(tmp_path)
     connection = sqlite3.connect(tmp_path / LEDGER_NAME)
     connection.execute("PRAGMA user_version = 3")
     connection.close()
-    with pytest.raises(StoreError, match="has store format 3; this version reads 4: export it"):
+    with pytest.raises(StoreError, match=f"has store format 3; this version reads {FORMAT}: export it"):
         Ledger.read(tmp_path)

@@ -22,7 +22,7 @@ from mcspectra.core.errors import MissingDependency, ParameterError, StorageErro
 from mcspectra.core.records import pack
 from mcspectra.core.results import dataset, package_versions
 from mcspectra.studies import results
-from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote, scalars_of
+from mcspectra.studies.ledger import FORMAT, LEDGER_NAME, Ledger, StudyNote, scalars_of
 from mcspectra.studies.results import (
     export_results,
     open_results,
@@ -141,7 +141,7 @@ def test_numbers_are_read_bit_for_bit_from_the_ledger_and_from_the_store(tmp_pat
     out = written(tmp_path, cells)
     for source in (out, out / "results.zarr"):
         tree = open_results(source)
-        assert tree.attrs["format"] == 4
+        assert tree.attrs["format"] == FORMAT
         assert tree.attrs["bound"] == ["low", "high"]
         assert tree.attrs["study"]["title"] == "t ü"
         for path, cell in cells.items():
@@ -329,7 +329,7 @@ def test_a_flipped_number_is_noticed_by_plain_readers(copy):
 def stranger(folder, change):
     """A store of one array that somebody has made, with a digest, after `change` of its files."""
     cell = xr.Dataset({"x": ("n", np.arange(30.0))})
-    files = dict(results._store_files({"format": 4}, [("a/b/terms", cell)]))
+    files = dict(results._store_files({"format": FORMAT}, [("a/b/terms", cell)]))
     change(files)
     root = json.loads(files["zarr.json"])
     digests = {
@@ -388,7 +388,7 @@ def test_other_formats_are_refused_and_earlier_ones_told_how_to_read(copy, numbe
     file.write_text(json.dumps(document))
     (copy / LEDGER_NAME).unlink()
     for look in (open_results, study_status, result_paths):
-        with pytest.raises(StoreError, match="has store format .*; this version reads 4"):
+        with pytest.raises(StoreError, match=f"has store format .*; this version reads {FORMAT}"):
             look(copy)
     with pytest.raises(StoreError, match="of an earlier version, which alone can continue"):
         Ledger.resume(copy, NOTE, PATHS)
@@ -545,7 +545,7 @@ def test_netcdf(folder, tmp_path):
         assert found["b.random.terms.coefficient.real"].values.tolist() == [1.0, 0.0]
         assert found["b.random.terms.coefficient.imag"].values.tolist() == [2.0, -0.5]
         assert found["b.random.terms.found"].values.tolist() == [1, 0]
-        assert found.attrs["format"] == 4
+        assert found.attrs["format"] == FORMAT
         assert json.loads(found.attrs["study"])["title"] == "t ü"
         assert json.loads(found.attrs[name])["labels_channel"] == ["red", "green", "blue"]
 
@@ -710,7 +710,7 @@ def test_the_status_says_what_is_done_failed_and_missing(tmp_path):
         ledger.fail(PATHS[1], "It gave NaN.")
         ledger.record(PATHS[2], "0-0-10", (0, 1), b"half")
     status = study_status(tmp_path)
-    assert (status.title, status.seed, status.format) == ("t ü", 5, 4)
+    assert (status.title, status.seed, status.format) == ("t ü", 5, FORMAT)
     assert (status.state, status.holder, status.finished) == ("unfinished", None, None)
     assert (status.done, status.missing) == (PATHS[:1], PATHS[2:])
     assert status.failed == {PATHS[1]: "It gave NaN."}

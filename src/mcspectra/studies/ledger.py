@@ -57,8 +57,9 @@ __all__ = [
     "scalars_of",
 ]
 
-FORMAT = 4
-"""Of ledgers and stores; 1 and 2 were stores of zarr that grew while their studies ran, 3 had no scalars."""
+FORMAT = 5
+"""Of ledgers and stores; 1 and 2 were stores of zarr that grew while their studies ran, 3 had no scalars, 4
+read the text of a study at every look for a failure."""
 
 LEDGER_NAME = "study.sqlite"
 STORE_NAME = "results.zarr"
@@ -72,8 +73,7 @@ _NOTE_SECONDS = 0.5  # from a lock to the note of its holder, at most
 _MOST_SENTENCE = 10_000  # characters
 
 _SCHEMA = (
-    """CREATE TABLE texts (kind TEXT, name TEXT, text TEXT, digest BLOB, PRIMARY KEY (kind, name))
-    WITHOUT ROWID""",
+    "CREATE TABLE texts (kind TEXT, name TEXT, text TEXT, digest BLOB, PRIMARY KEY (kind, name))",
     "CREATE TABLE cells (place INTEGER PRIMARY KEY, path TEXT UNIQUE, digest BLOB)",
     "CREATE TABLE results (place INTEGER PRIMARY KEY, payload BLOB)",
     """CREATE TABLE tasks (path TEXT, run TEXT, first INTEGER, blocks INTEGER, digest BLOB,
