@@ -612,5 +612,7 @@ def test_a_stranger_is_no_ledger(tmp_path):
     connection = sqlite3.connect(tmp_path / LEDGER_NAME)
     connection.execute("PRAGMA user_version = 3")
     connection.close()
-    with pytest.raises(StoreError, match=f"has store format 3; this version reads {FORMAT}: export it"):
+    with pytest.raises(
+        StoreError, match=f"has store format 3; this version reads {FORMAT}: export it"
+    ):
         Ledger.read(tmp_path)

@@ -11,22 +11,24 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.jit import kernel
 
-__all__ = ["bin_weights", "crop_scaled", "group_power", "pair_mean", "power_sums", "split_pair"]
+__all__ = ["UNLABELLED", "bin_weights", "crop_scaled", "pair_mean", "power_sums", "split_pair"]
+
+
+UNLABELLED = np.empty(0, np.int64)
 
 
 @kernel
-def crop_scaled(fine: Array, rows: Array, row_factors: Array, factors: Array, out: Array) -> None:
-    """Frequencies −K … K of each of the chosen rows of fine (F, n), scaled: out (rows, 2K + 1).
-
-    Negative ones are the last of a row.
-    """
-    size, width = fine.shape[1], factors.size // 2
+def crop_scaled(
+    negative: Array, others: Array, rows: Array, row_factors: Array, factors: Array, out: Array
+) -> None:
+    """Frequencies −K … −1 (F, K) and 0 … K (F, K + 1) of the chosen rows, scaled: out (rows, 2K + 1)."""
+    width = negative.shape[1]
     for r in range(rows.size):
-        row, factor = fine[rows[r]], row_factors[r]
+        row, factor = rows[r], row_factors[r]
         for j in range(width):
-            out[r, j] = row[size - width + j] * (factor * factors[j])
+            out[r, j] = negative[row, j] * (factor * factors[j])
         for j in range(width + 1):
-            out[r, width + j] = row[j] * (factor * factors[width + j])
+            out[r, width + j] = others[row, j] * (factor * factors[width + j])
 
 
 @kernel
@@ -45,9 +47,14 @@ def split_pair(packed: Array, first: Array, second: Array) -> None:
 
 
 @kernel
-def power_sums(packed: Array, pair: bool, total: Array, squares: Array) -> None:
-    """Add |S|² and |S|⁴ of one set, or of the two sets of a pair, to total and squares (H,)."""
-    last = packed.size - 1
+def power_sums(
+    packed: Array, pair: bool, total: Array, squares: Array, label: Array, groups: Array
+) -> None:
+    """Add |S|² and |S|⁴ of one set, or of the two sets of a pair, to total and squares (H,).
+
+    And |S|² to groups (sets, G) by label (H,), or (0,) where none is wanted.
+    """
+    last, grouped = packed.size - 1, label.size > 0
     for h in range(total.size):
         a = packed[h]
         if pair:
@@ -55,29 +62,15 @@ def power_sums(packed: Array, pair: bool, total: Array, squares: Array) -> None:
             # |a ± conj b|² / 4, written out in real arithmetic
             p = 0.25 * ((a.real + b.real) ** 2 + (a.imag - b.imag) ** 2)
             q = 0.25 * ((a.real - b.real) ** 2 + (a.imag + b.imag) ** 2)
-            total[h] += p + q
-            squares[h] += p * p + q * q
         else:
             p = a.real * a.real + a.imag * a.imag
-            total[h] += p
-            squares[h] += p * p
-
-
-@kernel
-def group_power(packed: Array, pair: bool, label: Array, sums: Array) -> None:
-    """Add |S|² of one set, or of each of a pair, to sums (2, G) by label (H,); −1 is left out."""
-    last = packed.size - 1
-    for h in range(label.size):
-        group = label[h]
-        if group < 0:
-            continue
-        a = packed[h]
-        if pair:
-            b = packed[last - h]
-            sums[0, group] += 0.25 * ((a.real + b.real) ** 2 + (a.imag - b.imag) ** 2)
-            sums[1, group] += 0.25 * ((a.real - b.real) ** 2 + (a.imag + b.imag) ** 2)
-        else:
-            sums[0, group] += a.real * a.real + a.imag * a.imag
+            q = 0.0 * p
+        total[h] += p + q
+        squares[h] += p * p + q * q
+        if grouped:
+            groups[0, label[h]] += p
+            if pair:
+                groups[1, label[h]] += q
 
 
 @kernel

@@ -26,7 +26,7 @@ from mcspectra.core.streams import RngLike, Stream
 from mcspectra.densities import Density, as_warp
 from mcspectra.densities.base import divide_by_density
 from mcspectra.samplers import Sampler, as_sampler
-from mcspectra.spectra._kernels import group_power, power_sums
+from mcspectra.spectra._kernels import UNLABELLED, power_sums
 from mcspectra.spectra.transforms import MAX_FREQUENCIES, FrequencyGrid, Transform
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ __all__ = [
 _BLOCKS = 8  # at least, for threads and machines to share
 _MOST_COORDINATES = 2**26  # of a set: half a GiB, and several times that in a transform
 _EPS = 1e-9  # of transforms in double precision
-_SINGLE_EPS = 1e-6  # the least that single precision can
+_SINGLE_EPS = 1e-5, 1e-6  # that single precision can, the cheaper first
 _MOST_ERROR = 0.02  # of these, in standard errors: a mean over a ring, a tenth of which is the aim
 _TRIED_FROM = 16  # realisations for which trying both pays
 
@@ -93,8 +93,8 @@ def power_spectrum(
     engine
         See `mcspectra.spectra.transforms`.
     eps
-        Relative accuracy of the transforms. By default 1e-6 in single precision where that is far below
-        the statistical error, which the first two realisations show by both (attribute
+        Relative accuracy of the transforms. By default 1e-5 or 1e-6 in single precision where that is far
+        below the statistical error, which the first two realisations show by both (attribute
         ``transform_error``: the largest over all rings of the error over the standard error, less than
         0.02), and 1e-9 elsewhere. What is used is the attribute ``eps``.
     workers
@@ -215,19 +215,23 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
             """The cheapest transform that is accurate enough, and its error over the statistical one."""
             if self.eps is not None or double.engine == "gpu" or self.realizations < _TRIED_FROM:
                 return double, None
-            single = Transform(grid, self.n, engine=double.engine, eps=_SINGLE_EPS, single=True)
-            if not single.single:
+            singles = [
+                Transform(grid, self.n, engine=double.engine, eps=eps, single=True)
+                for eps in _SINGLE_EPS
+            ]
+            if not singles[0].single:
                 return double, None
             points, weights = weighted_points(source, p, self.n, stream, (0, 2))
-            exact, rough = (
-                np.abs(each.coefficients(points, weights)) ** 2 for each in (double, single)
-            )
-            error = polar.rings(np.abs(rough - exact).mean(axis=0))
+            exact = _powers(double, points, weights)
             # The mean distance of two exponential numbers is their standard deviation
-            spread = polar.rings(np.abs(exact[0] - exact[1]))
-            with np.errstate(divide="ignore", invalid="ignore"):
-                worst = float(np.max(error / spread)) * self.realizations**0.5
-            return (single, worst) if worst <= _MOST_ERROR else (double, None)
+            spread = polar.rings(np.abs(exact[0] - exact[1])) / self.realizations**0.5
+            for single in singles:
+                error = polar.rings(np.abs(_powers(single, points, weights) - exact).mean(axis=0))
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    worst = float(np.max(error / spread))
+                if worst <= _MOST_ERROR:
+                    return single, worst
+            return double, None
 
         # A block holds its points and two half spectra
         numbers = max(self.n * source.dims, grid.size // 8)
@@ -238,12 +242,10 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
             sums = _SpectrumSums(
                 PowerSums.zeros(grid.stored, self.mean), MeanSums.zeros(polar.size)
             )
+            own, mean = sums.frequencies.power, sums.frequencies.mean
             groups = functools.partial(polar.add, sums.polar)
-            own = sums.frequencies.power
             transform, _ = chosen()
-            transform.add_power(
-                points, weights, own.total, own.squares, sums.frequencies.mean, groups
-            )
+            transform.add_power(points, weights, own.total, own.squares, mean, polar.label, groups)
             own.count = sums.polar.count = len(points)
             return sums
 
@@ -335,6 +337,12 @@ def _warped(subject: Subject) -> tuple[Sampler, Density | None]:
     return subject.sampler, as_warp(given, subject.sampler.dims)
 
 
+def _powers(transform: Transform, points: Array, weights: Array | None) -> Array:
+    """|S_m|² of each set, (R, H)."""
+    s = transform.coefficients(points, weights)
+    return np.asarray(s.real**2 + s.imag**2)
+
+
 def weighted_points(
     sampler: Sampler, density: Density | None, n: int, stream: Stream, block: Block
 ) -> tuple[Array, Array | None]:
@@ -378,7 +386,7 @@ class PowerSums:
 
     def take(self, s: Array) -> None:
         """Add one set's S (F,)."""
-        power_sums(s, False, self.power.total, self.power.squares)
+        power_sums(s, False, self.power.total, self.power.squares, UNLABELLED, np.empty((1, 0)))
         if self.mean is not None:
             self.mean += s
         self.power.count += 1
@@ -405,14 +413,15 @@ class _SpectrumSums:
 class _PolarMeans:
     """Rings of one frequency step and, in two dims, wedges, of which the mean power is taken."""
 
-    # Cell of each frequency of the half grid, ring · (wedges + 1) + wedge, −1 for m = 0 and
-    # what is beyond the rings: int64 (H,). The last wedge is beyond the circle of the half
+    # Cell of each frequency of the half grid, ring · (wedges + 1) + wedge, and one more for m = 0
+    # and what is beyond the rings: int64 (H,). The last wedge is beyond the circle of the half
     # width
     label: Array
     cells: Array  # frequencies of each cell: (rings, wedges + 1)
     radius: Array  # mean |m|/step of each ring
 
     @staticmethod
+    @functools.lru_cache(maxsize=4)  # for many samplers on one grid
     def of(grid: FrequencyGrid, wedges: int) -> _PolarMeans:
         """Make the rings, and the wedges in two dims."""
         index = grid.indices()
@@ -423,9 +432,9 @@ class _PolarMeans:
         if parts:
             inside = length <= grid.half_width
             wedge[inside] = wedge_labels(index[inside], parts)
-        label = np.where((ring >= 0) & (ring < grid.half_width), ring * (parts + 1) + wedge, -1)
         shape = (grid.half_width, parts + 1)
-        used = label >= 0
+        used = (ring >= 0) & (ring < grid.half_width)
+        label = np.where(used, ring * (parts + 1) + wedge, shape[0] * shape[1])
         cells = np.bincount(label[used], minlength=shape[0] * shape[1]).reshape(shape)
         sums = np.bincount(ring[used], length[used], minlength=shape[0])
         return _PolarMeans(label, cells, sums / np.maximum(cells.sum(axis=1), 1))
@@ -438,15 +447,11 @@ class _PolarMeans:
 
     def rings(self, values: Array) -> Array:
         """Sums of values (H,) over the rings, (rings,)."""
-        used = self.label >= 0
-        ring = self.label[used] // self.cells.shape[1]
-        return np.bincount(ring, values[used], minlength=len(self.cells))
+        return np.bincount(self.label, values)[:-1].reshape(self.cells.shape).sum(axis=1)
 
-    def add(self, sums: MeanSums, packed: Array, pair: bool) -> None:
-        """Add the means of one set or the two of a pair, as `power_sums`; NaN for empty wedges."""
-        power = np.zeros((2, self.cells.size))
-        group_power(packed, pair, self.label, power)
-        for own in power[: 1 + pair].reshape(-1, *self.cells.shape):
+    def add(self, sums: MeanSums, power: Array) -> None:
+        """Add the means of sets from their sums of power by label (sets, …); NaN for empty wedges."""
+        for own in power[:, :-1].reshape(-1, *self.cells.shape):
             with np.errstate(invalid="ignore"):
                 rings = own.sum(axis=1) / self.cells.sum(axis=1)
                 wedges = own[:, :-1].sum(axis=0) / self.cells[:, :-1].sum(axis=0)
