@@ -447,7 +447,9 @@ class _PolarMeans:
 
     def rings(self, values: Array) -> Array:
         """Sums of values (H,) over the rings, (rings,)."""
-        return np.bincount(self.label, values)[:-1].reshape(self.cells.shape).sum(axis=1)
+        return np.asarray(
+            np.bincount(self.label, values)[:-1].reshape(self.cells.shape).sum(axis=1)
+        )
 
     def add(self, sums: MeanSums, power: Array) -> None:
         """Add the means of sets from their sums of power by label (sets, …); NaN for empty wedges."""

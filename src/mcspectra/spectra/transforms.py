@@ -343,9 +343,9 @@ class Transform:
         rows, row_factors, factors = self._unspread
         width = self.grid.half_width
         found = fft(local.fine, overwrite_x=True, workers=1)
-        halves = found[..., found.shape[-1] - width :], found[..., : width + 1]
+        halves: Any = found[..., found.shape[-1] - width :], found[..., : width + 1]
         for axis in range(self.grid.dims - 1):  # of the frequencies that are wanted only
-            halves = tuple(fft(each, axis=axis, overwrite_x=True, workers=1) for each in halves)
+            halves = [fft(each, axis=axis, overwrite_x=True, workers=1) for each in halves]
         negative, others = (each.reshape(-1, each.shape[-1]) for each in halves)
         crop_scaled(negative, others, rows, row_factors, factors, out.reshape(-1, len(factors)))
         return np.asarray(out.ravel())
