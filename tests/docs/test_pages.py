@@ -46,6 +46,17 @@ def _anchors(page):
     return {title.strip().replace(" ", "-") for title in plain}
 
 
+def test_modules_and_names_that_the_guide_of_the_source_tells_of_exist():
+    sources = {path.name: path for path in (ROOT / "src").rglob("*.py")}
+    told = re.findall(r"`(?:[\w/]+/)?(\w+\.py)(?:: (\w+))?`", _text("inside.md"))
+    assert len(told) > 30
+    for name, member in told:
+        assert name in sources, name
+        assert not member or re.search(
+            rf"^(def |class )?{member}\b", sources[name].read_text(), re.MULTILINE
+        )
+
+
 @pytest.mark.parametrize("page", PAGES)
 def test_relative_links_resolve(page):
     for target in _LINK.findall(_FENCE.sub("", _text(page))):
