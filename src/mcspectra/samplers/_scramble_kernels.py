@@ -78,13 +78,15 @@ def _with_tail(k0: np.uint64, k1: np.uint64, number: int, word: Any) -> Any:
 @kernel
 def _six_flips(bits: Any, piece: Any) -> Any:
     # Flips of six bits, the highest first, by the node that the bits above lead to; nodes are numbered
-    # as in a heap, node v has the children 2v and 2v + 1
-    flips = (bits >> _ONE) & _ONE
-    flips = (flips << _ONE) | ((bits >> (np.uint64(2) + (piece >> np.uint64(5)))) & _ONE)
-    flips = (flips << _ONE) | ((bits >> (np.uint64(4) + (piece >> np.uint64(4)))) & _ONE)
-    flips = (flips << _ONE) | ((bits >> (np.uint64(8) + (piece >> np.uint64(3)))) & _ONE)
-    flips = (flips << _ONE) | ((bits >> (np.uint64(16) + (piece >> np.uint64(2)))) & _ONE)
-    return (flips << _ONE) | ((bits >> (np.uint64(32) + (piece >> _ONE))) & _ONE)
+    # as in a heap, node v has the children 2v and 2v + 1. Each is moved to its place at once.
+    moved = bits << np.uint64(4)
+    flips = (moved & np.uint64(32)) | (
+        (moved >> (np.uint64(2) + (piece >> np.uint64(5)))) & np.uint64(16)
+    )
+    flips |= (bits >> (np.uint64(1) + (piece >> np.uint64(4)))) & np.uint64(8)
+    flips |= (bits >> (np.uint64(6) + (piece >> np.uint64(3)))) & np.uint64(4)
+    flips |= (bits >> (np.uint64(15) + (piece >> np.uint64(2)))) & np.uint64(2)
+    return flips | ((bits >> (np.uint64(32) + (piece >> _ONE))) & _ONE)
 
 
 @kernel
