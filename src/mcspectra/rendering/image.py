@@ -129,7 +129,7 @@ def render(
     def draw(block: tuple[range, range]) -> tuple[range, Callable[[], Array]]:
         """Draw the points of a tile in some images; what is returned gives the means (images · P, 3)."""
         tile, images = block
-        y, x = np.divmod(np.asarray(tile), width)
+        y, x = np.divmod(np.arange(tile.start, tile.stop), width)
         pixels = np.stack([x + left, y + top], axis=-1)
         numbers = pixels[:, 0] + waves.width * pixels[:, 1]
         streams = [stream.child(image) for image in images]

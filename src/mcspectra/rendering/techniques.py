@@ -238,7 +238,7 @@ def corners_of(pixels: Array) -> list[Any]:
 def lane_sums(
     lanes: int, count: int, numbers: int, values: Callable[[Any], Callable[[Any], Sequence[Any]]]
 ) -> Array:
-    """Sums of float32 numbers over k below `count`, in float64, of each lane: (numbers, lanes).
+    """Sums of float32 numbers over k below `count`, in float64, of each lane: (lanes, numbers).
 
     One loop is recorded, so that memory does not grow with `count`; `values` of the lanes' numbers
     gives the function of k.
@@ -256,7 +256,7 @@ def lane_sums(
     start = (mitsuba.UInt32(0), *(drjit.zeros(real, lanes) for _ in range(numbers)))
     _, *sums = drjit.while_loop(start, lambda k, *_: k < end, add)
     drjit.eval(sums)
-    return np.stack([np.broadcast_to(s.numpy(), lanes) for s in sums])
+    return np.stack([np.broadcast_to(s.numpy(), lanes) for s in sums], axis=-1)
 
 
 def pixel_sums(
@@ -277,7 +277,7 @@ def pixel_sums(
         return lambda k: at(first + k)
 
     found = lane_sums(len(u) * pixels, u.shape[-2], numbers, of_lane)
-    return found.reshape(numbers, len(u), pixels)
+    return np.ascontiguousarray(found.T).reshape(numbers, len(u), pixels)
 
 
 def chosen_channel(color: Any, channel: str | int) -> Any:

@@ -187,7 +187,9 @@ class Wavefront:
 
     def net_means(self, strategy: str, pixels: Array, points: NetPoints) -> Array:
         """`means` by points that the kernel computes, a set for each pixel; nothing is checked."""
-        return self._sums(strategy, pixels, points) / points.count
+        sums = self._sums(strategy, pixels, points)
+        sums /= points.count
+        return sums
 
     def _checked(self, strategy: str, pixels: Any, u: Any) -> tuple[Array, Array]:
         allowed = (self.dims(strategy, select=False), self.dims(strategy, select=True))
@@ -284,7 +286,7 @@ class Wavefront:
 
         with LOCK:
             sums = lane_sums(len(pixels) * (count // each), each, 3, of_lane)
-        parts = np.ascontiguousarray(sums.T).reshape(len(pixels), -1, 3)
+        parts: Array = sums.reshape(len(pixels), -1, 3)
         check_finite(parts, self._request, pixels)
         return parts
 
