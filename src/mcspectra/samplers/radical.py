@@ -15,6 +15,7 @@ from mcspectra.core.streams import Stream
 from mcspectra.samplers._primes import LARGEST_BASE
 from mcspectra.samplers._scramble_kernels import fill_inverses, fill_nested
 from mcspectra.samplers.base import MAX_COUNT, FixedSet, Sampler, Structure
+from mcspectra.samplers.registry import RANDOMIZATIONS
 
 __all__ = ["Halton", "Hammersley", "RadicalInverses", "VanDerCorput"]
 
@@ -60,10 +61,8 @@ class RadicalInverses(FixedSet):
         """What ``scramble=`` is short for."""
         if self.scramble == "none":
             return self
-        from mcspectra.samplers.scrambles import Owen, Permute
-
         plain: Sampler = replace(self, scramble="none")  # type: ignore[type-var]
-        return plain.then(Owen() if self.scramble == "owen" else Permute())
+        return plain.then(RANDOMIZATIONS.load(self.scramble)())
 
     def _set(self, n: int) -> Array:
         return _inverses(self.digit_bases, self.skip, n)
