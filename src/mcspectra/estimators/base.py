@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, final, runtime_checka
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.checks import BELOW_ONE, Array, as_integer
 from mcspectra.core.display import html_of
 from mcspectra.core.errors import (
     CountError,
@@ -325,7 +325,7 @@ def carried_breaks(integrand: Integrand, density: Density, weights: Sequence[flo
     inner = (*integrand.breaks[0], *weights)
     if density.primary_dims > 1 or not inner:
         return own
-    x = np.clip(np.array(inner)[:, None], 0.0, np.nextafter(1.0, 0.0))
+    x = np.clip(np.array(inner)[:, None], 0.0, BELOW_ONE)
     return (tuple(sorted({*own[0], *density.preimages(x)[:, 0].tolist()})),)
 
 

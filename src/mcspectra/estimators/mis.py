@@ -17,7 +17,7 @@ from typing import Any, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_choice, as_integer, as_reals
+from mcspectra.core.checks import BELOW_ONE, Array, as_choice, as_integer, as_reals
 from mcspectra.core.errors import ParameterError
 from mcspectra.densities import Defensive, Density, Mixture, as_density
 from mcspectra.estimators.base import (
@@ -329,7 +329,7 @@ class OneSampleMIS(Combined):
             part = rest[own].copy()
             if not extra:
                 stretched = (part[:, 0] - self._borders[t]) / self.probabilities[t]
-                part[:, 0] = np.clip(stretched, 0.0, np.nextafter(1.0, 0.0))
+                part[:, 0] = np.clip(stretched, 0.0, BELOW_ONE)
             x[own] = density.sample(part)
             weights[own] = self.combination.over_density(t, x[own]) / self.probabilities[t]
         return x.reshape(*u.shape[:-1], -1), weights.reshape(u.shape[:-1])

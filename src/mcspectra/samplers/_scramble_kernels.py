@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import BELOW_ONE, Array
 from mcspectra.core.jit import kernel
 from mcspectra.core.streams import mix_bits, mix_uniform
 from mcspectra.samplers._digital_kernels import BLOCK, block_words, low_words
@@ -48,7 +48,6 @@ _WORDS = 512  # words of a block: 4 kB
 _TABLE = 1024  # entries of a table of images of several digits: 8 kB
 _USED_UP = 2**32
 _LEAST, _FINEST = 2.0**32, 2.0**50
-_BELOW_ONE = 1.0 - 2.0**-53
 
 
 @kernel
@@ -440,7 +439,7 @@ def fill_nested(keys: Array, bases: Array, out: Array) -> None:
                         order[c], order[picks[c]] = order[picks[c]], order[c]
                 width, span = width * base, span // base
             for i in range(n):
-                row[i] = min(row[i] / scale, _BELOW_ONE)
+                row[i] = min(row[i] / scale, BELOW_ONE)
 
 
 @kernel

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import BELOW_ONE, Array
 from mcspectra.core.jit import kernel
 from mcspectra.core.streams import mix_uniform
 
@@ -30,7 +30,6 @@ __all__ = [
     "throw_sets",
 ]
 
-_BELOW_ONE = 1.0 - 2.0**-53
 _FINEST = 2**40
 _NOWHERE = 9.0  # coordinate of an empty cell, farther away than any radius
 _AXES = 3  # of buckets and grids: more would be visits to empty cells
@@ -182,7 +181,7 @@ def throw_set(k0: Any, k1: Any, at: int, disks: Any, points: Array) -> tuple[int
         for _ in range(throws * m):
             pick = int(mix_uniform(k0, k1, at) * m)
             for j in range(dims):
-                x[j] = min((active[pick, j] + mix_uniform(k0, k1, at + 1 + j)) / scale, _BELOW_ONE)
+                x[j] = min((active[pick, j] + mix_uniform(k0, k1, at + 1 + j)) / scale, BELOW_ONE)
             at += dims + 1
             home = _home(x, side, reach)
             if grid[home, 0] == _NOWHERE:
@@ -401,7 +400,7 @@ def fill_holes(points: Array, placed: int, wrap: bool) -> None:
                 _push(heap, size, part)
                 size += 1
         else:
-            points[placed] = np.minimum(box[2:], _BELOW_ONE)
+            points[placed] = np.minimum(box[2:], BELOW_ONE)
             add_to_buckets(placed, points[placed], buckets)
             placed += 1
             _push(heap, size, box)

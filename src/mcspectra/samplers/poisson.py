@@ -33,8 +33,8 @@ from mcspectra.core.fields import choice, real, whole
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import _spacing_kernels as kernels
+from mcspectra.samplers._kernels import translated
 from mcspectra.samplers.base import Sampler, Structure
-from mcspectra.samplers.optimised import translated
 
 __all__ = ["DENSEST", "BestCandidate", "DartThrowing", "PoissonDisk", "densest_distance"]
 
@@ -127,7 +127,7 @@ class PoissonDisk(Sampler):
         if self.mode == "maximal":
             points = np.stack([self._maximal_set(n, each) for each in keys])
             # Holes of equal size (there are, among few points) are chosen by where they are
-            own = stream.child(_OFFSETS).keys(first, count)
+            own = stream.child(_OFFSETS).uniforms(first, count, self.dims)
             return points if self.boundary == "bounded" else translated(points, own)
         attempts = 3 + 3000 // n  # a small set jams often at the default radius, a large one never
         out = np.empty((count, n, self.dims))

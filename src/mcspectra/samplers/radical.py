@@ -8,7 +8,7 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import BELOW_ONE, Array
 from mcspectra.core.fields import choice, whole
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
@@ -18,8 +18,6 @@ from mcspectra.samplers.base import MAX_COUNT, FixedSet, Sampler, Structure
 from mcspectra.samplers.registry import RANDOMIZATIONS
 
 __all__ = ["Halton", "Hammersley", "RadicalInverses", "VanDerCorput"]
-
-_BELOW_ONE = 1.0 - 2.0**-53
 
 
 class RadicalInverses(FixedSet):
@@ -200,7 +198,7 @@ class Hammersley(RadicalInverses):
         # No digits of n-ths: offsets below them
         out = np.empty((count, n, self.dims))
         own = stream.child(0).uniforms(first, count, 1 if self.scramble == "permute" else n)
-        out[..., 0] = np.minimum((np.arange(n) + own) / n, _BELOW_ONE)
+        out[..., 0] = np.minimum((np.arange(n) + own) / n, BELOW_ONE)
         if self.dims > 1:
             rest = Halton(dims=self.dims - 1, scramble=self.scramble)
             out[..., 1:] = rest.draw_stream(n, stream, first, count)

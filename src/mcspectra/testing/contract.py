@@ -24,7 +24,7 @@ from mcspectra.core.analysis import (
     finished,
     steps_of,
 )
-from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.checks import BELOW_ONE, Array, as_integer
 from mcspectra.core.errors import AnalysisError, DensityError, McspectraError, ParameterError
 from mcspectra.core.options import checked, options_of
 from mcspectra.core.records import pack, unpack
@@ -173,7 +173,7 @@ def check_density(density: Density | str, *, dims: int | None = None) -> None:
         raise BrokenContract("None is not a density; give one, or its spec.")
     who, u = given.spec, point_sets(given.primary_dims)
     u[0, 0] = 0.0
-    u[0, 1] = np.nextafter(1.0, 0.0)
+    u[0, 1] = BELOW_ONE
 
     # Types and shapes of all three functions for stacked points
     few = u[:3, :5]
@@ -533,7 +533,7 @@ def point_sets(dims: int) -> Array:
     steps = root ** -np.arange(1.0, dims + 1)
     shifts = Stream(1).uniforms(0, _SETS, dims).reshape(_SETS, 1, dims)
     points = (shifts + np.arange(_SET_SIZE)[:, None] * steps) % 1.0
-    return np.asarray(np.minimum(points, np.nextafter(1.0, 0.0)))
+    return np.asarray(np.minimum(points, BELOW_ONE))
 
 
 def mean_and_error(values: Array) -> tuple[Array, Array]:
