@@ -29,7 +29,7 @@ from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.jit import kernel
 
-__all__ = ["RngLike", "Stream", "mix_bits", "mix_uniform", "uniforms"]
+__all__ = ["RngLike", "Stream", "golden_vector", "mix_bits", "mix_uniform", "uniforms"]
 
 RngLike: TypeAlias = "int | np.random.Generator | np.random.SeedSequence | None"
 
@@ -88,6 +88,17 @@ def _fill_keys(key: np.uint64, first: int, out: Array) -> None:
     for r in range(out.shape[0]):
         i = np.uint64(first + r)
         out[r, 0], out[r, 1] = _philox4x32(key, i & _LOW32, i >> _S32, 0, 0)
+
+
+def golden_vector(dims: int) -> Array:
+    """Steps (d,) of an additive recurrence k·α modulo 1 that fills the cube evenly [Roberts2018]_.
+
+    α_j = g^−j with the root g of g^(d+1) = g + 1.
+    """
+    root = 1.5
+    for _ in range(64):  # a contraction: each step halves the error at least
+        root = (1.0 + root) ** (1.0 / (dims + 1))
+    return np.asarray(root ** -np.arange(1.0, dims + 1))
 
 
 def uniforms(keys: Array, size: int) -> Array:

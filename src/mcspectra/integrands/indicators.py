@@ -24,6 +24,7 @@ from mcspectra.integrands.base import (
     Integrand,
     any_dims,
     axis_number,
+    each_axis,
     per_axis,
 )
 
@@ -167,12 +168,9 @@ class Disk(_Indicator):
     """
 
     center: float | Sequence[float] = per_axis(0.5)
+    _centers = each_axis("center")
     radius: float = real(0.25, above=0.0)
     dims: int = any_dims()
-
-    @property
-    def _centers(self) -> Array:
-        return np.broadcast_to(np.asarray(self.center, float), (self.dims,))
 
     @property
     def _inside(self) -> bool:
@@ -245,6 +243,7 @@ class HalfSpace(_Indicator):
     """
 
     normal: float | Sequence[float] = per_axis(1.0)
+    _normal = each_axis("normal")
     offset: float = real(0.75)
     dims: int = any_dims()
 
@@ -253,10 +252,6 @@ class HalfSpace(_Indicator):
             raise ParameterError(
                 f"normal is {self.normal!r}; one component at least must not be 0."
             )
-
-    @property
-    def _normal(self) -> Array:
-        return np.broadcast_to(np.asarray(self.normal, float), (self.dims,))
 
     @property
     def breaks(self) -> Breaks:

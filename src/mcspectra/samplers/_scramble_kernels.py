@@ -284,15 +284,17 @@ def _draw_permutation(k0: np.uint64, k1: np.uint64, number: int, order: Array) -
 
 
 @kernel
-def _draw_images(k0: np.uint64, k1: np.uint64, number: int, shift: bool, out: Array) -> None:
-    # out int64 (m, b): what becomes of each digit in each place, the lowest place first
-    places, base = out.shape
+def _draw_images(k0: Any, k1: Any, number: int, places: int, base: int, shift: bool) -> Any:
+    # What becomes of each digit in each place, the lowest place first: int64 (m, b); and a uniform number
+    # for what comes below, the same for all points
+    out = np.empty((places, base), np.int64)
     for k in range(places):
         if shift:
             out[k] = (np.arange(base) + _mix_below(k0, k1, number, base)) % base
         else:
             _draw_permutation(k0, k1, number, out[k])
         number += base
+    return out, mix_uniform(k0, k1, number)
 
 
 @kernel
@@ -325,11 +327,8 @@ def permute_digits(keys: Array, bases: Array, shift: bool, points: Array, out: A
         number, one = 0, points[r % points.shape[0]]
         for j in range(out.shape[2]):
             places, scale, nudge, unit = _format(bases[j])
-            images = np.empty((places, bases[j]), np.int64)
-            _draw_images(k0, k1, number, shift, images)
-            number += images.size
-            tail = mix_uniform(k0, k1, number)
-            number += 1
+            images, tail = _draw_images(k0, k1, number, places, bases[j], shift)
+            number += images.size + 1
             table = _group_images(images, min(n, _TABLE))
             groups, size = table.shape
             for i in range(n):
@@ -396,11 +395,8 @@ def fill_permuted(keys: Array, bases: Array, shift: bool, start: int, out: Array
         number = 0
         for j in range(out.shape[2]):
             places, scale, _, unit = _format(bases[j])
-            images = np.empty((places, bases[j]), np.int64)
-            _draw_images(k0, k1, number, shift, images)
-            number += images.size
-            tail = mix_uniform(k0, k1, number)
-            number += 1
+            images, tail = _draw_images(k0, k1, number, places, bases[j], shift)
+            number += images.size + 1
             _invert_digits(images, start, inverses)
             for i in range(inverses.size):
                 out[r, i, j] = _write(inverses[i], tail, scale, unit)
