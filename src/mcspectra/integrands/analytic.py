@@ -13,9 +13,9 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_integer, as_reals
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.fields import checked, real
+from mcspectra.core.fields import checked, each_axis, real
 from mcspectra.integrands._quadrature import gauss_rule
-from mcspectra.integrands.base import Integrand, any_dims, each_axis, per_axis
+from mcspectra.integrands.base import Integrand, any_dims, per_axis
 
 __all__ = ["Constant", "Cosine", "Gaussian", "Linear", "Polynomial", "squared_distance"]
 

@@ -56,7 +56,6 @@ __all__ = [
     "NamedFunction",
     "any_dims",
     "axis_number",
-    "each_axis",
     "fourier_accuracy",
     "fourier_grid",
     "integral_accuracy",
@@ -101,11 +100,6 @@ def per_axis(default: float | None, **limits: float) -> Any:
         return found if isinstance(given, Sequence | np.ndarray) else found[0]
 
     return checked(check, default, using="dims")
-
-
-def each_axis(parameter: str) -> Any:
-    """Declare the property of such a field's values, (d,)."""
-    return property(lambda f: np.broadcast_to(np.asarray(getattr(f, parameter)), (f.dims,)))
 
 
 class Integrand(Component, ABC):

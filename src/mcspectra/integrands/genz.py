@@ -12,8 +12,8 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.fields import real
-from mcspectra.integrands.base import Breaks, Integrand, any_dims, each_axis, per_axis
+from mcspectra.core.fields import each_axis, real
+from mcspectra.integrands.base import Breaks, Integrand, any_dims, per_axis
 
 __all__ = [
     "Genz",

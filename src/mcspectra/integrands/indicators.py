@@ -16,7 +16,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.fields import real
+from mcspectra.core.fields import each_axis, real
 from mcspectra.integrands._quadrature import gauss_rule
 from mcspectra.integrands.analytic import squared_distance
 from mcspectra.integrands.base import (
@@ -24,7 +24,6 @@ from mcspectra.integrands.base import (
     Integrand,
     any_dims,
     axis_number,
-    each_axis,
     per_axis,
 )
 

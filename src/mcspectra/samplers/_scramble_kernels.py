@@ -23,7 +23,6 @@ import numpy as np
 from mcspectra.core.checks import BELOW_ONE, Array
 from mcspectra.core.jit import kernel
 from mcspectra.core.streams import mix_bits, mix_uniform
-from mcspectra.samplers._digital_kernels import BLOCK, block_words, low_words
 from mcspectra.samplers._kernels import _mix_below
 
 __all__ = [
@@ -227,22 +226,20 @@ def fill_mixed(keys: Array, shift: bool, directions: Array, out: Array) -> None:
     """What `mix_matrices` makes of points 0 … n−1 of the sequence of uint32 (d, 32) columns."""
     count, n, dims = out.shape
     columns, words = np.empty((dims, 53), np.uint64), np.empty(dims, np.uint64)
-    mixed, high = np.zeros((dims, 32), np.uint64), np.empty(dims, np.uint64)
+    points = np.empty(n, np.uint64)
     for r in range(count):
         _draw_matrices(keys[r, 0], keys[r, 1], shift, columns, words)
         for j in range(dims):
-            k = 0
-            while k < 32 and (1 << k) < n:
-                mixed[j, k] = _product(columns[j], np.uint64(directions[j, k]) << _S32)
-                k += 1
-        low = low_words(mixed, n)
-        size = low.shape[1]
-        for start in range(0, n, size):
-            block_words(mixed, start // BLOCK, high)
-            for j in range(dims):
-                base: Any = high[j] ^ words[j]
-                for t in range(min(size, n - start)):
-                    out[r, start + t, j] = np.float64(np.int64(low[j, t] ^ base)) * _UNIT_53
+            # Each bit of the index doubles the points there are
+            points[0], k, size = words[j], 0, 1
+            while size < n:
+                column = _product(columns[j], np.uint64(directions[j, k]) << _S32)
+                new = points[size : 2 * size]
+                for i in range(new.size):
+                    new[i] = points[i] ^ column
+                k, size = k + 1, 2 * size
+            for i in range(n):
+                out[r, i, j] = np.float64(np.int64(points[i])) * _UNIT_53
 
 
 @kernel
