@@ -377,33 +377,9 @@ class TechniqueSum(AbstractEstimator):
         self.sets = check_sets(sets, self.counts)
 
     @property
-    def dims(self) -> int:
-        return self.integrands[0].dims
-
-    @property
-    def channels(self) -> int:
-        return self.integrands[0].channels
-
-    @property
     def spec(self) -> str:
         """``g_0 + g_1 + …``."""
         return " + ".join(g.spec for g in self.integrands) + self.sets_label
-
-    @property
-    def integral(self) -> Any:
-        """Σ_t ∫ g_t."""
-        return sum(g.integral for g in self.integrands)
-
-    @property
-    def integral_source(self) -> str:
-        """``"exact"`` if it is for every technique."""
-        sources = {g.integral_source for g in self.integrands}
-        return sources.pop() if len(sources) == 1 else "quadrature"
-
-    @property
-    def domain_integrand(self) -> None:
-        """None: the techniques share no domain."""
-        return
 
     def _primary(self, technique: int) -> Integrand:
         return self.integrands[technique]
