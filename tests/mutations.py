@@ -57,7 +57,7 @@ MUTATIONS = [
     ),
     (
         "samplers",
-        "out[r, i, 1, j] = corners[i, j] + side * (_LAST_UNIFORM - u)",
+        "out[r, i, 1, j] = corners[i, j] + side * (BELOW_ONE - u)",
         "out[r, i, 1, j] = corners[i, j] + side * u",
     ),
     (

@@ -38,7 +38,7 @@ from mcspectra.core.options import Evaluations, checked, options_of
 from mcspectra.core.parallel import available_workers, map_in_order
 from mcspectra.core.progress import report
 from mcspectra.core.records import merged
-from mcspectra.core.registry import Registry
+from mcspectra.core.registry import Registry, classes_of
 from mcspectra.core.results import Variable, attributes_of, check_variables
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.core.tally import Tally, counting
@@ -249,24 +249,24 @@ class Counted(Analysis, frozen=True, kw_only=True):
 ANALYSES = Registry(
     "analysis",
     "mcspectra.analyses",
-    {
-        "convergence": "mcspectra.variance.convergence:Convergence",
-        "terms": "mcspectra.variance.terms:Terms",
-        "techniques": "mcspectra.variance.techniques:Techniques",
-        "spectrum": "mcspectra.spectra.power:Spectrum",
-        "points": "mcspectra.spectra.power:Points",
-        "pcf": "mcspectra.spectra.pair_correlation:PairCorrelation",
-        "anova": "mcspectra.variance.anova:Anova",
-        "anova-spectrum": "mcspectra.variance.anova:AnovaSpectrum",
-        "exact": "mcspectra.variance.exact:Exact",
-        "predict": "mcspectra.variance.prediction.predict:Prediction",
-        "plan": "mcspectra.variance.prediction.plan:Plan",
-        "profile": "mcspectra.variance.profiling.profile:Profiling",
-        "remedies": "mcspectra.variance.remedies:Remedies",
-        "modes": "mcspectra.variance.modes:Modes",
-        "routes": "mcspectra.variance.routes:Routes",
-        "map": "mcspectra.rendering.maps:Map",
-    },
+    classes_of(
+        {
+            "rendering.maps": "Map",
+            "spectra.pair_correlation": "pcf=PairCorrelation",
+            "spectra.power": "Points Spectrum",
+            "variance.anova": "Anova AnovaSpectrum",
+            "variance.convergence": "Convergence",
+            "variance.exact": "Exact",
+            "variance.modes": "Modes",
+            "variance.prediction.plan": "Plan",
+            "variance.prediction.predict": "predict=Prediction",
+            "variance.profiling.profile": "profile=Profiling",
+            "variance.remedies": "Remedies",
+            "variance.routes": "Routes",
+            "variance.techniques": "Techniques",
+            "variance.terms": "Terms",
+        }
+    ),
     base=Analysis,
 )
 """Analyses by the names of their tables in study files."""

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from mcspectra.core.errors import DomainError, ParameterError, close_match_hint
 
 __all__ = [
+    "BELOW_ONE",
     "MAX_DIMS",
     "MAX_FREQUENCY",
     "Array",
@@ -28,6 +29,9 @@ __all__ = [
 ]
 
 Array = npt.NDArray[Any]
+
+BELOW_ONE = 1.0 - 2.0**-53
+"""The float64 before 1: the last of [0,1), and the last number of a stream."""
 
 MAX_DIMS = 1024
 """Most dims of anything that does not say otherwise."""

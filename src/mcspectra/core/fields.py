@@ -11,10 +11,12 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from mcspectra.core.checks import as_choice, as_integer, as_real
 from mcspectra.core.errors import ParameterError
 
-__all__ = ["check_fields", "checked", "choice", "flag", "real", "settle", "whole"]
+__all__ = ["check_fields", "checked", "choice", "each_axis", "flag", "real", "settle", "whole"]
 
 
 def checked(
@@ -53,6 +55,13 @@ def _as_flag(name: str, given: object) -> bool:
     if not isinstance(given, bool):
         raise ParameterError(f"{name} is {given!r}; give True or False.")
     return given
+
+
+def each_axis(parameter: str) -> Any:
+    """Declare a property of values (d,), of a parameter that is one number or one for each axis."""
+    return property(
+        lambda own: np.broadcast_to(np.asarray(getattr(own, parameter), float), own.dims)
+    )
 
 
 def check_fields(component: Any) -> None:

@@ -17,9 +17,9 @@ from typing import Any
 
 from mcspectra.core.errors import MissingDependency, ParameterError, UnknownName, reason_of
 from mcspectra.core.errors import close_match_hint as hint
-from mcspectra.core.spec import Call, Component
+from mcspectra.core.spec import Call, Component, kebab_case
 
-__all__ = ["DEFAULT_DIMS", "Registry", "optional_package"]
+__all__ = ["DEFAULT_DIMS", "Registry", "classes_of", "optional_package"]
 
 DEFAULT_DIMS = 2
 """Number of dims of a spec string when neither it nor its surroundings say: pictures are 2-D."""
@@ -134,6 +134,23 @@ class Registry(Mapping[str, str]):
     def _targets(self) -> dict[str, str]:
         extra = _registered(self.group, tuple(sys.path))
         return dict(sorted({**extra, **self._builtin}.items()))
+
+
+def classes_of(modules: Mapping[str, str]) -> dict[str, str]:
+    """Names of classes of this package, each to its ``"module:Class"``, for a registry.
+
+    Parameters
+    ----------
+    modules
+        For each module the classes that it adds, blanks between, whose names are their own in kebab
+        case: ``RandomRotation``, or else are given with them: ``disk=DiskDensity``.
+    """
+    found = {}
+    for module, classes in modules.items():
+        for each in classes.split():
+            name, _, own = each.rpartition("=")
+            found[name or kebab_case(own)] = f"mcspectra.{module}:{own}"
+    return found
 
 
 def optional_package(name: str, extra: str, need: str) -> Any:

@@ -18,7 +18,7 @@ from mcspectra.core.display import html_of
 from mcspectra.core.errors import SpecError
 from mcspectra.core.fields import check_fields
 
-__all__ = ["Call", "Component", "format_call", "parse", "parse_chain", "short_spec"]
+__all__ = ["Call", "Component", "format_call", "kebab_case", "parse", "parse_chain", "short_spec"]
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(?:-[a-z0-9]+)*")
 _CAPITALS = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")  # within a name
@@ -45,11 +45,16 @@ class Call:
         return f"{self.name}({shown})" if shown else self.name
 
 
+def kebab_case(name: str) -> str:
+    """Name of a class as spec strings have it: ``latin-hypercube`` of LatinHypercube."""
+    return _CAPITALS.sub("-", name).lower()
+
+
 class _NameOfClass:
-    """The class's own name in kebab case: ``latin-hypercube`` of LatinHypercube."""
+    """The class's own name in kebab case."""
 
     def __get__(self, component: object, cls: type) -> str:
-        return _CAPITALS.sub("-", cls.__name__).lower()
+        return kebab_case(cls.__name__)
 
 
 class Component:

@@ -29,7 +29,7 @@ from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.jit import kernel
 
-__all__ = ["RngLike", "Stream", "mix_bits", "mix_uniform"]
+__all__ = ["RngLike", "Stream", "golden_vector", "mix_bits", "mix_uniform", "uniforms"]
 
 RngLike: TypeAlias = "int | np.random.Generator | np.random.SeedSequence | None"
 
@@ -90,6 +90,24 @@ def _fill_keys(key: np.uint64, first: int, out: Array) -> None:
         out[r, 0], out[r, 1] = _philox4x32(key, i & _LOW32, i >> _S32, 0, 0)
 
 
+def golden_vector(dims: int) -> Array:
+    """Steps (d,) of an additive recurrence k·α modulo 1 that fills the cube evenly [Roberts2018]_.
+
+    α_j = g^−j with the root g of g^(d+1) = g + 1.
+    """
+    root = 1.5
+    for _ in range(64):  # a contraction: each step halves the error at least
+        root = (1.0 + root) ** (1.0 / (dims + 1))
+    return np.asarray(root ** -np.arange(1.0, dims + 1))
+
+
+def uniforms(keys: Array, size: int) -> Array:
+    """Return the first `size` uniforms in [0,1) of realisations with keys (R, 2): (R, size)."""
+    out = np.empty((len(keys), size))
+    _fill_uniforms(keys, out)
+    return out
+
+
 @dataclass(frozen=True)
 class Stream:
     """An addressable source of random numbers: one 64-bit key, any number of realisations.
@@ -140,9 +158,7 @@ class Stream:
 
     def uniforms(self, first: int, count: int, size: int) -> Array:
         """Return `size` uniforms in [0,1) for each of `count` realisations: (count, size)."""
-        out = np.empty((count, size))
-        _fill_uniforms(self.keys(first, count), out)
-        return out
+        return uniforms(self.keys(first, count), size)
 
     def generator(self, realization: int) -> np.random.Generator:
         """Return a NumPy generator for one realisation, for libraries that want one.

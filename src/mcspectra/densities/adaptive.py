@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.streams import Stream
+from mcspectra.core.streams import Stream, golden_vector
 
 __all__ = [
     "CELLS",
@@ -231,17 +231,10 @@ def positive_integral(
     return value, rest * abs(value - _aitken(*found.totals[-4:-1]))
 
 
-def recurrences(dims: int) -> Array:
-    """Shifted additive recurrences (32, 4096, d) [Roberts2018]_: steps are powers of a root.
-
-    It is that of g^(d+1) = g + 1.
-    """
-    g = 1.5
-    for _ in range(64):
-        g = (1.0 + g) ** (1.0 / (dims + 1))
-    steps = g ** -np.arange(1.0, dims + 1)
-    shifts = Stream(0).uniforms(0, SETS, dims)[:, None, :]
-    return np.asarray((shifts + np.arange(SET_SIZE)[:, None] * steps) % 1.0)
+def recurrences(dims: int, key: int = 0) -> Array:
+    """Additive recurrences (32, 4096, d) by `golden_vector`, each under a random shift of its own."""
+    shifts = Stream(key).uniforms(0, SETS, dims)[:, None, :]
+    return np.asarray((shifts + np.arange(SET_SIZE)[:, None] * golden_vector(dims)) % 1.0)
 
 
 def _aitken(a: float, b: float, c: float) -> float:

@@ -17,6 +17,7 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from mcspectra.core.checks import (
+    BELOW_ONE,
     MAX_DIMS,
     Array,
     as_integer,
@@ -34,11 +35,10 @@ from mcspectra.core.errors import (
 from mcspectra.core.fields import checked, whole
 from mcspectra.core.spec import Component
 from mcspectra.densities.adaptive import mean_or_infinity
-from mcspectra.densities.consistency import LARGEST_BELOW_ONE, check_density
+from mcspectra.densities.consistency import check_density
 from mcspectra.densities.numerical import NumericalWarp
 
 __all__ = [
-    "LARGEST_BELOW_ONE",
     "Density",
     "FunctionDensity",
     "NumericalDensity",
@@ -104,17 +104,17 @@ class Density(Component, ABC):
         Points x of shape (..., d) in [0,1), float64.
         """
         x = self._sample(as_points(u, self.primary_dims, "u"))
-        return np.clip(x, 0.0, LARGEST_BELOW_ONE)
+        return np.clip(x, 0.0, BELOW_ONE)
 
     def sample_pdf(self, u: object) -> tuple[Array, Array]:
         """Points x of `sample` (..., d) and the density there, (...), in one pass where that is cheaper."""
         x, pdf = self._sample_pdf(as_points(u, self.primary_dims, "u"))
-        return np.clip(x, 0.0, LARGEST_BELOW_ONE), pdf
+        return np.clip(x, 0.0, BELOW_ONE), pdf
 
     def invert(self, x: object) -> Array:
         """Undo `sample`: primary points u of shape (..., d), in [0,1)."""
         u = self._invert(as_points(x, self.dims, "x"))
-        return np.clip(u, 0.0, LARGEST_BELOW_ONE)
+        return np.clip(u, 0.0, BELOW_ONE)
 
     @property
     def has_inverse(self) -> bool:
@@ -160,7 +160,7 @@ class Density(Component, ABC):
 
     def _sample_pdf(self, u: Array) -> tuple[Array, Array]:
         """Warp float64 points (..., d), and give the density there."""
-        x = np.clip(self._sample(u), 0.0, LARGEST_BELOW_ONE)
+        x = np.clip(self._sample(u), 0.0, BELOW_ONE)
         return x, self._pdf(x)
 
     def _invert(self, x: Array) -> Array:  # noqa: ARG002
@@ -238,7 +238,7 @@ class Density(Component, ABC):
             made._pdf(u)
             x = made._sample(u)
             if made.has_inverse:
-                made._invert(np.clip(x, 0.0, LARGEST_BELOW_ONE))
+                made._invert(np.clip(x, 0.0, BELOW_ONE))
         made.check()
         return made
 

@@ -16,11 +16,11 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import BELOW_ONE, Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.fields import checked, choice, flag
 from mcspectra.core.jit import kernel
-from mcspectra.densities.base import LARGEST_BELOW_ONE, Density
+from mcspectra.densities.base import Density
 from mcspectra.densities.tabulated import as_table, below, flat, last_at_most, shown
 
 __all__ = ["Bilinear"]
@@ -123,7 +123,7 @@ class Bilinear(Density):
 
     def _sample(self, u: Array) -> Array:
         x = np.empty(u.shape)
-        inside = np.clip(u, 0.0, LARGEST_BELOW_ONE)
+        inside = np.clip(u, 0.0, BELOW_ONE)
         _shape(*self._tables, flat(inside), x.reshape(-1, 2))
         return x
 

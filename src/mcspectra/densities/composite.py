@@ -25,13 +25,21 @@ from typing import Any, final
 
 import numpy as np
 
-from mcspectra.core.checks import MAX_DIMS, Array, as_choice, as_integer, as_real, as_real_array
+from mcspectra.core.checks import (
+    BELOW_ONE,
+    MAX_DIMS,
+    Array,
+    as_choice,
+    as_integer,
+    as_real,
+    as_real_array,
+)
 from mcspectra.core.errors import DensityError, ParameterError
 from mcspectra.core.fields import checked, settle
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.spec import parse
 from mcspectra.densities.analytic import Uniform
-from mcspectra.densities.base import LARGEST_BELOW_ONE, Density, Wrapper, plain
+from mcspectra.densities.base import Density, Wrapper, plain
 from mcspectra.densities.registry import DENSITIES, as_density, density
 
 __all__ = ["Defensive", "Mixture", "Product"]
@@ -272,7 +280,7 @@ class Mixture(Density):
             else:
                 low, high = self._borders[t], self._borders[t + 1]
                 stretched = (v[..., self.axis] - low) / (high - low)
-                v[..., self.axis] = np.clip(stretched, 0, LARGEST_BELOW_ONE)
+                v[..., self.axis] = np.clip(stretched, 0, BELOW_ONE)
             x[own] = part.sample(v)
         return x
 

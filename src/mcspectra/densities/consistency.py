@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import BELOW_ONE, Array
 from mcspectra.core.errors import DensityError, point_in_words
 from mcspectra.densities.adaptive import CELLS, SET_SIZE, SETS, integrate, recurrences
 
 if TYPE_CHECKING:
     from mcspectra.densities.base import Density
 
-__all__ = ["LARGEST_BELOW_ONE", "check_density"]
-
-LARGEST_BELOW_ONE = float(np.nextafter(1.0, 0.0))
+__all__ = ["check_density"]
 
 _SPREADS = 7.0  # Student's t with 31 degrees: 7e-8 a cell, 2e-5 for 256 cells
 # Counts of a cell may be k in all sets where their mean is k + q, with the probability (1 − q)^32:
@@ -74,7 +72,7 @@ def check_density(density: Density) -> None:
                 )
         # Sample 32 shifted sets, the first with both ends
         u = recurrences(density.primary_dims)
-        u[0, 0], u[0, 1] = 0.0, LARGEST_BELOW_ONE
+        u[0, 0], u[0, 1] = 0.0, BELOW_ONE
         x = density._sample(u)
         outside = ~((x >= 0.0) & (x <= 1.0)).all(axis=-1)
         if outside.any():
@@ -82,7 +80,7 @@ def check_density(density: Density) -> None:
                 f"The samples of {density.spec} leave [0,1): {point_in_words(x[outside][0])} from "
                 f"u = {point_in_words(u[outside][0])}."
             )
-        x = np.minimum(x, LARGEST_BELOW_ONE)
+        x = np.minimum(x, BELOW_ONE)
         # Compare both pairs, so that the one at fault can be named
         loop = _round_trip(density, u[0], x[0])
         if density.dims <= 2:

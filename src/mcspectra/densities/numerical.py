@@ -21,13 +21,12 @@ from typing import final
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import BELOW_ONE, Array
 from mcspectra.core.errors import DensityError
 from mcspectra.core.jit import kernel
 
 __all__ = ["NumericalWarp"]
 
-_BELOW_ONE = np.nextafter(1.0, 0.0)
 _START = {1: 256, 2: 16}
 _MOST = {1: 2**15, 2: 256}
 _MOST_OF_MARGINAL = 2**11  # each node of it is a row
@@ -294,7 +293,7 @@ class _Cells:
 def _spread(low: Array, width: Array) -> Array:
     """Nodes (..., 12), below 1, of cells with left ends `low` (...) and `width` (...)."""
     nodes = low[..., None] + (0.5 * width)[..., None] * (_NODES + 1.0)
-    return np.asarray(np.minimum(nodes, _BELOW_ONE))
+    return np.asarray(np.minimum(nodes, BELOW_ONE))
 
 
 def _refine(

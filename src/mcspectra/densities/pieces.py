@@ -20,12 +20,12 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_integer, as_real, as_real_array
+from mcspectra.core.checks import BELOW_ONE, Array, as_integer, as_real, as_real_array
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.fields import checked, settle
 from mcspectra.core.registry import optional_package
 from mcspectra.core.streams import Stream
-from mcspectra.densities.base import LARGEST_BELOW_ONE, Density
+from mcspectra.densities.base import Density
 from mcspectra.densities.tabulated import check_masses, shown
 
 __all__ = [
@@ -256,7 +256,7 @@ class GridDensity(Density):
     def _sample(self, u: Array) -> Array:
         x = np.empty(u.shape)
         for axis, line in enumerate(self._lines):
-            scaled = np.minimum(u[..., axis], LARGEST_BELOW_ONE) * (line.size - 1)
+            scaled = np.minimum(u[..., axis], BELOW_ONE) * (line.size - 1)
             i = np.minimum(scaled.astype(np.int64), line.size - 2)
             value = line[i] + (scaled - i) * np.diff(line)[i]
             x[..., axis] = np.minimum(value, np.nextafter(line[i + 1], 0.0))
@@ -430,7 +430,7 @@ def vegas_density(
         y = Stream(int(seed)).generator(iteration).random((count, axes))
         x, jacobian = np.empty_like(y), np.empty(count)
         grid.map(y, x, jacobian)
-        clipped = np.clip(x, 0.0, LARGEST_BELOW_ONE)
+        clipped = np.clip(x, 0.0, BELOW_ONE)
         values = as_real_array("Values of the integrand", integrand(clipped))
         if values.shape[:1] != (count,) or values.ndim > 2:
             raise ParameterError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mcspectra.core.checks import MAX_DIMS, as_integer
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.registry import Registry
+from mcspectra.core.registry import Registry, classes_of
 from mcspectra.core.spec import parse
 from mcspectra.densities.base import Density
 
@@ -13,32 +13,20 @@ __all__ = ["DENSITIES", "as_density", "as_warp", "density"]
 DENSITIES = Registry(
     "density",
     "mcspectra.densities",
-    {
-        "aligned-strata": "mcspectra.densities.pieces:AlignedStrata",
-        "cosine-weighted": "mcspectra.densities.analytic:CosineWeighted",
-        "defensive": "mcspectra.densities.composite:Defensive",
-        "exponential": "mcspectra.densities.analytic:Exponential",
-        "bilinear": "mcspectra.densities.bilinear:Bilinear",
-        "environment": "mcspectra.densities.environment:EnvironmentDensity",
-        "image": "mcspectra.densities.environment:ImageDensity",
-        "disk": "mcspectra.densities.directions:DiskDensity",
-        "grid": "mcspectra.densities.pieces:GridDensity",
-        "hemisphere": "mcspectra.densities.directions:HemisphereDensity",
-        "learned": "mcspectra.densities.learned:Learned",
-        "linear": "mcspectra.densities.analytic:Linear",
-        "mixture": "mcspectra.densities.composite:Mixture",
-        "piecewise-constant": "mcspectra.densities.tabulated:PiecewiseConstant",
-        "piecewise-linear": "mcspectra.densities.pieces:PiecewiseLinear",
-        "power": "mcspectra.densities.analytic:Power",
-        "product": "mcspectra.densities.composite:Product",
-        "spherical-rectangle": "mcspectra.densities.lights:SphericalRectangle",
-        "spherical-triangle": "mcspectra.densities.lights:SphericalTriangle",
-        "tent": "mcspectra.densities.analytic:Tent",
-        "sphere": "mcspectra.densities.directions:SphereDensity",
-        "truncated-normal": "mcspectra.densities.analytic:TruncatedNormal",
-        "uniform": "mcspectra.densities.analytic:Uniform",
-        "vegas": "mcspectra.estimators.vegas_:VegasDensity",
-    },
+    classes_of(
+        {
+            "densities.analytic": "CosineWeighted Exponential Linear Power Tent TruncatedNormal Uniform",
+            "densities.bilinear": "Bilinear",
+            "densities.composite": "Defensive Mixture Product",
+            "densities.directions": "disk=DiskDensity hemisphere=HemisphereDensity sphere=SphereDensity",
+            "densities.environment": "environment=EnvironmentDensity image=ImageDensity",
+            "densities.learned": "Learned",
+            "densities.lights": "SphericalRectangle SphericalTriangle",
+            "densities.pieces": "AlignedStrata grid=GridDensity PiecewiseLinear",
+            "densities.tabulated": "PiecewiseConstant",
+            "estimators.vegas_": "vegas=VegasDensity",
+        }
+    ),
     base=Density,
 )
 """Densities that spec strings can name."""

@@ -42,11 +42,11 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import BELOW_ONE, Array
 from mcspectra.core.errors import DensityError, ParameterError
 from mcspectra.core.fields import checked, choice
 from mcspectra.core.jit import kernel
-from mcspectra.densities.base import LARGEST_BELOW_ONE, Density
+from mcspectra.densities.base import Density
 
 __all__ = [
     "WARPS",
@@ -183,7 +183,7 @@ class PiecewiseConstant(Density):
 
     def _sample(self, u: Array) -> Array:
         x = np.empty(u.shape)
-        inside = np.clip(u, 0.0, LARGEST_BELOW_ONE)
+        inside = np.clip(u, 0.0, BELOW_ONE)
         self._warp.sample(flat(inside), x.reshape(-1, self.dims))
         return x
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, final, runtime_checka
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.checks import BELOW_ONE, Array, as_integer
 from mcspectra.core.display import html_of
 from mcspectra.core.errors import (
     CountError,
@@ -75,9 +75,9 @@ class AbstractEstimator(ABC):
         return "" if self.sets == "independent" else f" ({self.sets} sets)"
 
     @property
-    @abstractmethod
     def dims(self) -> int:
         """Number of dims of the sampler that it needs."""
+        return self.primary_integrand().dims
 
     @property
     def domain_dims(self) -> int:
@@ -85,9 +85,9 @@ class AbstractEstimator(ABC):
         return self.dims if self.domain_integrand is None else self.domain_integrand.dims
 
     @property
-    @abstractmethod
     def channels(self) -> int:
         """0 for a scalar estimate, else its number of channels."""
+        return self.primary_integrand().channels
 
     @property
     @abstractmethod
@@ -95,26 +95,28 @@ class AbstractEstimator(ABC):
         """Text that identifies this estimator, for provenance."""
 
     @property
-    @abstractmethod
     def integral(self) -> Any:
-        """The exact value of the integral: a float or an array (channels,)."""
+        """The exact value of the integral, Σ_t ∫ g_t: a float or an array (channels,)."""
+        return sum(g.integral for g in self._every_primary())
 
     @property
-    @abstractmethod
     def integral_source(self) -> str:
         """``"exact"`` or how `integral` was computed."""
+        sources = {g.integral_source for g in self._every_primary()}
+        return sources.pop() if len(sources) == 1 else "quadrature"
 
     @property
     def integral_error(self) -> float:
         """Standard error of `integral`, or an estimate of its absolute error; 0 where it is exact."""
         f = self.domain_integrand
-        parts = [self.primary_integrand(t) for t in range(len(self.counts))] if f is None else [f]
-        return sum(integral_accuracy(g)[1] for g in parts)
+        return sum(
+            integral_accuracy(g)[1] for g in ([f] if f is not None else self._every_primary())
+        )
 
     @property
     def is_black_box(self) -> bool:
         """Whether a call of one of its integrands may be dear: `Integrand.is_black_box`."""
-        return any(self.primary_integrand(t).is_black_box for t in range(len(self.counts)))
+        return any(g.is_black_box for g in self._every_primary())
 
     def known_integral(self) -> tuple[Any, float, str]:
         """`integral`, `integral_error`, `integral_source`; NaN where they take calls of a black box."""
@@ -124,9 +126,9 @@ class AbstractEstimator(ABC):
         return self.integral, self.integral_error, self.integral_source
 
     @property
-    @abstractmethod
     def domain_integrand(self) -> Integrand | None:
-        """The integrand f of the domain view, None where there is none."""
+        """The integrand f of the domain view, None where the techniques share no domain."""
+        return None
 
     @property
     def infinite_weights(self) -> bool:
@@ -153,6 +155,9 @@ class AbstractEstimator(ABC):
     @cached_property
     def _primaries(self) -> dict[int, Integrand]:
         return {}
+
+    def _every_primary(self) -> list[Integrand]:
+        return [self.primary_integrand(t) for t in range(len(self.counts))]
 
     @abstractmethod
     def _primary(self, technique: int) -> Integrand:
@@ -325,7 +330,7 @@ def carried_breaks(integrand: Integrand, density: Density, weights: Sequence[flo
     inner = (*integrand.breaks[0], *weights)
     if density.primary_dims > 1 or not inner:
         return own
-    x = np.clip(np.array(inner)[:, None], 0.0, np.nextafter(1.0, 0.0))
+    x = np.clip(np.array(inner)[:, None], 0.0, BELOW_ONE)
     return (tuple(sorted({*own[0], *density.preimages(x)[:, 0].tolist()})),)
 
 

@@ -29,7 +29,7 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.fields import choice, real, whole
-from mcspectra.core.registry import Registry
+from mcspectra.core.registry import Registry, classes_of
 from mcspectra.core.spec import Component, parse
 from mcspectra.core.streams import Stream
 from mcspectra.densities import Density
@@ -101,14 +101,11 @@ class Heuristic(Component, ABC):
 HEURISTICS = Registry(
     "heuristic",
     "mcspectra.heuristics",
-    {
-        "balance": "mcspectra.estimators.heuristics:Balance",
-        "cutoff": "mcspectra.estimators.heuristics:Cutoff",
-        "maximum": "mcspectra.estimators.heuristics:Maximum",
-        "optimal": "mcspectra.estimators.heuristics:Optimal",
-        "power": "mcspectra.estimators.heuristics:Power",
-        "variance-aware": "mcspectra.estimators.heuristics:VarianceAware",
-    },
+    classes_of(
+        {
+            "estimators.heuristics": "Balance Cutoff Maximum Optimal Power VarianceAware",
+        }
+    ),
     base=Heuristic,
 )
 """Heuristics that spec strings can name."""

@@ -95,14 +95,6 @@ class Mirrored(AbstractEstimator):
         self.counts, self.sets = self.estimator.counts, self.estimator.sets
 
     @property
-    def dims(self) -> int:
-        return self.estimator.dims
-
-    @property
-    def channels(self) -> int:
-        return self.estimator.channels
-
-    @property
     def spec(self) -> str:
         """``estimator, mirrored: mode``."""
         return f"{self.estimator.spec}, mirrored: {self.mode}"

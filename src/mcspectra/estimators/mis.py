@@ -17,7 +17,7 @@ from typing import Any, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_choice, as_integer, as_reals
+from mcspectra.core.checks import BELOW_ONE, Array, as_choice, as_integer, as_reals
 from mcspectra.core.errors import ParameterError
 from mcspectra.densities import Defensive, Density, Mixture, as_density
 from mcspectra.estimators.base import (
@@ -329,7 +329,7 @@ class OneSampleMIS(Combined):
             part = rest[own].copy()
             if not extra:
                 stretched = (part[:, 0] - self._borders[t]) / self.probabilities[t]
-                part[:, 0] = np.clip(stretched, 0.0, np.nextafter(1.0, 0.0))
+                part[:, 0] = np.clip(stretched, 0.0, BELOW_ONE)
             x[own] = density.sample(part)
             weights[own] = self.combination.over_density(t, x[own]) / self.probabilities[t]
         return x.reshape(*u.shape[:-1], -1), weights.reshape(u.shape[:-1])
@@ -377,33 +377,9 @@ class TechniqueSum(AbstractEstimator):
         self.sets = check_sets(sets, self.counts)
 
     @property
-    def dims(self) -> int:
-        return self.integrands[0].dims
-
-    @property
-    def channels(self) -> int:
-        return self.integrands[0].channels
-
-    @property
     def spec(self) -> str:
         """``g_0 + g_1 + …``."""
         return " + ".join(g.spec for g in self.integrands) + self.sets_label
-
-    @property
-    def integral(self) -> Any:
-        """Σ_t ∫ g_t."""
-        return sum(g.integral for g in self.integrands)
-
-    @property
-    def integral_source(self) -> str:
-        """``"exact"`` if it is for every technique."""
-        sources = {g.integral_source for g in self.integrands}
-        return sources.pop() if len(sources) == 1 else "quadrature"
-
-    @property
-    def domain_integrand(self) -> None:
-        """None: the techniques share no domain."""
-        return
 
     def _primary(self, technique: int) -> Integrand:
         return self.integrands[technique]

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mcspectra.core.checks import Array
+from mcspectra.core.records import student_t
 
 __all__ = ["CONFIDENCE_Z", "Moments", "mean_interval", "rounding_floor", "variance_interval"]
 
@@ -251,11 +252,9 @@ def mean_interval(values: Array) -> tuple[float, float]:
     The hull of Student's t and of Hall's transform of it, cubic in the skewness [Hall1992]_: both are the
     same where estimates are normal, and what is skewed reaches further to the side of its tail.
     """
-    from scipy.special import stdtrit
-
     count = len(values)
     mean, spread = float(values.mean()), float(values.std(ddof=1))
-    below = above = t = float(stdtrit(count - 1, 0.975))
+    below = above = t = student_t(count)
     skew = math.sqrt(count) / ((count - 1) * (count - 2))
     skew *= float((((values - mean) / max(spread, 1e-300)) ** 3).sum())
     if spread**2 > rounding_floor(np.array(mean)) and skew:

@@ -25,7 +25,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.streams import Stream
+from mcspectra.core.streams import Stream, golden_vector
 
 if TYPE_CHECKING:
     from mcspectra.integrands.base import Integrand
@@ -561,15 +561,10 @@ def _slivers(values: Array, corners: Array) -> Array:
 def lattice_integral(function: Integrand) -> Estimate:
     """∫ f in any number of dims by the mean over 2^20 points of a Kronecker sequence: value (C,).
 
-    Points ½ + k (φ^-1, …, φ^-d) mod 1 with φ^{d+1} = φ + 1 [Roberts2018]_. The error is three
-    standard errors of 16 successive parts, shifted copies of each other: more than the true one.
+    Points ½ + k α mod 1 with the steps α of `golden_vector`. The error is three standard errors of 16
+    successive parts, shifted copies of each other: more than the true one.
     """
-    dims = function.dims
-    ratio = 2.0
-    for _ in range(64):  # a contraction: each step halves the error at least
-        ratio = (1.0 + ratio) ** (1.0 / (dims + 1))
-    alpha = ratio ** -np.arange(1.0, dims + 1)
-    sums = []
+    alpha, sums = golden_vector(function.dims), []
     for start in range(1, _LATTICE_POINTS, 2**14):
         points = (0.5 + np.arange(start, start + 2**14)[:, None] * alpha) % 1.0
         sums.append(_columns(function, points).sum(axis=0))

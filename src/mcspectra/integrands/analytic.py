@@ -13,7 +13,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_integer, as_reals
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.fields import checked, real
+from mcspectra.core.fields import checked, each_axis, real
 from mcspectra.integrands._quadrature import gauss_rule
 from mcspectra.integrands.base import Integrand, any_dims, per_axis
 
@@ -181,12 +181,9 @@ class Gaussian(Integrand):
     """
 
     center: float | Sequence[float] = per_axis(0.5)
+    _centers = each_axis("center")
     width: float = real(0.25, above=0.0)
     dims: int = any_dims()
-
-    @property
-    def _centers(self) -> Array:
-        return np.broadcast_to(np.asarray(self.center, float), (self.dims,))
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
         """Products of error functions; f² is a Gaussian of width/√2."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.fields import real
+from mcspectra.core.fields import each_axis, real
 from mcspectra.integrands.base import Breaks, Integrand, any_dims, per_axis
 
 __all__ = [
@@ -45,10 +45,7 @@ class Genz(Integrand):
     """
 
     a: float | Sequence[float] = per_axis(5.0, above=0.0)
-
-    @property
-    def _a(self) -> Array:
-        return np.broadcast_to(np.asarray(self.a), (self.dims,))
+    _a = each_axis("a")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +53,7 @@ class GenzProduct(Genz):
     """One of Genz's functions that are products over axes."""
 
     u: float | Sequence[float] = per_axis(0.3, least=0.0, most=1.0)
+    _u = each_axis("u")
     dims: int = any_dims()
 
     @abstractmethod
@@ -65,10 +63,6 @@ class GenzProduct(Genz):
     @abstractmethod
     def _means(self) -> Array:
         """Integrals of all factors: (d,)."""
-
-    @property
-    def _u(self) -> Array:
-        return np.broadcast_to(np.asarray(self.u), (self.dims,))
 
     def _check(self) -> None:
         with np.errstate(over="ignore", invalid="ignore"):

@@ -16,7 +16,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.fields import real
+from mcspectra.core.fields import each_axis, real
 from mcspectra.integrands._quadrature import gauss_rule
 from mcspectra.integrands.analytic import squared_distance
 from mcspectra.integrands.base import (
@@ -167,12 +167,9 @@ class Disk(_Indicator):
     """
 
     center: float | Sequence[float] = per_axis(0.5)
+    _centers = each_axis("center")
     radius: float = real(0.25, above=0.0)
     dims: int = any_dims()
-
-    @property
-    def _centers(self) -> Array:
-        return np.broadcast_to(np.asarray(self.center, float), (self.dims,))
 
     @property
     def _inside(self) -> bool:
@@ -245,6 +242,7 @@ class HalfSpace(_Indicator):
     """
 
     normal: float | Sequence[float] = per_axis(1.0)
+    _normal = each_axis("normal")
     offset: float = real(0.75)
     dims: int = any_dims()
 
@@ -253,10 +251,6 @@ class HalfSpace(_Indicator):
             raise ParameterError(
                 f"normal is {self.normal!r}; one component at least must not be 0."
             )
-
-    @property
-    def _normal(self) -> Array:
-        return np.broadcast_to(np.asarray(self.normal, float), (self.dims,))
 
     @property
     def breaks(self) -> Breaks:

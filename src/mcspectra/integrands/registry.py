@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mcspectra.core.checks import MAX_DIMS, as_integer
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.registry import Registry
+from mcspectra.core.registry import Registry, classes_of
 from mcspectra.core.spec import parse
 from mcspectra.integrands.base import Integrand
 
@@ -13,43 +13,24 @@ __all__ = ["INTEGRANDS", "as_integrand", "integrand"]
 INTEGRANDS = Registry(
     "integrand",
     "mcspectra.integrands",
-    {
-        "asian-option": "mcspectra.integrands.finance:AsianOption",
-        "barrier-option": "mcspectra.integrands.finance:BarrierOption",
-        "christensen-bilinear": "mcspectra.integrands.christensen:ChristensenBilinear",
-        "christensen-disk": "mcspectra.integrands.christensen:ChristensenDisk",
-        "christensen-gaussian": "mcspectra.integrands.christensen:ChristensenGaussian",
-        "christensen-step": "mcspectra.integrands.christensen:ChristensenStep",
-        "christensen-triangle": "mcspectra.integrands.christensen:ChristensenTriangle",
-        "constant": "mcspectra.integrands.analytic:Constant",
-        "cosine": "mcspectra.integrands.analytic:Cosine",
-        "digital-option": "mcspectra.integrands.finance:DigitalOption",
-        "disk": "mcspectra.integrands.indicators:Disk",
-        "environment": "mcspectra.integrands.image:Environment",
-        "formula": "mcspectra.integrands.formula:Formula",
-        "gaussian": "mcspectra.integrands.analytic:Gaussian",
-        "gaussian-peaks": "mcspectra.integrands.physics:GaussianPeaks",
-        "gaussian-ridge": "mcspectra.integrands.physics:GaussianRidge",
-        "genz-continuous": "mcspectra.integrands.genz:GenzContinuous",
-        "genz-corner-peak": "mcspectra.integrands.genz:GenzCornerPeak",
-        "genz-discontinuous": "mcspectra.integrands.genz:GenzDiscontinuous",
-        "genz-gaussian": "mcspectra.integrands.genz:GenzGaussian",
-        "genz-oscillatory": "mcspectra.integrands.genz:GenzOscillatory",
-        "genz-product-peak": "mcspectra.integrands.genz:GenzProductPeak",
-        "half-space": "mcspectra.integrands.indicators:HalfSpace",
-        "image": "mcspectra.integrands.image:Image",
-        "ishigami": "mcspectra.integrands.sensitivity:Ishigami",
-        "keister": "mcspectra.integrands.physics:Keister",
-        "linear": "mcspectra.integrands.analytic:Linear",
-        "path-pixel": "mcspectra.rendering.paths:PathPixel",
-        "pixel": "mcspectra.rendering.pixel:Pixel",
-        "polynomial": "mcspectra.integrands.analytic:Polynomial",
-        "ratio-tracking": "mcspectra.integrands.physics:RatioTracking",
-        "rectangle-light": "mcspectra.integrands.lights:RectangleLight",
-        "smoothed-step": "mcspectra.integrands.indicators:SmoothedStep",
-        "sobol-g": "mcspectra.integrands.sensitivity:SobolG",
-        "step": "mcspectra.integrands.indicators:Step",
-    },
+    classes_of(
+        {
+            "integrands.analytic": "Constant Cosine Gaussian Linear Polynomial",
+            "integrands.christensen": "ChristensenBilinear ChristensenDisk ChristensenGaussian ChristensenStep "
+            "ChristensenTriangle",
+            "integrands.finance": "AsianOption BarrierOption DigitalOption",
+            "integrands.formula": "Formula",
+            "integrands.genz": "GenzContinuous GenzCornerPeak GenzDiscontinuous GenzGaussian GenzOscillatory "
+            "GenzProductPeak",
+            "integrands.image": "Environment Image",
+            "integrands.indicators": "Disk HalfSpace SmoothedStep Step",
+            "integrands.lights": "RectangleLight",
+            "integrands.physics": "GaussianPeaks GaussianRidge Keister RatioTracking",
+            "integrands.sensitivity": "Ishigami SobolG",
+            "rendering.paths": "PathPixel",
+            "rendering.pixel": "Pixel",
+        }
+    ),
     base=Integrand,
 )
 """Integrands that spec strings can name."""

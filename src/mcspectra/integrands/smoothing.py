@@ -139,14 +139,14 @@ class EdgeSmoothed(Integrand):
         """Signed distance to the border, negative inside."""
         if isinstance(self.edge, Disk):
             return np.asarray(np.linalg.norm(x - self.edge.center, axis=-1) - self.edge.radius)
-        normal = np.broadcast_to(self.edge.normal, (self.dims,))
+        normal = self.edge._normal
         return np.asarray((x @ normal - self.edge.offset) / np.linalg.norm(normal))
 
     def _moved(self, by: float) -> Disk | HalfSpace:
         """The indicator with its border moved outwards."""
         if isinstance(self.edge, Disk):
             return replace(self.edge, radius=self.edge.radius + by)
-        length = float(np.linalg.norm(np.broadcast_to(self.edge.normal, (self.dims,))))
+        length = float(np.linalg.norm(self.edge._normal))
         return replace(self.edge, offset=self.edge.offset + by * length)
 
     def _evaluate(self, x: Array) -> Array:

@@ -544,9 +544,6 @@ class PixelMIS(AbstractEstimator):
         pilot = _PixelPilot(self, np.asarray(self.counts, np.float64))
         self.shares, self.control = self._weights.adapt(pilot)
 
-    def __repr__(self) -> str:
-        return f"PixelMIS({self.spec})"
-
     @property
     def spec(self) -> str:
         """``pixel(…) / heuristic[techniques]``."""
@@ -564,26 +561,6 @@ class PixelMIS(AbstractEstimator):
     def dims(self) -> int:
         """Number of dims of every technique."""
         return self.view.dims
-
-    @property
-    def channels(self) -> int:
-        """3 with ``channel="rgb"``, else 0."""
-        return self.view.channels
-
-    @property
-    def integral(self) -> Any:
-        """Σ_t ∫ g_t."""
-        return sum(self.primary_integrand(t).integral for t in range(len(self.counts)))
-
-    @property
-    def integral_source(self) -> str:
-        """The means behind the integrals of the techniques."""
-        return SOURCE
-
-    @property
-    def domain_integrand(self) -> None:
-        """None: the techniques share directions, but no unit cube."""
-        return
 
     def _primary(self, technique: int) -> Integrand:
         return _Weighted(self, technique)

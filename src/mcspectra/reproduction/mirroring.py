@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 import mcspectra as mcs
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import BELOW_ONE, Array
 from mcspectra.plots.description import (
     Axis,
     Dots,
@@ -65,7 +65,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     y = np.linspace(0.0, 1.0, 257)
     original = np.exp(-(y**2)) * (1.0 - np.exp(-1.0))
     g = mcs.Mirrored(INTEGRAND).primary_integrand(0)
-    ends = (g(np.stack([np.full_like(y, u), y], axis=-1)) for u in (0.0, np.nextafter(1.0, 0.0)))
+    ends = (g(np.stack([np.full_like(y, u), y], axis=-1)) for u in (0.0, BELOW_ONE))
     mirrored = np.subtract(*ends)
 
     # Draw samples with their strata, and curves with their slopes

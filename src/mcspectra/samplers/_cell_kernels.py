@@ -3,17 +3,16 @@
 Farthest points: a largest empty disk is centred on a corner of a Voronoi cell. Each cell is cut from the
 square around its point (the bisectors with the point's own images) by the bisectors with the points
 nearby; taking a point away, or putting one in, changes only the cells next to it. Legend: n points,
-2 dims; buckets as in `_spacing_kernels`; corners (K, 2) and neighbours (K,) of a cell,
-counterclockwise, neighbour k beyond the edge from corner k to the next, −1 for an image of the point
-itself; holes (n, 4): coordinates of the corner of each cell that is farthest from its point, its squared
-distance, and the squared distance of the nearest neighbour.
+2 dims; buckets as in `_spacing_kernels`; cells as of power diagrams; holes (n, 4): coordinates of the
+corner of each cell that is farthest from its point, its squared distance, and the squared distance of the
+nearest neighbour.
 
 Power diagrams: the cell of site i holds the x with |x − x_i|² − w_i ≤ |x − x_j|² − w_j for all sites j
 and their images. It is cut likewise by the sites in a grid of cells, ring by ring, until those left are
 too far away to reach it. Legend: n sites, 2 dims; points (n, 2) in [0,1), weights w (n,); sites (n, 3):
 both in the order of the grid; a cell (K, 4), counterclockwise and relative to its site: x and y of a
 corner, distance of the site beyond the edge to the next corner, its number, −1 for an image of the
-site itself.
+site itself; `spare`, as large, for its corners before a cut.
 
 Gaussian blue noise: energy of all pairs of points and its gradient. Legend: n points, d dims; `points`
 float64 in [0,1), `force` is overwritten with the gradient.
@@ -26,7 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import BELOW_ONE, Array
 from mcspectra.core.jit import kernel
 from mcspectra.samplers._spacing_kernels import add_to_buckets, empty_buckets
 
@@ -40,7 +39,6 @@ __all__ = [
     "series_energy",
 ]
 
-_BELOW_ONE = 1.0 - 2.0**-53
 _CORNERS = 64  # most corners of a Voronoi cell; six on average
 _LOAD = 2.0  # sites in a cell of the grid; 1 to 3 take the same time
 _SOLVED = 1e-3  # residual of the linear equations, relative: Newton's steps need no better
@@ -63,76 +61,77 @@ def _sort_into_cells(cell: Array, cells: int) -> tuple[Array, Array]:
 
 
 @kernel
-def _cut_voronoi(
-    dx: float, dy: float, label: int, corners: Array, neighbors: Array, size: int
+def _bucket(x: float, side: int) -> int:
+    return min(int(x * side), side - 1)
+
+
+@kernel
+def _cut(
+    dx: float, dy: float, level: float, label: int, cell: Array, size: int, spare: Array
 ) -> int:
-    # Cut a convex polygon by the bisector of the origin and (dx, dy); return its new size.
-    half = 0.5 * (dx * dx + dy * dy)
-    old, labels = corners[:size].copy(), neighbors[:size].copy()
-    count, outside = 0, 0
+    # Keep the part of the cell with x·d ≤ level; return its number of corners.
     for k in range(size):
-        x, y = old[k]
-        u, v = old[(k + 1) % size]
-        here, there = x * dx + y * dy - half, u * dx + v * dy - half
-        if here <= 0.0:
-            corners[count, 0], corners[count, 1], neighbors[count] = x, y, labels[k]
+        for c in range(4):
+            spare[k, c] = cell[k, c]
+    count, v = 0, spare[0, 0] * dx + spare[0, 1] * dy - level
+    for k in range(size):
+        after = 0 if k + 1 == size else k + 1
+        u, v = v, spare[after, 0] * dx + spare[after, 1] * dy - level
+        if u <= 0.0:
+            for c in range(4):
+                cell[count, c] = spare[k, c]
             count += 1
-        else:
-            outside += 1
-        if (here <= 0.0) != (there <= 0.0):
-            t = here / (here - there)
-            corners[count, 0], corners[count, 1] = x + t * (u - x), y + t * (v - y)
+        if (u <= 0.0) != (v <= 0.0):
             # Leaving the polygon the new edge begins, entering it an old one goes on
-            neighbors[count] = label if here <= 0.0 else labels[k]
+            t = u / (u - v)
+            cell[count, 0] = spare[k, 0] + t * (spare[after, 0] - spare[k, 0])
+            cell[count, 1] = spare[k, 1] + t * (spare[after, 1] - spare[k, 1])
+            cell[count, 2] = np.sqrt(dx * dx + dy * dy) if u <= 0.0 else spare[k, 2]
+            cell[count, 3] = label if u <= 0.0 else spare[k, 3]
             count += 1
-    if outside == 0:
-        corners[:size], neighbors[:size] = old, labels
-        return size
     return count
 
 
 @kernel
-def _farthest_corner(corners: Array, size: int) -> tuple[int, float]:
+def _farthest_corner(cell: Array, size: int) -> tuple[int, float]:
     best, square = 0, -1.0
     for k in range(size):
-        here = corners[k, 0] ** 2 + corners[k, 1] ** 2
+        here = cell[k, 0] ** 2 + cell[k, 1] ** 2
         if here > square:
             best, square = k, here
     return best, square
 
 
 @kernel
-def _measure(
-    i: int, points: Array, buckets: Any, corners: Array, neighbors: Array, holes: Array
-) -> int:
+def _measure(i: int, points: Array, buckets: Any, cell: Array, spare: Array, holes: Array) -> int:
     # Make Voronoi cell i and its row of `holes`; return its number of corners.
     side, _, head, chain = buckets
     size, near = 4, 1.0
     for k in range(4):
-        corners[k, 0] = 0.5 if k in (0, 3) else -0.5
-        corners[k, 1] = 0.5 if k < 2 else -0.5
-        neighbors[k] = -1
+        cell[k, 0] = 0.5 if k in (0, 3) else -0.5
+        cell[k, 1] = 0.5 if k < 2 else -0.5
+        cell[k, 3] = -1.0
 
     # Cut it by the points in rings of buckets, or by their images
     ring, far = 0, 0.5
     while ring == 0 or (ring - 1.0) ** 2 < 4.0 * far * side * side:
         for a in range(-ring, ring + 1):
             for b in range(-ring, ring + 1, 1 if abs(a) == ring else max(1, 2 * ring)):
-                c0 = min(int(points[i, 0] * side), side - 1) + a
-                c1 = min(int(points[i, 1] * side), side - 1) + b
+                c0, c1 = _bucket(points[i, 0], side) + a, _bucket(points[i, 1], side) + b
                 p = head[(c0 % side) * side + c1 % side]
                 while p >= 0:
                     if p != i:
                         dx = points[p, 0] - points[i, 0] + c0 // side
                         dy = points[p, 1] - points[i, 1] + c1 // side
-                        near = min(near, dx * dx + dy * dy)
-                        if dx * dx + dy * dy < 4.0 * _farthest_corner(corners, size)[1]:
-                            size = _cut_voronoi(dx, dy, p, corners, neighbors, size)
+                        d2 = dx * dx + dy * dy
+                        near = min(near, d2)
+                        if d2 < 4.0 * _farthest_corner(cell, size)[1]:
+                            size = _cut(dx, dy, 0.5 * d2, p, cell, size, spare)
                     p = chain[p]
-        far = _farthest_corner(corners, size)[1]
+        far = _farthest_corner(cell, size)[1]
         ring += 1
-    best, far = _farthest_corner(corners, size)
-    holes[i, 0], holes[i, 1] = points[i, 0] + corners[best, 0], points[i, 1] + corners[best, 1]
+    best, far = _farthest_corner(cell, size)
+    holes[i, 0], holes[i, 1] = points[i, 0] + cell[best, 0], points[i, 1] + cell[best, 1]
     holes[i, 2], holes[i, 3] = far, near
     return size
 
@@ -142,51 +141,51 @@ def measure_all(points: Array) -> Any:
     """Return buckets with all points, about one in each, and the holes (n, 4) of all cells."""
     n = points.shape[0]
     buckets, holes = empty_buckets(n, 2, max(1, int(np.sqrt(n)))), np.empty((n, 4))
-    corners, neighbors = np.empty((_CORNERS, 2)), np.empty(_CORNERS, np.int64)
+    cell, spare = np.empty((_CORNERS, 4)), np.empty((_CORNERS, 4))
     for i in range(n):
         add_to_buckets(i, points[i], buckets)
     for i in range(n):
-        _measure(i, points, buckets, corners, neighbors, holes)
+        _measure(i, points, buckets, cell, spare, holes)
     return buckets, holes
 
 
 @kernel
-def _measure_around(size: int, neighbors: Array, points: Array, buckets: Any, holes: Array) -> None:
+def _measure_around(size: int, cell: Array, points: Array, buckets: Any, holes: Array) -> None:
     # Measure the neighbours of a cell.
-    corners, others = np.empty((_CORNERS, 2)), np.empty(_CORNERS, np.int64)
+    other, spare = np.empty((_CORNERS, 4)), np.empty((_CORNERS, 4))
     for k in range(size):
-        if neighbors[k] >= 0:
-            _measure(neighbors[k], points, buckets, corners, others, holes)
+        if cell[k, 3] >= 0:
+            _measure(int(cell[k, 3]), points, buckets, other, spare, holes)
 
 
 @kernel
 def move_points(start: int, stop: int, points: Array, buckets: Any, holes: Array) -> None:
     """Move each of the points start … stop−1 to the centre of the largest empty disk without it."""
     side, _, head, chain = buckets
-    corners, neighbors = np.empty((_CORNERS, 2)), np.empty(_CORNERS, np.int64)
+    cell, spare = np.empty((_CORNERS, 4)), np.empty((_CORNERS, 4))
     for i in range(start, stop):
-        size = _measure(i, points, buckets, corners, neighbors, holes)
+        size = _measure(i, points, buckets, cell, spare, holes)
 
         # Take the point out of its bucket
         x, y = points[i]
-        cell = min(int(x * side), side - 1) * side + min(int(y * side), side - 1)
-        if head[cell] == i:
-            head[cell] = chain[i]
+        bucket = _bucket(x, side) * side + _bucket(y, side)
+        if head[bucket] == i:
+            head[bucket] = chain[i]
         else:
-            before = head[cell]
+            before = head[bucket]
             while chain[before] != i:
                 before = chain[before]
             chain[before] = chain[i]
-        _measure_around(size, neighbors, points, buckets, holes)
+        _measure_around(size, cell, points, buckets, holes)
 
         # Put it into the largest hole
         holes[i, 2] = -1.0
         best = np.argmax(holes[:, 2])
         for j in range(2):
-            points[i, j] = min(holes[best, j] - np.floor(holes[best, j]), _BELOW_ONE)
+            points[i, j] = min(holes[best, j] - np.floor(holes[best, j]), BELOW_ONE)
         add_to_buckets(i, points[i], buckets)
-        size = _measure(i, points, buckets, corners, neighbors, holes)
-        _measure_around(size, neighbors, points, buckets, holes)
+        size = _measure(i, points, buckets, cell, spare, holes)
+        _measure_around(size, cell, points, buckets, holes)
 
 
 class Diagram(NamedTuple):
@@ -212,32 +211,6 @@ class Diagram(NamedTuple):
 
 
 @kernel
-def _bucket(x: float, side: int) -> int:
-    return min(int(x * side), side - 1)
-
-
-@kernel
-def _cut(dx: float, dy: float, level: float, label: int, cell: Array, size: int, new: Array) -> int:
-    # Keep in `new` the part of the cell with x·d ≤ level; return its number of corners.
-    count, v = 0, cell[0, 0] * dx + cell[0, 1] * dy - level
-    for k in range(size):
-        after = 0 if k + 1 == size else k + 1
-        u, v = v, cell[after, 0] * dx + cell[after, 1] * dy - level
-        if u <= 0.0:
-            for c in range(4):
-                new[count, c] = cell[k, c]
-            count += 1
-        if (u <= 0.0) != (v <= 0.0):
-            t = u / (u - v)
-            new[count, 0] = cell[k, 0] + t * (cell[after, 0] - cell[k, 0])
-            new[count, 1] = cell[k, 1] + t * (cell[after, 1] - cell[k, 1])
-            new[count, 2] = np.sqrt(dx * dx + dy * dy) if u <= 0.0 else cell[k, 2]
-            new[count, 3] = label if u <= 0.0 else cell[k, 3]
-            count += 1
-    return count
-
-
-@kernel
 def _cut_by_bucket(
     s: int,
     sites: Array,
@@ -246,7 +219,7 @@ def _cut_by_bucket(
     radius2: float,
     size: int,
     cell: Array,
-    new: Array,
+    spare: Array,
 ) -> Any:
     # Cut the cell of site s, which is at `place` as seen from the bucket, by the sites in there
     # near enough to reach it; return the new square of the farthest corner's distance, and size.
@@ -260,17 +233,15 @@ def _cut_by_bucket(
         for k in range(size):
             extent = max(extent, cell[k, 0] * dx + cell[k, 1] * dy)
         if extent > level:
-            size = _cut(dx, dy, level, t, cell, size, new)
-            radius2 = 0.0
-            for k in range(size):
-                for c in range(4):
-                    cell[k, c] = new[k, c]
-                radius2 = max(radius2, cell[k, 0] ** 2 + cell[k, 1] ** 2)
+            size = _cut(dx, dy, level, t, cell, size, spare)
+            radius2 = max(0.0, _farthest_corner(cell, size)[1])
     return radius2, size
 
 
 @kernel
-def _cut_cell(s: int, sites: Array, buckets: Any, heaviest: float, cell: Array, new: Array) -> int:
+def _cut_cell(
+    s: int, sites: Array, buckets: Any, heaviest: float, cell: Array, spare: Array
+) -> int:
     # Make the cell of site s (in the order of the buckets); return its number of corners.
     side, starts = buckets
     x, y, excess, width = sites[s, 0], sites[s, 1], heaviest - sites[s, 2], 1.0 / side
@@ -289,7 +260,7 @@ def _cut_cell(s: int, sites: Array, buckets: Any, heaviest: float, cell: Array, 
             for b in range(column - ring, column + ring + 1, step):
                 k = i * side + b % side
                 bucket, place = (starts[k], starts[k + 1]), (x - turns, y - b // side)
-                radius2, size = _cut_by_bucket(s, sites, bucket, place, radius2, size, cell, new)
+                radius2, size = _cut_by_bucket(s, sites, bucket, place, radius2, size, cell, spare)
         if size == 0:
             break
         ring += 1

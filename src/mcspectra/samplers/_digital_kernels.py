@@ -6,19 +6,12 @@ first digit the highest bit, so that 2^31 stands for ½; ``out`` float64 (n, d).
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.jit import kernel
 
-__all__ = ["BLOCK", "block_words", "direction_numbers", "fill_base", "fill_binary", "low_words"]
-
-BLOCK = 256
-"""Indices that share their upper bits: their words are one table, XORed with one word a block."""
-_LOW_BITS = 8
-_UNIT_32 = 2.0**-32
+__all__ = ["direction_numbers", "fill_base"]
 
 
 @kernel
@@ -41,47 +34,6 @@ def direction_numbers(polynomials: Array, initial: Array, out: Array) -> None:
                 if (polynomials[j] >> (degree - k)) & 1:
                     word ^= v[i - k]
             v[i] = word
-
-
-@kernel
-def low_words(directions: Array, n: int) -> Array:
-    """Words of the first 256 (or 2^k ≥ n) indices: (d, size), of the type of `directions`."""
-    size, bits = 1, 0
-    while size < n and bits < _LOW_BITS:
-        size, bits = 2 * size, bits + 1
-    table = np.zeros((directions.shape[0], size), directions.dtype)
-    for j in range(directions.shape[0]):
-        for k in range(bits):
-            for i in range(1 << k):
-                table[j, i + (1 << k)] = table[j, i] ^ directions[j, k]
-    return table
-
-
-@kernel
-def block_words(directions: Array, block: int, out: Array) -> None:
-    """What the index bits above the lowest eight contribute in `block`; out (d,)."""
-    for j in range(out.size):
-        out[j] = 0
-        k, rest = _LOW_BITS, block
-        while rest:
-            if rest & 1:
-                out[j] ^= directions[j, k]
-            k, rest = k + 1, rest >> 1
-
-
-@kernel
-def fill_binary(directions: Array, out: Array) -> None:
-    """Points 0 … n−1 of a digital sequence in base 2, in natural order."""
-    n, dims = out.shape
-    low = low_words(directions, n)
-    high = np.empty(dims, np.uint32)
-    for start in range(0, n, low.shape[1]):
-        block_words(directions, start // BLOCK, high)
-        stop = min(low.shape[1], n - start)
-        for j in range(dims):
-            base: Any = high[j]
-            for t in range(stop):
-                out[start + t, j] = np.float64(low[j, t] ^ base) * _UNIT_32
 
 
 @kernel

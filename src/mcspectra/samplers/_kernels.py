@@ -18,8 +18,7 @@ from mcspectra.core.streams import mix_bits, mix_uniform
 __all__ = [
     "fill_jittered",
     "fill_latin",
-    "random_offsets",
-    "translate",
+    "translated",
 ]
 
 _S32 = np.uint64(32)
@@ -65,21 +64,17 @@ def fill_latin(keys: Array, side: float, out: Array) -> None:
                 out[r, i, j] = order[i] / n + side * mix_uniform(k0, k1, i * dims + j)
 
 
-@kernel
-def random_offsets(keys: Array, out: Array) -> None:
-    """One uniform vector a realisation; out (R, d)."""
-    for r in range(out.shape[0]):
-        for j in range(out.shape[1]):
-            out[r, j] = mix_uniform(keys[r, 0], keys[r, 1], j)
+def translated(points: Array, offsets: Array) -> Array:
+    """Sets (R or 1, n, d) moved on the torus by offsets (R or 1, d) in [0,1): (R, n, d)."""
+    out = np.empty((max(len(points), len(offsets)), *points.shape[1:]))
+    _translate(points, offsets, out)
+    return out
 
 
 @kernel
-def translate(points: Array, offsets: Array, out: Array) -> None:
-    """Toroidal translation of sets (R or 1, n, d) by offsets (R or 1, d) in [0,1).
-
-    x + δ is at most 2 − 2^-52, which is a float64, and for 1 ≤ x + δ < 2 the subtraction is exact:
-    the result cannot be 1.
-    """
+def _translate(points: Array, offsets: Array, out: Array) -> None:
+    # x + δ is at most 2 − 2^-52, which is a float64, and for 1 ≤ x + δ < 2 the subtraction is exact:
+    # the result cannot be 1
     count, n, dims = out.shape
     for r in range(count):
         offset, one = offsets[r % offsets.shape[0]], points[r % points.shape[0]]

@@ -1,7 +1,7 @@
 """Numba kernels that scramble digits: XOR, permutations, nested uniform, by hash, by random matrices.
 
 Legend: R realisations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`; ``bases`` int64
-(d,); ``points`` and ``out`` float64 (R, n, d).
+(d,); ``points`` float64 (R, n, d), or (1, n, d) of one set for all; ``out`` float64 (R, n, d).
 
 Base 2 comes first. A coordinate is a word of 32 (or 53) bits, the highest standing for ½.
 
@@ -20,15 +20,13 @@ from typing import Any
 
 import numpy as np
 
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import BELOW_ONE, Array
 from mcspectra.core.jit import kernel
 from mcspectra.core.streams import mix_bits, mix_uniform
-from mcspectra.samplers._digital_kernels import BLOCK, block_words, low_words
 from mcspectra.samplers._kernels import _mix_below
 
 __all__ = [
-    "fill_flipped",
-    "fill_hashed",
+    "fill_inverses",
     "fill_mixed",
     "fill_nested",
     "fill_permuted",
@@ -36,7 +34,6 @@ __all__ = [
     "mix_triangles",
     "permute_digits",
     "scramble_hashed",
-    "scramble_nested",
     "scramble_trees",
     "xor_digits",
 ]
@@ -50,7 +47,6 @@ _WORDS = 512  # words of a block: 4 kB
 _TABLE = 1024  # entries of a table of images of several digits: 8 kB
 _USED_UP = 2**32
 _LEAST, _FINEST = 2.0**32, 2.0**50
-_BELOW_ONE = 1.0 - 2.0**-53
 
 
 @kernel
@@ -59,11 +55,12 @@ def xor_digits(keys: Array, points: Array, out: Array) -> None:
     count, n, dims = out.shape
     words = np.empty(dims, np.uint64)
     for r in range(count):
+        one = points[r % points.shape[0]]
         for j in range(dims):
             words[j] = mix_bits(keys[r, 0], keys[r, 1], j) >> _S11
         for i in range(n):
             for j in range(dims):
-                digits = np.uint64(points[r, i, j] * _TO_53)
+                digits = np.uint64(one[i, j] * _TO_53)
                 out[r, i, j] = np.float64(digits ^ words[j]) * _UNIT_53
 
 
@@ -130,40 +127,6 @@ def _nest(
 
 
 @kernel
-def scramble_nested(keys: Array, points: Array, out: Array) -> None:
-    """Owen's nested uniform scrambling in base 2: 32 levels, independent uniform digits below."""
-    count, n, dims = out.shape
-    block = np.empty(_WORDS, np.uint64)
-    for r in range(count):
-        for start in range(0, n, _WORDS):
-            stop = min(n, start + _WORDS)
-            words = block[: stop - start]
-            for j in range(dims):
-                for i in range(words.size):
-                    words[i] = np.uint64(np.int64(points[r, start + i, j] * _TO_32))
-                _nest(keys[r, 0], keys[r, 1], j, dims, start, words, out[r, start:stop, j])
-
-
-@kernel
-def fill_flipped(keys: Array, directions: Array, out: Array) -> None:
-    """What `scramble_nested` makes of points 0 … n−1 of the sequence of uint32 (d, 32) columns."""
-    count, n, dims = out.shape
-    low = low_words(directions, n)
-    size = low.shape[1]
-    words, high = np.empty(size, np.uint64), np.empty(dims, np.uint32)
-    for r in range(count):
-        for start in range(0, n, size):
-            block_words(directions, start // BLOCK, high)
-            stop = min(n, start + size)
-            for j in range(dims):
-                base: Any = high[j]
-                for t in range(stop - start):
-                    words[t] = low[j, t] ^ base
-                column = out[r, start:stop, j]
-                _nest(keys[r, 0], keys[r, 1], j, dims, start, words[: stop - start], column)
-
-
-@kernel
 def _reversed(word: Any) -> Any:
     # Bits of a 32-bit word in reverse, by halves (compilers know it).
     x = np.uint32(word)
@@ -200,48 +163,24 @@ def _hash_keys(k0: np.uint64, k1: np.uint64, out: Array) -> None:
 def scramble_hashed(keys: Array, points: Array, out: Array) -> None:
     """Owen scrambling by hash of 32 bits, independent uniform digits below."""
     count, n, dims = out.shape
-    hash_keys = np.empty((dims, 4), np.uint32)
+    hash_keys, block = np.empty((dims, 4), np.uint32), np.empty(_WORDS, np.uint32)
     for r in range(count):
         k0, k1 = keys[r, 0], keys[r, 1]
+        one = points[r % points.shape[0]]
         _hash_keys(k0, k1, hash_keys)
-        for i in range(n):
+        for start in range(0, n, _WORDS):
+            words = block[: min(_WORDS, n - start)]
             for j in range(dims):
-                word = _reversed(np.uint32(np.int64(points[r, i, j] * _TO_32)))
+                # Loops apart, so that those over words alone are vectorised
                 add, factor, add_2, factor_2 = hash_keys[j]
-                word = _reversed(_hashed(word, add, factor, add_2, factor_2))
-                out[r, i, j] = _with_tail(k0, k1, i * dims + j, word)
-
-
-@kernel
-def _hash_block(low: Array, high: Any, key: Array, out: Array) -> None:
-    add, factor, add_2, factor_2 = key[0], key[1], key[2], key[3]
-    for t in range(low.size):
-        out[t] = _reversed(_hashed(low[t] ^ high, add, factor, add_2, factor_2))
-
-
-@kernel
-def fill_hashed(keys: Array, directions: Array, out: Array) -> None:
-    """What `scramble_hashed` makes of points 0 … n−1 of the sequence of uint32 (d, 32) columns."""
-    count, n, dims = out.shape
-    backwards = np.empty_like(directions)
-    for j in range(dims):
-        for k in range(directions.shape[1]):
-            backwards[j, k] = _reversed(directions[j, k])
-    low = low_words(backwards, n)
-    size = low.shape[1]
-    words, high = np.empty(size * dims, np.uint32), np.empty(dims, np.uint32)
-    hash_keys = np.empty((dims, 4), np.uint32)
-    for r in range(count):
-        k0, k1 = keys[r, 0], keys[r, 1]
-        _hash_keys(k0, k1, hash_keys)
-        row = out[r].reshape(n * dims)
-        for start in range(0, n, size):
-            block_words(backwards, start // BLOCK, high)
-            for j in range(dims):
-                _hash_block(low[j], high[j], hash_keys[j], words[j::dims])
-            for t in range(min(size, n - start) * dims):
-                number = start * dims + t
-                row[number] = _with_tail(k0, k1, number, words[t])
+                for i in range(words.size):
+                    words[i] = np.uint32(np.int64(one[start + i, j] * _TO_32))
+                for i in range(words.size):
+                    hashed = _hashed(_reversed(words[i]), add, factor, add_2, factor_2)
+                    words[i] = _reversed(hashed)
+                for i in range(words.size):
+                    number = (start + i) * dims + j
+                    out[r, start + i, j] = _with_tail(k0, k1, number, words[i])
 
 
 @kernel
@@ -276,9 +215,10 @@ def mix_matrices(keys: Array, shift: bool, points: Array, out: Array) -> None:
     columns, words = np.empty((dims, 53), np.uint64), np.empty(dims, np.uint64)
     for r in range(count):
         _draw_matrices(keys[r, 0], keys[r, 1], shift, columns, words)
+        one = points[r % points.shape[0]]
         for i in range(n):
             for j in range(dims):
-                digits = np.uint64(points[r, i, j] * _TO_53) << _S11
+                digits = np.uint64(one[i, j] * _TO_53) << _S11
                 mixed = _product(columns[j], digits) ^ words[j]
                 out[r, i, j] = np.float64(np.int64(mixed)) * _UNIT_53
 
@@ -288,22 +228,20 @@ def fill_mixed(keys: Array, shift: bool, directions: Array, out: Array) -> None:
     """What `mix_matrices` makes of points 0 … n−1 of the sequence of uint32 (d, 32) columns."""
     count, n, dims = out.shape
     columns, words = np.empty((dims, 53), np.uint64), np.empty(dims, np.uint64)
-    mixed, high = np.zeros((dims, 32), np.uint64), np.empty(dims, np.uint64)
+    points = np.empty(n, np.uint64)
     for r in range(count):
         _draw_matrices(keys[r, 0], keys[r, 1], shift, columns, words)
         for j in range(dims):
-            k = 0
-            while k < 32 and (1 << k) < n:
-                mixed[j, k] = _product(columns[j], np.uint64(directions[j, k]) << _S32)
-                k += 1
-        low = low_words(mixed, n)
-        size = low.shape[1]
-        for start in range(0, n, size):
-            block_words(mixed, start // BLOCK, high)
-            for j in range(dims):
-                base: Any = high[j] ^ words[j]
-                for t in range(min(size, n - start)):
-                    out[r, start + t, j] = np.float64(np.int64(low[j, t] ^ base)) * _UNIT_53
+            # Each bit of the index doubles the points there are
+            points[0], k, size = words[j], 0, 1
+            while size < n:
+                column = _product(columns[j], np.uint64(directions[j, k]) << _S32)
+                new = points[size : 2 * size]
+                for i in range(new.size):
+                    new[i] = points[i] ^ column
+                k, size = k + 1, 2 * size
+            for i in range(n):
+                out[r, i, j] = np.float64(np.int64(points[i])) * _UNIT_53
 
 
 @kernel
@@ -345,15 +283,17 @@ def _draw_permutation(k0: np.uint64, k1: np.uint64, number: int, order: Array) -
 
 
 @kernel
-def _draw_images(k0: np.uint64, k1: np.uint64, number: int, shift: bool, out: Array) -> None:
-    # out int64 (m, b): what becomes of each digit in each place, the lowest place first
-    places, base = out.shape
+def _draw_images(k0: Any, k1: Any, number: int, places: int, base: int, shift: bool) -> Any:
+    # What becomes of each digit in each place, the lowest place first: int64 (m, b); and a uniform number
+    # for what comes below, the same for all points
+    out = np.empty((places, base), np.int64)
     for k in range(places):
         if shift:
             out[k] = (np.arange(base) + _mix_below(k0, k1, number, base)) % base
         else:
             _draw_permutation(k0, k1, number, out[k])
         number += base
+    return out, mix_uniform(k0, k1, number)
 
 
 @kernel
@@ -383,18 +323,15 @@ def permute_digits(keys: Array, bases: Array, shift: bool, points: Array, out: A
     n = out.shape[1]
     for r in range(out.shape[0]):
         k0, k1 = keys[r, 0], keys[r, 1]
-        number = 0
+        number, one = 0, points[r % points.shape[0]]
         for j in range(out.shape[2]):
             places, scale, nudge, unit = _format(bases[j])
-            images = np.empty((places, bases[j]), np.int64)
-            _draw_images(k0, k1, number, shift, images)
-            number += images.size
-            tail = mix_uniform(k0, k1, number)
-            number += 1
+            images, tail = _draw_images(k0, k1, number, places, bases[j], shift)
+            number += images.size + 1
             table = _group_images(images, min(n, _TABLE))
             groups, size = table.shape
             for i in range(n):
-                v = _read(points[r, i, j], scale, nudge)
+                v = _read(one[i, j], scale, nudge)
                 permuted, weight = 0, 1
                 for g in range(groups):  # from the lowest
                     above = _quotient(v, 1.0 / size)
@@ -404,45 +341,64 @@ def permute_digits(keys: Array, bases: Array, shift: bool, points: Array, out: A
 
 
 @kernel
+def _invert_digits(images: Array, start: int, out: Array) -> None:
+    # Radical inverses of start, start + 1, … in units of b^-m, with the images (m, b) of their digits;
+    # out int64 (n,)
+    (places, base), n = images.shape, out.size
+
+    # Tabulate the images of as many of the index's lowest digits as are worth it
+    size, low = base, 1
+    while low < places and size * base <= min(n, _TABLE):
+        size, low = size * base, low + 1
+    table = np.zeros(size, np.int64)
+    width, weight = 1, base ** (places - 1)
+    for k in range(low):
+        for digit in range(base - 1, -1, -1):  # 0 last: it overwrites what others read
+            for v in range(width):
+                image = images[places - 1 - k, digit]
+                table[digit * width + v] = table[v] + image * weight
+        width, weight = width * base, weight // base
+
+    # Add those of the digits above, the same for a run of indices
+    i, v, block = 0, start % size, start // size
+    while i < n:
+        high, unit_above, rest = 0, weight, block
+        for k in range(low, places):
+            high += images[places - 1 - k, rest % base] * unit_above
+            unit_above, rest = unit_above // base, rest // base
+        stop = min(n, i + size - v)
+        for t in range(i, stop):
+            out[t] = table[v + t - i] + high
+        i, v, block = stop, 0, block + 1
+
+
+@kernel
+def fill_inverses(bases: Array, start: int, out: Array) -> None:
+    """Radical inverses of start, start + 1, … in each base; out (n, d)."""
+    inverses = np.empty(out.shape[0], np.int64)
+    for j in range(bases.size):
+        places, scale, _, _ = _format(bases[j])
+        images = np.empty((places, bases[j]), np.int64)
+        images[:] = np.arange(bases[j])
+        _invert_digits(images, start, inverses)
+        for i in range(inverses.size):
+            out[i, j] = inverses[i] / scale
+
+
+@kernel
 def fill_permuted(keys: Array, bases: Array, shift: bool, start: int, out: Array) -> None:
     """What `permute_digits` makes of the radical inverses of start, start + 1, …"""
-    n = out.shape[1]
+    inverses = np.empty(out.shape[1], np.int64)
     for r in range(out.shape[0]):
         k0, k1 = keys[r, 0], keys[r, 1]
         number = 0
         for j in range(out.shape[2]):
-            base = bases[j]
-            places, scale, _, unit = _format(base)
-            images = np.empty((places, base), np.int64)
-            _draw_images(k0, k1, number, shift, images)
-            number += images.size
-            tail = mix_uniform(k0, k1, number)
-            number += 1
-
-            # Tabulate the images of as many of the index's lowest digits as are worth it
-            size, low = base, 1
-            while low < places and size * base <= min(n, _TABLE):
-                size, low = size * base, low + 1
-            table = np.zeros(size, np.int64)
-            width, weight = 1, base ** (places - 1)
-            for k in range(low):
-                for digit in range(base - 1, -1, -1):  # 0 last: it overwrites what others read
-                    for v in range(width):
-                        image = images[places - 1 - k, digit]
-                        table[digit * width + v] = table[v] + image * weight
-                width, weight = width * base, weight // base
-
-            # Add those of the digits above, the same for a run of indices
-            i, v, block = 0, start % size, start // size
-            while i < n:
-                high, unit_above, rest = 0, weight, block
-                for k in range(low, places):
-                    high += images[places - 1 - k, rest % base] * unit_above
-                    unit_above, rest = unit_above // base, rest // base
-                stop = min(n, i + size - v)
-                for t in range(i, stop):
-                    out[r, t, j] = _write(table[v + t - i] + high, tail, scale, unit)
-                i, v, block = stop, 0, block + 1
+            places, scale, _, unit = _format(bases[j])
+            images, tail = _draw_images(k0, k1, number, places, bases[j], shift)
+            number += images.size + 1
+            _invert_digits(images, start, inverses)
+            for i in range(inverses.size):
+                out[r, i, j] = _write(inverses[i], tail, scale, unit)
 
 
 @kernel
@@ -478,7 +434,7 @@ def fill_nested(keys: Array, bases: Array, out: Array) -> None:
                         order[c], order[picks[c]] = order[picks[c]], order[c]
                 width, span = width * base, span // base
             for i in range(n):
-                row[i] = min(row[i] / scale, _BELOW_ONE)
+                row[i] = min(row[i] / scale, BELOW_ONE)
 
 
 @kernel
@@ -520,23 +476,23 @@ def _climb(k0: np.uint64, k1: np.uint64, dim: int, base: int, places: int, v: in
 
 @kernel
 def scramble_trees(keys: Array, bases: Array, points: Array, out: Array) -> None:
-    """Owen's nested uniform scrambling in the base of each coordinate, independent digits below.
-
-    Coordinates in base 2 are those of `scramble_nested`.
-    """
+    """Owen's nested uniform scrambling in the base of each coordinate, independent digits below."""
     count, n, dims = out.shape
-    words = np.empty(n, np.uint64)
+    block = np.empty(_WORDS, np.uint64)
     for r in range(count):
         k0, k1 = keys[r, 0], keys[r, 1]
+        one = points[r % points.shape[0]]
         for j in range(dims):
             places, scale, nudge, unit = _format(bases[j])
             if bases[j] == 2:
-                for i in range(n):
-                    words[i] = np.uint64(_read(points[r, i, j], scale, nudge))
-                _nest(k0, k1, j, dims, 0, words, out[r, :, j])
+                for start in range(0, n, _WORDS):
+                    words = block[: min(_WORDS, n - start)]
+                    for i in range(words.size):
+                        words[i] = np.uint64(_read(one[start + i, j], scale, nudge))
+                    _nest(k0, k1, j, dims, start, words, out[r, start : start + words.size, j])
                 continue
             for i in range(n):
-                v = _read(points[r, i, j], scale, nudge)
+                v = _read(one[i, j], scale, nudge)
                 address: Any = _TAIL | np.uint64(i * dims + j)
                 tail = mix_uniform(k0, k1, address)
                 scrambled = _climb(k0, k1, j, bases[j], places, v)
@@ -576,7 +532,7 @@ def mix_triangles(keys: Array, bases: Array, shift: bool, points: Array, out: Ar
     """
     for r in range(out.shape[0]):
         k0, k1 = keys[r, 0], keys[r, 1]
-        number = 0
+        number, one = 0, points[r % points.shape[0]]
         for j in range(out.shape[2]):
             base = bases[j]
             places, scale, nudge, unit = _format(base)
@@ -590,7 +546,8 @@ def mix_triangles(keys: Array, bases: Array, shift: bool, points: Array, out: Ar
             digits, inverse = np.empty(places, np.int64), 1.0 / base
             for i in range(out.shape[1]):
                 digits[:] = added
-                _multiply(matrix, base, _read(points[r, i, j], scale, nudge), digits)
+                v = _read(one[i, j], scale, nudge)
+                _multiply(matrix, base, v, digits)
                 mixed = 0
                 for k in range(places):
                     mixed = mixed * base + digits[k] - _quotient(digits[k], inverse) * base

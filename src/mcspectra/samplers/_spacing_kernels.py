@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import BELOW_ONE, Array
 from mcspectra.core.jit import kernel
 from mcspectra.core.streams import mix_uniform
 
@@ -27,10 +27,8 @@ __all__ = [
     "pick_candidates",
     "throw_darts",
     "throw_set",
-    "throw_sets",
 ]
 
-_BELOW_ONE = 1.0 - 2.0**-53
 _FINEST = 2**40
 _NOWHERE = 9.0  # coordinate of an empty cell, farther away than any radius
 _AXES = 3  # of buckets and grids: more would be visits to empty cells
@@ -158,7 +156,7 @@ def _place(x: Array, side: int, reach: int, wrap: bool, grid: Array) -> None:
 
 
 @kernel
-def throw_set(k0: Any, k1: Any, at: int, disks: Any, points: Array) -> tuple[int, int]:
+def throw_set(disks: Any, k0: Any, k1: Any, at: int, points: Array) -> tuple[int, int]:
     """Throw until `points` (n, d) are placed or none fits any more.
 
     Returns their number, and where the random numbers go on. `disks`: see `poisson`.
@@ -182,7 +180,7 @@ def throw_set(k0: Any, k1: Any, at: int, disks: Any, points: Array) -> tuple[int
         for _ in range(throws * m):
             pick = int(mix_uniform(k0, k1, at) * m)
             for j in range(dims):
-                x[j] = min((active[pick, j] + mix_uniform(k0, k1, at + 1 + j)) / scale, _BELOW_ONE)
+                x[j] = min((active[pick, j] + mix_uniform(k0, k1, at + 1 + j)) / scale, BELOW_ONE)
             at += dims + 1
             home = _home(x, side, reach)
             if grid[home, 0] == _NOWHERE:
@@ -217,46 +215,27 @@ def throw_set(k0: Any, k1: Any, at: int, disks: Any, points: Array) -> tuple[int
 
 
 @kernel
-def throw_sets(keys: Array, disks: Any, attempts: int, out: Array) -> bool:
-    """Fill out (R, n, d); False if a realisation jams in every attempt."""
-    for r in range(out.shape[0]):
-        at: Any = np.int64(0)  # a literal 0 would compile throw_set twice
-        placed, attempt = 0, 0
-        while placed < out.shape[1]:
-            if attempt == attempts:
-                return False
-            placed, at = throw_set(keys[r, 0], keys[r, 1], at, disks, out[r])
-            attempt += 1
-    return True
-
-
-@kernel
 def throw_darts(
-    keys: Array, limit: float, side: int, trials: int, attempts: int, out: Array
-) -> bool:
-    """Fill out (R, n, d) with points of squared distances ≥ `limit`; False if a set does not fit."""
-    count, n, dims = out.shape
-    for r in range(count):
-        points, at, placed, attempt = out[r], 0, 0, 0
-        while placed < n:
-            if attempt == attempts:
-                return False
-            attempt += 1
+    limit: float, side: int, trials: int, k0: Any, k1: Any, at: int, points: Array
+) -> tuple[int, int]:
+    """Throw until `points` (n, d) stick or `trials` darts in a row do not, squared distances ≥ `limit`.
 
-            # Throw until all points stick or `trials` darts in a row do not
-            buckets = empty_buckets(n, dims, side)
-            placed, missed = 0, 0
-            while placed < n and missed < trials:
-                x = points[placed]
-                for j in range(dims):
-                    x[j] = mix_uniform(keys[r, 0], keys[r, 1], at + j)
-                at += dims
-                missed += 1
-                if _clearance(x, points, buckets, True, limit, limit) >= limit:
-                    add_to_buckets(placed, x, buckets)
-                    placed += 1
-                    missed = 0
-    return True
+    Returns their number, and where the random numbers go on.
+    """
+    n, dims = points.shape
+    buckets = empty_buckets(n, dims, side)
+    placed, missed = 0, 0
+    while placed < n and missed < trials:
+        x = points[placed]
+        for j in range(dims):
+            x[j] = mix_uniform(k0, k1, at + j)
+        at += dims
+        missed += 1
+        if _clearance(x, points, buckets, True, limit, limit) >= limit:
+            add_to_buckets(placed, x, buckets)
+            placed += 1
+            missed = 0
+    return placed, at
 
 
 @kernel
@@ -401,7 +380,7 @@ def fill_holes(points: Array, placed: int, wrap: bool) -> None:
                 _push(heap, size, part)
                 size += 1
         else:
-            points[placed] = np.minimum(box[2:], _BELOW_ONE)
+            points[placed] = np.minimum(box[2:], BELOW_ONE)
             add_to_buckets(placed, points[placed], buckets)
             placed += 1
             _push(heap, size, box)

@@ -22,7 +22,7 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.checks import BELOW_ONE, Array, as_integer
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.fields import whole
 from mcspectra.core.jit import kernel
@@ -44,7 +44,6 @@ _REPELLING = 0.5  # width of the Gaussians that repel points in their cells, in 
 _REACH = 2  # cells to either side whose points are felt
 _REPORTS = 10
 _LAST_STEP = 0.05  # cells
-_BELOW_ONE = 1.0 - 2.0**-53
 
 
 def dither_mask(size: int, keys: Array) -> Array:
@@ -254,7 +253,7 @@ def _jitter_cells(k0: np.uint64, k1: np.uint64, cells: Array, side: int, out: Ar
         number += 2
         x = (cells[p] // side + down) % side + mix_uniform(k0, k1, number)
         y = (cells[p] + across) % side + mix_uniform(k0, k1, number + 1)
-        out[p, 0], out[p, 1] = min(x / side, _BELOW_ONE), min(y / side, _BELOW_ONE)
+        out[p, 0], out[p, 1] = min(x / side, BELOW_ONE), min(y / side, BELOW_ONE)
 
 
 @final
@@ -395,5 +394,5 @@ def snap_in_chunks(
         for j in range(side):
             for axis in range(2):
                 value = (out[i, j, axis] + mix_uniform(k0, k1, number)) / (side * side)
-                out[i, j, axis] = min(value, _BELOW_ONE)
+                out[i, j, axis] = min(value, BELOW_ONE)
                 number += 1

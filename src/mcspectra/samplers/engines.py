@@ -16,7 +16,7 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import as_integer
+from mcspectra.core.checks import BELOW_ONE, as_integer
 from mcspectra.core.errors import (
     MissingDependency,
     ParameterError,
@@ -32,7 +32,6 @@ from mcspectra.samplers.external import OneByOne, qualified_name
 
 __all__ = ["QmcpySampler", "ScipySampler", "is_engine", "is_generator"]
 
-_BELOW_ONE = np.nextafter(1.0, 0.0)
 _RANDOMNESS = ("rng", "seed")  # `seed` until scipy 1.15, and in subclasses written before
 _SET_ELSEWHERE = ("dimension", "replications", "seed")  # arguments of QMCPy's generators
 _UNBIASED = ("Halton", "LatinHypercube", "Sobol")  # engines of scipy, scrambled
@@ -384,7 +383,7 @@ class QmcpySampler(OneByOne):
         made = self._fresh(np.random.SeedSequence([int(k0), int(k1)]))
         with self.refusals_named(n, Exception):  # QMCPy has its own kinds, and bare assertions
             points = np.asarray(made.gen_samples(n, warn=False), dtype=np.float64)
-        points[points == 1.0] = _BELOW_ONE
+        points[points == 1.0] = BELOW_ONE
         return points
 
     def _counts_near(self, n: int) -> tuple[int | None, int]:

@@ -294,9 +294,20 @@ class OneByOne(Sampler):
             ) from error
 
 
+class _OfCode(OneByOne):
+    """A sampler of the user's code, who declares as `unbiased_` whether every point is uniform."""
+
+    unbiased_: bool
+
+    @property
+    def unbiased(self) -> bool:  # type: ignore[override]
+        """As declared by the user; a set that is always the same is not."""
+        return self.unbiased_ and not self.fixed
+
+
 @final
 @dataclass(frozen=True, kw_only=True)
-class FunctionSampler(OneByOne):
+class FunctionSampler(_OfCode):
     """A callable ``draw(n, generator) -> (n, d)``, called once for each realisation.
 
     Attributes
@@ -322,11 +333,6 @@ class FunctionSampler(OneByOne):
             )
 
     @property
-    def unbiased(self) -> bool:  # type: ignore[override]
-        """As declared by the user."""
-        return self.unbiased_
-
-    @property
     def spec(self) -> str:
         """Name of the callable, which no spec string can describe."""
         return f"function({qualified_name(self.function)})"
@@ -338,7 +344,7 @@ class FunctionSampler(OneByOne):
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class PythonSampler(OneByOne):
+class PythonSampler(_OfCode):
     """A Python function ``draw(n, generator) -> (n, d)`` by its name, called once a realisation.
 
     Attributes
@@ -373,11 +379,6 @@ class PythonSampler(OneByOne):
         loaded_function(self.function)
         allow_code(self.function)
 
-    @property
-    def unbiased(self) -> bool:  # type: ignore[override]
-        """As declared by the user."""
-        return self.unbiased_
-
     def make_one(self, n: int, stream: Stream, realization: int) -> object:
         """Call the function."""
         function = loaded_function(self.function)
@@ -387,7 +388,7 @@ class PythonSampler(OneByOne):
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class CommandSampler(OneByOne):
+class CommandSampler(_OfCode):
     """A program that prints points, a point a line, run once for each realisation.
 
     Attributes
@@ -442,11 +443,6 @@ class CommandSampler(OneByOne):
     def fixed(self) -> bool:  # type: ignore[override]
         """Whether the program is not told a seed."""
         return "{seed}" not in self.run
-
-    @property
-    def unbiased(self) -> bool:  # type: ignore[override]
-        """As declared by the user; a set that is always the same is not."""
-        return self.unbiased_ and not self.fixed
 
     def make_one(self, n: int, stream: Stream, realization: int) -> object:
         """Run the program and read what it prints."""

@@ -22,8 +22,7 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.core.fields import real, whole
 from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
-from mcspectra.core.streams import Stream, mix_uniform
-from mcspectra.samplers._kernels import random_offsets
+from mcspectra.core.streams import Stream, mix_uniform, uniforms
 from mcspectra.samplers.base import Sampler, Structure
 from mcspectra.samplers.optimised import OptimisedSampler, Report, minimize, random_points, wrap
 from mcspectra.samplers.stratified import GridSampler, corners
@@ -83,8 +82,7 @@ class PerturbedLattice(GridSampler):
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         keys, sides = stream.keys(first, count), self._sides(n)
-        offsets, moves = np.empty((count, self.dims)), np.empty((count, n * self.dims))
-        random_offsets(keys, offsets)
+        offsets, moves = uniforms(keys, self.dims), np.empty((count, n * self.dims))
         fill_normals(keys, self.dims, moves)
         field = moves.reshape(count, n, self.dims)
 

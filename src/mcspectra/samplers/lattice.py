@@ -140,14 +140,9 @@ class Korobov(_Lattice):
 
     Notes
     -----
-    The search takes the least squared worst-case error P_2 of the class of smoothness α = 2 with
-    equal weights,
-
-        P_2 = −1 + (1/n) Σ_k Π_j (1 + 2π² B_2({k a^(j−1)/n})),   B_2(x) = x² − x + 1/6,
-
-    of the a ≤ n/2 coprime to n (n − a gives the reflected lattice): of all of them as long as that
-    takes at most 2^24 values of B_2 (n up to 4,096 in 2-D), else of evenly spread ones, 16 at
-    least. Kept in memory by (n, d).
+    The search takes the least P_2, that of `Rank1Lattice` with equal weights γ_j = 1, of the a ≤ n/2
+    coprime to n (n − a gives the reflected lattice): of all of them as long as that takes at most 2^24
+    values of B_2 (n up to 4,096 in 2-D), else of evenly spread ones, 16 at least. Kept in memory by (n, d).
 
     References
     ----------

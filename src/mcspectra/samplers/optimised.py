@@ -22,11 +22,10 @@ import numpy as np
 from mcspectra.core.cache import cached_array
 from mcspectra.core.checks import Array
 from mcspectra.core.fields import whole
-from mcspectra.core.jit import kernel
 from mcspectra.core.parallel import available_workers, map_in_order
 from mcspectra.core.progress import report
-from mcspectra.core.streams import Stream, mix_uniform
-from mcspectra.samplers._kernels import random_offsets
+from mcspectra.core.streams import Stream, uniforms
+from mcspectra.samplers._kernels import translated
 from mcspectra.samplers.base import Sampler, Structure
 
 __all__ = [
@@ -34,7 +33,6 @@ __all__ = [
     "Report",
     "minimize",
     "random_points",
-    "translated",
     "wrap",
 ]
 
@@ -83,7 +81,7 @@ class OptimisedSampler(Sampler, ABC):
         points = np.stack(list(made))[place]
         if self.sets is None:
             return points
-        return translated(points, stream.child(_CHILD).keys(first, count))
+        return translated(points, stream.child(_CHILD).uniforms(first, count, self.dims))
 
     def _set(self, n: int, stream: Stream, realization: int) -> Array:
         """Fetch one set from the cache, or make it."""
@@ -125,24 +123,9 @@ def _exact(value: object) -> object:
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
-def translated(points: Array, keys: Array) -> Array:
-    """Move each set of (R, n, d) on the torus by the random vector of its keys uint64 (R, 2)."""
-    offsets = np.empty((len(points), points.shape[-1]))
-    random_offsets(keys, offsets)
-    return wrap(points + offsets[:, None])
-
-
 def random_points(keys: Array, n: int, dims: int) -> Array:
     """Return the first n·d numbers of a realisation as independent uniform points (n, d)."""
-    out = np.empty((n, dims))
-    _fill(keys[0], keys[1], out.reshape(-1))
-    return out
-
-
-@kernel
-def _fill(k0: np.uint64, k1: np.uint64, out: Array) -> None:
-    for i in range(out.size):
-        out[i] = mix_uniform(k0, k1, i)
+    return uniforms(keys[None], n * dims).reshape(n, dims)
 
 
 def wrap(points: Array) -> Array:

@@ -21,9 +21,11 @@ set's minimum distance fits any more.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
-from typing import ClassVar, TypeAlias, final
+from typing import Any, ClassVar, TypeAlias, final
 
 import numpy as np
 
@@ -33,13 +35,17 @@ from mcspectra.core.fields import choice, real, whole
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import _spacing_kernels as kernels
+from mcspectra.samplers._kernels import translated
 from mcspectra.samplers.base import Sampler, Structure
-from mcspectra.samplers.optimised import translated
 
-__all__ = ["DENSEST", "BestCandidate", "DartThrowing", "PoissonDisk", "densest_distance"]
+__all__ = ["DENSEST", "BestCandidate", "DartThrowing", "PoissonDisk", "densest_distance", "thrown"]
 
 Disks: TypeAlias = tuple[float, int, int, Array, bool, int]
 """Radius, cells an axis, reach of a disk in cells, cells it can touch, torus?, darts a cell."""
+
+Throw: TypeAlias = Callable[[Any, Any, int, Array], tuple[int, int]]
+"""Takes the keys of a realisation, the number of the next random number, and points (n, d) to be placed;
+returns how many are, and the number of the random number after them."""
 
 DENSEST = (1.0, 2.0 / 3.0**0.5, 2.0**0.5, 2.0, 2.0 * 2.0**0.5, 8.0 / 3.0**0.5, 8.0, 16.0)
 """n·r^d of the densest known packings of spheres of diameter r in 1 to 8 dims: line, hexagons, fcc,
@@ -127,23 +133,19 @@ class PoissonDisk(Sampler):
         if self.mode == "maximal":
             points = np.stack([self._maximal_set(n, each) for each in keys])
             # Holes of equal size (there are, among few points) are chosen by where they are
-            own = stream.child(_OFFSETS).keys(first, count)
+            own = stream.child(_OFFSETS).uniforms(first, count, self.dims)
             return points if self.boundary == "bounded" else translated(points, own)
         attempts = 3 + 3000 // n  # a small set jams often at the default radius, a large one never
-        out = np.empty((count, n, self.dims))
-        if not kernels.throw_sets(keys, self._disks(self.radius(n)), attempts, out):
-            raise CountError(
-                f"{self.spec} found no room for {n} points in {self.dims} dims; "
-                f"give a smaller radius, at most {_DEFAULT_RADIUS[self.dims - 1]}."
-            )
-        return out
+        throw = partial(kernels.throw_set, self._disks(self.radius(n)))
+        most = f"; give a smaller radius, at most {_DEFAULT_RADIUS[self.dims - 1]}."
+        return thrown(throw, self, n, keys, attempts, most)
 
     def _maximal_set(self, n: int, keys: Array) -> Array:
         """Throw darts at the least radius that leaves no room for n + 1 points, then fill holes."""
         radius = _FIRST_RADIUS[self.dims - 1] * densest_distance(n, self.dims)
         points, placed, at = np.empty((n + 1, self.dims)), n + 1, 0
         while placed > n:
-            placed, at = kernels.throw_set(keys[0], keys[1], at, self._disks(radius), points)
+            placed, at = kernels.throw_set(self._disks(radius), keys[0], keys[1], at, points)
             radius *= _NEXT_RADIUS
         kernels.fill_holes(points[:n], placed, self.unbiased)
         return points[:n]
@@ -199,14 +201,9 @@ class DartThrowing(Sampler):
         # Cells no smaller than a disk, so that it can only touch those next to its own
         side = max(1, min(int(1.0 / radius), int(n ** (1.0 / min(self.dims, 3)))))
         attempts = 3 + 300 // n  # few points jam often: whether they fit is luck
-        out = np.empty((count, n, self.dims))
-        keys = stream.keys(first, count)
-        if not kernels.throw_darts(keys, radius**2, side, _TRIALS, attempts, out):
-            raise CountError(
-                f"{self.spec} found no room for {n} points in {self.dims} dims with {_TRIALS} darts; "
-                "give a smaller radius."
-            )
-        return out
+        throw = partial(kernels.throw_darts, radius**2, side, _TRIALS)
+        some = f" with {_TRIALS} darts; give a smaller radius."
+        return thrown(throw, self, n, stream.keys(first, count), attempts, some)
 
 
 @final
@@ -238,6 +235,30 @@ class BestCandidate(Sampler):
         out = np.empty((count, n, self.dims))
         kernels.pick_candidates(stream.keys(first, count), self.candidates, out)
         return out
+
+
+def thrown(
+    throw: Throw, sampler: Sampler, n: int, keys: Array, attempts: int, advice: str
+) -> Array:
+    """Sets of n points of realisations with keys (R, 2): (R, n, d); one that jams is begun anew.
+
+    Raises
+    ------
+    CountError
+        One jams in all attempts; the sentence ends with the advice.
+    """
+    out = np.empty((len(keys), n, sampler.dims))
+    for own, points in zip(keys, out, strict=True):
+        at = 0
+        for _ in range(attempts):
+            placed, at = throw(own[0], own[1], at, points)
+            if placed == n:
+                break
+        else:
+            raise CountError(
+                f"{sampler.spec} found no room for {n} points in {sampler.dims} dims{advice}"
+            )
+    return out
 
 
 def densest_distance(n: int, dims: int) -> float:

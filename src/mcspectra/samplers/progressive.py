@@ -36,10 +36,16 @@ _CHOICES, _SHUFFLES = 1 << 40, 1 << 41  # where the addresses of other random nu
 
 
 class _PlaneSequence(PlaneSampler):
-    """Points in the plane that are balanced at powers of two."""
+    """Points in the plane that are balanced at powers of two: (0,2)-sequences, spread out in `sweeps`."""
 
     structure: ClassVar[Structure] = Structure.DIGITS
     other_dims: ClassVar[str] = "for other dims use sobol | owen"
+    sweeps: int = 0
+
+    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
+        out = np.empty((count, n, 2))
+        _fill_pmj02(stream.keys(first, count), pairings(), self.sweeps, out)
+        return out
 
     def _count_warning(self, n: int) -> str | None:
         if not n & (n - 1):
@@ -97,11 +103,6 @@ class PMJ02(_PlaneSequence):
     sequence: ClassVar[bool] = True
     dims: int = 2
 
-    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        out = np.empty((count, n, 2))
-        _fill_pmj02(stream.keys(first, count), pairings(), 0, out)
-        return out
-
 
 @final
 @dataclass(frozen=True, kw_only=True)
@@ -137,11 +138,6 @@ class PMJ02BlueNoise(_PlaneSequence):
     max_count: ClassVar[int] = 2**18
     dims: int = 2
     sweeps: int = whole(2, least=1, most=100)
-
-    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        out = np.empty((count, n, 2))
-        _fill_pmj02(stream.keys(first, count), pairings(), self.sweeps, out)
-        return out
 
 
 @lru_cache(maxsize=1)

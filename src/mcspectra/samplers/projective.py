@@ -15,18 +15,18 @@ law, which on the torus does not change under translation: every point is unifor
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar, final
 
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import CountError
 from mcspectra.core.fields import real
 from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream, mix_uniform
 from mcspectra.samplers.base import Sampler, Structure
-from mcspectra.samplers.poisson import densest_distance
+from mcspectra.samplers.poisson import densest_distance, thrown
 
 __all__ = ["ProjectiveBlueNoise"]
 
@@ -70,13 +70,8 @@ class ProjectiveBlueNoise(Sampler):
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         limits = np.square(self.radii(n))
         attempts = 3 + 100 // n  # few points jam often: whether they fit is luck
-        out = np.empty((count, n, self.dims))
-        if not _throw_sets(stream.keys(first, count), limits, attempts, out):
-            raise CountError(
-                f"{self.spec} found no room for {n} points in {self.dims} dims with {_TRIALS} darts; "
-                "give a smaller radius."
-            )
-        return out
+        throw, some = partial(_throw_set, limits), f" with {_TRIALS} darts; give a smaller radius."
+        return thrown(throw, self, n, stream.keys(first, count), attempts, some)
 
 
 @kernel
@@ -121,7 +116,7 @@ def _is_apart(x: Array, y: Array, limits: Array, gaps: Array) -> bool:
 
 
 @kernel
-def _throw_set(k0: Any, k1: Any, at: int, limits: Array, points: Array) -> tuple[int, int]:
+def _throw_set(limits: Array, k0: Any, k1: Any, at: int, points: Array) -> tuple[int, int]:
     # Throw until all points (n, d) stick or _TRIALS darts in a row do not; return how many do.
     n, dims = points.shape
     radius = np.sqrt(limits[0])
@@ -144,17 +139,3 @@ def _throw_set(k0: Any, k1: Any, at: int, limits: Array, points: Array) -> tuple
             placed += 1
             missed = 0
     return placed, at
-
-
-@kernel
-def _throw_sets(keys: Array, limits: Array, attempts: int, out: Array) -> bool:
-    # Fill out (R, n, d); False if a set does not fit in any attempt.
-    for r in range(out.shape[0]):
-        at: Any = np.int64(0)  # a literal 0 would compile _throw_set twice
-        placed, attempt = 0, 0
-        while placed < out.shape[1]:
-            if attempt == attempts:
-                return False
-            placed, at = _throw_set(keys[r, 0], keys[r, 1], at, limits, out[r])
-            attempt += 1
-    return True

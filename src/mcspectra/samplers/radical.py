@@ -2,32 +2,38 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import BELOW_ONE, Array
 from mcspectra.core.fields import choice, whole
-from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
-from mcspectra.samplers._primes import LARGEST_BASE, power_from
-from mcspectra.samplers._scramble_kernels import fill_nested
+from mcspectra.samplers._primes import LARGEST_BASE
+from mcspectra.samplers._scramble_kernels import fill_inverses, fill_nested
 from mcspectra.samplers.base import MAX_COUNT, FixedSet, Sampler, Structure
+from mcspectra.samplers.registry import RANDOMIZATIONS
 
-__all__ = ["Halton", "Hammersley", "VanDerCorput"]
-
-_BELOW_ONE = 1.0 - 2.0**-53
-_BLOCK = 1024  # indices of one table of low digits: 8 kB, half the nearest cache at most
+__all__ = ["Halton", "Hammersley", "RadicalInverses", "VanDerCorput"]
 
 
-class _RadicalInverses(FixedSet):
-    """Points whose digits ``scramble`` may randomise: short for a permute or owen that follows."""
+class RadicalInverses(FixedSet):
+    """Points whose digits ``scramble`` may randomise: short for a permute or owen that follows.
+
+    Attributes
+    ----------
+    skip
+        Index of the first point.
+    of_one_index
+        Whether all coordinates of a point are radical inverses of its index.
+    """
 
     structure: ClassVar[Structure] = Structure.DIGITS
+    skip: int = 0
+    of_one_index: ClassVar[bool] = True
     scramble: str
 
     @property
@@ -45,18 +51,19 @@ class _RadicalInverses(FixedSet):
         """One randomisation inside, if any: those that follow have the streams after its own."""
         return int(self.scramble != "none")
 
-    @abstractmethod
     def draw_nested(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        """Draw what `owen` makes of the plain points: float64 (count, n, dims)."""
+        """Draw what `owen` makes of the plain points, trees of digits from the top: (count, n, dims)."""
+        return _nested(self.digit_bases, n, stream.keys(first, count))
 
     def as_chain(self, n: int) -> Sampler:  # noqa: ARG002
         """What ``scramble=`` is short for."""
         if self.scramble == "none":
             return self
-        from mcspectra.samplers.scrambles import Owen, Permute
-
         plain: Sampler = replace(self, scramble="none")  # type: ignore[type-var]
-        return plain.then(Owen() if self.scramble == "owen" else Permute())
+        return plain.then(RANDOMIZATIONS.load(self.scramble)())
+
+    def _set(self, n: int) -> Array:
+        return _inverses(self.digit_bases, self.skip, n)
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         if self.scramble == "none":
@@ -66,7 +73,7 @@ class _RadicalInverses(FixedSet):
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Halton(_RadicalInverses):
+class Halton(RadicalInverses):
     """Halton points: coordinate j is the radical inverse of the index in the j-th prime.
 
     Up to 1000 dims, any count.
@@ -95,21 +102,10 @@ class Halton(_RadicalInverses):
         """The first primes."""
         return _primes(self.dims)
 
-    def first_index(self) -> int | None:
-        """Return the index of the first point; None if digits are scrambled."""
-        return self.skip if self.scramble == "none" else None
-
-    def draw_nested(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        """Trees of digits, drawn from the top."""
-        return _nested(self.digit_bases, n, stream.keys(first, count))
-
-    def _set(self, n: int) -> Array:
-        return _inverses(self.digit_bases, self.skip, n)
-
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class VanDerCorput(_RadicalInverses):
+class VanDerCorput(RadicalInverses):
     """Van der Corput points: the radical inverses of 0, 1, 2, … in one base (1-D).
 
     Any count.
@@ -138,21 +134,10 @@ class VanDerCorput(_RadicalInverses):
         """The base."""
         return (self.base,)
 
-    def first_index(self) -> int | None:
-        """Return the index of the first point; None if digits are scrambled."""
-        return 0 if self.scramble == "none" else None
-
-    def draw_nested(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        """Trees of digits, drawn from the top."""
-        return _nested(self.digit_bases, n, stream.keys(first, count))
-
-    def _set(self, n: int) -> Array:
-        return _inverses((self.base,), 0, n)
-
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Hammersley(_RadicalInverses):
+class Hammersley(RadicalInverses):
     """Hammersley points: i/n, then the radical inverses of i in the first primes.
 
     Up to 1000 dims, any count.
@@ -175,6 +160,7 @@ class Hammersley(_RadicalInverses):
     """
 
     max_dims: ClassVar[int | None] = 1000
+    of_one_index: ClassVar[bool] = False
     dims: int = DEFAULT_DIMS
     scramble: str = choice("none", "permute", "owen")
 
@@ -203,16 +189,16 @@ class Hammersley(_RadicalInverses):
 
     def as_chain(self, n: int) -> Sampler:
         """As for others for n = 2^m; otherwise there is none."""
-        return self if n & (n - 1) else _RadicalInverses.as_chain(self, n)
+        return self if n & (n - 1) else RadicalInverses.as_chain(self, n)
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         if self.scramble == "none" or n & (n - 1) == 0:
-            return _RadicalInverses._points(self, n, stream, first, count)
+            return RadicalInverses._points(self, n, stream, first, count)
 
         # No digits of n-ths: offsets below them
         out = np.empty((count, n, self.dims))
         own = stream.child(0).uniforms(first, count, 1 if self.scramble == "permute" else n)
-        out[..., 0] = np.minimum((np.arange(n) + own) / n, _BELOW_ONE)
+        out[..., 0] = np.minimum((np.arange(n) + own) / n, BELOW_ONE)
         if self.dims > 1:
             rest = Halton(dims=self.dims - 1, scramble=self.scramble)
             out[..., 1:] = rest.draw_stream(n, stream, first, count)
@@ -232,8 +218,7 @@ def _primes(count: int) -> tuple[int, ...]:
 def _inverses(bases: tuple[int, ...], start: int, n: int) -> Array:
     """Radical inverses of start … start+n−1: float64 (n, d)."""
     out = np.empty((n, len(bases)))
-    digits = np.array([max(1, power_from(start + n, base)) for base in bases], np.int64)
-    _fill_inverses(start, np.array(bases, np.int64), digits, out)
+    fill_inverses(np.array(bases, np.int64), start, out)
     return out
 
 
@@ -242,37 +227,3 @@ def _nested(bases: tuple[int, ...], n: int, keys: Array) -> Array:
     out = np.empty((len(keys), n, len(bases)))
     fill_nested(keys, np.array(bases, np.int64), out)
     return out
-
-
-@kernel
-def _fill_inverses(start: int, bases: Array, digits: Array, out: Array) -> None:
-    # Radical inverses of start, start+1, …: out (n, d), base^digits greater than every index. Sums
-    # of digits are whole numbers below 2^53, kept as floats: they are exact.
-    n, dims = out.shape
-    for j in range(dims):
-        base = bases[j]
-
-        # Tabulate as many of the lowest digits as are worth it
-        size, low = base, 1
-        while low < digits[j] and size * base <= min(n, _BLOCK):
-            size, low = size * base, low + 1
-        table = np.zeros(size)
-        width, weight = 1, float(base) ** (digits[j] - 1)
-        for _ in range(low):
-            for digit in range(base - 1, -1, -1):  # digit 0 last: it overwrites what others read
-                for v in range(width):
-                    table[digit * width + v] = table[v] + digit * weight
-            width, weight = width * base, weight / base
-
-        # Add what the digits above contribute, the same for a run of indices
-        scale = float(base) ** digits[j]
-        i, v, block = 0, start % size, start // size
-        while i < n:
-            high, weight, rest = 0.0, scale / base / size, block
-            for _ in range(low, digits[j]):
-                high += rest % base * weight
-                weight, rest = weight / base, rest // base
-            stop = min(n, i + size - v)
-            for t in range(i, stop):
-                out[t, j] = min((table[v + t - i] + high) / scale, _BELOW_ONE)
-            i, v, block = stop, 0, block + 1

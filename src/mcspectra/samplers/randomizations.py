@@ -14,17 +14,16 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_real, as_reals
+from mcspectra.core.checks import BELOW_ONE, Array, as_real, as_reals
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.fields import checked, choice, settle, whole
 from mcspectra.core.jit import kernel
 from mcspectra.core.streams import Stream, mix_bits, mix_uniform
-from mcspectra.samplers._kernels import random_offsets, translate
+from mcspectra.samplers._kernels import translated
 from mcspectra.samplers.base import MAX_COUNT, Randomization, Sampler, Structure, repeated
 
 __all__ = ["Decorrelate", "Mirror", "RandomRotation", "Shift", "StrataShift", "folded"]
 
-_BELOW_ONE = 1.0 - 2.0**-53
 _MOST_IMAGED = 30  # dims: 2^d images of at least one point
 _MASK_KEY = 0x3A5C  # any number: the mask is the same for everybody, its place is not
 _FIRST_REACH = 0.6  # half-side of a window that nearly always holds n + 1 points: area 1.44
@@ -57,19 +56,14 @@ class Shift(Randomization):
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
         """Translate each realisation by its own vector."""
-        return self._moved(points, stream, first, len(points))
+        return translated(points, stream.uniforms(first, len(points), points.shape[2]))
 
     def draw(
         self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
     ) -> Array:
         """Draw a fixed set once."""
         points = sampler.draw_stream(n, stream, first, 1 if sampler.fixed else count)
-        return self._moved(points, own, first, count)
-
-    def _moved(self, points: Array, stream: Stream, first: int, count: int) -> Array:
-        offsets = np.empty((count, points.shape[2]))
-        random_offsets(stream.keys(first, count), offsets)
-        return _translated(points, offsets)
+        return translated(points, own.uniforms(first, count, sampler.dims))
 
 
 def _as_offset(name: str, given: Any) -> object:
@@ -107,14 +101,7 @@ class StrataShift(Randomization):
         _, n, dims = points.shape
         offsets = np.array([as_reals("offset", self.offset, dims)]) * n ** (-1.0 / dims) % 1.0
         offsets[offsets >= 1.0] = 0.0  # the remainder of −1e-20 rounds to 1
-        return _translated(points, offsets)
-
-
-def _translated(points: Array, offsets: Array) -> Array:
-    """Sets (R or 1, n, d) moved by offsets (R or 1, d)."""
-    out = np.empty((max(len(points), len(offsets)), *points.shape[1:]))
-    translate(points, offsets, out)
-    return out
+        return translated(points, offsets)
 
 
 @final
@@ -191,7 +178,7 @@ def _turn(keys: Array, points: Array, out: Array) -> None:
         for i in range(n):
             for j in range(dims):
                 x = points[r, i, order[j]]
-                out[r, i, j] = _BELOW_ONE - x if flip[j] else x
+                out[r, i, j] = BELOW_ONE - x if flip[j] else x
 
 
 @kernel
@@ -235,7 +222,7 @@ def _clip_all(keys: Array, points: Array, out: Array) -> None:
             ties -= on_edge
             for j in range(2):
                 x = found[i, j] / (2.0 * edge) + 0.5 + numbers[3 + j]
-                out[r, taken, j] = min(x - np.floor(x), _BELOW_ONE)
+                out[r, taken, j] = min(x - np.floor(x), BELOW_ONE)
             taken += 1
 
 
@@ -291,7 +278,7 @@ class Mirror(Randomization):
         if self.mode == "uniform":
             count, n, dims = points.shape
             images = np.arange(1 << dims)[:, None] >> np.arange(dims)[::-1] & 1
-            turned = np.where(images == 1, _BELOW_ONE - points[:, :, None], points[:, :, None])
+            turned = np.where(images == 1, BELOW_ONE - points[:, :, None], points[:, :, None])
             return turned.reshape(count, n << dims, dims)
         if self.mode == "fold":
             return folded(points)
@@ -324,7 +311,7 @@ class Mirror(Randomization):
 def folded(points: Array) -> Array:
     """Return u → 1 − |2u − 1| of coordinates in [0,1), within [0,1)."""
     doubled = 2.0 * points
-    return np.where(doubled < 1.0, doubled, _BELOW_ONE - (doubled - 1.0))
+    return np.where(doubled < 1.0, doubled, BELOW_ONE - (doubled - 1.0))
 
 
 @kernel
@@ -338,7 +325,7 @@ def _reflect_at_random(keys: Array, points: Array, out: Array) -> None:
                 bits = mix_bits(keys[r, 0], keys[r, 1], i * words + word)
                 for j in range(64 * word, min(64 * word + 64, dims)):
                     x = points[r, i, j]
-                    out[r, i, j] = _BELOW_ONE - x if bits & np.uint64(1) else x
+                    out[r, i, j] = BELOW_ONE - x if bits & np.uint64(1) else x
                     bits >>= np.uint64(1)
 
 
@@ -438,7 +425,7 @@ class Decorrelate(Randomization):
         rows = pixels[:, None] // width % width + (places[1] * width).astype(np.int64)
         ranks = _mask(width)[rows % width, columns % width]
         inside = stream.uniforms(first, count, dims)
-        return np.asarray(np.minimum((ranks + inside) / width**2, _BELOW_ONE))
+        return np.asarray(np.minimum((ranks + inside) / width**2, BELOW_ONE))
 
     def _moved(self, step: Randomization, points: Array, stream: Stream, first: int) -> Array:
         if self.mask == "white":
@@ -449,7 +436,7 @@ class Decorrelate(Randomization):
             words = (points * 2.0**53).astype(np.uint64)
             words ^= (offsets * 2.0**53).astype(np.uint64)[:, None]
             return np.asarray(words * 2.0**-53)
-        return _translated(points, offsets)
+        return translated(points, offsets)
 
     def _step(self) -> Randomization:
         from mcspectra.samplers.registry import RANDOMIZATIONS

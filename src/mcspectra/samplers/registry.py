@@ -9,7 +9,7 @@ import numpy as np
 
 from mcspectra.core.checks import as_integer
 from mcspectra.core.errors import ParameterError, SpecError, UnknownName
-from mcspectra.core.registry import Registry
+from mcspectra.core.registry import Registry, classes_of
 from mcspectra.core.spec import Call, parse_chain
 from mcspectra.samplers.base import Randomization, Sampler
 
@@ -18,60 +18,27 @@ __all__ = ["RANDOMIZATIONS", "RUN_CODE", "SAMPLERS", "as_sampler", "sampler", "s
 SAMPLERS = Registry(
     "sampler",
     "mcspectra.samplers",
-    {
-        "antithetic-jittered": "mcspectra.samplers.stratified:AntitheticJittered",
-        "best-candidate": "mcspectra.samplers.poisson:BestCandidate",
-        "bnot": "mcspectra.samplers.relaxation:Bnot",
-        "box-jitter": "mcspectra.samplers.stratified:BoxJitter",
-        "command": "mcspectra.samplers.external:CommandSampler",
-        "correlated-multi-jittered": "mcspectra.samplers.stratified:CorrelatedMultiJittered",
-        "dart-throwing": "mcspectra.samplers.poisson:DartThrowing",
-        "determinantal": "mcspectra.samplers.hyperuniform:Determinantal",
-        "digital-net": "mcspectra.samplers.nets:DigitalNet",
-        "farthest-point": "mcspectra.samplers.relaxation:FarthestPoint",
-        "faure": "mcspectra.samplers.nets:Faure",
-        "fibonacci": "mcspectra.samplers.lattice:Fibonacci",
-        "gaussian-blue-noise": "mcspectra.samplers.relaxation:GaussianBlueNoise",
-        "gaussian-jitter": "mcspectra.samplers.stratified:GaussianJitter",
-        "halton": "mcspectra.samplers.radical:Halton",
-        "hammersley": "mcspectra.samplers.radical:Hammersley",
-        "hexagonal": "mcspectra.samplers.stratified:Hexagonal",
-        "jittered": "mcspectra.samplers.stratified:Jittered",
-        "korobov": "mcspectra.samplers.lattice:Korobov",
-        "kronecker": "mcspectra.samplers.lattice:Kronecker",
-        "larcher-pillichshammer": "mcspectra.samplers.nets:LarcherPillichshammer",
-        "latin-hypercube": "mcspectra.samplers.orthogonal:LatinHypercube",
-        "ldbn": "mcspectra.samplers.dither:LowDiscrepancyBlueNoise",
-        "lloyd": "mcspectra.samplers.relaxation:Lloyd",
-        "mitsuba": "mcspectra.rendering.point_sampler:MitsubaSampler",
-        "multi-jittered": "mcspectra.samplers.stratified:MultiJittered",
-        "n-rooks": "mcspectra.samplers.orthogonal:NRooks",
-        "niederreiter": "mcspectra.samplers.nets:Niederreiter",
-        "orthogonal-array": "mcspectra.samplers.orthogonal:OrthogonalArray",
-        "perturbed-lattice": "mcspectra.samplers.hyperuniform:PerturbedLattice",
-        "pmj": "mcspectra.samplers.progressive:PMJ",
-        "pmj02": "mcspectra.samplers.progressive:PMJ02",
-        "pmj02-blue-noise": "mcspectra.samplers.progressive:PMJ02BlueNoise",
-        "points": "mcspectra.samplers.external:GivenPoints",
-        "poisson-disk": "mcspectra.samplers.poisson:PoissonDisk",
-        "projective-blue-noise": "mcspectra.samplers.projective:ProjectiveBlueNoise",
-        "python": "mcspectra.samplers.external:PythonSampler",
-        "qmcpy": "mcspectra.samplers.engines:QmcpySampler",
-        "random": "mcspectra.samplers.stratified:Random",
-        "rank1-lattice": "mcspectra.samplers.lattice:Rank1Lattice",
-        "regular": "mcspectra.samplers.stratified:Regular",
-        "scipy": "mcspectra.samplers.engines:ScipySampler",
-        "shared-cells": "mcspectra.samplers.stratified:SharedCells",
-        "sliced-optimal-transport": "mcspectra.samplers.sliced:SlicedOptimalTransport",
-        "sobol": "mcspectra.samplers.nets:Sobol",
-        "stealthy-hyperuniform": "mcspectra.samplers.hyperuniform:StealthyHyperuniform",
-        "step-blue-noise": "mcspectra.samplers.spectral_targets:StepBlueNoise",
-        "target-pcf": "mcspectra.samplers.spectral_targets:TargetPcf",
-        "target-spectrum": "mcspectra.samplers.spectral_targets:TargetSpectrum",
-        "uniform-jitter": "mcspectra.samplers.stratified:UniformJitter",
-        "van-der-corput": "mcspectra.samplers.radical:VanDerCorput",
-        "void-and-cluster": "mcspectra.samplers.dither:VoidAndCluster",
-    },
+    classes_of(
+        {
+            "rendering.point_sampler": "mitsuba=MitsubaSampler",
+            "samplers.dither": "ldbn=LowDiscrepancyBlueNoise VoidAndCluster",
+            "samplers.engines": "qmcpy=QmcpySampler scipy=ScipySampler",
+            "samplers.external": "command=CommandSampler points=GivenPoints python=PythonSampler",
+            "samplers.hyperuniform": "Determinantal PerturbedLattice StealthyHyperuniform",
+            "samplers.lattice": "Fibonacci Korobov Kronecker Rank1Lattice",
+            "samplers.nets": "DigitalNet Faure LarcherPillichshammer Niederreiter Sobol",
+            "samplers.orthogonal": "LatinHypercube n-rooks=NRooks OrthogonalArray",
+            "samplers.poisson": "BestCandidate DartThrowing PoissonDisk",
+            "samplers.progressive": "PMJ PMJ02 PMJ02BlueNoise",
+            "samplers.projective": "ProjectiveBlueNoise",
+            "samplers.radical": "Halton Hammersley VanDerCorput",
+            "samplers.relaxation": "Bnot FarthestPoint GaussianBlueNoise Lloyd",
+            "samplers.sliced": "SlicedOptimalTransport",
+            "samplers.spectral_targets": "StepBlueNoise TargetPcf TargetSpectrum",
+            "samplers.stratified": "AntitheticJittered BoxJitter CorrelatedMultiJittered GaussianJitter Hexagonal "
+            "Jittered MultiJittered Random Regular SharedCells UniformJitter",
+        }
+    ),
     base=Sampler,
 )
 
@@ -81,20 +48,13 @@ RUN_CODE = ("command", "python")
 RANDOMIZATIONS = Registry(
     "randomization",
     "mcspectra.randomizations",
-    {
-        "decorrelate": "mcspectra.samplers.randomizations:Decorrelate",
-        "digital-shift": "mcspectra.samplers.scrambles:DigitalShift",
-        "lms": "mcspectra.samplers.scrambles:Lms",
-        "mirror": "mcspectra.samplers.randomizations:Mirror",
-        "owen": "mcspectra.samplers.scrambles:Owen",
-        "permute": "mcspectra.samplers.scrambles:Permute",
-        "random-rotation": "mcspectra.samplers.randomizations:RandomRotation",
-        "shift": "mcspectra.samplers.randomizations:Shift",
-        "shuffle": "mcspectra.samplers.selection:Shuffle",
-        "skip": "mcspectra.samplers.selection:Skip",
-        "strata-shift": "mcspectra.samplers.randomizations:StrataShift",
-        "subset": "mcspectra.samplers.selection:Subset",
-    },
+    classes_of(
+        {
+            "samplers.randomizations": "Decorrelate Mirror RandomRotation Shift StrataShift",
+            "samplers.scrambles": "DigitalShift Lms Owen Permute",
+            "samplers.selection": "Shuffle Skip Subset",
+        }
+    ),
     base=Randomization,
 )
 

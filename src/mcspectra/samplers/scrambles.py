@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Protocol, Self, TypeAlias, final, runtime_checkable
+from typing import ClassVar, Self, TypeAlias, final
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from mcspectra.core.streams import Stream
 from mcspectra.samplers import _scramble_kernels as kernels
 from mcspectra.samplers._primes import LARGEST_BASE, is_prime
 from mcspectra.samplers.base import MAX_COUNT, Randomization, Sampler, Structure
+from mcspectra.samplers.radical import RadicalInverses
 
 __all__ = ["DigitalShift", "Lms", "Owen", "Permute"]
 
@@ -85,26 +86,27 @@ class _OfDigits(Randomization):
     def draw(
         self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
     ) -> Array:
-        """Randomise digits where the points are made, if there is a kernel for that."""
-        out = np.empty((count, n, sampler.dims))
-        if self._fill(own.keys(first, count), sampler, n, out):
-            return out
-        return self.apply(sampler.draw_stream(n, stream, first, count), own, first)
+        """Draw a fixed set once; randomise digits where the points are made, if there is a kernel."""
+        out, keys = np.empty((count, n, sampler.dims)), own.keys(first, count)
+        if not self._fill(keys, sampler, n, out):
+            points = sampler.draw_stream(n, stream, first, 1 if sampler.fixed else count)
+            self._scramble(keys, np.array(self._bases(sampler.dims)), points, out)
+        return out
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
         """Randomise the digits of each realisation by its own random numbers."""
         out = np.empty(points.shape)
-        bases = None if self._binary else np.array(self._bases(points.shape[2]))
+        bases = np.array(self._bases(points.shape[2]))
         self._scramble(stream.keys(first, len(points)), bases, points, out)
         return out
 
     @abstractmethod
-    def _scramble(self, keys: Array, bases: Array | None, points: Array, out: Array) -> None:
-        """Randomise the digits of points (R, n, d) in these bases, None being 2 for all."""
+    def _scramble(self, keys: Array, bases: Array, points: Array, out: Array) -> None:
+        """Randomise the digits of points (R or 1, n, d) in these bases."""
 
-    @abstractmethod
-    def _fill(self, keys: Array, sampler: Sampler, n: int, out: Array) -> bool:
+    def _fill(self, keys: Array, sampler: Sampler, n: int, out: Array) -> bool:  # noqa: ARG002
         """Make the randomised points of `sampler`, or return False where there is no kernel."""
+        return False
 
     def _bases(self, dims: int) -> tuple[int, ...]:
         """One base for each dim."""
@@ -128,51 +130,24 @@ def _powers_possible(sampler: Sampler, base: int, exponents: range) -> Iterator[
     return (n for n in powers if n in sampler._counts_near(n) and sampler.digit_strata(n, base))
 
 
-@runtime_checkable
-class _HasIndices(Protocol):
-    """Samplers of radical inverses."""
-
-    dims: int
-
-    def first_index(self) -> int | None:
-        """Return the index of the first point; None if these are no plain radical inverses."""
-
-
-@runtime_checkable
-class _HasTrees(Protocol):
-    """Samplers of radical inverses, which nested scrambling makes as fast as their plain points."""
-
-    fixed: bool
-
-    def draw_nested(self, n: int, stream: Stream, first: int, count: int) -> Array: ...
-
-
-@runtime_checkable
-class _HasDirections(Protocol):
-    """Samplers of binary nets that give their generator matrices."""
-
-    dims: int
-
-    def direction_numbers(self, n: int) -> Array: ...
-
-
 class _OfPlaces(_OfDigits):
     """One permutation (if `shift`, a sum) for each place of each coordinate, the same for all points."""
 
     shift: ClassVar[bool] = False
 
-    def _scramble(self, keys: Array, bases: Array | None, points: Array, out: Array) -> None:
-        if bases is None:
+    def _scramble(self, keys: Array, bases: Array, points: Array, out: Array) -> None:
+        if self._binary:
             kernels.xor_digits(keys, points, out)
         else:
             kernels.permute_digits(keys, bases, self.shift, points, out)
 
     def _fill(self, keys: Array, sampler: Sampler, n: int, out: Array) -> bool:
         del n
-        start = sampler.first_index() if isinstance(sampler, _HasIndices) else None
-        if start is None or self._binary:
+        if self._binary or not isinstance(sampler, RadicalInverses):
             return False
-        kernels.fill_permuted(keys, np.array(sampler.digit_bases), self.shift, start, out)
+        if not (sampler.fixed and sampler.of_one_index):
+            return False
+        kernels.fill_permuted(keys, np.array(sampler.digit_bases), self.shift, sampler.skip, out)
         return True
 
 
@@ -267,24 +242,15 @@ class Owen(_OfDigits):
         self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
     ) -> Array:
         """Scramble plain radical inverses where they are made, by the `stream` that they leave unused."""
-        if self.method == "nested" and isinstance(sampler, _HasTrees) and sampler.fixed:
+        if self.method == "nested" and isinstance(sampler, RadicalInverses) and sampler.fixed:
             return sampler.draw_nested(n, stream, first, count)
         return _OfDigits.draw(self, sampler, n, stream, own, first, count)
 
-    def _scramble(self, keys: Array, bases: Array | None, points: Array, out: Array) -> None:
-        if bases is not None:
-            kernels.scramble_trees(keys, bases, points, out)
-        elif self.method == "hash":
+    def _scramble(self, keys: Array, bases: Array, points: Array, out: Array) -> None:
+        if self.method == "hash":
             kernels.scramble_hashed(keys, points, out)
         else:
-            kernels.scramble_nested(keys, points, out)
-
-    def _fill(self, keys: Array, sampler: Sampler, n: int, out: Array) -> bool:
-        if not (self._binary and isinstance(sampler, _HasDirections)):
-            return False
-        fill = kernels.fill_hashed if self.method == "hash" else kernels.fill_flipped
-        fill(keys, sampler.direction_numbers(n), out)
-        return True
+            kernels.scramble_trees(keys, bases, points, out)
 
 
 @final
@@ -329,14 +295,15 @@ class Lms(_OfDigits):
             )
         return fitted
 
-    def _scramble(self, keys: Array, bases: Array | None, points: Array, out: Array) -> None:
-        if bases is None:
+    def _scramble(self, keys: Array, bases: Array, points: Array, out: Array) -> None:
+        if self._binary:
             kernels.mix_matrices(keys, self.shift, points, out)
         else:
             kernels.mix_triangles(keys, bases, self.shift, points, out)
 
     def _fill(self, keys: Array, sampler: Sampler, n: int, out: Array) -> bool:
-        if not (self._binary and isinstance(sampler, _HasDirections)):
+        directions = getattr(sampler, "direction_numbers", None)
+        if not self._binary or directions is None:
             return False
-        kernels.fill_mixed(keys, self.shift, sampler.direction_numbers(n), out)
+        kernels.fill_mixed(keys, self.shift, directions(n), out)
         return True

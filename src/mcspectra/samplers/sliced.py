@@ -8,14 +8,13 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import BELOW_ONE, Array
 from mcspectra.core.fields import whole
 from mcspectra.samplers.hyperuniform import fill_normals
 from mcspectra.samplers.optimised import OptimisedSampler, random_points
 
 __all__ = ["SlicedOptimalTransport", "projected_quantiles"]
 
-_BELOW_ONE = 1.0 - 2.0**-53
 _TABLE = 2049  # places where the distribution of a projected cube is tabulated
 _NARROW = 1e-3  # a component of a direction that changes no quantile by more than 1e-7
 
@@ -76,7 +75,7 @@ class SlicedOptimalTransport(OptimisedSampler):
                 order, delta = np.argsort(place, kind="stable"), np.empty(n)
                 delta[order] = projected_quantiles(direction, n) - place[order]
                 move += delta[:, None] * direction
-            points = np.clip(points + move / len(directions), 0.0, _BELOW_ONE)
+            points = np.clip(points + move / len(directions), 0.0, BELOW_ONE)
             if i % max(1, self.iterations // 20) == 0:
                 report(i / self.iterations)
         return points

@@ -19,7 +19,7 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.checks import BELOW_ONE, Array, as_integer
 from mcspectra.core.decoding import opened, read_npz
 from mcspectra.core.errors import FileFormatError, ParameterError
 from mcspectra.core.fields import choice, real, settle
@@ -50,7 +50,6 @@ __all__ = [
 ]
 
 _SLACK = 2.0**-52
-_LAST_UNIFORM = 1.0 - 2.0**-53
 _MOST_WIDTH = 1000.0  # cells: far beyond independent points, and wrapped in float64 without loss
 
 
@@ -319,7 +318,7 @@ def _fill_antithetic(keys: Array, corners: Array, side: float, out: Array) -> No
                 u = mix_uniform(keys[r, 0], keys[r, 1], i * dims + j)
                 out[r, i, 0, j] = corners[i, j] + side * u
                 # The numbers k/2^53 reflected: exact, and as evenly spread as they are
-                out[r, i, 1, j] = corners[i, j] + side * (_LAST_UNIFORM - u)
+                out[r, i, 1, j] = corners[i, j] + side * (BELOW_ONE - u)
 
 
 @final
@@ -591,10 +590,8 @@ class SharedCells(Sampler):
         chosen = self._cells[(numbers[:, 0] * len(self._cells)).astype(np.int64)]
         sides = np.abs(self._cells).max(axis=(0, 1))
         offset = numbers[:, None, 1:]
-        offset = np.where(chosen < 0, _LAST_UNIFORM - offset, offset)
-        return np.ascontiguousarray(
-            np.minimum((np.abs(chosen) - 1 + offset) / sides, _LAST_UNIFORM)
-        )
+        offset = np.where(chosen < 0, BELOW_ONE - offset, offset)
+        return np.ascontiguousarray(np.minimum((np.abs(chosen) - 1 + offset) / sides, BELOW_ONE))
 
     def _counts_near(self, n: int) -> tuple[int | None, int]:
         size = self._cells.shape[1]

@@ -24,12 +24,13 @@ from mcspectra.core.analysis import (
     finished,
     steps_of,
 )
-from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.checks import BELOW_ONE, Array, as_integer
 from mcspectra.core.errors import AnalysisError, DensityError, McspectraError, ParameterError
 from mcspectra.core.options import checked, options_of
 from mcspectra.core.records import pack, unpack
 from mcspectra.core.streams import Stream
 from mcspectra.densities import Density
+from mcspectra.densities.adaptive import recurrences
 from mcspectra.densities.registry import as_density
 from mcspectra.integrands import Integrand, integral_accuracy
 from mcspectra.integrands.registry import as_integrand
@@ -45,7 +46,6 @@ __all__ = [
 
 _FALSE_ALARM = 1e-6
 _SPREADS = 7.0  # Student's t with 31 degrees: 7e-8 a number
-_SETS, _SET_SIZE = 32, 4096
 _SAME = 1e-9  # of the largest value: rounding of a point alone and among others, and of integrals
 _REALIZATIONS, _CELLS = 640, 35  # of samplers
 _SAMPLES = 20_000
@@ -171,9 +171,9 @@ def check_density(density: Density | str, *, dims: int | None = None) -> None:
     given = as_density(density, dims)
     if given is None:
         raise BrokenContract("None is not a density; give one, or its spec.")
-    who, u = given.spec, point_sets(given.primary_dims)
+    who, u = given.spec, recurrences(given.primary_dims, key=1)
     u[0, 0] = 0.0
-    u[0, 1] = np.nextafter(1.0, 0.0)
+    u[0, 1] = BELOW_ONE
 
     # Types and shapes of all three functions for stacked points
     few = u[:3, :5]
@@ -224,7 +224,7 @@ def check_density(density: Density | str, *, dims: int | None = None) -> None:
     found = called(who, "reciprocal_integral", given.reciprocal_integral)
     demand(found >= 1.0 - _SAME, who, f"gives {found} for ∫1/p, less than 1")
     with np.errstate(divide="ignore", over="ignore"):
-        values = 1.0 / given.pdf(point_sets(given.dims))
+        values = 1.0 / given.pdf(recurrences(given.dims, key=1))
     if np.isfinite(found) and np.isfinite(values).all():
         mean, spread = mean_and_error(values)
         allowed = _SPREADS * spread + _RECIPROCAL * mean
@@ -267,7 +267,7 @@ def check_integrand(integrand: Integrand | str, *, dims: int | None = None) -> N
     >>> check_integrand("gaussian(width=0.3)", dims=2)
     """
     f = as_integrand(integrand, dims)
-    who, x = f.spec, point_sets(f.dims)
+    who, x = f.spec, recurrences(f.dims, key=1)
     few, one = x[:3, :5], np.ones((*x.shape[:-1], 1))
     channels = (f.channels,) if f.channels else ()
     values = values_at(who, "its values", f, few, (*few.shape[:-1], *channels))
@@ -518,22 +518,6 @@ def check_breaks(who: str, breaks: Any, axes: int) -> None:
     for axis in breaks:
         fits = list(axis) == sorted(set(axis)) and all(0.0 < b < 1.0 for b in axis)
         demand(fits, who, f"has breaks {axis!r}, which do not ascend within (0, 1)")
-
-
-def point_sets(dims: int) -> Array:
-    """Shifted additive recurrences (32, 4096, dims), float64 in [0,1): the same every time.
-
-    The steps are powers of the root of g^(d+1) = g + 1 (M. Roberts 2018, "The unreasonable
-    effectiveness of quasirandom sequences"). Each set is uniform under its random shift, so that
-    the spread of means over the sets is the error of their mean.
-    """
-    root = 1.5
-    for _ in range(64):
-        root = (1.0 + root) ** (1.0 / (dims + 1))
-    steps = root ** -np.arange(1.0, dims + 1)
-    shifts = Stream(1).uniforms(0, _SETS, dims).reshape(_SETS, 1, dims)
-    points = (shifts + np.arange(_SET_SIZE)[:, None] * steps) % 1.0
-    return np.asarray(np.minimum(points, np.nextafter(1.0, 0.0)))
 
 
 def mean_and_error(values: Array) -> tuple[Array, Array]:

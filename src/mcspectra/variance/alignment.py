@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_choice, as_integer, as_reals
+from mcspectra.core.checks import BELOW_ONE, Array, as_choice, as_integer, as_reals
 from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers
 from mcspectra.core.results import dataset
@@ -389,7 +389,7 @@ def _checked_offsets(offsets: Any, dims: int) -> list[float]:
         )
     if not listed:
         return [float(o) for o in np.arange(number) / number]
-    places = [*as_reals("offsets", offsets, number, least=0.0, most=float(np.nextafter(1.0, 0.0)))]
+    places = [*as_reals("offsets", offsets, number, least=0.0, most=BELOW_ONE)]
     if not places or sorted(set(places)) != places:
         raise ParameterError(f"offsets is {offsets!r:.80}; give one or more, ascending.")
     return places

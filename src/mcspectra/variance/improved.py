@@ -27,11 +27,10 @@ from typing import ClassVar, TypeAlias, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import BELOW_ONE, Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.densities import Density
-from mcspectra.densities.base import LARGEST_BELOW_ONE
 from mcspectra.estimators import AbstractEstimator, Estimator
 from mcspectra.integrands import integral_accuracy
 from mcspectra.integrands.base import Breaks, Derived, Estimate, Integrand
@@ -233,7 +232,7 @@ class _Normal:
         from scipy.special import ndtr
 
         x = ndtr(_quantiles(u) @ self.matrix.T + self.shift)
-        return np.clip(x, np.finfo(float).tiny, LARGEST_BELOW_ONE)
+        return np.clip(x, np.finfo(float).tiny, BELOW_ONE)
 
     def pdf(self, x: Array) -> Array:
         moved = _quantiles(x)
@@ -392,7 +391,7 @@ class Cubic(_Changed):
         cell, places = np.minimum((u * self.side).astype(np.int64), self.side - 1), [u]
         if self.order % 2 == 0:
             image = (2 * cell + 1) / self.side - u
-            places.append(np.clip(image, 0.0, LARGEST_BELOW_ONE))
+            places.append(np.clip(image, 0.0, BELOW_ONE))
         values = np.mean([self.integrand(x) for x in places], axis=0)
         if self.centres is None:
             return np.asarray(values)
@@ -439,7 +438,7 @@ class _Preintegrated(_Changed):
     def _at(self, u: Array) -> Array:
         def g(t: Array) -> Array:
             x = u.copy()
-            x[:, self.axis] = np.clip(t, 0.0, LARGEST_BELOW_ONE)
+            x[:, self.axis] = np.clip(t, 0.0, BELOW_ONE)
             return self.integrand(x).reshape(len(u), -1)
 
         # Bracket the place where g leaves 0, else the half with the larger difference
@@ -682,4 +681,4 @@ def _quantiles(u: Array) -> Array:
     """Φ⁻¹, finite."""
     from scipy.special import ndtri
 
-    return np.asarray(ndtri(np.clip(u, np.finfo(float).tiny, LARGEST_BELOW_ONE)))
+    return np.asarray(ndtri(np.clip(u, np.finfo(float).tiny, BELOW_ONE)))

@@ -37,7 +37,7 @@ from typing import Any, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import BELOW_ONE, Array
 from mcspectra.core.errors import NoClosedForm
 from mcspectra.core.jit import kernel
 from mcspectra.core.streams import Stream
@@ -337,7 +337,7 @@ def _of_strata(base: Jittered, n: int, g: Integrand) -> Predicted:
     u = _net(2 * g.dims, _STRATA, _REPLICATES, 1)
     x, other = u[..., : g.dims], u[..., g.dims :]
     within = (np.floor(x * sides) + other) / sides
-    change = values_at(g, x) - values_at(g, np.minimum(within, np.nextafter(1.0, 0.0)))
+    change = values_at(g, x) - values_at(g, np.minimum(within, BELOW_ONE))
     spread = 0.5 * (change**2).mean(axis=1) / n
     return Predicted(spread.mean(axis=0), half_interval(spread), "pairs in strata")
 

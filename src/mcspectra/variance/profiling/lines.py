@@ -15,7 +15,7 @@ from typing import Any, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import BELOW_ONE, Array
 
 __all__ = ["COARSE", "Lines", "grain", "lines_of", "mean_dimension"]
 
@@ -133,7 +133,7 @@ def lines_of(g: Function, dims: int, evaluations: int, rng: np.random.Generator)
     def at(t: Array, which: Any = slice(None)) -> Array:
         """Values at places (K, m) along the lines, or some of them."""
         x = start[which, None] + t[..., None] * way[which, None]
-        return g(np.clip(x, 0.0, np.nextafter(1.0, 0.0)).reshape(-1, dims)).reshape(t.shape)
+        return g(np.clip(x, 0.0, BELOW_ONE).reshape(-1, dims)).reshape(t.shape)
 
     # Equal steps, of a size and at an offset of the line's own, so that none is in step with all waves
     part = rng.uniform(0.75, 1.0, (len(axis), 1))
