@@ -63,7 +63,7 @@ def count_axis(label: str, counts: Iterable[int], most: int = 6) -> Axis:
     for n in reversed(distinct[:-1]):
         if math.log(chosen[-1] / n) >= 0.999 * gap:
             chosen.append(n)
-    ticks = {float(n): f"{n:,}" for n in reversed(chosen)}
+    ticks = {float(n): str(n) for n in reversed(chosen)}
     low, high = distinct[0] / margin, distinct[-1] * margin
     return Axis(label=label, kind="log", low=low, high=high, ticks=ticks)
 

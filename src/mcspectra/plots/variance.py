@@ -250,9 +250,9 @@ def _known_curves(group: Group, styles: Styles, kind: str, what: str, caption: s
             if np.isfinite(bend):
                 marks.append(Rule(at=bend, axis="x", color=styles[name].color, dashes="--"))
         if "planned_n" in each and np.isfinite(each["planned_n"]):
-            notes[name] = f": n = {int(each['planned_n']):,}"
+            notes[name] = f": n = {int(each['planned_n'])}"
             low, high = each["planned_n_ci"].values if "planned_n_ci" in each else (1.0, 1.0)
-            notes[name] += f" ({low:,.0f} … {high:,.0f})" if high > _WIDE * low else ""
+            notes[name] += f" ({low:.0f} … {high:.0f})" if high > _WIDE * low else ""
     for name, line in zip(curves, lines_of(curves, styles, ("n", what), notes=notes), strict=True):
         marker = styles[name].marker
         dots = Dots(x=line.x, y=line.y, color=line.color, marker=marker, label=line.label)

@@ -159,7 +159,7 @@ def _predictions(data: xr.Dataset) -> Iterator[str]:
                 if math.isfinite(slope)
             ]
             yield (
-                f"{name}: variance {number(value)} at n = {int(one['n']):,} ({one['route'].item()})"
+                f"{name}: variance {number(value)} at n = {int(one['n'])} ({one['route'].item()})"
                 + (f", rate {' and '.join(rates)}" if rates else "")
                 + "."
             )

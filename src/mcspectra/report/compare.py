@@ -13,6 +13,7 @@ import numpy as np
 import xarray as xr
 from markupsafe import Markup
 
+from mcspectra.core.checks import as_path
 from mcspectra.core.errors import ParameterError
 from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.plots import kinds
@@ -99,13 +100,14 @@ def write_comparison(first: str | Path, second: str | Path, out: str | Path | No
     StoreError
         There are no results in a folder, or the page cannot be written.
     ParameterError
-        Both folders are the same.
+        Both folders are the same, or one of the three is no path.
     """
-    if Path(first).resolve() == Path(second).resolve():
+    folders = [as_path("first", first), as_path("second", second)]
+    file = folders[1] / COMPARISON_NAME if out is None else as_path("out", out)
+    if folders[0].resolve() == folders[1].resolve():
         raise ParameterError(
             f"Both folders are {str(first)!r}; give two different ones to compare."
         )
-    folders = [Path(first), Path(second)]
     trees = [open_results(folder) for folder in folders]
     curves: list[Curves] = [
         {
@@ -140,7 +142,7 @@ def write_comparison(first: str | Path, second: str | Path, out: str | Path | No
             ),
         ),
     )
-    return html.write_page(page, Path(second) / COMPARISON_NAME if out is None else Path(out))
+    return html.write_page(page, file)
 
 
 def _side_by_side(first: Curves, second: Curves) -> Iterator[html.Block]:

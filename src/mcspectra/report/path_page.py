@@ -114,7 +114,7 @@ def path_answer(tree: xr.DataTree) -> str:
     if "remedies" not in tree.children:
         return answer({str(s): curves.sel(sampler=s) for s in curves["sampler"].values}, why=why)
     best, other = _advised(tree)
-    budget = f"at {int(tree['remedies'].attrs['budget']):,} points"
+    budget = f"at {int(tree['remedies'].attrs['budget'])} points"
     cause = f" Cause: {why[:1].lower()}{why[1:]}" if why else ""
     if best["remedy"].item() == "as given" and other["verdict"].item() != "worse":
         return f"Keep {_setup(tree, best)}: nothing that was tried has surely less noise {budget}.{cause}"

@@ -12,6 +12,7 @@ from typing import Any, final
 import xarray as xr
 from markupsafe import Markup
 
+from mcspectra.core.checks import as_path
 from mcspectra.core.errors import StoreError
 from mcspectra.plots import kinds
 from mcspectra.plots.style import LineStyle, sampler_styles
@@ -132,10 +133,13 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
 
     Raises
     ------
+    ParameterError
+        `folder` or `out` is no path.
     StoreError
         There are no results in `folder`, or it cannot be written.
     """
-    root = Path(folder)
+    root = as_path("folder", folder)
+    file = root / REPORT_NAME if out is None else as_path("out", out)
     check_links(root)
     tree = open_results(root)
     study, estimates = tree.attrs.get("study") or {}, collect(tree)
@@ -189,7 +193,6 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
         lead=(*_answers(estimates), html.Text(text=lead, kind="soft")),
         sections=tuple(sections),
     )
-    file = root / REPORT_NAME if out is None else Path(out)
     return html.write_page(page, file, file.parent / "figures")
 
 

@@ -11,7 +11,8 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.core.analysis import ANALYSES
-from mcspectra.core.errors import McspectraError
+from mcspectra.core.checks import as_instances
+from mcspectra.core.errors import McspectraError, ParameterError
 from mcspectra.plots.groups import labelled
 from mcspectra.plots.text import (
     MISSING,
@@ -31,6 +32,7 @@ _NO_CURVE = "convergence was not analysed"
 _NO_TERMS = "nothing that predicts was analysed"
 _NO_RATE = "fewer than two counts have a variance above rounding noise"
 _NO_NUMBER = "there is no finite number"
+_ROW = "a row of mcspectra.studies.summarize"
 _SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 _DRAWN = ("convergence", "terms", "spectrum", "points", "pcf")  # have figures, and the main tables
 
@@ -54,19 +56,29 @@ def summary_table(
         Results of each row's pair by analysis, of its channel: they tell the bottleneck.
     links
         Where the name of each row's estimator leads; nowhere by default.
+
+    Raises
+    ------
+    ParameterError
+        Not lists of these, or not as many.
     """
-    cells = []
+    cells, rows = [], as_instances("rows", rows, SummaryRow, _ROW)
+    found = as_instances(
+        "analyses", [{}] * len(rows) if analyses is None else analyses, Mapping, "a mapping"
+    )
+    links = as_instances("links", [""] * len(rows) if links is None else links, str, "a text")
+    if not len(rows) == len(found) == len(links):
+        raise ParameterError(f"There are {len(rows)} rows; give as many analyses and links.")
     counts = Counter(row.n for row in rows if row.n is not None)
     usual = counts.most_common(1)[0][0] if counts else None
-    given = zip(rows, analyses or [{}] * len(rows), links or [""] * len(rows), strict=True)
-    for row, found, link in given:
-        terms, no_term = found.get("terms"), row.note or _NO_TERMS
+    for row, of_row, link in zip(rows, found, links, strict=True):
+        terms, no_term = of_row.get("terms"), row.note or _NO_TERMS
         no_number = _NO_CURVE if row.n is None else _NO_NUMBER
         variance = number(row.variance)
         at = f" (n = {row.n})" if row.n not in (None, usual) and variance != MISSING else ""
         route = basis_name(row.route) if row.route else ""
         predicted = with_error(row.ratio, _half(row.ratio_low, row.ratio_high))
-        techniques = found.get("techniques")
+        techniques = of_row.get("techniques")
         slow = "" if techniques is None else str(techniques.attrs.get("bottleneck") or "")
         limit = bottleneck(row, terms, slow)
         cells.append(
@@ -107,9 +119,16 @@ def summary_table(
 
 
 def terms_table(rows: Sequence[SummaryRow]) -> Table:
-    """Return one estimator's three terms against its measured variance."""
+    """Return one estimator's three terms against its measured variance.
+
+    Raises
+    ------
+    ParameterError
+        Not a list of rows.
+    """
     cells = []
-    for row in (each for each in rows if each.terms_n is not None):
+    every = as_instances("rows", rows, SummaryRow, _ROW)
+    for row in (each for each in every if each.terms_n is not None):
         why = row.note or _NO_NUMBER
 
         def value(
