@@ -5,12 +5,11 @@ import pytest
 import xarray as xr
 from scipy.special import ndtr, ndtri
 
-from mcspectra.estimators.moments import CONFIDENCE_Z
+from mcspectra.estimators.moments import CONFIDENCE_Z, Measured
 from mcspectra.reproduction.claims import (
     GALLERY_FINDINGS,
     VERDICT_WIDENING,
     Claim,
-    Measured,
     judge,
     pixel_rate,
     rate_claim,
@@ -31,7 +30,7 @@ def test_true_statements_agree_as_often_as_they_should():
 
 def test_an_expected_number_at_the_ends_of_the_interval():
     measured = Measured.normal(2.0, 0.1)
-    low, high = measured.verdict_interval
+    low, high = measured.widened(VERDICT_WIDENING)
 
     def agrees(expected, tolerance=0.0):
         return judge(Claim("s", measured, expected=expected, tolerance=tolerance)).agrees
@@ -55,12 +54,12 @@ def test_a_number_without_an_interval_is_judged_by_its_tolerance():
 
 
 def test_intervals_of_variances_widen_as_ratios():
-    low, high = Measured(2.0, 1.0, 4.0, log=True).verdict_interval
+    low, high = Measured(2.0, 1.0, 4.0, log=True).widened(VERDICT_WIDENING)
     assert low == pytest.approx(2.0 * 0.5**VERDICT_WIDENING)
     assert high == pytest.approx(2.0 * 2.0**VERDICT_WIDENING)
     # Where a logarithm has no meaning the scale is linear
     log, linear = (Measured(0.0, -1.0, 1.0, log=log) for log in (True, False))
-    assert log.verdict_interval == linear.verdict_interval
+    assert log.widened(VERDICT_WIDENING) == linear.widened(VERDICT_WIDENING)
 
 
 def _curve(rate, half):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import textwrap
 from typing import Any
 
@@ -12,6 +11,7 @@ from mcspectra.app.state import Setup, State
 from mcspectra.core.analysis import Analysis
 from mcspectra.core.options import options_of
 from mcspectra.core.spec import parse
+from mcspectra.report.study import study_toml
 
 __all__ = ["as_python", "as_toml"]
 
@@ -93,35 +93,24 @@ def as_toml(state: State) -> str:
     McspectraError
         A set-up cannot be made.
     """
-    lines = ['title = "From the explorer"', f"seed = {state.a.seed}"]
-    specs = [spec for _, setup in state.setups() for spec in techniques(setup.integrand)]
-    if any(parse(spec).name == UPLOAD for spec in specs):
-        # A study reads files from its own folder only, unless it is told of another
-        lines.insert(0, "# Run with --allow-path and the folder of the picture below.")
+    entries: list[dict[str, Any]] = []
     for name, setup in state.setups():
         parts = integrand_specs(setup)
-        lines += [
-            "",
-            "[[estimators]]",
-            f"name = {_text(name)}",
-            f"dims = {setup.dims}",
-            f"integrand = {_text(parts[0])}"
-            if len(parts) == 1
-            else f"integrands = [{', '.join(map(_text, parts))}]",
-            f"samplers = [{_text(setup.displaced_sampler)}]",
-        ]
-        if setup.density != "uniform":
-            lines.append(f"density = {_text(setup.density)}")
-        if setup.smoothing:
-            lines.append(f"smoothed = {setup.smoothing!r}")
-        if setup.mirror != "none":
-            lines.append(f"mirror = {_text(setup.mirror)}")
-        for table, analysis in _exported(setup).items():
-            lines += ["", f"[estimators.{table}]"]
-            lines += [f"{key} = {_text(value)}" for key, value in _chosen(analysis).items()]
-    return "\n".join(lines) + "\n"
-
-
-def _text(value: Any) -> str:
-    """A value of TOML: JSON's escapes are TOML's, specs hold no control characters."""
-    return json.dumps(value, ensure_ascii=False)
+        entries.append(
+            {
+                "name": name,
+                "dims": setup.dims,
+                **({"integrand": parts[0]} if len(parts) == 1 else {"integrands": list(parts)}),
+                "samplers": [setup.displaced_sampler],
+                "density": None if setup.density == "uniform" else setup.density,
+                "smoothed": setup.smoothing or None,
+                "mirror": None if setup.mirror == "none" else setup.mirror,
+                **{table: _chosen(analysis) for table, analysis in _exported(setup).items()},
+            }
+        )
+    study = {"title": "From the explorer", "seed": state.a.seed, "estimators": entries}
+    specs = [spec for _, setup in state.setups() for spec in techniques(setup.integrand)]
+    uploaded = any(parse(spec).name == UPLOAD for spec in specs)
+    # A study reads files from its own folder only, unless it is told of another
+    note = "# Run with --allow-path and the folder of the picture below.\n" if uploaded else ""
+    return note + study_toml(study)

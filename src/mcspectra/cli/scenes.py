@@ -278,9 +278,7 @@ def pixel_(options: argparse.Namespace) -> Answer:
             f"{known['dims']} random numbers a path"
         )
         parts = [f"{title}\n{answer}"]
-        rows = path_page.path_rows(tree).items()
-        heads = path_page.PATH_TABLES
-        parts += [text_table(heads[name][: len(each[0])], each) for name, each in rows]
+        parts += map(page_table, path_page.path_tables(tree).values())
         data, said = path_page.path_summary(tree), path_page.path_sentences(tree)
         write = path_page.write_path
     written = None if options.out is None else write(tree, options.out)
@@ -341,7 +339,7 @@ def map_(options: argparse.Namespace) -> Answer:
     from mcspectra.core.options import checked
     from mcspectra.plots.groups import labelled
     from mcspectra.rendering.maps import Map, compared
-    from mcspectra.report.map_page import map_note, map_summary, shown_numbers, write_map
+    from mcspectra.report.map_page import map_summary, map_table, write_map
     from mcspectra.studies import StudyConfig, Trust, open_results, run_study
     from mcspectra.studies.files import SceneConfig
 
@@ -364,10 +362,9 @@ def map_(options: argparse.Namespace) -> Answer:
     maps = [labelled(each).assign_coords(bound=["low", "high"]) for each in found]
     result = maps[0] if len(maps) == 1 else compared(maps)
     page, summary = write_map(result, options.out), map_summary(result)
-    shown = summary["strategies"]
-    rows = [[name, "", *shown_numbers(row)] for name, row in shown.items()]
-    table = text_table(["strategy", "", *next(iter(shown.values()))], rows)
-    return Answer(f"{table}\n{map_note(summary)}\nmap: {page}", {**summary, "report": page})
+    table = map_table(summary)
+    text = f"{page_table(table)}\n{table.caption}\nmap: {page}"
+    return Answer(text, {**summary, "report": page})
 
 
 @verb(
@@ -456,11 +453,7 @@ def frames_(options: argparse.Namespace) -> Answer:
         flip=not options.no_flip,
     )
     found, said = frames_page.frame_summary(result), frames_page.frame_findings(result)
-    columns, rows = frames_page.frame_table(found)
-    lines = [
-        text_table([columns[0], "", *columns[1:]], [[row[0], "", *row[1:]] for row in rows]),
-        *said,
-    ]
+    lines = [page_table(frames_page.frame_table(found)), *said]
     data = {**found, "findings": said}
     if options.tev:
         _show(result, options.tev)

@@ -45,7 +45,6 @@ def points(group: Group, styles: Styles) -> Plot:
         ]
         shown = "The unit square." if max(sizes) == 2 else f"Axes 0 and 1 of {max(sizes)}."
     return Plot(
-        kind="points",
         panels=tuple(panels),
         columns=abreast(len(panels)),
         caption=f"One realisation of n = {n} points of each sampler, after importance sampling where "

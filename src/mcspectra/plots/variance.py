@@ -118,7 +118,6 @@ def convergence(group: Group, styles: Styles) -> Plot:
         curves.insert(0, Line(x=at, y=y, color=GRAY, dashes=":", width=0.8, label=label))
     left_out = any(not usable_counts(each).all() for each in group.values())
     return Plot(
-        kind="convergence",
         panels=(_variance_panel(curves, group.values()),),
         caption="Variance against the number of points, with 95 % intervals"
         + (
@@ -194,7 +193,7 @@ def task_curves(tasks: Mapping[str, Group], styles: Styles) -> Plot:
 def exact(group: Group, styles: Styles) -> Plot:
     """Exact variances against n."""
     caption = "Exact variance against the number of points, by closed form or quadrature."
-    return _known_curves(group, styles, "exact", "exact variance", caption)
+    return _known_curves(group, styles, "exact variance", caption)
 
 
 def prediction(group: Group, styles: Styles) -> Plot:
@@ -208,7 +207,7 @@ def prediction(group: Group, styles: Styles) -> Plot:
             "Predicted variance against the number of points, with 95 % intervals, and the least n "
             "that is predicted to reach the error, whose square is dashed."
         )
-    return _known_curves(group, styles, "prediction", "predicted variance", caption)
+    return _known_curves(group, styles, "predicted variance", caption)
 
 
 def profile(group: Group, styles: Styles) -> Plot:
@@ -221,10 +220,10 @@ def profile(group: Group, styles: Styles) -> Plot:
             for sampler in each["sampler"].values
         }
         styles = sampler_styles(list(group))
-    return _known_curves(group, styles, "profile", "variance", caption)
+    return _known_curves(group, styles, "variance", caption)
 
 
-def _known_curves(group: Group, styles: Styles, kind: str, what: str, caption: str) -> Plot:
+def _known_curves(group: Group, styles: Styles, what: str, caption: str) -> Plot:
     """Variances that were not measured, against n."""
     variable = what.replace(" ", "_")
     curves, bands = {}, {}
@@ -266,7 +265,6 @@ def _known_curves(group: Group, styles: Styles, kind: str, what: str, caption: s
     shown = np.concatenate([n for n, _ in curves.values()])
     counts = shown.astype(int).tolist() or [int(n) for each in group.values() for n in each["n"]]
     return Plot(
-        kind=kind,
         panels=(
             Panel(
                 marks=tuple(marks),
@@ -304,7 +302,6 @@ def terms(group: Group, styles: Styles) -> Plot:
         color = styles[name].color
         panels.append(_bar_panel(name, color, rows, shown, whiskers, texts, axis, opacities))
     return Plot(
-        kind="terms",
         panels=tuple(panels),
         caption="The terms of the variance, signed: dc + power + cross = predicted, with the measured "
         "variance below; whiskers are 95 % intervals.",
@@ -344,7 +341,6 @@ def captured(group: Group, styles: Styles) -> Plot:
     below = Axis(label="half width of the spectrum", low=0.0, high=1.03 * widest, ticks=ticks)
     panel = Panel(marks=tuple(marks), x=below, y=axis, grid=True)
     return Plot(
-        kind="captured",
         panels=(panel,),
         caption="Share of the measured variance that the spectrum predicts when it is cut at each half "
         "width; at 1 nothing is missing.",
@@ -371,7 +367,6 @@ def techniques(group: Group, styles: Styles) -> Plot:
         color = styles[name].color
         panels.append(_bar_panel(name, color, rows, shown, whiskers, texts, axis))
     return Plot(
-        kind="techniques",
         panels=tuple(panels),
         caption="What each technique contributes to the variance, and each pair through its covariance; "
         "the bars sum to the measured variance. Whiskers are 95 % intervals.",
@@ -384,9 +379,8 @@ def techniques(group: Group, styles: Styles) -> Plot:
     )
 
 
-def technique_rates(group: Group, styles: Styles) -> Plot:
+def technique_rates(group: Group, _: Styles) -> Plot:
     """Variance of each technique against n with its rate, a panel for each sampler."""
-    del styles  # colours are those of the techniques
     curves: dict[str, dict[str, tuple[xr.Dataset, LineStyle]]] = {}
     for name, each in group.items():
         curves[name] = {
@@ -403,7 +397,6 @@ def technique_rates(group: Group, styles: Styles) -> Plot:
         curves[name]["all together"] = whole
     panels, said = _curve_panels(curves)
     return Plot(
-        kind="technique-rates",
         panels=panels,
         columns=min(2, len(panels)),
         caption="Variance of each technique's part of the estimate and of their sum against the number "
@@ -434,7 +427,6 @@ def anova(group: Group, styles: Styles) -> Plot:
     known = next(iter(group.values())).attrs
     axes, sets = known.get("axes", "axis of primary space"), known.get("order", 2) > 1
     return Plot(
-        kind="anova",
         panels=tuple(panels),
         columns=min(2, abreast(len(panels))),
         caption=f"Part of the variance that comes from each {axes} alone"
@@ -487,7 +479,6 @@ def routes(group: Group, styles: Styles) -> Plot:
         panels.append(Panel(marks=(dots,), x=axis, y=name_axis(rows), title=name, grid=True))
     most = max(len(panel.y.ticks or ()) for panel in panels)
     return Plot(
-        kind="routes",
         panels=tuple(panels),
         columns=min(2, abreast(len(panels))),
         caption="The variance by each route, from the most trusted at the top to the measurement, with "
@@ -505,9 +496,8 @@ def routes(group: Group, styles: Styles) -> Plot:
     )
 
 
-def remedies(group: Group, styles: Styles) -> Plot:
+def remedies(group: Group, _: Styles) -> Plot:
     """Variance of every change relative to the set-up as given, with intervals."""
-    del styles  # colours are those of the verdicts
     known = np.concatenate([each["error_ratio_ci"].values.ravel() for each in group.values()])
     known = known[np.isfinite(known) & (known > 0)]
     axis = log_axis(
@@ -544,7 +534,6 @@ def remedies(group: Group, styles: Styles) -> Plot:
             Panel(marks=tuple(marks), x=axis, y=names, title=name if len(group) > 1 else "")
         )
     return Plot(
-        kind="remedies",
         panels=tuple(panels),
         caption="Variance of each change (of what is biased, mean squared error) over that of the set-up as "
         "given, with intervals that hold together at 95 %; left of 1 there is less noise.",

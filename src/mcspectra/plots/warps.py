@@ -23,9 +23,8 @@ _CLIPPED = 0.5  # per cent of the values at either end, where poles would hide t
 _INSIDE, _SIDES = "jump inside", "jump between opposite sides"
 
 
-def warp(group: Group, styles: Styles) -> Plot:
+def warp(group: Group, _: Styles) -> Plot:
     """How a warp distorts a grid and, on primary space, its stretch and its jumps."""
-    del styles
     group, dims = _by_spec(group, "density")
     caption = "Image of a grid under the warp, and on primary space its stretch and its jumps."
     if dims == 1:
@@ -78,7 +77,6 @@ def warp(group: Group, styles: Styles) -> Plot:
                 )
             )
     return Plot(
-        kind="warp",
         panels=tuple(panels),
         columns=abreast(len(panels)) if dims == 1 else 2 if len(group) <= 3 else 4,
         caption=caption,
@@ -87,9 +85,8 @@ def warp(group: Group, styles: Styles) -> Plot:
     )
 
 
-def primary(group: Group, styles: Styles) -> Plot:
+def primary(group: Group, _: Styles) -> Plot:
     """Primary-space integrands g(u) with their jumps inside and between opposite sides."""
-    del styles
     group, dims = _by_spec(group, "estimator")
     panels = []
     for name, each in group.items():
@@ -122,7 +119,6 @@ def primary(group: Group, styles: Styles) -> Plot:
             )
         )
     return Plot(
-        kind="primary",
         panels=tuple(panels),
         columns=abreast(len(panels)),
         caption="The integrand on primary space, g(u), with its jumps inside and between opposite "

@@ -202,16 +202,11 @@ def _said(bench: xr.Dataset) -> list[str]:
 
 
 def _page(bench: xr.Dataset) -> html.Page:
-    tables = []
-    for caption, (heads, rows) in (
-        ("Samplers by themselves, at the largest n", _sampler_table(bench)),
-        ("Rates on each integrand, in brackets the rank", bench_table(bench)),
-    ):
-        cells = tuple(
-            tuple(html.Cell(text=text, numeric=k > 0) for k, text in enumerate(row)) for row in rows
-        )
-        tables.append(html.Table(caption=caption, columns=tuple(heads), rows=cells))
-    sections = [html.Section(title="Summary", anchor="summary", blocks=tuple(tables))]
+    tables = (
+        html.table_of("Samplers by themselves, at the largest n", *_sampler_table(bench)),
+        html.table_of("Rates on each integrand, in brackets the rank", *bench_table(bench)),
+    )
+    sections = [html.Section(title="Summary", anchor="summary", blocks=tables)]
     plots = itertools.groupby(bench_plots(bench), key=lambda each: each[0].partition(":")[0])
     for k, (title, found) in enumerate(plots):
         live = title != "Projections"

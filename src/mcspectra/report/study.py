@@ -381,12 +381,13 @@ def _gaps(root: Path, asked: Mapping[str, Sequence[str]]) -> Iterator[html.Block
         estimator = estimators.get(key, key)
         sampler = _stored(asked.get(estimator, ())).get(own, own)
         found.setdefault((estimator, sampler, reason), []).append(analysis)
-    rows = [html.text_cells(e, s, ", ".join(names), why) for (e, s, why), names in found.items()]
+    rows = [(e, s, ", ".join(names), why) for (e, s, why), names in found.items()]
     more = len(rows) - _MOST_GAPS
-    yield html.Table(
-        caption=f"{more} more rows: mcspectra status FOLDER --json lists all." if more > 0 else "",
-        columns=("Estimator", "Sampler", "Analyses", "Why"),
-        rows=tuple(rows[:_MOST_GAPS]),
+    yield html.table_of(
+        f"{more} more rows: mcspectra status FOLDER --json lists all." if more > 0 else "",
+        ("Estimator", "Sampler", "Analyses", "Why"),
+        rows[:_MOST_GAPS],
+        words=range(4),
         heads=2,
     )
 
@@ -520,8 +521,6 @@ def _figures(
             if kind == "anything":
                 plot = replace(plot, caption=f"{summary_of(analysis)} {plot.caption}")
                 kind = analysis
-            else:
-                kind = plot.kind
             name = f"{anchor.removeprefix('e-')}-{kind}" + (f"-{place}" if place else "")
             yield html.Figure(plot=plot, name=name, live=plot.kind in _LIVE)
 

@@ -346,8 +346,11 @@ def _section(entry: Entry) -> html.Section:
         }
         blocks += html.figures_of(named)
         columns = ("Statement", "Verdict", "Expected", "Measured", "95 % interval", "Note")
-        rows = tuple(map(_row, entry.findings))
-        blocks.append(html.Table(caption="", columns=columns, rows=rows, stacked=True))
+        rows = [
+            (f.statement, _verdict(f.agrees), f.expected, *measured_text(f), f.note)
+            for f in entry.findings
+        ]
+        blocks.append(html.table_of("", columns, rows, words=(0, -1), stacked=True))
     wrong = any(finding.agrees is False for finding in entry.findings)
     return html.Section(
         title=slide.title,
@@ -358,14 +361,9 @@ def _section(entry: Entry) -> html.Section:
     )
 
 
-def _row(finding: Finding) -> tuple[html.Cell, ...]:
-    verdict, mark = _SIGNS[finding.agrees]
-    (statement, note), numbers = (
-        html.text_cells(finding.statement, finding.note),
-        (finding.expected, *measured_text(finding)),
-    )
-    cell = html.Cell(text=verdict, numeric=False, mark=mark)
-    return statement, cell, *(html.Cell(text=text) for text in numbers), note
+def _verdict(agrees: bool | None) -> html.Cell:
+    text, mark = _SIGNS[agrees]
+    return html.Cell(text=text, numeric=False, mark=mark)
 
 
 def _write_pdf(path: Path, entries: Sequence[Entry]) -> None:
