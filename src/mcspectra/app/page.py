@@ -15,7 +15,6 @@ from bokeh.models.widgets.buttons import Button
 from bokeh.models.widgets.inputs import Checkbox, TextAreaInput
 from bokeh.models.widgets.markups import Div
 from tornado.ioloop import IOLoop
-from xarray import DataTree
 
 from mcspectra.app.board import Board
 from mcspectra.app.controls import Controls
@@ -26,7 +25,7 @@ from mcspectra.app.state import THEMES, Setup, State
 from mcspectra.core.errors import McspectraError
 from mcspectra.plots.text import number, rate
 from mcspectra.report.tables import summary_table
-from mcspectra.studies import summarize
+from mcspectra.studies.summary import rows_of
 
 __all__ = ["TITLE", "Explorer", "build_page"]
 
@@ -265,10 +264,7 @@ def _row(side: str, setup: Setup, board: Board) -> str:
     parts = {k: v for k, v in board.latest.items() if k in ("terms", "predict")}
     ratio = missing
     if len(parts) == 2:
-        names = {"estimator_name": side, "sampler_spec": setup.displaced_sampler}
-        nodes = {f"/e/s/{kind}": value.assign_attrs(names) for kind, value in parts.items()}
-        rows = summarize(DataTree.from_dict(nodes))
-        ratio = summary_table(rows).rows[0][4].text
+        ratio = summary_table(rows_of(side, setup.displaced_sampler, parts)).rows[0][4].text
     cells = [
         setup.displaced_sampler,
         str(setup.n),

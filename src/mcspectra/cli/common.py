@@ -23,6 +23,7 @@ __all__ = [
     "Declaration",
     "Read",
     "Verb",
+    "given_of",
     "group",
     "index_or_name",
     "one_sentence_warnings",
@@ -181,6 +182,12 @@ def _folder(name: str, text: str) -> str:
             f"{name} is {text!r}, the name of a file; give a folder, which gets several."
         )
     return text
+
+
+def given_of(options: argparse.Namespace, *names: str) -> dict[str, Any]:
+    """Return those options of these names that were given."""
+    found = ((name, getattr(options, name, None)) for name in names)
+    return {name: value for name, value in found if value is not None}
 
 
 def index_or_name(name: str, text: str) -> int | str:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from mcspectra.cli.common import (
     Answer,
+    given_of,
     group,
     index_or_name,
     option,
@@ -85,8 +86,7 @@ def render_(options: argparse.Namespace) -> Answer:
 
     # Put the size of the film among the scene's parameters
     scene = str(options.scene)
-    given = {"width": options.width, "height": options.height}
-    sizes = {name: size for name, size in given.items() if size is not None}
+    sizes = given_of(options, "width", "height")
     if sizes:
         if scene.lower().endswith(".xml"):
             raise ParameterError(
@@ -237,13 +237,11 @@ def pixel_(options: argparse.Namespace) -> Answer:
 
     # Options that are not given are left to the function
     passed = ("light", "channel", "dims", "samplers", "counts", "realizations", "budget")
-    given = {name: getattr(options, name) for name in passed}
-    given = {name: value for name, value in given.items() if value is not None}
     asked = {
         "remedies": not options.no_remedies,
         "effort": "full" if options.full else "quick",
         "rng": options.seed or 0,
-        **given,
+        **given_of(options, *passed),
     }
     if options.integrator is None:
         from mcspectra.report import pixel_page
@@ -334,9 +332,8 @@ def map_(options: argparse.Namespace) -> Answer:
     bounces and decisions. Writes DIR/maps.exr (all layers), DIR/*.png, *.pdf, DIR/map.json and DIR/report.html;
     DIR/study.sqlite keeps what is finished, and --resume goes on from there.
     """
-    from mcspectra.cli.analysis import given_options
     from mcspectra.core.analysis import Subject
-    from mcspectra.core.options import checked
+    from mcspectra.core.options import checked, options_of
     from mcspectra.plots.groups import labelled
     from mcspectra.rendering.maps import Map, compared
     from mcspectra.report.map_page import map_summary, map_table, write_map
@@ -344,7 +341,7 @@ def map_(options: argparse.Namespace) -> Answer:
     from mcspectra.studies.files import SceneConfig
 
     # Refuse what cannot be before there is a folder
-    analysis = checked(Map(**given_options(options, Map)))
+    analysis = checked(Map(**given_of(options, *(each.name for each in options_of(Map)))))
     samplers = options.sampler or [analysis.default_sampler]
     subjects = [Subject(None, read_sampler(each, analysis.points_dims)) for each in samplers]
     parts = analysis.of_samplers(subjects)

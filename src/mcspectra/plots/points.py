@@ -10,7 +10,7 @@ from mcspectra.core.checks import Array, as_unit_points
 from mcspectra.core.errors import ParameterError
 from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, Plot, Rule, Scale, Segments
 from mcspectra.plots.groups import Group, Styles, abreast, numbers
-from mcspectra.plots.scales import log_axis, name_axis, unit_axis
+from mcspectra.plots.scales import log_axis, name_axis, unit_axis, unit_panel
 from mcspectra.plots.spectra import frequency_map, relative_power
 from mcspectra.plots.style import ACCENT, FAINT, INK, PALETTE, labels
 
@@ -197,14 +197,7 @@ def _square(
         label or (f"x{axis}".translate(digits) if named else "")
         for label, axis in zip(labels, axes, strict=True)
     ]
-    return Panel(
-        marks=(Dots(x=first, y=second, color=color, size=size, hover=shown),),
-        x=unit_axis(said[0]),
-        y=unit_axis(said[1]),
-        title=title,
-        square=True,
-        framed=True,
-    )
+    return unit_panel([Dots(x=first, y=second, color=color, size=size, hover=shown)], title, *said)
 
 
 def _stroke_panel(

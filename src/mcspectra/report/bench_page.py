@@ -209,9 +209,8 @@ def _page(bench: xr.Dataset) -> html.Page:
     sections = [html.Section(title="Summary", anchor="summary", blocks=tables)]
     plots = itertools.groupby(bench_plots(bench), key=lambda each: each[0].partition(":")[0])
     for k, (title, found) in enumerate(plots):
-        live = title != "Projections"
-        block = html.Figures(figures=tuple(html.Figure(plot=plot, live=live) for _, plot in found))
-        sections.append(html.Section(title=title, anchor=f"part-{k}", blocks=(block,)))
+        blocks = html.figures_of((plot for _, plot in found), live=title != "Projections")
+        sections.append(html.Section(title=title, anchor=f"part-{k}", blocks=blocks))
     lead = tuple(html.Text(text=sentence) for sentence in _said(bench))
     return html.Page(title="Sampler bench", what="bench", lead=lead, sections=tuple(sections))
 

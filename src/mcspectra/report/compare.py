@@ -149,7 +149,7 @@ def _side_by_side(first: Curves, second: Curves) -> Iterator[html.Block]:
         )
     else:
         yield html.Text(text="No estimator and sampler has a convergence in both.")
-    figures = []
+    plots = []
     for estimator in dict.fromkeys(name for name, _ in both):
         overlay = {
             f"{letter}: {sampler}": curves[name, sampler]
@@ -158,10 +158,8 @@ def _side_by_side(first: Curves, second: Curves) -> Iterator[html.Block]:
             for letter, curves in (("A", first), ("B", second))
         }
         plot = kinds.describe("convergence", overlay)
-        caption = f"{estimator}. {plot.caption}"
-        figures.append(html.Figure(plot=replace(plot, caption=caption), live=True))
-    if figures:
-        yield html.Figures(figures=tuple(figures))
+        plots.append(replace(plot, caption=f"{estimator}. {plot.caption}"))
+    yield from html.figures_of(plots, live=True)
     for letter, mine in (("A", first), ("B", second)):
         lines = [
             f"{estimator}, with {sampler}"

@@ -269,9 +269,12 @@ def columns_of(table: Table, names: Sequence[str]) -> Table:
     return replace(table, columns=tuple(names), rows=rows)
 
 
-def figures_of(plots: Mapping[str, Plot], *, live: bool = False) -> tuple[Figures, ...]:
-    """Return a block of plots by the names of their files; nothing of none."""
-    figures = tuple(Figure(plot=plot, name=name, live=live) for name, plot in plots.items())
+def figures_of(
+    plots: Mapping[str, Plot] | Iterable[Plot], *, live: bool = False
+) -> tuple[Figures, ...]:
+    """Return a block of plots, by the names of their files where they have any; nothing of none."""
+    named = plots.items() if isinstance(plots, Mapping) else (("", plot) for plot in plots)
+    figures = tuple(Figure(plot=plot, name=name, live=live) for name, plot in named)
     return (Figures(figures=figures),) if figures else ()
 
 

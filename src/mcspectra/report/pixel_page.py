@@ -18,7 +18,8 @@ from mcspectra.plots.variance import strategy_curves
 from mcspectra.report import page as html
 from mcspectra.report.sentences import answer, basis_name, explain
 from mcspectra.report.tables import analysis_table, summary_table, terms_table
-from mcspectra.studies import SummaryRow, summarize
+from mcspectra.studies import SummaryRow
+from mcspectra.studies.summary import rows_of
 from mcspectra.variance.fit import UNRESOLVED, is_resolved
 
 __all__ = [
@@ -154,40 +155,31 @@ def pixel_rows(tree: xr.DataTree) -> list[SummaryRow]:
     tree
         What `mcspectra.studies.analyse_pixel` returns.
     """
-    curves = tree["convergence"].to_dataset()
-    parts: dict[str, xr.Dataset] = {}
-    for i, strategy in enumerate(curves["strategy"].values):
-        for j, sampler in enumerate(curves["sampler"].values):
-            names = {"estimator_name": STRATEGY_NAMES[strategy], "sampler_spec": str(sampler)}
-            curve = curves.sel(strategy=strategy, sampler=sampler, drop=True)
-            parts[f"/{i}/{j}/convergence"] = curve.assign_attrs(names)
-            predicted = tree[f"predict/{strategy}"].to_dataset()
-            parts[f"/{i}/{j}/predict"] = predicted.sel(sampler=sampler, drop=True)
+    curves, rows = tree["convergence"].to_dataset(), list[SummaryRow]()
+    for strategy in curves["strategy"].values:
+        predicted = tree[f"predict/{strategy}"].to_dataset()
+        for sampler in map(str, curves["sampler"].values):
+            found = {
+                "convergence": curves.sel(strategy=strategy, sampler=sampler, drop=True),
+                "predict": predicted.sel(sampler=sampler, drop=True),
+            }
             if sampler == tree.attrs["sampler"]:
-                terms = tree[f"terms/{strategy}/auto"].to_dataset()
-                parts[f"/{i}/{j}/terms"] = terms.assign_attrs(names)
-    return _summarized(parts)
+                found["terms"] = tree[f"terms/{strategy}/auto"].to_dataset()
+            rows += rows_of(STRATEGY_NAMES[strategy], sampler, found)
+    return rows
 
 
 def term_rows(tree: xr.DataTree) -> list[SummaryRow]:
     """One row for every strategy and basis of the terms, which stands in the place of the sampler."""
-    parts: dict[str, xr.Dataset] = {}
-    for i, (strategy, views) in enumerate(tree["terms"].children.items()):
-        seen: set[str] = set()
-        for j, view in enumerate(views.children.values()):
-            basis = str(view.attrs["basis"])
-            if basis in seen:  # the fitting basis may be Fourier's
-                continue
-            seen.add(basis)
+    rows: list[SummaryRow] = []
+    for strategy, views in tree["terms"].children.items():
+        seen: dict[str, xr.DataTree] = {}
+        for view in views.children.values():  # the fitting basis may be Fourier's
+            seen.setdefault(str(view.attrs["basis"]), view)
+        for basis, view in seen.items():
             label = f"{STRATEGY_NAMES[strategy]}; {basis_name(basis)}"
-            names = {"estimator_name": strategy, "sampler_spec": label}
-            parts[f"/{i}/{j}/terms"] = view.to_dataset().assign_attrs(names)
-    return _summarized(parts)
-
-
-def _summarized(parts: dict[str, xr.Dataset]) -> list[SummaryRow]:
-    tree: xr.DataTree = xr.DataTree.from_dict(dict(parts))
-    return summarize(tree)
+            rows += rows_of(str(strategy), label, {"terms": view.to_dataset()})
+    return rows
 
 
 def about_pixel(tree: xr.DataTree) -> list[tuple[str, str]]:

@@ -335,23 +335,22 @@ def _page(cards: Sequence[Card], effort: Effort) -> html.Page:
     for start in range(0, len(cards), _IN_OVERLAY):
         few = cards[start : start + _IN_OVERLAY]
         spectra = {card.name: card.spectrum for card in few}
-        overlays.append(html.Figure(plot=describe("radial", spectra, styles), live=True))
+        overlays.append(describe("radial", spectra, styles))
         for text in dict.fromkeys(text for card in few for text in card.curves):
             curves = {card.name: card.curves[text] for card in few if text in card.curves}
             plot = describe("convergence", curves, styles)
-            plot = replace(plot, caption=f"{text}: {plot.caption}")
-            overlays.append(html.Figure(plot=plot, live=True))
-    together: tuple[html.Block, ...] = (html.Text(text=_settings(effort)), _table(cards, names))
-    together += (html.Figures(figures=tuple(overlays)),)
+            overlays.append(replace(plot, caption=f"{text}: {plot.caption}"))
+    settings, table = html.Text(text=_settings(effort)), _table(cards, names)
+    together: tuple[html.Block, ...] = (settings, table, *html.figures_of(overlays, live=True))
     sections = [html.Section(title="Side by side", anchor="all", blocks=together)]
     for card, anchor in zip(cards, names, strict=True):
         facts = []
         for name, value in _card_facts(card):
             text = ADDRESS.sub(r'<a href="\g<0>">\g<0></a>', str(escape(value)))
             facts.append((name, Markup(text)))
-        blocks = (
+        blocks: tuple[html.Block, ...] = (
             html.Text(text=card.facts.summary if card.facts else ""),
-            html.Figures(figures=(html.Figure(plot=_card_plot(card)),)),
+            *html.figures_of([_card_plot(card)]),
             html.Facts(rows=tuple(facts)),
         )
         sections.append(html.Section(title=card.name, anchor=anchor, blocks=blocks, code=True))

@@ -20,8 +20,9 @@ from mcspectra.plots.text import percent
 from mcspectra.report import page as html
 from mcspectra.report.sentences import answer, basis_name, explain, further_sentences
 from mcspectra.report.tables import analysis_table, summary_of, summary_table, terms_table
-from mcspectra.studies import SummaryRow, open_results, study_status, summarize
+from mcspectra.studies import SummaryRow, open_results, study_status
 from mcspectra.studies.ledger import LEDGER_NAME, Ledger, check_links
+from mcspectra.studies.summary import asked_of, pairs_of, rows_of
 
 __all__ = ["REPORT_NAME", "Estimates", "collect", "provenance", "study_toml", "write_report"]
 
@@ -144,7 +145,7 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
     tree = open_results(root)
     study, estimates = tree.attrs.get("study") or {}, collect(tree)
     samplers = list(dict.fromkeys(s for each in estimates for s in each.rows))
-    asked = _asked(study)
+    asked = asked_of(study)
     styles, names = sampler_styles(samplers), html.anchors((each.key for each in estimates), "e-")
 
     # The summary, what is missing, a section for each estimator, provenance
@@ -197,47 +198,29 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
 
 
 def collect(tree: xr.DataTree) -> list[Estimates]:
-    """Return all estimators of a result tree, they and their samplers in the study's order.
-
-    Groups of a store come in whatever order the file system lists them; the study's own lists of
-    estimators and samplers decide here, so that a report does not depend on it.
-    """
-    order = _asked(tree.attrs.get("study") or {})
-    rows: dict[tuple[str, str], list[SummaryRow]] = {}
-    for row in summarize(tree):
-        rows.setdefault((row.estimator, row.sampler), []).append(row)
+    """Return all estimators of a result tree, they and their samplers in the study's order."""
+    groups: dict[tuple[str, str], dict[str, dict[str, xr.Dataset]]] = {}
+    for key, name, sampler, analyses in pairs_of(tree):
+        groups.setdefault((key, name), {})[sampler] = analyses
     found = []
-    for key, node in tree.children.items():
-        name, spec = str(key), ""
-        pairs: dict[str, dict[str, xr.Dataset]] = {}
-        for slug, child in node.children.items():
-            analyses = {str(a): each.to_dataset() for a, each in child.children.items()}
-            if not analyses:
-                continue
-            known = next(iter(analyses.values())).attrs
-            name = str(known.get("estimator_name", key))
-            pairs[str(known.get("sampler_spec", slug))] = analyses
-            specs = [str(d.attrs["estimator"]) for d in analyses.values() if "estimator" in d.attrs]
-            spec = specs[0] if specs else spec
-        if not pairs:
-            continue
-        samplers = sorted(pairs, key=lambda s: (_place(order.get(name, []), s), s))
-        done = sorted(
-            {a for each in pairs.values() for a in each}, key=lambda a: (_place(_FIRST, a), a)
-        )
-        # `summarize` names the channels of an estimator "name [0]", "name [1]" …
-        channels = max(d.sizes.get("channel", 0) for each in pairs.values() for d in each.values())
-        names = [f"{name} [{c}]" for c in range(channels)] or [name]
+    for (key, name), pairs in groups.items():
+        every = [data for analyses in pairs.values() for data in analyses.values()]
+        specs = (str(data.attrs["estimator"]) for data in every if "estimator" in data.attrs)
+        done = {a for each in pairs.values() for a in each}
+        places = {a: (_FIRST.index(a) if a in _FIRST else len(_FIRST), a) for a in done}
         found.append(
             Estimates(
-                key=str(key),
+                key=key,
                 name=name,
-                spec=spec,
-                analyses={a: {s: pairs[s][a] for s in samplers if a in pairs[s]} for a in done},
-                rows={s: [r for each in names for r in rows.get((each, s), ())] for s in samplers},
+                spec=next(specs, ""),
+                analyses={
+                    a: {s: of[a] for s, of in pairs.items() if a in of}
+                    for a in sorted(done, key=places.__getitem__)
+                },
+                rows={s: rows_of(name, s, of) for s, of in pairs.items()},
             )
         )
-    return sorted(found, key=lambda each: (_place(list(order), each.name), each.key))
+    return found
 
 
 def provenance(tree: xr.DataTree, root: Path) -> tuple[tuple[str, str | Markup], ...]:
@@ -336,12 +319,6 @@ def _summary(
             ),
         ),
     )
-
-
-def _asked(study: Mapping[str, Any]) -> dict[str, Sequence[str]]:
-    """Samplers of all estimators and maps that a study names, in its order."""
-    entries = [*(study.get("estimators") or []), *(study.get("maps") or [])]
-    return {e["name"]: e.get("samplers") or study.get("samplers") or [] for e in entries}
 
 
 def _stored(names: Iterable[str]) -> dict[str, str]:
@@ -569,10 +546,6 @@ def _setting(analysis: str, data: xr.Dataset) -> str:
         parts += [f"half width {data.sizes['half_width'] - 1}", f"{known.get('space', '?')} space"]
         parts += [f"coefficients: {known['coefficients']}"] if "coefficients" in known else []
     return ", ".join(parts)
-
-
-def _place(names: Sequence[str], name: str) -> int:
-    return names.index(name) if name in names else len(names)
 
 
 def _count(number: int, noun: str) -> str:
