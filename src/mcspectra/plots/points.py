@@ -13,6 +13,7 @@ from mcspectra.plots.groups import Group, Styles, abreast, numbers
 from mcspectra.plots.scales import log_axis, name_axis, unit_axis, unit_panel
 from mcspectra.plots.spectra import frequency_map, relative_power
 from mcspectra.plots.style import ACCENT, FAINT, INK, PALETTE, labels
+from mcspectra.plots.text import SUBSCRIPTS
 
 __all__ = ["point_sets", "points", "sampler_card"]
 
@@ -192,9 +193,8 @@ def _square(
         mean = float(np.abs(weights).mean()) or 1.0
         size = size * np.sqrt(np.minimum(np.abs(weights) / mean, 16.0))
         shown |= {"weight": numbers(weights)} if shown else {}
-    digits = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
     said = [
-        label or (f"x{axis}".translate(digits) if named else "")
+        label or (f"x{axis}".translate(SUBSCRIPTS) if named else "")
         for label, axis in zip(labels, axes, strict=True)
     ]
     return unit_panel([Dots(x=first, y=second, color=color, size=size, hover=shown)], title, *said)

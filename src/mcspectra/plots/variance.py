@@ -470,10 +470,7 @@ def routes(group: Group, styles: Styles) -> Plot:
                 "route": rows,
                 "variance": numbers(value),
                 "95 %": intervals(ends),
-                "share of ∫f²": [
-                    percent(float(s)) if np.isfinite(s) else MISSING
-                    for s in each["energy_share"].values
-                ],
+                "share of ∫f²": [percent(float(s)) for s in each["energy_share"].values],
             },
         )
         panels.append(Panel(marks=(dots,), x=axis, y=name_axis(rows), title=name, grid=True))

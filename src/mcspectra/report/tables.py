@@ -16,6 +16,7 @@ from mcspectra.core.errors import McspectraError, ParameterError
 from mcspectra.plots.groups import labelled
 from mcspectra.plots.text import (
     MISSING,
+    SUBSCRIPTS,
     interval,
     number,
     percent,
@@ -33,7 +34,6 @@ _NO_TERMS = "nothing that predicts was analysed"
 _NO_RATE = "fewer than two counts have a variance above rounding noise"
 _NO_NUMBER = "there is no finite number"
 _ROW = "a row of mcspectra.studies.summarize"
-_SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 _DRAWN = ("convergence", "terms", "spectrum", "points", "pcf")  # have figures, and the main tables
 
 Rows = Iterator[Sequence[str | Cell]]
@@ -232,7 +232,7 @@ def _anova(sampler: str, data: xr.Dataset) -> Rows:
     labels, shares = data.attrs["labels_subset_label"], data["anova_share"]
     mean = shares.mean("channel") if "channel" in shares.dims else shares
     for i in np.argsort(-mean.values)[:10]:
-        axes = labels[i].translate(_SUBSCRIPTS)  # x₀x₁ for the x0x1 of a store
+        axes = labels[i].translate(SUBSCRIPTS)  # x₀x₁ for the x0x1 of a store
         yield sampler, axes, percent(float(mean.values[i]))
 
 
