@@ -201,7 +201,7 @@ def test_the_answer_is_what_has_the_least_variance_at_most_pixels():
             "mis_gain_ci": (("y", "x", "bound"), np.ones((1, 4, 2))),
         },
         {"strategy": ["light", "bsdf", "mis"], "n": [16], "bound": ["low", "high"]},
-        {"sampler": "jittered"},
+        {"sampler": "jittered", "realizations": 64},
     )
     said = map_summary(result)["answer"]
     assert said.startswith(

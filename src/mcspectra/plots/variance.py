@@ -481,13 +481,7 @@ def routes(group: Group, styles: Styles) -> Plot:
         caption="The variance by each route, from the most trusted at the top to the measurement, with "
         "95 % intervals.",
         words="Variances by route. "
-        + for_each(
-            group,
-            lambda d: ", ".join(
-                f"{r} {number(float(v))}"
-                for r, v in zip(d["route"].values, d["route_variance"].values, strict=True)
-            ),
-        ),
+        + for_each(group, lambda d: _named_values(d, "route", "route_variance")),
         height=0.14 + 0.06 * most,
         share="x",
     )
@@ -535,13 +529,7 @@ def remedies(group: Group, _: Styles) -> Plot:
         caption="Variance of each change (of what is biased, mean squared error) over that of the set-up as "
         "given, with intervals that hold together at 95 %; left of 1 there is less noise.",
         words="Ratios of variances. "
-        + for_each(
-            group,
-            lambda d: ", ".join(
-                f"{name} {number(float(ratio))}"
-                for name, ratio in zip(d["remedy"].values, d["error_ratio"].values, strict=True)
-            ),
-        ),
+        + for_each(group, lambda d: _named_values(d, "remedy", "error_ratio")),
         height=0.1 + 0.045 * max(each.sizes["remedy"] for each in group.values()),
         share="x",
     )
@@ -705,6 +693,11 @@ def _route_ends(data: xr.Dataset) -> Array:
 def _ends(values: Array) -> tuple[float, float]:
     found = values[np.isfinite(values)]
     return (float(found.min()), float(found.max())) if found.size else (math.nan, math.nan)
+
+
+def _named_values(data: xr.Dataset, names: str, values: str) -> str:
+    pairs = zip(data[names].values, data[values].values, strict=True)
+    return ", ".join(f"{name} {number(float(value))}" for name, value in pairs)
 
 
 def _rate_words(data: xr.Dataset) -> str:

@@ -17,6 +17,7 @@ from mcspectra.plots import kinds
 from mcspectra.plots.maps import STRATEGIES, bounce_name
 from mcspectra.plots.text import MISSING, number, percent, rate
 from mcspectra.rendering.files import write_exr
+from mcspectra.rendering.maps import missed
 from mcspectra.rendering.scenes import SCENES, sized
 from mcspectra.report import page as html
 
@@ -34,7 +35,6 @@ _COLUMNS = {
 }
 
 
-_AWAY = 4.0  # standard errors
 _TOLD = 0.005  # smallest share that a sentence names
 _ROUTES = {
     "strata": "quadrature within the strata",
@@ -318,12 +318,11 @@ def _answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
     known = np.isfinite(singles).all(axis=0) & np.isfinite(gain)
     if not known.any():
         return "No strategy is advised: no pixel has all of them measured."
-    # Less than all light, met surely less often than by MIS, is no answer
-    middle, error = (last[name].sel(strategy="mis") for name in ("mean", "mean_se"))
-    for each, name in zip(singles, names, strict=True):
-        own = last.sel(strategy=name)
-        away = abs(own["mean"] - middle) > _AWAY * (own["mean_se"] ** 2 + error**2) ** 0.5
-        each[away.values] = np.inf
+    # A strategy that surely missed light is no answer
+    three = last.sel(strategy=[*names, "mis"]).transpose("strategy", "y", "x", ...)
+    rows = {name: k for k, name in enumerate((*names, "mis"))}
+    lost = missed(rows, three["mean"].values, three["mean_se"].values, found["realizations"])
+    singles[lost[:2]] = np.inf
     better = (gain > 1.0) | np.isinf(singles).all(axis=0)
     best = np.where(better, 2, np.argmin(singles, axis=0))[known]
     shares = dict(zip((*names, "mis"), np.bincount(best, minlength=3) / best.size, strict=True))

@@ -259,7 +259,8 @@ def provenance(
     facts: Iterable[tuple[str, str]], attributes: Mapping[Any, Any], *, code: bool = False
 ) -> tuple[Facts]:
     """Return where a result comes from: facts, and the versions that its attributes name."""
-    return (Facts(rows=(*facts, ("Versions", versions_of(attributes))), code=code),)
+    own = ("versions" if code else "Versions", versions_of(attributes))
+    return (Facts(rows=(*facts, own), code=code),)
 
 
 def columns_of(table: Table, names: Sequence[str]) -> Table:

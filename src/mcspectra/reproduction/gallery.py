@@ -346,10 +346,11 @@ def _section(entry: Entry) -> html.Section:
         }
         blocks += html.figures_of(named)
         columns = ("Statement", "Verdict", "Expected", "Measured", "95 % interval", "Note")
-        rows = [
-            (f.statement, _verdict(f.agrees), f.expected, *measured_text(f), f.note)
-            for f in entry.findings
-        ]
+        rows = []
+        for each in entry.findings:
+            sign, mark = _SIGNS[each.agrees]
+            verdict = html.Cell(text=sign, numeric=False, mark=mark)
+            rows.append((each.statement, verdict, each.expected, *measured_text(each), each.note))
         blocks.append(html.table_of("", columns, rows, words=(0, -1), stacked=True))
     wrong = any(finding.agrees is False for finding in entry.findings)
     return html.Section(
@@ -359,11 +360,6 @@ def _section(entry: Entry) -> html.Section:
         beside=entry.tally,
         mark="no" if wrong else "yes",
     )
-
-
-def _verdict(agrees: bool | None) -> html.Cell:
-    text, mark = _SIGNS[agrees]
-    return html.Cell(text=text, numeric=False, mark=mark)
 
 
 def _write_pdf(path: Path, entries: Sequence[Entry]) -> None:
