@@ -51,7 +51,6 @@ __all__ = [
     "prediction",
     "remedies",
     "routes",
-    "strategy_curves",
     "task_curves",
     "technique_rates",
     "techniques",
@@ -135,56 +134,32 @@ def convergence(group: Group, styles: Styles) -> Plot:
     )
 
 
-def strategy_curves(curves: xr.Dataset, names: Mapping[str, str], styles: Styles) -> Plot:
-    """Variance against n, a panel for each strategy, a line for each sampler.
+def task_curves(
+    tasks: Mapping[str, Group],
+    styles: Styles,
+    *,
+    by: str = "on each integrand",
+    x: str = "number of points n",
+    alike: bool = False,
+) -> Plot:
+    """Variance against n, a panel for each of several tasks by its title, a line for each sampler.
 
-    Parameters
-    ----------
-    curves
-        Results of `convergence` on (strategy, sampler, n).
-    names
-        Titles of the strategies.
-    styles
-        How each sampler is drawn.
+    With `alike` all panels have the same axes.
     """
-    panels, said = _curve_panels(
-        {
-            names[strategy]: {
-                shorten(sampler): (curves.sel(strategy=strategy, sampler=sampler), styles[sampler])
-                for sampler in map(str, curves["sampler"].values)
-            }
-            for strategy in map(str, curves["strategy"].values)
-        },
-        "number of samples n of each technique",
-        joined=True,
-    )
+    styled = {
+        title: {shorten(name): (each, styles[name]) for name, each in curves.items()}
+        for title, curves in tasks.items()
+    }
+    parts = [styled] if alike else [{title: curves} for title, curves in styled.items()]
+    made = [_curve_panels(part, x, joined=True) for part in parts]
+    panels = [panel for few, _ in made for panel in few]
     return Plot(
-        kind="strategy-curves",
-        panels=panels,
-        columns=2,
-        caption="Variance against n by each strategy, with 95 % intervals.",
-        words=said,
-        share="both",
-        wide=True,
-    )
-
-
-def task_curves(tasks: Mapping[str, Group], styles: Styles) -> Plot:
-    """Variance against n on several integrands, a panel for each by its title, a line for each sampler."""
-    panels: list[Panel] = []
-    said = []
-    for title, curves in tasks.items():
-        styled = {shorten(name): (each, styles[name]) for name, each in curves.items()}
-        made, words = _curve_panels({title: styled}, joined=True)
-        panels += made
-        said.append(words)
-    return Plot(
-        kind="task-curves",
         panels=tuple(panels),
-        columns=3,
-        caption="Variance against n on each integrand, with 95 % intervals.",
-        words=" ".join(said),
-        height=0.8,
+        kind="task-curves",
+        columns=2 if alike else 3,
+        caption=f"Variance against n {by}, with 95 % intervals.",
+        words=" ".join(said for _, said in made),
+        height=0.62 if alike else 0.8,
         share=shared(panels) if panels else "",
         wide=True,
     )

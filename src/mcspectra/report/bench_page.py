@@ -235,7 +235,7 @@ def _sheets(bench: xr.Dataset) -> Iterator[Drawn]:
     for start in range(0, len(lines), _ROWS):
         figure = MatplotlibFigure(figsize=(11.0, 8.5), facecolor=PAPER)
         for k, (line, bold) in enumerate(lines[start : start + _ROWS]):
-            text, weight = line.replace("$", r"\$"), "bold" if bold else "normal"
+            text, weight = backend_matplotlib.escaped(line), "bold" if bold else "normal"
             drawn = figure.text(0.04, 0.95 - 0.0205 * k, text, fontsize=size, color=INK)
             drawn.set(family="monospace", weight=weight)
         yield figure

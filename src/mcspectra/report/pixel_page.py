@@ -14,7 +14,7 @@ from mcspectra.plots.kinds import describe
 from mcspectra.plots.maps import incident_maps
 from mcspectra.plots.style import sampler_styles
 from mcspectra.plots.text import MISSING, number, percent, rate
-from mcspectra.plots.variance import strategy_curves
+from mcspectra.plots.variance import task_curves
 from mcspectra.report import page as html
 from mcspectra.report.sentences import answer, basis_name, explain
 from mcspectra.report.tables import analysis_table, summary_table, terms_table
@@ -343,7 +343,13 @@ def _sections(tree: xr.DataTree) -> Iterator[tuple[str, tuple[html.Block, ...]]]
         columns=("Strategy", *table.columns[1:5]),
     )
     styles = sampler_styles(list(map(str, curves["sampler"].values)))
-    plot = strategy_curves(curves, STRATEGY_NAMES, styles)
+    by_strategy = {
+        STRATEGY_NAMES[str(strategy)]: {name: each.sel(sampler=name) for name in styles}
+        for strategy in curves["strategy"].values
+        for each in [curves.sel(strategy=strategy)]
+    }
+    x = "number of samples n of each technique"
+    plot = task_curves(by_strategy, styles, by="by each strategy", x=x, alike=True)
     yield "Rates and predictions", (table, *html.figures_of({"rates": plot}))
 
     # Terms, in the basis that fits and in all others
