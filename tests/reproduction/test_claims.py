@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 from scipy.special import ndtr, ndtri
 
-from mcspectra.estimators.moments import CONFIDENCE_Z, Measured
+from mcspectra.estimators.moments import Measured
 from mcspectra.reproduction.claims import (
     GALLERY_FINDINGS,
     VERDICT_WIDENING,
@@ -134,14 +134,3 @@ def test_what_is_no_number_agrees_with_nothing(value):
 def test_an_exhibit_may_decide_itself(holds):
     found = judge(Claim("s", "words", holds=holds, shown="other words", note="why"))
     assert (found.agrees, found.measured, found.expected) == (holds, "words", "other words")
-
-
-def test_errors_of_differences_and_ratios_add_as_independent_ones_do():
-    difference = Measured.normal(5.0, 3.0) - Measured.normal(1.0, 4.0)
-    assert difference.value == 4.0
-    assert (difference.high - difference.low) / 2 == pytest.approx(5.0 * CONFIDENCE_Z, rel=1e-14)
-    ratio = Measured(6.0, 6.0 / np.exp(0.3), 6.0 * np.exp(0.3), log=True) / Measured(
-        2.0, 2.0 / np.exp(0.4), 2.0 * np.exp(0.4), log=True
-    )
-    assert ratio.value == 3.0
-    assert np.allclose([ratio.low, ratio.high], [3.0 / np.exp(0.5), 3.0 * np.exp(0.5)], rtol=1e-14)
