@@ -229,7 +229,7 @@ MUTATIONS = [
     ),
     ("plots", "half = (high - low) / 2", "half = high - low"),
     (
-        "reproduction",
+        "estimators",
         "half = math.hypot(*((each.high - each.low) / 2 for each in (self, other)))",
         "half = (self.high - self.low) / 2",
     ),

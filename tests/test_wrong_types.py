@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra import densities, integrands, quality, studies, testing
+from mcspectra import densities, integrands, quality, rendering, report, studies, testing
 from mcspectra.core import analysis
 from mcspectra.core.errors import McspectraError
 from mcspectra.studies import files, results
@@ -136,6 +136,12 @@ DOORS = (
     (integrands.integral_accuracy, {"integrand": "linear"}),
     (integrands.Channel, {"integrand": "linear", "channel": 0}),
     (quality.summarize, {"figures": None}),
+    (rendering.render_file, {"file": "no.xml", "definitions": {}, "out": None}),
+    (report.explain, {"row": studies.SummaryRow(estimator="a", sampler="b"), "terms": None}),
+    (report.summary_table, {"rows": [], "analyses": None, "links": None}),
+    (report.terms_table, {"rows": []}),
+    (report.write_comparison, {"first": "no", "second": "other", "out": None}),
+    (report.write_report, {"folder": "no", "out": None}),
     (testing.check_analysis, {"analysis": Convergence(counts=(4, 16), realizations=50)}),
     (testing.check_sampler, {"sampler": "jittered", "counts": (4,)}),
     (analysis.compute, {"analysis": None, "subject": None}),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mcspectra.app.compute import analyses_of, compute, integrand_specs
-from mcspectra.app.export import as_python, as_toml
+from mcspectra.app.page import as_python, as_toml
 from mcspectra.app.state import Setup, State
 from mcspectra.app.uploads import keep_upload
 from mcspectra.studies import open_results, read_study, run_study

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mcspectra.estimators import Moments
+from mcspectra.estimators.moments import CONFIDENCE_Z, Measured
 
 
 def test_merged_moments_are_those_of_all_values():
@@ -122,3 +123,17 @@ def test_estimates_without_heavy_tails_are_resolved(count):
     ):
         # 1 % of them, 4 σ
         assert (~Moments.of(values, tails=True).resolved).mean() < 0.01 + 4 * np.sqrt(0.01 / 1000)
+
+
+def test_errors_of_differences_and_ratios_add_as_independent_ones_do():
+    difference = Measured.normal(5.0, 3.0) - Measured.normal(1.0, 4.0)
+    assert difference.value == 4.0
+    assert (difference.high - difference.low) / 2 == pytest.approx(5.0 * CONFIDENCE_Z, rel=1e-14)
+    ratio = Measured(6.0, 6.0 / np.exp(0.3), 6.0 * np.exp(0.3), log=True) / Measured(
+        2.0, 2.0 / np.exp(0.4), 2.0 * np.exp(0.4), log=True
+    )
+    assert ratio.value == 3.0
+    assert np.allclose([ratio.low, ratio.high], [3.0 / np.exp(0.5), 3.0 * np.exp(0.5)], rtol=1e-14)
+    zero, unknown = Measured(0.0, 0.0, 0.0), Measured(1.0, 0.5, np.inf)
+    assert np.isnan((zero / difference).value)
+    assert np.isnan((difference / unknown).high)

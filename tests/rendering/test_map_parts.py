@@ -227,10 +227,10 @@ def test_strategies_that_met_less_light_than_another_are_found():
     mean = np.array(means).reshape(-1, 1, 1) + np.zeros((5, 1, 3))
     # Student's t at three standard errors: 235.8 with one degree of freedom, 3.03 with 199.
     se = np.array([0.08, 0.085, np.nan]) + np.zeros((5, 1, 3))
-    found = results._missed(row, mean, se, 200)
+    found = results.missed(row, mean, se, 200)
     assert np.argwhere(found).tolist() == [[1, 0, 0]]
-    assert not results._missed(row, mean, se, 2).any()
-    alone = results._missed({"bsdf": 0}, mean[1:2], se[:1], 200)
+    assert not results.missed(row, mean, se, 2).any()
+    alone = results.missed({"bsdf": 0}, mean[1:2], se[:1], 200)
     assert not alone.any()
 
 

@@ -27,7 +27,7 @@ from mcspectra.report.page import (
     Text,
     anchors,
     columns_of,
-    text_cells,
+    table_of,
     write_json,
     write_page,
 )
@@ -47,7 +47,11 @@ def page(evil=EVIL, live=False):
         columns=("Name", "Value", "Why"),
         rows=(
             (Cell(text=evil, link="#a"), Cell(text="1.0", order=1.0), Cell(text="–", why=evil)),
-            (*text_cells("b"), Cell(text="2", order=2.0), Cell(text="agrees", mark="yes")),
+            (
+                Cell(text="b", numeric=False),
+                Cell(text="2", order=2.0),
+                Cell(text="agrees", mark="yes"),
+            ),
         ),
         sortable=True,
         stacked=True,
@@ -74,7 +78,7 @@ def page(evil=EVIL, live=False):
 
 def test_regions_have_distinct_labels(tmp_path):
     """Two tables alike, in one section and in another."""
-    table = Table(caption="Rates.", columns=("Name",), rows=(text_cells("a"),))
+    table = table_of("Rates.", ("Name",), [("a",)])
     sections = [Section(title=t, anchor=t, blocks=(table, table)) for t in ("one", "two")]
     file = write_page(Page(title="p", what="test", sections=tuple(sections)), tmp_path / "x.html")
     found = [each["aria-label"] for each in Parsed(file.read_text("utf-8")).all("div")]
@@ -175,7 +179,7 @@ def test_anchors_are_distinct():
 
 
 def test_columns_are_chosen_by_name():
-    table = Table(caption="", columns=("a", "b", "c"), rows=(text_cells("1", "2", "3"),))
+    table = table_of("", ("a", "b", "c"), [("1", "2", "3")])
     chosen = columns_of(table, ("c", "a"))
     assert chosen.columns == ("c", "a")
     assert [cell.text for cell in chosen.rows[0]] == ["3", "1"]

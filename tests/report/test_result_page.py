@@ -8,7 +8,7 @@ import pytest
 
 import mcspectra as mcs
 from mcspectra.plots.kinds import describe
-from mcspectra.report.result_page import write_result
+from mcspectra.report.result_files import write_result
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import xarray as xr
 
 from mcspectra.plots.description import Axis, Image, Line, Panel, Plot, Scale
 from mcspectra.plots.kinds import describe, kinds_of
-from mcspectra.plots.scales import signed_scale, unit_axis
+from mcspectra.plots.scales import signed_scale, unit_axis, unit_panel
 from mcspectra.plots.style import PALETTE
 from mcspectra.plots.text import number
 
@@ -76,6 +76,4 @@ def _panel(name: str, data: xr.DataArray, flat: bool) -> Panel:
     above = Scale(label=" ", low=0.0, high=high or 1.0)
     scale = signed_scale(" ", [finite]) if low < 0 else above
     image = Image(values=finite.T, x=x0, y=x1, scale=scale, name=name)
-    return Panel(
-        marks=(image,), x=unit_axis("x₀"), y=unit_axis("x₁"), title=name, square=True, framed=True
-    )
+    return unit_panel([image], name)

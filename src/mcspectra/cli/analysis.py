@@ -16,6 +16,7 @@ from mcspectra.cli.common import (
     Answer,
     Declaration,
     Verb,
+    given_of,
     option,
     read_sampler,
     whole,
@@ -31,7 +32,7 @@ from mcspectra.samplers import GivenPoints
 if TYPE_CHECKING:
     from mcspectra.estimators import AbstractEstimator
 
-__all__ = ["analysis_verb", "declared", "given_options"]
+__all__ = ["analysis_verb", "declared"]
 
 _ESTIMATOR = (
     option("integrand", "integrand spec, e.g. 'gaussian(width=0.25)'"),
@@ -129,7 +130,7 @@ def analysis_verb(name: str) -> Verb:
             check_result_file(file)
 
         # Compute, write and show
-        given = given_options(options, analysis)
+        given = given_of(options, *(each.name for each in own))
         subject = _subject(options, analysis, default_sampler)
         if all_sets and isinstance(subject.sampler, GivenPoints):
             sets = subject.sampler.sets.get(given.get("n", 0), subject.sampler.points)
@@ -245,9 +246,3 @@ def declared(given: Option, default_note: str = "") -> Declaration:
         dest=given.name,
         required=given.required,
     )
-
-
-def given_options(options: argparse.Namespace, analysis: type[Analysis]) -> dict[str, Any]:
-    """The options of an analysis that were given; the analysis has defaults for the others."""
-    found = {each.name: getattr(options, each.name, None) for each in options_of(analysis)}
-    return {name: value for name, value in found.items() if value is not None}

@@ -23,6 +23,7 @@ __all__ = [
     "Declaration",
     "Read",
     "Verb",
+    "given_of",
     "group",
     "index_or_name",
     "one_sentence_warnings",
@@ -183,6 +184,12 @@ def _folder(name: str, text: str) -> str:
     return text
 
 
+def given_of(options: argparse.Namespace, *names: str) -> dict[str, Any]:
+    """Return those options of these names that were given."""
+    found = ((name, getattr(options, name, None)) for name in names)
+    return {name: value for name, value in found if value is not None}
+
+
 def index_or_name(name: str, text: str) -> int | str:
     """Read what is a number or a name: whole numbers as such, also negative ones."""
     del name
@@ -210,14 +217,14 @@ def read_sampler(text: str, dims: int | None) -> Sampler:
     return given  # type: ignore[no-any-return]
 
 
-def text_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Align columns with two blanks between; all but the first two to the right."""
+def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], words: int = 2) -> str:
+    """Align columns with two blanks between; all but the first, which are words, to the right."""
     table = [header, *rows]
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     lines = []
     for row in table:
         cells = [
-            cell.ljust(width) if i < 2 else cell.rjust(width)
+            cell.ljust(width) if i < words else cell.rjust(width)
             for i, (cell, width) in enumerate(zip(row, widths, strict=True))
         ]
         lines.append("  ".join(cells).rstrip())
@@ -228,7 +235,9 @@ def text_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def page_table(table: Table, first: str = "") -> str:
     """Align a table of a report; its first column may have another name."""
     header = [first or table.columns[0], *table.columns[1:]]
-    return text_table(header, [[cell.text for cell in row] for row in table.rows])
+    first_row = table.rows[0] if table.rows else ()
+    words = next((k for k, cell in enumerate(first_row) if k and cell.numeric), len(header))
+    return text_table(header, [[cell.text for cell in row] for row in table.rows], words)
 
 
 @contextmanager

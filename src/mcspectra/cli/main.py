@@ -157,7 +157,7 @@ def _dispatch(given: list[str]) -> int:
     """Find the verb, read its options, run it and print its answer."""
     if not given or given[0].startswith("-"):
         return _without_verb(given)
-    from mcspectra.cli.common import Read, Verb, one_sentence_warnings, whole
+    from mcspectra.cli.common import Verb, one_sentence_warnings, option, whole
     from mcspectra.core.errors import McspectraError, UnknownName, close_match_hint
     from mcspectra.core.progress import progress_bars
     from mcspectra.core.results import strict_json
@@ -185,22 +185,16 @@ def _dispatch(given: list[str]) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    for declare in verb.options:
+    allowed = "code that specs may name: a command or its program, or module:function"
+    for declare in (
+        *verb.options,
+        option("--json", "print JSON instead of text"),
+        option("--seed S", "seed, a whole number from 0", whole(0)),
+        option("--quiet", "print errors only"),
+        option("--allow-code CODE", allowed, repeated="all", default=[]),
+        option("--debug", "show the traceback of an error"),
+    ):
         declare(parser)
-    parser.add_argument("--json", action="store_true", help="print JSON instead of text")
-    parser.add_argument(
-        "--seed", action=Read, read=whole(0), metavar="S", help="seed, a whole number from 0"
-    )
-    parser.add_argument("--quiet", action="store_true", help="print errors only")
-    parser.add_argument(
-        "--allow-code",
-        action=Read,
-        repeated="all",
-        default=[],
-        metavar="CODE",
-        help="code that specs may name: a command or its program, or module:function",
-    )
-    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     options = parser.parse_args(given[1:])
 
     if options.allow_code:

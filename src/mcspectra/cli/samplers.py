@@ -12,6 +12,7 @@ from typing import Any
 import mcspectra as mcs
 from mcspectra.cli.common import (
     Answer,
+    given_of,
     one_sentence_warnings,
     option,
     read_sampler,
@@ -249,11 +250,7 @@ def bench_(options: argparse.Namespace) -> Answer:
     from mcspectra.report.result_files import check_result_file
 
     check_result_file(options.out, BENCH_FILES)
-    given = {
-        name: getattr(options, name)
-        for name in ("counts", "dims", "realizations")
-        if getattr(options, name) is not None
-    }
+    given = given_of(options, "counts", "dims", "realizations")
     bench = mcs.sampler_bench(options.specs, **given, rng=options.seed or 0)
     columns, rows = bench_table(bench)
     lines = [text_table(["", *columns[1:]], rows), bench.attrs.get("note", "")]

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from mcspectra.cli.common import (
     Answer,
+    given_of,
     group,
     index_or_name,
     option,
@@ -85,8 +86,7 @@ def render_(options: argparse.Namespace) -> Answer:
 
     # Put the size of the film among the scene's parameters
     scene = str(options.scene)
-    given = {"width": options.width, "height": options.height}
-    sizes = {name: size for name, size in given.items() if size is not None}
+    sizes = given_of(options, "width", "height")
     if sizes:
         if scene.lower().endswith(".xml"):
             raise ParameterError(
@@ -237,13 +237,11 @@ def pixel_(options: argparse.Namespace) -> Answer:
 
     # Options that are not given are left to the function
     passed = ("light", "channel", "dims", "samplers", "counts", "realizations", "budget")
-    given = {name: getattr(options, name) for name in passed}
-    given = {name: value for name, value in given.items() if value is not None}
     asked = {
         "remedies": not options.no_remedies,
         "effort": "full" if options.full else "quick",
         "rng": options.seed or 0,
-        **given,
+        **given_of(options, *passed),
     }
     if options.integrator is None:
         from mcspectra.report import pixel_page
@@ -278,9 +276,7 @@ def pixel_(options: argparse.Namespace) -> Answer:
             f"{known['dims']} random numbers a path"
         )
         parts = [f"{title}\n{answer}"]
-        rows = path_page.path_rows(tree).items()
-        heads = path_page.PATH_TABLES
-        parts += [text_table(heads[name][: len(each[0])], each) for name, each in rows]
+        parts += map(page_table, path_page.path_tables(tree).values())
         data, said = path_page.path_summary(tree), path_page.path_sentences(tree)
         write = path_page.write_path
     written = None if options.out is None else write(tree, options.out)
@@ -336,17 +332,16 @@ def map_(options: argparse.Namespace) -> Answer:
     bounces and decisions. Writes DIR/maps.exr (all layers), DIR/*.png, *.pdf, DIR/map.json and DIR/report.html;
     DIR/study.sqlite keeps what is finished, and --resume goes on from there.
     """
-    from mcspectra.cli.analysis import given_options
     from mcspectra.core.analysis import Subject
-    from mcspectra.core.options import checked
+    from mcspectra.core.options import checked, options_of
     from mcspectra.plots.groups import labelled
     from mcspectra.rendering.maps import Map, compared
-    from mcspectra.report.map_page import map_note, map_summary, shown_numbers, write_map
+    from mcspectra.report.map_page import map_summary, map_table, write_map
     from mcspectra.studies import StudyConfig, Trust, open_results, run_study
     from mcspectra.studies.files import SceneConfig
 
     # Refuse what cannot be before there is a folder
-    analysis = checked(Map(**given_options(options, Map)))
+    analysis = checked(Map(**given_of(options, *(each.name for each in options_of(Map)))))
     samplers = options.sampler or [analysis.default_sampler]
     subjects = [Subject(None, read_sampler(each, analysis.points_dims)) for each in samplers]
     parts = analysis.of_samplers(subjects)
@@ -364,10 +359,9 @@ def map_(options: argparse.Namespace) -> Answer:
     maps = [labelled(each).assign_coords(bound=["low", "high"]) for each in found]
     result = maps[0] if len(maps) == 1 else compared(maps)
     page, summary = write_map(result, options.out), map_summary(result)
-    shown = summary["strategies"]
-    rows = [[name, "", *shown_numbers(row)] for name, row in shown.items()]
-    table = text_table(["strategy", "", *next(iter(shown.values()))], rows)
-    return Answer(f"{table}\n{map_note(summary)}\nmap: {page}", {**summary, "report": page})
+    table = map_table(summary)
+    text = f"{page_table(table)}\n{table.caption}\nmap: {page}"
+    return Answer(text, {**summary, "report": page})
 
 
 @verb(
@@ -456,11 +450,7 @@ def frames_(options: argparse.Namespace) -> Answer:
         flip=not options.no_flip,
     )
     found, said = frames_page.frame_summary(result), frames_page.frame_findings(result)
-    columns, rows = frames_page.frame_table(found)
-    lines = [
-        text_table([columns[0], "", *columns[1:]], [[row[0], "", *row[1:]] for row in rows]),
-        *said,
-    ]
+    lines = [page_table(frames_page.frame_table(found)), *said]
     data = {**found, "findings": said}
     if options.tev:
         _show(result, options.tev)

@@ -16,6 +16,7 @@ import numpy as np
 
 from mcspectra.cli.common import Answer, page_table, text_table
 from mcspectra.core.errors import NoClosedForm
+from mcspectra.plots.groups import along
 from mcspectra.variance.fit import UNRESOLVED, is_resolved
 
 if TYPE_CHECKING:
@@ -53,15 +54,6 @@ def _shown(*parts: str, **data: Any) -> Answer:
 def _columns(result: xr.Dataset, *names: str) -> Iterator[tuple[Any, ...]]:
     """The values of variables of one shape, place by place."""
     return zip(*(result[name].values.ravel() for name in names), strict=True)
-
-
-def _by_sampler(result: xr.Dataset) -> Iterator[tuple[str, xr.Dataset]]:
-    """The sampler and its part of a result, one by one."""
-    if "sampler" not in result.dims:
-        yield str(result.attrs.get("sampler", "")), result
-    else:
-        for sampler in result["sampler"].values:
-            yield str(sampler), result.sel(sampler=sampler)
 
 
 def data_of(result: xr.Dataset) -> dict[str, Any]:
@@ -151,7 +143,7 @@ def convergence(result: xr.Dataset) -> Answer:
     """Prints the variance at each n, the rate ± half its interval, and how well a line fits."""
     header = ["sampler", "", *(f"n = {n}" for n in result["n"].values), "rate", "±"]
     rows, curves, notes, unresolved = [], [], [], ""
-    for sampler, picked in _by_sampler(result):
+    for sampler, picked in along(result, "sampler"):
         channels = picked.sizes.get("channel", 0)
         for channel in range(max(channels, 1)):
             curve = picked.isel(channel=channel) if channels else picked
@@ -375,7 +367,7 @@ def planned(result: xr.Dataset) -> Answer:
     """Prints the least n for the error, and the predicted errors at other n."""
     if np.isnan(result["planned_n"]).all() and np.isnan(result["predicted_variance"]).all():
         raise NoClosedForm(f"{_note(result)[:1].upper()}{_note(result)[1:]}.")
-    variances = [one["predicted_variance"] for _, one in _by_sampler(result)]
+    variances = [one["predicted_variance"] for _, one in along(result, "sampler")]
     columns = [np.sqrt(v.values.reshape(result.sizes["n"], -1).max(axis=1)) for v in variances]
     rows = [
         [str(n), "", *(_number(float(error), 5) for error in row)]
@@ -402,7 +394,7 @@ def prediction(result: xr.Dataset) -> Answer:
     parts = [f"predicted variance of {_title(result)}"]
     names = ("predicted_variance", "local_rate", "energy_share")
     header = ["n", "", "variance", "95 %", "local rate", "share", "route"]
-    for sampler, one in _by_sampler(result):
+    for sampler, one in along(result, "sampler"):
         counts, rows = one["n"].values, []
         value, rate, share = (one[name].values.reshape(len(counts), -1) for name in names)
         ends = one["predicted_variance_ci"].values.reshape(*value.shape, 2)

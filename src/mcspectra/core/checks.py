@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,10 @@ __all__ = [
     "Array",
     "as_choice",
     "as_frequencies",
+    "as_instance",
+    "as_instances",
     "as_integer",
+    "as_path",
     "as_real",
     "as_real_array",
     "as_reals",
@@ -50,6 +54,26 @@ def is_path(value: object) -> bool:
     except (TypeError, UnicodeEncodeError):
         return False
     return isinstance(text, str) and "\0" not in text
+
+
+def as_path(name: str, value: object) -> Path:
+    """Return `value` as a path."""
+    if not is_path(value):
+        raise ParameterError(f"{name} is {value!r:.80}; give a path.")
+    return Path(value)  # type: ignore[arg-type]
+
+
+def as_instance(name: str, value: Any, kind: Any, what: str) -> Any:
+    """Return `value` if it is an instance of a type, or of one of several, which `what` describes."""
+    if isinstance(value, kind):
+        return value
+    raise ParameterError(f"{name} is {value!r:.80}; give {what}.")
+
+
+def as_instances(name: str, value: Any, kind: Any, what: str) -> list[Any]:
+    """Return a list or tuple as a list, if all of it are instances of a type, which `what` describes."""
+    as_instance(name, value, list | tuple, f"a list of {what}")
+    return [as_instance(f"{name}[{k}]", each, kind, what) for k, each in enumerate(value)]
 
 
 def as_integer(name: str, value: object, *, least: int, most: int | None = None) -> int:

@@ -8,13 +8,24 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.records import student_t
 
-__all__ = ["CONFIDENCE_Z", "Moments", "mean_interval", "rounding_floor", "variance_interval"]
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "CONFIDENCE_Z",
+    "Measured",
+    "Moments",
+    "mean_interval",
+    "rounding_floor",
+    "variance_interval",
+]
 
 CONFIDENCE_Z = 1.959963984540054
 """Half width of a two-sided 95 % interval in standard errors."""
@@ -27,6 +38,70 @@ _CLUMPS = 4.0  # kurtosis, up to which far values are no tail
 _LEAST_POINTS = 3000  # whose 256 farthest are the tail
 _BEYOND = {16: 0.005, 64: 0.02, 256: 0.15}  # of the variance, by so many: what ends has a low one
 _MOST_ERROR = 2.0  # squared: fewer than one degree of freedom, an upper end above 100 s²
+
+
+@final
+@dataclass(frozen=True)
+class Measured:
+    """A measured number with its 95 % interval.
+
+    Attributes
+    ----------
+    log
+        Whether distances of the ends are ratios, as those of variances are.
+    """
+
+    value: float
+    low: float
+    high: float
+    log: bool = False
+
+    @classmethod
+    def normal(cls, value: float, se: float) -> Measured:
+        """Return a number with a normal error of standard deviation `se`."""
+        value, half = float(value), CONFIDENCE_Z * float(se)
+        return cls(value, value - half, value + half)
+
+    @classmethod
+    def mean(cls, values: Array) -> Measured:
+        """Return the mean of independent values, with its normal error."""
+        return cls.normal(values.mean(), values.std(ddof=1) / len(values) ** 0.5)
+
+    @classmethod
+    def of(cls, data: xr.Dataset, name: str, *, log: bool = False) -> Measured:
+        """Return a variable of a result that has an interval, ``NAME_ci``."""
+        low, high = (float(end) for end in data[f"{name}_ci"].values)
+        return cls(float(data[name]), low, high, log)
+
+    def __truediv__(self, other: Measured | float) -> Measured:
+        """Divide by a number without error, or by another variance that is independent of this one.
+
+        Common random numbers, which vary together, make the interval too wide. The ratio is NaN where a
+        variance is not positive, or has no upper bound.
+        """
+        if not isinstance(other, Measured):
+            return Measured(self.value / other, self.low / other, self.high / other, self.log)
+        ends = [(each.low, each.value, each.high) for each in (self, other)]
+        if not all(0.0 < end < math.inf for three in ends for end in three):
+            return Measured(math.nan, math.nan, math.nan, log=True)
+        value = self.value / other.value
+        half = math.hypot(*(math.log(high / low) / 2 for low, _, high in ends))
+        return Measured(value, value * math.exp(-half), value * math.exp(half), log=True)
+
+    def __sub__(self, other: Measured) -> Measured:
+        """Subtract another number that is independent of this one."""
+        value = self.value - other.value
+        half = math.hypot(*((each.high - each.low) / 2 for each in (self, other)))
+        return Measured(value, value - half, value + half)
+
+    def widened(self, factor: float) -> tuple[float, float]:
+        """Return the ends of an interval so many times as wide, about the value."""
+        ends = (self.low, self.high)
+        if self.log and min(self.value, *ends) > 0:
+            low, high = (self.value * (end / self.value) ** factor for end in ends)
+        else:
+            low, high = (self.value + (end - self.value) * factor for end in ends)
+        return low, high
 
 
 @dataclass(frozen=True)

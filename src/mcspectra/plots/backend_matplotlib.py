@@ -44,7 +44,16 @@ if TYPE_CHECKING:
     from matplotlib.cm import ScalarMappable
     from matplotlib.figure import Figure
 
-__all__ = ["FORMATS", "GivenAxes", "draw", "encode", "panel_axes", "write", "write_pages"]
+__all__ = [
+    "FORMATS",
+    "GivenAxes",
+    "draw",
+    "encode",
+    "escaped",
+    "panel_axes",
+    "write",
+    "write_pages",
+]
 
 GivenAxes: TypeAlias = "Axes | Iterable[Axes] | np.ndarray[Any, Any] | None"
 """Axes to draw into, one a panel (an array is read row by row); None makes a figure."""
@@ -126,10 +135,10 @@ def draw(plot: Plot, axes: GivenAxes = None, *, pyplot: bool = False) -> Figure:
         if ticks is None:
             bar.ax.locator_params(axis="y", nbins=5)
         else:
-            bar.set_ticks(list(ticks), labels=[_plain(text) for text in ticks.values()])
+            bar.set_ticks(list(ticks), labels=[escaped(text) for text in ticks.values()])
         bar.minorticks_off()
         length = 0.85 * bar.ax.get_window_extent().height / figure.dpi
-        bar.set_label(_plain(_broken(scale.label, length)), fontsize=_SMALL, color=INK)
+        bar.set_label(escaped(_broken(scale.label, length)), fontsize=_SMALL, color=INK)
     _legend(figure, panels[0] if axes is not None else None, plot)
     return figure
 
@@ -200,7 +209,7 @@ def write(plot: Plot, path: str | PathLike[str], *, captioned: bool = False) -> 
         raise FileFormatError(f"{file} is no picture; give {', '.join(FORMATS)}.")
     figure = draw(plot)
     if captioned:
-        text = _plain(shorten(plot.caption, int(17 * figure.get_figwidth())))
+        text = escaped(shorten(plot.caption, int(17 * figure.get_figwidth())))
         figure.supxlabel(text, x=0.02, ha="left", fontsize=_SMALL, color=INK)
     stamps: dict[str, Any] = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
     # Names of parts of an SVG are random without a salt
@@ -229,7 +238,7 @@ def write_pages(pages: Iterable[tuple[str, Plot] | Figure], path: str | PathLike
             if isinstance(page, tuple):
                 title, plot = page
                 page = draw(plot)
-                page.suptitle(_plain(title), x=0.02, ha="left", fontsize=11, color=INK)
+                page.suptitle(escaped(title), x=0.02, ha="left", fontsize=11, color=INK)
             pdf.savefig(page, dpi=_PDF_DPI)
 
 
@@ -394,14 +403,14 @@ def _panel(axes: Axes, panel: Panel) -> Iterator[tuple[Scale, ScalarMappable]]:
         letters = max(int(room / _TITLE_LETTER), 12)
         lines = textwrap.wrap(panel.title, letters, break_long_words=False)
         fits = len(lines) < 3 and max(map(len, lines)) <= letters
-        text = _plain("\n".join(lines) if fits else shorten(panel.title, letters))
+        text = escaped("\n".join(lines) if fits else shorten(panel.title, letters))
         left = room > 0.6 * _NARROW
         axes.set_title(
             text, loc="left" if left else "center", fontsize=_LABEL, color=INK, pad=4, y=1.0
         )
     if panel.note:
         axes.text(
-            0.5, 0.5, _plain(panel.note), transform=axes.transAxes, ha="center", va="center",
+            0.5, 0.5, escaped(panel.note), transform=axes.transAxes, ha="center", va="center",
             fontsize=_SMALL, color=INK, style="italic",
             bbox={"facecolor": "white", "edgecolor": "none", "pad": 2.0},
         )  # fmt: skip
@@ -421,13 +430,13 @@ def _finish_axis(axes: Axes, which: str, given: Axis) -> None:
     if ticks is None:
         axis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10]))
     else:
-        axis.set_ticks(list(ticks), labels=[_plain(text) for text in ticks.values()])
+        axis.set_ticks(list(ticks), labels=[escaped(text) for text in ticks.values()])
         axis.set_minor_locator(NullLocator())
     # After the ticks, which would widen them
     getattr(axes, f"set_{which}lim")(*((high, low) if given.flipped else (low, high)))
     room = axes.get_window_extent()
     length = (room.width if which == "x" else room.height) / axes.figure.dpi
-    axis.set_label_text(_plain(_broken(given.label, length)), fontsize=_LABEL, color=INK)
+    axis.set_label_text(escaped(_broken(given.label, length)), fontsize=_LABEL, color=INK)
     if which == "x" and ticks:
         # Turn labels that would touch
         at = np.sort(axis.get_transform().transform(np.array(list(ticks))))
@@ -511,7 +520,7 @@ def _mark(axes: Axes, mark: Mark, depth: float) -> ScalarMappable | None:
                 frame = axes.get_yaxis_transform() if mark.lying else axes.get_xaxis_transform()
                 offset, across, up = _SIDES["right" if mark.lying else "above"]
                 axes.annotate(
-                    _plain(text), end, xycoords=frame, xytext=offset, textcoords="offset points",
+                    escaped(text), end, xycoords=frame, xytext=offset, textcoords="offset points",
                     ha=across, va=up, fontsize=_SMALL, color=INK,
                 )  # fmt: skip
         case Image():
@@ -546,7 +555,7 @@ def _mark(axes: Axes, mark: Mark, depth: float) -> ScalarMappable | None:
         case Text():
             offset, across, up = _SIDES[mark.side]
             axes.annotate(
-                _plain(mark.text), (mark.x, mark.y), xytext=offset, textcoords="offset points",
+                escaped(mark.text), (mark.x, mark.y), xytext=offset, textcoords="offset points",
                 ha=across, va=up, fontsize=_SMALL, **look,
             )  # fmt: skip
     return None
@@ -609,7 +618,7 @@ def _legend(figure: Figure, given: Axes | None, plot: Plot) -> None:
         return
     options: dict[str, Any] = {"frameon": False, "fontsize": _SMALL, "labelcolor": INK}
     handles = [_handle(marks) for marks in entries.values()]
-    texts = [_plain(label) for label in entries]
+    texts = [escaped(label) for label in entries]
     if given is not None:
         # Where it would lie on lines or whiskers, leave room above them, at most half the axes
         box = given.legend(handles, texts, loc="best", **options).get_window_extent()
@@ -651,6 +660,6 @@ def _handle(marks: list[Mark | str]) -> Any:
     )  # fmt: skip
 
 
-def _plain(text: str) -> str:
-    """Escape dollar signs, which matplotlib would read as mathematics."""
+def escaped(text: str) -> str:
+    """Return a text with its dollar signs escaped, which matplotlib would read as mathematics."""
     return text.replace("$", r"\$")

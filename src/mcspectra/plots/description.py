@@ -313,10 +313,10 @@ class Plot:
 
     Attributes
     ----------
-    kind
-        Kebab-case name of what it shows, such as ``convergence``.
     panels
         In reading order.
+    kind
+        Kebab-case name of what it shows, such as ``convergence``; `mcspectra.plots.kinds` sets it.
     columns
         Panels abreast on paper; a narrow screen takes fewer.
     caption
@@ -333,8 +333,8 @@ class Plot:
         Whether it takes the whole width of a page.
     """
 
-    kind: str
     panels: tuple[Panel, ...]
+    kind: str = ""
     columns: int = 1
     caption: str = ""
     words: str = ""

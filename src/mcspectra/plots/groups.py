@@ -22,6 +22,7 @@ __all__ = [
     "Group",
     "Styles",
     "abreast",
+    "along",
     "as_group",
     "for_each",
     "frequency_dims",
@@ -83,8 +84,8 @@ def as_group(data: Data) -> tuple[dict[str, xr.Dataset], str]:
 def pairs(data: xr.Dataset) -> Iterator[tuple[str, str, str, xr.Dataset]]:
     """Yield estimator, points (sampler and variant), a name and the result of each of several."""
     several, variants = {"estimator", "sampler"} & set(data.dims), variant_dims(data)
-    for estimator, of_estimator in _along(data, "estimator"):
-        for sampler, of_sampler in _along(of_estimator, "sampler"):
+    for estimator, of_estimator in along(data, "estimator"):
+        for sampler, of_sampler in along(of_estimator, "sampler"):
             for place in itertools.product(*(range(data.sizes[dim]) for dim in variants)):
                 at = dict(zip(variants, place, strict=True))
                 variant = ", ".join(_place(dim, data[dim].values[k]) for dim, k in at.items())
@@ -193,7 +194,8 @@ def intervals(ends: Array, digits: int = 4) -> list[str]:
     return [interval(float(low), float(high), digits) for low, high in ends]
 
 
-def _along(data: xr.Dataset, dim: str) -> Iterator[tuple[str, xr.Dataset]]:
+def along(data: xr.Dataset, dim: str) -> Iterator[tuple[str, xr.Dataset]]:
+    """Yield the label and the part of a result at each place of a dim, or the result where it has none."""
     if dim not in data.dims:
         yield str(data.attrs.get(f"{dim}_spec", data.attrs.get(dim, dim))), data
         return

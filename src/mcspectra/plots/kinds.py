@@ -11,7 +11,7 @@ import xarray as xr
 
 from mcspectra.core.checks import Array, as_choice
 from mcspectra.core.errors import ParameterError
-from mcspectra.plots import frames, maps, points, spectra, variance, warps
+from mcspectra.plots import maps, points, spectra, variance, warps
 from mcspectra.plots.description import Axis, Dots, Image, Line, Mark, Panel, Plot, Scale
 from mcspectra.plots.groups import (
     Data,
@@ -137,7 +137,6 @@ def anything(group: Group, styles: Styles) -> Plot:
             axis = name_axis([names[sampler] for sampler in there], flipped=False)
         panels.append(Panel(marks=tuple(marks), x=axis, y=Axis(label=label), grid=True))
     return Plot(
-        kind="anything",
         panels=tuple(panels),
         columns=min(2, abreast(len(panels))),
         caption="; ".join(said)[:1].upper() + "; ".join(said)[1:] + ".",
@@ -179,7 +178,7 @@ KINDS: Mapping[str, Kind] = {
     "primary": Kind(warps.primary, ("primary_value", "primary_jump", "face_jump")),
     **{
         kind: Kind(describe, variables, pixels=True)
-        for kind, (variables, describe) in {**frames.FRAMES, **maps.MAPS}.items()
+        for kind, (variables, describe) in maps.MAPS.items()
     },
     "anything": Kind(anything, (), pixels=True),
 }  # fmt: skip
@@ -225,6 +224,7 @@ def describe(kind: str, data: Data, styles: Styles | None = None) -> Plot:
                 f"{kind!r} shows {chosen.dims}: use 'radial' for any number of dims."
             )
     plot = chosen.describe(group, styles or sampler_styles(list(group)))
+    plot = replace(plot, kind=kind)
     if not note:
         return plot
     shown = note.removeprefix("Shown: ").rstrip(".")

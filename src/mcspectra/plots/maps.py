@@ -1,4 +1,4 @@
-"""Scenes: maps over an image, pictures by each strategy, and the light that arrives at a pixel."""
+"""Scenes: maps over an image, frames of renderers, pictures by each strategy, the light that arrives at a pixel."""
 
 from __future__ import annotations
 
@@ -13,27 +13,22 @@ import xarray as xr
 
 from mcspectra.core.checks import Array, as_real
 from mcspectra.core.errors import ParameterError
-from mcspectra.plots.description import Axis, Image, Panel, Pixels, Plot, Scale
+from mcspectra.plots.description import Axis, Image, Line, Mark, Panel, Pixels, Plot, Rule, Scale
 from mcspectra.plots.groups import Group, Styles, abreast, shared
-from mcspectra.plots.scales import log_scale
+from mcspectra.plots.scales import log_axis, log_scale
 from mcspectra.plots.style import PALETTE
 from mcspectra.plots.text import number, percent
 
 __all__ = [
     "MAPS",
+    "STRATEGIES",
     "bounce_name",
-    "image_map",
     "incident_maps",
-    "logarithmic",
-    "picture",
-    "rates",
-    "ratios",
     "rms_error",
     "strategy_images",
 ]
 
-_NAMES = {
-    "reference": "reference",
+STRATEGIES = {
     "light": "light sampling",
     "bsdf": "BSDF sampling",
     "mis-light": "MIS, light share",
@@ -41,30 +36,32 @@ _NAMES = {
     "mis": "MIS",
     "path": "whole paths",
 }
+"""What maps and pictures call the strategies."""
+
 _MIDDLE = 0.18  # radiance that the geometric mean is shown as [Reinhard2002]_
 _SPREAD = (1.0, 99.0)  # percentiles that a scale spans: single pixels would take up all of it
 _DECADES, _LIGHT_DECADES = 6, 4  # of a map, and of radiance, that are told apart
 _LARGEST_RATIO = 8.0  # of the scales of ratios
 _RATIOS = (0.125, 0.25, 0.5, 0.8, 1.0, 1.25, 2.0, 4.0, 8.0)
 _MOST_STOPS = 64.0
+_DARKEST = 1e-3  # power that is still told apart
 _SMOOTHED = ("rate", "rate_se", "bottleneck")  # means over windows
 
 
-def image_map(
+def _image_map(
     group: Group,
-    styles: Styles,
+    _: Styles,
     *,
-    kind: str,
     variable: str,
     scale: Callable[[Array], Scale],
     caption: str,
     once: bool = False,
+    wide: bool = True,
 ) -> Plot:
     """One quantity over the image, a panel for each sampler and strategy, on one scale.
 
     With `once` it is that of all samplers.
     """
-    del styles
     # At the largest number of samples; predictions are known at some rows and columns only
     shown = {name: each[variable] for name, each in group.items()}
     shown = {name: data.isel(n=-1) if "n" in data.dims else data for name, data in shown.items()}
@@ -82,22 +79,14 @@ def image_map(
         for k, label in enumerate(data[outer].values if outer else [""]):
             own = data.isel({outer: k}) if outer else data
             title = bounce_name(int(label)) if outer == "bounce" else str(label)
-            title = _NAMES.get(title, title) if outer == "strategy" else title
+            title = STRATEGIES.get(title, title) if outer == "strategy" else title
             alone = outer and data.sizes[outer] == 1 and len(shown) > 1
             parts = (name if len(shown) > 1 else "", "" if alone else title)
             x, y = (own[dim].values.astype(float) for dim in ("x", "y"))
             values, called = own.transpose("y", "x").values, variable.replace("_", " ")
-            panels.append(
-                Panel(
-                    marks=(Image(values=values, x=x, y=y, scale=found, name=called),),
-                    x=Axis(label="x", low=x[0] - 0.5, high=x[-1] + 0.5),
-                    y=Axis(label="y", low=y[0] - 0.5, high=y[-1] + 0.5, flipped=True),
-                    title=": ".join(part for part in parts if part),
-                    square=True,
-                )
-            )
+            title = ": ".join(part for part in parts if part)
+            panels.append(_over_pixels(values, x, y, found, called, title=title))
     return Plot(
-        kind=kind,
         panels=tuple(panels),
         columns=abreast(len(panels)),
         caption=caption,
@@ -105,7 +94,27 @@ def image_map(
         f"{_map_words(every[np.isfinite(every)], found)}. {caption}",
         height=float(np.clip(y.size / x.size, 0.1, 2.0)),
         share=shared(panels),
-        wide=True,
+        wide=wide,
+    )
+
+
+def _over_pixels(
+    values: Array,
+    x: Array,
+    y: Array,
+    scale: Scale,
+    name: str,
+    *,
+    labels: tuple[str, str] = ("x", "y"),
+    title: str = "",
+) -> Panel:
+    """An image with rows from the top, half a pixel beyond the centres at its ends."""
+    return Panel(
+        marks=(Image(values=values, x=x, y=y, scale=scale, name=name),),
+        x=Axis(label=labels[0], low=x[0] - 0.5, high=x[-1] + 0.5),
+        y=Axis(label=labels[1], low=y[0] - 0.5, high=y[-1] + 0.5, flipped=True),
+        title=title,
+        square=True,
     )
 
 
@@ -124,7 +133,7 @@ def _map_words(values: Array, scale: Scale) -> str:
     return f"median {middle}, from {low} to {high}"
 
 
-def logarithmic(label: str) -> Callable[[Array], Scale]:
+def _logarithmic(label: str) -> Callable[[Array], Scale]:
     """Make a logarithmic scale of the positive values, but for single pixels far off."""
 
     def scale(values: Array) -> Scale:
@@ -136,7 +145,7 @@ def logarithmic(label: str) -> Callable[[Array], Scale]:
     return scale
 
 
-def rates(values: Array) -> Scale:
+def _rates(values: Array) -> Scale:
     """Return the scale of exponents."""
     found = values[np.isfinite(values)]
     low, high = np.percentile(found, _SPREAD) if found.size else (-2.0, -1.0)
@@ -146,7 +155,7 @@ def rates(values: Array) -> Scale:
     return Scale(label="exponent of variance", low=float(low), high=float(high))
 
 
-def ratios(label: str) -> Callable[[Array], Scale]:
+def _ratios(label: str) -> Callable[[Array], Scale]:
     """Make a scale of ratios, symmetric about 1."""
 
     def scale(values: Array) -> Scale:
@@ -178,7 +187,7 @@ def _shares(values: Array) -> Scale:
 
 
 def _choice(
-    group: Group, styles: Styles, *, kind: str, variable: str, of: str, none: str, caption: str
+    group: Group, styles: Styles, *, variable: str, of: str, none: str, caption: str
 ) -> Plot:
     """Which bounce, decision or sampler, or none of them."""
     data = next(iter(group.values()))
@@ -186,22 +195,17 @@ def _choice(
     names = (none, *(bounce_name(v) if of == "bounce" else str(v) for v in labels))
     colors = ("#FFFFFF", *(PALETTE[k % len(PALETTE)] for k in range(len(labels))))
     scale = Scale(kind="names", names=names, colors=colors, low=-1.0)
-    about: dict[str, Any] = {"kind": kind, "variable": variable, "caption": caption, "once": True}
-    return image_map(group, styles, scale=lambda _: scale, **about)
+    about: dict[str, Any] = {"variable": variable, "caption": caption, "once": True}
+    return _image_map(group, styles, scale=lambda _: scale, **about)
 
 
-def _picture(group: Group, styles: Styles) -> Plot:
-    """The mean of the last strategy by the first sampler."""
-    del styles
-    mean = next(iter(group.values()))["mean"].isel(strategy=-1).transpose("y", "x").values
-    caption = "What is measured: the mean estimate as a picture."
-    return picture(mean[..., None], kind="map-picture", caption=caption)
-
-
-def picture(image: Array, *, kind: str, caption: str) -> Plot:
-    """Radiance (height, width, 1 or 3), exposed so that its geometric mean is a middle grey."""
+def _picture(group: Group, _: Styles, *, caption: str) -> Plot:
+    """Radiance, exposed so that its geometric mean is a middle grey: the mean of frames, or of the last strategy."""
     from mcspectra.rendering.files import encode_srgb
 
+    data = next(iter(group.values()))
+    mean = data["image"] if "image" in data else data["mean"].isel(strategy=-1)
+    image = np.atleast_3d(mean.transpose("y", "x", ...).values)
     values = np.clip(np.broadcast_to(np.nan_to_num(image), (*image.shape[:2], 3)), 0.0, None)
     lit = values.max(axis=-1)
     level = float(np.exp(np.log(lit[lit > 0]).mean())) if (lit > 0).any() else 1.0
@@ -210,7 +214,6 @@ def picture(image: Array, *, kind: str, caption: str) -> Plot:
     across = Axis(low=0.0, high=width, ticks={})
     down = Axis(low=0.0, high=height, ticks={})
     return Plot(
-        kind=kind,
         panels=(Panel(marks=(Pixels(rgb=shown),), square=True, x=across, y=down),),
         caption=caption,
         words=f"Picture of {width} × {height} pixels.",
@@ -218,21 +221,101 @@ def picture(image: Array, *, kind: str, caption: str) -> Plot:
     )
 
 
+def _spectrum(group: Group, _: Styles) -> Plot:
+    """Radial power of the errors for every number of samples, white noise 1."""
+    data = next(iter(group.values()))  # each result has a page of its own
+    marks: list[Mark] = [Rule(at=1.0, dashes="--", label="white noise")]
+    levels = []
+    for k, n in enumerate(data["n"].values):
+        power, ends = (
+            data[name].isel(n=k).values for name in ("error_spectrum", "error_spectrum_ci")
+        )
+        low, high = (np.maximum(ends[:, i], _DARKEST) for i in (0, 1))
+        levels += [power[power > _DARKEST], high[np.isfinite(high)]]
+        color, label = PALETTE[k % len(PALETTE)], f"{n} samples a pixel"
+        x = data["radius"].values
+        marks.append(
+            Line(x=x, y=np.maximum(power, _DARKEST), color=color, low=low, high=high, label=label)
+        )
+    every = np.concatenate([*levels, [0.5, 2.0]])
+    return Plot(
+        panels=(
+            Panel(
+                marks=tuple(marks),
+                x=Axis(label="frequency in cycles a pixel", low=0.0, high=0.5),
+                y=log_axis(
+                    "power / white noise", float(every.min()) / 1.5, float(every.max()) * 1.5
+                ),
+                grid=True,
+            ),
+        ),
+        caption="Radial power of the errors between pixels, each over its pixel's standard deviation, "
+        "with 95 % intervals. White noise has 1 everywhere, blue noise little at low frequencies.",
+        words="Radial power of the errors, from "
+        + ", ".join(number(float(v)) for v in data["error_spectrum"].isel(n=-1).values[[0, -1]])
+        + " at the lowest and the highest frequency.",
+    )
+
+
+def _correlation(group: Group, _: Styles) -> Plot:
+    """Correlation of pixels at small lags, for the largest number of samples."""
+    found = next(iter(group.values()))["error_correlation"].isel(n=-1)
+    x, y = (found[dim].values.astype(float) for dim in ("lag_x", "lag_y"))
+    values = found.transpose("lag_y", "lag_x").values.copy()
+    values[y.size // 2, x.size // 2] = np.nan
+    top = max(float(np.nanmax(np.abs(values))) if values.size > 1 else 0.0, 0.05)
+    scale = Scale(label="correlation", low=-top, high=top, palette="diverging")
+    return Plot(
+        panels=(
+            _over_pixels(values, x, y, scale, "correlation", labels=("x to the right", "y down")),
+        ),
+        caption="Correlation of the errors of two pixels at this distance. A reconstruction filter or shared "
+        "points make neighbours alike; a mask of blue noise makes them differ.",
+        words=f"Correlations of errors of neighbouring pixels, at most {number(top)} in size.",
+        height=1.0,
+    )
+
+
+def _deviates(values: Array) -> Scale:
+    """The scale of normal deviates: 8 and more are alike."""
+    finite = np.abs(values[np.isfinite(values)])
+    top = float(np.clip(finite.max() if finite.size else 4.0, 4.0, 8.0))
+    return Scale(label="standard errors", low=-top, high=top, palette="diverging")
+
+
 MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
+    "frames-picture": (("image", "relative_rmse"), partial(_picture, caption="Mean of the frames of the most samples.")),
+    "frames-spectrum": (("error_spectrum", "error_spectrum_ci"), _spectrum),
+    "frames-correlation": (("error_correlation",), _correlation),
+    **{
+        f"frames-{kind}": (
+            ("relative_rmse", variable),
+            partial(_image_map, variable=variable, scale=scale, caption=caption, wide=False),
+        )
+        for kind, variable, scale, caption in (
+            ("relative", "relative_rmse", _logarithmic("σ / mean"), "Relative error of one frame, of the most samples."),
+            ("variance", "variance", _logarithmic("variance"), "Variance of one frame, of the most samples."),
+            ("rate", "rate", _rates, "Exponent of the variance in samples a pixel; random sampling is −1."),
+            ("needed", "needed_spp", _logarithmic("samples a pixel"), "Samples a pixel that the target needs."),
+            ("flip", "flip", _logarithmic("FLIP"), "FLIP of one frame of the most samples against the mean."),
+            ("difference", "difference_z", _deviates, "Difference of the means of the two sets, in standard errors."),
+            ("ratio", "variance_ratio", _ratios("variance / that of the others"), "Variance of a frame over that of the others; below 1 these are better."),
+        )
+    },
     **{
         f"map-{kind}": (
             ("x", "y", "rate", variable),
-            partial(image_map, kind=f"map-{kind}", variable=variable, scale=scale, caption=caption, once=scale is _shares),
+            partial(_image_map, variable=variable, scale=scale, caption=caption, once=scale is _shares),
         )
         for kind, variable, scale, caption in (
-            ("mean", "mean", logarithmic("mean estimate"), "Mean estimate at the largest number of samples."),
-            ("variance", "variance", logarithmic("variance"), "Variance of the estimate at the largest number of samples."),
-            ("rate", "rate", rates, "Fitted exponent of variance in the number of samples; random sampling is −1."),
-            ("rate-se", "rate_se", logarithmic("standard error of the rate"), "Standard error of the exponent."),
+            ("mean", "mean", _logarithmic("mean estimate"), "Mean estimate at the largest number of samples."),
+            ("variance", "variance", _logarithmic("variance"), "Variance of the estimate at the largest number of samples."),
+            ("rate", "rate", _rates, "Fitted exponent of variance in the number of samples; random sampling is −1."),
+            ("rate-se", "rate_se", _logarithmic("standard error of the rate"), "Standard error of the exponent."),
             ("bottleneck", "bottleneck", _which, "Technique whose share of MIS has the slower rate, by the 95 % interval of their difference."),
             ("dominant", "dominant_technique", _which, "Technique whose share of MIS has the larger variance, at the largest number of samples."),
-            ("gain", "mis_gain", ratios("variance of the better strategy / of MIS"), "Variance of the better single strategy over that of MIS, at the same total of samples. Above 1, MIS is better."),
-            ("predicted", "predicted_ratio", ratios("predicted / measured variance"), "Predicted over measured variance, at the largest number of samples."),
+            ("gain", "mis_gain", _ratios("variance of the better strategy / of MIS"), "Variance of the better single strategy over that of MIS, at the same total of samples. Above 1, MIS is better."),
+            ("predicted", "predicted_ratio", _ratios("predicted / measured variance"), "Predicted over measured variance, at the largest number of samples."),
             ("bounces", "bounce_share", _shares, "What the random numbers of a bounce add to the variance that those before it make, as a share of it. Estimates of small shares may be negative."),
             ("decisions", "decision_share", _shares, "The same of each decision, over all bounces: what it adds to all that was decided before."),
         )
@@ -240,7 +323,7 @@ MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
     **{
         f"map-{kind}": (
             ("x", "y", "rate", variable),
-            partial(_choice, kind=f"map-{kind}", variable=variable, of=of, none=none, caption=caption),
+            partial(_choice, variable=variable, of=of, none=none, caption=caption),
         )
         for kind, variable, of, none, caption in (
             ("largest-bounce", "largest_bounce", "bounce", "undecided", "Bounce of the largest share, where the 95 % intervals of its differences from all others are above 0."),
@@ -248,9 +331,9 @@ MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
             ("best-sampler", "best_sampler", "sampler", "no difference", "Sampler of the least variance at the largest number of samples, where the 95 % intervals of its ratios to all others are below 1."),
         )
     },
-    "map-picture": (("x", "y", "rate", "mean"), _picture),
+    "map-picture": (("x", "y", "rate", "mean"), partial(_picture, caption="What is measured: the mean estimate as a picture.")),
 }  # fmt: skip
-"""Kinds of maps: the variables of each, and what describes it."""
+"""Kinds of maps, and of plots of frames: the variables of each, and what describes it."""
 
 
 def incident_maps(data: xr.Dataset) -> Plot:
@@ -335,7 +418,7 @@ def strategy_images(images: Group, *, exposure: float = 0.0) -> Plot:
                 if known
                 else ""
             )
-        title, label = _NAMES.get(name, name), f"{count} samples a pixel\n{error}".strip()
+        title, label = STRATEGIES.get(name, name), f"{count} samples a pixel\n{error}".strip()
         shown = np.rint(255.0 * encode_srgb(data["image"].values * gain)).astype(np.uint8)
         height, width, _ = shown.shape
         panels.append(

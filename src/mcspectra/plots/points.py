@@ -10,9 +10,10 @@ from mcspectra.core.checks import Array, as_unit_points
 from mcspectra.core.errors import ParameterError
 from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, Plot, Rule, Scale, Segments
 from mcspectra.plots.groups import Group, Styles, abreast, numbers
-from mcspectra.plots.scales import log_axis, name_axis, unit_axis
+from mcspectra.plots.scales import log_axis, name_axis, unit_axis, unit_panel
 from mcspectra.plots.spectra import frequency_map, relative_power
 from mcspectra.plots.style import ACCENT, FAINT, INK, PALETTE, labels
+from mcspectra.plots.text import SUBSCRIPTS
 
 __all__ = ["point_sets", "points", "sampler_card"]
 
@@ -45,7 +46,6 @@ def points(group: Group, styles: Styles) -> Plot:
         ]
         shown = "The unit square." if max(sizes) == 2 else f"Axes 0 and 1 of {max(sizes)}."
     return Plot(
-        kind="points",
         panels=tuple(panels),
         columns=abreast(len(panels)),
         caption=f"One realisation of n = {n} points of each sampler, after importance sampling where "
@@ -193,19 +193,11 @@ def _square(
         mean = float(np.abs(weights).mean()) or 1.0
         size = size * np.sqrt(np.minimum(np.abs(weights) / mean, 16.0))
         shown |= {"weight": numbers(weights)} if shown else {}
-    digits = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
     said = [
-        label or (f"x{axis}".translate(digits) if named else "")
+        label or (f"x{axis}".translate(SUBSCRIPTS) if named else "")
         for label, axis in zip(labels, axes, strict=True)
     ]
-    return Panel(
-        marks=(Dots(x=first, y=second, color=color, size=size, hover=shown),),
-        x=unit_axis(said[0]),
-        y=unit_axis(said[1]),
-        title=title,
-        square=True,
-        framed=True,
-    )
+    return unit_panel([Dots(x=first, y=second, color=color, size=size, hover=shown)], title, *said)
 
 
 def _stroke_panel(

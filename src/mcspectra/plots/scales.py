@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Axis, Scale
+from mcspectra.plots.description import Axis, Mark, Panel, Scale
 from mcspectra.plots.text import power_of_ten
 
 __all__ = [
@@ -23,6 +23,7 @@ __all__ = [
     "signed_scale",
     "tick_label",
     "unit_axis",
+    "unit_panel",
     "whole_ticks",
 ]
 
@@ -63,7 +64,7 @@ def count_axis(label: str, counts: Iterable[int], most: int = 6) -> Axis:
     for n in reversed(distinct[:-1]):
         if math.log(chosen[-1] / n) >= 0.999 * gap:
             chosen.append(n)
-    ticks = {float(n): f"{n:,}" for n in reversed(chosen)}
+    ticks = {float(n): str(n) for n in reversed(chosen)}
     low, high = distinct[0] / margin, distinct[-1] * margin
     return Axis(label=label, kind="log", low=low, high=high, ticks=ticks)
 
@@ -77,6 +78,12 @@ def name_axis(names: Sequence[str], label: str = "", *, flipped: bool = True) ->
 def unit_axis(label: str) -> Axis:
     """Return an axis from 0 to 1 with ticks at its ends."""
     return Axis(label=label, low=0.0, high=1.0, ticks={0.0: "0", 1.0: "1"})
+
+
+def unit_panel(marks: Iterable[Mark], title: str, x: str = "x₀", y: str = "x₁") -> Panel:
+    """Return marks in the unit square."""
+    across, up = unit_axis(x), unit_axis(y)
+    return Panel(marks=tuple(marks), x=across, y=up, title=title, square=True, framed=True)
 
 
 def whole_ticks(low: float, high: float, most: int = 6) -> dict[float, str]:

@@ -67,9 +67,8 @@ _MOST_CHAINS = 6  # quantities of chains that are told apart
 _LEVEL = "the expected power over that of random points (∫1/p / n); m = 0 is left out."
 
 
-def spectrum(group: Group, styles: Styles) -> Plot:
+def spectrum(group: Group, _: Styles) -> Plot:
     """Two-dimensional power spectra side by side, on one colour scale, dc left out."""
-    del styles
     images = {name: relative_power(each) for name, each in group.items()}
     # The scale ends at 2, or where all but 1 % of the frequencies stay below
     every = np.concatenate([np.ravel(values) for values in images.values()])
@@ -79,7 +78,6 @@ def spectrum(group: Group, styles: Styles) -> Plot:
         frequency_map(name, group[name], values, scale, "power") for name, values in images.items()
     ]
     return Plot(
-        kind="spectrum",
         panels=tuple(panels),
         columns=abreast(len(panels)),
         caption=f"Power spectra on one colour scale: {_LEVEL}",
@@ -105,7 +103,6 @@ def lines(group: Group, styles: Styles) -> Plot:
         ]
     axis = Axis(label="frequency m (cycles per unit)")
     return Plot(
-        kind="lines",
         panels=(_power_panel(group, curves, styles, hover, axis),),
         caption=f"Power spectra: {_LEVEL}",
         words="Power against frequency m. " + for_each(group, _power_words),
@@ -124,7 +121,6 @@ def radial(group: Group, styles: Styles) -> Plot:
     axis = log_axis(f"|m| / {root}", float(every.min(initial=1.0)), float(every.max(initial=1.0)))
     hover = {name: numbers(power) for name, (_, power) in curves.items()}
     return Plot(
-        kind="radial",
         panels=(_power_panel(group, curves, styles, hover, axis),),
         caption="Mean power over all directions against the length of the frequency, in units of n "
         "to the 1/d: the slope at the left decides the rate."
@@ -143,7 +139,6 @@ def pair_correlation(group: Group, styles: Styles) -> Plot:
     axis = Axis(label="pair correlation g(r)", low=0.0)
     panel = Panel(marks=tuple(found), x=Axis(label="distance r"), y=axis, grid=True)
     return Plot(
-        kind="pair-correlation",
         panels=(panel,),
         caption="Pair correlation g(r) of the points before any warp: density of points at distance r "
         "from another one, over that of random points, with 95 % intervals.",
@@ -211,7 +206,6 @@ def contributions(group: Group, styles: Styles) -> Plot:
         dims, f"of each shell of |m| (in {dims} dims the frequencies of a shell are summed)"
     )
     return Plot(
-        kind="contributions",
         panels=tuple(panels),
         columns=techniques if 1 < techniques <= 3 else abreast(len(panels)),
         caption=f"Contribution {what} to the variance: all of them sum to the predicted variance; "
@@ -224,9 +218,8 @@ def contributions(group: Group, styles: Styles) -> Plot:
     )
 
 
-def bands(group: Group, styles: Styles) -> Plot:
+def bands(group: Group, _: Styles) -> Plot:
     """Covariance between bands of frequencies, and each band's share of the predicted variance."""
-    del styles  # one legend for all panels: the colours are those of its two entries
     matrices = {name: each["band_covariance"].values for name, each in group.items()}
     scale = signed_scale("Cov(I_a, I_b)", list(matrices.values()))
     shares = {name: _band_shares(matrix) for name, matrix in matrices.items()}
@@ -293,7 +286,6 @@ def bands(group: Group, styles: Styles) -> Plot:
         meaning.removeprefix("band (").removesuffix(")") or "shells of |m|, one frequency wide"
     )
     return Plot(
-        kind="bands",
         panels=tuple(panels),
         columns=2,
         caption=f"Covariance between bands of frequencies ({meaning}), and each band's share of the "
@@ -304,9 +296,8 @@ def bands(group: Group, styles: Styles) -> Plot:
     )
 
 
-def cross_matrix(group: Group, styles: Styles) -> Plot:
+def cross_matrix(group: Group, _: Styles) -> Plot:
     """Cross matrix conj(f_m) f_l C_ml of one-dimensional results, real and imaginary parts."""
-    del styles
     inner = {}
     for name, each in group.items():
         matrix = each["cross_matrix"]
@@ -339,7 +330,6 @@ def cross_matrix(group: Group, styles: Styles) -> Plot:
                 )
             )
     return Plot(
-        kind="cross-matrix",
         panels=tuple(panels),
         columns=2,
         caption="Cross matrix conj(fₘ) fₗ Cₘₗ: its sum is the predicted variance. The diagonal is the "
@@ -399,7 +389,6 @@ def modes(group: Group, styles: Styles) -> Plot:
                 )
             )
     return Plot(
-        kind="modes",
         panels=tuple(panels),
         columns=len(panels) // len(group),
         caption="Leading eigenvalues of the covariance of the coefficients, the largest that pure noise "
@@ -460,7 +449,6 @@ def chains(group: Group, styles: Styles) -> Plot:
     density = log_axis("spectral density S", least / 3, 3 * most)
     still = "" if every.size else "the chains do not move"
     return Plot(
-        kind="chains",
         panels=(
             Panel(marks=tuple(spectra), x=axis, y=density, grid=True, note=still),
             Panel(

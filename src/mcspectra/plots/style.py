@@ -8,8 +8,9 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, final
+from typing import final
 
+from mcspectra.plots.description import Dashes, Marker
 from mcspectra.plots.text import shorten
 
 __all__ = [
@@ -28,16 +29,8 @@ __all__ = [
 ]
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#4D4D4D")
-MARKERS: tuple[Literal["o", "s", "^", "D", "v", "P", "X"], ...] = (
-    "o",
-    "s",
-    "^",
-    "D",
-    "v",
-    "P",
-    "X",
-)
-DASHES = ("-", "--", ":", "-.")
+MARKERS: tuple[Marker, ...] = ("o", "s", "^", "D", "v", "P", "X")
+DASHES: tuple[Dashes, ...] = ("-", "--", ":", "-.")
 INK, GRAY, FAINT, PAPER = "#262626", "#8A8A8A", "#DCDCDC", "#FCFCFA"
 """Text and main marks, marks of lesser weight, grids and shapes behind, the ground. Backends turn them about on dark pages."""
 ACCENT = "#D55E00"
@@ -56,8 +49,8 @@ class LineStyle:
     """How one sampler is drawn wherever it appears."""
 
     color: str = PALETTE[0]
-    marker: Literal["o", "s", "^", "D", "v", "P", "X"] = "o"
-    dashes: Literal["-", "--", ":", "-."] = "-"
+    marker: Marker = "o"
+    dashes: Dashes = "-"
 
 
 def sampler_styles(samplers: Sequence[str]) -> dict[str, LineStyle]:
@@ -65,7 +58,7 @@ def sampler_styles(samplers: Sequence[str]) -> dict[str, LineStyle]:
     distinct = list(dict.fromkeys(samplers))
     cycle = itertools.product(DASHES, zip(PALETTE, MARKERS, strict=True))
     return {
-        name: LineStyle(color=color, marker=marker, dashes=dashes)  # type: ignore[arg-type]
+        name: LineStyle(color=color, marker=marker, dashes=dashes)
         for name, (dashes, (color, marker)) in zip(distinct, itertools.cycle(cycle), strict=False)
     }
 

@@ -11,6 +11,7 @@ from mcspectra.variance.fit import is_resolved
 __all__ = [
     "MISSING",
     "NEGLIGIBLE",
+    "SUBSCRIPTS",
     "interval",
     "number",
     "number_beside",
@@ -28,6 +29,7 @@ MISSING = "–"
 NEGLIGIBLE = 1e-9
 """Share of the largest term below which a term is rounding of the transform, not a quantity."""
 
+SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _LEVEL = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹₀₁₂₃₄₅₆₇₈₉ₗₘ", "-01234567890123456789lm")
 _LATEX = {

@@ -51,7 +51,6 @@ __all__ = [
     "prediction",
     "remedies",
     "routes",
-    "strategy_curves",
     "task_curves",
     "technique_rates",
     "techniques",
@@ -118,7 +117,6 @@ def convergence(group: Group, styles: Styles) -> Plot:
         curves.insert(0, Line(x=at, y=y, color=GRAY, dashes=":", width=0.8, label=label))
     left_out = any(not usable_counts(each).all() for each in group.values())
     return Plot(
-        kind="convergence",
         panels=(_variance_panel(curves, group.values()),),
         caption="Variance against the number of points, with 95 % intervals"
         + (
@@ -136,56 +134,32 @@ def convergence(group: Group, styles: Styles) -> Plot:
     )
 
 
-def strategy_curves(curves: xr.Dataset, names: Mapping[str, str], styles: Styles) -> Plot:
-    """Variance against n, a panel for each strategy, a line for each sampler.
+def task_curves(
+    tasks: Mapping[str, Group],
+    styles: Styles,
+    *,
+    by: str = "on each integrand",
+    x: str = "number of points n",
+    alike: bool = False,
+) -> Plot:
+    """Variance against n, a panel for each of several tasks by its title, a line for each sampler.
 
-    Parameters
-    ----------
-    curves
-        Results of `convergence` on (strategy, sampler, n).
-    names
-        Titles of the strategies.
-    styles
-        How each sampler is drawn.
+    With `alike` all panels have the same axes.
     """
-    panels, said = _curve_panels(
-        {
-            names[strategy]: {
-                shorten(sampler): (curves.sel(strategy=strategy, sampler=sampler), styles[sampler])
-                for sampler in map(str, curves["sampler"].values)
-            }
-            for strategy in map(str, curves["strategy"].values)
-        },
-        "number of samples n of each technique",
-        joined=True,
-    )
+    styled = {
+        title: {shorten(name): (each, styles[name]) for name, each in curves.items()}
+        for title, curves in tasks.items()
+    }
+    parts = [styled] if alike else [{title: curves} for title, curves in styled.items()]
+    made = [_curve_panels(part, x, joined=True) for part in parts]
+    panels = [panel for few, _ in made for panel in few]
     return Plot(
-        kind="strategy-curves",
-        panels=panels,
-        columns=2,
-        caption="Variance against n by each strategy, with 95 % intervals.",
-        words=said,
-        share="both",
-        wide=True,
-    )
-
-
-def task_curves(tasks: Mapping[str, Group], styles: Styles) -> Plot:
-    """Variance against n on several integrands, a panel for each by its title, a line for each sampler."""
-    panels: list[Panel] = []
-    said = []
-    for title, curves in tasks.items():
-        styled = {shorten(name): (each, styles[name]) for name, each in curves.items()}
-        made, words = _curve_panels({title: styled}, joined=True)
-        panels += made
-        said.append(words)
-    return Plot(
-        kind="task-curves",
         panels=tuple(panels),
-        columns=3,
-        caption="Variance against n on each integrand, with 95 % intervals.",
-        words=" ".join(said),
-        height=0.8,
+        kind="task-curves",
+        columns=2 if alike else 3,
+        caption=f"Variance against n {by}, with 95 % intervals.",
+        words=" ".join(said for _, said in made),
+        height=0.62 if alike else 0.8,
         share=shared(panels) if panels else "",
         wide=True,
     )
@@ -194,7 +168,7 @@ def task_curves(tasks: Mapping[str, Group], styles: Styles) -> Plot:
 def exact(group: Group, styles: Styles) -> Plot:
     """Exact variances against n."""
     caption = "Exact variance against the number of points, by closed form or quadrature."
-    return _known_curves(group, styles, "exact", "exact variance", caption)
+    return _known_curves(group, styles, "exact variance", caption)
 
 
 def prediction(group: Group, styles: Styles) -> Plot:
@@ -208,7 +182,7 @@ def prediction(group: Group, styles: Styles) -> Plot:
             "Predicted variance against the number of points, with 95 % intervals, and the least n "
             "that is predicted to reach the error, whose square is dashed."
         )
-    return _known_curves(group, styles, "prediction", "predicted variance", caption)
+    return _known_curves(group, styles, "predicted variance", caption)
 
 
 def profile(group: Group, styles: Styles) -> Plot:
@@ -221,10 +195,10 @@ def profile(group: Group, styles: Styles) -> Plot:
             for sampler in each["sampler"].values
         }
         styles = sampler_styles(list(group))
-    return _known_curves(group, styles, "profile", "variance", caption)
+    return _known_curves(group, styles, "variance", caption)
 
 
-def _known_curves(group: Group, styles: Styles, kind: str, what: str, caption: str) -> Plot:
+def _known_curves(group: Group, styles: Styles, what: str, caption: str) -> Plot:
     """Variances that were not measured, against n."""
     variable = what.replace(" ", "_")
     curves, bands = {}, {}
@@ -250,9 +224,9 @@ def _known_curves(group: Group, styles: Styles, kind: str, what: str, caption: s
             if np.isfinite(bend):
                 marks.append(Rule(at=bend, axis="x", color=styles[name].color, dashes="--"))
         if "planned_n" in each and np.isfinite(each["planned_n"]):
-            notes[name] = f": n = {int(each['planned_n']):,}"
+            notes[name] = f": n = {int(each['planned_n'])}"
             low, high = each["planned_n_ci"].values if "planned_n_ci" in each else (1.0, 1.0)
-            notes[name] += f" ({low:,.0f} … {high:,.0f})" if high > _WIDE * low else ""
+            notes[name] += f" ({low:.0f} … {high:.0f})" if high > _WIDE * low else ""
     for name, line in zip(curves, lines_of(curves, styles, ("n", what), notes=notes), strict=True):
         marker = styles[name].marker
         dots = Dots(x=line.x, y=line.y, color=line.color, marker=marker, label=line.label)
@@ -266,7 +240,6 @@ def _known_curves(group: Group, styles: Styles, kind: str, what: str, caption: s
     shown = np.concatenate([n for n, _ in curves.values()])
     counts = shown.astype(int).tolist() or [int(n) for each in group.values() for n in each["n"]]
     return Plot(
-        kind=kind,
         panels=(
             Panel(
                 marks=tuple(marks),
@@ -304,7 +277,6 @@ def terms(group: Group, styles: Styles) -> Plot:
         color = styles[name].color
         panels.append(_bar_panel(name, color, rows, shown, whiskers, texts, axis, opacities))
     return Plot(
-        kind="terms",
         panels=tuple(panels),
         caption="The terms of the variance, signed: dc + power + cross = predicted, with the measured "
         "variance below; whiskers are 95 % intervals.",
@@ -344,7 +316,6 @@ def captured(group: Group, styles: Styles) -> Plot:
     below = Axis(label="half width of the spectrum", low=0.0, high=1.03 * widest, ticks=ticks)
     panel = Panel(marks=tuple(marks), x=below, y=axis, grid=True)
     return Plot(
-        kind="captured",
         panels=(panel,),
         caption="Share of the measured variance that the spectrum predicts when it is cut at each half "
         "width; at 1 nothing is missing.",
@@ -371,7 +342,6 @@ def techniques(group: Group, styles: Styles) -> Plot:
         color = styles[name].color
         panels.append(_bar_panel(name, color, rows, shown, whiskers, texts, axis))
     return Plot(
-        kind="techniques",
         panels=tuple(panels),
         caption="What each technique contributes to the variance, and each pair through its covariance; "
         "the bars sum to the measured variance. Whiskers are 95 % intervals.",
@@ -384,9 +354,8 @@ def techniques(group: Group, styles: Styles) -> Plot:
     )
 
 
-def technique_rates(group: Group, styles: Styles) -> Plot:
+def technique_rates(group: Group, _: Styles) -> Plot:
     """Variance of each technique against n with its rate, a panel for each sampler."""
-    del styles  # colours are those of the techniques
     curves: dict[str, dict[str, tuple[xr.Dataset, LineStyle]]] = {}
     for name, each in group.items():
         curves[name] = {
@@ -403,7 +372,6 @@ def technique_rates(group: Group, styles: Styles) -> Plot:
         curves[name]["all together"] = whole
     panels, said = _curve_panels(curves)
     return Plot(
-        kind="technique-rates",
         panels=panels,
         columns=min(2, len(panels)),
         caption="Variance of each technique's part of the estimate and of their sum against the number "
@@ -434,7 +402,6 @@ def anova(group: Group, styles: Styles) -> Plot:
     known = next(iter(group.values())).attrs
     axes, sets = known.get("axes", "axis of primary space"), known.get("order", 2) > 1
     return Plot(
-        kind="anova",
         panels=tuple(panels),
         columns=min(2, abreast(len(panels))),
         caption=f"Part of the variance that comes from each {axes} alone"
@@ -478,36 +445,25 @@ def routes(group: Group, styles: Styles) -> Plot:
                 "route": rows,
                 "variance": numbers(value),
                 "95 %": intervals(ends),
-                "share of ∫f²": [
-                    percent(float(s)) if np.isfinite(s) else MISSING
-                    for s in each["energy_share"].values
-                ],
+                "share of ∫f²": [percent(float(s)) for s in each["energy_share"].values],
             },
         )
         panels.append(Panel(marks=(dots,), x=axis, y=name_axis(rows), title=name, grid=True))
     most = max(len(panel.y.ticks or ()) for panel in panels)
     return Plot(
-        kind="routes",
         panels=tuple(panels),
         columns=min(2, abreast(len(panels))),
         caption="The variance by each route, from the most trusted at the top to the measurement, with "
         "95 % intervals.",
         words="Variances by route. "
-        + for_each(
-            group,
-            lambda d: ", ".join(
-                f"{r} {number(float(v))}"
-                for r, v in zip(d["route"].values, d["route_variance"].values, strict=True)
-            ),
-        ),
+        + for_each(group, lambda d: _named_values(d, "route", "route_variance")),
         height=0.14 + 0.06 * most,
         share="x",
     )
 
 
-def remedies(group: Group, styles: Styles) -> Plot:
+def remedies(group: Group, _: Styles) -> Plot:
     """Variance of every change relative to the set-up as given, with intervals."""
-    del styles  # colours are those of the verdicts
     known = np.concatenate([each["error_ratio_ci"].values.ravel() for each in group.values()])
     known = known[np.isfinite(known) & (known > 0)]
     axis = log_axis(
@@ -544,18 +500,11 @@ def remedies(group: Group, styles: Styles) -> Plot:
             Panel(marks=tuple(marks), x=axis, y=names, title=name if len(group) > 1 else "")
         )
     return Plot(
-        kind="remedies",
         panels=tuple(panels),
         caption="Variance of each change (of what is biased, mean squared error) over that of the set-up as "
         "given, with intervals that hold together at 95 %; left of 1 there is less noise.",
         words="Ratios of variances. "
-        + for_each(
-            group,
-            lambda d: ", ".join(
-                f"{name} {number(float(ratio))}"
-                for name, ratio in zip(d["remedy"].values, d["error_ratio"].values, strict=True)
-            ),
-        ),
+        + for_each(group, lambda d: _named_values(d, "remedy", "error_ratio")),
         height=0.1 + 0.045 * max(each.sizes["remedy"] for each in group.values()),
         share="x",
     )
@@ -719,6 +668,11 @@ def _route_ends(data: xr.Dataset) -> Array:
 def _ends(values: Array) -> tuple[float, float]:
     found = values[np.isfinite(values)]
     return (float(found.min()), float(found.max())) if found.size else (math.nan, math.nan)
+
+
+def _named_values(data: xr.Dataset, names: str, values: str) -> str:
+    pairs = zip(data[names].values, data[values].values, strict=True)
+    return ", ".join(f"{name} {number(float(value))}" for name, value in pairs)
 
 
 def _rate_words(data: xr.Dataset) -> str:

@@ -11,7 +11,7 @@ from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.plots.description import Axis, Image, Line, Mark, Panel, Plot, Rule, Scale, Segments
 from mcspectra.plots.groups import Group, Styles, abreast, for_each, numbers
-from mcspectra.plots.scales import log_scale, unit_axis
+from mcspectra.plots.scales import log_scale, unit_axis, unit_panel
 from mcspectra.plots.style import ACCENT, GRAY, INK
 
 __all__ = ["primary", "warp"]
@@ -23,9 +23,8 @@ _CLIPPED = 0.5  # per cent of the values at either end, where poles would hide t
 _INSIDE, _SIDES = "jump inside", "jump between opposite sides"
 
 
-def warp(group: Group, styles: Styles) -> Plot:
+def warp(group: Group, _: Styles) -> Plot:
     """How a warp distorts a grid and, on primary space, its stretch and its jumps."""
-    del styles
     group, dims = _by_spec(group, "density")
     caption = "Image of a grid under the warp, and on primary space its stretch and its jumps."
     if dims == 1:
@@ -53,32 +52,14 @@ def warp(group: Group, styles: Styles) -> Plot:
                 apart = [np.concatenate([line, np.full((1, 2), np.nan)]) for line in broken]
                 across, up = np.concatenate(apart).T
                 lines.append(Line(x=across, y=up, color=color, width=0.6))
-            panels.append(
-                Panel(
-                    marks=tuple(lines),
-                    x=unit_axis("x₀"),
-                    y=unit_axis("x₁"),
-                    title=name,
-                    square=True,
-                    framed=True,
-                )
-            )
+            panels.append(unit_panel(lines, name))
             marks = (
                 _cells(np.clip(stretches[name], 1.0, scale.high), scale, "stretch"),
                 Segments(ends=_torn_sides(torn), color=ACCENT, width=1.4),
             )
-            panels.append(
-                Panel(
-                    marks=marks,
-                    x=unit_axis("u₀\n" + _warp_words(each).replace(", ", "\n")),
-                    y=unit_axis("u₁"),
-                    title=f"{name}: stretch",
-                    square=True,
-                    framed=True,
-                )
-            )
+            below = "u₀\n" + _warp_words(each).replace(", ", "\n")
+            panels.append(unit_panel(marks, f"{name}: stretch", below, "u₁"))
     return Plot(
-        kind="warp",
         panels=tuple(panels),
         columns=abreast(len(panels)) if dims == 1 else 2 if len(group) <= 3 else 4,
         caption=caption,
@@ -87,9 +68,8 @@ def warp(group: Group, styles: Styles) -> Plot:
     )
 
 
-def primary(group: Group, styles: Styles) -> Plot:
+def primary(group: Group, _: Styles) -> Plot:
     """Primary-space integrands g(u) with their jumps inside and between opposite sides."""
-    del styles
     group, dims = _by_spec(group, "estimator")
     panels = []
     for name, each in group.items():
@@ -111,18 +91,8 @@ def primary(group: Group, styles: Styles) -> Plot:
                 across = np.full(along.shape, end)
                 x, y = (across, along) if axis == 0 else (along, across)
                 marks.append(Line(x=x, y=y, color=_BOUNDARY, width=4.0, label=_SIDES))
-        panels.append(
-            Panel(
-                marks=tuple(marks),
-                x=unit_axis("u₀\n" + words.replace(", ", "\n")),
-                y=unit_axis("u₁"),
-                title=name,
-                square=True,
-                framed=True,
-            )
-        )
+        panels.append(unit_panel(marks, name, "u₀\n" + words.replace(", ", "\n"), "u₁"))
     return Plot(
-        kind="primary",
         panels=tuple(panels),
         columns=abreast(len(panels)),
         caption="The integrand on primary space, g(u), with its jumps inside and between opposite "

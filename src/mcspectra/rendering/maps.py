@@ -51,7 +51,7 @@ from mcspectra.samplers import Sampler, as_sampler
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Map", "compared", "variance_map"]
+__all__ = ["Map", "compared", "missed", "variance_map"]
 
 _MOST_NUMBERS = 2**27  # of a result: 1 GiB
 _LONGEST_SIDE = 65_536
@@ -540,11 +540,11 @@ def labelled(
         found["bottleneck"] = statistics.slowest(rate[shares], rate_se[shares])
         last = (variance[shares, -1], relative_se[shares, -1])
         found["dominant_technique"] = statistics.dominant(*last)
-    missed = _missed(row, found["mean"], found["mean_se"], measurement.realizations)
+    lost = missed(row, found["mean"], found["mean_se"], measurement.realizations)
     if row.keys() >= {"mis", *_SINGLE}:
         rows, total = [row[s] for s in _SINGLE], measurement.counts[-1]
         single, mis = fits.of(rows), fits.of([row["mis"]])
-        gain = statistics.gain(single, mis, total, missed[rows])
+        gain = statistics.gain(single, mis, total, lost[rows])
         found["mis_gain"], found["mis_gain_ci"] = gain
     if measurement.chains:
         found |= zip(("path_variance", "path_variance_se"), maps.path_variance, strict=True)
@@ -553,7 +553,7 @@ def labelled(
         for name, (share, *ends) in zip(("bounce_share", "decision_share"), parts, strict=True):
             found |= {name: share, f"{name}_ci": np.stack(ends, axis=-1)}
     if np.isfinite(maps.predicted).any():
-        found |= _predicted(maps, largest_se, missed)
+        found |= _predicted(maps, largest_se, lost)
     bounces, decisions = (list(each) for each in measurement.partitions)
     return dataset(
         {name: (_DIMS[name], values) for name, values in found.items()},
@@ -607,8 +607,8 @@ def compared(maps: Sequence[xr.Dataset]) -> xr.Dataset:
     )
 
 
-def _missed(row: dict[str, int], mean: Array, se: Array, realizations: int) -> Array:
-    """Where a strategy (S, y, x) met surely less light than another, by Student's t of the means.
+def missed(row: dict[str, int], mean: Array, se: Array, realizations: int) -> Array:
+    """Return where a strategy (S, y, x) met surely less light than another, by Student's t of the means.
 
     Its variance lacks what it did not meet. Shares of MIS have means of their own: never.
     """

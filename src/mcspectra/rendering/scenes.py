@@ -18,7 +18,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_integer, as_reals
+from mcspectra.core.checks import Array, as_instance, as_integer, as_path, as_reals
 from mcspectra.core.errors import FileFormatError, McspectraError, ParameterError, close_match_hint
 from mcspectra.core.registry import Registry
 from mcspectra.core.spec import parse
@@ -172,10 +172,16 @@ def render_file(
     options = {"seed": as_integer("seed", seed, least=0, most=_SEEDS - 1)}
     if spp is not None:
         options["spp"] = as_integer("spp", spp, least=1, most=_MOST_SAMPLES)
-    target = None if out is None else Path(out).expanduser()
+    target = None if out is None else as_path("out", out).expanduser()
     if target is not None and (target.suffix.lower() != ".exr" or not target.parent.is_dir()):
         raise ParameterError(f"out is {str(out)!r}; give an .exr file in a folder that exists.")
-    path = Path(file).expanduser()
+    path = as_path("file", file).expanduser()
+    given = as_instance(
+        "definitions",
+        {} if definitions is None else definitions,
+        Mapping,
+        "a mapping of names to values",
+    )
     with LOCK:
         (known,), mitsuba = register_samplers(variant)[:1], import_mitsuba()
         before = mitsuba.variant()
@@ -185,7 +191,7 @@ def render_file(
                 raise FileFormatError(
                     f"There is no scene file {str(file)!r}; give a Mitsuba XML file."
                 )
-            named = {name: str(value) for name, value in (definitions or {}).items()}
+            named = {str(name): str(value) for name, value in given.items()}
             scene = mitsuba.load_file(str(path), **named)
             if not isinstance(scene, mitsuba.Scene):
                 raise FileFormatError(

@@ -21,7 +21,7 @@ from mcspectra.plots.groups import labelled, pairs, variant_dims
 from mcspectra.plots.kinds import KINDS, describe, kinds_of
 from mcspectra.plots.text import interval, number, rate
 from mcspectra.report.sentences import explain
-from mcspectra.studies import SummaryRow, summarize
+from mcspectra.studies.summary import rows_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -132,11 +132,7 @@ def _sentences(data: xr.Dataset) -> Iterator[str]:
         return
     several = {"estimator", "sampler", "channel", *variant_dims(data)} & set(data.dims)
     for estimator, points, _, each in pairs(data):
-        # The summary of one result as that of a study with nothing else
-        attributes = {"estimator_name": estimator, "sampler_spec": points}
-        one = each.drop_vars(["estimator", "sampler"], errors="ignore").assign_attrs(attributes)
-        rows: list[SummaryRow] = summarize(xr.DataTree.from_dict({f"/e/s/{analysis}": one}))
-        for k, row in enumerate(rows):
+        for k, row in enumerate(rows_of(estimator, points, {analysis: each})):
             channel = each.isel(channel=k) if "channel" in each.dims else each
             said = explain(row, channel if analysis == "terms" else None)
             yield f"{row.estimator}, {row.sampler}: {said}" if several else said
@@ -159,7 +155,7 @@ def _predictions(data: xr.Dataset) -> Iterator[str]:
                 if math.isfinite(slope)
             ]
             yield (
-                f"{name}: variance {number(value)} at n = {int(one['n']):,} ({one['route'].item()})"
+                f"{name}: variance {number(value)} at n = {int(one['n'])} ({one['route'].item()})"
                 + (f", rate {' and '.join(rates)}" if rates else "")
                 + "."
             )

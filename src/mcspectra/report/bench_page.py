@@ -202,21 +202,15 @@ def _said(bench: xr.Dataset) -> list[str]:
 
 
 def _page(bench: xr.Dataset) -> html.Page:
-    tables = []
-    for caption, (heads, rows) in (
-        ("Samplers by themselves, at the largest n", _sampler_table(bench)),
-        ("Rates on each integrand, in brackets the rank", bench_table(bench)),
-    ):
-        cells = tuple(
-            tuple(html.Cell(text=text, numeric=k > 0) for k, text in enumerate(row)) for row in rows
-        )
-        tables.append(html.Table(caption=caption, columns=tuple(heads), rows=cells))
-    sections = [html.Section(title="Summary", anchor="summary", blocks=tuple(tables))]
+    tables = (
+        html.table_of("Samplers by themselves, at the largest n", *_sampler_table(bench)),
+        html.table_of("Rates on each integrand, in brackets the rank", *bench_table(bench)),
+    )
+    sections = [html.Section(title="Summary", anchor="summary", blocks=tables)]
     plots = itertools.groupby(bench_plots(bench), key=lambda each: each[0].partition(":")[0])
     for k, (title, found) in enumerate(plots):
-        live = title != "Projections"
-        block = html.Figures(figures=tuple(html.Figure(plot=plot, live=live) for _, plot in found))
-        sections.append(html.Section(title=title, anchor=f"part-{k}", blocks=(block,)))
+        blocks = html.figures_of((plot for _, plot in found), live=title != "Projections")
+        sections.append(html.Section(title=title, anchor=f"part-{k}", blocks=blocks))
     lead = tuple(html.Text(text=sentence) for sentence in _said(bench))
     return html.Page(title="Sampler bench", what="bench", lead=lead, sections=tuple(sections))
 
@@ -241,7 +235,7 @@ def _sheets(bench: xr.Dataset) -> Iterator[Drawn]:
     for start in range(0, len(lines), _ROWS):
         figure = MatplotlibFigure(figsize=(11.0, 8.5), facecolor=PAPER)
         for k, (line, bold) in enumerate(lines[start : start + _ROWS]):
-            text, weight = line.replace("$", r"\$"), "bold" if bold else "normal"
+            text, weight = backend_matplotlib.escaped(line), "bold" if bold else "normal"
             drawn = figure.text(0.04, 0.95 - 0.0205 * k, text, fontsize=size, color=INK)
             drawn.set(family="monospace", weight=weight)
         yield figure

@@ -5,16 +5,18 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import final
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 from markupsafe import Markup
 
+from mcspectra.core.checks import as_path
 from mcspectra.core.errors import ParameterError
-from mcspectra.estimators.moments import CONFIDENCE_Z
+from mcspectra.estimators.moments import Measured
 from mcspectra.plots import kinds
 from mcspectra.plots.text import MISSING, interval, number, rate
 from mcspectra.report import page as html
@@ -29,54 +31,34 @@ COMPARISON_NAME = "comparison.html"
 Curves = dict[tuple[str, str], "xr.Dataset"]
 
 
-@final
-@dataclass(frozen=True, kw_only=True)
-class Difference:
-    """Second result over (or minus) the first, with 95 % intervals; NaN where there is none.
+class Difference(NamedTuple):
+    """Second result against the first, with 95 % intervals; NaN where there is none.
 
     Parameters
     ----------
     n
         The largest count that both have; None where they share none.
-    ratio, ratio_low, ratio_high
+    ratio
         Variance of the second over that of the first at `n`.
-    rate, rate_low, rate_high
+    rate
         Rate of the second minus that of the first.
     """
 
     n: int | None
-    ratio: float
-    ratio_low: float
-    ratio_high: float
-    rate: float
-    rate_low: float
-    rate_high: float
+    ratio: Measured
+    rate: Measured
 
 
 def compare_curves(first: xr.Dataset, second: xr.Dataset) -> Difference:
-    """Compare two results of `convergence` (of several channels the first) as independent ones.
-
-    The logarithm of a variance and a rate are taken as normal, their standard errors from the
-    results' own intervals.
-    """
+    """Compare two results of `convergence` (of several channels the first) as independent ones."""
     one, other = first_channel(first), first_channel(second)
     shared = np.intersect1d(one["n"].values, other["n"].values)
-    n = int(shared[-1]) if shared.size else None
-    log_ratio = log_half = math.nan
-    if n is not None:
-        (a, a_se), (b, b_se) = (_log_variance(each.sel(n=n)) for each in (one, other))
-        log_ratio, log_half = b - a, CONFIDENCE_Z * math.hypot(a_se, b_se)
-    (a, a_half), (b, b_half) = (_rate_and_half(each) for each in (one, other))
-    slope, half = b - a, math.hypot(a_half, b_half)
-    return Difference(
-        n=n,
-        ratio=math.exp(log_ratio),
-        ratio_low=math.exp(log_ratio - log_half),
-        ratio_high=math.exp(log_ratio + log_half),
-        rate=slope,
-        rate_low=slope - half,
-        rate_high=slope + half,
-    )
+    n, ratio = None, Measured(math.nan, math.nan, math.nan)
+    if shared.size:
+        n = int(shared[-1])
+        before, after = (Measured.of(each.sel(n=n), "variance") for each in (one, other))
+        ratio = after / before
+    return Difference(n, ratio, Measured.of(other, "rate") - Measured.of(one, "rate"))
 
 
 def write_comparison(first: str | Path, second: str | Path, out: str | Path | None = None) -> Path:
@@ -99,13 +81,14 @@ def write_comparison(first: str | Path, second: str | Path, out: str | Path | No
     StoreError
         There are no results in a folder, or the page cannot be written.
     ParameterError
-        Both folders are the same.
+        Both folders are the same, or one of the three is no path.
     """
-    if Path(first).resolve() == Path(second).resolve():
+    folders = [as_path("first", first), as_path("second", second)]
+    file = folders[1] / COMPARISON_NAME if out is None else as_path("out", out)
+    if folders[0].resolve() == folders[1].resolve():
         raise ParameterError(
             f"Both folders are {str(first)!r}; give two different ones to compare."
         )
-    folders = [Path(first), Path(second)]
     trees = [open_results(folder) for folder in folders]
     curves: list[Curves] = [
         {
@@ -129,29 +112,25 @@ def write_comparison(first: str | Path, second: str | Path, out: str | Path | No
         title="Comparison",
         what=f"comparison of {titles[0]} and {titles[1]}",
         lead=(html.Facts(rows=tuple(facts)),),
-        sections=(
-            html.Section(
-                title="Side by side", anchor="summary", blocks=tuple(_side_by_side(*curves))
-            ),
-            html.Section(
-                title="Provenance",
-                anchor="provenance",
-                blocks=(*origins, html.Facts(rows=(("To redo it", command),), code=True)),
-            ),
+        sections=html.sections_of(
+            {
+                "Side by side": tuple(_side_by_side(*curves)),
+                "Provenance": (*origins, html.Facts(rows=(("To redo it", command),), code=True)),
+            }
         ),
     )
-    return html.write_page(page, Path(second) / COMPARISON_NAME if out is None else Path(out))
+    return html.write_page(page, file)
 
 
 def _side_by_side(first: Curves, second: Curves) -> Iterator[html.Block]:
     """A table of the pairs that both have, their curves over each other, and what only one has."""
     both = [pair for pair in first if pair in second]
     if both:
-        yield html.Table(
-            caption="Ratio: variance of B over that of A at the largest common n; below 1, B has less "
+        yield html.table_of(
+            "Ratio: variance of B over that of A at the largest common n; below 1, B has less "
             "noise. Difference: rate of B minus rate of A; if it is negative, B falls faster. Intervals "
             "are 95 % for independent results: too wide where both used the same seed.",
-            columns=(
+            (
                 "Estimator",
                 "Sampler",
                 "n",
@@ -163,13 +142,14 @@ def _side_by_side(first: Curves, second: Curves) -> Iterator[html.Block]:
                 "Rate B",
                 "Difference B − A",
             ),
-            rows=tuple(_row(pair, first[pair], second[pair]) for pair in both),
+            [_row(pair, first[pair], second[pair]) for pair in both],
+            words=(0, 1),
             heads=2,
             sortable=True,
         )
     else:
         yield html.Text(text="No estimator and sampler has a convergence in both.")
-    figures = []
+    plots = []
     for estimator in dict.fromkeys(name for name, _ in both):
         overlay = {
             f"{letter}: {sampler}": curves[name, sampler]
@@ -178,10 +158,8 @@ def _side_by_side(first: Curves, second: Curves) -> Iterator[html.Block]:
             for letter, curves in (("A", first), ("B", second))
         }
         plot = kinds.describe("convergence", overlay)
-        caption = f"{estimator}. {plot.caption}"
-        figures.append(html.Figure(plot=replace(plot, caption=caption), live=True))
-    if figures:
-        yield html.Figures(figures=tuple(figures))
+        plots.append(replace(plot, caption=f"{estimator}. {plot.caption}"))
+    yield from html.figures_of(plots, live=True)
     for letter, mine in (("A", first), ("B", second)):
         lines = [
             f"{estimator}, with {sampler}"
@@ -192,41 +170,21 @@ def _side_by_side(first: Curves, second: Curves) -> Iterator[html.Block]:
             yield html.Text(text=f"Only in {letter}: {'; '.join(lines)}.")
 
 
-def _row(pair: tuple[str, str], first: xr.Dataset, second: xr.Dataset) -> tuple[html.Cell, ...]:
+def _row(
+    pair: tuple[str, str], first: xr.Dataset, second: xr.Dataset
+) -> tuple[str | html.Cell, ...]:
+    cell = partial(html.number_cell, why="the two have no such number in common")
     found = compare_curves(first, second)
     variances = [
         math.nan if found.n is None else float(first_channel(each)["variance"].sel(n=found.n))
         for each in (first, second)
     ]
-    slopes = [_rate_and_half(first_channel(each)) for each in (first, second)]
+    slopes = [Measured.of(first_channel(each), "rate") for each in (first, second)]
     return (
-        html.Cell(text=pair[0], numeric=False),
-        html.Cell(text=pair[1], numeric=False),
-        _cell(MISSING if found.n is None else str(found.n), found.n),
-        *(_cell(number(v), v) for v in variances),
-        _cell(number(found.ratio), found.ratio),
-        _cell(interval(found.ratio_low, found.ratio_high), None),
-        *(_cell(rate(s, s - half, s + half), s) for s, half in slopes),
-        _cell(rate(found.rate, found.rate_low, found.rate_high), found.rate),
+        *pair,
+        cell(MISSING if found.n is None else str(found.n), found.n),
+        *(cell(number(v), v) for v in variances),
+        cell(number(found.ratio.value), found.ratio.value),
+        cell(interval(found.ratio.low, found.ratio.high)),
+        *(cell(rate(s.value, s.low, s.high), s.value) for s in (*slopes, found.rate)),
     )
-
-
-def _cell(text: str, order: float | None) -> html.Cell:
-    known = order is not None and math.isfinite(order)
-    why = "the two have no such number in common" if text == MISSING else ""
-    return html.Cell(text=text, why=why, order=order if known else None)
-
-
-def _log_variance(at: xr.Dataset) -> tuple[float, float]:
-    """Logarithm of a variance and its standard error; NaN where the variance is not positive."""
-    value = float(at["variance"])
-    low, high = (float(end) for end in at["variance_ci"].values)
-    if not (value > 0 and low > 0 and math.isfinite(high)):
-        return math.nan, math.nan
-    return math.log(value), math.log(high / low) / (2 * CONFIDENCE_Z)
-
-
-def _rate_and_half(data: xr.Dataset) -> tuple[float, float]:
-    """Rate and half its 95 % interval."""
-    low, high = (float(end) for end in data["rate_ci"].values)
-    return float(data["rate"]), 0.5 * (high - low)

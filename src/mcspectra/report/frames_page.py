@@ -192,8 +192,8 @@ def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[str]:
         )
 
 
-def frame_table(found: dict[str, Any]) -> tuple[tuple[str, ...], list[list[str]]]:
-    """Columns and rows of the numbers over the picture, as texts."""
+def frame_table(found: dict[str, Any]) -> html.Table:
+    """The numbers of `frame_summary` over the picture."""
     rows = [
         [
             str(row["n"] or "unknown"),
@@ -205,8 +205,11 @@ def frame_table(found: dict[str, Any]) -> tuple[tuple[str, ...], list[list[str]]
         ]
         for row in found["samples"]
     ]
+    caption = "Variance of one frame, mean over the pixels; median over the pixels of σ / mean"
+    if "mean_flip" in found["samples"][0]:
+        caption += "; mean FLIP of one frame against the mean"
     shown = len(_COLUMNS) - ("mean_flip" not in found["samples"][0])
-    return _COLUMNS[:shown], [row[:shown] for row in rows]
+    return html.table_of(f"{caption}.", _COLUMNS[:shown], [row[:shown] for row in rows], words=())
 
 
 def frame_layers(result: xr.Dataset) -> dict[str, Array]:
@@ -244,32 +247,23 @@ def write_frames(result: xr.Dataset, folder: str | Path) -> Path:
     found, said = frame_summary(result), frame_findings(result)
     html.write_json(root / "frames.json", {**found, "findings": said})
     write_exr(root / "frames.exr", frame_layers(result), comment=json.dumps(strict_json(found)))
-    columns, rows = frame_table(found)
-    table = html.Table(
-        caption="Variance of one frame, mean over the pixels; median over the pixels of σ / mean"
-        + ("; mean FLIP of one frame against the mean." if len(columns) == len(_COLUMNS) else "."),
-        columns=columns,
-        rows=tuple(tuple(html.text_cells(*row)) for row in rows),
-    )
     plots = {
         kind.replace("-", "_"): kinds.describe(kind, result)
         for kind in kinds.kinds_of(result)
         if kind.startswith("frames-")
     }
     layer = (("Layer", found["layer"]),) if "layer" in found else ()
-    facts = (("Frames", found["frames"]), *layer, ("Versions", html.versions_of(result.attrs)))
+    facts = (("Frames", found["frames"]), *layer)
     page = html.Page(
         title=f"Noise of {Path(found['frames']).name}",
         what="frames",
         lead=tuple(html.Text(text=text) for text in said[:1]),
-        sections=(
-            html.Section(
-                title="Summary",
-                anchor="summary",
-                blocks=(table, *(html.Text(text=text) for text in said[1:])),
-            ),
-            html.Section(title="Pixels", anchor="pixels", blocks=html.figures_of(plots)),
-            html.Section(title="Provenance", anchor="provenance", blocks=(html.Facts(rows=facts),)),
+        sections=html.sections_of(
+            {
+                "Summary": (frame_table(found), *(html.Text(text=text) for text in said[1:])),
+                "Pixels": html.figures_of(plots),
+                "Provenance": html.provenance(facts, result.attrs),
+            }
         ),
     )
     return html.write_page(page, root / "report.html", root)

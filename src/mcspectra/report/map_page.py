@@ -14,13 +14,14 @@ import xarray as xr
 
 from mcspectra.core.checks import Array
 from mcspectra.plots import kinds
-from mcspectra.plots.maps import bounce_name
+from mcspectra.plots.maps import STRATEGIES, bounce_name
 from mcspectra.plots.text import MISSING, number, percent, rate
 from mcspectra.rendering.files import write_exr
+from mcspectra.rendering.maps import missed
 from mcspectra.rendering.scenes import SCENES, sized
 from mcspectra.report import page as html
 
-__all__ = ["map_layers", "map_note", "map_sentences", "map_summary", "shown_numbers", "write_map"]
+__all__ = ["map_layers", "map_note", "map_sentences", "map_summary", "map_table", "write_map"]
 
 _TELLING = 0.1  # share of the pixels at which a cause is one of the picture
 _WORST = 5  # pixels that are listed
@@ -34,17 +35,6 @@ _COLUMNS = {
 }
 
 
-_STRATEGIES = {
-    "light": "light sampling",
-    "bsdf": "BSDF sampling",
-    "mis-light": "MIS, light share",
-    "mis-bsdf": "MIS, BSDF share",
-    "mis": "MIS",
-    "path": "whole paths",
-}
-"""As the maps call them."""
-
-_AWAY = 4.0  # standard errors
 _TOLD = 0.005  # smallest share that a sentence names
 _ROUTES = {
     "strata": "quadrature within the strata",
@@ -119,39 +109,20 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
         f"{width} × {height} pixels from ({x0}, {y0}), sampler {known['sampler']}, n = {counts} {each}, "
         f"{known['realizations']} realisations, {known['points']} points."
     )
-    rows = summary["strategies"]
-    columns = next(iter(rows.values()))
-    table = html.Table(
-        caption=map_note(summary),
-        columns=("Strategy", *(_COLUMNS[name] for name in columns)),
-        rows=tuple(
-            (
-                *html.text_cells(_named(name)),
-                *(html.Cell(text=text) for text in shown_numbers(row)),
-            )
-            for name, row in rows.items()
-        ),
-    )
     sentences = tuple(html.Text(text=text) for text in _sentences(summary))
     last = str(result["strategy"].values[-1])
     first = f" by {result['sampler'].values[0]}" if "sampler" in result.dims else ""
-    worst = html.Table(
-        caption=f"Pixels of the largest variance, {_STRATEGIES.get(last, last)}{first} at n = "
+    worst = html.table_of(
+        f"Pixels of the largest variance, {STRATEGIES.get(last, last)}{first} at n = "
         f"{summary['counts'][-1]}, their part of the image's, and what explains them.",
-        columns=("Pixel", "Variance", "Part of all", "Command"),
-        rows=tuple(_worst_row(each, known, root) for each in summary["worst_pixels"]),
+        ("Pixel", "Variance", "Part of all", "Command"),
+        [_worst_row(each, known, root) for each in summary["worst_pixels"]],
     )
     causes = tuple(
-        html.Table(
-            caption=caption,
-            columns=(kind.capitalize(), "Share of all", "Median share", "Largest at"),
-            rows=tuple(
-                (
-                    html.Cell(text=name, numeric=False),
-                    *(html.Cell(text=percent(v)) for v in row.values()),
-                )
-                for name, row in summary[f"{kind}s"].items()
-            ),
+        html.table_of(
+            caption,
+            (kind.capitalize(), "Share of all", "Median share", "Largest at"),
+            [(name, *map(percent, row.values())) for name, row in summary[f"{kind}s"].items()],
         )
         for kind, caption in _CAUSES.items()
         if f"{kind}s" in summary
@@ -162,8 +133,7 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
         for kind in sorted(shown, key=lambda each: each != "map-picture")
     }
     own = ((name, summary[key]) for key, name in _PROVENANCE.items() if key in known)
-    texts = ((name, ", ".join(map(str, v)) if isinstance(v, list) else str(v)) for name, v in own)
-    facts = (*texts, ("Versions", html.versions_of(known)))
+    facts = ((name, ", ".join(map(str, v)) if isinstance(v, list) else str(v)) for name, v in own)
     page = html.Page(
         title=f"Variance map of {Path(known['scene']).name}",
         what="map",
@@ -171,22 +141,30 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
             *([html.Text(text=summary["answer"])] if "answer" in summary else []),
             html.Text(text=settings, kind="soft"),
         ),
-        sections=(
-            html.Section(title="Summary", anchor="summary", blocks=(table, *sentences)),
-            html.Section(title="Where the variance comes from", anchor="shares", blocks=causes),
-            html.Section(
-                title="Worst pixels", anchor="worst", blocks=(worst,) if worst.rows else ()
-            ),
-            html.Section(title="Maps", anchor="maps", blocks=html.figures_of(plots)),
-            html.Section(title="Provenance", anchor="provenance", blocks=(html.Facts(rows=facts),)),
+        sections=html.sections_of(
+            {
+                "Summary": (map_table(summary), *sentences),
+                "Where the variance comes from": causes,
+                "Worst pixels": (worst,) if worst.rows else (),
+                "Maps": html.figures_of(plots),
+                "Provenance": html.provenance(facts, known),
+            }
         ),
     )
     return html.write_page(page, root / "report.html", root)
 
 
+def map_table(summary: Mapping[str, Any]) -> html.Table:
+    """Medians of `map_summary` by strategy, with `map_note`."""
+    rows = summary["strategies"]
+    columns = ("Strategy", *(_COLUMNS[name] for name in next(iter(rows.values()))))
+    shown = [(_named(name), *_shown_numbers(row)) for name, row in rows.items()]
+    return html.table_of(map_note(summary), columns, shown)
+
+
 def _worst_row(
     pixel: Mapping[str, Any], known: Mapping[str, Any], root: Path
-) -> tuple[html.Cell, ...]:
+) -> tuple[html.Cell | str, ...]:
     """A pixel with the command that explains it, and a link to its page where that was run."""
     x, y = pixel["x"], pixel["y"]
     page = f"pixel-{x}-{y}/report.html"
@@ -204,8 +182,8 @@ def _worst_row(
         why = "The scene is no file, or the map's pixels are not those of its film."
     return (
         html.Cell(text=f"({x}, {y})", numeric=False, link=page if (root / page).is_file() else ""),
-        html.Cell(text=number(pixel["variance"])),
-        html.Cell(text=percent(pixel["share"])),
+        number(pixel["variance"]),
+        percent(pixel["share"]),
         html.Cell(text=command, why=why, numeric=False),
     )
 
@@ -326,7 +304,7 @@ def _causes(result: xr.Dataset, kind: str) -> dict[str, dict[str, float]]:
 def _named(strategy: str) -> str:
     """A strategy's name in words, with its sampler after it where there are several."""
     name, comma, sampler = strategy.partition(", ")
-    return f"{_STRATEGIES.get(name, name)}{comma}{sampler}"
+    return f"{STRATEGIES.get(name, name)}{comma}{sampler}"
 
 
 def _answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
@@ -340,34 +318,33 @@ def _answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
     known = np.isfinite(singles).all(axis=0) & np.isfinite(gain)
     if not known.any():
         return "No strategy is advised: no pixel has all of them measured."
-    # Less than all light, met surely less often than by MIS, is no answer
-    middle, error = (last[name].sel(strategy="mis") for name in ("mean", "mean_se"))
-    for each, name in zip(singles, names, strict=True):
-        own = last.sel(strategy=name)
-        away = abs(own["mean"] - middle) > _AWAY * (own["mean_se"] ** 2 + error**2) ** 0.5
-        each[away.values] = np.inf
+    # A strategy that surely missed light is no answer
+    three = last.sel(strategy=[*names, "mis"]).transpose("strategy", "y", "x", ...)
+    rows = {name: k for k, name in enumerate((*names, "mis"))}
+    lost = missed(rows, three["mean"].values, three["mean_se"].values, found["realizations"])
+    singles[lost[:2]] = np.inf
     better = (gain > 1.0) | np.isinf(singles).all(axis=0)
     best = np.where(better, 2, np.argmin(singles, axis=0))[known]
     shares = dict(zip((*names, "mis"), np.bincount(best, minlength=3) / best.size, strict=True))
     first, *others = sorted(shares, key=lambda name: -shares[name])
     rest = "".join(
-        f", {_STRATEGIES[name]} at {percent(shares[name])}" for name in others if shares[name]
+        f", {STRATEGIES[name]} at {percent(shares[name])}" for name in others if shares[name]
     )
     met = np.isfinite(singles).all(axis=0)
     errors = ", ".join(
-        f"{_STRATEGIES[k]} {number(_median(last['variance'].sel(strategy=k).values[met]) ** 0.5)}"
+        f"{STRATEGIES[k]} {number(_median(last['variance'].sel(strategy=k).values[met]) ** 0.5)}"
         for k in shares
     )
     where = "" if met[known].all() else ", at pixels where none misses light"
     text = (
-        f"Use {_STRATEGIES[first]} with {found['sampler']}: at as many samples in all it has the least "
+        f"Use {STRATEGIES[first]} with {found['sampler']}: at as many samples in all it has the least "
         f"variance at {percent(shares[first])} of the pixels{rest}. Median RMSE at n = "
         f"{found['counts'][-1]} of each technique{where}: {errors}."
     )
     slow = found.get("bottleneck", {})
     worse = max(names, key=lambda name: slow.get(name, 0.0))
     if slow.get(worse, 0.0) > _TELLING:
-        text += f" Cause: {_STRATEGIES[worse]} has the slower rate in MIS at {percent(slow[worse])} of them."
+        text += f" Cause: {STRATEGIES[worse]} has the slower rate in MIS at {percent(slow[worse])} of them."
     return text
 
 
@@ -428,14 +405,14 @@ def map_sentences(result: xr.Dataset) -> Iterator[str]:
     if "answer" in summary:
         yield summary["answer"]
     for strategy, row in summary["strategies"].items():
-        shown = dict(zip(row, shown_numbers(row), strict=True))
+        shown = dict(zip(row, _shown_numbers(row), strict=True))
         name = _named(strategy)
         yield f"{name[:1].upper()}{name[1:]}: variance {shown['variance']}, rate {shown['rate']}."
     yield map_note(summary)
     yield from _sentences(summary)
 
 
-def shown_numbers(row: Mapping[str, float]) -> list[str]:
+def _shown_numbers(row: Mapping[str, float]) -> list[str]:
     """The numbers of a strategy as one reads them: a rate without the error beside it, if a finding."""
     slope, half = row["rate"], 2.0 * row["rate_se"]
     known = rate(slope, slope - half, slope + half).partition(" ")[0]

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, final
 from mcspectra.core.errors import StoreError, writing
 from mcspectra.core.results import strict_json
 from mcspectra.plots.description import Plot
-from mcspectra.plots.text import slug
+from mcspectra.plots.text import MISSING, slug
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -40,7 +41,10 @@ __all__ = [
     "anchors",
     "columns_of",
     "figures_of",
-    "text_cells",
+    "number_cell",
+    "provenance",
+    "sections_of",
+    "table_of",
     "versions_of",
     "write_json",
     "write_page",
@@ -213,9 +217,50 @@ def anchors(names: Iterable[str], head: str = "") -> list[str]:
     return found
 
 
-def text_cells(*texts: str) -> tuple[Cell, ...]:
-    """Return cells of words."""
-    return tuple(Cell(text=text, numeric=False) for text in texts)
+def number_cell(text: str, order: float | None = None, *, why: str = "") -> Cell:
+    """Return the cell of a number: why there is none where there is none, and what it is sorted by."""
+    known = order is not None and math.isfinite(order)
+    why = why if text.startswith(MISSING) else ""
+    return Cell(text=text, why=why, order=order if known else None)
+
+
+def table_of(
+    caption: str,
+    columns: Sequence[str],
+    rows: Iterable[Sequence[str | Cell]],
+    *,
+    words: Iterable[int] = (0,),
+    **options: Any,
+) -> Table:
+    """Return a table of texts, which are words in these columns (−1: the last) and else numbers.
+
+    What is a cell already stays as it is; the options are those of `Table`.
+    """
+    places = {place % len(columns) for place in words}
+    cells = tuple(
+        tuple(
+            each if isinstance(each, Cell) else Cell(text=each, numeric=k not in places)
+            for k, each in enumerate(row)
+        )
+        for row in rows
+    )
+    return Table(caption=caption, columns=tuple(columns), rows=cells, **options)
+
+
+def sections_of(blocks: Mapping[str, Sequence[Block]]) -> tuple[Section, ...]:
+    """Return sections by their titles, which name their anchors."""
+    return tuple(
+        Section(title=title, anchor=slug(title), blocks=tuple(each))
+        for title, each in blocks.items()
+    )
+
+
+def provenance(
+    facts: Iterable[tuple[str, str]], attributes: Mapping[Any, Any], *, code: bool = False
+) -> tuple[Facts]:
+    """Return where a result comes from: facts, and the versions that its attributes name."""
+    own = ("versions" if code else "Versions", versions_of(attributes))
+    return (Facts(rows=(*facts, own), code=code),)
 
 
 def columns_of(table: Table, names: Sequence[str]) -> Table:
@@ -225,9 +270,12 @@ def columns_of(table: Table, names: Sequence[str]) -> Table:
     return replace(table, columns=tuple(names), rows=rows)
 
 
-def figures_of(plots: Mapping[str, Plot], *, live: bool = False) -> tuple[Figures, ...]:
-    """Return a block of plots by the names of their files; nothing of none."""
-    figures = tuple(Figure(plot=plot, name=name, live=live) for name, plot in plots.items())
+def figures_of(
+    plots: Mapping[str, Plot] | Iterable[Plot], *, live: bool = False
+) -> tuple[Figures, ...]:
+    """Return a block of plots, by the names of their files where they have any; nothing of none."""
+    named = plots.items() if isinstance(plots, Mapping) else (("", plot) for plot in plots)
+    figures = tuple(Figure(plot=plot, name=name, live=live) for name, plot in named)
     return (Figures(figures=figures),) if figures else ()
 
 

@@ -1,11 +1,9 @@
-"""The noise of whole paths at a pixel: one page that stands alone, rows, sentences, numbers for JSON."""
+"""The noise of whole paths at a pixel: one page that stands alone, tables, sentences, numbers for JSON."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,25 +13,17 @@ import xarray as xr
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.text import interval, number, percent, rate
 from mcspectra.report import page as html
-from mcspectra.report.pixel_page import remedies_section, remedies_summary
+from mcspectra.report.pixel_page import remedies_blocks, remedies_summary
 from mcspectra.report.sentences import answer
 from mcspectra.variance.anova import EFFECTIVE_SHARE
 
 __all__ = [
-    "PATH_TABLES",
     "path_answer",
-    "path_rows",
     "path_sentences",
     "path_summary",
+    "path_tables",
     "write_path",
 ]
-
-PATH_TABLES = {
-    "rates": ("Sampler", "Rate", "n", "Variance", "95 % interval", "Predicted"),
-    "parts": ("Part", "Alone", "With all others", "Up to here"),
-    "lights": ("Light", "Share", "95 % interval", "Mean", "Chosen", "Better chosen"),
-}
-"""Columns of the tables of `path_rows`; rows without predictions end before theirs."""
 
 _TOGETHER = 0.3  # share of the variance that larger sets of decisions make
 _SHOWN = 0.005  # of the variance: smaller parts are not named
@@ -43,24 +33,34 @@ _ABOUT_CHARGED = (
     "ray and at most one shadow ray. A change that a pilot chose is compared with the set-up as given that has the "
     "pilot's paths, too; its variance is that beside the pilot."
 )
-_ABOUT = {
-    "rates": "Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval.",
-    "parts": (
-        "Shares of the variance of one random path by what its numbers decide, in their order: by them "
-        "alone, with all sets of numbers that hold them (these overlap), and by all numbers up to here. Parts of 0 "
-        "are left out."
+_TABLES = {
+    # title: columns, of which those without numbers are left out at the end, and caption
+    "Rates": (
+        ("Sampler", "Rate", "n", "Variance", "95 % interval", "Predicted"),
+        "Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval.",
     ),
-    "lights": (
-        "Shares of the variance of one random path by the light that gives it, Cov(part, path) / variance, which "
-        "sum to 1 and are below 0 where a light is seen when others are not; what each gives to the mean; how "
-        "often it is chosen, and how often it had better be, in proportion to the root of the second moment of "
-        "what it then gives (a twentieth is spread evenly)."
+    "Parts of the variance": (
+        ("Part", "Alone", "With all others", "Up to here"),
+        (
+            "Shares of the variance of one random path by what its numbers decide, in their order: by them "
+            "alone, with all sets of numbers that hold them (these overlap), and by all numbers up to here. Parts of 0 "
+            "are left out."
+        ),
+    ),
+    "Lights": (
+        ("Light", "Share", "95 % interval", "Mean", "Chosen", "Better chosen"),
+        (
+            "Shares of the variance of one random path by the light that gives it, Cov(part, path) / variance, which "
+            "sum to 1 and are below 0 where a light is seen when others are not; what each gives to the mean; how "
+            "often it is chosen, and how often it had better be, in proportion to the root of the second moment of "
+            "what it then gives (a twentieth is spread evenly)."
+        ),
     ),
 }
 
 
-def path_rows(tree: xr.DataTree) -> dict[str, list[list[str]]]:
-    """Rows of the tables of `PATH_TABLES` as texts.
+def path_tables(tree: xr.DataTree) -> dict[str, html.Table]:
+    """Rates by sampler, parts of the variance and shares of lights, as far as there are any, by title.
 
     Parameters
     ----------
@@ -68,17 +68,17 @@ def path_rows(tree: xr.DataTree) -> dict[str, list[list[str]]]:
         What `mcspectra.studies.analyse_path` returns.
     """
     curves, last = tree["convergence"].to_dataset(), {"n": -1}
-    rows: dict[str, list[list[str]]] = {name: [] for name in PATH_TABLES}
+    rows: dict[str, list[list[str]]] = {title: [] for title in _TABLES}
     for sampler in curves["sampler"].values.tolist():
         one = curves.sel(sampler=sampler)
         at = one.isel(last)
-        rows["rates"].append(
+        rows["Rates"].append(
             [sampler, rate(float(one["rate"]), *one["rate_ci"].values.tolist()), str(int(at["n"])),
              number(float(at["variance"])), interval(*at["variance_ci"].values.tolist())]
         )  # fmt: skip
         if "predict" in tree.children:
             known = tree["predict"].to_dataset().sel(sampler=sampler).isel(last)
-            rows["rates"][-1].append(number(float(known["predicted_variance"])))
+            rows["Rates"][-1].append(number(float(known["predicted_variance"])))
     for kind in ("bounce", "decision"):
         found = _parts(tree, kind)
         names = found["axis_label"].values.tolist()
@@ -91,18 +91,22 @@ def path_rows(tree: xr.DataTree) -> dict[str, list[list[str]]]:
             if not np.nan_to_num(shares[:2]).any():
                 continue
             texts = ["" if np.isnan(share) else percent(float(share)) for share in shares]
-            rows["parts"].append([name, *texts])
+            rows["Parts of the variance"].append([name, *texts])
     if "lights" in tree.children:
         lights = tree["lights"].to_dataset()
         for light in lights["light"].values[np.argsort(-lights["light_share"].values)]:
             one = lights.sel(light=light)
             ends = interval(*(100.0 * one["light_share_ci"].values).tolist())
             chosen = (percent(float(one[f"light_{v}"])) for v in ("probability", "selection"))
-            rows["lights"].append(
+            rows["Lights"].append(
                 [str(light), percent(float(one["light_share"])), f"{ends} %",
                  number(float(one["light_mean"])), *chosen]
             )  # fmt: skip
-    return {name: found for name, found in rows.items() if found}
+    return {
+        title: html.table_of(caption, columns[: len(found[0])], found, stacked=True)
+        for (title, found), (columns, caption) in zip(rows.items(), _TABLES.values(), strict=True)
+        if found
+    }
 
 
 def path_answer(tree: xr.DataTree) -> str:
@@ -114,7 +118,7 @@ def path_answer(tree: xr.DataTree) -> str:
     if "remedies" not in tree.children:
         return answer({str(s): curves.sel(sampler=s) for s in curves["sampler"].values}, why=why)
     best, other = _advised(tree)
-    budget = f"at {int(tree['remedies'].attrs['budget']):,} points"
+    budget = f"at {int(tree['remedies'].attrs['budget'])} points"
     cause = f" Cause: {why[:1].lower()}{why[1:]}" if why else ""
     if best["remedy"].item() == "as given" and other["verdict"].item() != "worse":
         return f"Keep {_setup(tree, best)}: nothing that was tried has surely less noise {budget}.{cause}"
@@ -275,31 +279,21 @@ def write_path(tree: xr.DataTree, folder: str | Path) -> Path:
     """
     root, known = Path(folder), tree.attrs
     html.write_json(root / "pixel.json", path_summary(tree))
-    rows = path_rows(tree)
     counts = ", ".join(map(str, known["counts"]))
     settings = (
         f"Whole paths of the integrator {known['integrator']}: {known['dims']} random numbers each. n = "
         f"{counts} paths, {known['realizations']} realisations, seed {known['rng']}."
     )
-    plots = {
-        "rates": {"convergence": describe("convergence", tree["convergence"].to_dataset())},
-        "parts": {kind: describe("anova", _parts(tree, kind)) for kind in tree["anova"].children},
-        "lights": {},
-    }
-    titles = {"rates": "Rates", "parts": "Parts of the variance", "lights": "Lights"}
-    sections = [
-        html.Section(
-            title=title,
-            anchor=name,
-            blocks=(_table(name, rows[name]), *html.figures_of(plots[name])),
-        )
-        for name, title in titles.items()
-        if name in rows
-    ]
+    curves = {"convergence": describe("convergence", tree["convergence"].to_dataset())}
+    parts = {kind: describe("anova", _parts(tree, kind)) for kind in tree["anova"].children}
+    plots = {"Rates": curves, "Parts of the variance": parts}
+    said = tuple((name[:1].upper() + name[1:], text) for name, text in path_sentences(tree))
+    sections: dict[str, tuple[html.Block, ...]] = {"Explanation": (html.Sentences(rows=said),)}
+    for title, table in path_tables(tree).items():
+        sections[title] = (table, *html.figures_of(plots.get(title, {})))
     if "remedies" in tree.children:
         # Add what the changes cost beside their paths, and what could not be tried
         found = tree["remedies"].to_dataset()
-        section = remedies_section(found, str(known["sampler"]))
         costs = [
             (str(name), str(one["reason"].item()))
             for name in found["remedy"].values
@@ -308,26 +302,20 @@ def write_path(tree: xr.DataTree, folder: str | Path) -> Path:
         ]
         costs += [each.split(": ", 1) for each in json.loads(found.attrs["not_tried"])]
         about = html.Text(text=_ABOUT_CHARGED, kind="soft")
-        sections.append(
-            replace(section, blocks=(*section.blocks, about, html.Sentences(rows=tuple(costs))))
-        )
+        blocks = remedies_blocks(found, str(known["sampler"]))
+        sections["Remedies"] = (*blocks, about, html.Sentences(rows=tuple(costs)))
     facts = (
         ("Scene", str(known["scene"])),
         ("Integrator", str(known["integrator"])),
         ("Mean", f"{number(known['value'], 5)} ({known['channel']})"),
         ("Coordinates", ", ".join(known["dimensions"])),
-        ("Versions", html.versions_of(tree["convergence"].attrs)),
     )
-    said = tuple((name[:1].upper() + name[1:], text) for name, text in path_sentences(tree))
+    sections["Provenance"] = html.provenance(facts, tree["convergence"].attrs)
     page = html.Page(
         title=f"Pixel ({known['x']}, {known['y']}) of {Path(known['scene']).name}: whole paths",
         what="pixel",
         lead=(html.Text(text=path_answer(tree)), html.Text(text=settings, kind="soft")),
-        sections=(
-            html.Section(title="Explanation", anchor="pixel", blocks=(html.Sentences(rows=said),)),
-            *sections,
-            html.Section(title="Provenance", anchor="provenance", blocks=(html.Facts(rows=facts),)),
-        ),
+        sections=html.sections_of(sections),
     )
     return html.write_page(page, root / "report.html", root / "figures")
 
@@ -338,12 +326,3 @@ def _parts(tree: xr.DataTree, kind: str) -> xr.Dataset:
 
 def _share(name: str) -> tuple[str, str]:
     return f"{name}_share", f"{name}_share_ci"
-
-
-def _table(name: str, rows: Sequence[Sequence[str]]) -> html.Table:
-    cells = tuple(
-        (*html.text_cells(first), *(html.Cell(text=text) for text in rest)) for first, *rest in rows
-    )
-    return html.Table(
-        caption=_ABOUT[name], columns=PATH_TABLES[name][: len(rows[0])], rows=cells, stacked=True
-    )

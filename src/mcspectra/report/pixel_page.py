@@ -14,11 +14,12 @@ from mcspectra.plots.kinds import describe
 from mcspectra.plots.maps import incident_maps
 from mcspectra.plots.style import sampler_styles
 from mcspectra.plots.text import MISSING, number, percent, rate
-from mcspectra.plots.variance import strategy_curves
+from mcspectra.plots.variance import task_curves
 from mcspectra.report import page as html
 from mcspectra.report.sentences import answer, basis_name, explain
 from mcspectra.report.tables import analysis_table, summary_table, terms_table
-from mcspectra.studies import SummaryRow, summarize
+from mcspectra.studies import SummaryRow
+from mcspectra.studies.summary import rows_of
 from mcspectra.variance.fit import UNRESOLVED, is_resolved
 
 __all__ = [
@@ -29,7 +30,7 @@ __all__ = [
     "pixel_rows",
     "pixel_sentences",
     "pixel_summary",
-    "remedies_section",
+    "remedies_blocks",
     "remedies_summary",
     "term_rows",
     "write_pixel",
@@ -111,7 +112,6 @@ def write_pixel(tree: xr.DataTree, folder: str | Path) -> Path:
     facts = (
         ("Scene", str(known["scene"])),
         ("Dims", str(known["dims"])),
-        ("Versions", html.versions_of(tree["convergence"].attrs)),
     )
     about = tuple((name.capitalize(), text) for name, text in about_pixel(tree))
     said = tuple((name[:1].upper() + name[1:], text) for name, text in pixel_sentences(tree))
@@ -124,10 +124,12 @@ def write_pixel(tree: xr.DataTree, folder: str | Path) -> Path:
         title=f"Pixel ({known['x']}, {known['y']}) of {Path(known['scene']).name}",
         what="pixel",
         lead=(html.Text(text=pixel_answer(tree)), html.Text(text=settings, kind="soft")),
-        sections=(
-            html.Section(title="What it sees", anchor="pixel", blocks=sees),
-            *_sections(tree),
-            html.Section(title="Provenance", anchor="provenance", blocks=(html.Facts(rows=facts),)),
+        sections=html.sections_of(
+            {
+                "What it sees": sees,
+                **dict(_sections(tree)),
+                "Provenance": html.provenance(facts, tree["convergence"].attrs),
+            }
         ),
     )
     return html.write_page(page, root / "report.html", root / "figures")
@@ -153,40 +155,31 @@ def pixel_rows(tree: xr.DataTree) -> list[SummaryRow]:
     tree
         What `mcspectra.studies.analyse_pixel` returns.
     """
-    curves = tree["convergence"].to_dataset()
-    parts: dict[str, xr.Dataset] = {}
-    for i, strategy in enumerate(curves["strategy"].values):
-        for j, sampler in enumerate(curves["sampler"].values):
-            names = {"estimator_name": STRATEGY_NAMES[strategy], "sampler_spec": str(sampler)}
-            curve = curves.sel(strategy=strategy, sampler=sampler, drop=True)
-            parts[f"/{i}/{j}/convergence"] = curve.assign_attrs(names)
-            predicted = tree[f"predict/{strategy}"].to_dataset()
-            parts[f"/{i}/{j}/predict"] = predicted.sel(sampler=sampler, drop=True)
+    curves, rows = tree["convergence"].to_dataset(), list[SummaryRow]()
+    for strategy in curves["strategy"].values:
+        predicted = tree[f"predict/{strategy}"].to_dataset()
+        for sampler in map(str, curves["sampler"].values):
+            found = {
+                "convergence": curves.sel(strategy=strategy, sampler=sampler, drop=True),
+                "predict": predicted.sel(sampler=sampler, drop=True),
+            }
             if sampler == tree.attrs["sampler"]:
-                terms = tree[f"terms/{strategy}/auto"].to_dataset()
-                parts[f"/{i}/{j}/terms"] = terms.assign_attrs(names)
-    return _summarized(parts)
+                found["terms"] = tree[f"terms/{strategy}/auto"].to_dataset()
+            rows += rows_of(STRATEGY_NAMES[strategy], sampler, found)
+    return rows
 
 
 def term_rows(tree: xr.DataTree) -> list[SummaryRow]:
     """One row for every strategy and basis of the terms, which stands in the place of the sampler."""
-    parts: dict[str, xr.Dataset] = {}
-    for i, (strategy, views) in enumerate(tree["terms"].children.items()):
-        seen: set[str] = set()
-        for j, view in enumerate(views.children.values()):
-            basis = str(view.attrs["basis"])
-            if basis in seen:  # the fitting basis may be Fourier's
-                continue
-            seen.add(basis)
+    rows: list[SummaryRow] = []
+    for strategy, views in tree["terms"].children.items():
+        seen: dict[str, xr.DataTree] = {}
+        for view in views.children.values():  # the fitting basis may be Fourier's
+            seen.setdefault(str(view.attrs["basis"]), view)
+        for basis, view in seen.items():
             label = f"{STRATEGY_NAMES[strategy]}; {basis_name(basis)}"
-            names = {"estimator_name": strategy, "sampler_spec": label}
-            parts[f"/{i}/{j}/terms"] = view.to_dataset().assign_attrs(names)
-    return _summarized(parts)
-
-
-def _summarized(parts: dict[str, xr.Dataset]) -> list[SummaryRow]:
-    tree: xr.DataTree = xr.DataTree.from_dict(dict(parts))
-    return summarize(tree)
+            rows += rows_of(str(strategy), label, {"terms": view.to_dataset()})
+    return rows
 
 
 def about_pixel(tree: xr.DataTree) -> list[tuple[str, str]]:
@@ -337,8 +330,8 @@ def pixel_summary(tree: xr.DataTree) -> dict[str, Any]:
     return found
 
 
-def _sections(tree: xr.DataTree) -> Iterator[html.Section]:
-    """All parts of the page that have figures or tables."""
+def _sections(tree: xr.DataTree) -> Iterator[tuple[str, tuple[html.Block, ...]]]:
+    """All parts of the page that have figures or tables, by their titles."""
     known = tree.attrs
 
     # Rates and predictions: the summary without what terms tell, which have a table of their own
@@ -350,12 +343,14 @@ def _sections(tree: xr.DataTree) -> Iterator[html.Section]:
         columns=("Strategy", *table.columns[1:5]),
     )
     styles = sampler_styles(list(map(str, curves["sampler"].values)))
-    plot = strategy_curves(curves, STRATEGY_NAMES, styles)
-    yield html.Section(
-        title="Rates and predictions",
-        anchor="rates",
-        blocks=(table, *html.figures_of({"rates": plot})),
-    )
+    by_strategy = {
+        STRATEGY_NAMES[str(strategy)]: {name: each.sel(sampler=name) for name in styles}
+        for strategy in curves["strategy"].values
+        for each in [curves.sel(strategy=strategy)]
+    }
+    x = "number of samples n of each technique"
+    plot = task_curves(by_strategy, styles, by="by each strategy", x=x, alike=True)
+    yield "Rates and predictions", (table, *html.figures_of({"rates": plot}))
 
     # Terms, in the basis that fits and in all others
     trees = tree["terms"].children.items()
@@ -372,9 +367,7 @@ def _sections(tree: xr.DataTree) -> Iterator[html.Section]:
     where = f"At n = {first['n']} with {known['sampler']}, {basis_name(first['basis'])} basis."
     bars = replace(bars, caption=f"{bars.caption} {where}")
     figures = html.figures_of({"terms": bars, "captured": shares})
-    yield html.Section(
-        title="Three terms", anchor="terms", blocks=(html.Text(text=_ABOUT_TERMS), table, *figures)
-    )
+    yield "Three terms", (html.Text(text=_ABOUT_TERMS), table, *figures)
 
     # Integrands on the square, and the light that arrives
     if "pictures" in tree.children:
@@ -388,45 +381,35 @@ def _sections(tree: xr.DataTree) -> Iterator[html.Section]:
             )
             group[title] = node.to_dataset()
         plot = replace(describe("primary", group), caption=_ABOUT_SPACES, wide=True)
-        figures = html.figures_of({"integrands": plot})
-        yield html.Section(title="Integrands on the square", anchor="integrands", blocks=figures)
+        yield "Integrands on the square", html.figures_of({"integrands": plot})
     plot = replace(incident_maps(tree["incident"].to_dataset()), caption=_ABOUT_INCIDENT)
-    yield html.Section(
-        title="Light that arrives", anchor="incident", blocks=html.figures_of({"incident": plot})
-    )
+    yield "Light that arrives", html.figures_of({"incident": plot})
 
     # The bottleneck
     found = tree["techniques"].to_dataset()
     variances = found["technique_variance"].isel(n=-1).values
     total = float(variances.sum())
-    rows = zip(
-        ("light", "BSDF"),
-        found["technique_rate"].values,
-        found["technique_rate_ci"].values,
-        variances,
-        strict=True,
+    slopes = (found["technique_rate"].values, found["technique_rate_ci"].values)
+    rows = [
+        (
+            name,
+            rate(float(slope), *map(float, ends)),
+            number(float(variance)),
+            percent(float(variance) / total) if total > 0 else MISSING,
+        )
+        for name, slope, ends, variance in zip(("light", "BSDF"), *slopes, variances, strict=True)
+    ]
+    where = f"n = {int(found['n'][-1])}, {known['sampler']}"
+    table = html.table_of(
+        f"Shares of MIS with the balance heuristic, {where}.",
+        ("Technique", "Rate", "Variance", "Part of all"),
+        rows,
     )
-    table = html.Table(
-        caption=f"Shares of MIS with the balance heuristic, n = {int(found['n'][-1])}, "
-        f"{known['sampler']}.",
-        columns=("Technique", "Rate", "Variance", "Part of all"),
-        rows=tuple(
-            (
-                html.Cell(text=name, numeric=False),
-                html.Cell(text=rate(float(slope), *map(float, ends))),
-                html.Cell(text=number(float(variance))),
-                html.Cell(text=percent(float(variance) / total) if total > 0 else MISSING),
-            )
-            for name, slope, ends, variance in rows
-        ),
-    )
-    text = html.Text(text=bottleneck_sentence(tree))
-    yield html.Section(title="Bottleneck", anchor="bottleneck", blocks=(text, table))
+    yield "Bottleneck", (html.Text(text=bottleneck_sentence(tree)), table)
 
     # Remedies
-    if "remedies" not in tree.children:
-        return
-    yield remedies_section(tree["remedies"].to_dataset(), str(known["sampler"]))
+    if "remedies" in tree.children:
+        yield "Remedies", remedies_blocks(tree["remedies"].to_dataset(), str(known["sampler"]))
 
 
 def remedies_summary(found: xr.Dataset) -> dict[str, Any]:
@@ -439,11 +422,11 @@ def remedies_summary(found: xr.Dataset) -> dict[str, Any]:
     return {**{k: found.attrs[k] for k in known}, "ranked": ranked}
 
 
-def remedies_section(found: xr.Dataset, sampler: str) -> html.Section:
+def remedies_blocks(found: xr.Dataset, sampler: str) -> tuple[html.Block, ...]:
     """What to do, and each change that was tried."""
     made = analysis_table("remedies", {sampler: found})
     assert made is not None
     table = html.columns_of(made[1], made[1].columns[1:])
     text = html.Text(text=found.attrs["recommendation"])
     figures = html.figures_of({"remedies": describe("remedies", found)})
-    return html.Section(title=made[0], anchor="remedies", blocks=(text, table, *figures))
+    return (text, table, *figures)

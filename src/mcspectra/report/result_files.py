@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -16,8 +17,9 @@ from mcspectra.core.errors import ParameterError, writing
 from mcspectra.core.spec import short_spec
 from mcspectra.plots import backend_matplotlib
 from mcspectra.plots.kinds import describe, kinds_of
-from mcspectra.plots.text import latex_maths, number
-from mcspectra.report.result_page import write_result
+from mcspectra.plots.text import MISSING, interval, latex_maths, number, shorten
+from mcspectra.report import page as html
+from mcspectra.variance.fit import is_resolved
 
 __all__ = [
     "RESULT_FILES",
@@ -25,12 +27,15 @@ __all__ = [
     "csv_text",
     "latex_table",
     "result_table",
+    "write_result",
     "write_result_file",
 ]
 
 RESULT_FILES = (".npz", ".csv", ".tex", *backend_matplotlib.FORMATS, ".html")
 """Extensions that `write_result_file` knows."""
 
+_SAID = ("answer", "recommendation", "diagnosis", "note")
+_LONG = 300  # characters of a fact
 _MOST_TEX_ROWS = 500
 _TEX = str.maketrans({
     **{c: f"\\{c}" for c in "&%$#_{}"},
@@ -175,3 +180,98 @@ def _plain(value: Any) -> Any:
     """A number or text of Python; None where there is none."""
     plain = value.item() if isinstance(value, np.generic) else value
     return None if isinstance(plain, float) and math.isnan(plain) else plain
+
+
+def write_result(result: xr.Dataset, out: str | Path, title: str = "Result") -> Path:
+    """Write the result of any analysis as one page that stands alone.
+
+    Parameters
+    ----------
+    result
+        What a function such as `mcspectra.convergence` returned, or `Profile.dataset`.
+    out
+        The file.
+    title
+        Of the page; the estimator is added.
+
+    Raises
+    ------
+    StoreError, StorageError
+        It cannot be written.
+    """
+    attributes = {str(key): value for key, value in result.attrs.items()}
+    said = [str(attributes[name]) for name in _SAID if attributes.get(name)]
+    causes = tuple(
+        (cause["name"], cause["sentence"]) for cause in json.loads(attributes.get("causes", "[]"))
+    )
+
+    # Figures, and the single numbers with their intervals
+    shown = [kind for kind in kinds_of(result) if kind != "anything"]
+    described = (describe(kind, result) for kind in shown)
+    plots = dict(zip(html.anchors(shown), described, strict=True))
+    single = [
+        (str(name), *_value(result, str(name)), str(values.attrs.get("long_name", "")))
+        for name, values in result.data_vars.items()
+        if not values.ndim and not str(name).endswith(("_ci", "_se"))
+    ]
+    heads = ("number", "value", "95 % interval", "meaning")
+    tables = [
+        html.table_of("Numbers with their 95 % intervals", heads, single, words=(0, -1)),
+        *(_curves(result, dims) for dims in (("sampler",), ("n",), ("sampler", "n"))),
+    ]
+    facts = [
+        (name, str(value))
+        for name, value in attributes.items()
+        if name not in (*_SAID, "causes", "best", "text")
+        and not name.startswith("version_")
+        and len(str(value)) < _LONG
+    ]
+    parts: dict[str, tuple[html.Block, ...]] = {
+        "Causes": (html.Sentences(rows=causes),) if causes else (),
+        "Figures": html.figures_of(plots, live=True),
+        "Numbers": tuple(table for table in tables if table.rows),
+        "Provenance": html.provenance(facts, attributes, code=True),
+    }
+    about = shorten(str(attributes.get("estimator", "")), 60)
+    page = html.Page(
+        title=f"{title}: {about}" if about else title,
+        what="result",
+        lead=tuple(html.Text(text=sentence) for sentence in said),
+        sections=html.sections_of(parts),
+    )
+    return html.write_page(page, Path(out))
+
+
+def _value(result: xr.Dataset, name: str) -> tuple[str, str]:
+    """A single number and its interval, empty if it has none; no rate that is no finding."""
+    value, ends = float(result[name]), f"{name}_ci"
+    if ends not in result:
+        return number(value), ""
+    low, high = result[ends].values.tolist()
+    resolved = not name.endswith("rate") or not low < high or is_resolved(low, high)
+    return number(value) if resolved else "unresolved", interval(low, high)
+
+
+def _curves(result: xr.Dataset, dims: tuple[str, ...]) -> html.Table:
+    """Values by sampler, by n or by both, where they are known, and the route; of the first channel."""
+    first = result.isel(channel=0) if "channel" in result.dims else result
+    names = [
+        str(name)
+        for name, values in first.data_vars.items()
+        if values.dims == dims and not str(name).endswith(("_ci", "_se"))
+    ]
+    routes = ["route"] if "route" in first.coords and first["route"].dims == dims else []
+    rows = []
+    for place in np.ndindex(*(first.sizes.get(dim, 0) for dim in dims)):
+        one = first.isel(dict(zip(dims, place, strict=True)))
+        found = [_value(one, name) for name in names]
+        if any(text != MISSING for text, _ in found):
+            shown = [
+                text if ends in ("", MISSING, f"{text} … {text}") else f"{text} ({ends})"
+                for text, ends in found
+            ]
+            places, how = ([str(one[name].item()) for name in given] for given in (dims, routes))
+            rows.append((*places, *shown, *how))
+    columns = (*dims, *(name.replace("_", " ") for name in (*names, *routes)))
+    caption = "Values, with 95 % intervals in brackets where they are wider"
+    return html.table_of(caption, columns, rows, words=range(len(columns)), heads=len(dims))

@@ -33,7 +33,7 @@ from mcspectra.plots.description import Plot
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.points import sampler_card
 from mcspectra.plots.style import sampler_styles
-from mcspectra.plots.text import MISSING, NEGLIGIBLE, number, rate, with_error
+from mcspectra.plots.text import NEGLIGIBLE, number, rate, with_error
 from mcspectra.quality import quality_figures, summarize
 from mcspectra.quality.figures import different_realizations
 from mcspectra.report import page as html
@@ -335,23 +335,22 @@ def _page(cards: Sequence[Card], effort: Effort) -> html.Page:
     for start in range(0, len(cards), _IN_OVERLAY):
         few = cards[start : start + _IN_OVERLAY]
         spectra = {card.name: card.spectrum for card in few}
-        overlays.append(html.Figure(plot=describe("radial", spectra, styles), live=True))
+        overlays.append(describe("radial", spectra, styles))
         for text in dict.fromkeys(text for card in few for text in card.curves):
             curves = {card.name: card.curves[text] for card in few if text in card.curves}
             plot = describe("convergence", curves, styles)
-            plot = replace(plot, caption=f"{text}: {plot.caption}")
-            overlays.append(html.Figure(plot=plot, live=True))
-    together: tuple[html.Block, ...] = (html.Text(text=_settings(effort)), _table(cards, names))
-    together += (html.Figures(figures=tuple(overlays)),)
+            overlays.append(replace(plot, caption=f"{text}: {plot.caption}"))
+    settings, table = html.Text(text=_settings(effort)), _table(cards, names)
+    together: tuple[html.Block, ...] = (settings, table, *html.figures_of(overlays, live=True))
     sections = [html.Section(title="Side by side", anchor="all", blocks=together)]
     for card, anchor in zip(cards, names, strict=True):
         facts = []
         for name, value in _card_facts(card):
             text = ADDRESS.sub(r'<a href="\g<0>">\g<0></a>', str(escape(value)))
             facts.append((name, Markup(text)))
-        blocks = (
+        blocks: tuple[html.Block, ...] = (
             html.Text(text=card.facts.summary if card.facts else ""),
-            html.Figures(figures=(html.Figure(plot=_card_plot(card)),)),
+            *html.figures_of([_card_plot(card)]),
             html.Facts(rows=tuple(facts)),
         )
         sections.append(html.Section(title=card.name, anchor=anchor, blocks=blocks, code=True))
@@ -366,37 +365,33 @@ def _table(cards: Sequence[Card], names: Sequence[str]) -> html.Table:
     figures = dict.fromkeys(key for card in cards for key in card.quality)
     rows = []
     for card, name in zip(cards, names, strict=True):
-        cells = [
+        cells: list[str | html.Cell] = [
             html.Cell(text=card.name, numeric=False, link=f"#{name}"),
-            html.Cell(text=str(card.n)),
+            str(card.n),
         ]
         for text in texts:
             value, low, high = card.rates.get(text, (math.nan,) * 3)
-            cells.append(_cell(rate(value, low, high), value, "fewer than two counts are possible"))
+            why = "fewer than two counts are possible"
+            cells.append(html.number_cell(rate(value, low, high), value, why=why))
         for key in figures:
             _, mean, _ = card.quality.get(key, ("", math.nan, math.nan))
-            cells.append(_cell(number(mean), mean, "it is not defined for this set"))
-        cells.append(_cell(number(card.speed, 2), card.speed, ""))
-        rows.append(tuple(cells))
-    return html.Table(
-        caption="Rates are exponents of variance in n with half their 95 % intervals, unresolved beyond 0.5, figures of quality "
+            why = "it is not defined for this set"
+            cells.append(html.number_cell(number(mean), mean, why=why))
+        rows.append([*cells, html.number_cell(number(card.speed, 2), card.speed)])
+    return html.table_of(
+        "Rates are exponents of variance in n with half their 95 % intervals, unresolved beyond 0.5, figures of quality "
         "means, whose standard errors stand with each sampler: minimum distance by that of the densest packing, mean squared distance "
         "of moving uniform mass to the points, t of the (t, m, d)-net.",
-        columns=(
+        (
             "Sampler",
             "n",
             *(f"Rate on {text.partition('(')[0]}" for text in texts),
             *(QUALITY_HEADS[key] for key in figures),
             "Points/s",
         ),
-        rows=tuple(rows),
+        rows,
         sortable=True,
     )
-
-
-def _cell(text: str, value: float, why: str) -> html.Cell:
-    known = math.isfinite(value)
-    return html.Cell(text=text, why=why if text == MISSING else "", order=value if known else None)
 
 
 def _card_plot(card: Card) -> Plot:

@@ -10,7 +10,7 @@ from statistics import NormalDist
 import numpy as np
 import xarray as xr
 
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import Array, as_instance
 from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.plots.text import NEGLIGIBLE, number, percent, rate, with_error
 from mcspectra.studies import SummaryRow
@@ -75,10 +75,10 @@ def answer(curves: Mapping[str, xr.Dataset], given: str = "", why: str = "") -> 
     cause = f" Cause: {why[:1].lower()}{why[1:]}" if found_one else ""
     if best == given or not found[best][2] < found[given][1]:
         return (
-            f"Keep {given}: nothing that was measured has surely less noise at {n:,} points.{cause}"
+            f"Keep {given}: nothing that was measured has surely less noise at {n} points.{cause}"
         )
     after, before = (number(math.sqrt(found[name][0])) for name in (best, given))
-    return f"Use {best}: RMSE {after} instead of {before} with {given} at {n:,} points.{cause}"
+    return f"Use {best}: RMSE {after} instead of {before} with {given} at {n} points.{cause}"
 
 
 def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
@@ -97,12 +97,19 @@ def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
         Sentences about the rate, the prediction, the terms and the captured share; empty if nothing
         is known.
 
+    Raises
+    ------
+    ParameterError
+        The row or the terms are none.
+
     Notes
     -----
     A term is said to add or to remove variance only where its 95 % interval excludes 0. The intervals
     of the prediction and the measurement are treated as independent, although both come from the
     same realisations: that is cautious.
     """
+    as_instance("row", row, SummaryRow, "a row of mcspectra.studies.summarize")
+    as_instance("terms", terms, xr.Dataset | None, "a dataset of mcspectra.variance_terms")
     sentences = [_rate_sentence(row)]
     if _is_predicted(row):
         half = (

@@ -12,6 +12,7 @@ from typing import Any, final
 import xarray as xr
 from markupsafe import Markup
 
+from mcspectra.core.checks import as_path
 from mcspectra.core.errors import StoreError
 from mcspectra.plots import kinds
 from mcspectra.plots.style import LineStyle, sampler_styles
@@ -19,8 +20,9 @@ from mcspectra.plots.text import percent
 from mcspectra.report import page as html
 from mcspectra.report.sentences import answer, basis_name, explain, further_sentences
 from mcspectra.report.tables import analysis_table, summary_of, summary_table, terms_table
-from mcspectra.studies import SummaryRow, open_results, study_status, summarize
+from mcspectra.studies import SummaryRow, open_results, study_status
 from mcspectra.studies.ledger import LEDGER_NAME, Ledger, check_links
+from mcspectra.studies.summary import asked_of, pairs_of, rows_of
 
 __all__ = ["REPORT_NAME", "Estimates", "collect", "provenance", "study_toml", "write_report"]
 
@@ -132,15 +134,18 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
 
     Raises
     ------
+    ParameterError
+        `folder` or `out` is no path.
     StoreError
         There are no results in `folder`, or it cannot be written.
     """
-    root = Path(folder)
+    root = as_path("folder", folder)
+    file = root / REPORT_NAME if out is None else as_path("out", out)
     check_links(root)
     tree = open_results(root)
     study, estimates = tree.attrs.get("study") or {}, collect(tree)
     samplers = list(dict.fromkeys(s for each in estimates for s in each.rows))
-    asked = _asked(study)
+    asked = asked_of(study)
     styles, names = sampler_styles(samplers), html.anchors((each.key for each in estimates), "e-")
 
     # The summary, what is missing, a section for each estimator, provenance
@@ -189,52 +194,33 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
         lead=(*_answers(estimates), html.Text(text=lead, kind="soft")),
         sections=tuple(sections),
     )
-    file = root / REPORT_NAME if out is None else Path(out)
     return html.write_page(page, file, file.parent / "figures")
 
 
 def collect(tree: xr.DataTree) -> list[Estimates]:
-    """Return all estimators of a result tree, they and their samplers in the study's order.
-
-    Groups of a store come in whatever order the file system lists them; the study's own lists of
-    estimators and samplers decide here, so that a report does not depend on it.
-    """
-    order = _asked(tree.attrs.get("study") or {})
-    rows: dict[tuple[str, str], list[SummaryRow]] = {}
-    for row in summarize(tree):
-        rows.setdefault((row.estimator, row.sampler), []).append(row)
+    """Return all estimators of a result tree, they and their samplers in the study's order."""
+    groups: dict[tuple[str, str], dict[str, dict[str, xr.Dataset]]] = {}
+    for key, name, sampler, analyses in pairs_of(tree):
+        groups.setdefault((key, name), {})[sampler] = analyses
     found = []
-    for key, node in tree.children.items():
-        name, spec = str(key), ""
-        pairs: dict[str, dict[str, xr.Dataset]] = {}
-        for slug, child in node.children.items():
-            analyses = {str(a): each.to_dataset() for a, each in child.children.items()}
-            if not analyses:
-                continue
-            known = next(iter(analyses.values())).attrs
-            name = str(known.get("estimator_name", key))
-            pairs[str(known.get("sampler_spec", slug))] = analyses
-            specs = [str(d.attrs["estimator"]) for d in analyses.values() if "estimator" in d.attrs]
-            spec = specs[0] if specs else spec
-        if not pairs:
-            continue
-        samplers = sorted(pairs, key=lambda s: (_place(order.get(name, []), s), s))
-        done = sorted(
-            {a for each in pairs.values() for a in each}, key=lambda a: (_place(_FIRST, a), a)
-        )
-        # `summarize` names the channels of an estimator "name [0]", "name [1]" …
-        channels = max(d.sizes.get("channel", 0) for each in pairs.values() for d in each.values())
-        names = [f"{name} [{c}]" for c in range(channels)] or [name]
+    for (key, name), pairs in groups.items():
+        every = [data for analyses in pairs.values() for data in analyses.values()]
+        specs = (str(data.attrs["estimator"]) for data in every if "estimator" in data.attrs)
+        done = {a for each in pairs.values() for a in each}
+        places = {a: (_FIRST.index(a) if a in _FIRST else len(_FIRST), a) for a in done}
         found.append(
             Estimates(
-                key=str(key),
+                key=key,
                 name=name,
-                spec=spec,
-                analyses={a: {s: pairs[s][a] for s in samplers if a in pairs[s]} for a in done},
-                rows={s: [r for each in names for r in rows.get((each, s), ())] for s in samplers},
+                spec=next(specs, ""),
+                analyses={
+                    a: {s: of[a] for s, of in pairs.items() if a in of}
+                    for a in sorted(done, key=places.__getitem__)
+                },
+                rows={s: rows_of(name, s, of) for s, of in pairs.items()},
             )
         )
-    return sorted(found, key=lambda each: (_place(list(order), each.name), each.key))
+    return found
 
 
 def provenance(tree: xr.DataTree, root: Path) -> tuple[tuple[str, str | Markup], ...]:
@@ -335,12 +321,6 @@ def _summary(
     )
 
 
-def _asked(study: Mapping[str, Any]) -> dict[str, Sequence[str]]:
-    """Samplers of all estimators and maps that a study names, in its order."""
-    entries = [*(study.get("estimators") or []), *(study.get("maps") or [])]
-    return {e["name"]: e.get("samplers") or study.get("samplers") or [] for e in entries}
-
-
 def _stored(names: Iterable[str]) -> dict[str, str]:
     """Names by what the store calls them; long ones that begin alike keep the store's name."""
     given = list(names)
@@ -378,12 +358,13 @@ def _gaps(root: Path, asked: Mapping[str, Sequence[str]]) -> Iterator[html.Block
         estimator = estimators.get(key, key)
         sampler = _stored(asked.get(estimator, ())).get(own, own)
         found.setdefault((estimator, sampler, reason), []).append(analysis)
-    rows = [html.text_cells(e, s, ", ".join(names), why) for (e, s, why), names in found.items()]
+    rows = [(e, s, ", ".join(names), why) for (e, s, why), names in found.items()]
     more = len(rows) - _MOST_GAPS
-    yield html.Table(
-        caption=f"{more} more rows: mcspectra status FOLDER --json lists all." if more > 0 else "",
-        columns=("Estimator", "Sampler", "Analyses", "Why"),
-        rows=tuple(rows[:_MOST_GAPS]),
+    yield html.table_of(
+        f"{more} more rows: mcspectra status FOLDER --json lists all." if more > 0 else "",
+        ("Estimator", "Sampler", "Analyses", "Why"),
+        rows[:_MOST_GAPS],
+        words=range(4),
         heads=2,
     )
 
@@ -517,8 +498,6 @@ def _figures(
             if kind == "anything":
                 plot = replace(plot, caption=f"{summary_of(analysis)} {plot.caption}")
                 kind = analysis
-            else:
-                kind = plot.kind
             name = f"{anchor.removeprefix('e-')}-{kind}" + (f"-{place}" if place else "")
             yield html.Figure(plot=plot, name=name, live=plot.kind in _LIVE)
 
@@ -567,10 +546,6 @@ def _setting(analysis: str, data: xr.Dataset) -> str:
         parts += [f"half width {data.sizes['half_width'] - 1}", f"{known.get('space', '?')} space"]
         parts += [f"coefficients: {known['coefficients']}"] if "coefficients" in known else []
     return ", ".join(parts)
-
-
-def _place(names: Sequence[str], name: str) -> int:
-    return names.index(name) if name in names else len(names)
 
 
 def _count(number: int, noun: str) -> str:

@@ -11,17 +11,19 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.core.analysis import ANALYSES
-from mcspectra.core.errors import McspectraError
+from mcspectra.core.checks import as_instances
+from mcspectra.core.errors import McspectraError, ParameterError
 from mcspectra.plots.groups import labelled
 from mcspectra.plots.text import (
     MISSING,
+    SUBSCRIPTS,
     interval,
     number,
     percent,
     rate,
     with_error,
 )
-from mcspectra.report.page import Cell, Table, text_cells
+from mcspectra.report.page import Cell, Table, number_cell, table_of
 from mcspectra.report.sentences import basis_name, bottleneck, headline
 from mcspectra.studies import SummaryRow
 
@@ -31,10 +33,10 @@ _NO_CURVE = "convergence was not analysed"
 _NO_TERMS = "nothing that predicts was analysed"
 _NO_RATE = "fewer than two counts have a variance above rounding noise"
 _NO_NUMBER = "there is no finite number"
-_SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+_ROW = "a row of mcspectra.studies.summarize"
 _DRAWN = ("convergence", "terms", "spectrum", "points", "pcf")  # have figures, and the main tables
 
-Rows = Iterator[tuple[Cell, ...]]
+Rows = Iterator[Sequence[str | Cell]]
 Analyses = Mapping[str, Any]
 
 
@@ -54,44 +56,56 @@ def summary_table(
         Results of each row's pair by analysis, of its channel: they tell the bottleneck.
     links
         Where the name of each row's estimator leads; nowhere by default.
+
+    Raises
+    ------
+    ParameterError
+        Not lists of these, or not as many.
     """
-    cells = []
+    cells, rows = [], as_instances("rows", rows, SummaryRow, _ROW)
+    found = as_instances(
+        "analyses", [{}] * len(rows) if analyses is None else analyses, Mapping, "a mapping"
+    )
+    links = as_instances("links", [""] * len(rows) if links is None else links, str, "a text")
+    if not len(rows) == len(found) == len(links):
+        raise ParameterError(f"There are {len(rows)} rows; give as many analyses and links.")
     counts = Counter(row.n for row in rows if row.n is not None)
     usual = counts.most_common(1)[0][0] if counts else None
-    given = zip(rows, analyses or [{}] * len(rows), links or [""] * len(rows), strict=True)
-    for row, found, link in given:
-        terms, no_term = found.get("terms"), row.note or _NO_TERMS
+    for row, of_row, link in zip(rows, found, links, strict=True):
+        terms, no_term = of_row.get("terms"), row.note or _NO_TERMS
         no_number = _NO_CURVE if row.n is None else _NO_NUMBER
         variance = number(row.variance)
         at = f" (n = {row.n})" if row.n not in (None, usual) and variance != MISSING else ""
         route = basis_name(row.route) if row.route else ""
         predicted = with_error(row.ratio, _half(row.ratio_low, row.ratio_high))
-        techniques = found.get("techniques")
+        techniques = of_row.get("techniques")
         slow = "" if techniques is None else str(techniques.attrs.get("bottleneck") or "")
         limit = bottleneck(row, terms, slow)
         cells.append(
             (
                 Cell(text=row.estimator, numeric=False, link=link),
-                Cell(text=row.sampler, numeric=False),
-                _cell(
+                row.sampler,
+                number_cell(
                     rate(row.rate, row.rate_low, row.rate_high),
-                    _NO_CURVE if row.n is None else _NO_RATE,
                     row.rate,
+                    why=_NO_CURVE if row.n is None else _NO_RATE,
                 ),
-                _cell(variance + at, no_number, row.variance),
-                _cell(f"{predicted} ({route})" if route else predicted, no_term, row.ratio),
+                number_cell(variance + at, row.variance, why=no_number),
+                number_cell(
+                    f"{predicted} ({route})" if route else predicted, row.ratio, why=no_term
+                ),
                 Cell(text=limit or MISSING, why="" if limit else no_term, numeric=False),
-                Cell(text=headline(row, terms, len(rows)), numeric=False),
+                headline(row, terms, len(rows)),
             )
         )
-    return Table(
-        caption="Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval, "
+    return table_of(
+        "Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval, "
         "unresolved where that is more than 0.5. "
         "Predicted / measured has ± half its 95 % interval, and in brackets how the variance was "
         "predicted; a basis there means a sum over frequencies, cut at a half width. The bottleneck is the "
         "technique with the slowest rate (undecided: their intervals overlap), else what adds most: with "
         "|m| ≤ k or ≥ k, half of the power term lies below or above the frequency k.",
-        columns=(
+        (
             "Estimator",
             "Sampler",
             "Rate",
@@ -100,16 +114,24 @@ def summary_table(
             "Bottleneck",
             "In a sentence",
         ),
-        rows=tuple(cells),
+        cells,
+        words=(0, 1, -1),
         heads=2,
         sortable=True,
     )
 
 
 def terms_table(rows: Sequence[SummaryRow]) -> Table:
-    """Return one estimator's three terms against its measured variance."""
+    """Return one estimator's three terms against its measured variance.
+
+    Raises
+    ------
+    ParameterError
+        Not a list of rows.
+    """
     cells = []
-    for row in (each for each in rows if each.terms_n is not None):
+    every = as_instances("rows", rows, SummaryRow, _ROW)
+    for row in (each for each in every if each.terms_n is not None):
         why = row.note or _NO_NUMBER
 
         def value(
@@ -119,7 +141,7 @@ def terms_table(rows: Sequence[SummaryRow]) -> Table:
             why: str = why,
             beside: float | None = row.power,
         ) -> Cell:
-            return _cell(with_error(given, _half(low, high), beside), why)
+            return number_cell(with_error(given, _half(low, high), beside), why=why)
 
         captured = with_error(row.captured, _half(row.captured_low, row.captured_high))
         # `summarize` appends the channel to the estimator's name
@@ -128,33 +150,23 @@ def terms_table(rows: Sequence[SummaryRow]) -> Table:
         name = f"{row.sampler}, channel {channel.rstrip(']')}" if several else row.sampler
         cells.append(
             (
-                Cell(text=name, numeric=False),
-                _cell(str(row.terms_n), why),
+                name,
+                str(row.terms_n),
                 value(row.dc, row.dc_low, row.dc_high),
                 value(row.power, row.power_low, row.power_high),
                 value(row.cross, row.cross_low, row.cross_high),
                 value(row.predicted),
                 value(row.measured),
-                _cell(interval(row.measured_low, row.measured_high), why),
-                _cell(captured, why),
+                number_cell(interval(row.measured_low, row.measured_high), why=why),
+                number_cell(captured, why=why),
             )
         )
-    return Table(
-        caption="dc + power + cross is the sum of the basis up to its half width, and captured its share "
+    return table_of(
+        "dc + power + cross is the sum of the basis up to its half width, and captured its share "
         "of the measured variance: a picture of frequencies, no prediction. Each ± half its 95 % "
         "interval. The interval is that of the measured variance.",
-        columns=(
-            "Sampler",
-            "n",
-            "dc",
-            "power",
-            "cross",
-            "Sum",
-            "Measured",
-            "95 % interval",
-            "Captured",
-        ),
-        rows=tuple(cells),
+        ("Sampler", "n", "dc", "power", "cross", "Sum", "Measured", "95 % interval", "Captured"),
+        cells,
     )
 
 
@@ -162,19 +174,14 @@ def analysis_table(analysis: str, found: Mapping[str, xr.Dataset]) -> tuple[str,
     """Return heading and table of an analysis by sampler; None where its figures say it all."""
     if analysis in _DRAWN:
         return None
-    if analysis in _TABLES:
-        heading, caption, columns, rows = _TABLES[analysis]
-    else:
-        heading = summary_of(analysis).removesuffix(".")
-        caption = "Single numbers of the result; of several channels the first."
-        columns, rows = ("Sampler", "Quantity", "Unit", "Value", "95 % interval"), _numbers
-    cells = tuple(row for sampler, data in found.items() for row in rows(sampler, data))
-    heads = 1 if analysis in _TABLES else 2
+    heading, caption, columns, words, rows = _TABLES.get(
+        analysis, (summary_of(analysis).removesuffix("."), *_OF_ANYTHING)
+    )
+    cells = [row for sampler, data in found.items() for row in rows(sampler, data)]
+    heads, stacked = 1 if analysis in _TABLES else 2, analysis == "remedies"
     if not cells:
         return None
-    return heading, Table(
-        caption=caption, columns=columns, rows=cells, heads=heads, stacked=analysis == "remedies"
-    )
+    return heading, table_of(caption, columns, cells, words=words, heads=heads, stacked=stacked)
 
 
 def summary_of(analysis: str) -> str:
@@ -195,13 +202,14 @@ def _remedies(sampler: str, data: xr.Dataset) -> Rows:
     for name in found["remedy"].values:
         one = found.sel(remedy=name)
         yield (
-            *text_cells(sampler, str(name)),
-            Cell(text=number(float(one["error"]))),
-            Cell(text=number(float(one["error_ratio"]))),
-            Cell(text=interval(*_ends(one["error_ratio_ci"]))),
-            Cell(text=rate(float(one["rate"]), *_ends(one["rate_ci"]))),
-            Cell(text=str(one["verdict"].item())),  # words that do not break
-            *text_cells(str(one["change"].item())),
+            sampler,
+            str(name),
+            number(float(one["error"])),
+            number(float(one["error_ratio"])),
+            interval(*_ends(one["error_ratio_ci"])),
+            rate(float(one["rate"]), *_ends(one["rate_ci"])),
+            str(one["verdict"].item()),
+            str(one["change"].item()),
         )
 
 
@@ -216,27 +224,23 @@ def _techniques(sampler: str, data: xr.Dataset) -> Rows:
             rates = first_channel(one[["technique_rate", "technique_rate_ci"]])
             slope = rate(float(rates["technique_rate"]), *_ends(rates["technique_rate_ci"]))
         share = percent(variance / total) if total > 0 and np.isfinite(variance) else MISSING
-        numbers = (str(t), number(variance), share, slope)
-        yield (
-            *text_cells(sampler),
-            *(Cell(text=text) for text in numbers),
-            *text_cells(str(data.attrs.get("bottleneck", MISSING))),
-        )
+        slow = str(data.attrs.get("bottleneck", MISSING))
+        yield sampler, str(t), number(variance), share, slope, slow
 
 
 def _anova(sampler: str, data: xr.Dataset) -> Rows:
     labels, shares = data.attrs["labels_subset_label"], data["anova_share"]
     mean = shares.mean("channel") if "channel" in shares.dims else shares
     for i in np.argsort(-mean.values)[:10]:
-        axes = labels[i].translate(_SUBSCRIPTS)  # x₀x₁ for the x0x1 of a store
-        yield *text_cells(sampler, axes), Cell(text=percent(float(mean.values[i])))
+        axes = labels[i].translate(SUBSCRIPTS)  # x₀x₁ for the x0x1 of a store
+        yield sampler, axes, percent(float(mean.values[i]))
 
 
 def _exact(sampler: str, data: xr.Dataset) -> Rows:
     why = str(data.attrs.get("note", ""))
     for n, values in zip(data["n"].values, data["exact_variance"].values, strict=True):
         text = ", ".join(number(float(v), 6) for v in np.atleast_1d(values))
-        yield *text_cells(sampler), Cell(text=str(n)), Cell(text=text, why=why)
+        yield sampler, str(n), Cell(text=text, why=why)
 
 
 def _predict(sampler: str, data: xr.Dataset) -> Rows:
@@ -245,12 +249,12 @@ def _predict(sampler: str, data: xr.Dataset) -> Rows:
     for n in data["n"].values:
         one = data.sel(n=n)
         yield (
-            *text_cells(sampler),
-            Cell(text=str(n)),
-            Cell(text=number(float(one["predicted_variance"]))),
-            Cell(text=interval(*_ends(one["predicted_variance_ci"]))),
-            *text_cells(str(one["route"].item())),
-            *(Cell(text=text) for text in rates),
+            sampler,
+            str(n),
+            number(float(one["predicted_variance"])),
+            interval(*_ends(one["predicted_variance_ci"])),
+            str(one["route"].item()),
+            *rates,
         )
 
 
@@ -263,12 +267,8 @@ def _map(sampler: str, data: xr.Dataset) -> Rows:
             float(np.median(known)) if (known := v[np.isfinite(v)]).size else math.nan
             for v in (one["rate"].values, one["rate_se"].values, one["variance"].isel(n=-1).values)
         )
-        yield (
-            *text_cells(sampler, strategy),
-            Cell(text=number(variance)),
-            Cell(text=rate(slope, slope - 2.0 * error, slope + 2.0 * error)),
-            *text_cells(where),
-        )
+        shown = rate(slope, slope - 2.0 * error, slope + 2.0 * error)
+        yield sampler, strategy, number(variance), shown, where
 
 
 def _numbers(sampler: str, data: xr.Dataset) -> Rows:
@@ -280,15 +280,20 @@ def _numbers(sampler: str, data: xr.Dataset) -> Rows:
             continue
         ends = _ends(drawn[f"{name}_ci"]) if f"{name}_ci" in drawn else (None, None)
         long_name, units = value.attrs.get("long_name", name), value.attrs.get("units", "")
-        yield (
-            *text_cells(sampler, str(long_name), str(units)),
-            Cell(text=number(float(value))),
-            Cell(text=interval(*ends)),
-        )
+        yield sampler, str(long_name), str(units), number(float(value)), interval(*ends)
 
 
-_TABLES: Mapping[str, tuple[str, str, tuple[str, ...], Callable[[str, Any], Rows]]] = {
-    # heading, caption, columns, rows of a sampler
+_OF_ANYTHING = (
+    "Single numbers of the result; of several channels the first.",
+    ("Sampler", "Quantity", "Unit", "Value", "95 % interval"),
+    (0, 1, 2),
+    _numbers,
+)
+
+_TABLES: Mapping[
+    str, tuple[str, str, tuple[str, ...], tuple[int, ...], Callable[[str, Any], Rows]]
+] = {
+    # heading, caption, columns, which of them are words, rows of a sampler
     "remedies": (
         "Remedies",
         (
@@ -302,9 +307,10 @@ _TABLES: Mapping[str, tuple[str, str, tuple[str, ...], Callable[[str, Any], Rows
             "Ratio",
             "95 % interval",
             "Rate",
-            "Verdict",
+            "Verdict",  # words that do not break, as numbers
             "What to do",
         ),
+        (0, 1, -1),
         _remedies,
     ),
     "techniques": (
@@ -316,6 +322,7 @@ _TABLES: Mapping[str, tuple[str, str, tuple[str, ...], Callable[[str, Any], Rows
             "order, from 0."
         ),
         ("Sampler", "Technique", "Variance", "Share", "Rate", "Bottleneck"),
+        (0, -1),
         _techniques,
     ),
     "anova": (
@@ -325,9 +332,10 @@ _TABLES: Mapping[str, tuple[str, str, tuple[str, ...], Callable[[str, Any], Rows
             "estimate of a small share can be negative."
         ),
         ("Sampler", "Axes", "Share"),
+        (0, 1),
         _anova,
     ),
-    "exact": ("Exact variance", "Without sampling.", ("Sampler", "n", "Variance"), _exact),
+    "exact": ("Exact variance", "Without sampling.", ("Sampler", "n", "Variance"), (0,), _exact),
     "predict": (
         "Predictions in numbers",
         (
@@ -336,6 +344,7 @@ _TABLES: Mapping[str, tuple[str, str, tuple[str, ...], Callable[[str, Any], Rows
             "first."
         ),
         ("Sampler", "n", "Variance", "95 % interval", "Route", "Rate", "At large n", "Bend"),
+        (0, 4),
         _predict,
     ),
     "map": (
@@ -345,6 +354,7 @@ _TABLES: Mapping[str, tuple[str, str, tuple[str, ...], Callable[[str, Any], Rows
             "one technique's share of multiple importance sampling has the slower rate."
         ),
         ("Sampler", "Strategy", "Variance", "Rate", "Bottleneck, pixels"),
+        (0, 1, -1),
         _map,
     ),
 }
@@ -357,7 +367,3 @@ def _ends(array: xr.DataArray) -> tuple[float, float]:
 
 def _half(low: float | None, high: float | None) -> float | None:
     return None if low is None or high is None else 0.5 * (high - low)
-
-
-def _cell(text: str, why: str, order: float | None = None) -> Cell:
-    return Cell(text=text, why=why if text.startswith(MISSING) else "", order=order)

@@ -17,7 +17,7 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.core.checks import Array
-from mcspectra.estimators.moments import CONFIDENCE_Z
+from mcspectra.estimators.moments import CONFIDENCE_Z, Measured
 from mcspectra.plots.description import Plot
 from mcspectra.plots.text import number, power_of_ten, rate
 
@@ -57,67 +57,6 @@ _PIXEL_NOTE = (
 
 Interval: TypeAlias = tuple[float, float]
 """Lower and upper end."""
-
-
-@final
-@dataclass(frozen=True)
-class Measured:
-    """A measured number with its 95 % interval.
-
-    Attributes
-    ----------
-    log
-        Whether distances of the ends are ratios, as those of variances are.
-    """
-
-    value: float
-    low: float
-    high: float
-    log: bool = False
-
-    @classmethod
-    def normal(cls, value: float, se: float) -> Measured:
-        """Return a number with a normal error of standard deviation `se`."""
-        value, half = float(value), CONFIDENCE_Z * float(se)
-        return cls(value, value - half, value + half)
-
-    @classmethod
-    def mean(cls, values: Array) -> Measured:
-        """Return the mean of independent values, with its normal error."""
-        return cls.normal(*map(float, mean_and_error(values)))
-
-    @classmethod
-    def of(cls, data: xr.Dataset, name: str, *, log: bool = False) -> Measured:
-        """Return a variable of a result that has an interval, ``NAME_ci``."""
-        low, high = (float(end) for end in data[f"{name}_ci"].values)
-        return cls(float(data[name]), low, high, log)
-
-    def __truediv__(self, other: Measured | float) -> Measured:
-        """Divide by a number without error, or by another variance that is independent of this one.
-
-        Common random numbers, which vary together, make the interval too wide.
-        """
-        if not isinstance(other, Measured):
-            return Measured(self.value / other, self.low / other, self.high / other, self.log)
-        value = self.value / other.value
-        half = math.hypot(*(math.log(each.high / each.low) / 2 for each in (self, other)))
-        return Measured(value, value * math.exp(-half), value * math.exp(half), log=True)
-
-    def __sub__(self, other: Measured) -> Measured:
-        """Subtract another number that is independent of this one."""
-        value = self.value - other.value
-        half = math.hypot(*((each.high - each.low) / 2 for each in (self, other)))
-        return Measured(value, value - half, value + half)
-
-    @property
-    def verdict_interval(self) -> Interval:
-        """The interval at the level of verdicts, widened about the value."""
-        ends = (self.low, self.high)
-        if self.log and min(self.value, *ends) > 0:
-            low, high = (self.value * (end / self.value) ** VERDICT_WIDENING for end in ends)
-        else:
-            low, high = (self.value + (end - self.value) * VERDICT_WIDENING for end in ends)
-        return low, high
 
 
 @final
@@ -240,7 +179,7 @@ def judge(claim: Claim) -> Finding:
     measured, shown, agrees, interval = claim.measured, claim.shown, claim.holds, None
     low = high = claim.value
     if isinstance(measured, Measured):
-        low, high = measured.verdict_interval
+        low, high = measured.widened(VERDICT_WIDENING)
         interval, measured = (measured.low, measured.high), measured.value
     if claim.expected is not None:
         shown = shown or number(claim.expected, claim.digits)

@@ -11,10 +11,11 @@ import xarray as xr
 import mcspectra as mcs
 from mcspectra.core.checks import Array
 from mcspectra.plots.description import Axis, Line, Mark, Panel, Plot
+from mcspectra.plots.scales import unit_axis
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text
-from mcspectra.reproduction.panels import UNIT, plot_of, variance_panel
+from mcspectra.reproduction.panels import plot_of, variance_panel
 
 __all__ = ["exhibit"]
 
@@ -181,7 +182,7 @@ def _map() -> Plot:
         *(
             Panel(
                 marks=tuple(each),
-                x=Axis(label=x, low=0.0, high=1.0, ticks=UNIT),
+                x=unit_axis(x),
                 y=Axis(label=y, low=0.0),
                 title=title,
                 grid=True,

@@ -7,10 +7,11 @@ import numpy as np
 import mcspectra as mcs
 from mcspectra.core.checks import Array
 from mcspectra.plots.description import Axis, Dots, Line, Panel, Plot, Rule, Segments, Text
+from mcspectra.plots.scales import unit_panel
 from mcspectra.plots.style import ACCENT, INK, sampler_styles
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured
-from mcspectra.reproduction.panels import plot_of, square_panel
+from mcspectra.reproduction.panels import plot_of
 
 __all__ = ["exhibit"]
 
@@ -38,7 +39,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     panels = []
     for name, style in sampler_styles(SAMPLERS).items():
         x, y = mcs.sampler(name, 2).draw(256, rng=seed)[0].T
-        panels.append(square_panel([Dots(x=x, y=y, color=style.color, size=2.0)], name))
+        panels.append(unit_panel([Dots(x=x, y=y, color=style.color, size=2.0)], name))
     return Exhibit(
         numbers={"integral": number(integral(), 4), "N": N, "means": means, "variances": variances},
         plots=(

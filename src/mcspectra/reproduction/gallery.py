@@ -346,8 +346,12 @@ def _section(entry: Entry) -> html.Section:
         }
         blocks += html.figures_of(named)
         columns = ("Statement", "Verdict", "Expected", "Measured", "95 % interval", "Note")
-        rows = tuple(map(_row, entry.findings))
-        blocks.append(html.Table(caption="", columns=columns, rows=rows, stacked=True))
+        rows = []
+        for each in entry.findings:
+            sign, mark = _SIGNS[each.agrees]
+            verdict = html.Cell(text=sign, numeric=False, mark=mark)
+            rows.append((each.statement, verdict, each.expected, *measured_text(each), each.note))
+        blocks.append(html.table_of("", columns, rows, words=(0, -1), stacked=True))
     wrong = any(finding.agrees is False for finding in entry.findings)
     return html.Section(
         title=slide.title,
@@ -358,21 +362,13 @@ def _section(entry: Entry) -> html.Section:
     )
 
 
-def _row(finding: Finding) -> tuple[html.Cell, ...]:
-    verdict, mark = _SIGNS[finding.agrees]
-    (statement, note), numbers = (
-        html.text_cells(finding.statement, finding.note),
-        (finding.expected, *measured_text(finding)),
-    )
-    cell = html.Cell(text=verdict, numeric=False, mark=mark)
-    return statement, cell, *(html.Cell(text=text) for text in numbers), note
-
-
 def _write_pdf(path: Path, entries: Sequence[Entry]) -> None:
     """Write a sheet (or more) of text for each entry, then each figure on a sheet with its caption."""
     import matplotlib as mpl
     from matplotlib.backends.backend_pdf import PdfPages
     from matplotlib.figure import Figure as Drawing
+
+    from mcspectra.plots.backend_matplotlib import escaped
 
     partial = path.with_name(f".{path.name}.partial")
     metadata = {"CreationDate": None, "Creator": "mcspectra"}
@@ -384,7 +380,7 @@ def _write_pdf(path: Path, entries: Sequence[Entry]) -> None:
                     sheet = Drawing(figsize=_SHEET)
                     for row, (line, weight) in enumerate(lines[start : start + _LINES]):
                         at = (0.08, 0.95 - 0.0145 * row)
-                        sheet.text(*at, _plain(line), va="top", fontsize=9, weight=weight)
+                        sheet.text(*at, escaped(line), va="top", fontsize=9, weight=weight)
                     pdf.savefig(sheet)
                 for plot in entry.exhibit.plots if entry.exhibit else ():
                     _add_figure(pdf, plot)
@@ -412,7 +408,7 @@ def _lines(entry: Entry) -> Iterator[tuple[str, str]]:
 
 def _add_figure(pdf: PdfPages, plot: Plot) -> None:
     """Add a figure with its caption; the sheet grows by it."""
-    from mcspectra.plots.backend_matplotlib import draw
+    from mcspectra.plots.backend_matplotlib import draw, escaped
 
     figure = draw(replace(plot, caption=""))
     engine = figure.get_layout_engine()
@@ -422,10 +418,5 @@ def _add_figure(pdf: PdfPages, plot: Plot) -> None:
     for legend in figure.legends:  # or they would move to the border of the larger sheet
         legend.set_bbox_to_anchor((0, 0, 1, 1), transform=figure.transFigure)
     caption = textwrap.fill(plot.caption, int(_PER_INCH * figure.get_figwidth()))
-    figure.text(0.02, -0.02, _plain(caption), va="top", fontsize=8)
+    figure.text(0.02, -0.02, escaped(caption), va="top", fontsize=8)
     pdf.savefig(figure, bbox_inches="tight", pad_inches=0.3)  # type: ignore[no-untyped-call]
-
-
-def _plain(text: str) -> str:
-    """Escape dollar signs, which matplotlib would read as mathematics."""
-    return text.replace("$", r"\$")

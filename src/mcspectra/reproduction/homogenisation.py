@@ -13,7 +13,7 @@ from mcspectra.plots.description import Axis, Dots, Panel, Plot, Segments
 from mcspectra.plots.style import ACCENT, FAINT, GRAY, INK, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, mean_and_error, normal_limit
-from mcspectra.reproduction.panels import UNIT, plot_of
+from mcspectra.reproduction.panels import plot_of
 
 __all__ = ["exhibit"]
 
@@ -187,7 +187,10 @@ def _steps(seed: int) -> Plot:
             [[(0, 0), (1, 0)], [(1, 0), (1, 1)], [(1, 1), (0, 1)], [(0, 1), (0, 0)]], float
         )
         paths = np.stack([x, x + move], axis=1) if title.startswith("2") else np.zeros((0, 2, 2))
-        axes = [Axis(label=label, low=-0.04, high=1.46, ticks=UNIT) for label in ("x₀", "x₁")]
+        axes = [
+            Axis(label=label, low=-0.04, high=1.46, ticks={0.0: "0", 1.0: "1"})
+            for label in ("x₀", "x₁")
+        ]
         panels.append(
             Panel(
                 marks=(

@@ -10,7 +10,7 @@ import xarray as xr
 import mcspectra as mcs
 from mcspectra.core.checks import Array
 from mcspectra.plots.description import Dots, Mark, Panel, Rule, Scale
-from mcspectra.plots.scales import log_axis
+from mcspectra.plots.scales import log_axis, unit_panel
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured
@@ -19,7 +19,6 @@ from mcspectra.reproduction.panels import (
     frequency_panel,
     plot_of,
     ring_mean,
-    square_panel,
     whiskers,
 )
 
@@ -66,7 +65,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     p, points = mcs.density(DENSITY, 2), []
     for name in SAMPLERS:
         x, y = p.sample(mcs.sampler(name, 2).draw(N, rng=seed)[0]).T
-        points.append(square_panel([Dots(x=x, y=y, color=PALETTE[0], size=1.8)], name))
+        points.append(unit_panel([Dots(x=x, y=y, color=PALETTE[0], size=1.8)], name))
     radii = np.arange(1, HALF_WIDTH + 1)
     marks: list[Mark] = [Rule(at=LEVEL, color=INK, width=1.0, label="∫1/p")]
     for k, (name, data) in enumerate(spectra.items()):

@@ -30,10 +30,11 @@ from mcspectra.plots.description import (
     Scale,
     Text,
 )
+from mcspectra.plots.scales import unit_panel
 from mcspectra.plots.style import ACCENT, INK, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text
-from mcspectra.reproduction.panels import AXES, plot_of, square_panel, strata, variance_panel
+from mcspectra.reproduction.panels import AXES, plot_of, strata, variance_panel
 
 __all__ = ["exhibit"]
 
@@ -77,7 +78,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         marks: list[Mark] = [*strata(side), Dots(x=x, y=y, color=PALETTE[0], size=3.0)]
         if mirroring == "uniform":
             marks.append(Dots(x=own[:, 0], y=own[:, 1], color=ACCENT, size=3.0))
-        panels.append(square_panel(marks, _TITLES[mirroring], "x y"))
+        panels.append(unit_panel(marks, _TITLES[mirroring], "x", "y"))
     curves, label = [], "measured and exact"
     for shifted, mirroring in itertools.product((True, False), _TITLES):
         key = mirroring, shifted

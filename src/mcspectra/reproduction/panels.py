@@ -23,14 +23,13 @@ from mcspectra.plots.description import (
     Scale,
     Text,
 )
-from mcspectra.plots.scales import count_axis, log_axis, name_axis
+from mcspectra.plots.scales import count_axis, log_axis, name_axis, unit_panel
 from mcspectra.plots.style import FAINT, INK, MARKERS, PALETTE, line_widths
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Measured
 
 __all__ = [
     "AXES",
-    "UNIT",
     "at_ring",
     "frequency_panel",
     "in_columns",
@@ -38,7 +37,6 @@ __all__ = [
     "plot_of",
     "primary_panel",
     "ring_mean",
-    "square_panel",
     "strata",
     "term_panel",
     "variance_panel",
@@ -46,9 +44,6 @@ __all__ = [
 ]
 
 AXES: tuple[Literal["x", "y"], ...] = ("x", "y")
-
-UNIT = {0.0: "0", 1.0: "1"}
-"""Ticks of an axis from 0 to 1."""
 
 _TERMS = {"dc_term": "1st", "power_term": "2nd", "cross_term": "3rd"}
 _RESOLUTION = 256
@@ -150,12 +145,6 @@ def strata(side: int) -> tuple[Rule, ...]:
     return tuple(Rule(at=at, axis=axis, color=FAINT, width=0.7) for axis in AXES for at in places)
 
 
-def square_panel(marks: Sequence[Mark], title: str, labels: str = "x₀ x₁") -> Panel:
-    """Return marks in the unit square."""
-    x, y = (Axis(label=label, low=0.0, high=1.0, ticks=UNIT) for label in labels.split())
-    return Panel(marks=tuple(marks), x=x, y=y, title=title, square=True, framed=True)
-
-
 def primary_panel(integrand: Callable[[Array], Array], title: str) -> Panel:
     """Return an image of an integrand (u₀, u₁) on the unit square, over its mean."""
     u = (np.arange(_RESOLUTION) + 0.5) / _RESOLUTION
@@ -163,7 +152,7 @@ def primary_panel(integrand: Callable[[Array], Array], title: str) -> Panel:
     shown = values / values.mean()
     scale = Scale(label="f/p (over its mean)", high=float(shown.max()))
     image = Image(values=shown, x=u, y=u, scale=scale, name="f/p over its mean")
-    return square_panel([image], title, "u₀ u₁")
+    return unit_panel([image], title, "u₀", "u₁")
 
 
 def plot_of(kind: str, *panels: Panel) -> Plot:

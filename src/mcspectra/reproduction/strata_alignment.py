@@ -8,10 +8,11 @@ import xarray as xr
 import mcspectra as mcs
 from mcspectra.core.checks import Array
 from mcspectra.plots.description import Image, Line, Plot, Scale
+from mcspectra.plots.scales import unit_panel
 from mcspectra.plots.style import INK
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text, slope
-from mcspectra.reproduction.panels import plot_of, square_panel, strata, variance_panel
+from mcspectra.reproduction.panels import plot_of, strata, variance_panel
 
 __all__ = ["exhibit"]
 
@@ -150,7 +151,7 @@ def _strata() -> Plot:
         cut = (ticks[:-1] < right[:, None] - 1e-9) & (left[:, None] + 1e-9 < ticks[1:])
         values = np.where(cut, 2.0, (ticks[1:] <= left[:, None] + 1e-9) * 1.0)
         panels.append(
-            square_panel(
+            unit_panel(
                 (
                     Image(values=values, x=middle, y=middle, scale=scale, name="stratum"),
                     *strata(side),

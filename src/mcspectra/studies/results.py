@@ -30,7 +30,7 @@ import google_crc32c
 import msgspec
 import numpy as np
 
-from mcspectra.core.checks import Array, is_path
+from mcspectra.core.checks import Array, as_path
 from mcspectra.core.display import register_accessor
 from mcspectra.core.errors import (
     McspectraError,
@@ -255,8 +255,7 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
         There are no results, they are of a format that this version does not read, or so damaged that
         they do not say of which study they are.
     """
-    _check_place("folder", folder)
-    root = Path(folder)
+    root = as_path("folder", folder)
     if _is_url(folder) or root.is_file():
         raise StoreError(
             f"{str(folder)!r} is not the output folder of a run; only such a folder has a status."
@@ -365,7 +364,7 @@ def export_results(source: str | Path, file: str | Path, select: str | None = No
     MissingDependency
         Parquet without pyarrow, URLs without fsspec.
     """
-    _check_place("file", file)
+    as_path("file", file)
     name = str(file).lower()
     end = next((end for end in FORMATS if name.endswith(end)), None)
     if end is None:
@@ -410,8 +409,7 @@ def output_folder(out: str | Path) -> Path:
     ParameterError
         It is no path, a URL, a file, or named as a store that `export_results` makes.
     """
-    _check_place("out", out)
-    folder = Path(out)
+    folder = as_path("out", out)
     if _is_url(out):
         raise ParameterError(
             f"The output folder {str(out)!r} is a URL, and a study runs in a folder of this machine: "
@@ -427,20 +425,15 @@ def output_folder(out: str | Path) -> Path:
     return folder
 
 
-def _check_place(name: str, place: object) -> None:
-    if not is_path(place):
-        raise ParameterError(f"{name} is {place!r:.80}; give a path.")
-
-
 def _ledger(source: str | Path, select: str | None = None) -> Ledger | None:
     """The ledger of a source, if that is a study's folder, after a check of what is asked for."""
-    _check_place("source", source)
+    root = as_path("source", source)
     given: Any = select
     if given is not None and not (isinstance(given, str) and given):
         raise ParameterError(
             f"select is {select!r:.80}; give the path of a cell, or a pattern such as 'a/*'."
         )
-    if _is_url(source) or not os.path.lexists(Path(source) / LEDGER_NAME):
+    if _is_url(source) or not os.path.lexists(root / LEDGER_NAME):
         return None
     return Ledger.read(source)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -13,7 +14,7 @@ from mcspectra.core.errors import ParameterError
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["SummaryRow", "summarize"]
+__all__ = ["SummaryRow", "asked_of", "pairs_of", "rows_of", "summarize"]
 
 TERMS = ("dc", "power", "cross")
 _READ = ("convergence", "terms", "exact", "predict")
@@ -72,65 +73,81 @@ def summarize(tree: xr.DataTree) -> list[SummaryRow]:
 
     if not isinstance(tree, xr.DataTree):
         raise ParameterError(f"{tree!r:.80} is no tree of results; give what open_results returns.")
-
-    # Places of estimators with samplers in the study file: the store keeps no order
-    study = tree.attrs.get("study", {})
-    names = [
-        (entry["name"], sampler)
-        for entry in [*study.get("estimators", []), *study.get("maps", [])]
-        for sampler in (entry.get("samplers") or study.get("samplers") or [])
+    return [
+        row
+        for _, estimator, sampler, found in pairs_of(tree)
+        for row in rows_of(estimator, sampler, found)
     ]
-    places = {name: place for place, name in enumerate(names)}
 
-    def place(pair: xr.DataTree) -> int:
-        attrs = next(iter(pair.children.values())).attrs
-        name = attrs.get("estimator_name", ""), attrs.get("sampler_spec", "")
-        return places.get(name, len(places))
 
+def pairs_of(tree: xr.DataTree) -> list[tuple[str, str, str, dict[str, xr.Dataset]]]:
+    """Return the key in the store and the name of an estimator, a sampler, and their results by analysis.
+
+    Groups of a store come in whatever order the file system lists them: the study's own lists decide.
+    """
+    asked = asked_of(tree.attrs.get("study") or {})
+    pairs = ((name, sampler) for name, samplers in asked.items() for sampler in samplers)
+    places = {names: place for place, names in enumerate(pairs)}
+    found = []
+    for key, node in tree.children.items():
+        for slug, child in node.children.items():
+            analyses = {str(name): each.to_dataset() for name, each in child.children.items()}
+            known = next(iter(analyses.values())).attrs if analyses else {}
+            names = str(known.get("estimator_name", key)), str(known.get("sampler_spec", slug))
+            found += [(str(key), *names, analyses)] if analyses else []
+    return sorted(found, key=lambda each: (places.get(each[1:3], len(places)), *each[:3]))
+
+
+def asked_of(study: Mapping[str, Any]) -> dict[str, Sequence[str]]:
+    """Return the samplers of all estimators and maps that a study names, in its order."""
+    entries = [*(study.get("estimators") or []), *(study.get("maps") or [])]
+    return {e["name"]: e.get("samplers") or study.get("samplers") or [] for e in entries}
+
+
+def rows_of(estimator: str, sampler: str, found: Mapping[str, xr.Dataset]) -> list[SummaryRow]:
+    """Return one row for every channel of a pair, of its results by analysis; none without a curve or terms."""
+    read = {name: found[name] for name in _READ if name in found}
+    first = read.get("convergence", read.get("terms"))
+    if first is None:
+        return []
     rows = []
-    pairs = [pair for estimator in tree.children.values() for pair in estimator.children.values()]
-    for pair in sorted(pairs, key=place):
-        found = {name: pair[name].to_dataset() for name in _READ if name in pair.children}
-        first = found.get("convergence", found.get("terms"))
-        if first is None:
-            continue
-        channels = first.sizes.get("channel", 0)
-        for channel in range(max(1, channels)):
-            of = {k: each.isel(channel=channel) if channels else each for k, each in found.items()}
-            values: dict[str, Any] = {
-                "estimator": first.attrs["estimator_name"] + (f" [{channel}]" if channels else ""),
-                "sampler": first.attrs["sampler_spec"],
+    channels = first.sizes.get("channel", 0)
+    for channel in range(max(1, channels)):
+        of = {k: each.isel(channel=channel) if channels else each for k, each in read.items()}
+        values: dict[str, Any] = {
+            "estimator": estimator + (f" [{channel}]" if channels else ""),
+            "sampler": sampler,
+        }
+        if "convergence" in of:
+            curve = of["convergence"]
+            fit_first = _number(curve.get("fit_first_n", math.nan))
+            values |= {
+                **_with_bounds(curve, rate="rate"),
+                # No interval of a rate is one of infinite width
+                **(
+                    {}
+                    if np.isfinite(curve["rate_ci"]).any()
+                    else {"rate_low": -math.inf, "rate_high": math.inf}
+                ),
+                "n": int(curve["n"].values[-1]),
+                "variance": _number(curve["variance"].values[-1]),
+                "fit_first_n": None if fit_first is None else int(fit_first),
             }
-            if "convergence" in of:
-                curve = of["convergence"]
-                fit_first = _number(curve.get("fit_first_n", math.nan))
-                values |= {
-                    **_with_bounds(curve, rate="rate"),
-                    # No interval of a rate is one of infinite width
-                    **(
-                        {}
-                        if np.isfinite(curve["rate_ci"]).any()
-                        else {"rate_low": -math.inf, "rate_high": math.inf}
-                    ),
-                    "n": int(curve["n"].values[-1]),
-                    "variance": _number(curve["variance"].values[-1]),
-                    "fit_first_n": None if fit_first is None else int(fit_first),
-                }
-            if "terms" in of:
-                terms = of["terms"]
-                each = _with_bounds(terms, **{name: f"{name}_term" for name in TERMS})
-                each |= _with_bounds(terms, captured="captured", measured="measured_variance")
-                sizes = {name: abs(each[name]) for name in TERMS if each[name] is not None}
-                known = each["captured"] is not None and any(sizes.values())
-                values |= {
-                    **each,
-                    "terms_n": int(terms.attrs["n"]),
-                    "basis": terms.attrs.get("basis"),
-                    "predicted": _number(terms["predicted_variance"]),
-                    "largest_term": max(sizes, key=sizes.__getitem__) if known else None,
-                    "note": terms.attrs.get("note"),
-                }
-            rows.append(SummaryRow(**values, **_ratio(of, values)))
+        if "terms" in of:
+            terms = of["terms"]
+            each = _with_bounds(terms, **{name: f"{name}_term" for name in TERMS})
+            each |= _with_bounds(terms, captured="captured", measured="measured_variance")
+            sizes = {name: abs(each[name]) for name in TERMS if each[name] is not None}
+            known = each["captured"] is not None and any(sizes.values())
+            values |= {
+                **each,
+                "terms_n": int(terms.attrs["n"]),
+                "basis": terms.attrs.get("basis"),
+                "predicted": _number(terms["predicted_variance"]),
+                "largest_term": max(sizes, key=sizes.__getitem__) if known else None,
+                "note": terms.attrs.get("note"),
+            }
+        rows.append(SummaryRow(**values, **_ratio(of, values)))
     return rows
 
 
