@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Literal, TypeAlias, final
 
@@ -233,17 +233,8 @@ class Evidence:
                     pole = pole_of(g, points, values, int(_POLES * allowed), own)
             lines.append(lines_of(g, estimator.dims, allowed - made, own))
             calls += made * estimator.evaluations_per_point
-        return Evidence(
-            estimator,
-            sampler,
-            sets,
-            sets.curves(),
-            tuple(lines),
-            pole,
-            mean,
-            noise=noise,
-            calls=calls,
-        )
+        seen = Evidence(estimator, sampler, sets, sets.curves(), tuple(lines), pole, mean)
+        return replace(seen, noise=noise, calls=calls)
 
     @property
     def scale(self) -> float:

@@ -341,24 +341,16 @@ class Profile:
             )
         }
         found["interval"], found["rate_ci"] = list(self.interval), list(self.rate_ci)
-        found["causes"] = [
-            {**asdict(cause), "evidence": dict(cause.evidence), "kinds": list(cause.kinds)}
-            for cause in self.causes
-        ]
+        found["causes"] = [{**asdict(cause), "kinds": list(cause.kinds)} for cause in self.causes]
         found["best"] = (
             None
             if self.best is None
             else {**vars(self.best), "estimator": self.best.estimator.spec}
         )
+        shown = ("counts", "variance", "relative_se", "rate", "rate_ci")
         found["samplers"] = {
-            name: {
-                "counts": curve.counts.tolist(),
-                "variance": curve.variance.tolist(),
-                "relative_se": curve.relative_se.tolist(),
-                "rate": curve.rate,
-                "rate_ci": list(curve.rate_ci),
-            }
-            for name, curve in self.samplers.items()
+            sampler: {name: np.asarray(getattr(curve, name)).tolist() for name in shown}
+            for sampler, curve in self.samplers.items()
         }
         return found
 
