@@ -261,8 +261,8 @@ def test_a_camera_with_a_lens_is_said(tree):
 
 def test_sentences_name_jumps_bottleneck_and_remedy(tree):
     said = dict(pixel_sentences(tree))
-    assert "g jumps inside along curves" in said["light"]
-    assert "the shift carries that jump into the strata" in said["light"]
+    assert "of all lines through the cube meet a jump of g" in said["light"]
+    assert "wraps around: to it g jumps there" in said["light"]
     assert said["bottleneck"] == bottleneck_sentence(tree)
     assert said["remedies"] == tree["remedies"].attrs["recommendation"]
     resolved = [r for r in pixel_rows(tree) if r.rate and r.rate_high - r.rate_low <= 1]
@@ -320,7 +320,7 @@ def test_three_dims_have_no_pictures_of_g(tmp_path, monkeypatch):
     )
     assert "pictures" not in found.children
     assert "remedies" not in found.children
-    assert "looked for in 1 and 2 dims only" in dict(pixel_sentences(found))["light"]
+    assert "of all lines through the cube meet" in dict(pixel_sentences(found))["light"]
     page = write_pixel(found, tmp_path).read_text(encoding="utf-8")
     assert 'id="integrands"' not in page
     assert pixel_summary(found)["jumps"] == []

@@ -5,6 +5,7 @@ import pytest
 from scipy import stats
 
 import mcspectra as mcs
+from mcspectra.core.records import merged
 from mcspectra.variance.sums import RunningSpread, ratio_factors, spread
 
 RUNS = 60
@@ -73,8 +74,8 @@ def test_ratios_of_heavy_weights_are_covered():
 
 def _merged(blocks, weights):
     """Spread of four blocks: the last two merged first."""
-    a, b, c, d = map(RunningSpread.of, blocks.copy(), weights)
-    return a.merge(b).merge(c.merge(d))
+    a, b, c, d = map(RunningSpread.of, blocks, weights)
+    return merged(merged(a, b), merged(c, d))
 
 
 def test_spread_of_blocks_is_that_of_all_kept():

@@ -195,7 +195,7 @@ def test_errors_are_those_of_all_blocks_kept():
     terms = np.array([b.batches.values[0, :3] for b in kept])
     expected = spread(terms - np.tensordot(share, terms, axes=1), share)
     np.testing.assert_allclose(total.term_errors(), expected, rtol=1e-12)
-    maps = np.array([b.batches.contribution.mean for b in kept])
+    maps = np.array([b.batches.contribution.total / b.batches.contribution.squared for b in kept])
     centers = np.average(maps, axis=0, weights=weight**2)
     np.testing.assert_allclose(
         total.contribution.error(), spread(maps - centers, share), rtol=1e-9, atol=1e-18
@@ -218,17 +218,15 @@ def test_a_block_of_one_says_nothing():
         assert both.sums.count == 3
 
 
-def test_states_grow_by_six_numbers_a_block():
-    """Beside the numbers of a block, a state has terms, variance, mean and weight: (3 + 1 + 1 + 1)."""
+def test_states_grow_by_five_numbers_a_block():
+    """Beside the numbers of a block, a state has terms, variance and weight: (3 + 1 + 1)."""
     _, blocks = _line()
     one, few = blocks[0], _total()
-    batches = few.batches
-    squares = (s.squares for s in (batches.contribution, batches.band_covariance, batches.matrix))
     # beside the smallest and largest estimates, of which there are 64 each at most
     tails = few.measured.extremes.nbytes - one.measured.extremes.nbytes
     assert few.measured.extremes.nbytes <= 8 * 128
-    grown = len(pack(few)) - len(pack(one)) - sum(s.nbytes for s in squares) - tails
-    assert abs(grown - 8 * 6 * 21) < 64  # numbers of shapes take a byte or three
+    grown = len(pack(few)) - len(pack(one)) - tails
+    assert abs(grown - 8 * 5 * 21) < 64  # numbers of shapes take a byte or three
 
 
 @pytest.mark.parametrize("function", [mcs.variance_terms, mcs.technique_terms])

@@ -10,8 +10,7 @@ from scipy.special import ndtri
 
 import mcspectra as mcs
 from mcspectra.core.errors import McspectraError, ParameterError
-from mcspectra.variance.profiling.lines import lines_of
-from mcspectra.variance.profiling.poles import pole_of
+from mcspectra.variance.profiling.probing import lines_of, pole_of
 from mcspectra.variance.profiling.samples import Sets
 
 

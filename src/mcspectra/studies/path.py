@@ -419,8 +419,8 @@ def path_remedies(
             else:
                 note += ": it does not pay, as far as the interval tells."
             tried[k] = replace(trial, note=note)
-    ranking = ranked(tried, not_tried, budget, Diagnosis(False, False, None, "", None, None))
-    return ranking.assign_attrs(diagnosis="", estimator=f.spec, sampler=sampler.spec, budget=budget)
+    ranking = ranked(tried, not_tried, budget, Diagnosis([]))
+    return ranking.assign_attrs(estimator=f.spec, sampler=sampler.spec, budget=budget)
 
 
 def _other_roulettes(f: PathPixel) -> Iterator[tuple[str, str, str]]:

@@ -21,6 +21,7 @@ from mcspectra.core.checks import as_choice, as_integer
 from mcspectra.core.errors import ParameterError, close_match_hint
 from mcspectra.core.parallel import available_workers
 from mcspectra.core.progress import report
+from mcspectra.core.streams import Stream
 from mcspectra.estimators import AbstractEstimator, Estimator
 from mcspectra.quality.jumps import curve_length
 from mcspectra.rendering.backend import LOCK
@@ -40,10 +41,9 @@ from mcspectra.rendering.scenes import (
     named_pixels,
     scene_name,
 )
-from mcspectra.samplers import Sampler, Shift, as_sampler
-from mcspectra.spectra.bases import parts_of
+from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.variance.convergence import convergence
-from mcspectra.variance.diagnosis import Diagnosis, Jumps
+from mcspectra.variance.diagnosis import diagnose
 from mcspectra.variance.prediction.predict import predict
 from mcspectra.variance.primary import primary_picture
 from mcspectra.variance.remedies import remedies as find_remedies
@@ -268,7 +268,6 @@ def analyse_pixel(
     tree: xr.DataTree = xr.DataTree.from_dict(dict(parts))
     with LOCK:
         lights = emitter_names(request)
-    wraps = any(isinstance(step, Shift) for step in parts_of(explained)[1])
     tree.attrs = {
         "scene": scene_name(request).strip("'"),
         "x": view.x,
@@ -286,15 +285,8 @@ def analyse_pixel(
         "realizations": options["realizations"],
         "rng": options["rng"],
     }
-    for strategy in strategies:
-        diagnosis = Diagnosis(
-            wraps=wraps,
-            unbounded=False,
-            slow=None,
-            slow_name="",
-            boundary=_jumps(strategy, "boundary", parts),
-            inside=_jumps(strategy, "interior", parts),
-        )
+    for strategy, estimator in strategies.items():
+        diagnosis = diagnose(estimator, explained, Stream.from_rng(options["rng"]))
         tree.attrs[f"diagnosis_{strategy}"] = diagnosis.text
     return tree
 
@@ -337,19 +329,6 @@ def check_compared(
     if len(ns) < 2 or any(b <= a for a, b in itertools.pairwise(ns)):
         raise ParameterError(f"counts is {ns}; give at least two, ascending, for a rate.")
     return sources, ns
-
-
-def _jumps(strategy: str, kind: str, parts: Parts) -> Jumps | None:
-    """Jumps of all of a strategy's integrands; None where there is no picture of them."""
-    head = f"pictures/{strategy}"
-    found = [p for name, p in parts.items() if name == head or name.startswith(f"{head}-")]
-    if not found:
-        return None
-    names = ("primary_jump_length", "primary_jump_height")
-    sizes = [[float(p[name].sel(kind=kind)) for name in names] for p in found]
-    total = sum(length for length, _ in sizes)
-    mean = sum(length * height for length, height in sizes if length > 0) / total if total else 0.0
-    return Jumps(total, mean, 2)
 
 
 def _without_rounding(picture: xr.Dataset) -> xr.Dataset:

@@ -12,16 +12,12 @@ from a variable start, whose sign Numba does not know, do not.
 
 from __future__ import annotations
 
-import numpy as np
-
 from mcspectra.core.checks import Array
 from mcspectra.core.jit import kernel
 
 __all__ = [
     "accumulate",
     "band_estimates",
-    "merge_moments",
-    "merge_spreads",
     "pair_sum_1d",
     "pair_sum_2d",
     "term_sums",
@@ -84,35 +80,6 @@ def accumulate(s: Array, mean: Array, estimate: Array, squares: Array, cov: Arra
 
 
 @kernel
-def merge_moments(
-    count: int,
-    mean: Array,
-    m2: Array,
-    cov: Array,
-    other_count: int,
-    other_mean: Array,
-    other_m2: Array,
-    other_cov: Array,
-    shift: Array,
-) -> tuple[Array, Array, Array]:
-    """Means (H,), Σ|S − S̄|² (H,) and Σ(S − S̄)(I − Ī) (C, H) of two sets of realisations together.
-
-    shift (C,) is the difference of the mean estimates (Chan, Golub & LeVeque 1983).
-    """
-    part = other_count / (count + other_count)
-    factor = count * part
-    new_mean, new_m2, new_cov = np.empty_like(mean), np.empty_like(m2), np.empty_like(cov)
-    for h in range(mean.size):
-        delta = other_mean[h] - mean[h]
-        new_mean[h] = mean[h] + part * delta
-        square = delta.real * delta.real + delta.imag * delta.imag
-        new_m2[h] = m2[h] + other_m2[h] + factor * square
-        for c in range(cov.shape[0]):
-            new_cov[c, h] = cov[c, h] + other_cov[c, h] + (factor * shift[c]) * delta
-    return new_mean, new_m2, new_cov
-
-
-@kernel
 def term_sums(f: Array, m2: Array, cov: Array, double: Array, dc: Array, out: Array) -> None:
     """Add for every channel to out (C, 3): the dc term, the power term, and the sum of all terms.
 
@@ -124,22 +91,6 @@ def term_sums(f: Array, m2: Array, cov: Array, double: Array, dc: Array, out: Ar
             square = (a.real * a.real + a.imag * a.imag) * (m2[h] * double[h])
             out[c, 0 if dc[h] else 1] += square
             out[c, 2] += (a.real * cov[c, h].real + a.imag * cov[c, h].imag) * double[h]
-
-
-@kernel
-def merge_spreads(
-    part: float, factor: float, mean: Array, squares: Array, other_mean: Array, other_squares: Array
-) -> None:
-    """Add to means (J,) and squares about them (J,) those of other blocks; empty squares are zeros.
-
-    `part` is the others' part of the weight, `factor` what the squared difference of means counts.
-    """
-    for j in range(mean.size):
-        delta = other_mean[j] - mean[j]
-        mean[j] += part * delta
-        squares[j] += factor * delta * delta
-    for j in range(other_squares.size):
-        squares[j] += other_squares[j]
 
 
 # ---- The pair route: sums over pairs of points of a tabulated function on the torus

@@ -36,7 +36,7 @@ from mcspectra.samplers.registry import sampler as make_sampler
 from mcspectra.samplers.stratified import root
 from mcspectra.spectra.bases import parts_of
 from mcspectra.variance.alignment import aligned, best_alignment
-from mcspectra.variance.diagnosis import jumps_of
+from mcspectra.variance.diagnosis import jumps_inside
 from mcspectra.variance.improved import CHANGES, Cubic, evaluated, improvements
 from mcspectra.variance.variants import smoothing_scan
 
@@ -63,6 +63,7 @@ _SAMPLERS = (
 _COUNT_TRIES = 256
 _MOST_ALIGNED = 2
 _MOST_CUBIC = 3  # dims
+_MOST_BOXED = 2  # dims, in which edges are smoothed by means over boxes
 _PILOT = 8  # it takes one part in so many of the budget, so that the last two of the steps can be measured
 _LEAST_PILOT, _MOST_PILOT = 64, 4096
 _PILOTS = 2  # stream label, after those of the searches
@@ -419,10 +420,9 @@ def smooth_edges(given: Setup, budget: Budget) -> _Offers:
         raise ParameterError(f"{estimator.spec} has no single f to smooth.")
     if given.is_black_box:
         raise ParameterError("The search for a width takes more evaluations than the budget.")
-    _, inside = jumps_of(estimator)
-    if inside is not None and not inside:
+    if jumps_inside(estimator, given.sampler) is False:
         raise ParameterError("No jump inside was found that could be smoothed.")
-    method = "distance" if inside is None else "auto"  # boxes are for few dims
+    method = "distance" if estimator.dims > _MOST_BOXED else "auto"
     scan = smoothing_scan(
         estimator.integrand,
         given.sampler,

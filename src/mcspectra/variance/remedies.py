@@ -38,7 +38,7 @@ from mcspectra.variance.counterfactuals import (
     affordable_count,
     other_setups,
 )
-from mcspectra.variance.diagnosis import Diagnosis, Jumps, diagnose, jumps_of
+from mcspectra.variance.diagnosis import Diagnosis, diagnose, jumps_inside
 from mcspectra.variance.doors import answer
 from mcspectra.variance.fit import RateFit, fit_rate, is_resolved, widening
 from mcspectra.variance.ordered import weighted_sum
@@ -130,7 +130,6 @@ class Remedies(Counted, frozen=True, kw_only=True):
         tries = 1 + _TRIES * len(self._kinds)
         evaluations = self.realizations * given.cost * sum(counts)
         if given.is_black_box:  # and those of its diagnosis, at most
-            evaluations *= min(len(given.estimator.counts), 2)
             evaluations += self.budget * self.realizations
         return Need(
             cost=float(self.budget * self.realizations * tries) * _RATIO / (_RATIO - 1),
@@ -179,10 +178,8 @@ class Remedies(Counted, frozen=True, kw_only=True):
                         not_tried.append(f"{name}: {error}")
             if index:
                 return _Trials(tried, not_tried, None)
-            counts = [int(cost - given.overhead) // given.cost for cost in tried[0].errors.cost]
-            own = stream.child(_SEARCH + 1)
-            most = self.budget * self.realizations
-            found = diagnose(given.estimator, given.sampler, counts, own, self.realizations, most)
+            own, most = stream.child(_SEARCH + 1), self.budget * self.realizations
+            found = diagnose(given.estimator, given.sampler, own, most)
             return _Trials(tried, [], found)
 
         def result(found: _Trials) -> xr.Dataset:
@@ -241,7 +238,11 @@ class Remedies(Counted, frozen=True, kw_only=True):
             biased=change.biased,
             errors=errors,
             unbounded=warp and setup.estimator.infinite_weights,
-            inside=jumps_of(setup.estimator)[1] if warp and not setup.is_black_box else None,
+            jumps=(
+                jumps_inside(setup.estimator, setup.sampler)
+                if warp and not setup.is_black_box
+                else None
+            ),
         )
 
     @property
@@ -338,9 +339,9 @@ class Trial:
     setup: str  # texts of estimator and sampler, and the name of a change that depends on n
     biased: bool
     errors: Errors
-    # Of other warps: whether ∫1/p diverges, and the jumps of g inside
+    # Of other warps: whether ∫1/p diverges, and whether g jumps inside, if that was looked for
     unbounded: bool = False
-    inside: Jumps | None = None
+    jumps: bool | None = None
     # Evaluations of a pilot beyond the budget, which the set-up as given is allowed, too
     pilot: int = 0
     note: str = ""  # said after the reason

@@ -15,15 +15,9 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.records import JOIN, student_t
+from mcspectra.core.records import JOIN, SUM, student_t
 from mcspectra.estimators.moments import Moments
-from mcspectra.variance._kernels import (
-    accumulate,
-    band_estimates,
-    merge_moments,
-    merge_spreads,
-    term_sums,
-)
+from mcspectra.variance._kernels import accumulate, band_estimates, term_sums
 from mcspectra.variance.ordered import gram, weighted_sum
 
 __all__ = [
@@ -133,26 +127,22 @@ class SpectralSums:
         return np.asarray((f.conj() * self.cov).real / max(self.count - 1, 1))
 
     def merge(self, other: SpectralSums) -> SpectralSums:
-        """Sums of both sets of realisations together."""
+        """Sums of both sets of realisations together (Chan, Golub & LeVeque 1983)."""
         a, b = self.count, other.count
-        factor = a * b / (a + b)
-        part = b / (a + b)
+        factor, part = a * b / (a + b), b / (a + b)
+        delta = other.mean - self.mean
         shift = other.estimate_mean - self.estimate_mean
         jump = other.band_mean - self.band_mean
         matrix = None
         if self.matrix is not None and other.matrix is not None:
-            delta = (other.mean - self.mean)[None, :]
-            matrix = self.matrix + other.matrix + factor * gram(delta)
-        mean, m2, cov = merge_moments(
-            a, self.mean, self.m2, self.cov, b, other.mean, other.m2, other.cov, shift
-        )
+            matrix = self.matrix + other.matrix + factor * gram(delta[None])
         return replace(
             self,
             count=a + b,
-            mean=mean,
+            mean=self.mean + part * delta,
             estimate_mean=self.estimate_mean + part * shift,
-            m2=m2,
-            cov=cov,
+            m2=self.m2 + other.m2 + a * part * (delta.real**2 + delta.imag**2),
+            cov=self.cov + other.cov + (a * part * shift)[:, None] * delta,
             band_mean=self.band_mean + part * jump,
             band_m2=self.band_m2 + other.band_m2 + factor * np.einsum("ca,cb->cab", jump, jump),
             truncated=self.truncated.merge(other.truncated),
@@ -162,45 +152,32 @@ class SpectralSums:
 
 @dataclass(frozen=True)
 class RunningSpread:
-    """Weighted mean of arrays and squares about it, of blocks that are merged in any order.
+    """Sums over blocks of arrays x of weight w, for the error of their weighted mean; of one shape and type.
 
-    Deviations are taken about the mean with squared weights, which needs one pass only [West1979]_ and
-    is the same for equal blocks. Of complex numbers the error is the root of the mean |error|².
+    Deviations are from the mean with the weights w², which is the mean of equal blocks. Of complex numbers
+    the error is the root of the mean |error|².
     """
 
-    # Number of arrays, the sum of their weights, and that of the squares of the weights
-    blocks: int
-    weight: float
-    squared: float
-    mean: Array  # in the shape and type of the arrays
-    # Sums for each real number of the arrays: (J,), or empty as long as they are zeros
-    squares: Array
+    total: SUM  # Σ w² x
+    squares: SUM  # Σ w² |x|²
+    weight: float  # Σ w
+    squared: float  # Σ w²
+    blocks: int = 1
 
     @staticmethod
     def of(values: Array, weight: float) -> RunningSpread:
-        """The spread of one array, which it takes over; all are of the same shape and type."""
+        """Sums of one array."""
         weight = float(weight)
-        return RunningSpread(1, weight, weight**2, np.ascontiguousarray(values), np.zeros(0))
-
-    def merge(self, other: RunningSpread) -> RunningSpread:
-        """Spread of the arrays of both (Chan, Golub & LeVeque 1983), in the memory of this one."""
-        squared = self.squared + other.squared
-        part = other.squared / squared
-        mean = _real(self.mean)
-        squares = self.squares if self.squares.size else np.zeros(mean.size)
-        merge_spreads(part, self.squared * part, mean, squares, _real(other.mean), other.squares)
-        blocks, weight = self.blocks + other.blocks, self.weight + other.weight
-        return RunningSpread(blocks, weight, squared, self.mean, squares)
+        total = weight**2 * values
+        return RunningSpread(total, (total * values.conj()).real, weight, weight**2)
 
     def error(self) -> Array:
         """Standard error of the mean, in the shape of the arrays; NaN for one."""
         if self.blocks < 2:
-            return np.full(self.mean.shape, np.nan)
-        squares = self.squares
-        if np.iscomplexobj(self.mean):
-            squares = squares.reshape(-1, 2).sum(axis=1)
+            return np.full(self.squares.shape, np.nan)
+        squares = self.squares - np.abs(self.total) ** 2 / self.squared
         factor = self.blocks / (self.blocks - 1) / self.weight**2
-        return np.asarray(np.sqrt(factor * squares.reshape(self.mean.shape)))
+        return np.asarray(np.sqrt(factor * np.maximum(squares, 0.0)))
 
 
 @dataclass(frozen=True)
@@ -209,7 +186,6 @@ class Batches:
 
     weights: JOIN  # degrees of freedom of each block: (B,)
     values: JOIN  # dc, power and cross term and measured variance: (B, 4, C)
-    means: JOIN  # of the estimates: (B, C)
     # Of the contributions (C, H), of the covariances of bands (C, A, A) and, where they are
     # asked for, of the stored covariances (H, 2H)
     contribution: RunningSpread
@@ -226,7 +202,6 @@ class Batches:
         return Batches(
             np.array([degrees], np.float64),
             np.stack([*sums.terms(partition), measured.variance])[None],
-            measured.mean[None],
             RunningSpread.of(sums.contribution(partition), degrees),
             RunningSpread.of(sums.band_m2 / degrees, degrees),
             matrix,
@@ -250,11 +225,6 @@ class Batches:
     def captured_factors(self) -> Array:
         """Ends of the 95 % interval of predicted over measured variance, over that ratio: (C, 2)."""
         return ratio_factors(self.values[:, :3].sum(axis=1), self.values[:, 3], self.share)
-
-
-def _real(values: Array) -> Array:
-    """The real numbers of an array in a row."""
-    return values.reshape(-1).view(np.float64)
 
 
 def spread(deviation: Array, share: Array) -> Array:

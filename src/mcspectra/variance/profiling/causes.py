@@ -1,6 +1,6 @@
 """What can be wrong with an estimator: each cause has a detector, evidence in numbers and a sentence.
 
-Detectors look at what was evaluated (`Evidence`), evaluate nothing, and return a `Cause` or None.
+`Evidence.of` evaluates; detectors look at what it found, evaluate nothing, and return a `Cause` or None.
 `CAUSES` has them in the order of what hurts most; what is found is listed in that order.
 """
 
@@ -8,22 +8,49 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Literal, TypeAlias, final
 
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import DensityError
-from mcspectra.estimators import AbstractEstimator, Moments
+from mcspectra.core.errors import DensityError, ParameterError
+from mcspectra.core.streams import Stream
+from mcspectra.estimators import AbstractEstimator, Mirrored, Moments
 from mcspectra.samplers import GivenPoints, Random, Sampler, Shift, as_sampler
 from mcspectra.spectra.bases import parts_of
-from mcspectra.variance.profiling.lines import COARSE, Lines, grain
-from mcspectra.variance.profiling.poles import Pole
-from mcspectra.variance.profiling.samples import NETS, Curve, Sets
+from mcspectra.variance.profiling.probing import (
+    COARSE,
+    Lines,
+    Pole,
+    grain,
+    lines_of,
+    mean_dimension,
+    pole_of,
+)
+from mcspectra.variance.profiling.samples import NETS, Curve, Sets, scalar
 
-__all__ = ["CAUSES", "Cause", "Evidence", "Name", "Replicates", "causes_of", "sets_of"]
+__all__ = [
+    "CAUSES",
+    "FEW_NETS",
+    "GIVEN",
+    "Cause",
+    "Evidence",
+    "Name",
+    "Replicates",
+    "causes_of",
+    "is_apart",
+    "sets_of",
+    "shares_of",
+    "technique_name",
+]
+
+FEW_NETS = 20
+"""At least: fewer tell little of errors."""
+
+GIVEN = 0.25
+"""Of the budget, for a sampler that nets do not tell of."""
 
 Name: TypeAlias = Literal[
     "wrong-pdf",
@@ -45,6 +72,15 @@ Name: TypeAlias = Literal[
     "stuck-chain",
     "none",
 ]
+
+_MORE_FROM = 16384  # points, from which on there are more nets
+_LINES, _CHECK = 0.2, 0.15  # of the budget
+_AGAIN = 8  # points whose values are asked for twice
+_SAME_VALUE = 1e-6  # of the size of values: rounding of sums whose order changes
+_POLES = 0.8  # of what lines may take
+_CLIMBED = 300.0  # variances, of the largest square
+_SIZES = 1e-120, 1e120  # of g, whose fourth powers float64 holds
+_MANY = 4  # dims, from which on it matters how many g varies with at once
 
 _HALF = 0.5  # exponent of a pole, and tail index, from which on the variance is infinite
 _ALL = 0.95  # from which on there is no integral
@@ -134,6 +170,8 @@ class Evidence:
         Sets of the sampler, where these were drawn.
     noise
         Variance of g at one and the same point, where values at a point differ; else 0.
+    calls
+        Evaluations of the integrand that it took.
     """
 
     estimator: AbstractEstimator
@@ -145,6 +183,58 @@ class Evidence:
     mean_dimension: float = math.nan
     replicates: Replicates | None = None
     noise: float = 0.0
+    calls: int = 0
+
+    @staticmethod
+    def of(estimator: AbstractEstimator, sampler: Sampler, budget: int, stream: Stream) -> Evidence:
+        """What nets and lines tell within a budget of evaluations; `sampler` is not drawn.
+
+        Raises
+        ------
+        ParameterError
+            The budget is too small, or values are too large or too small for their powers.
+        """
+        each, n, nets = shares_of(estimator, sampler, budget)
+        sets = Sets.of(estimator, n, nets, stream.child(0))
+        calls = nets * n * each
+        size = max(float(np.abs(v).max()) for v in sets.values)
+        if size and not _SIZES[0] <= size <= _SIZES[1]:
+            raise ParameterError(
+                f"The values of f are of the size {size:.1g}, whose powers float64 does not hold; divide f by it."
+            )
+
+        # The mean dimension and a pole of a single technique, then lines of each
+        lines: list[Lines] = []
+        mean, pole, noise = math.nan, None, 0.0
+        allowed = int(_LINES * budget) // len(estimator.counts) // estimator.evaluations_per_point
+        for t in range(len(estimator.counts)):
+            made = 0
+
+            def g(u: Array, t: int = t) -> Array:
+                nonlocal made
+                made += len(u)
+                return np.asarray(scalar(estimator, estimator.primary_values(t, u[None]))[0])
+
+            # Values at some of the points again
+            points, values = sets.points[t].reshape(-1, estimator.dims), sets.values[t].ravel()
+            again = max(1, min(_AGAIN, allowed // _AGAIN))
+            off, before = np.abs(g(points[:again]) - values[:again]), values[:again]
+            if off.max(initial=0.0) > _SAME_VALUE * max(np.ptp(sets.pooled), np.abs(before).max()):
+                noise = max(noise, 0.5 * float((off**2).mean()))
+
+            own, beside = stream.child(1 + t).generator(0), allowed // 4 // estimator.dims
+            if len(estimator.counts) == 1:
+                if estimator.dims >= _MANY and beside > 1:
+                    step = max(1, nets * n // beside)
+                    mean = mean_dimension(g, points[::step][:beside], values[::step][:beside], own)
+                # In many dims a pole that matters makes few evaluations matter
+                squares = (values - values.mean()) ** 2
+                if estimator.dims < _MANY or squares.max() > _CLIMBED * squares.mean():
+                    pole = pole_of(g, points, values, int(_POLES * allowed), own)
+            lines.append(lines_of(g, estimator.dims, allowed - made, own))
+            calls += made * estimator.evaluations_per_point
+        seen = Evidence(estimator, sampler, sets, sets.curves(), tuple(lines), pole, mean)
+        return replace(seen, noise=noise, calls=calls)
 
     @property
     def scale(self) -> float:
@@ -160,11 +250,45 @@ class Evidence:
     def wraps(self) -> bool:
         """Whether the sampler shifts points around the torus, to whose order that matters."""
         base, steps = parts_of(self.sampler)
-        return any(isinstance(step, Shift) for step in steps) and not isinstance(base, Random)
+        shifted = any(isinstance(step, Shift) for step in steps) and not isinstance(base, Random)
+        # What is mirrored is shifted before it is folded
+        return shifted and not isinstance(self.estimator, Mirrored)
 
     def each(self, name: str) -> Array:
         """An attribute of all lines."""
         return np.concatenate([getattr(lines, name) for lines in self.lines])
+
+
+def is_apart(sampler: Sampler) -> bool:
+    """Whether nets do not tell of a sampler."""
+    return sampler.spec not in {NETS, "random", "jittered", "latin-hypercube"}
+
+
+def shares_of(estimator: AbstractEstimator, sampler: Sampler, budget: int) -> tuple[int, int, int]:
+    """Evaluations of a point, points of a net, and number of nets.
+
+    Raises
+    ------
+    ParameterError
+        The budget is too small for nets of four points.
+    """
+    each = sum(estimator.counts) * estimator.evaluations_per_point
+    share = 1.0 - _LINES - _CHECK - (GIVEN if is_apart(sampler) else 0.0)
+    # The error of a rate falls with the number of nets alone, that of the integral with their size, too
+    nets = int(FEW_NETS * max(1.0, math.sqrt(budget / (each * _MORE_FROM))))
+    n = int(share * budget) // (nets * each)
+    if n < 4:
+        raise ParameterError(
+            f"A budget of {budget} evaluations is too small where each point takes {each}; give at least "
+            f"{math.ceil(4 * FEW_NETS * each / share)}."
+        )
+    n = 1 << (n.bit_length() - 1)
+    return each, n, min(int(share * budget) // (n * each), 2 * nets)
+
+
+def technique_name(estimator: AbstractEstimator, technique: int) -> str:
+    """Its own name where techniques have some, else its number."""
+    return str(getattr(estimator, "technique_name", lambda t: f"technique {t}")(technique))
 
 
 def _wrong_pdf(seen: Evidence) -> Cause | None:
@@ -395,7 +519,7 @@ def _slow_technique(seen: Evidence) -> Cause | None:
     )
     if share < 0.8 and not (slower and share > 0.5):
         return None
-    name = getattr(seen.estimator, "technique_name", lambda t: f"technique {t}")(worst)
+    name = technique_name(seen.estimator, worst)
     return Cause(
         "slow-technique",
         f"{name} makes {100 * share:.0f} % of the variance at n = {n} with {NETS}, and its rate is "

@@ -1,7 +1,7 @@
 """One call: what an estimator's noise is, why, and what to do, within a budget of evaluations.
 
 Most of the budget goes to scrambled nets, which tell the variance of several samplers at once (`samples`), a
-fifth to lines that show what is rough (`lines`), some to the sampler that is given, where the nets do
+fifth to lines that show what is rough (`probing`), some to the sampler that is given, where the nets do
 not tell of it. From these the causes are read (`causes`); what is left measures a change that answers
 them, or antithetic pairs in strata where there is none.
 """
@@ -30,7 +30,6 @@ from mcspectra.core.errors import (
     NoClosedForm,
     ParameterError,
 )
-from mcspectra.core.images import REC709
 from mcspectra.core.memory import memory_of
 from mcspectra.core.results import dataset, strict_json
 from mcspectra.core.streams import RngLike, Stream
@@ -43,10 +42,19 @@ from mcspectra.variance.chains import chain_error
 from mcspectra.variance.counterfactuals import Setup, affordable_count
 from mcspectra.variance.doors import counted
 from mcspectra.variance.improved import CHANGES, Evaluations, Improvement, improvements
-from mcspectra.variance.profiling.causes import Cause, Evidence, Replicates, causes_of, sets_of
-from mcspectra.variance.profiling.lines import COARSE, Lines, grain, lines_of, mean_dimension
-from mcspectra.variance.profiling.poles import pole_of
-from mcspectra.variance.profiling.samples import NETS, Curve, Sets, curve_of
+from mcspectra.variance.profiling.causes import (
+    FEW_NETS,
+    GIVEN,
+    Cause,
+    Evidence,
+    Replicates,
+    causes_of,
+    is_apart,
+    sets_of,
+    shares_of,
+)
+from mcspectra.variance.profiling.probing import COARSE, grain
+from mcspectra.variance.profiling.samples import NETS, Curve, Sets, curve_of, scalar
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -54,12 +62,6 @@ if TYPE_CHECKING:
 __all__ = ["Change", "Profile", "Profiling", "profile"]
 
 _LEAST = 256  # evaluations
-_NETS, _MORE_FROM = 20, 16384  # at least, fewer tell little of errors; more from so many points on
-_LINES, _GIVEN, _CHECK = 0.2, 0.25, 0.15  # of the budget
-_AGAIN = 8  # points whose values are asked for twice
-_SAME_VALUE = 1e-6  # of the size of values: rounding of sums whose order changes
-_POLES = 0.8  # of what lines may take
-_CLIMBED = 300.0  # variances, of the largest square
 _FITTED = 64  # points of each net, that changes are fitted to
 _DEPENDENT = 0.7  # of all draws: fewer effective ones are a cause
 _LEAST_CHECKED = 4  # points that a change is measured at
@@ -73,9 +75,7 @@ _ALIKE = 0.4  # rates of estimators before and after a change, unless they are s
 _FEW_POINTS, _STEEPEST = 16, -2.0
 _WEIGHTED = 3  # functions: f, pdf and sample
 _FIGURES = ("rmse", "rmse_given", "gain", "samples_saved")
-_SIZES = 1e-120, 1e120  # of g, whose fourth powers float64 holds
 _SEEN = 64  # points of a density that are looked at
-_MANY = 4  # dims, from which on it matters how many g varies with at once
 
 
 @final
@@ -117,7 +117,7 @@ class Profiling(Analysis, frozen=True, kw_only=True):
             raise ParameterError(
                 f"profile needs techniques with sets of their own: {error}"
             ) from None
-        _shares(estimator, self.budget, apart=_is_apart(subject.sampler))
+        shares_of(estimator, subject.sampler, self.budget)
         memory = memory_of(self.budget, estimator.dims, sum(estimator.counts))
         return Need(cost=float(self.budget), memory=memory)
 
@@ -341,24 +341,16 @@ class Profile:
             )
         }
         found["interval"], found["rate_ci"] = list(self.interval), list(self.rate_ci)
-        found["causes"] = [
-            {**asdict(cause), "evidence": dict(cause.evidence), "kinds": list(cause.kinds)}
-            for cause in self.causes
-        ]
+        found["causes"] = [{**asdict(cause), "kinds": list(cause.kinds)} for cause in self.causes]
         found["best"] = (
             None
             if self.best is None
             else {**vars(self.best), "estimator": self.best.estimator.spec}
         )
+        shown = ("counts", "variance", "relative_se", "rate", "rate_ci")
         found["samplers"] = {
-            name: {
-                "counts": curve.counts.tolist(),
-                "variance": curve.variance.tolist(),
-                "relative_se": curve.relative_se.tolist(),
-                "rate": curve.rate,
-                "rate_ci": list(curve.rate_ci),
-            }
-            for name, curve in self.samplers.items()
+            sampler: {name: np.asarray(getattr(curve, name)).tolist() for name in shown}
+            for sampler, curve in self.samplers.items()
         }
         return found
 
@@ -494,89 +486,27 @@ def _of_draws(draws: Any) -> Profile:
     )
 
 
-def _is_apart(sampler: Sampler) -> bool:
-    """Whether nets do not tell of a sampler."""
-    return sampler.spec not in {NETS, "random", "jittered", "latin-hypercube"}
-
-
-def _shares(estimator: AbstractEstimator, budget: int, *, apart: bool) -> tuple[int, int, int]:
-    """Evaluations of a point, points of a net, and number of nets."""
-    each = sum(estimator.counts) * estimator.evaluations_per_point
-    share = 1.0 - _LINES - _CHECK - (_GIVEN if apart else 0.0)
-    # The error of a rate falls with the number of nets alone, that of the integral with their size, too
-    nets = int(_NETS * max(1.0, math.sqrt(budget / (each * _MORE_FROM))))
-    n = int(share * budget) // (nets * each)
-    if n < 4:
-        raise ParameterError(
-            f"A budget of {budget} evaluations is too small where each point takes {each}; give at least "
-            f"{math.ceil(4 * _NETS * each / share)}."
-        )
-    n = 1 << (n.bit_length() - 1)
-    return each, n, min(int(share * budget) // (n * each), 2 * nets)
-
-
 def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     estimator, given = subject.estimator, subject.sampler
-    apart = _is_apart(given)
-    each, n, nets = _shares(estimator, budget, apart=apart)
+    evidence = Evidence.of(estimator, given, budget, stream)
+    sets, calls = evidence.sets, evidence.calls
+    each = sum(estimator.counts) * estimator.evaluations_per_point
     points = budget // each
 
-    # Nets
-    sets = _sets_of(estimator, n, nets, stream.child(0))
-    calls = nets * n * each
-    size = max(float(np.abs(v).max()) for v in sets.values)
-    if size and not _SIZES[0] <= size <= _SIZES[1]:
-        raise ParameterError(
-            f"The values of f are of the size {size:.1g}, whose powers float64 does not hold; divide f by it."
-        )
-    curves = sets.curves()
-
-    # The mean dimension and a pole of a single technique, then lines of each
-    lines: list[Lines] = []
-    mean, pole, noise = math.nan, None, 0.0
-    allowed = int(_LINES * budget) // len(estimator.counts) // estimator.evaluations_per_point
-    for t in range(len(estimator.counts)):
-        made = 0
-
-        def g(u: Array, t: int = t) -> Array:
-            nonlocal made
-            made += len(u)
-            return np.asarray(_scalar(estimator, estimator.primary_values(t, u[None]))[0])
-
-        # Values at some of the points again
-        first = sets.points[t].reshape(-1, estimator.dims)[: max(1, min(_AGAIN, allowed // _AGAIN))]
-        before = sets.values[t].ravel()[: len(first)]
-        off = np.abs(g(first) - before)
-        if off.max(initial=0.0) > _SAME_VALUE * max(np.ptp(sets.pooled), np.abs(before).max()):
-            noise = max(noise, 0.5 * float((off**2).mean()))
-
-        own, beside = stream.child(1 + t).generator(0), allowed // 4 // estimator.dims
-        if len(estimator.counts) == 1:
-            all_points, values = sets.points[0].reshape(-1, estimator.dims), sets.values[0].ravel()
-            if estimator.dims >= _MANY and beside > 1:
-                step = max(1, nets * n // beside)
-                some = all_points[::step][:beside]
-                mean = mean_dimension(g, some, values[::step][:beside], own)
-            # In many dims a pole that matters makes few evaluations matter
-            size = (values - values.mean()) ** 2
-            if estimator.dims < _MANY or size.max() > _CLIMBED * size.mean():
-                pole = pole_of(g, all_points, values, int(_POLES * allowed), own)
-        lines.append(lines_of(g, estimator.dims, allowed - made, own))
-        calls += made * estimator.evaluations_per_point
-
     # The sampler as given
-    not_tried, replicates = [], None
-    if apart:
+    curves, not_tried = dict(evidence.curves), []
+    evidence = replace(evidence, curves=curves)
+    if is_apart(given):
         try:
             curve, replicates, cost = _measured(
-                estimator, given, int(_GIVEN * budget), stream.child(99)
+                estimator, given, int(GIVEN * budget), stream.child(99)
             )
             curves[given.spec] = curve
+            evidence = replace(evidence, replicates=replicates)
             calls += cost
         except McspectraError as error:
             not_tried.append(f"{given.spec}: {error}")
 
-    evidence = Evidence(estimator, given, sets, curves, tuple(lines), pole, mean, replicates, noise)
     causes = causes_of(evidence)
     # Pairs about the centres of strata, which nets do not tell of, have the exponent −1 − 4/d where g is
     # smooth: cubic stratification of second order
@@ -668,17 +598,6 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     )
 
 
-def _sets_of(estimator: AbstractEstimator, n: int, nets: int, stream: Stream) -> Sets:
-    """Evaluations at scrambled nets."""
-    source = estimator.randomized(as_sampler(NETS, estimator.dims))
-    points = estimator.draw(source, n, stream, 0, nets)
-    return Sets(
-        [np.asarray(p) for p in points],
-        [_scalar(estimator, estimator.primary_values(t, u)) for t, u in enumerate(points)],
-        estimator.counts,
-    )
-
-
 def _shown(value: float, low: float, high: float) -> str:
     """A number and its interval, with the digits that tell the ends apart."""
     digits = 6
@@ -714,24 +633,12 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     return curve.towards(rate, math.hypot(_THEORY, third))
 
 
-def _scalar(estimator: AbstractEstimator, values: Array) -> Array:
-    """Values of one channel: the luminance of three, the mean of others."""
-    if not estimator.channels:
-        return np.asarray(values, float)
-    weights = (
-        REC709
-        if estimator.channels == len(REC709)
-        else np.full(estimator.channels, 1.0 / estimator.channels)
-    )
-    return np.asarray(values @ weights)
-
-
 def _measured(
     estimator: AbstractEstimator, sampler: Sampler, evaluations: int, stream: Stream
 ) -> tuple[Curve, Replicates, int]:
     """The curve of a sampler by sets of its own, within so many evaluations, and how many it took."""
     each = sum(estimator.counts) * estimator.evaluations_per_point
-    sets = int(min(_NETS, sets_of(sampler)))
+    sets = int(min(FEW_NETS, sets_of(sampler)))
     if sets < _LEAST_SETS:
         raise CountError(f"{sampler.spec} has {sets} sets; give {_LEAST_SETS} or more.")
     setup, counts = Setup(estimator, sampler), list[int]()
@@ -749,7 +656,7 @@ def _measured(
     found, source = list[Array](), estimator.randomized(sampler)
     for n in counts:
         points = estimator.draw(source, n, stream.child(n), 0, sets)
-        values = [_scalar(estimator, estimator.primary_values(t, u)) for t, u in enumerate(points)]
+        values = [scalar(estimator, estimator.primary_values(t, u)) for t, u in enumerate(points)]
         found.append(np.asarray(sum(v.mean(axis=1) for v in values)))
     different = len(np.unique(np.concatenate([p.reshape(sets, -1) for p in points], 1), axis=0))
     return curve_of(counts, found), Replicates(found[-1], different), sum(counts) * sets * each
@@ -820,16 +727,16 @@ def _improved(
     sampler, tried, calls = as_sampler(NETS, estimator.dims), list[str](), 0
     base = evidence.curves[given if best is None else best.name]
     for offer in offers:
-        each, wanted = offer.estimator.evaluations_per_point, _NETS
+        each, wanted = offer.estimator.evaluations_per_point, FEW_NETS
         if jumps and not tried and offer is not offers[-1]:  # leave as much for another one
-            wanted = _NETS if left >= 2 * _LEAST_CHECKED * each * _NETS else _NETS // 2
+            wanted = FEW_NETS if left >= 2 * _LEAST_CHECKED * each * FEW_NETS else FEW_NETS // 2
         n = affordable_count(Setup(offer.estimator, sampler), (left - calls) // wanted)
         if n is None or n < _LEAST_CHECKED:
             continue
         tried.append(offer.name)
         calls += n * wanted * each
         cost, at_budget = n * each / estimator.evaluations_per_point, budget // each
-        curve = _sets_of(offer.estimator, n, wanted, stream.child(len(tried))).curves()[NETS]
+        curve = Sets.of(offer.estimator, n, wanted, stream.child(len(tried))).curves()[NETS]
         curve = curve.towards(base.rate, _ALIKE)
         if n < _FEW_POINTS:  # which show no steep rate yet
             curve = replace(curve, rate=max(curve.rate, _STEEPEST))

@@ -22,9 +22,13 @@ from typing import final
 import numpy as np
 
 from mcspectra.core.checks import Array
+from mcspectra.core.images import REC709
+from mcspectra.core.streams import Stream
+from mcspectra.estimators import AbstractEstimator
 from mcspectra.estimators.moments import mean_interval, rounding_floor
+from mcspectra.samplers import as_sampler
 
-__all__ = ["NETS", "Curve", "Sets", "curve_of"]
+__all__ = ["NETS", "Curve", "Sets", "curve_of", "scalar"]
 
 NETS = "sobol | owen"
 _SLABS = 32  # along an axis, of Latin hypercubes
@@ -154,6 +158,17 @@ class Sets:
     values: Sequence[Array]
     counts: tuple[int, ...]
 
+    @staticmethod
+    def of(estimator: AbstractEstimator, n: int, nets: int, stream: Stream) -> Sets:
+        """Evaluations at scrambled nets of n points."""
+        source = estimator.randomized(as_sampler(NETS, estimator.dims))
+        points = estimator.draw(source, n, stream, 0, nets)
+        return Sets(
+            [np.asarray(p) for p in points],
+            [scalar(estimator, estimator.primary_values(t, u)) for t, u in enumerate(points)],
+            estimator.counts,
+        )
+
     @property
     def dims(self) -> int:
         """Number of dims d."""
@@ -212,6 +227,18 @@ class Sets:
         ], axis=1)  # fmt: skip
         size = float(self.estimates.mean())
         return _fitted(counts, found[0], found[1:], size, rate, exact=estimate is _of_nets)
+
+
+def scalar(estimator: AbstractEstimator, values: Array) -> Array:
+    """Values of one channel: the luminance of three, the mean of others."""
+    if not estimator.channels:
+        return np.asarray(values, float)
+    weights = (
+        REC709
+        if estimator.channels == len(REC709)
+        else np.full(estimator.channels, 1.0 / estimator.channels)
+    )
+    return np.asarray(values @ weights)
 
 
 def curve_of(counts: Sequence[int], estimates: Sequence[Array]) -> Curve:
