@@ -56,16 +56,6 @@ def test_slowest_technique_determines_mis(shape):
     check_slowest_decides(found[:2], found[2])
 
 
-@pytest.mark.slow
-def test_terms_of_techniques_name_the_bottleneck():
-    found = mcs.technique_terms(
-        pixel_mis(**WALL), "jittered", COUNTS, half_width=2, realizations=150, rng=1, fit_last=4
-    )
-    technique = np.column_stack([found["technique_rate_ci"][:, 0], found["technique_rate_ci"]])
-    check_slowest_decides(technique, found["rate_ci"].values[[0, 0, 1]])
-    assert int(found["bottleneck"]) == BSDF
-
-
 @pytest.fixture(scope="module")
 def figure1():
     """Rates of BSDF sampling, and of light sampling and its mirrored form, shifted jittered sets."""
