@@ -3,7 +3,7 @@
 from statistics import NormalDist
 
 import pytest
-from tests.rendering.slopes import slope_error
+from tests.rendering.samples import slope_error
 
 import mcspectra as mcs
 from mcspectra.rendering import named_pixels, pixel_strategies

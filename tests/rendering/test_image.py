@@ -151,6 +151,7 @@ def test_memory_of_points_is_bounded(monkeypatch):
         (-1, 0, 2, 2),
         (0, 0, 2),
         "0,0,2,2",
+        5,
     ],
 )
 def test_crops_that_are_refused(crop):

@@ -5,12 +5,12 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from tests.rendering.samples import mean_and_error, uniforms
 
 import mcspectra as mcs
 from mcspectra.core.errors import DomainError, ParameterError
 from mcspectra.core.registry import Registry
 from mcspectra.core.spec import parse
-from mcspectra.core.streams import Stream
 from mcspectra.rendering import (
     Pixel,
     describe_pixel,
@@ -29,14 +29,6 @@ WALL = {"scene": "veach", "x": 568, "y": 100, "light": "light-3"}
 PLATE = {"scene": "veach", "x": 600, "y": 430, "light": "light-3"}
 SIGMAS = 4.0
 SINGLE = 2e-6  # sixteen roundings of float32, for means whose statistical error is below that
-
-
-def uniforms(count, dims=2, seed=1):
-    return Stream.from_rng(seed).uniforms(0, 1, count * dims).reshape(count, dims)
-
-
-def mean_and_error(values):
-    return values.mean(axis=0), values.std(axis=0, ddof=1) / len(values) ** 0.5
 
 
 def wall_radiance(position):

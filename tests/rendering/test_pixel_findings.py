@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from tests.rendering.slopes import Z, slope_error
+from tests.rendering.samples import Z, slope_error, uniforms
 
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.streams import Stream
 from mcspectra.rendering import Pixel, describe_pixel, named_pixels, pixel_mis
 
 pytestmark = pytest.mark.render
@@ -19,10 +18,6 @@ PLACES = {
     "plate-2": {"scene": "veach", "x": 560, "y": 345, "light": "light-3"},
 }
 LIGHT, BSDF = 0, 1
-
-
-def uniforms(count, dims, seed=1):
-    return Stream.from_rng(seed).uniforms(0, 1, count * dims).reshape(count, dims)
 
 
 def rates(

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from tests.rendering.samples import mean_and_error, uniforms
 
 import mcspectra as mcs
 from mcspectra.core.environments import synthetic_sky
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.streams import Stream
 from mcspectra.densities import EnvironmentDensity
 from mcspectra.rendering import Pixel, load_mitsuba, load_scene, pixel_mis, sky_pixels
 from mcspectra.rendering.skies import Sky, sky_technique
@@ -16,14 +16,6 @@ pytestmark = pytest.mark.render
 SIGMAS = 4.5
 FLOOR = {"x": 8, "y": 8}
 ROTATIONS = {"plain": None, "turned": ([0.6, 0.64, -0.48], 70.0)}
-
-
-def uniforms(count, dims=2, seed=1):
-    return Stream.from_rng(seed).uniforms(0, 1, count * dims).reshape(count, dims)
-
-
-def mean_and_error(values):
-    return values.mean(axis=0), values.std(axis=0, ddof=1) / len(values) ** 0.5
 
 
 def colored_map():
