@@ -3,7 +3,7 @@
 from statistics import NormalDist
 
 import pytest
-from tests.rendering.slopes import slope_error
+from tests.rendering.samples import slope_error
 
 import mcspectra as mcs
 from mcspectra.rendering import named_pixels, pixel_strategies
@@ -50,18 +50,3 @@ def test_strategies_agree_on_the_mean(curves):
         for s in range(len(SAMPLERS)):
             error = (se[light, s] ** 2 + se[bsdf, s] ** 2) ** 0.5
             assert abs(mean[light, s] - mean[bsdf, s]) < 4 * error
-
-
-def test_a_smooth_edge_raises_the_rate_of_bsdf_sampling():
-    x, y = named_pixels("smooth-light")["P"]
-    hard, soft = (
-        mcs.convergence(
-            f"pixel(scene='smooth-light(edge={edge})', x={x}, y={y}, strategy='bsdf')",
-            "jittered",
-            [256, 1024, 4096],
-            realizations=200,
-            rng=2,
-        )["rate_ci"].values
-        for edge in (0.0, 1.0)
-    )
-    assert soft[1] < hard[0]

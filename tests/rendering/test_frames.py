@@ -11,11 +11,12 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from tests.plots.drawing import drawn_by_both
 
+from mcspectra import rendering
 from mcspectra.cli.main import main
 from mcspectra.core.errors import FileFormatError, ParameterError
 from mcspectra.core.images import read_image
 from mcspectra.plots.kinds import KINDS, describe, kinds_of
-from mcspectra.rendering import frame_statistics, frames, write_exr, write_png
+from mcspectra.rendering import frame_statistics, write_exr, write_png
 from mcspectra.report.frames_page import frame_findings
 
 HEIGHT, WIDTH = 96, 128
@@ -60,13 +61,34 @@ def monkeyed_header(samples):
         yield
 
 
+def frames(paths, **options):
+    """Without FLIP, which takes longer than all else together: 11.8 of 20 s of four of 1920 × 1080."""
+    return rendering.frames(paths, **({"flip": False} | options))
+
+
 def said(result):
     return " ".join(frame_findings(result))
 
 
-@pytest.mark.parametrize("noise", [white, blue, filtered, tiled])
-def test_variances_and_rates_are_those_of_the_frames(tmp_path, noise):
-    result = frames(write(tmp_path / "a", noise), target=0.05)
+NOISES = (white, blue, filtered, tiled)
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    """A folder of frames with each of the noises, by name."""
+    folder = tmp_path_factory.mktemp("plain")
+    return {noise.__name__: write(folder / noise.__name__, noise) for noise in NOISES}
+
+
+@pytest.fixture(scope="module")
+def found(plain):
+    """What is measured of them."""
+    return {name: frames(folder, target=0.05) for name, folder in plain.items()}
+
+
+@pytest.mark.parametrize("noise", [noise.__name__ for noise in NOISES])
+def test_variances_and_rates_are_those_of_the_frames(found, noise):
+    result = found[noise]
     assert result["n"].values.tolist() == [16, 64]
     truth = SIGMA**2 * TRUTH**2
     for n in (16, 64):
@@ -96,9 +118,7 @@ def test_frames_of_few_and_of_many_together_have_no_bias_of_the_rate(tmp_path):
     assert abs(rate.mean() + 1.0) < 4 * error
 
 
-def test_blue_noise_filters_and_tiles_are_told_apart(tmp_path):
-    found = {each.__name__: frames(write(tmp_path / each.__name__, each)) for each in
-             (white, blue, filtered, tiled)}  # fmt: skip
+def test_blue_noise_filters_and_tiles_are_told_apart(found):
     assert "white between pixels" in said(found["white"])
     assert "Blue noise" in said(found["blue"])
     assert "Neighbours err together" in said(found["filtered"])
@@ -123,7 +143,7 @@ def test_correlations_and_spectra_have_no_bias(tmp_path, count):
     assert (np.abs(power - wanted)[some] < 4.5 * error[some]).all()
 
 
-def test_frames_of_one_seed_are_named(tmp_path):
+def test_frames_of_one_seed_are_named(tmp_path, found):
     folder = write(tmp_path / "a")
     shutil.copy(folder / "view_64spp_2.npy", folder / "view_64spp_5.npy")
     result = frames(folder)
@@ -131,10 +151,10 @@ def test_frames_of_one_seed_are_named(tmp_path):
     assert "view_64spp_2.npy" in text
     assert "view_64spp_5.npy are not independent" in text
     assert "correlate by 1.00" in text
-    assert "not independent" not in said(frames(write(tmp_path / "b")))
+    assert "not independent" not in said(found["white"])
 
 
-def test_fireflies_are_named_and_leave_no_upper_bound(tmp_path):
+def test_fireflies_are_named_and_leave_no_upper_bound(tmp_path, plain, found):
     rng = np.random.default_rng(5)
 
     def burn(k, image):
@@ -142,13 +162,12 @@ def test_fireflies_are_named_and_leave_no_upper_bound(tmp_path):
 
     text = said(frames(write(tmp_path / "a", change=burn)))
     assert "Fireflies: at" in text
-    assert "Fireflies" not in said(frames(write(tmp_path / "b")))
+    assert "Fireflies" not in said(found["white"])
     single = frames(write(tmp_path / "c", change=lambda k, i: i + (k == 3) * 500.0 * (TRUTH.max() == TRUTH) * (np.arange(HEIGHT) == 7)[:, None]))  # fmt: skip
     assert np.isinf(single["picture_variance_ci"].values[:, 1]).all()
     assert "no upper bound" in said(single)
-    plain = tmp_path / "b"
-    assert np.isinf(frames(tmp_path / "c", against=plain)["picture_ratio_ci"][1])
-    assert frames(plain, against=tmp_path / "c")["picture_ratio_ci"][0] == 0.0
+    assert np.isinf(frames(tmp_path / "c", against=plain["white"])["picture_ratio_ci"][1])
+    assert frames(plain["white"], against=tmp_path / "c")["picture_ratio_ci"][0] == 0.0
 
 
 def test_pixels_without_numbers_are_counted_and_left_out(tmp_path):
@@ -163,8 +182,8 @@ def test_pixels_without_numbers_are_counted_and_left_out(tmp_path):
     assert "NaN or infinite in some frame, and have no numbers: 2." in said(result)
 
 
-def test_two_sets_are_held_against_each_other(tmp_path):
-    a, b = write(tmp_path / "a"), write(tmp_path / "b", seed=9)
+def test_two_sets_are_held_against_each_other(tmp_path, plain):
+    a, b = plain["white"], write(tmp_path / "b", seed=9)
     halved = write(
         tmp_path / "c", seed=3, change=lambda k, image: TRUTH + (image - TRUTH) * np.sqrt(2)
     )
@@ -227,9 +246,10 @@ def test_relative_errors_of_few_frames_have_the_right_median(tmp_path, count):
 
 
 def test_what_was_written_before_is_no_frame(tmp_path):
-    folder = write(tmp_path / "a", counts=(16,), frames=3)
-    for file in folder.glob("*.npy"):
-        file.rename(folder / f"{file.stem[-1]}.npy")
+    folder = tmp_path / "a"
+    folder.mkdir()
+    for k, image in enumerate(np.random.default_rng(1).random((3, 8, 8))):
+        np.save(folder / f"{k}.npy", image)
     shown = []
     for _ in range(2):
         assert (
@@ -361,23 +381,23 @@ def test_tone_mapped_pictures_when_told_so(tmp_path):
     assert frames(tmp_path, tone_mapped=True)["variance"].shape == (1, 8, 8)
 
 
-def test_page_layers_and_json(tmp_path, capsys):
-    folder, out = write(tmp_path / "a"), tmp_path / "out"
+def test_page_layers_and_json(tmp_path, capsys, plain, found):
+    folder, out = plain["white"], tmp_path / "out"
     arguments = ["frames", str(folder), "--against", str(write(tmp_path / "b", seed=3))]
     assert main([*arguments, "--target", "0.05", "--out", str(out)]) == 0
     text = capsys.readouterr().out
     assert "white between pixels" in text
     assert {file.name for file in out.iterdir()} >= {"frames.exr", "frames_rate.png"}
-    found = json.loads((out / "frames.json").read_text())
-    assert all(sentence in text for sentence in found["findings"])
+    told = json.loads((out / "frames.json").read_text())
+    assert all(sentence in text for sentence in told["findings"])
     assert "No bias is seen" in (out / "report.html").read_text()
-    result = frames(folder)
     layer = read_image(out / "frames.exr", layer="variance.n16")[..., 0]
-    np.testing.assert_allclose(layer, result["variance"].sel(n=16), rtol=1e-6)
+    np.testing.assert_allclose(layer, found["white"]["variance"].sel(n=16), rtol=1e-6)
 
 
-def test_plots_by_both_backends(tmp_path):
-    result = frames(write(tmp_path / "a"), against=write(tmp_path / "b", seed=3), target=0.05)
+def test_plots_by_both_backends(tmp_path, plain):
+    other = write(tmp_path / "b", seed=3)
+    result = frames(plain["white"], against=other, target=0.05, flip=True)
     kinds = [kind for kind in KINDS if kind.startswith("frames-")]
     if "flip" not in result:
         kinds.remove("frames-flip")
@@ -387,15 +407,13 @@ def test_plots_by_both_backends(tmp_path):
         drawn_by_both(describe(kind, result))
 
 
-def test_flip_is_left_out_when_told_so(tmp_path, capsys):
-    """It takes longer than all else together: 11.8 of 20 s of four frames of 1920 × 1080."""
-    folder = write(tmp_path / "a")
-    assert "flip" not in frames(folder, flip=False)
-    assert main(["frames", str(folder), "--no-flip"]) == 0
+def test_flip_is_left_out_when_told_so(plain, found, capsys):
+    assert "flip" not in found["white"]
+    assert main(["frames", str(plain["white"]), "--no-flip"]) == 0
     assert "FLIP" not in capsys.readouterr().out
 
 
-def test_layers_reach_tev(tmp_path, capsys):
+def test_layers_reach_tev(plain, capsys):
     """A listener in tev's place receives every layer with its name."""
     pytest.importorskip("tevclient")
     received = bytearray()
@@ -410,11 +428,12 @@ def test_layers_reach_tev(tmp_path, capsys):
     thread = threading.Thread(target=listen, daemon=True)
     thread.start()
     port = server.getsockname()[1]
-    assert main(["frames", str(write(tmp_path / "a")), "--tev", f"127.0.0.1:{port}"]) == 0
+    arguments = ["frames", str(plain["white"]), "--no-flip", "--tev"]
+    assert main([*arguments, f"127.0.0.1:{port}"]) == 0
     thread.join(10)
     server.close()
     for name in (b"mcspectra mean", b"mcspectra variance.n16", b"mcspectra rate"):
         assert name in received
-    assert main(["frames", str(tmp_path / "a"), "--tev", f"127.0.0.1:{port}"]) == 2
+    assert main([*arguments, f"127.0.0.1:{port}"]) == 2
     assert "No tev answers at" in capsys.readouterr().err
-    assert main(["frames", str(tmp_path / "a"), "--tev", "tev"]) == 2
+    assert main([*arguments, "tev"]) == 2

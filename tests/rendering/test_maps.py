@@ -16,6 +16,7 @@ from mcspectra.core.errors import (
 )
 from mcspectra.core.options import checked
 from mcspectra.core.progress import listening
+from mcspectra.estimators.sets import draw_sets
 from mcspectra.rendering import map_tiles as tiles
 from mcspectra.rendering import variance_map
 from mcspectra.rendering.builtin import figure1
@@ -66,29 +67,21 @@ def test_a_pixel_is_what_convergence_measures(small, strategy):
     assert float(own["mean_se"]) == pytest.approx(float(one["mean_se"][-1]), rel=1e-4)
 
 
-def test_points_of_its_own_give_a_pixel_the_same_variance():
-    place = {"crop": (*PLATE, 1, 1), "light": "light-3", "counts": (4, 16), "realizations": 600}
-    own = variance_map("veach", size=(24, 16), points="own", rng=3, **place).squeeze()
-    for strategy in ("light", "bsdf"):
-        alone = pixel(strategy, light="light-3")
-        one = mcs.convergence(alone, "jittered", (4, 16), realizations=600, rng=11)
-        se = own["variance_relative_se"].sel(strategy=strategy).values
-        log_ratio = np.log(own["variance"].sel(strategy=strategy).values / one["variance"].values)
-        assert (np.abs(log_ratio) < 4 * 2**0.5 * se).all()
-
-
 def test_own_points_are_numbered_by_the_pixel():
     # Pixel (x, y) has realisations (y·width + x)·R … of the stream of each count.
     x, y = PLATE
     found = variance_map(
-        "veach", ("light",), size=(24, 16), crop=(x - 1, y, 3, 1), counts=(4, 16), realizations=32,
-        points="own", rng=7,
+        "veach", ("light", "bsdf"), size=(24, 16), crop=(x - 1, y, 3, 1), counts=(4, 16),
+        realizations=32, points="own", rng=7,
     )  # fmt: skip
     stream = mcs.core.streams.Stream.from_rng(7).child(16)
-    points = sampler("jittered", 2).draw_stream(16, stream, (y * 24 + x) * 32, 32)
-    expected = pixel("light")(points).mean(axis=1).var(ddof=1)
-    got = float(found["variance"].sel(strategy="light", n=16, x=x, y=y))
-    assert got == pytest.approx(float(expected), rel=1e-4)
+    own = ((y * 24 + x) * 32, 32)
+    points = draw_sets("independent", (1, 1), sampler("jittered", 2), 16, stream, *own)
+    np.testing.assert_array_equal(points[0], sampler("jittered", 2).draw_stream(16, stream, *own))
+    for strategy, u in zip(("light", "bsdf"), points, strict=True):
+        expected = pixel(strategy)(u).mean(axis=1).var(ddof=1)
+        got = float(found["variance"].sel(strategy=strategy, n=16, x=x, y=y))
+        assert got == pytest.approx(float(expected), rel=1e-4)
 
 
 def test_wide_light_on_the_wall():
@@ -161,25 +154,25 @@ def test_variables_are_labelled(small):
 
 
 def test_crops_and_tiles_do_not_change_bits(small, monkeypatch):
-    monkeypatch.setattr(tiles, "TILE_LANES", 37 * 32)
-    assert identical(variance_map("veach", **SMALL), small)
-    crop = variance_map("veach", crop=(3, 9, 11, 5), **SMALL)
-    assert identical(crop, small.isel(x=slice(3, 14), y=slice(9, 14)))
     single = variance_map("veach", crop=(*PLATE, 1, 1), **SMALL)
     assert identical(single, small.isel(x=[PLATE[0]], y=[PLATE[1]]))
+    monkeypatch.setattr(tiles, "TILE_LANES", 17 * 32)
+    crop = variance_map("veach", crop=(3, 9, 11, 5), **SMALL)
+    assert identical(crop, small.isel(x=slice(3, 14), y=slice(9, 14)))
 
 
 def test_threads_and_blocks_do_not_change_bits(small, monkeypatch):
     import drjit
 
     before = drjit.thread_count()
-    assert identical(variance_map("veach", workers=1, **SMALL), small)
+    options, part = SMALL | {"crop": (8, 9, 6, 3)}, small.isel(x=slice(8, 14), y=slice(9, 12))
+    assert identical(variance_map("veach", workers=1, **options), part)
     assert drjit.thread_count() == before
     monkeypatch.setattr(tiles, "_KEPT_NUMBERS", 0)  # tables drawn anew for each tile
-    assert identical(variance_map("veach", **SMALL), small)
+    assert identical(variance_map("veach", **options), part)
     monkeypatch.setattr(tiles, "_BLOCK_REALIZATIONS", 10)
-    merged = variance_map("veach", **SMALL)
-    assert np.allclose(merged["variance"], small["variance"], rtol=1e-10, equal_nan=True)
+    merged = variance_map("veach", **options)
+    assert np.allclose(merged["variance"], part["variance"], rtol=1e-10, equal_nan=True)
 
 
 def test_own_points_do_not_depend_on_tiles(monkeypatch):
@@ -301,11 +294,9 @@ def test_values_that_are_not_finite_are_refused(monkeypatch):
         ({"counts": (4, 5)}, CountError, "cannot make 5 points"),
         ({"counts": (4,)}, ParameterError, "two or more ascending"),
         ({"counts": (16, 4)}, ParameterError, "ascending"),
-        ({"counts": (4, np.nan)}, ParameterError, "whole number"),
         ({"counts": "4,16"}, ParameterError, "one flat list"),
         ({"counts": (4, 2**60)}, CountError, "n is"),
         ({"realizations": 1}, ParameterError, "at least|from 2"),
-        ({"realizations": np.inf}, ParameterError, "whole number"),
         ({"crop": (0, 0, 25, 3)}, ParameterError, "reaches outside the grid of 24 × 16"),
         ({"crop": (-1, 0, 2, 2)}, ParameterError, "crop x0 is -1"),
         ({"crop": (0, 0, 0, 2)}, ParameterError, "crop width is 0"),
@@ -317,7 +308,6 @@ def test_values_that_are_not_finite_are_refused(monkeypatch):
         ({"light": "lamp"}, ParameterError, "has no light 'lamp'"),
         ({"heuristic": "cutoff"}, ParameterError, "balance, power"),
         ({"channel": "rgb"}, ParameterError, "channel is 'rgb'"),
-        ({"channel": True}, ParameterError, "channel is True"),
         ({"dims": 4}, ParameterError, "from 2 to 3"),
         ({"points": "mine"}, ParameterError, "own, shared"),
         ({"smoothing": 2}, ParameterError, "odd"),
@@ -378,11 +368,7 @@ def test_tiles_measured_apart_change_nothing(monkeypatch):
     [
         {"realizations": 1},
         {"counts": (16, 4)},
-        {"counts": (4, float("nan"))},
         {"crop": (0, 0, 9, 9), "size": (8, 6)},
-        {"smoothing": 2},
-        {"dims": 4},
-        {"size": (10**9, 10**9)},
         {"size": (65_536, 65_536)},
         {"channel": "rgb"},
     ],

@@ -47,8 +47,8 @@ def small(scene, width=12, height=8):
 
 
 SCENES: dict[str, tuple[Callable[[], Scene], str, list[tuple[int, int]]]] = {
-    "veach": (builtin.veach, "path(max_depth=3)", [(3, 5), (6, 7), (8, 3)]),
-    "penumbra": (builtin.penumbra, "path(max_depth=4, rr_depth=2)", [(3, 6), (6, 5), (9, 7)]),
+    "veach": (builtin.veach, "path(max_depth=3)", [(3, 5), (6, 7), (11, 4)]),
+    "penumbra": (builtin.penumbra, "path(max_depth=4, rr_depth=2)", [(0, 6), (6, 5), (9, 7)]),
 }
 
 
@@ -211,27 +211,6 @@ def test_bad_input_is_one_sentence(change, message):
     assert "\n" not in str(caught.value)
 
 
-def test_a_map_agrees_with_mitsubas_renders_at_all_pixels():
-    scene = small(cornell(), 6, 4)
-    found = variance_map(scene, integrator="scene", sampler="random", counts=(16, N),
-                         realizations=REPEATS, points="own", rng=5)  # fmt: skip
-    theirs = renders(scene, "scene")
-    mean, variance = found["mean"].values[0], found["variance"].values[0, -1]
-    seen = theirs.var(axis=0) > 0
-    assert seen.sum() > 12
-    assert np.array_equal(variance > 0, seen)
-    level = stats.norm.isf((1 - (1 - FALSE_ALARM) ** (1 / (2 * seen.sum()))) / 2)
-    mean, variance, theirs = mean[seen], variance[seen], theirs[:, seen]
-    their_variance = theirs.var(axis=0, ddof=1)
-    error = np.sqrt((variance + their_variance) / REPEATS)
-    assert (np.abs(mean - theirs.mean(axis=0)) < level * error).all()
-    # Variances by the ratio's logarithm: nearer to normal than the ratio
-    squares = (theirs - theirs.mean(axis=0)) ** 2
-    their_se = squares.std(axis=0) / squares.mean(axis=0) / REPEATS**0.5
-    both = np.hypot(their_se, found["variance_relative_se"].values[0, -1][seen])
-    assert (np.abs(np.log(variance / their_variance)) < level * both).all()
-
-
 def test_a_pixel_of_a_map_is_what_convergence_measures(monkeypatch):
     scene: Any = small(cornell())
     given: dict[str, Any] = {"integrator": "path(max_depth=3)", "realizations": 16, "rng": 9}
@@ -241,8 +220,9 @@ def test_a_pixel_of_a_map_is_what_convergence_measures(monkeypatch):
     f = path_pixel(scene, 6, 5, integrator="path(max_depth=3)")
     alone = mcs.convergence(f, "sobol | owen", (4, 16, 64), realizations=16, rng=9)
     # The same values, added up in another order
-    ours = whole["variance"].sel(x=6, y=5)[0]
-    np.testing.assert_allclose(alone["variance"], ours, rtol=1e-12)
+    ours = whole.sel(x=6, y=5)
+    np.testing.assert_allclose(alone["variance"], ours["variance"][0], rtol=1e-12)
+    assert float(ours["mean"][0]) == pytest.approx(float(alone["mean"][-1]), rel=1e-12)
     monkeypatch.setattr(map_tiles, "TILE_LANES", 16 * 7)
     in_tiles = variance_map(scene, crop=(5, 4, 4, 3), **given)
     one = variance_map(scene, crop=(6, 5, 1, 1), **given)

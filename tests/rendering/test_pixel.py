@@ -5,12 +5,12 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from tests.rendering.samples import mean_and_error, uniforms
 
-from mcspectra.core.checks import Array
+import mcspectra as mcs
 from mcspectra.core.errors import DomainError, ParameterError
 from mcspectra.core.registry import Registry
 from mcspectra.core.spec import parse
-from mcspectra.core.streams import Stream
 from mcspectra.rendering import (
     Pixel,
     describe_pixel,
@@ -27,26 +27,8 @@ pytestmark = pytest.mark.render
 
 WALL = {"scene": "veach", "x": 568, "y": 100, "light": "light-3"}
 PLATE = {"scene": "veach", "x": 600, "y": 430, "light": "light-3"}
-COUNTS = (4, 16, 64, 256, 1024, 4096)
-REALIZATIONS = 500
 SIGMAS = 4.0
 SINGLE = 2e-6  # sixteen roundings of float32, for means whose statistical error is below that
-
-
-def uniforms(count, dims=2, seed=1):
-    return Stream.from_rng(seed).uniforms(0, 1, count * dims).reshape(count, dims)
-
-
-def jittered(n, seed):
-    """REALIZATIONS jittered sets of n = s² points."""
-    s = round(n**0.5)
-    cells = np.stack(np.divmod(np.arange(n), s), axis=-1)
-    offsets = Stream.from_rng(seed).uniforms(0, REALIZATIONS, 2 * n)
-    return (cells + offsets.reshape(REALIZATIONS, n, 2)) / s
-
-
-def mean_and_error(values):
-    return values.mean(axis=0), values.std(axis=0, ddof=1) / len(values) ** 0.5
 
 
 def wall_radiance(position):
@@ -56,78 +38,19 @@ def wall_radiance(position):
     return 0.4 * 1.23457 * (0.9 / distance) ** 2 * float(to_light[2]) / distance
 
 
-def rate_and_error(estimates):
-    """Fit the exponent of variance over the last four counts; errors from the fourth moments."""
-    used, counts = estimates[-4:], np.log(COUNTS[-4:])
-    centered = [e - e.mean() for e in used]
-    variance = np.array([(c**2).mean() for c in centered])
-    kurtosis = np.array([(c**4).mean() for c in centered]) / variance**2
-    error = np.sqrt((kurtosis - 1.0) / REALIZATIONS)  # of log variance, by the delta method
-    weights = (counts - counts.mean()) / ((counts - counts.mean()) ** 2).sum()
-    return float(weights @ np.log(variance)), float(np.sqrt((weights**2) @ error**2))
-
-
-@pytest.fixture(scope="module")
-def wall_estimates():
-    """Estimates of the wall pixel by jittered points: name -> per count, (REALIZATIONS,)."""
-    strategies = pixel_strategies(**WALL)
-    out: dict[str, list[Array]] = {
-        name: [g(jittered(n, 100 * t + i)).mean(axis=1) for i, n in enumerate(COUNTS)]
-        for t, (name, g) in enumerate(strategies.items())
-    }
-    out["mis"] = [a + b for a, b in zip(out["mis-light"], out["mis-bsdf"], strict=True)]
-    return out
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "theory"), [("light", -2.0), ("bsdf", -1.5), ("mis", -1.5)])
-def test_rate_of_the_wall_pixel(wall_estimates, name, theory):
-    rate, error = rate_and_error(wall_estimates[name])
-    assert error < 0.03  # so that -1.5 and -2 are many errors apart
-    assert abs(rate - theory) < SIGMAS * error
-
-
-@pytest.mark.slow
-def test_mis_is_as_slow_as_its_slowest_strategy(wall_estimates):
-    mis, error = rate_and_error(wall_estimates["mis"])
-    bsdf, other = rate_and_error(wall_estimates["bsdf"])
-    assert abs(mis - bsdf) < min(0.1, SIGMAS * float(np.hypot(error, other)))
-
-
-@pytest.mark.slow
-def test_random_points_converge_at_minus_one():
-    light = pixel_strategies(**WALL)["light"]
-    shapes = [(REALIZATIONS, n, 2) for n in COUNTS]
-    points = [uniforms(int(np.prod(s[:2])), seed=i).reshape(s) for i, s in enumerate(shapes)]
-    rate, error = rate_and_error([light(p).mean(axis=1) for p in points])
-    assert abs(rate + 1.0) < SIGMAS * error
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["light", "bsdf", "mis"])
-def test_every_strategy_has_the_exact_mean(wall_estimates, name):
+def test_every_strategy_has_the_exact_mean():
+    """Jittered points: light sampling is known to 1e-6, all that float32 tells."""
     exact = wall_radiance(describe_pixel("veach", 568, 100)["position"])
-    for estimates in wall_estimates[name]:
-        mean, error = mean_and_error(estimates)
-        assert abs(mean - exact) < SIGMAS * error + SINGLE * exact
+    points = mcs.sampler("jittered", 2).draw(2**12, realizations=64, rng=1)
+    estimates = {name: g(points).mean(axis=1) for name, g in pixel_strategies(**WALL).items()}
+    estimates["mis"] = estimates["mis-light"] + estimates["mis-bsdf"]
+    for name in ("light", "bsdf", "mis"):
+        mean, error = mean_and_error(estimates[name])
+        assert abs(mean - exact) < SIGMAS * error + SINGLE * exact, name
 
 
 def test_wall_pixel_sees_the_whole_light():
     assert (pixel_strategies(**WALL)["light"](uniforms(10_000)) > 0).all()
-
-
-@pytest.mark.parametrize("heuristic", ["balance", "power"])
-@pytest.mark.parametrize("place", [WALL, PLATE], ids=["wall", "plate"])
-def test_strategies_agree(place, heuristic):
-    values = {
-        name: g(uniforms(2**18, seed=t))
-        for t, (name, g) in enumerate(pixel_strategies(**place, heuristic=heuristic).items())
-    }
-    values["mis"] = values["mis-light"] + values["mis-bsdf"]
-    light, light_error = mean_and_error(values["light"])
-    for name in ("bsdf", "mis"):
-        mean, error = mean_and_error(values[name])
-        assert abs(mean - light) < SIGMAS * np.hypot(error, light_error) + SINGLE * light
 
 
 def test_weights_are_those_of_the_heuristics():
@@ -239,11 +162,6 @@ def test_single_precision_never_rounds_a_sample_up_to_one():
     np.testing.assert_array_equal(samples, [0.0, 0.25, 1.0 - 2.0**-24, 1.0 - 2.0**-24])
 
 
-def test_a_million_points():
-    values = pixel_strategies(**WALL)["light"](uniforms(2**20 + 1))
-    assert values.shape == (2**20 + 1,)
-
-
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -0.1, 1.1])
 def test_samples_outside_the_square_are_refused(bad):
     with pytest.raises(DomainError, match="unit cube"):
@@ -271,18 +189,12 @@ def test_spec_string_makes_the_same_pixel():
         ({"strategy": "brdf"}, "strategy is 'brdf'"),
         ({"heuristic": "maximum"}, "heuristic is 'maximum'"),
         ({"channel": "red"}, "channel is 'red'"),
-        ({"channel": 3}, "channel is 3"),
-        ({"channel": True}, "channel is True"),
-        ({"channel": [1]}, "channel is"),
         ({"dims": 1}, "dims"),
         ({"dims": 6}, "dims"),
         ({"density": "uniform"}, "density is for strategy='environment'"),
         ({"strategy": "environment"}, "no environment to sample"),
         ({"x": 768}, "outside the film of 'veach': x is 768"),
         ({"y": -1}, "outside the film of 'veach': y is -1"),
-        ({"x": 1.5}, "x is 1.5"),
-        ({"x": float("nan")}, "x is nan"),
-        ({"y": None}, "y is None"),
         ({"light": "sun"}, "no light 'sun'"),
         ({"light": 9}, "light is 9"),
         ({"x": 642, "y": 72}, "sees the light 'light-3'"),

@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from tests.rendering.slopes import Z, slope_error
+from tests.rendering.samples import Z, slope_error, uniforms
 
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.streams import Stream
 from mcspectra.rendering import Pixel, describe_pixel, named_pixels, pixel_mis
 
 pytestmark = pytest.mark.render
@@ -19,10 +18,6 @@ PLACES = {
     "plate-2": {"scene": "veach", "x": 560, "y": 345, "light": "light-3"},
 }
 LIGHT, BSDF = 0, 1
-
-
-def uniforms(count, dims, seed=1):
-    return Stream.from_rng(seed).uniforms(0, 1, count * dims).reshape(count, dims)
 
 
 def rates(
@@ -54,16 +49,6 @@ def test_slowest_technique_determines_mis(shape):
     mis = pixel_mis(**place)
     found = rates([*(mis.primary_integrand(t) for t in (LIGHT, BSDF)), mis])
     check_slowest_decides(found[:2], found[2])
-
-
-@pytest.mark.slow
-def test_terms_of_techniques_name_the_bottleneck():
-    found = mcs.technique_terms(
-        pixel_mis(**WALL), "jittered", COUNTS, half_width=2, realizations=150, rng=1, fit_last=4
-    )
-    technique = np.column_stack([found["technique_rate_ci"][:, 0], found["technique_rate_ci"]])
-    check_slowest_decides(technique, found["rate_ci"].values[[0, 0, 1]])
-    assert int(found["bottleneck"]) == BSDF
 
 
 @pytest.fixture(scope="module")

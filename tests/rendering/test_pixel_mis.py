@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tests.rendering.samples import mean_and_error, uniforms
 
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
@@ -19,14 +20,6 @@ PLATE = {"scene": "veach", "x": 600, "y": 430, "light": "light-3"}
 PLASTIC = {"scene": "sky", "x": 192, "y": 87}
 COUNT = 2**16
 SIGMAS = 4.5  # of some thirty means that are compared: one false alarm in 5000 runs
-
-
-def uniforms(count, dims=2, seed=1):
-    return Stream.from_rng(seed).uniforms(0, 1, count * dims).reshape(count, dims)
-
-
-def mean_and_error(values):
-    return values.mean(axis=0), values.std(axis=0, ddof=1) / len(values) ** 0.5
 
 
 def total(mis, seed=1):

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from tests.rendering.samples import mean_and_error, uniforms
 
 import mcspectra as mcs
 from mcspectra.core.environments import synthetic_sky
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.streams import Stream
 from mcspectra.densities import EnvironmentDensity
 from mcspectra.rendering import Pixel, load_mitsuba, load_scene, pixel_mis, sky_pixels
 from mcspectra.rendering.skies import Sky, sky_technique
@@ -16,14 +16,6 @@ pytestmark = pytest.mark.render
 SIGMAS = 4.5
 FLOOR = {"x": 8, "y": 8}
 ROTATIONS = {"plain": None, "turned": ([0.6, 0.64, -0.48], 70.0)}
-
-
-def uniforms(count, dims=2, seed=1):
-    return Stream.from_rng(seed).uniforms(0, 1, count * dims).reshape(count, dims)
-
-
-def mean_and_error(values):
-    return values.mean(axis=0), values.std(axis=0, ddof=1) / len(values) ** 0.5
 
 
 def colored_map():
@@ -83,8 +75,10 @@ def _matrix(rotation):
     return np.asarray(np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k)
 
 
-@pytest.mark.parametrize("rotation", ROTATIONS.values(), ids=ROTATIONS)
-@pytest.mark.parametrize("density", ["environment", "environment(interpolation='bilinear')"])
+@pytest.mark.parametrize(
+    ("density", "rotation"),
+    [("environment", None), ("environment(interpolation='bilinear')", ROTATIONS["turned"])],
+)
 def test_pdf_is_that_of_the_samples_and_integrates_to_one(rotation, density):
     sky = sky_technique(open_scene(rotation), density, "rgb")
     directions, own = sky.sample(uniforms(2000))
@@ -93,12 +87,12 @@ def test_pdf_is_that_of_the_samples_and_integrates_to_one(rotation, density):
     same = np.isclose(sky.pdf(directions), own, rtol=1e-6)
     assert same.mean() > 0.99
     # ∫ p dω over the sphere, by a product rule: Gauss-Legendre in cos θ, trapezium in φ
-    nodes, weights = np.polynomial.legendre.leggauss(400)
-    phi = 2 * np.pi * (np.arange(800) + 0.5) / 800
+    nodes, weights = np.polynomial.legendre.leggauss(200)
+    phi = 2 * np.pi * (np.arange(400) + 0.5) / 400
     c, f = np.meshgrid(nodes, phi, indexing="ij")
     s = np.sqrt(1 - c**2)
     sphere = np.stack([s * np.cos(f), s * np.sin(f), c], axis=-1).reshape(-1, 3)
-    total = (sky.pdf(sphere).reshape(400, 800).sum(axis=1) * weights).sum() * 2 * np.pi / 800
+    total = (sky.pdf(sphere).reshape(200, 400).sum(axis=1) * weights).sum() * 2 * np.pi / 400
     assert total == pytest.approx(1.0, abs=2e-3)
 
 
@@ -130,9 +124,9 @@ BSDFS = {
 
 
 @pytest.mark.parametrize(("bsdf", "dims"), BSDFS.values(), ids=BSDFS)
-@pytest.mark.parametrize("rotation", ROTATIONS.values(), ids=ROTATIONS)
-def test_strategies_agree_on_every_bsdf(bsdf, dims, rotation):
-    place = {"scene": open_scene(rotation, bsdf), **FLOOR, "channel": "rgb"}
+def test_strategies_agree_on_every_bsdf(bsdf, dims):
+    """Under a turned map, which the techniques of the plain one would not fit."""
+    place = {"scene": open_scene(ROTATIONS["turned"], bsdf), **FLOOR, "channel": "rgb"}
     wanted, error = mean_and_error(Pixel(**place, strategy="light")(uniforms(2**16)))
     for k, (strategy, needed) in enumerate({"bsdf": dims, "environment": 2}.items()):
         pixel = Pixel(**place, strategy=strategy, dims=needed)
@@ -175,10 +169,10 @@ def test_own_channels_beat_luminance_in_rate_and_by_decades():
             for density in (None, luminance)
         ],
         "jittered",
-        [64, 256, 1024, 4096],
+        [64, 256, 1024],
         realizations=60,
         rng=1,
-        fit_last=4,
+        fit_last=3,
     )
     low, high = found["rate_ci"].values.T
     assert high[0] < low[1]

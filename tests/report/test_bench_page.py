@@ -8,7 +8,6 @@ import pytest
 
 import mcspectra as mcs
 from mcspectra.cli.main import main
-from mcspectra.plots import backend_matplotlib
 from mcspectra.report.bench_page import bench_plots, bench_table, write_bench
 
 
@@ -45,9 +44,7 @@ def test_every_part_is_pictured(bench):
     assert named == [("x₀", "x₁"), ("x₀", "x₂"), ("x₁", "x₂")]
     assert [p.title for p in plots["Points"].panels] == ["pmj02"]
     assert len(plots["Convergence in 3-D"].panels) == 9
-    for _, plot in bench_plots(bench):
-        assert plot.words
-        backend_matplotlib.draw(plot)
+    assert all(plot.words for _, plot in bench_plots(bench))
 
 
 def test_files(bench, tmp_path):

@@ -88,12 +88,11 @@ def assert_finished(out, straight):
     assert leftover <= {"results.zarr", LEDGER_NAME, "study.lock", "report.html", "figures"}
 
 
-def killed_forks(study, folder, straight, kills, seed):
-    """Kill forks that have everything imported: see killed_runs.py."""
-    script = str(Path(__file__).with_name("killed_runs.py"))
-    done = python(
-        script, str(study), str(folder), str(kills), str(seed), env=ONE_THREAD, check=True
-    )
+@pytest.mark.parametrize("kills", [3, pytest.param(150, marks=pytest.mark.endurance)])
+def test_killed_at_any_moment_and_resumed(study, tmp_path, straight, kills):
+    """Forks that have everything imported: see killed_runs.py."""
+    script = Path(__file__).with_name("killed_runs.py")
+    done = python(script, study, tmp_path, kills, 1, env=ONE_THREAD, check=True)
     trials = list(map(json.loads, done.stdout.splitlines()))
     assert len(trials) == kills
     ends = [end for trial in trials for end in trial["ends"]]
@@ -103,15 +102,6 @@ def killed_forks(study, folder, straight, kills, seed):
     for trial in trials:
         assert trial["last"] == 0
         assert_finished(Path(trial["out"]), straight)
-
-
-def test_killed_at_any_moment_and_resumed(study, tmp_path, straight):
-    killed_forks(study, tmp_path, straight, 3, 1)
-
-
-@pytest.mark.endurance
-def test_killed_at_150_moments_and_resumed(study, tmp_path, straight):
-    killed_forks(study, tmp_path, straight, 150, 3)
 
 
 class Interrupted:

@@ -303,9 +303,10 @@ with Ledger.resume(out, NOTE, PATHS) as ledger:
 """
 
 
-def killed_at_moments(folder, kills):
-    """Kill writers at random moments; the ledger is always sound, and grows."""
-    killed = done = 0
+@pytest.mark.parametrize("kills", [6, pytest.param(150, marks=pytest.mark.endurance)])
+def test_killed_at_any_moment_it_is_sound(tmp_path, kills):
+    """And grows."""
+    folder, killed, done = tmp_path / "out", 0, 0
     while killed < kills:
         ended = python("-c", KILLED, folder, killed, cwd=Path(__file__).parents[2])
         assert ended.stderr == ""
@@ -320,15 +321,6 @@ def killed_at_moments(folder, kills):
         if done == len(PATHS):
             shutil.rmtree(folder)
             done = 0
-
-
-def test_killed_at_any_moment_it_is_sound(tmp_path):
-    killed_at_moments(tmp_path / "out", 6)
-
-
-@pytest.mark.endurance
-def test_killed_at_150_moments_it_is_sound(tmp_path):
-    killed_at_moments(tmp_path / "out", 150)
 
 
 def mutated(file, chosen):
@@ -400,28 +392,20 @@ def check_mutation(folder):
     return "noticed" if noticed else "without effect"
 
 
-def check_mutations(folder, work, number, seed):
-    """Damage copies of a ledger; how many were refused, noticed, or without effect."""
-    chosen, found = random.Random(seed), {"refused": 0, "noticed": 0, "without effect": 0}
+@pytest.mark.parametrize(
+    ("number", "seed"), [(20, 1), pytest.param(500, 2, marks=pytest.mark.endurance)]
+)
+@pytest.mark.parametrize("kind", ["running", "finished"])
+def test_no_damage_gives_a_wrong_value(request, tmp_path, kind, number, seed):
+    folder, work, chosen = request.getfixturevalue(kind), tmp_path / "work", random.Random(seed)
+    found = {"refused": 0, "noticed": 0, "without effect": 0}
     for _ in range(number):
         shutil.rmtree(work, ignore_errors=True)
         work.mkdir()
         shutil.copy(folder / LEDGER_NAME, work)
         mutated(work / LEDGER_NAME, chosen)
         found[check_mutation(work)] += 1
-    return found
-
-
-@pytest.mark.parametrize("kind", ["running", "finished"])
-def test_no_damage_gives_a_wrong_value(request, tmp_path, kind):
-    found = check_mutations(request.getfixturevalue(kind), tmp_path / "work", 20, 1)
     assert found["noticed"] > 5
-
-
-@pytest.mark.endurance
-@pytest.mark.parametrize("kind", ["running", "finished"])
-def test_no_damage_of_many_gives_a_wrong_value(request, tmp_path, kind):
-    print(kind, check_mutations(request.getfixturevalue(kind), tmp_path / "work", 500, 2))
 
 
 LIMITED = """

@@ -290,11 +290,12 @@ def changed(tree, chosen):
     return f"{kind} {file.relative_to(tree)}"
 
 
-def check_changes(store, work, number, seed):
-    chosen = random.Random(seed)
+@pytest.mark.parametrize("number", [30, pytest.param(1000, marks=pytest.mark.endurance)])
+def test_every_change_of_a_store_is_noticed(folder, tmp_path, number):
+    work, chosen = tmp_path / "x.zarr", random.Random(number)
     for _ in range(number):
         shutil.rmtree(work, ignore_errors=True)
-        shutil.copytree(store, work)
+        shutil.copytree(folder / "results.zarr", work)
         done = changed(work, chosen)
         if done != "nothing":
             try:
@@ -302,15 +303,6 @@ def check_changes(store, work, number, seed):
             except StoreError:
                 continue
             pytest.fail(done)
-
-
-def test_every_change_of_a_store_is_noticed(folder, tmp_path):
-    check_changes(folder / "results.zarr", tmp_path / "x.zarr", 30, 3)
-
-
-@pytest.mark.endurance
-def test_every_change_of_many_of_a_store_is_noticed(folder, tmp_path):
-    check_changes(folder / "results.zarr", tmp_path / "x.zarr", 1000, 4)
 
 
 def test_a_flipped_number_is_noticed_by_plain_readers(copy):

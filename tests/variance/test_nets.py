@@ -21,8 +21,8 @@ def _pull(estimator, sampler, n, expected, rng):
     return math.log(float(d["variance"][0]) / expected) / se
 
 
-@pytest.mark.parametrize("n", [1, 2, 16, 1024])
-@pytest.mark.parametrize("net", ["van-der-corput", "sobol", "van-der-corput(base=2)"])
+@pytest.mark.parametrize("n", [1, 16, 1024])
+@pytest.mark.parametrize("net", ["van-der-corput", "sobol"])
 def test_a_scrambled_net_in_1d_is_jittered(n, net):
     """One point in each n-th of the axis, independent and uniform: 1/(12 n³) for f = x."""
     ramp = mcs.Estimator("linear", dims=1)
@@ -76,9 +76,6 @@ CASES = [
     ("latin-hypercube", "gaussian(center=0.3)", None, 3, 6),
     ("n-rooks", "disk", None, 2, 2),
     ("latin-hypercube | shift", "gaussian(center=0.3)", None, 2, 4),
-    ("latin-hypercube | shift", "linear", None, 2, 8),
-    ("halton(scramble='owen')", "gaussian(center=0.3)", None, 2, 13),
-    ("van-der-corput(scramble='owen')", "gaussian(center=0.3)", "linear(slope=1)", 1, 8),
     ("antithetic-jittered", "gaussian(center=0.3)", "linear(slope=1)", 1, 8),
     ("antithetic-jittered", "gaussian(center=0.3)", None, 2, 18),
     ("antithetic-jittered", "step(at=0.3)", None, 2, 8),

@@ -25,7 +25,6 @@ def _measured(f, sampler, n, realizations):
     ("f", "sampler", "n"),
     [
         (DISK, "jittered | shift", 64),
-        (DISK, "halton | shift", 256),
         ("christensen-triangle", "rank1-lattice | shift", 64),
         ("christensen-gaussian", "halton | shift", 256),
         (DISK, "poisson-disk", 64),
@@ -205,13 +204,10 @@ def test_a_table_keeps_its_channels():
         lambda x: np.stack([x[..., 0], np.exp(x[..., 1]) * x[..., 0]], axis=-1), dims=2
     )
     sampler = mcs.Sampler.from_function(_strata, dims=2)
-    once = mcs.predict(f, sampler, [64])
-    for channel in range(2):
-        one = mcs.Integrand.from_function(lambda x, c=channel: f(x)[..., c], dims=2)
-        expected = mcs.predict(one, sampler, [64])["predicted_variance"].values
-        np.testing.assert_allclose(
-            once["predicted_variance"].isel(channel=channel).values, expected, rtol=1e-9
-        )
+    both = mcs.predict(f, sampler, [16])["predicted_variance"].isel(channel=1)
+    one = mcs.Integrand.from_function(lambda x: f(x)[..., 1], dims=2)
+    alone = mcs.predict(one, sampler, [16])["predicted_variance"]
+    np.testing.assert_allclose(both, alone, rtol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -234,7 +230,7 @@ def test_sets_that_are_scrambles_of_one_set_have_the_variance_of_a_scrambled_net
 
 
 def test_same_seed_same_bits_whatever_the_threads():
-    one, two = (mcs.predict(DISK, "poisson-disk", [16, 32], workers=w) for w in (1, 2))
+    one, two = (mcs.predict(DISK, "poisson-disk", [16], workers=w) for w in (1, 2))
     np.testing.assert_array_equal(one["predicted_variance_ci"], two["predicted_variance_ci"])
 
 

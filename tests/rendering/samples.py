@@ -1,10 +1,21 @@
-"""Errors of fitted rates by noise, for tests of curves that wobble about their line."""
+"""Samples of the unit cube, and what means and slopes of noisy values are off by."""
 
 from statistics import NormalDist
 
 import numpy as np
 
+from mcspectra.core.streams import Stream
+
 Z = NormalDist().inv_cdf(0.975)
+
+
+def uniforms(count, dims=2, seed=1):
+    """Independent points (count, dims)."""
+    return Stream.from_rng(seed).uniforms(0, 1, count * dims).reshape(count, dims)
+
+
+def mean_and_error(values):
+    return values.mean(axis=0), values.std(axis=0, ddof=1) / len(values) ** 0.5
 
 
 def slope_error(curve):
