@@ -29,6 +29,7 @@ from mcspectra.core.errors import (
     McspectraError,
     NoClosedForm,
     ParameterError,
+    point_in_words,
 )
 from mcspectra.core.images import REC709
 from mcspectra.core.memory import memory_of
@@ -37,6 +38,7 @@ from mcspectra.core.streams import RngLike, Stream
 from mcspectra.densities.base import FunctionDensity
 from mcspectra.estimators import AbstractEstimator, Estimator, Moments, as_estimator
 from mcspectra.estimators.moments import CONFIDENCE_Z, variance_interval
+from mcspectra.estimators.support import uncovered
 from mcspectra.integrands import Calls, FunctionIntegrand, Integrand
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.variance.chains import chain_error
@@ -443,7 +445,8 @@ def profile(
                     f"sample(u) leaves the unit cube, from {x.min():.4g} to {x.max():.4g}; map f and pdf into it, "
                     "or give the function f(sample(u)) / pdf(sample(u)) of u alone."
                 )
-            estimator = Estimator(given, own)
+            estimator = Estimator(given, dims=dims)
+            estimator.density = own
         subject = Subject(estimator, as_sampler(sampler, estimator.dims))
         Profiling(budget=limit).need(subject)
         found = _profiled(subject, limit, Stream.from_rng(rng))
@@ -463,10 +466,12 @@ def _of_draws(draws: Any) -> Profile:
         ) from None
     if found["mean"].ndim:
         raise ParameterError("The draws are of several quantities; profile one at a time.")
-    name, sentence = str(found["cause"].item()), str(found["evidence"].item())
+    names = found["cause"].item().split(", ")
+    said = found["evidence"].item() or "the draws say nothing against their error"
+    said = [each.removeprefix(f"{k}: ") for k, each in zip(names, said.split("; "), strict=True)]
+    name, (sentence, *others) = names[0], [f"{each[0].upper()}{each[1:]}." for each in said]
     count, effective = found.attrs["chains"] * found.attrs["draws"], float(found["ess"])
     evidence = {"draws": float(count), "effective": effective}
-    sentence = sentence.removeprefix(f"{name}: ")
     if name == "none" and float(found["ess_ci"][1]) < _DEPENDENT * count:
         name = "correlated-replicates"
         sentence = f"The {count:,} draws depend on each other and count as {effective:,.0f}."
@@ -486,7 +491,7 @@ def _of_draws(draws: Any) -> Profile:
         variance=float(found["mcse"]) ** 2,
         rate=-1.0,
         rate_ci=(-1.0, -1.0),
-        causes=[Cause(name, sentence or "The draws say nothing against their error.", evidence)],  # type: ignore[arg-type]
+        causes=[Cause(name, sentence, evidence), *map(Cause, names[1:], others)],
         best=None,
         samplers={},
         tried=[],
@@ -525,11 +530,22 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     sets = _sets_of(estimator, n, nets, stream.child(0))
     calls = nets * n * each
     size = max(float(np.abs(v).max()) for v in sets.values)
+    if not math.isfinite(size):  # f gives finite numbers
+        raise ParameterError("The pdf is no number at some samples; give one that is finite.")
     if size and not _SIZES[0] <= size <= _SIZES[1]:
         raise ParameterError(
             f"The values of f are of the size {size:.1g}, whose powers float64 does not hold; divide f by it."
         )
     curves = sets.curves()
+
+    # Whether a density of the user's own is 0 where f is not
+    missed = ""
+    if isinstance(estimator, Estimator) and isinstance(estimator.density, FunctionDensity):
+        places = uncovered(estimator.integrand, [estimator.density])
+        places = places[:: max(1, len(places) // _AGAIN)][:_AGAIN]
+        calls += len(places) * each
+        if len(places) and (met := _scalar(estimator, estimator.integrand(places)) != 0.0).any():
+            missed = point_in_words(places[met][0])
 
     # The mean dimension and a pole of a single technique, then lines of each
     lines: list[Lines] = []
@@ -567,16 +583,23 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     # The sampler as given
     not_tried, replicates = [], None
     if apart:
+        given_stream = stream.child(99)
         try:
             curve, replicates, cost = _measured(
-                estimator, given, int(_GIVEN * budget), stream.child(99)
+                estimator, given, int(_GIVEN * budget), given_stream
             )
             curves[given.spec] = curve
             calls += cost
         except McspectraError as error:
             not_tried.append(f"{given.spec}: {error}")
+            source, count = estimator.randomized(given), int(min(_NETS, sets_of(given)))
+            if count > 1:
+                drawn = estimator.draw(source, given.nearest_count(n), given_stream, 0, count)
+                replicates = _replicates(drawn, np.empty(0))
 
-    evidence = Evidence(estimator, given, sets, curves, tuple(lines), pole, mean, replicates, noise)
+    evidence = Evidence(
+        estimator, given, sets, curves, tuple(lines), pole, mean, replicates, noise, missed
+    )
     causes = causes_of(evidence)
     # Pairs about the centres of strata, which nets do not tell of, have the exponent −1 − 4/d where g is
     # smooth: cubic stratification of second order
@@ -591,7 +614,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         for name, curve in curves.items()
     }
     # What is the same every time, or was not measured, is no reference
-    fixed = any(cause.name == "deterministic-set" for cause in causes)
+    fixed = any(cause.name in {"deterministic-set", "correlated-replicates"} for cause in causes)
     reference = "random" if fixed or given.spec not in curves else given.spec
     best, changed = None, list[str]()
     if all(c.name != "infinite-variance" or c.kinds for c in causes):  # there is an integral
@@ -731,7 +754,7 @@ def _measured(
 ) -> tuple[Curve, Replicates, int]:
     """The curve of a sampler by sets of its own, within so many evaluations, and how many it took."""
     each = sum(estimator.counts) * estimator.evaluations_per_point
-    sets = int(min(_NETS, sets_of(sampler)))
+    sets = drawn = int(min(_NETS, sets_of(sampler)))
     if sets < _LEAST_SETS:
         raise CountError(f"{sampler.spec} has {sets} sets; give {_LEAST_SETS} or more.")
     setup, counts = Setup(estimator, sampler), list[int]()
@@ -748,11 +771,22 @@ def _measured(
     counts.sort()
     found, source = list[Array](), estimator.randomized(sampler)
     for n in counts:
-        points = estimator.draw(source, n, stream.child(n), 0, sets)
-        values = [_scalar(estimator, estimator.primary_values(t, u)) for t, u in enumerate(points)]
+        points = estimator.draw(source, n, stream.child(n), 0, drawn)
+        values = [
+            _scalar(estimator, estimator.primary_values(t, u[:sets])) for t, u in enumerate(points)
+        ]
         found.append(np.asarray(sum(v.mean(axis=1) for v in values)))
-    different = len(np.unique(np.concatenate([p.reshape(sets, -1) for p in points], 1), axis=0))
-    return curve_of(counts, found), Replicates(found[-1], different), sum(counts) * sets * each
+    cost = sum(counts) * sets * each
+    return curve_of(counts, found), _replicates(points, found[-1]), cost
+
+
+def _replicates(points: Sequence[Array], estimates: Array) -> Replicates:
+    """Sets of each technique's points (R, n, d), which cost no evaluations, and what is known of some of them."""
+    x = np.concatenate([np.asarray(p) for p in points], axis=1)
+    angle = 2.0 * math.pi * x
+    waves = [each.mean(axis=1) for each in (x - 0.5, np.cos(angle), np.sin(angle))]
+    different = len(np.unique(x.reshape(len(x), -1), axis=0))
+    return Replicates(estimates, np.concatenate(waves, axis=1), different)
 
 
 def _change(
