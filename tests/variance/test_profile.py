@@ -398,6 +398,15 @@ def test_what_never_changes_is_no_reference():
     found = mcs.profile(FUNCTIONS["disk"][1], sampler="sobol", dims=2, budget=8192)
     assert found.reference == "random"
     assert found.best.rmse_given > found.best.rmse > 0.0
+    assert "sobol" not in found.samplers
+    # It leaves what is known of the jump, and of its rate, as it is
+    usual = mcs.profile(FUNCTIONS["disk"][1], sampler="random", dims=2, budget=8192)
+    assert [c.name for c in found.causes] == ["deterministic-set", *(c.name for c in usual.causes)]
+    assert found.best.gain_ci == usual.best.gain_ci
+    wave = mcs.profile(
+        lambda x: np.cos(2 * np.pi * x.sum(axis=-1)), sampler="halton", dims=8, budget=8192
+    )
+    assert wave.answer.startswith("Nothing that was tried is better than random.")
     assert mcs.profile(FUNCTIONS["pole"][1], dims=1).best is None
     assert mcs.profile(lambda x: np.ones(len(x)), dims=2).best is None
 

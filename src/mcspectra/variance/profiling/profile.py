@@ -69,6 +69,8 @@ _GIVEN_COUNTS = 5
 _LEAST_SETS = 3
 _PAIRS = "antithetic-jittered"
 _THEORY = 0.08  # of a rate, at counts of points that are not large
+# Causes that are of a sampler's sets alone
+_OF_SETS = {"deterministic-set", "few-realizations", "correlated-replicates"}
 _EXPONENTS = {"interior-jump": 1.0, "axis-parallel-jump": 1.0, "none": 2.0}  # beyond random points
 _TEETH = 0.5  # of a slope over few octaves, as ends of strata fall anywhere beside a jump
 _ALIKE = 0.4  # rates of estimators before and after a change, unless they are seen to differ
@@ -119,7 +121,7 @@ class Profiling(Analysis, frozen=True, kw_only=True):
             raise ParameterError(
                 f"profile needs techniques with sets of their own: {error}"
             ) from None
-        _shares(estimator, self.budget, apart=_is_apart(subject.sampler))
+        _shares(estimator, self.budget, apart=_is_apart(estimator, subject.sampler))
         memory = memory_of(self.budget, estimator.dims, sum(estimator.counts))
         return Need(cost=float(self.budget), memory=memory)
 
@@ -221,6 +223,8 @@ class Profile:
             untried = ""
             if cause.evidence.get("resolved_by", math.inf) <= self.points:
                 untried = " One set of as many points as resolve the waves was not tried."
+            if self.reference not in {self.given, ""}:
+                return f"Nothing that was tried is better than {self.reference}.{why}{untried}"
             return f"Keep {self.given}: nothing that was tried is better.{why}{untried}"
         best = self.best
         given = f"{best.rmse_given:.2g}" if math.isfinite(best.rmse_given) else "an infinite one"
@@ -499,9 +503,15 @@ def _of_draws(draws: Any) -> Profile:
     )
 
 
-def _is_apart(sampler: Sampler) -> bool:
-    """Whether nets do not tell of a sampler."""
-    return sampler.spec not in {NETS, "random", "jittered", "latin-hypercube"}
+def _is_apart(estimator: AbstractEstimator, sampler: Sampler) -> bool:
+    """Whether a sampler has a variance of which nets do not tell."""
+    told = sampler.spec in {NETS, "random", "jittered", "latin-hypercube"}
+    return not told and not estimator.randomized(sampler).fixed
+
+
+def _shape(causes: Sequence[Cause]) -> str:
+    """The first cause that is of g itself: what is wrong with the sets of a sampler leaves the rates of others."""
+    return next((cause.name for cause in causes if cause.name not in _OF_SETS), "none")
 
 
 def _shares(estimator: AbstractEstimator, budget: int, *, apart: bool) -> tuple[int, int, int]:
@@ -522,7 +532,7 @@ def _shares(estimator: AbstractEstimator, budget: int, *, apart: bool) -> tuple[
 
 def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     estimator, given = subject.estimator, subject.sampler
-    apart = _is_apart(given)
+    apart = _is_apart(estimator, given)
     each, n, nets = _shares(estimator, budget, apart=apart)
     points = budget // each
 
@@ -603,7 +613,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     causes = causes_of(evidence)
     # Pairs about the centres of strata, which nets do not tell of, have the exponent −1 − 4/d where g is
     # smooth: cubic stratification of second order
-    if causes[0].name == "none" and estimator.counts == (1,) and given.spec != _PAIRS:
+    if _shape(causes) == "none" and estimator.counts == (1,) and given.spec != _PAIRS:
         with contextlib.suppress(McspectraError):  # too many dims, or too few evaluations
             pairs = as_sampler(_PAIRS, estimator.dims)
             curve, _, cost = _measured(estimator, pairs, budget - calls, stream.child(97))
@@ -615,6 +625,8 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     }
     # What is the same every time, or was not measured, is no reference
     fixed = any(cause.name in {"deterministic-set", "correlated-replicates"} for cause in causes)
+    if any(cause.name == "deterministic-set" for cause in causes):
+        curves.pop(given.spec, None)  # by which it has no error
     reference = "random" if fixed or given.spec not in curves else given.spec
     best, changed = None, list[str]()
     if all(c.name != "infinite-variance" or c.kinds for c in causes):  # there is an integral
@@ -724,7 +736,7 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     resolved_by = math.inf if waves is None else waves.evidence["resolved_by"]
     if name != "random" and max(curve.counts, default=math.inf) < resolved_by <= points:
         return replace(curve, rate=math.nan, rate_se=math.nan)
-    first = causes[0].name
+    first = _shape(causes)
     if name not in {NETS, "jittered"} or first not in _EXPONENTS or not math.isfinite(curve.rate):
         return curve
     # Of n strata n^(1 − 1/d) meet a jump; nets see one along axes as in 1-D, and so what is smooth, but for at
@@ -849,7 +861,7 @@ def _improved(
             index = cause.evidence.get("exponent", cause.evidence.get("tail_index", 0.0))
             offers = [offer for offer in offers if offer.finite_below > index]
     # What takes a jump away gains with nets, which its variance at random points does not tell: it is first
-    jumps = causes[0].name == "interior-jump"
+    jumps = _shape(causes) == "interior-jump"
     offers.sort(key=lambda offer: (not (jumps and offer.kind == "preintegrated"), offer.ratio))
     sampler, tried, calls = as_sampler(NETS, estimator.dims), list[str](), 0
     base = evidence.curves[given if best is None else best.name]
