@@ -56,6 +56,14 @@ FUNCTIONS = {
     ),
     "narrow lognormal": (1, lambda x: np.exp(0.1 * ndtri(inner(x[..., 0]))), {"border-growth"}),
     "wider lognormal": (1, lambda x: np.exp(0.3 * ndtri(inner(x[..., 0]))), {"border-growth"}),
+    # Bounded functions that are steep at the border are not rough there
+    "square root": (1, lambda x: np.sqrt(x[..., 0]), {"none"}),
+    "wave of normals": (2, lambda x: np.cos(ndtri(inner(x)).sum(axis=-1)), {"none"}),
+    "weights of a wide normal": (
+        1,
+        lambda x: np.exp(-0.5 * ndtri(inner(x[..., 0])) ** 2) * ndtri(inner(x[..., 0])) ** 2,
+        {"none"},
+    ),
     "corner": (2, lambda x: 1.0 / x.sum(axis=-1), {"infinite-variance"}),
     "corner of 3 dims": (3, lambda x: 1.0 / x.sum(axis=-1), {"border-growth"}),
     "powers of faces": (2, lambda x: (inner(x) ** (-0.45, -0.2)).prod(axis=-1), {"border-growth"}),
@@ -260,6 +268,10 @@ def test_the_given_sampler_is_measured_and_its_wrapping_seen():
     assert found.best.name == "sobol | owen"
     assert mcs.profile("linear", sampler="sobol", dims=1).causes[0].name == "deterministic-set"
     assert mcs.profile("linear", sampler="random | shift", dims=1).causes[0].name == "none"
+    periodic = mcs.profile(
+        lambda x: np.sin(2 * np.pi * x.sum(axis=-1)), sampler="rank1-lattice | shift", dims=2
+    )
+    assert periodic.causes[0].name == "none"
 
 
 def test_the_answer_as_text_and_as_data():
@@ -376,12 +388,24 @@ def test_draws_of_chains_and_estimates_are_profiled():
     assert mcs.profile(chain + np.array([[0], [0], [0], [30]])).causes[0].name == "stuck-chain"
     assert mcs.profile(rng.standard_cauchy((4, 2000))).causes[0].name == "heavy-tail"
     assert "mean of the draws" in found.text
+    wild = rng.standard_cauchy((4, 2000))
+    wild[1, 500:] = wild[1, 500]
+    assert [cause.name for cause in mcs.profile(wild).causes] == ["stuck-chain", "heavy-tail"]
 
 
 def test_what_never_changes_is_no_reference():
     found = mcs.profile(FUNCTIONS["disk"][1], sampler="sobol", dims=2, budget=8192)
     assert found.reference == "random"
     assert found.best.rmse_given > found.best.rmse > 0.0
+    assert "sobol" not in found.samplers
+    # It leaves what is known of the jump, and of its rate, as it is
+    usual = mcs.profile(FUNCTIONS["disk"][1], sampler="random", dims=2, budget=8192)
+    assert [c.name for c in found.causes] == ["deterministic-set", *(c.name for c in usual.causes)]
+    assert found.best.gain_ci == usual.best.gain_ci
+    wave = mcs.profile(
+        lambda x: np.cos(2 * np.pi * x.sum(axis=-1)), sampler="halton", dims=8, budget=8192
+    )
+    assert wave.answer.startswith("Nothing that was tried is better than random.")
     assert mcs.profile(FUNCTIONS["pole"][1], dims=1).best is None
     assert mcs.profile(lambda x: np.ones(len(x)), dims=2).best is None
 
@@ -422,6 +446,34 @@ def test_a_pdf_that_is_not_normalised_or_not_of_its_sampler_is_a_cause():
     other = leading((smooth, lambda x: np.ones(x.shape[:-1]), sample), dims=1)
     assert other.name == "wrong-pdf"
     assert other.evidence["of_one"] == 1.0  # what a constant does not show
+
+
+@pytest.mark.parametrize(("rest", "name"), [(0.0, "none"), (1.0, "wrong-pdf")])
+def test_a_pdf_that_is_0_where_f_is_not_is_a_cause_and_f_is_hardly_called_there(rest, name):
+    made = []
+
+    def f(x):
+        made.append(len(x))
+        return np.where(x[..., 0] < 0.5, 1.0 + x[..., 0], rest)
+
+    given = (f, lambda x: np.where(x[..., 0] < 0.5, 2.0, 0.0), lambda u: 0.5 * u)
+    found = mcs.profile(given, dims=1, budget=2048)
+    assert found.causes[0].name == name
+    assert sum(made) == found.calls <= 2048
+
+
+def test_a_jump_of_a_mixture_whose_parts_are_steep_beside_it_is_along_its_axis():
+    """The first coordinate chooses the part: g jumps where it does, from tail to tail."""
+    places, widths = np.array([0.3, 0.7]), np.array([0.1, 0.2])
+
+    def bells(x):
+        return np.exp(-((x[..., None] - places) ** 2 / widths**2).sum(axis=-2) / 2) @ (1.0, 0.5)
+
+    parts = [f"truncated-normal(mean={m}, sigma={s})" for m, s in zip(places, widths, strict=True)]
+    estimator = mcs.Estimator(
+        mcs.Integrand.from_function(bells, dims=2), f"mixture(parts={parts}, weights=[0.3, 0.7])"
+    )
+    assert leading(estimator, budget=8192).name == "axis-parallel-jump"
 
 
 def test_small_sets_say_nothing_of_larger_ones_that_resolve_the_waves():
@@ -465,6 +517,13 @@ def test_sets_that_are_few_alike_or_share_an_error_are_a_cause():
         assert evidence.items() <= found.evidence.items()
     following = leading(smooth, sampler=mcs.Sampler.from_points(walk), dims=2, budget=2**14)
     assert following.evidence["correlation"] > 0.75
+    # Sets of more points than the budget pays for cost nothing to look at; what they share is no variance
+    large = rng.random((20, 2048, 2))
+    shaken = (large[:1] + 1e-3 * rng.standard_normal(large.shape)) % 1.0
+    for name, points in {"none": large, "correlated-replicates": shaken}.items():
+        found = mcs.profile(smooth, sampler=mcs.Sampler.from_points(points), dims=2)
+        assert found.causes[0].name == name
+        assert found.reference == "random"
     samplers = {
         "correlated-replicates": lambda n, own: 0.9 * common[:n] + 0.1 * own.random((n, 2)),
         "none": lambda n, own: own.random((n, 2)),

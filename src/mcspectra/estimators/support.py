@@ -28,7 +28,7 @@ from mcspectra.core.errors import DensityError, point_in_words
 from mcspectra.densities import Density, Mixture, Product
 from mcspectra.integrands import Integrand
 
-__all__ = ["check_support", "probe_points"]
+__all__ = ["check_support", "probe_points", "uncovered"]
 
 _PROBES = 4096
 _CELLS = 8192
@@ -48,6 +48,21 @@ def check_support(integrand: Integrand, densities: Sequence[Density]) -> None:
     DensityError
         The message says where.
     """
+    x = uncovered(integrand, densities)
+    if not len(x):
+        return
+    missed = np.asarray(integrand(x)).reshape(len(x), -1).any(axis=1)
+    if missed.any():
+        where = point_in_words(x[missed][0])
+        names = " and ".join(density.spec for density in densities)
+        raise DensityError(
+            f"{names} is 0 at {where}, where {integrand.spec} is not: the estimate would miss "
+            "that part; choose a density that is positive wherever f is not 0."
+        )
+
+
+def uncovered(integrand: Integrand, densities: Sequence[Density]) -> Array:
+    """Probes (k, d) at which every density is 0; f is not called."""
     dims = integrand.dims
     found = [probe_points(dims)]
 
@@ -75,17 +90,7 @@ def check_support(integrand: Integrand, densities: Sequence[Density]) -> None:
     found += [density.zero_points() for density in densities]
     x = np.concatenate(found)
     covered = sum((density.pdf(x) for density in densities), np.zeros(len(x))) > 0
-    if covered.all():
-        return
-    values = np.asarray(integrand(x[~covered]))
-    missed = values.reshape(len(values), -1).any(axis=1)
-    if missed.any():
-        where = point_in_words(x[~covered][missed][0])
-        names = " and ".join(density.spec for density in densities)
-        raise DensityError(
-            f"{names} is 0 at {where}, where {integrand.spec} is not: the estimate would miss "
-            "that part; choose a density that is positive wherever f is not 0."
-        )
+    return np.asarray(x[~covered])
 
 
 def probe_points(dims: int, count: int = _PROBES) -> Array:

@@ -15,9 +15,11 @@ from typing import Literal, TypeAlias, final
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import DensityError, ParameterError
+from mcspectra.core.errors import DensityError, ParameterError, point_in_words
 from mcspectra.core.streams import Stream
-from mcspectra.estimators import AbstractEstimator, Mirrored, Moments
+from mcspectra.densities.base import FunctionDensity
+from mcspectra.estimators import AbstractEstimator, Estimator, Mirrored, Moments
+from mcspectra.estimators.support import uncovered
 from mcspectra.samplers import GivenPoints, Random, Sampler, Shift, as_sampler
 from mcspectra.spectra.bases import parts_of
 from mcspectra.variance.profiling.probing import (
@@ -100,7 +102,8 @@ _LITTLE_GAIN = 8.0  # by nets, over random points
 _OPPOSITE = 1e-3  # of the variance, by what g differs between faces
 _SEEN_OF_PDF = 4096  # points
 _FEW_SETS = 8
-_SERIAL = 0.75  # correlation of sets that follow each other; of twenty independent ones ± 0.22
+_SERIAL = 4.5  # standard errors of the correlation of sets that follow each other
+_ROUNDING = 1e-9  # of means that are the same for all sets
 _GRAINS = 32.0  # of the numbers that estimates are: less is rounding
 _AWAY = 6.0  # standard errors; by Student's t of nineteen degrees a chance of 1e-5
 # What else is said of a function that is noise itself, whose lines show no shape
@@ -141,9 +144,21 @@ class Cause:
 @final
 @dataclass(frozen=True)
 class Replicates:
-    """Sets of a sampler at one count: the estimate of each, and how many sets are different."""
+    """Sets of a sampler at one count.
+
+    Attributes
+    ----------
+    estimates
+        Of some of them, from none on: (R,).
+    waves
+        Means over each set of x − ½, cos 2πx and sin 2πx of every axis, whose means over uniform points are
+        0: (R, 3d).
+    different
+        How many sets are different.
+    """
 
     estimates: Array
+    waves: Array
     different: int
 
 
@@ -172,6 +187,8 @@ class Evidence:
         Variance of g at one and the same point, where values at a point differ; else 0.
     calls
         Evaluations of the integrand that it took.
+    missed
+        A place where a density of the user's own is 0 and f is not, in words; else empty.
     """
 
     estimator: AbstractEstimator
@@ -184,6 +201,7 @@ class Evidence:
     replicates: Replicates | None = None
     noise: float = 0.0
     calls: int = 0
+    missed: str = ""
 
     @staticmethod
     def of(estimator: AbstractEstimator, sampler: Sampler, budget: int, stream: Stream) -> Evidence:
@@ -198,10 +216,21 @@ class Evidence:
         sets = Sets.of(estimator, n, nets, stream.child(0))
         calls = nets * n * each
         size = max(float(np.abs(v).max()) for v in sets.values)
+        if not math.isfinite(size):  # f gives finite numbers
+            raise ParameterError("The pdf is no number at some samples; give one that is finite.")
         if size and not _SIZES[0] <= size <= _SIZES[1]:
             raise ParameterError(
                 f"The values of f are of the size {size:.1g}, whose powers float64 does not hold; divide f by it."
             )
+
+        # Whether a density of the user's own is 0 where f is not
+        missed = ""
+        if isinstance(estimator, Estimator) and isinstance(estimator.density, FunctionDensity):
+            places = uncovered(estimator.integrand, [estimator.density])
+            places = places[:: max(1, len(places) // _AGAIN)][:_AGAIN]
+            calls += len(places) * each
+            if len(places) and (met := scalar(estimator, estimator.integrand(places)) != 0.0).any():
+                missed = point_in_words(places[met][0])
 
         # The mean dimension and a pole of a single technique, then lines of each
         lines: list[Lines] = []
@@ -234,7 +263,7 @@ class Evidence:
             lines.append(lines_of(g, estimator.dims, allowed - made, own))
             calls += made * estimator.evaluations_per_point
         seen = Evidence(estimator, sampler, sets, sets.curves(), tuple(lines), pole, mean)
-        return replace(seen, noise=noise, calls=calls)
+        return replace(seen, noise=noise, calls=calls, missed=missed)
 
     @property
     def scale(self) -> float:
@@ -259,9 +288,10 @@ class Evidence:
         return np.concatenate([getattr(lines, name) for lines in self.lines])
 
 
-def is_apart(sampler: Sampler) -> bool:
-    """Whether nets do not tell of a sampler."""
-    return sampler.spec not in {NETS, "random", "jittered", "latin-hypercube"}
+def is_apart(estimator: AbstractEstimator, sampler: Sampler) -> bool:
+    """Whether a sampler has a variance of which nets do not tell."""
+    told = sampler.spec in {NETS, "random", "jittered", "latin-hypercube"}
+    return not told and not estimator.randomized(sampler).fixed
 
 
 def shares_of(estimator: AbstractEstimator, sampler: Sampler, budget: int) -> tuple[int, int, int]:
@@ -273,7 +303,7 @@ def shares_of(estimator: AbstractEstimator, sampler: Sampler, budget: int) -> tu
         The budget is too small for nets of four points.
     """
     each = sum(estimator.counts) * estimator.evaluations_per_point
-    share = 1.0 - _LINES - _CHECK - (GIVEN if is_apart(sampler) else 0.0)
+    share = 1.0 - _LINES - _CHECK - (GIVEN if is_apart(estimator, sampler) else 0.0)
     # The error of a rate falls with the number of nets alone, that of the integral with their size, too
     nets = int(FEW_NETS * max(1.0, math.sqrt(budget / (each * _MORE_FROM))))
     n = int(share * budget) // (nets * each)
@@ -307,7 +337,12 @@ def _wrong_pdf(seen: Evidence) -> Cause | None:
                 f"{error} Every estimate is biased by it: that of a constant, 1, is {found:.4g}.",
                 {"of_one": found},
             )
-    return None
+    if not seen.missed:
+        return None
+    return Cause(
+        "wrong-pdf",
+        f"The pdf is 0 at {seen.missed}, where f is not: every estimate misses that part.",
+    )
 
 
 def _noisy_function(seen: Evidence) -> Cause | None:
@@ -446,10 +481,9 @@ def _few_realizations(seen: Evidence) -> Cause | None:
 
 def _correlated(seen: Evidence) -> Cause | None:
     made = seen.replicates
-    if made is None or not made.different > 1 or len(made.estimates) < _FEW_SETS:
+    if made is None or not made.different > 1 or len(made.waves) < _FEW_SETS:
         return None
-    found, nets = made.estimates, seen.sets.estimates
-    count, sampler = len(found), seen.sampler.spec
+    count, sampler = len(made.waves), seen.sampler.spec
     if made.different < count:
         return Cause(
             "correlated-replicates",
@@ -457,26 +491,29 @@ def _correlated(seen: Evidence) -> Cause | None:
             "it seems.",
             {"different": float(made.different), "realizations": float(count)},
         )
-    spread, mean = float(found.std(ddof=1)), float(found.mean())
-    if spread <= _GRAINS * grain(found):
-        return None
-    rest = (found - mean) / spread
-    serial = float(rest[1:] @ rest[:-1]) / count
-    if serial > _SERIAL:
+    mean, spread = made.waves.mean(axis=0), made.waves.std(axis=0, ddof=1)
+    varies = spread > _ROUNDING
+    rest = (made.waves[:, varies] - mean[varies]) / spread[varies]
+    serial = float((rest[1:] * rest[:-1]).sum()) / max(rest.size, 1)
+    if serial > _SERIAL / math.sqrt(count * seen.sets.dims):
         return Cause(
             "correlated-replicates",
-            f"Each set of {sampler} is like the one before: the correlation of their estimates is {serial:.2f}.",
+            f"Each set of {sampler} is like the one before: the correlation of their means is {serial:.2f}.",
             {"correlation": serial, "realizations": float(count)},
         )
-    error = math.sqrt(spread**2 / count + float(nets.var(ddof=1)) / len(nets))
-    away = (mean - float(nets.mean())) / error
-    if abs(away) < _AWAY:
+    away = mean[varies] / spread[varies] * math.sqrt(count)
+    found, nets = made.estimates, seen.sets.estimates
+    if len(found) >= _FEW_SETS and found.std() > _GRAINS * grain(found):
+        error = math.sqrt(found.var(ddof=1) / len(found) + nets.var(ddof=1) / len(nets))
+        away = np.append(away, (found.mean() - nets.mean()) / error)
+    most = float(np.abs(away).max(initial=0.0))
+    if most < _AWAY:
         return None
     return Cause(
         "correlated-replicates",
-        f"The mean of {count} sets of {sampler} is {abs(away):.2g} standard errors away from that of {NETS}: "
-        "they share an error, or their points are not uniform.",
-        {"away": away, "realizations": float(count)},
+        f"Means of sets of {sampler} are {most:.2g} standard errors away from those of uniform points: the sets "
+        "share an error, or their points are not uniform.",
+        {"away": most, "realizations": float(count)},
     )
 
 
@@ -546,9 +583,11 @@ def _jumps(seen: Evidence) -> Cause | None:
         )
     size = float(np.median(height[meets])) / max(seen.scale, 1e-300)
     share = float(meets.mean())
-    straight = []
+    straight, rough = [], meets
+    if not meets[axis >= 0].any():  # told only by chords from what is steep beside it
+        rough = np.concatenate([lines.kinks() for lines in seen.lines])
     for i in range(seen.sets.dims):
-        own = meets & (axis == i)
+        own = rough & (axis == i)
         if own.sum() > 1:  # a single one says nothing
             straight.append(_clustered(place[own]))
     evidence = {"met_by": share, "height": size}

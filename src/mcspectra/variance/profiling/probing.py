@@ -182,7 +182,7 @@ def lines_of(g: Function, dims: int, evaluations: int, rng: np.random.Generator)
     grows = (gains > 0).all(axis=-1) & (size[..., -1] > usual)
     grows &= gains[..., -1] > _GOES_ON * gains[..., -2]
     growth[straight] = np.where(grows, slope, 0.0).T
-    ends[straight] = outer[1, :, 0] - outer[0, :, 0]
+    ends[straight] = outer[1, :, 1] - outer[0, :, 1]
 
     # Halve the steps about the largest second difference, places near an end that does not grow included; for
     # every other line of an axis where it stands out from those beside it, as at a kink of a function that is
@@ -210,9 +210,9 @@ def lines_of(g: Function, dims: int, evaluations: int, rng: np.random.Generator)
     rough = size[-1] > max(_NEGLIGIBLE * scale, _GRAINS * grain(y[:, 1:-1]))
     slope = -np.polyfit(np.arange(_LATE + 1), np.log2(np.maximum(size, 1e-300)), 1)[0]
     exponent = np.where(rough, slope, 2.0)
-    # What grows at one end may be steep at the other, which is no kink
-    edge = (middle == 1) | (middle == STEPS)
-    exponent[edge & (exponent >= _JUMP) & grows.any()] = 2.0
+    # What is steep at an end, as bounded functions of normal quantiles, is neither a jump nor a kink
+    edge = np.abs(window[:, 1] - 0.5) > 0.5 - 4.0 * _ENDS[1]
+    exponent[edge & (exponent >= _POLE)] = 2.0
 
     bend = 4.0 * _bends(window, values)[:, 0] / (window[:, 2] - window[:, 0]) ** 2
     varies = np.where(spread > 0.0, np.sqrt(2.0 * spread), np.inf)

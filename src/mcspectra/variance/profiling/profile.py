@@ -69,6 +69,8 @@ _GIVEN_COUNTS = 5
 _LEAST_SETS = 3
 _PAIRS = "antithetic-jittered"
 _THEORY = 0.08  # of a rate, at counts of points that are not large
+# Causes that are of a sampler's sets alone
+_OF_SETS = {"deterministic-set", "few-realizations", "correlated-replicates"}
 _EXPONENTS = {"interior-jump": 1.0, "axis-parallel-jump": 1.0, "none": 2.0}  # beyond random points
 _TEETH = 0.5  # of a slope over few octaves, as ends of strata fall anywhere beside a jump
 _ALIKE = 0.4  # rates of estimators before and after a change, unless they are seen to differ
@@ -219,6 +221,8 @@ class Profile:
             untried = ""
             if cause.evidence.get("resolved_by", math.inf) <= self.points:
                 untried = " One set of as many points as resolve the waves was not tried."
+            if self.reference not in {self.given, ""}:
+                return f"Nothing that was tried is better than {self.reference}.{why}{untried}"
             return f"Keep {self.given}: nothing that was tried is better.{why}{untried}"
         best = self.best
         given = f"{best.rmse_given:.2g}" if math.isfinite(best.rmse_given) else "an infinite one"
@@ -435,7 +439,8 @@ def profile(
                     f"sample(u) leaves the unit cube, from {x.min():.4g} to {x.max():.4g}; map f and pdf into it, "
                     "or give the function f(sample(u)) / pdf(sample(u)) of u alone."
                 )
-            estimator = Estimator(given, own)
+            estimator = Estimator(given, dims=dims)
+            estimator.density = own
         subject = Subject(estimator, as_sampler(sampler, estimator.dims))
         Profiling(budget=limit).need(subject)
         found = _profiled(subject, limit, Stream.from_rng(rng))
@@ -455,10 +460,12 @@ def _of_draws(draws: Any) -> Profile:
         ) from None
     if found["mean"].ndim:
         raise ParameterError("The draws are of several quantities; profile one at a time.")
-    name, sentence = str(found["cause"].item()), str(found["evidence"].item())
+    names = found["cause"].item().split(", ")
+    said = found["evidence"].item() or "the draws say nothing against their error"
+    said = [each.removeprefix(f"{k}: ") for k, each in zip(names, said.split("; "), strict=True)]
+    name, (sentence, *others) = names[0], [f"{each[0].upper()}{each[1:]}." for each in said]
     count, effective = found.attrs["chains"] * found.attrs["draws"], float(found["ess"])
     evidence = {"draws": float(count), "effective": effective}
-    sentence = sentence.removeprefix(f"{name}: ")
     if name == "none" and float(found["ess_ci"][1]) < _DEPENDENT * count:
         name = "correlated-replicates"
         sentence = f"The {count:,} draws depend on each other and count as {effective:,.0f}."
@@ -478,12 +485,17 @@ def _of_draws(draws: Any) -> Profile:
         variance=float(found["mcse"]) ** 2,
         rate=-1.0,
         rate_ci=(-1.0, -1.0),
-        causes=[Cause(name, sentence or "The draws say nothing against their error.", evidence)],  # type: ignore[arg-type]
+        causes=[Cause(name, sentence, evidence), *map(Cause, names[1:], others)],
         best=None,
         samplers={},
         tried=[],
         not_tried=[],
     )
+
+
+def _shape(causes: Sequence[Cause]) -> str:
+    """The first cause that is of g itself: what is wrong with the sets of a sampler leaves the rates of others."""
+    return next((cause.name for cause in causes if cause.name not in _OF_SETS), "none")
 
 
 def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
@@ -496,21 +508,25 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     # The sampler as given
     curves, not_tried = dict(evidence.curves), []
     evidence = replace(evidence, curves=curves)
-    if is_apart(given):
+    if is_apart(estimator, given):
+        given_stream = stream.child(99)
         try:
-            curve, replicates, cost = _measured(
-                estimator, given, int(GIVEN * budget), stream.child(99)
-            )
+            curve, replicates, cost = _measured(estimator, given, int(GIVEN * budget), given_stream)
             curves[given.spec] = curve
             evidence = replace(evidence, replicates=replicates)
             calls += cost
         except McspectraError as error:
             not_tried.append(f"{given.spec}: {error}")
+            source, count = estimator.randomized(given), int(min(FEW_NETS, sets_of(given)))
+            if count > 1:
+                n = given.nearest_count(sets.points[0].shape[1] // sets.counts[0])
+                drawn = estimator.draw(source, n, given_stream, 0, count)
+                evidence = replace(evidence, replicates=_replicates(drawn, np.empty(0)))
 
     causes = causes_of(evidence)
     # Pairs about the centres of strata, which nets do not tell of, have the exponent −1 − 4/d where g is
     # smooth: cubic stratification of second order
-    if causes[0].name == "none" and estimator.counts == (1,) and given.spec != _PAIRS:
+    if _shape(causes) == "none" and estimator.counts == (1,) and given.spec != _PAIRS:
         with contextlib.suppress(McspectraError):  # too many dims, or too few evaluations
             pairs = as_sampler(_PAIRS, estimator.dims)
             curve, _, cost = _measured(estimator, pairs, budget - calls, stream.child(97))
@@ -521,7 +537,9 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         for name, curve in curves.items()
     }
     # What is the same every time, or was not measured, is no reference
-    fixed = any(cause.name == "deterministic-set" for cause in causes)
+    fixed = any(cause.name in {"deterministic-set", "correlated-replicates"} for cause in causes)
+    if any(cause.name == "deterministic-set" for cause in causes):
+        curves.pop(given.spec, None)  # by which it has no error
     reference = "random" if fixed or given.spec not in curves else given.spec
     best, changed = None, list[str]()
     if all(c.name != "infinite-variance" or c.kinds for c in causes):  # there is an integral
@@ -620,7 +638,7 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     resolved_by = math.inf if waves is None else waves.evidence["resolved_by"]
     if name != "random" and max(curve.counts, default=math.inf) < resolved_by <= points:
         return replace(curve, rate=math.nan, rate_se=math.nan)
-    first = causes[0].name
+    first = _shape(causes)
     if name not in {NETS, "jittered"} or first not in _EXPONENTS or not math.isfinite(curve.rate):
         return curve
     # Of n strata n^(1 − 1/d) meet a jump; nets see one along axes as in 1-D, and so what is smooth, but for at
@@ -638,7 +656,7 @@ def _measured(
 ) -> tuple[Curve, Replicates, int]:
     """The curve of a sampler by sets of its own, within so many evaluations, and how many it took."""
     each = sum(estimator.counts) * estimator.evaluations_per_point
-    sets = int(min(FEW_NETS, sets_of(sampler)))
+    sets = drawn = int(min(FEW_NETS, sets_of(sampler)))
     if sets < _LEAST_SETS:
         raise CountError(f"{sampler.spec} has {sets} sets; give {_LEAST_SETS} or more.")
     setup, counts = Setup(estimator, sampler), list[int]()
@@ -655,11 +673,22 @@ def _measured(
     counts.sort()
     found, source = list[Array](), estimator.randomized(sampler)
     for n in counts:
-        points = estimator.draw(source, n, stream.child(n), 0, sets)
-        values = [scalar(estimator, estimator.primary_values(t, u)) for t, u in enumerate(points)]
+        points = estimator.draw(source, n, stream.child(n), 0, drawn)
+        values = [
+            scalar(estimator, estimator.primary_values(t, u[:sets])) for t, u in enumerate(points)
+        ]
         found.append(np.asarray(sum(v.mean(axis=1) for v in values)))
-    different = len(np.unique(np.concatenate([p.reshape(sets, -1) for p in points], 1), axis=0))
-    return curve_of(counts, found), Replicates(found[-1], different), sum(counts) * sets * each
+    cost = sum(counts) * sets * each
+    return curve_of(counts, found), _replicates(points, found[-1]), cost
+
+
+def _replicates(points: Sequence[Array], estimates: Array) -> Replicates:
+    """Sets of each technique's points (R, n, d), which cost no evaluations, and what is known of some of them."""
+    x = np.concatenate([np.asarray(p) for p in points], axis=1)
+    angle = 2.0 * math.pi * x
+    waves = [each.mean(axis=1) for each in (x - 0.5, np.cos(angle), np.sin(angle))]
+    different = len(np.unique(x.reshape(len(x), -1), axis=0))
+    return Replicates(estimates, np.concatenate(waves, axis=1), different)
 
 
 def _change(
@@ -722,7 +751,7 @@ def _improved(
             index = cause.evidence.get("exponent", cause.evidence.get("tail_index", 0.0))
             offers = [offer for offer in offers if offer.finite_below > index]
     # What takes a jump away gains with nets, which its variance at random points does not tell: it is first
-    jumps = causes[0].name == "interior-jump"
+    jumps = _shape(causes) == "interior-jump"
     offers.sort(key=lambda offer: (not (jumps and offer.kind == "preintegrated"), offer.ratio))
     sampler, tried, calls = as_sampler(NETS, estimator.dims), list[str](), 0
     base = evidence.curves[given if best is None else best.name]
