@@ -11,7 +11,7 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.jit import kernel
 
-__all__ = ["direction_numbers", "fill_base"]
+__all__ = ["direction_numbers", "double_words", "fill_base", "fill_binary"]
 
 
 @kernel
@@ -34,6 +34,28 @@ def direction_numbers(polynomials: Array, initial: Array, out: Array) -> None:
                 if (polynomials[j] >> (degree - k)) & 1:
                     word ^= v[i - k]
             v[i] = word
+
+
+@kernel
+def double_words(columns: Array, words: Array) -> None:
+    """Words (n,) of points 0, 1, … of a binary net from the first: each bit of the index doubles them."""
+    k, size = 0, 1
+    while size < words.size:
+        new = words[size : 2 * size]
+        for i in range(new.size):
+            new[i] = words[i] ^ columns[k]
+        k, size = k + 1, 2 * size
+
+
+@kernel
+def fill_binary(directions: Array, out: Array) -> None:
+    """Points 0 … n−1 of a binary net."""
+    words = np.empty(out.shape[0], np.uint32)
+    for j in range(out.shape[1]):
+        words[0] = 0
+        double_words(directions[j], words)
+        for i in range(words.size):
+            out[i, j] = np.float64(np.int64(words[i])) * 2.0**-32
 
 
 @kernel

@@ -23,6 +23,7 @@ import numpy as np
 from mcspectra.core.checks import BELOW_ONE, Array
 from mcspectra.core.jit import kernel
 from mcspectra.core.streams import mix_bits, mix_uniform
+from mcspectra.samplers._digital_kernels import double_words
 from mcspectra.samplers._kernels import _mix_below
 
 __all__ = [
@@ -228,18 +229,16 @@ def fill_mixed(keys: Array, shift: bool, directions: Array, out: Array) -> None:
     """What `mix_matrices` makes of points 0 … n−1 of the sequence of uint32 (d, 32) columns."""
     count, n, dims = out.shape
     columns, words = np.empty((dims, 53), np.uint64), np.empty(dims, np.uint64)
-    points = np.empty(n, np.uint64)
+    points, mixed = np.empty(n, np.uint64), np.empty(32, np.uint64)
     for r in range(count):
         _draw_matrices(keys[r, 0], keys[r, 1], shift, columns, words)
         for j in range(dims):
-            # Each bit of the index doubles the points there are
-            points[0], k, size = words[j], 0, 1
-            while size < n:
-                column = _product(columns[j], np.uint64(directions[j, k]) << _S32)
-                new = points[size : 2 * size]
-                for i in range(new.size):
-                    new[i] = points[i] ^ column
-                k, size = k + 1, 2 * size
+            k = 0
+            while k < 32 and (1 << k) < n:
+                mixed[k] = _product(columns[j], np.uint64(directions[j, k]) << _S32)
+                k += 1
+            points[0] = words[j]
+            double_words(mixed, points)
             for i in range(n):
                 out[r, i, j] = np.float64(np.int64(points[i])) * _UNIT_53
 
