@@ -11,7 +11,9 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.jit import kernel
 
-__all__ = ["direction_numbers", "fill_base"]
+__all__ = ["direction_numbers", "fill_base", "fill_binary"]
+
+_UNIT_32 = 2.0**-32
 
 
 @kernel
@@ -34,6 +36,23 @@ def direction_numbers(polynomials: Array, initial: Array, out: Array) -> None:
                 if (polynomials[j] >> (degree - k)) & 1:
                     word ^= v[i - k]
             v[i] = word
+
+
+@kernel
+def fill_binary(directions: Array, out: Array) -> None:
+    """Points 0 … n−1 of a digital sequence in base 2, in natural order."""
+    n, dims = out.shape
+    words = np.zeros(n, np.uint32)
+    for j in range(dims):
+        # Each bit of the index doubles the words there are
+        k, size = 0, 1
+        while size < n:
+            new, column = words[size : 2 * size], directions[j, k]
+            for i in range(new.size):
+                new[i] = words[i] ^ column
+            k, size = k + 1, 2 * size
+        for i in range(n):
+            out[i, j] = np.float64(words[i]) * _UNIT_32
 
 
 @kernel

@@ -47,11 +47,9 @@ class _BinaryNet(FixedSet):
         """Return the columns of the matrices for n points: uint32 (dims, 32), 2^31 being ½."""
 
     def _set(self, n: int) -> Array:
-        # Each bit of the index doubles the words there are
-        columns, words = self.direction_numbers(n), np.zeros((self.dims, 1), np.uint32)
-        for k in range((n - 1).bit_length()):
-            words = np.concatenate([words, words ^ columns[:, k, None]], axis=1)
-        return np.multiply(words[:, :n].T, 2.0**-_BITS, out=np.empty((n, self.dims)))
+        points = np.empty((n, self.dims))
+        _digital_kernels.fill_binary(self.direction_numbers(n), points)
+        return points
 
 
 @final
