@@ -6,8 +6,6 @@ channel c keeps the ratio L_c / luminance, which jumps at the borders of colored
 own density it keeps the cosine only, which is smooth but for its horizon.
 """
 
-# ruff: noqa: RUF009 - the fields are made by `checked`
-
 from __future__ import annotations
 
 import math
@@ -15,7 +13,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 import numpy.typing as npt
@@ -33,10 +31,17 @@ _MOST_BREAKS = 64
 _LANDMARKS = 4096
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Picture(Integrand):
     """A function of x by way of pixels (h, w) or (h, w, channels)."""
 
-    _pixels: Array
+    path: str | os.PathLike[str] | None = checked(
+        lambda _, given: os.fspath(given) if isinstance(given, os.PathLike) else given, None
+    )
+    values: npt.ArrayLike | None = None
+    channel: int | str | None = None
+    dims: int = field(default=2, init=False)
+    _pixels: ClassVar[Any]  # made by subclasses: (h, w) or (h, w, channels)
 
     def _check(self) -> None:
         self._pixels  # noqa: B018 - reads the file, refuses bad pixels
@@ -60,13 +65,6 @@ class _Picture(Integrand):
             tuple((np.arange(first, size) / size).tolist()) if size <= _MOST_BREAKS else ()
             for size in (width, height)
         )
-
-
-def _path() -> Any:
-    """A field of the name of a file, or None."""
-    return checked(
-        lambda _, given: os.fspath(given) if isinstance(given, os.PathLike) else given, None
-    )
 
 
 @final
@@ -97,13 +95,8 @@ class Image(_Picture):
         The file is missing or cannot be read.
     """
 
-    path: str | os.PathLike[str] | None = _path()
-    values: npt.ArrayLike | None = None
-    channel: int | str | None = None
-    dims: int = field(default=2, init=False)
-
     @cached_property
-    def _pixels(self) -> Array:  # type: ignore[override]
+    def _pixels(self) -> Array:
         if (self.path is None) == (self.values is None):
             raise ParameterError("image needs either path, of a picture file, or values, not both.")
         if isinstance(self.path, str):
@@ -203,12 +196,8 @@ class Environment(_Picture):
         The file is missing or cannot be read.
     """
 
-    path: str | os.PathLike[str] | None = _path()
-    values: npt.ArrayLike | None = None
-    channel: int | str | None = None
     normal: Sequence[float] = checked(lambda name, v: as_reals(name, v, 3), (0.0, 0.0, 1.0))
     interpolation: str = choice("constant", "bilinear")
-    dims: int = field(default=2, init=False)
 
     def _check(self) -> None:
         super()._check()
@@ -216,7 +205,7 @@ class Environment(_Picture):
             raise ParameterError(f"normal is {self.normal!r}; give a direction, not all 0.")
 
     @cached_property
-    def _pixels(self) -> Array:  # type: ignore[override]
+    def _pixels(self) -> Array:
         return _chosen(environment_pixels(self.path, self.values), self.channel)
 
     @cached_property

@@ -341,15 +341,15 @@ def permute_digits(keys: Array, bases: Array, shift: bool, points: Array, out: A
 
 @kernel
 def _invert_digits(images: Array, start: int, out: Array) -> None:
-    # Radical inverses of start, start + 1, … in units of b^-m, with the images (m, b) of their digits;
-    # out int64 (n,)
+    # Radical inverses of start, start + 1, … in units of b^-m, with the images (m, b) of their digits:
+    # whole numbers below 2^53; out (n,)
     (places, base), n = images.shape, out.size
 
     # Tabulate the images of as many of the index's lowest digits as are worth it
     size, low = base, 1
     while low < places and size * base <= min(n, _TABLE):
         size, low = size * base, low + 1
-    table = np.zeros(size, np.int64)
+    table = np.zeros(size)
     width, weight = 1, base ** (places - 1)
     for k in range(low):
         for digit in range(base - 1, -1, -1):  # 0 last: it overwrites what others read
@@ -365,29 +365,27 @@ def _invert_digits(images: Array, start: int, out: Array) -> None:
         for k in range(low, places):
             high += images[places - 1 - k, rest % base] * unit_above
             unit_above, rest = unit_above // base, rest // base
-        stop = min(n, i + size - v)
+        stop, above = min(n, i + size - v), np.float64(high)
         for t in range(i, stop):
-            out[t] = table[v + t - i] + high
+            out[t] = table[v + t - i] + above
         i, v, block = stop, 0, block + 1
 
 
 @kernel
 def fill_inverses(bases: Array, start: int, out: Array) -> None:
     """Radical inverses of start, start + 1, … in each base; out (n, d)."""
-    inverses = np.empty(out.shape[0], np.int64)
     for j in range(bases.size):
         places, scale, _, _ = _format(bases[j])
         images = np.empty((places, bases[j]), np.int64)
         images[:] = np.arange(bases[j])
-        _invert_digits(images, start, inverses)
-        for i in range(inverses.size):
-            out[i, j] = inverses[i] / scale
+        _invert_digits(images, start, out[:, j])
+        for i in range(out.shape[0]):
+            out[i, j] /= scale
 
 
 @kernel
 def fill_permuted(keys: Array, bases: Array, shift: bool, start: int, out: Array) -> None:
     """What `permute_digits` makes of the radical inverses of start, start + 1, …"""
-    inverses = np.empty(out.shape[1], np.int64)
     for r in range(out.shape[0]):
         k0, k1 = keys[r, 0], keys[r, 1]
         number = 0
@@ -395,9 +393,9 @@ def fill_permuted(keys: Array, bases: Array, shift: bool, start: int, out: Array
             places, scale, _, unit = _format(bases[j])
             images, tail = _draw_images(k0, k1, number, places, bases[j], shift)
             number += images.size + 1
-            _invert_digits(images, start, inverses)
-            for i in range(inverses.size):
-                out[r, i, j] = _write(inverses[i], tail, scale, unit)
+            _invert_digits(images, start, out[r, :, j])
+            for i in range(out.shape[1]):
+                out[r, i, j] = _write(out[r, i, j], tail, scale, unit)
 
 
 @kernel

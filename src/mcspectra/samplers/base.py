@@ -258,11 +258,13 @@ class Sampler(Component, ABC):
         return samplers.QmcpySampler.from_generator(generator, **arguments)
 
 
+@dataclass(frozen=True, kw_only=True)
 class PlaneSampler(Sampler):
     """A sampler of points in 2-D alone."""
 
     min_dims: ClassVar[int] = 2
     max_dims: ClassVar[int | None] = 2
+    dims: int = 2
 
 
 class FixedSet(Sampler):

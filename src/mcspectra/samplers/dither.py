@@ -99,7 +99,6 @@ class VoidAndCluster(PlaneSampler, OptimisedSampler):
     """
 
     other_dims: ClassVar[str] = "for other dims use poisson-disk"
-    dims: int = 2
     cells: int = whole(16, least=4, most=256)
 
     def _optimize(self, n: int, keys: Array, report: Report) -> Array:
@@ -294,7 +293,6 @@ class LowDiscrepancyBlueNoise(PlaneSampler, OptimisedSampler):
     structure: ClassVar[Structure] = Structure.STRATA
     unbiased: ClassVar[bool] = False
     other_dims: ClassVar[str] = "for other dims use projective-blue-noise or sobol | owen"
-    dims: int = 2
     chunk: int = whole(16, least=2, most=64)
     sweeps: int = whole(100, least=1, most=10**5)
 

@@ -212,7 +212,6 @@ class Fibonacci(PlaneSampler, _Lattice):
     """
 
     other_dims: ClassVar[str] = "for other dims use korobov or rank1-lattice"
-    dims: int = 2
 
     def _vector(self, n: int) -> Sequence[int]:
         before = _FIBONACCI[_FIBONACCI.index(n) - 1] if n > 1 else 1

@@ -314,7 +314,6 @@ class LarcherPillichshammer(PlaneSampler, _BinaryNet):
     """
 
     other_dims: ClassVar[str] = "for other dims use sobol or niederreiter"
-    dims: int = 2
 
     def direction_numbers(self, n: int) -> Array:
         """Return the columns of both matrices for n = 2^m points: uint32 (2, 32), 2^31 being ½."""

@@ -79,7 +79,6 @@ class NRooks(PlaneSampler):
     name: ClassVar[str] = "n-rooks"
     structure: ClassVar[Structure] = Structure.STRATA
     other_dims: ClassVar[str] = "for other dims use latin-hypercube"
-    dims: int = 2
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         return _latin(n, self.dims, stream.keys(first, count))

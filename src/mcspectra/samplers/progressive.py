@@ -73,7 +73,6 @@ class PMJ(_PlaneSequence):
     """
 
     sequence: ClassVar[bool] = True
-    dims: int = 2
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         out = np.empty((count, n, 2))
@@ -101,7 +100,6 @@ class PMJ02(_PlaneSequence):
     """
 
     sequence: ClassVar[bool] = True
-    dims: int = 2
 
 
 @final
@@ -136,7 +134,6 @@ class PMJ02BlueNoise(_PlaneSequence):
 
     unbiased: ClassVar[bool] = False
     max_count: ClassVar[int] = 2**18
-    dims: int = 2
     sweeps: int = whole(2, least=1, most=100)
 
 

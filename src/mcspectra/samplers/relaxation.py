@@ -94,7 +94,6 @@ class Lloyd(_CentroidSampler):
     [Lloyd1982]_, [McCoolFiume1992]_.
     """
 
-    dims: int = 2
     iterations: int = whole(100, least=1, most=10**6)
     tolerance: float = real(0.0, least=0.0, most=1.0)
 
@@ -133,7 +132,6 @@ class Bnot(_CentroidSampler):
     [deGoes2012]_, [Balzer2009]_.
     """
 
-    dims: int = 2
     iterations: int = whole(200, least=1, most=10**6)
     tolerance: float = real(0.01, least=0.0, most=1.0)
 
@@ -313,7 +311,6 @@ class FarthestPoint(PlaneSampler, OptimisedSampler):
     """
 
     other_dims: ClassVar[str] = "for other dims use best-candidate or dart-throwing"
-    dims: int = 2
     sweeps: int = whole(30, least=1, most=100_000)
 
     def _optimize(self, n: int, keys: Array, report: Report) -> Array:

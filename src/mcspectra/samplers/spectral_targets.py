@@ -96,7 +96,6 @@ class StepBlueNoise(_MatchedSampler):
     [Heck2013]_.
     """
 
-    dims: int = 2
     cutoff: float = real(0.55, above=0.0)
     iterations: int = whole(200, least=1, most=10**6)
 
@@ -140,7 +139,6 @@ class TargetSpectrum(_MatchedSampler):
     [Heck2013]_, [Zhou2012]_.
     """
 
-    dims: int = 2
     frequencies: tuple[float, ...] = (0.2, 0.8)
     power: tuple[float, ...] = (0.0, 1.0)
     iterations: int = whole(200, least=1, most=10**6)
@@ -184,7 +182,6 @@ class TargetPcf(_MatchedSampler):
     [Oztireli2012]_, [Heck2013]_.
     """
 
-    dims: int = 2
     distances: tuple[float, ...] = (0.4, 0.6)
     pcf: tuple[float, ...] = (0.0, 1.0)
     iterations: int = whole(200, least=1, most=10**6)

@@ -340,7 +340,6 @@ class MultiJittered(PlaneSampler):
 
     structure: ClassVar[Structure] = Structure.STRATA
     other_dims: ClassVar[str] = "for other dims use orthogonal-array, jittered or latin-hypercube"
-    dims: int = 2
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         columns, out = nearly_square(n), np.empty((count, n, 2))
@@ -380,7 +379,6 @@ class CorrelatedMultiJittered(PlaneSampler):
 
     structure: ClassVar[Structure] = Structure.STRATA
     other_dims: ClassVar[str] = "for other dims use orthogonal-array, jittered or latin-hypercube"
-    dims: int = 2
 
     def digit_strata(self, n: int, base: int) -> bool:
         """Whether n is a rectangle of columns and rows that are powers of the base."""
@@ -460,7 +458,6 @@ class Hexagonal(PlaneSampler, FixedSet):
 
     structure: ClassVar[Structure] = Structure.TORUS
     other_dims: ClassVar[str] = "for other dims use rank1-lattice or regular"
-    dims: int = 2
 
     def _set(self, n: int) -> Array:
         across = _largest_across(n)
