@@ -14,7 +14,7 @@ from typing import Any, final
 from urllib.parse import parse_qsl, urlencode
 
 from mcspectra.app.specs import check_spec
-from mcspectra.core.checks import as_choice, as_integer
+from mcspectra.core.checks import as_choice, as_instance, as_integer
 from mcspectra.core.errors import ParameterError, close_match_hint
 from mcspectra.core.fields import check_fields, checked, choice, real, whole
 from mcspectra.core.options import options_of
@@ -138,10 +138,7 @@ class Setup:
             raise ParameterError(
                 f"counts go up to {MOST_POINTS} in the explorer; give smaller ones."
             )
-        if not isinstance(self.bands, str):
-            raise ParameterError(
-                f"bands is {self.bands!r}; give {', '.join(_KNOWN['bands'].choices)}."
-            )
+        as_instance("bands", self.bands, str, ", ".join(_KNOWN["bands"].choices))
 
     @property
     def displaced_sampler(self) -> str:
@@ -231,8 +228,7 @@ class State:
 
     def __post_init__(self) -> None:
         for name, setup, kinds in (("a", self.a, Setup), ("b", self.b, Setup | None)):
-            if not isinstance(setup, kinds):
-                raise ParameterError(f"{name} is {setup!r}; give a Setup.")
+            as_instance(name, setup, kinds, "a Setup")
         as_choice("theme", self.theme, THEMES)
 
     def setups(self) -> Iterator[tuple[str, Setup]]:

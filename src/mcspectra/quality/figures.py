@@ -12,7 +12,7 @@ from typing import Any, final
 import numpy as np
 import xarray as xr
 
-from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.checks import Array, as_instance, as_integer
 from mcspectra.core.errors import McspectraError, ParameterError, close_match_hint
 from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers, map_in_order
 from mcspectra.core.results import dataset
@@ -166,10 +166,7 @@ class FigureSummary:
 
 def summarize(figures: xr.Dataset) -> list[FigureSummary]:
     """Return mean and standard error of each figure that `quality_figures` returned."""
-    if not isinstance(figures, xr.Dataset):
-        raise ParameterError(
-            f"{figures!r:.80} has no figures; give what mcs.quality_figures returns."
-        )
+    as_instance("figures", figures, xr.Dataset, "what mcs.quality_figures returns")
     found = []
     for name, figure in figures.data_vars.items():
         values = figure.values

@@ -14,6 +14,7 @@ import xarray as xr
 
 from mcspectra.core.checks import Array
 from mcspectra.plots import kinds
+from mcspectra.plots.groups import along
 from mcspectra.plots.maps import STRATEGIES, bounce_name
 from mcspectra.plots.text import MISSING, number, percent, rate
 from mcspectra.rendering.files import write_exr
@@ -219,14 +220,16 @@ def map_summary(result: xr.Dataset) -> dict[str, Any]:
 
     Of several samplers, strategies are "STRATEGY, SAMPLER", and all but the best sampler is of the first.
     """
+    whole, several, parts = result, "sampler" in result.dims, list(along(result, "sampler"))
     strategies = {
-        ", ".join((str(strategy), *named)): _strategy_summary(
+        f"{strategy}, {name}" if several else str(strategy): _strategy_summary(
             each.sel(strategy=strategy).isel(n=-1)
         )
-        for named, each in _by_sampler(result)
+        for name, each in parts
         for strategy in result["strategy"].values
     }
-    whole, (_, result) = result, next(_by_sampler(result))
+    if several:
+        result = parts[0][1].assign_attrs(sampler=parts[0][0])
     last = result.isel(n=-1)
     found: dict[str, Any] = {**result.attrs, "counts": result["n"].values.tolist()}
     found |= {name: json.loads(found[name]) for name in ("size", "crop") if name in found}
@@ -275,15 +278,6 @@ def map_summary(result: xr.Dataset) -> dict[str, Any]:
         if variance[row, column] > 0
     ]
     return found
-
-
-def _by_sampler(result: xr.Dataset) -> Iterator[tuple[tuple[str, ...], xr.Dataset]]:
-    """A map of each sampler, with its name if there are several."""
-    if "sampler" not in result.dims:
-        yield (), result
-        return
-    for name in map(str, result["sampler"].values):
-        yield (name,), result.sel(sampler=name).assign_attrs(sampler=name)
 
 
 def _causes(result: xr.Dataset, kind: str) -> dict[str, dict[str, float]]:

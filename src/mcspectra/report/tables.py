@@ -134,15 +134,13 @@ def terms_table(rows: Sequence[SummaryRow]) -> Table:
     for row in (each for each in every if each.terms_n is not None):
         why = row.note or _NO_NUMBER
 
-        def value(
-            given: float | None,
-            low: float | None = None,
-            high: float | None = None,
-            why: str = why,
-            beside: float | None = row.power,
-        ) -> Cell:
-            return number_cell(with_error(given, _half(low, high), beside), why=why)
-
+        values = (
+            (row.dc, row.dc_low, row.dc_high),
+            (row.power, row.power_low, row.power_high),
+            (row.cross, row.cross_low, row.cross_high),
+            (row.predicted, None, None),
+            (row.measured, None, None),
+        )
         captured = with_error(row.captured, _half(row.captured_low, row.captured_high))
         # `summarize` appends the channel to the estimator's name
         head, bracket, channel = row.estimator.rpartition(" [")
@@ -152,11 +150,10 @@ def terms_table(rows: Sequence[SummaryRow]) -> Table:
             (
                 name,
                 str(row.terms_n),
-                value(row.dc, row.dc_low, row.dc_high),
-                value(row.power, row.power_low, row.power_high),
-                value(row.cross, row.cross_low, row.cross_high),
-                value(row.predicted),
-                value(row.measured),
+                *(
+                    number_cell(with_error(value, _half(low, high), row.power), why=why)
+                    for value, low, high in values
+                ),
                 number_cell(interval(row.measured_low, row.measured_high), why=why),
                 number_cell(captured, why=why),
             )
@@ -174,9 +171,8 @@ def analysis_table(analysis: str, found: Mapping[str, xr.Dataset]) -> tuple[str,
     """Return heading and table of an analysis by sampler; None where its figures say it all."""
     if analysis in _DRAWN:
         return None
-    heading, caption, columns, words, rows = _TABLES.get(
-        analysis, (summary_of(analysis).removesuffix("."), *_OF_ANYTHING)
-    )
+    made = _TABLES.get(analysis) or (summary_of(analysis).removesuffix("."), *_OF_ANYTHING)
+    heading, caption, columns, words, rows = made
     cells = [row for sampler, data in found.items() for row in rows(sampler, data)]
     heads, stacked = 1 if analysis in _TABLES else 2, analysis == "remedies"
     if not cells:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.checks import as_instance
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -71,8 +71,7 @@ def summarize(tree: xr.DataTree) -> list[SummaryRow]:
     """
     import xarray as xr
 
-    if not isinstance(tree, xr.DataTree):
-        raise ParameterError(f"{tree!r:.80} is no tree of results; give what open_results returns.")
+    as_instance("tree", tree, xr.DataTree, "what open_results returns")
     return [
         row
         for _, estimator, sampler, found in pairs_of(tree)
