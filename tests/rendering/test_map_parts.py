@@ -54,7 +54,8 @@ def test_variances_that_were_missed_leave_no_rate():
     fits = statistics.fit_lines(NS, variance, se, np.ones_like(variance))
     without = np.isnan(fits.rate)
     assert np.argwhere(without).tolist() == [[0, 1, 1], [1, 0, 1], [1, 2, 2], [1, 2, 3]]
-    assert np.array_equal(without, np.isnan(fits.rate_se))
+    for other in (fits.rate_se, fits.level):
+        assert np.array_equal(without, np.isnan(other))
 
 
 def test_errors_of_a_line_are_those_of_many_lines():

@@ -3,7 +3,6 @@
 import json
 import math
 import os
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -137,21 +136,19 @@ def test_the_size_and_the_sign_of_f_do_not_matter():
     assert specs[0] != "uniform"
 
 
-def specs():
-    f = "gaussian(width=0.1, center=0.3)"
-    return [
-        mcs.learned_density(f, kind, OWEN, 256, dims=3, evaluations=8192).spec for kind in KINDS
-    ]
-
-
 def test_threads_and_blocks_do_not_matter():
-    """Neither those of BLAS to the fit (two in another process), nor how points are shared out to what uses it."""
-    code = "from tests.variance.test_learned import specs; print(*specs(), sep='\\n')"
-    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "2"}
-    two = python("-c", code, env=environment, cwd=Path(__file__).parents[2], check=True)
-    one = specs()
-    assert one == two.stdout.splitlines()
-    for spec in one:
+    """Neither those of BLAS to the fit, nor how points are shared out to what uses it."""
+    code = (
+        "import mcspectra as mcs\n"
+        f"for kind in {KINDS}: print(mcs.learned_density('gaussian(width=0.1, center=0.3)', "
+        f"kind, {OWEN!r}, 256, dims=3, evaluations=8192).spec)"
+    )
+    one, two = (
+        python("-c", code, env={**os.environ, "OPENBLAS_NUM_THREADS": threads}, check=True).stdout
+        for threads in ("1", "2")
+    )
+    assert one == two
+    for spec in one.splitlines():
         assert spec != "uniform"
         p = mcs.density(spec)
         u = np.random.default_rng(0).random((1000, 3))

@@ -1,38 +1,44 @@
 """Linear algebra in a fixed order: what LAPACK and BLAS find, and the same bits for any threads of BLAS."""
 
-import hashlib
 import os
-from pathlib import Path
+import subprocess
+import sys
 
 import numpy as np
 import pytest
-from tests.processes import python
 
-import mcspectra as mcs
 from mcspectra.variance.ordered import eigenpairs, gram, orthonormal, product, weighted_sum
 
-
-def digests():
-    """Of sizes of which BLAS cuts the sums: modes, cross matrix and routes were seen to differ by its threads."""
-    f = mcs.Estimator("gaussian(width=0.1)", dims=2)
-    runs = {"engine": "nufft", "workers": 1}
-    results = (
-        mcs.covariance_modes(f, "random", 16, half_width=12, modes=50, realizations=700, **runs),
-        mcs.variance_terms(
-            f, "random", 4, half_width=12, cross_matrix=True, realizations=3000, **runs
-        ),
-        mcs.variance_routes(f, "jittered | shift", 16, half_width=100, realizations=10, workers=1),
-    )
-    values = (b"".join(v.values.tobytes() for v in found.values()) for found in results)
-    return [hashlib.sha256(each).hexdigest() for each in values]
+# Sizes of which BLAS cuts the sums: modes, cross matrix and routes were seen to differ by its threads
+RESULTS = """
+import hashlib
+import mcspectra as mcs
+f = mcs.Estimator("gaussian(width=0.1)", dims=2)
+runs = {"engine": "nufft", "workers": 1}
+for found in (
+    mcs.covariance_modes(f, "random", 16, half_width=12, modes=50, realizations=700, **runs),
+    mcs.variance_terms(
+        f, "random", 4, half_width=12, cross_matrix=True, realizations=3000, **runs
+    ),
+    mcs.variance_routes(f, "jittered | shift", 16, half_width=100, realizations=10, workers=1),
+):
+    print(hashlib.sha256(b"".join(v.values.tobytes() for v in found.values())).hexdigest())
+"""
 
 
 def test_threads_of_blas_do_not_matter():
-    """Five in another process, and the one of tests."""
-    code = "from tests.variance.test_ordered import digests; print(*digests())"
-    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "5"}
-    many = python("-c", code, env=environment, cwd=Path(__file__).parents[2], check=True)
-    assert many.stdout.split() == digests()
+    started = [
+        subprocess.Popen(
+            [sys.executable, "-c", RESULTS],
+            env={**os.environ, "OPENBLAS_NUM_THREADS": threads},
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for threads in ("1", "5")
+    ]
+    one, many = (process.communicate()[0].split() for process in started)
+    assert len(one) == 3
+    assert one == many
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 40])

@@ -6,6 +6,7 @@ import pytest
 import mcspectra as mcs
 from mcspectra.core.errors import CountError, ParameterError
 from mcspectra.core.streams import Stream
+from mcspectra.variance import counterfactuals
 from mcspectra.variance.counterfactuals import (
     KINDS,
     Budget,
@@ -282,7 +283,8 @@ def test_what_is_smoothed_to_another_integral_has_no_rate():
     assert found.sel(remedy=name)["rate_verdict"] == "undecided"
 
 
-def test_means_over_boxes_are_not_said_to_be_biased():
+def test_means_over_boxes_are_not_said_to_be_biased(monkeypatch):
+    monkeypatch.setattr(counterfactuals, "_WIDTHS", (0.1,))
     f = mcs.integrand("image(values=[[0, 1], [1, 0]])")
     changes = [
         c for c in _found(f, "jittered | shift", "smoothed") if isinstance(c, Counterfactual)
