@@ -197,7 +197,8 @@ def lines_of(g: Function, dims: int, evaluations: int, rng: np.random.Generator)
     height = np.abs(np.diff(values, axis=1)).max(axis=1)
     stays = np.ones(len(axis), bool)
     if dims > 1:
-        aside = start[straight] + _ASIDE * np.where(start[straight] < 0.5, 1.0, -1.0)
+        steps = _ASIDE * rng.uniform(0.5, 1.0, (straight.sum(), dims))  # of which none cancel
+        aside = start[straight] + np.where(start[straight] < 0.5, steps, -steps)
         pair = np.stack([aside, aside], axis=1)
         pair[np.arange(len(aside))[:, None], (0, 1), axis[straight, None]] = window[straight][
             :, ::2
