@@ -33,6 +33,8 @@ FUNCTIONS = {
     "few waves": (2, lambda x: np.cos(2 + x @ (5.0, 4.0)), {"none"}),
     "disk": (2, lambda x: ((x**2).sum(axis=-1) < 0.6) * 1.0, {"interior-jump"}),
     "step": (2, lambda x: (x[..., 0] > 0.377) + x[..., 1], {"axis-parallel-jump"}),
+    "staircase": (2, lambda x: np.floor(7 * x[..., 0]) + x[..., 1] ** 2, {"axis-parallel-jump"}),
+    "checkerboard": (2, lambda x: np.floor(8 * x).sum(axis=-1) % 2, {"axis-parallel-jump"}),
     "sum over 8 dims": (8, lambda x: (x.sum(axis=-1) > 4.3) * 1.0, {"interior-jump"}),
     "step near the border": (1, lambda x: (x[..., 0] > 0.02) * 1.0, {"axis-parallel-jump"}),
     "kink": (1, lambda x: np.abs(x[..., 0] - 0.3), {"kink"}),
@@ -316,6 +318,13 @@ def test_what_is_advised_is_better_than_all_samplers_shown_beside_it(budget):
     found = mcs.profile(FUNCTIONS["logarithm"][1], dims=1, budget=budget, rng=1)
     assert found.best.name.startswith("fitted")
     assert found.best.rmse < float(found.dataset["rmse"].min())
+
+
+def test_a_change_that_misses_where_f_is_is_not_better():
+    """Few means along lines meet a box of 0.0016: they do not vary, and are 0."""
+    found = mcs.profile(lambda x: ((x > 0.4) & (x < 0.6)).all(axis=-1) * 1.0, dims=4, budget=2**16)
+    assert "preintegrated along the active direction" in found.tried
+    assert found.best is None or math.isnan(found.best.gain)
 
 
 def test_pairs_in_strata_are_tried_where_g_is_smooth_and_their_error_is_as_said():

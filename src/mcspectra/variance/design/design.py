@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 __all__ = ["certificate", "design"]
 
-_VERSION = 2  # of the searches: samplers of another one are not taken from the cache
+_VERSION = 3  # of the searches: samplers of another one are not taken from the cache
 # Points and members whose values name a class in the cache, beside its text: of functions alone the
 # values tell, and they may be 0 but for a small spot
 _PROBES, _MEMBERS = 2**13, 256

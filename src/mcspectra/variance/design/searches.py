@@ -166,8 +166,8 @@ def _judge(objective: Objective, n: int, stream: Stream) -> Callable[[Sampler], 
 
 
 def _lattices(objective: Objective, n: int, stream: Stream) -> Iterator[Candidate]:
-    few, judge = objective.dims <= 3, _judge(objective, n, stream)
-    size = _FREQUENCIES if few else 2 * _FREQUENCIES
+    plane, judge = objective.dims <= 2, _judge(objective, n, stream)
+    size = _FREQUENCIES if objective.dims <= 3 else 2 * _FREQUENCIES
     values = objective.functions(min(_MEMBERS, _VALUES // size), stream.generator(0))
 
     def made_of(vector: Array, fold: bool) -> Sampler:
@@ -185,9 +185,9 @@ def _lattices(objective: Objective, n: int, stream: Stream) -> Iterator[Candidat
                 yield Candidate(math.inf, fold / 2, partial(_as_made, made_of(vector, fold)))
             found.append((value, vector))
             report("lattice", (fold + len(found) / _VECTORS) / 2)
-        for value, vector in sorted(found, key=lambda each: each[0])[: 1 if few else _JUDGED]:
+        for value, vector in sorted(found, key=lambda each: each[0])[: 1 if plane else _JUDGED]:
             made = made_of(vector, fold)
-            if not few:  # frequencies that are not counted may be those that matter
+            if not plane:  # frequencies that are not counted may be those that matter
                 value = judge(made)
             yield Candidate(value, (fold + 1) / 2, partial(_as_made, made))
 

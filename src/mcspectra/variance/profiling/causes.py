@@ -92,7 +92,7 @@ _LARGE = 0.2  # of all squares, by one value
 _FEW, _VERY_FEW = 0.05, 0.01  # of the values, that make nine tenths of the variance
 _ALIKE = 0.05  # of all evaluations, as different values: a function in steps
 _LOOKED = 4  # lines that show what is rough
-_SAME, _PLACES = 1e-4, 1000  # along lines: of equal places; so many do not agree by chance
+_STRAIGHT = 0.7  # of the lines that meet a jump
 _TURNS = 0.33  # of the places along a line, as extremes: of noise two thirds
 _WAVES = 6.0  # along a line
 _RESOLVED = 4.0  # gain of nets over random points, from which on they see what g does
@@ -570,7 +570,7 @@ def _jumps(seen: Evidence) -> Cause | None:
     meets = np.concatenate([lines.jumps(seen.scale) for lines in seen.lines])
     if seen.pole is not None and not seen.pole.border:  # about which lines bend as at a jump
         meets &= seen.pole.codimension > 1
-    axis, place, height = (seen.each(name) for name in ("axis", "place", "height"))
+    height = seen.each("height")
     alike = len(np.unique(seen.sets.pooled))
     if not meets.any():
         if not 1 < alike <= _ALIKE * seen.sets.pooled.size:
@@ -583,16 +583,14 @@ def _jumps(seen: Evidence) -> Cause | None:
         )
     size = float(np.median(height[meets])) / max(seen.scale, 1e-300)
     share = float(meets.mean())
-    straight, rough = [], meets
-    if not meets[axis >= 0].any():  # told only by chords from what is steep beside it
-        rough = np.concatenate([lines.kinks() for lines in seen.lines])
-    for i in range(seen.sets.dims):
-        own = rough & (axis == i)
-        if own.sum() > 1:  # a single one says nothing
-            straight.append(_clustered(place[own]))
+    along = seen.each("axis") >= 0
+    rough = meets & along
+    if not rough.any():  # told only by chords from what is steep beside it
+        rough = along & np.concatenate([lines.kinks() for lines in seen.lines])
+    straight = rough.any() and seen.each("straight")[rough].mean() > _STRAIGHT
     evidence = {"met_by": share, "height": size}
     met = f"{100 * share:.0f} % of all lines through the cube meet a jump of g, by {size:.2g} of its spread"
-    if (straight and all(straight)) or seen.sets.dims == 1:
+    if straight or seen.sets.dims == 1:
         return Cause(
             "axis-parallel-jump",
             f"{met}, always across planes normal to an axis: a border of strata there takes it away.",
@@ -606,13 +604,6 @@ def _jumps(seen: Evidence) -> Cause | None:
         evidence,
         ("preintegrated", "smoothed", "aligned"),
     )
-
-
-def _clustered(places: Array) -> bool:
-    """Whether most places along parallel lines are shared by several lines."""
-    places = places[:_PLACES]
-    near = np.abs(places[:, None] - places) < _SAME
-    return bool((near.sum(axis=1) > 1).mean() > 0.7)
 
 
 def _border_jump(seen: Evidence) -> Cause | None:

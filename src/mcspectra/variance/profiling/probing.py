@@ -35,6 +35,7 @@ _POLE, _JUMP, _KINK = -0.15, 0.4, 1.6  # exponents below which there is one
 _NEGLIGIBLE = 1e-9  # of the spread of g: rounding
 _GRAINS = 32.0  # of the numbers that values are: rounding, too
 _GOES_ON = 0.65  # of the last gain towards an end: what is bounded gains 2^-10 of it
+_BESIDE = 0.005  # of the cube, away from a line
 _ENDS = 2.0 ** -np.array([4.0, 12.0, 20.0, 30.0, 40.0])
 
 # Poles
@@ -55,7 +56,7 @@ _FAR = 16, 0.1  # the largest of so many heights stands out from them by so much
 _LEAST = -0.02  # exponent
 _EDGE = 2.0**-53
 
-LINE = STEPS + 2 * HALVINGS + 2 * len(_ENDS)
+LINE = STEPS + 2 * HALVINGS + 2 * len(_ENDS) + 2
 """Evaluations of a line along an axis."""
 
 CHORD = STEPS + 2 * HALVINGS
@@ -82,6 +83,8 @@ class Lines:
         Where that is, (K,), from 0 to 1 along the line.
     height
         Change of g there: (K,).
+    straight
+        Whether the change of g stays at that place on a parallel line close by: (K,); true of chords.
     growth
         Exponents a of g ~ t^−a at both ends of lines along axes, 0 where it does not grow: (K, 2); NaN of
         chords.
@@ -98,6 +101,7 @@ class Lines:
     exponent: Array
     place: Array
     height: Array
+    straight: Array
     growth: Array
     ends: Array
     waves: Array
@@ -141,7 +145,9 @@ def lines_of(g: Function, dims: int, evaluations: int, rng: np.random.Generator)
     pairs = evaluations // (LINE + (CHORD if dims > 1 else 0))
     if not pairs:
         none = np.empty(0)
-        return Lines(none.astype(int), none, none, none, np.empty((0, 2)), none, none, none, none)
+        return Lines(
+            none.astype(int), none, none, none, none, np.empty((0, 2)), none, none, none, none
+        )
     order = np.concatenate([rng.permutation(dims) for _ in range(pairs // dims + 1)])[:pairs]
     axis = np.concatenate([order, np.full(pairs if dims > 1 else 0, -1)]).astype(int)
     start, way = rng.random((len(axis), dims)), np.zeros((len(axis), dims))
@@ -214,6 +220,19 @@ def lines_of(g: Function, dims: int, evaluations: int, rng: np.random.Generator)
     edge = np.abs(window[:, 1] - 0.5) > 0.5 - 4.0 * _ENDS[1]
     exponent[edge & (exponent >= _POLE)] = 2.0
 
+    # Beside lines along axes, inwards, where an edge that is not normal to the axis lies elsewhere
+    height = np.abs(np.diff(values, axis=1)).max(axis=1)
+    stays = np.ones(len(axis), bool)
+    if dims > 1:
+        steps = _BESIDE * rng.uniform(0.5, 1.0, (straight.sum(), dims))  # of which none cancel
+        aside = start[straight] + np.where(start[straight] < 0.5, steps, -steps)
+        pair = np.stack([aside, aside], axis=1)
+        pair[np.arange(len(aside))[:, None], (0, 1), axis[straight, None]] = window[straight][
+            :, ::2
+        ]
+        change = np.diff(g(pair.reshape(-1, dims)).reshape(-1, 2), axis=1)[:, 0]
+        stays[straight] = np.abs(change) > 0.5 * height[straight]
+
     bend = 4.0 * _bends(window, values)[:, 0] / (window[:, 2] - window[:, 0]) ** 2
     varies = np.where(spread > 0.0, np.sqrt(2.0 * spread), np.inf)
     waves = np.sqrt(bend / varies) / (2.0 * math.pi)
@@ -222,7 +241,8 @@ def lines_of(g: Function, dims: int, evaluations: int, rng: np.random.Generator)
         axis=axis,
         exponent=exponent,
         place=window[:, 1],
-        height=np.abs(np.diff(values, axis=1)).max(axis=1),
+        height=height,
+        straight=stays,
         growth=growth,
         ends=ends,
         waves=waves,

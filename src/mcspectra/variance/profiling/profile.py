@@ -74,6 +74,7 @@ _OF_SETS = {"deterministic-set", "few-realizations", "correlated-replicates"}
 _EXPONENTS = {"interior-jump": 1.0, "axis-parallel-jump": 1.0, "none": 2.0}  # beyond random points
 _TEETH = 0.5  # of a slope over few octaves, as ends of strata fall anywhere beside a jump
 _ALIKE = 0.4  # rates of estimators before and after a change, unless they are seen to differ
+_OFF = 4.0  # standard errors
 _FEW_POINTS, _STEEPEST = 16, -2.0
 _WEIGHTED = 3  # functions: f, pdf and sample
 _FIGURES = ("rmse", "rmse_given", "gain", "samples_saved")
@@ -765,8 +766,13 @@ def _improved(
         tried.append(offer.name)
         calls += n * wanted * each
         cost, at_budget = n * each / estimator.evaluations_per_point, budget // each
-        curve = Sets.of(offer.estimator, n, wanted, stream.child(len(tried))).curves()[NETS]
-        curve = curve.towards(base.rate, _ALIKE)
+        made = Sets.of(offer.estimator, n, wanted, stream.child(len(tried)))
+        # What never met where g is does not vary, and has another mean
+        seen_sets = evidence.sets.estimates
+        off = abs(float(made.estimates.mean() - seen_sets.mean())) * math.sqrt(len(seen_sets))
+        if not np.ptp(made.estimates) > 0.0 and off > _OFF * float(seen_sets.std()):
+            continue
+        curve = made.curves()[NETS].towards(base.rate, _ALIKE)
         if n < _FEW_POINTS:  # which show no steep rate yet
             curve = replace(curve, rate=max(curve.rate, _STEEPEST))
         (ours, ours_se), (other, other_se) = curve.at(n), base.at(cost)
