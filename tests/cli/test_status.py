@@ -11,7 +11,7 @@ import xarray as xr
 from mcspectra.cli.main import main
 from mcspectra.core.records import pack
 from mcspectra.core.results import package_versions
-from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote
+from mcspectra.studies.ledger import FORMAT, LEDGER_NAME, Ledger, StudyNote
 from mcspectra.studies.results import write_zarr
 
 NOTE = StudyNote(
@@ -64,7 +64,7 @@ def test_status_says_what_is_done_failed_and_missing(folder, capsys):
     assert found["damaged"] == {}
     assert found["recorded"] == 1
     assert found["seed"] == 5
-    assert found["format"] == 4
+    assert found["format"] == FORMAT
     assert found["holder"] is None
     assert found["started"] <= found["started"][:4] + "~"
     assert found["finished"] is None

@@ -106,8 +106,8 @@ def test_plans_have_intervals():
     wide = mcs.plan(kink, "sobol | owen", target_error=3e-3)
     low, high = wide["planned_n_ci"].values
     assert high > 1.25 * low
-    assert f"({low:,.0f} to {high:,.0f}) with sobol" in wide.attrs["recommendation"]
-    assert f"({low:,.0f} … {high:,.0f})" in str(describe("prediction", wide).panels[0].marks)
+    assert f"({low:.0f} to {high:.0f}) with sobol" in wide.attrs["recommendation"]
+    assert f"({low:.0f} … {high:.0f})" in str(describe("prediction", wide).panels[0].marks)
 
 
 @pytest.mark.parametrize("target", [0.0, -1.0, math.nan, math.inf, "small", None])

@@ -411,11 +411,13 @@ def path_remedies(
                 math.exp(found.log_ratio),
                 f"{math.exp(low):.3g} to {math.exp(high):.3g}",
             )
-            note = f"Its pilot takes {trial.pilot:,} paths; beside it, variance × {ratio:.3g} ({bounds})"
+            note = (
+                f"Its pilot takes {trial.pilot} paths; beside it, variance × {ratio:.3g} ({bounds})"
+            )
             if high < 0.0 and rate < 0.0:
                 # As given, n and the pilot's paths have the variance of this one's n: ((n + P)/n)^rate = ratio
                 pays = trial.pilot / math.expm1(found.log_ratio / rate)
-                note += f": it pays from about {float(f'{pays:.2g}'):,.0f} paths on."
+                note += f": it pays from about {float(f'{pays:.2g}'):.0f} paths on."
             else:
                 note += ": it does not pay, as far as the interval tells."
             tried[k] = replace(trial, note=note)

@@ -109,7 +109,7 @@ class Plan(Counted, frozen=True, kw_only=True):
         evaluations = sum(estimator.counts)
         reached = sorted(zip(planned, (s.spec for s in samplers), ranges, strict=True))
         sizes = [
-            f"{n:,.0f}{f' ({low:,.0f} to {high:,.0f})' if high > _WIDE * low else ''} with {name}"
+            f"{n:.0f}{f' ({low:.0f} to {high:.0f})' if high > _WIDE * low else ''} with {name}"
             for n, name, (low, high) in reached
             if np.isfinite(n)
         ]

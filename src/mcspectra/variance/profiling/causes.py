@@ -535,7 +535,7 @@ def _float_drift(seen: Evidence) -> Cause | None:
         f"Values of g are rounded to steps of {step:.2g}, {step / seen.scale:.2g} of their spread: compute "
         "differences before sums, in float64."
         if rounded
-        else f"Values of g are of float32: a running sum of {len(values):,} of them in float32 is off by "
+        else f"Values of g are of float32: a running sum of {len(values)} of them in float32 is off by "
         f"{drift:.2g} in the mean, beside an RMSE of {error:.2g}. Sum in float64.",
         {"step": step, "drift": drift, "rmse": error},
     )

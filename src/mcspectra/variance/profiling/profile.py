@@ -230,15 +230,15 @@ class Profile:
         if math.isnan(best.gain):
             return (
                 f"{best.change[0].upper()}{best.change[1:]}: it was better where both were measured, by how much "
-                f"at {self.budget:,} evaluations these cannot tell.{why}"
+                f"at {self.budget} evaluations these cannot tell.{why}"
             )
         text = (
             f"{best.change[0].upper()}{best.change[1:]}: RMSE {best.rmse:.2g} instead of {given} at "
-            f"{self.budget:,} evaluations"
+            f"{self.budget} evaluations"
         )
         if math.isfinite(best.samples_saved) and best.samples_saved > 0:
             needed = float(f"{best.samples_saved + self.budget:.2g}")
-            text += f", which would take about {needed:,.0f} with {self.reference}"
+            text += f", which would take about {needed:.0f} with {self.reference}"
         return f"{text}.{why}"
 
     @property
@@ -254,8 +254,8 @@ class Profile:
         found += [f"  {cause.name}: {cause.sentence}" for cause in self.causes]
         if not self.samplers:
             return "\n".join(found)
-        found.append(f"calls      {self.calls:,} of {self.budget:,}")
-        found.append(f"samplers   RMSE at {self.budget:,} evaluations, rate of the variance")
+        found.append(f"calls      {self.calls} of {self.budget}")
+        found.append(f"samplers   RMSE at {self.budget} evaluations, rate of the variance")
         for name, rmse, rate in self._rows():
             found.append(f"  {name:<20} {rmse:>10}   {rate}")
         found += [f"not tried  {reason}" for reason in self.not_tried]
@@ -296,7 +296,7 @@ class Profile:
         )
         return (
             f"<p><b>{html.escape(self.answer)}</b></p><ul>{causes}</ul>"
-            f"<table><tr><th>sampler</th><th>RMSE at {self.budget:,}</th><th>rate</th></tr>{rows}</table>"
+            f"<table><tr><th>sampler</th><th>RMSE at {self.budget}</th><th>rate</th></tr>{rows}</table>"
         )
 
     @property
@@ -469,7 +469,7 @@ def _of_draws(draws: Any) -> Profile:
     evidence = {"draws": float(count), "effective": effective}
     if name == "none" and float(found["ess_ci"][1]) < _DEPENDENT * count:
         name = "correlated-replicates"
-        sentence = f"The {count:,} draws depend on each other and count as {effective:,.0f}."
+        sentence = f"The {count} draws depend on each other and count as {effective:.0f}."
     step = grain(draws) if isinstance(draws, np.ndarray) else 0.0
     spread = float(found["mcse"]) * math.sqrt(effective)
     if name == "none" and step > COARSE * spread:
@@ -553,7 +553,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
             source, count, change = as_sampler(name, estimator.dims), points, f"use {name}"
             if source.nearest_count(points) != points:
                 count = affordable_count(Setup(estimator, source), points * each) or points
-                change += f" with n = {count:,}"
+                change += f" with n = {count}"
             after, setup = usable[name].at(count), (estimator, name)
             best = _change(usable, reference, points, name, change, after, setup)
             best = best if best.gain_ci[0] > 1.0 else None
@@ -580,7 +580,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         if exact is None:
             cause = Cause(
                 "few-realizations",
-                f"g is {value:.6g} at all {count:,} points: either it is constant, or what varies, in less "
+                f"g is {value:.6g} at all {count} points: either it is constant, or what varies, in less "
                 f"than about {3 / count:.1g} of the volume, was not met.",
                 {"points": float(count)},
             )
@@ -589,7 +589,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         else:
             cause = Cause(
                 "heavy-tail",
-                f"g is {value:.6g} at all {count:,} points, and its integral is {mean:.6g}: what makes the "
+                f"g is {value:.6g} at all {count} points, and its integral is {mean:.6g}: what makes the "
                 "difference was not met. Give a density that finds it, or far more points.",
                 {"integral": mean},
             )
