@@ -249,7 +249,7 @@ def test_the_directions_with_the_largest_power_decide(spec, n, b):
 
     1.9: between 2 and the slope of 1 − sinc² at the end of the window, n^(1/2)/4: 1.8.
     """
-    spectrum = mcs.power_spectrum(spec, n, half_width=16, realizations=200, rng=7, eps=1e-12)
+    spectrum = mcs.power_spectrum(spec, n, half_width=16, realizations=200, rng=7)
     found = mcs.low_frequency_exponent(spectrum)
     low, high = found["low_frequency_exponent_ci"].values
     half = (high - low) / 2

@@ -232,12 +232,13 @@ def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], words: int 
     return "\n".join(lines)
 
 
-def page_table(table: Table, first: str = "") -> str:
-    """Align a table of a report; its first column may have another name."""
+def page_table(table: Table, first: str = "", words: int = 0) -> str:
+    """Align a table of a report; its first column may have another name, and more than one be of words."""
     header = [first or table.columns[0], *table.columns[1:]]
     first_row = table.rows[0] if table.rows else ()
-    words = next((k for k, cell in enumerate(first_row) if k and cell.numeric), len(header))
-    return text_table(header, [[cell.text for cell in row] for row in table.rows], words)
+    numbers = next((k for k, cell in enumerate(first_row) if k and cell.numeric), len(header))
+    rows = [[cell.text for cell in row] for row in table.rows]
+    return text_table(header, rows, max(words, numbers))
 
 
 @contextmanager

@@ -448,7 +448,7 @@ def remedies_table(result: xr.Dataset) -> str:
     made = analysis_table("remedies", {"": result})
     assert made is not None
     columns = ("Remedy", "Verdict", "Variance", "Ratio", "95 % interval", "Rate")
-    return page_table(columns_of(made[1], columns))
+    return page_table(columns_of(made[1], columns), words=2)  # a verdict, too
 
 
 @_view("modes")

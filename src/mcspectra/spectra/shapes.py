@@ -50,6 +50,7 @@ _SUSPECT = 3.0  # χ² per degree of freedom, beyond which directions are looked
 _SAME = 1e-7  # standard errors of powers, relative to the largest, that are rounding
 _UNRESOLVED = 0.5  # half an interval of the exponent that is no finding
 _MISFIT = 10.0  # χ² per degree of freedom, beyond which there is no power law
+_SINGLE_ROUNDING = 1e-7  # of coefficients of hardly any power; 3e-8 at most for stratified sets, by double precision
 
 
 @final
@@ -329,8 +330,10 @@ def low_frequency_exponent(
             "The spectrum has no standard errors to weight the fit by; use two or more realisations."
         )
     exact = spectrum.attrs.get("engine") not in ("nufft", "gpu")
-    eps = 0.0 if exact else spectrum.attrs.get("eps", 0.0)
-    empty = int(np.count_nonzero(power <= max(10 * eps, 1e-14) ** 2))
+    least = 0.0 if exact else 10 * spectrum.attrs.get("eps", 0.0)
+    if "transform_error" in spectrum.attrs:
+        least = _SINGLE_ROUNDING  # single precision was chosen because its errors are small where power is
+    empty = int(np.count_nonzero(power <= max(least, 1e-14) ** 2))
     reason = None
     if empty:
         reason = f"{empty} of {len(power)} lengths have no power: there is no power law."
