@@ -261,9 +261,14 @@ def _read(x: float, scale: float, nudge: float) -> Any:
 
 
 @kernel
+def _middle(tail: float, unit: float) -> Any:
+    # Of the 2^-k in which the uniform number lies
+    return (np.floor(tail / unit) + 0.5) * unit
+
+
+@kernel
 def _write(v: int, tail: float, scale: float, unit: float) -> Any:
-    # tail uniform in [0, 1), taken to the middle of its 2^-k
-    return (np.float64(v) + (np.floor(tail / unit) + 0.5) * unit) / scale
+    return (np.float64(v) + _middle(tail, unit)) / scale
 
 
 @kernel
@@ -340,9 +345,9 @@ def permute_digits(keys: Array, bases: Array, shift: bool, points: Array, out: A
 
 
 @kernel
-def _invert_digits(images: Array, start: int, out: Array) -> None:
-    # Radical inverses of start, start + 1, … in units of b^-m, with the images (m, b) of their digits:
-    # whole numbers below 2^53; out (n,)
+def _invert_digits(images: Array, start: int, scale: float, tail: float, out: Array) -> None:
+    # Radical inverses of start, start + 1, … with the images (m, b) of their digits and a tail in units
+    # of b^-m = 1/scale: sums are exact; out (n,)
     (places, base), n = images.shape, out.size
 
     # Tabulate the images of as many of the index's lowest digits as are worth it
@@ -353,9 +358,9 @@ def _invert_digits(images: Array, start: int, out: Array) -> None:
     width, weight = 1, base ** (places - 1)
     for k in range(low):
         for digit in range(base - 1, -1, -1):  # 0 last: it overwrites what others read
+            image = np.float64(images[places - 1 - k, digit] * weight)
             for v in range(width):
-                image = images[places - 1 - k, digit]
-                table[digit * width + v] = table[v] + image * weight
+                table[digit * width + v] = table[v] + image
         width, weight = width * base, weight // base
 
     # Add those of the digits above, the same for a run of indices
@@ -365,9 +370,9 @@ def _invert_digits(images: Array, start: int, out: Array) -> None:
         for k in range(low, places):
             high += images[places - 1 - k, rest % base] * unit_above
             unit_above, rest = unit_above // base, rest // base
-        stop, above = min(n, i + size - v), np.float64(high)
+        stop, above = min(n, i + size - v), np.float64(high) + tail
         for t in range(i, stop):
-            out[t] = table[v + t - i] + above
+            out[t] = (table[v + t - i] + above) / scale
         i, v, block = stop, 0, block + 1
 
 
@@ -378,9 +383,7 @@ def fill_inverses(bases: Array, start: int, out: Array) -> None:
         places, scale, _, _ = _format(bases[j])
         images = np.empty((places, bases[j]), np.int64)
         images[:] = np.arange(bases[j])
-        _invert_digits(images, start, out[:, j])
-        for i in range(out.shape[0]):
-            out[i, j] /= scale
+        _invert_digits(images, start, scale, 0.0, out[:, j])
 
 
 @kernel
@@ -393,9 +396,7 @@ def fill_permuted(keys: Array, bases: Array, shift: bool, start: int, out: Array
             places, scale, _, unit = _format(bases[j])
             images, tail = _draw_images(k0, k1, number, places, bases[j], shift)
             number += images.size + 1
-            _invert_digits(images, start, out[r, :, j])
-            for i in range(out.shape[1]):
-                out[r, i, j] = _write(out[r, i, j], tail, scale, unit)
+            _invert_digits(images, start, scale, _middle(tail, unit), out[r, :, j])
 
 
 @kernel

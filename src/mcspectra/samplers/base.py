@@ -275,11 +275,12 @@ class FixedSet(Sampler):
 
     @abstractmethod
     def _set(self, n: int) -> Array:
-        """Make the set of `n` points: float64 (n, dims)."""
+        """Make the set of `n` points: a new array, float64 (n, dims)."""
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         del stream, first
-        return repeated(self._set(n), count)
+        points = self._set(n)
+        return points[None] if count == 1 else repeated(points, count)
 
 
 class Randomization(Component, ABC):

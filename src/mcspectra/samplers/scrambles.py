@@ -19,7 +19,7 @@ from mcspectra.core.fields import checked, choice, flag
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import _scramble_kernels as kernels
 from mcspectra.samplers._primes import LARGEST_BASE, is_prime
-from mcspectra.samplers.base import MAX_COUNT, Randomization, Sampler, Structure
+from mcspectra.samplers.base import MAX_COUNT, FixedSet, Randomization, Sampler, Structure
 from mcspectra.samplers.radical import RadicalInverses
 
 __all__ = ["DigitalShift", "Lms", "Owen", "Permute"]
@@ -90,6 +90,8 @@ class _OfDigits(Randomization):
         out, keys = np.empty((count, n, sampler.dims)), own.keys(first, count)
         if not self._fill(keys, sampler, n, out):
             points = sampler.draw_stream(n, stream, first, 1 if sampler.fixed else count)
+            if count == 1 and isinstance(sampler, FixedSet):
+                out = points  # which nobody else holds
             self._scramble(keys, np.array(self._bases(sampler.dims)), points, out)
         return out
 
