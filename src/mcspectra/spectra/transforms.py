@@ -3,12 +3,12 @@
 Engines
 -------
 ``nufft``
-    Type-1 non-uniform FFT (FINUFFT [Barnett2019]_), one thread and one reused plan for each Python
-    thread, with ``upsampfac=1.25`` (its default of 2 costs 3.6 times more at 512², measured on one
-    core). Relative l2 error 1e-9, at ``eps=1e-12`` with ``upsampfac=2``. In single precision, which halves
-    the time, errors are 1e-6 of the peak at best, and 1e-5 on a fine grid of ``upsampfac=1.12``, which takes a
-    fifth less; coordinates are rounded to 2^-25. Real frequencies on a
-    grid of step s are integer ones of the coordinates s·x. Two realisations share a transform:
+    Type-1 non-uniform FFT: points are spread by FINUFFT [Barnett2019]_ onto a grid 1.25 times as fine along each
+    axis, by one thread and one reused plan for each Python thread; SciPy transforms it. Relative l2 error
+    1e-9, at ``eps=1e-12`` on a grid twice as fine, which takes 2.3 times as long (512²). In single
+    precision, which halves the time, errors are 1e-6 of the peak at best, and 1e-5 on a grid 1.12 times as
+    fine, which takes a fifth less; coordinates are rounded to 2^-25. Real frequencies on a grid of step s
+    are integer ones of the coordinates s·x. Two realisations share a transform:
     weights w of the first plus i times w of the second, separated by Hermitian symmetry. Cost
     O(n log^d(1/eps) + M log M) for a pair. Four dims are 3-D transforms for each frequency of the first
     axis, of one realisation at a time.
@@ -288,8 +288,9 @@ class Transform:
         `groups` takes the sums of |S_m|² of one or two sets by `label` (H,): (sets, number of labels).
         """
         # S_0 is the sum of the weights, exactly
-        power = given_or_equal(weights, points).sum(axis=1) ** 2
-        at_zero = total[-1] + power.sum(), squares[-1] + (power * power).sum()
+        sums = given_or_equal(weights, points).sum(axis=1)
+        at_zero = total[-1] + (sums**2).sum(), squares[-1] + (sums**4).sum()
+        mean_at_zero = 0.0 if mean is None else mean[-1] + sums.sum()
         labels = 1 + int(label.max(initial=-1))
         for packed, pair in self._packed(points, weights):
             grouped = np.zeros((1 + pair, labels))
@@ -301,6 +302,8 @@ class Transform:
             if groups is not None:
                 groups(grouped)
         total[-1], squares[-1] = at_zero
+        if mean is not None:
+            mean[-1] = mean_at_zero
 
     def _packed(self, points: Array, weights: Array | None) -> Iterator[tuple[Array, bool]]:
         """Transforms of pairs of sets, S1 + i S2 over the full grid, flat, and of a single set.
@@ -329,22 +332,48 @@ class Transform:
         return map(self._nufft, points, strengths)
 
     def _nufft(self, points: Array, strengths: Array) -> Array:
-        plan, local = self._plan_at(points), self._local
-        out = getattr(local, "out", None)
-        if out is None:
-            out = local.out = np.empty(self.grid.shape, self._number)
-            local.fine = np.empty(self._fine, self._number) if self.single else None
-        if local.fine is None:
-            plan.execute(strengths, out=out)
-            return np.asarray(out.ravel())
+        """The transform of a set (n, d), full grid, flat: valid until the next."""
+        if getattr(self._local, "out", None) is None:
+            self._local.out = np.empty(self.grid.shape, self._number)
+        self._set_points(points)
+        return self._execute(strengths, self._local.out)
+
+    def _slabs(self, points: Array, strengths: Array) -> Array:
+        """Four dims: for each m0 ≤ 0 the phases of the first axis, then a transform of the others."""
+        grid = self.grid
+        self._set_points(points[:, 1:])
+        out = np.empty((grid.half_width + 1, *grid.shape[1:]), np.complex128)
+        for slab, index in enumerate(range(-grid.half_width, 1)):
+            phase = np.exp((-2j * np.pi * grid.step * index) * points[:, 0])
+            self._execute(strengths * phase, out[slab])
+        return out.ravel()
+
+    def _set_points(self, points: Array) -> None:
+        """Give this thread's plan its points (n, up to 3)."""
+        local = self._local
+        if getattr(local, "plan", None) is None:
+            local.plan = self._new_plan(self._fine)
+            local.fine = np.empty(self._fine, self._number)
+        real = local.fine.real.dtype
+        local.plan.setpts(
+            *((2.0 * np.pi * self.grid.step * axis).astype(real) for axis in points.T)
+        )
+
+    def _execute(self, strengths: Array, out: Array) -> Array:
+        """Transform the points that are set to `out`, a grid of frequencies; returns it flat.
+
+        FINUFFT only spreads: its own FFT is FFTW, whose fast plans depend on timings and hence on chance.
+        SciPy's for the frequencies that are wanted takes half the time of plans that do not (648²).
+        """
         from scipy.fft import fft
 
-        plan.execute(strengths, out=local.fine)
+        local = self._local
+        local.plan.execute(strengths, out=local.fine)
         rows, row_factors, factors = self._unspread
         width = self.grid.half_width
         found = fft(local.fine, overwrite_x=True, workers=1)
         halves: Any = found[..., found.shape[-1] - width :], found[..., : width + 1]
-        for axis in range(self.grid.dims - 1):  # of the frequencies that are wanted only
+        for axis in range(found.ndim - 1):
             halves = [fft(each, axis=axis, overwrite_x=True, workers=1) for each in halves]
         negative, others = (each.reshape(-1, each.shape[-1]) for each in halves)
         crop_scaled(negative, others, rows, row_factors, factors, out.reshape(-1, len(factors)))
@@ -352,54 +381,33 @@ class Transform:
 
     @functools.cached_property
     def _fine(self) -> tuple[int, ...]:
-        """Shape of the fine grid of single precision."""
+        """Shape of the fine grid, of all dims or, of four, the last three."""
         from scipy.fft import next_fast_len
 
         side = max(math.ceil(self._oversampling * self.grid.shape[0]), _LEAST_FINE)
-        return (next_fast_len(side),) * self.grid.dims
+        return (next_fast_len(side),) * min(self.grid.dims, 3)
 
     @functools.cached_property
     def _unspread(self) -> tuple[Array, Array, Array]:
         """Rows of the fine grid that hold the frequencies, and what undoes the spreading, row and column."""
-        plan, fine = self._new_plan(self._fine[:1]), self._fine
-        plan.setpts(np.zeros(1, np.float32))
-        index = np.arange(-self.grid.half_width, self.grid.half_width + 1) % fine[0]
-        # Coefficients of the kernel, whose products over the axes divide those of sets
-        factors = (1.0 / np.fft.fft(plan.execute(np.ones(1, np.complex64))).real[index]).astype(
-            "f4"
-        )
-        rows, row_factors = np.zeros(1, np.int64), np.ones(1, np.float32)
-        for _ in range(self.grid.dims - 1):
-            rows = (rows[:, None] * fine[0] + index).ravel()
+        dims, side = len(self._fine), self._fine[0]
+        # The kernel along the last axis, which hangs on the number of axes, too: others are as short as
+        # may be, and odd where this one is. Products of its coefficients divide those of sets
+        plan = self._new_plan((_LEAST_FINE + side % 2,) * (dims - 1) + (side,))
+        origin = np.zeros((dims, 1), np.zeros(0, self._number).real.dtype)
+        plan.setpts(*origin)
+        spread = plan.execute(np.ones(1, self._number)).real.astype(np.float64)
+        line = spread.reshape(-1, side).sum(axis=0) / spread.sum() ** (1 - 1 / dims)
+        index = np.arange(-self.grid.half_width, self.grid.half_width + 1) % side
+        factors = (1.0 / np.fft.fft(line).real[index]).astype(origin.dtype)
+        rows, row_factors = np.zeros(1, np.int64), np.ones_like(factors[:1])
+        for _ in range(dims - 1):
+            rows = (rows[:, None] * side + index).ravel()
             row_factors = np.multiply.outer(row_factors, factors).ravel()
         return rows, row_factors, factors
 
-    def _slabs(self, points: Array, strengths: Array) -> Array:
-        """Four dims: for each m0 ≤ 0 the phases of the first axis, then a transform of the others."""
-        grid = self.grid
-        plan = self._plan_at(points[:, 1:])
-        out = np.empty((grid.half_width + 1, *grid.shape[1:]), np.complex128)
-        for slab, index in enumerate(range(-grid.half_width, 1)):
-            phase = np.exp((-2j * np.pi * grid.step * index) * points[:, 0])
-            out[slab] = plan.execute(strengths * phase)
-        return out.ravel()
-
-    def _plan_at(self, points: Array) -> Any:
-        """Return this thread's plan, with its points (n, up to 3) set."""
-        plan = getattr(self._local, "plan", None)
-        if plan is None:
-            shape = self._fine if self.single else self.grid.shape[-points.shape[1] :]
-            plan = self._local.plan = self._new_plan(shape)
-        real = np.float32 if self.single else np.float64
-        plan.setpts(*((2.0 * np.pi * self.grid.step * axis).astype(real) for axis in points.T))
-        return plan
-
     def _new_plan(self, shape: tuple[int, ...]) -> Any:
-        """A plan for transforms to `shape`, in single precision for spreading alone.
-
-        FINUFFT's own FFT is FFTW, whose fast plans depend on timings and hence on chance. SciPy's takes
-        two thirds of the time that plans take which do not (648², complex64, one core).
-        """
+        """A plan that spreads onto a fine grid."""
         import finufft
 
         # spread_sort=2 lets FINUFFT decide by density of points. Few
@@ -415,7 +423,7 @@ class Transform:
             spread_max_sp_size=_SPREAD_POINTS if self._sparse else 0,
             showwarn=0,
             dtype=self._number,
-            spreadinterponly=int(self.single),
+            spreadinterponly=1,
         )
 
     def _direct(self, points: Array, weights: Array) -> Array:
