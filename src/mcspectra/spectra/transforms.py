@@ -3,15 +3,15 @@
 Engines
 -------
 ``nufft``
-    Type-1 non-uniform FFT: points are spread by FINUFFT [Barnett2019]_ onto a grid 1.25 times as fine along each
-    axis, by one thread and one reused plan for each Python thread; SciPy transforms it. Relative l2 error
-    1e-9, at ``eps=1e-12`` on a grid twice as fine, which takes 2.3 times as long (512²). In single
-    precision, which halves the time, errors are 1e-6 of the peak at best, and 1e-5 on a grid 1.12 times as
-    fine, which takes a fifth less; coordinates are rounded to 2^-25. Real frequencies on a grid of step s
-    are integer ones of the coordinates s·x. Two realisations share a transform:
-    weights w of the first plus i times w of the second, separated by Hermitian symmetry. Cost
-    O(n log^d(1/eps) + M log M) for a pair. Four dims are 3-D transforms for each frequency of the first
-    axis, of one realisation at a time.
+    Type-1 non-uniform FFT: points are spread by FINUFFT [Barnett2019]_ onto a grid 1.25 times as
+    fine along each axis, or twice for many points a frequency, by one thread and one reused plan
+    for each Python thread; SciPy transforms it. Relative l2 error 1e-9, at ``eps=1e-12`` on a grid
+    twice as fine, which takes 2.3 times as long (512²). In single precision, which halves the time,
+    errors are 1e-6 of the peak at best, and 1e-5 on a grid 1.12 times as fine, which takes a fifth
+    less; coordinates are rounded to 2^-25. Real frequencies on a grid of step s are integer ones of
+    the coordinates s·x. Two realisations share a transform: weights w of the first plus i times w
+    of the second, separated by Hermitian symmetry. Cost O(n log^d(1/eps) + M log M) for a pair.
+    Four dims are 3-D transforms for each frequency of the first axis, of one realisation at a time.
 ``gpu``
     The same transforms by cuFINUFFT [Shih2021]_ with arrays of CuPy, in one to three dims, only on
     request. Spreading adds with atomic operations in no fixed order, so that two runs agree to
@@ -59,6 +59,7 @@ _DIRECT_BELOW = 4000
 _DIRECT_NUMBERS = 2**22  # 64 MiB of phases
 _SPARSE = 1 / 16  # points for each frequency below which spreading in parts is faster
 _SPREAD_POINTS = 1024
+_CELL_COST = 50.0  # of a transform in cells that one point is spread on, measured on one core
 _LEAST_FINE = 32  # cells of the fine grid along an axis: more than kernels are wide
 _DEVICE = 0  # CUDA_VISIBLE_DEVICES decides which one that is
 _BLOCK_BYTES = 2**26  # results that wait on the device to be copied back together, if several fit
@@ -240,13 +241,18 @@ class Transform:
             engine = "direct" if pays else "nufft"
         self.engine = engine
         self.grid = grid
-        self._sparse = (2 if grid.dims <= 3 else 1) * n < _SPARSE * np.prod(grid.shape[-3:])
+        dims = min(grid.dims, 3)
+        density = (2 if grid.dims <= 3 else 1) * n / np.prod(grid.shape[-3:])
+        self._sparse = density < _SPARSE
         self._packs = engine == "gpu" or (engine == "nufft" and grid.dims <= 3)
         self._gpu = _GpuTransform(grid.shape, grid.step, self.eps) if engine == "gpu" else None
         self.single = single and self._packs and self._gpu is None
-        # What smaller fine grids cannot reach
+        # Finer grids reach more, and take more to transform and less to spread on: in double precision
+        # kernels of 11 cells a side instead of 15
+        spreading = 0.0 if self.single else density * (15.0**dims - 11.0**dims)
+        finer = self.eps < 1e-9 or spreading > _CELL_COST * (2.0**dims - 1.25**dims)
         coarse = 1.12 if self.single and self.eps >= 1e-5 else 1.25
-        self._oversampling = coarse if self.eps >= 1e-9 else 2.0
+        self._oversampling = 2.0 if finer else coarse
         self._number: Any = np.complex64 if self.single else np.complex128
         self._local = threading.local()
 
