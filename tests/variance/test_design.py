@@ -110,20 +110,24 @@ def test_flipped_trees_keep_elementary_intervals():
             assert len(np.unique(cells, axis=0)) == 16
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_designs_beat_the_best_rival_where_the_class_is_known(kind):
-    sampler = mcs.design(kind, GAUSSIANS, 64, rng=5)
+@pytest.mark.parametrize(("kind", "n"), [("lattice", 64), *((kind, 32) for kind in KINDS[1:])])
+def test_designs_beat_the_best_rival_where_the_class_is_known(kind, n):
+    sampler = mcs.design(kind, GAUSSIANS, n, rng=5)
     assert sampler.unbiased
-    found = mcs.certificate(sampler, GAUSSIANS, 64, members=400, realizations=32, rng=11)
+    found = mcs.certificate(sampler, GAUSSIANS, n, members=400, realizations=32, rng=11)
     assert found["design_ratio_ci"].values[1] < 0.5
-    assert float(found["design_ratio"]) == pytest.approx(
-        float(found["mean_variance"][0] / found["mean_variance"][1:].min())
-    )
+    if n == 64:  # where one rival is the best in all groups of members
+        assert float(found["design_ratio"]) == pytest.approx(
+            float(found["mean_variance"][0] / found["mean_variance"][1:].min())
+        )
 
 
 @pytest.mark.slow
-def test_lattices_in_three_dims_are_judged_by_more_than_the_frequencies_that_are_counted():
+def test_lattices_in_three_dims_are_judged_by_more_than_the_frequencies_that_are_counted(
+    monkeypatch,
+):
     """Of narrow bells that are turned; by 40 frequencies along an axis alone: 1.5 of sobol | owen, without fold."""
+    monkeypatch.setattr(searches, "_JUDGES", 64)
 
     def bell(generator):
         turn = np.linalg.qr(generator.standard_normal((3, 3)))[0]
@@ -262,6 +266,7 @@ def test_an_interrupt_keeps_the_best_and_is_not_cached(monkeypatch):
 
 def test_points_begin_with_cosets_of_a_net_where_these_are_better(monkeypatch):
     """Exchanges that begin with a net's cosets end below those that begin with random sets."""
+    monkeypatch.setattr(searches, "_TRIALS", 2**16)
     ratios = []
     for _ in range(2):
         found = mcs.design("points", "gaussians", 64, dims=4)
