@@ -94,7 +94,7 @@ FUNCTIONS = {
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_the_first_cause_is_right_for_every_seed_and_budget(name):
     dims, function, causes = FUNCTIONS[name]
-    for seed, budget in enumerate((2048, 2**14)):
+    for seed, budget in enumerate((2048, 8192, 2**16)):
         found = mcs.profile(function, dims=dims, budget=budget, rng=seed)
         assert found.causes[0].name in causes, (seed, budget, found.text)
 

@@ -10,7 +10,7 @@ from scipy import stats
 import mcspectra as mcs
 from mcspectra.variance.routes import ROUTES
 
-REALIZATIONS = 500
+REALIZATIONS = 1500
 WAVE, WAVES = "cosine(frequency=3)", "cosine(frequency=[1, 2])"
 BELL = "gaussian(center=0.3)"
 LINE, PLANE = "linear(slope=1)", "linear(slope=[1, -0.5])"
