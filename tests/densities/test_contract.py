@@ -6,7 +6,7 @@ from scipy.stats import chi2
 
 import mcspectra as mcs
 from mcspectra.core.errors import DensityError
-from mcspectra.densities import PiecewiseConstant, reciprocal_integral
+from mcspectra.densities import Learned, PiecewiseConstant, reciprocal_integral
 from mcspectra.densities.adaptive import integrate
 
 EPS = np.finfo(float).eps
@@ -81,11 +81,9 @@ def test_samples_follow_a_pdf_of_mass_one(density):
     if dims > 2:
         density.check()
         return
-    cells = 64 // dims
-    found = integrate(density.pdf, dims, cells=cells)
-    assert abs(found.totals[-1] - 1) <= 1e-4  # what jumps between nodes may hide (check_density)
-    # Compare with sums over 2^d or 4^d cells: 16 on each axis
-    masses = found.cells.reshape((16, cells // 16) * dims).sum(axis=tuple(range(1, 2 * dims, 2)))
+    found = integrate(density.pdf, dims, cells=16, most_cells=2**14)
+    assert abs(found.totals[-1] - 1) <= 2e-4  # what jumps between nodes may hide (check_density)
+    masses = found.cells.reshape((16,) * dims)
     counts, _ = np.histogramdd(x, bins=[16] * dims, range=[(0, 1)] * dims)
     assert counts[masses == 0].sum() == 0
     expected = len(x) * masses
@@ -104,6 +102,9 @@ def test_breaks_are_shares_and_the_reciprocal_integral_is_that_of_the_quadrature
     for axis in density.breaks:
         assert all(0 < b < 1 for b in axis)
         assert list(axis) == sorted(set(axis))
+    by_quadrature = {mcs.Density.reciprocal_integral, Learned.reciprocal_integral}
+    if density.dims > 1 and type(density).reciprocal_integral in by_quadrature:
+        return
     exact = density.reciprocal_integral()
     if density.dims == 1:
         found = reciprocal_integral(density)

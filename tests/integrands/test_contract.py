@@ -67,14 +67,14 @@ def smooth_oracle(function, breaks):
     return value, np.abs(value - other).max() + 1e-13 * (1 + np.abs(value).max())
 
 
-def test_coefficients(f, oracle, short_of_time):
+def test_coefficients(f, oracle):
     """At small, large, negative and degenerate m (along an axis, along a diagonal), and at waves' own."""
     curved = is_curved(f)
     rng = np.random.default_rng(2)
     special = np.array([[1, 1, 1], [2, 4, 2], [0, 3, 0], [-5, 0, 0]])[:, : f.dims]
     waves_own = np.array([[3, 0, 0], [1, -2, 0]])[:, : f.dims]
     m = np.concatenate([special, rng.integers(-12, 13, (3, f.dims)), waves_own])
-    m = m[[1, 3, 4]] if curved else m  # where the quadrature takes seconds
+    m = m[[3, 4]] if curved else m  # where the quadrature takes seconds
 
     def waves(x):
         angle = 2 * np.pi * x @ m.T

@@ -227,7 +227,7 @@ def p_of_uniformity(source, n, dims):
 
     5 × 7 cells are not those of any set here, so that strata do not hide what is within them.
     """
-    realizations = 700  # 20 a cell
+    realizations = 350  # 10 a cell
     points = source.draw(n, realizations=realizations, rng=20)
     picked = np.random.default_rng(dims).integers(n, size=realizations)
     x = points[np.arange(realizations), picked]

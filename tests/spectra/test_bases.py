@@ -149,15 +149,15 @@ MISFITS = [("jittered", "fourier"), ("jittered | shift", "walsh"), ("jittered | 
 
 
 def cross_over_power(sampler, basis):
-    """Mean and standard error of cross/power over 24 independent runs."""
+    """Mean and standard error of cross/power over 12 independent runs."""
     ratios = [
         float(d["cross_term"] / d["power_term"])
         for d in (
             mcs.variance_terms(
                 mcs.Estimator("gaussian(center=0.3, width=0.3)"), sampler, 16, half_width=16,
-                realizations=200, rng=seed, basis=basis,
+                realizations=400, rng=seed, basis=basis,
             )
-            for seed in range(24)
+            for seed in range(12)
         )
     ]  # fmt: skip
     return np.mean(ratios), np.std(ratios, ddof=1) / math.sqrt(len(ratios))

@@ -122,8 +122,11 @@ def test_designs_beat_the_best_rival_where_the_class_is_known(kind):
 
 
 @pytest.mark.slow
-def test_lattices_in_three_dims_are_judged_by_more_than_the_frequencies_that_are_counted():
+def test_lattices_in_three_dims_are_judged_by_more_than_the_frequencies_that_are_counted(
+    monkeypatch,
+):
     """Of narrow bells that are turned; by 40 frequencies along an axis alone: 1.5 of sobol | owen, without fold."""
+    monkeypatch.setattr(searches, "_JUDGES", 64)
 
     def bell(generator):
         turn = np.linalg.qr(generator.standard_normal((3, 3)))[0]
@@ -262,6 +265,7 @@ def test_an_interrupt_keeps_the_best_and_is_not_cached(monkeypatch):
 
 def test_points_begin_with_cosets_of_a_net_where_these_are_better(monkeypatch):
     """Exchanges that begin with a net's cosets end below those that begin with random sets."""
+    monkeypatch.setattr(searches, "_TRIALS", 2**16)
     ratios = []
     for _ in range(2):
         found = mcs.design("points", "gaussians", 64, dims=4)

@@ -56,7 +56,7 @@ def test_exact_values_of_smooth_functions(sampler, dims, n):
     assert abs(found.variance[0] - exact) <= found.error[0] + 1e-6 * exact  # of exact_variance
 
 
-@pytest.mark.parametrize("n", [16, 64, 256])
+@pytest.mark.parametrize("n", [16, 64])
 def test_digital_shifts_of_smooth_functions(n):
     """One shift of our own after the other: the interval covers, and is narrow."""
     f = function("product", 2)
@@ -83,7 +83,7 @@ def test_sixty_five_thousand_points():
     assert found.variance[0] * float(n) ** 3 == pytest.approx(at_four.variance[0] * 64.0, rel=1e-3)
 
 
-@pytest.mark.parametrize("n", [16, 256, 4096])
+@pytest.mark.parametrize("n", [16, 4096])
 @pytest.mark.parametrize("sampler", ["sobol | owen", "halton | owen", "jittered"])
 def test_sampled_cells_of_curves_agree_with_closed_forms(sampler, n):
     """A disk that is known by its values only, against one whose shares of cells are exact."""

@@ -10,6 +10,7 @@ from scipy.signal import fftconvolve
 import mcspectra as mcs
 from mcspectra.core.errors import NoClosedForm
 from mcspectra.core.streams import Stream
+from mcspectra.variance.prediction import predict as routes
 from mcspectra.variance.prediction.known import Known
 from mcspectra.variance.prediction.subsets import of_subsets
 
@@ -227,7 +228,8 @@ def test_channels():
         assert abs(found.variance[c] - alone.variance[0]) <= alone.error[0]
 
 
-def test_a_fit_that_runs_away_where_no_point_is_does_not_predict():
+def test_a_fit_that_runs_away_where_no_point_is_does_not_predict(monkeypatch):
+    monkeypatch.setattr(routes, "_NEAR_POINTS", 2**16)
     # Products of twelve axes had a tenth of their energy at the border, and nets six times the variance
     f = mcs.integrand("asian-option(construction='incremental')", dims=12)
     found = mcs.predict(f, "sobol | owen", [256])
