@@ -199,6 +199,24 @@ def test_a_task_that_hangs_fails_alone_and_its_worker_is_replaced(engine_on, clu
     assert (len(after), len(after & before)) == (2, 1)
 
 
+def holding():
+    def compute(text, task):
+        import itertools
+
+        if task.key == "0":
+            sum(itertools.repeat(0))
+        return Outcome(task=task, payload=b"done")
+
+    return compute
+
+
+def test_code_that_never_gives_python_back_fails_alone(engine_on):
+    """The worker cannot notice that its time is over: it is ended from within, and replaced."""
+    found = all_outcomes(engine_on(holding(), time_limit=0.2), [task(i) for i in range(6)])
+    assert found.pop("0").error.startswith("2 workers died while computing it")
+    assert {outcome.payload for outcome in found.values()} == {b"done"}
+
+
 def raising():
     def compute(text, task):
         raise ValueError("no number")
