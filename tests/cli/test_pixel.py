@@ -54,6 +54,7 @@ def small_effort():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pixel, "predict", predicted_bell)
+        patch.setattr("mcspectra.rendering.pixel._POINTS", 2**12)  # of means: 2**17 take seconds
         patch.setattr(pixel, "variance_terms", of_a_bell(variance_terms))
         patch.setitem(EFFORTS, "quick", small)
         patch.setattr(pixel, "analyse_pixel", kept)
