@@ -61,6 +61,7 @@ def small_effort():
         yield
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_json_and_files_hold_the_numbers_of_the_library(capsys, tmp_path):
     code, out, err = run(
         capsys, "figure1", "Q", *SMALL, "--out", tmp_path / "new" / "out", "--json"
