@@ -221,7 +221,7 @@ def test_summaries_count_intervals():
     assert found["bottleneck"] == {"light": 4 / 12, "bsdf": 4 / 12, "undecided": 4 / 12}
 
 
-def test_a_map_of_whole_paths_names_its_worst_pixels_and_resumes(capsys, tmp_path):
+def test_a_map_of_whole_paths_names_its_worst_pixels_and_resumes(capsys, tmp_path, request):
     folder = tmp_path / "out"
     asked = ("penumbra", "--size", "12,8", "--integrator", "path(max_depth=2)", "--counts", "4,16",
              "-m", 8, "--out", folder)  # fmt: skip
@@ -236,6 +236,7 @@ def test_a_map_of_whole_paths_names_its_worst_pixels_and_resumes(capsys, tmp_pat
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert f" {worst[0]['x']} {worst[0]['y']} --integrator" in page
     assert "mcspectra pixel &#39;penumbra(width=12, height=8)&#39; " in page
+    request.getfixturevalue("undrawn")  # what was drawn stays
     before = (folder / "maps.exr").read_bytes()
     code, _, err = run(capsys, *asked, "--resume")
     assert code == 0, err

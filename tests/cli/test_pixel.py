@@ -54,12 +54,14 @@ def small_effort():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pixel, "predict", predicted_bell)
+        patch.setattr("mcspectra.rendering.pixel._POINTS", 2**12)  # of means: 2**17 take seconds
         patch.setattr(pixel, "variance_terms", of_a_bell(variance_terms))
         patch.setitem(EFFORTS, "quick", small)
         patch.setattr(pixel, "analyse_pixel", kept)
         yield
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_json_and_files_hold_the_numbers_of_the_library(capsys, tmp_path):
     code, out, err = run(
         capsys, "figure1", "Q", *SMALL, "--out", tmp_path / "new" / "out", "--json"

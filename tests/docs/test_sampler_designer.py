@@ -61,7 +61,7 @@ def test_a_new_user_gets_a_comparison_in_three_commands(folder):
     looked = run(folder, COMMANDS[1])
     assert (looked.returncode, looked.stderr) == (0, "")
     assert (folder / "mine.png").read_bytes().startswith(b"\x89PNG")
-    done = run(folder, COMMANDS[2], "-m", "40", "--quiet", "--json")  # fewer sets than by default
+    done = run(folder, COMMANDS[2], "-n", "16,64", "-m", "40", "--quiet", "--json")  # fewer
     assert done.returncode == 0, done.stderr
     pdf = (folder / "report.pdf").read_bytes()
     assert pdf.startswith(b"%PDF")

@@ -1,5 +1,7 @@
 """What tests of plots look at."""
 
+from bokeh.core.serialization import Serializer
+
 from mcspectra.plots import backend_bokeh, backend_matplotlib
 
 
@@ -9,6 +11,6 @@ def marks(plot, kind):
 
 
 def drawn_by_both(plot):
-    """Draw with either backend."""
+    """Draw with either backend; the models of bokeh can be written."""
     backend_matplotlib.draw(plot).canvas.draw()
-    backend_bokeh.packed(backend_bokeh.draw(plot).model)
+    Serializer().encode(backend_bokeh.draw(plot).model)

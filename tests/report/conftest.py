@@ -251,17 +251,18 @@ def all_analyses(sampler, dims=1, n=None):
     }
 
 
+def words_alone(figure, *_):
+    """A figure as the template takes it, without a picture."""
+    plot = figure.plot
+    blank = {**dict.fromkeys(("png", "file", "live"), ""), "width": 1, "height": 1}
+    said = {"words": plot.words, "caption": plot.caption}
+    return blank | said | {"wide": plot.wide, "abreast": False}
+
+
 @pytest.fixture
 def undrawn(monkeypatch):
     """Pages whose figures are words alone: for tests of what else they say."""
-    blank = {**dict.fromkeys(("png", "file", "live"), ""), "width": 1, "height": 1}
-
-    def words(figure, *_):
-        plot = figure.plot
-        said = {"words": plot.words, "caption": plot.caption}
-        return blank | said | {"wide": plot.wide, "abreast": False}
-
-    monkeypatch.setattr(page, "_drawn", words)
+    monkeypatch.setattr(page, "_drawn", words_alone)
 
 
 @pytest.fixture(name="make", scope="session")

@@ -13,6 +13,7 @@ from tests.report.parsed import Parsed
 
 import mcspectra as mcs
 from mcspectra.core.errors import StoreError
+from mcspectra.plots import backend_bokeh, backend_matplotlib
 from mcspectra.plots.text import number
 from mcspectra.report import study as module
 from mcspectra.report import write_report
@@ -37,6 +38,14 @@ def folder(tmp_path_factory, request):
 def page(folder):
     """Its page, parsed."""
     return Parsed((folder / "report.html").read_text(encoding="utf-8"))
+
+
+@pytest.fixture
+def blank(monkeypatch):
+    """Figures have their files, and nothing in them."""
+    monkeypatch.setattr(backend_matplotlib, "draw", lambda plot: None)
+    monkeypatch.setattr(backend_matplotlib, "encode", lambda figure: (bytes(24), b""))
+    monkeypatch.setattr(backend_bokeh, "packed", lambda model: "")
 
 
 def test_sections(page):
@@ -183,6 +192,7 @@ def test_odd_results(make, tmp_path):
     assert all(attributes["title"] for attributes in page.all("abbr"))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_predictions_stand_in_the_measured_curves(make, tmp_path):
     """Crosses in the figure of convergence and a folded table; a figure of their own at other counts."""
     f = mcs.integrand("gaussian(width=0.3)")
@@ -201,6 +211,7 @@ def test_predictions_stand_in_the_measured_curves(make, tmp_path):
         assert f"random {n} {number(float(value))}" in text
 
 
+@pytest.mark.usefixtures("blank")
 def test_a_plan_and_a_prediction_have_files_of_their_own(make, tmp_path):
     f = mcs.integrand("gaussian(width=0.3)")
     found = {
@@ -323,6 +334,7 @@ def test_the_page_has_the_reasons(small, monkeypatch):
     assert "It raised ValueError: &lt;b&gt;." in text
 
 
+@pytest.mark.usefixtures("blank")
 def test_figures_of_the_same_samples_stand_once(make, tmp_path):
     spectra = {s: make["spectrum"](s, dims=2, n=16, half_width=3) for s in ("random", "jittered")}
     cells = {("first", s): {"spectrum": data} for s, data in spectra.items()}
@@ -338,6 +350,7 @@ def test_figures_of_the_same_samples_stand_once(make, tmp_path):
     }
 
 
+@pytest.mark.usefixtures("blank")
 def test_bands_of_a_cross_term_that_is_noise_are_left_out(make, tmp_path):
     terms = make["terms"]("jittered", half_width=4, realizations=20)
     noise = terms.assign(cross_term_ci=("bound", [-1.0, 1.0]))

@@ -1,4 +1,4 @@
-"""Run a study again and again, killed at any moment: ``killed_runs.py STUDY FOLDER KILLS SEED``.
+"""Run a study again and again, killed at any moment: ``killed_runs STUDY FOLDER KILLS SEED``.
 
 The first run, which nothing stops, goes to FOLDER/straight; the others are killed at moments spread
 over its duration, resumed, half of them killed again on the way, and resumed to the end. All are
@@ -14,7 +14,10 @@ import sys
 import time
 from pathlib import Path
 
+from tests.report.conftest import words_alone
+
 from mcspectra.cli.main import main
+from mcspectra.report import page
 from mcspectra.studies import ledger, schedule
 
 
@@ -26,6 +29,7 @@ def run(study, out, moment=None, resume=False):
         os.dup2(silent, 1)
         schedule._TARGET, schedule._RECORDED_AFTER = 1e-9, 0.0
         ledger._COMMIT_SECONDS = 0.005
+        page._drawn = words_alone  # pictures would take longer than all that is stored
         arguments = ["run", str(study), "--out", str(out), "--workers", "1", "--quiet"]
         os._exit(main(arguments + ["--resume"] * resume))
     if moment is not None:

@@ -1,19 +1,62 @@
-"""Clusters of the tests, whose end is not waited for longer than half a minute."""
+"""Clusters of the tests; their processes are forked from one that has imported what they need."""
 
 import contextlib
+import importlib
+import os
 
+import dask
 import distributed
+from distributed.utils import get_mp_context
+
+
+@contextlib.contextmanager
+def _forking():
+    """Dask forks its processes; this is what does so."""
+    with dask.config.set({"distributed.worker.multiprocessing-method": "forkserver"}):
+        context = get_mp_context()
+        context.set_forkserver_preload(["distributed", "mcspectra.studies.executors"])
+        yield context
 
 
 @contextlib.contextmanager
 def local_cluster(workers):
-    """Worker processes of one thread each, with nannies."""
-    cluster = distributed.LocalCluster(
-        n_workers=workers, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=60
-    )
-    try:
-        yield cluster
-    finally:
-        # dask waits for good for a nanny whose worker dies while it is being started
-        with contextlib.suppress(TimeoutError):
-            cluster.close(timeout=30)
+    """Worker processes of one thread each, with nannies; their end is waited for half a minute."""
+    with _forking():
+        cluster = distributed.LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            dashboard_address="127.0.0.1:0",
+            silence_logs=60,
+        )
+        try:
+            yield cluster
+        finally:
+            # dask waits for good for a nanny whose worker dies while it is being started
+            with contextlib.suppress(TimeoutError):
+                cluster.close(timeout=30)
+
+
+def scheduler(*options):
+    """Start what ``dask scheduler`` is."""
+    return _forked("scheduler", "--dashboard-address", "127.0.0.1:0", *options)
+
+
+def worker(*options):
+    """Start what ``dask worker`` is, of one thread and without a nanny."""
+    return _forked("worker", "--nthreads", "1", "--no-nanny", *options)
+
+
+def _forked(what, *options):
+    arguments = ("--host", "127.0.0.1", *options)
+    with _forking() as context:
+        process = context.Process(target=_run, args=(what, arguments), daemon=True)
+        process.start()
+    return process
+
+
+def _run(what, arguments):
+    """A program of dask's whose log nobody reads."""
+    silent = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(silent, 1)
+    os.dup2(silent, 2)
+    importlib.import_module(f"distributed.cli.dask_{what}").main(arguments)

@@ -2,7 +2,6 @@
 
 import json
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -14,7 +13,7 @@ import dask
 import distributed
 import psutil
 import pytest
-from tests.studies.local_cluster import local_cluster
+from tests.studies.local_cluster import local_cluster, scheduler, worker
 
 from mcspectra.core.errors import ParameterError
 from mcspectra.studies.executors import Cluster, ClusterError, ClusterLost, Dask
@@ -108,8 +107,11 @@ def test_workers_run_no_further_ahead_than_two_tasks_a_thread(engine_on, tmp_pat
     engine = engine_on(marking(tmp_path, 8))
     for index in range(50):
         engine.submit(task(index))
-    time.sleep(1.0)
-    assert 1 <= len(list(tmp_path.iterdir())) <= 4
+    deadline = time.monotonic() + 10
+    while len(list(tmp_path.iterdir())) < 4 and time.monotonic() < deadline:
+        time.sleep(0.02)
+    time.sleep(0.2)
+    assert len(list(tmp_path.iterdir())) == 4
     assert len(list(engine.outcomes())) == 50
 
 
@@ -175,20 +177,44 @@ def hanging():
     return compute
 
 
-def test_a_task_that_hangs_fails_alone_and_its_worker_is_replaced(engine_on, cluster):
-    def pids():
-        return {worker.pid for worker in cluster.workers.values() if worker.pid}
+def both(cluster):
+    """Addresses of its workers, once both are there."""
+    deadline = time.monotonic() + 30
+    while len(cluster.scheduler.workers) < 2 and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return set(cluster.scheduler.workers)
 
-    before = pids()
+
+def test_a_task_that_hangs_fails_alone_and_its_worker_is_replaced(engine_on, cluster):
+    before = both(cluster)
     engine = engine_on(hanging(), time_limit=0.5)
     found = all_outcomes(engine, [task(i) for i in range(6)])
     assert found["0"].error == "It took longer than the time limit of 0.5 s and was stopped."
     assert 0.5 <= found["0"].seconds < 5.0
     assert all(found[str(i)].payload for i in range(1, 6))
     deadline = time.monotonic() + 20
-    while len(pids() & before) == 2 and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert len(pids() & before) == 1
+    while before <= set(cluster.scheduler.workers) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    after = both(cluster)
+    assert (len(after), len(after & before)) == (2, 1)
+
+
+def holding():
+    def compute(text, task):
+        import itertools
+
+        if task.key == "0":
+            sum(itertools.repeat(0))
+        return Outcome(task=task, payload=b"done")
+
+    return compute
+
+
+def test_code_that_never_gives_python_back_fails_alone(engine_on):
+    """The worker cannot notice that its time is over: it is ended from within, and replaced."""
+    found = all_outcomes(engine_on(holding(), time_limit=0.2), [task(i) for i in range(6)])
+    assert found.pop("0").error.startswith("2 workers died while computing it")
+    assert {outcome.payload for outcome in found.values()} == {b"done"}
 
 
 def raising():
@@ -215,28 +241,17 @@ def _other_version():
     return StudyText(config_json="{}", folder="/", seed=0, version="99.0")
 
 
-def python(*arguments, **environment):
-    """A process of dask's whose log nobody reads."""
-    null = subprocess.DEVNULL
-    command = [sys.executable, "-m", *arguments]
-    return subprocess.Popen(command, env=os.environ | environment, stdout=null, stderr=null)
-
-
-def worker(address, **environment):
-    options = ["--nthreads", "1", "--no-nanny", "--host", "127.0.0.1"]
-    return python("distributed.cli.dask_worker", address, *options, **environment)
-
-
-def scheduler(port):
-    options = ["--host", "127.0.0.1", "--port", str(port), "--dashboard-address", "127.0.0.1:0"]
-    return python("distributed.cli.dask_scheduler", *options)
-
-
 def test_workers_of_another_version_are_refused_by_name_before_anything_runs(cluster, tmp_path):
     metadata = tmp_path / "mcspectra-99.0.dist-info" / "METADATA"
     metadata.parent.mkdir()
     metadata.write_text("Metadata-Version: 2.1\nName: mcspectra\nVersion: 99.0\n")
-    process = worker(cluster.scheduler_address, PYTHONPATH=str(tmp_path))
+    options = ["--nthreads", "1", "--no-nanny", "--host", "127.0.0.1"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "distributed.cli.dask_worker", cluster.scheduler_address, *options],
+        env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
     try:
         deadline = time.monotonic() + 30
         while len(cluster.scheduler.workers) < 3 and time.monotonic() < deadline:
@@ -256,7 +271,7 @@ def test_workers_of_another_version_are_refused_by_name_before_anything_runs(clu
 def free_port():
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
+        return str(probe.getsockname()[1])
 
 
 def slow():
@@ -272,22 +287,22 @@ def slow():
 def test_a_scheduler_that_dies_may_come_back_or_ends_the_run():
     port = free_port()
     address = f"tcp://127.0.0.1:{port}"
-    processes = [scheduler(port), worker(address)]
+    processes = [scheduler("--port", port), worker(address)]
     engine = Dask(TEXT, Cluster(address=address, patience=60.0), slow())
     try:
         for index in range(40):
             engine.submit(task(index))
         outcomes = engine.outcomes()
         found = [next(outcomes) for _ in range(3)]
-        processes[0].send_signal(signal.SIGKILL)
-        processes += [scheduler(port), worker(address)]
+        processes[0].kill()
+        processes += [scheduler("--port", port), worker(address)]
         found += list(outcomes)
         assert {outcome.payload for outcome in found} == {b"done"}
         assert sorted(int(outcome.task.key) for outcome in found) == list(range(40))
 
         engine._client._timeout = 1.0
         engine.submit(task(0))
-        processes[2].send_signal(signal.SIGKILL)
+        processes[2].kill()
         for index in range(5):
             engine.submit(task(index))
         start = time.monotonic()
@@ -298,7 +313,7 @@ def test_a_scheduler_that_dies_may_come_back_or_ends_the_run():
         engine.close(cancel=True)
         for process in processes:
             process.kill()
-            process.wait()
+            process.join()
 
 
 @pytest.fixture
@@ -375,16 +390,27 @@ def _can_make_networks():
         return False
 
 
-WAYS = [("stopped", []), *([("namespace", ISOLATED)] if _can_make_networks() else [])]
+WAYS = {"stopped": []} | ({"namespace": ISOLATED} if _can_make_networks() else {})
 
 
-@pytest.mark.parametrize(("way", "prefix"), WAYS, ids=[way for way, _ in WAYS])
-def test_a_run_completes_without_a_worker_that_is_cut_off(way, prefix):
+@pytest.fixture(scope="module")
+def cut_off():
+    """A run for each way to cut a worker off; they wait at the same time."""
     script = str(Path(__file__).with_name("cut_off.py"))
-    command = [*prefix, sys.executable, script, way]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
-    assert done.returncode == 0, done.stderr
-    outcomes = json.loads(done.stdout)
+    pipe = subprocess.PIPE
+    return {
+        way: subprocess.Popen(
+            [*prefix, sys.executable, script, way], stdout=pipe, stderr=pipe, text=True
+        )
+        for way, prefix in WAYS.items()
+    }
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_run_completes_without_a_worker_that_is_cut_off(cut_off, way):
+    out, err = cut_off[way].communicate(timeout=120)
+    assert cut_off[way].returncode == 0, err
+    outcomes = json.loads(out)
     assert {key: payload for key, payload, _, _ in outcomes} == {
         str(index): str(index**2) for index in range(len(outcomes))
     }

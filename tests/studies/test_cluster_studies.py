@@ -9,7 +9,7 @@ import sys
 import time
 
 import pytest
-from tests.studies.local_cluster import local_cluster
+from tests.studies.local_cluster import local_cluster, scheduler, worker
 
 from mcspectra.cli.main import main
 from mcspectra.core.errors import StoreError
@@ -70,19 +70,9 @@ def test_same_bits_for_other_workers_and_chunks(
 
 def test_the_scheduler_is_killed_and_the_store_resumed(expected, tmp_path, stored_values):
     file = tmp_path / "scheduler.json"
-    null = subprocess.DEVNULL
-    options = [
-        ["scheduler", "--host", "127.0.0.1", "--port", "0", "--dashboard-address", "127.0.0.1:0"],
-        ["worker", "--host", "127.0.0.1", "--nthreads", "1", "--no-nanny"],
-    ]
     processes = [
-        subprocess.Popen(
-            [sys.executable, "-m", f"distributed.cli.dask_{what}", "--scheduler-file", file, *rest],
-            stdout=null,
-            stderr=null,
-            env=os.environ | {"OMP_NUM_THREADS": "1"},
-        )
-        for what, *rest in options
+        start("--scheduler-file", str(file), *options)
+        for start, *options in ((scheduler, "--port", "0"), (worker,))
     ]
     try:
         deadline = time.monotonic() + 60
@@ -98,7 +88,7 @@ def test_the_scheduler_is_killed_and_the_store_resumed(expected, tmp_path, store
     finally:
         for process in processes:
             process.kill()
-            process.wait()
+            process.join()
     stored = stored_values(tmp_path / "out")
     assert 0 < len(stored) < len(expected)
     run_study(decode_study(STUDY), tmp_path / "out", resume=True, workers=1)

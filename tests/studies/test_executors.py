@@ -4,7 +4,6 @@ import threading
 import time
 from pathlib import Path
 
-import dask
 import distributed  # noqa: F401 - whose configuration must be there before it is changed
 import msgspec
 import pytest
@@ -22,7 +21,7 @@ from mcspectra.studies.executors import (
 )
 from mcspectra.studies.files import decode_study
 from mcspectra.studies.plan import make_plan
-from mcspectra.studies.tasks import StudyText, Task, attempt
+from mcspectra.studies.tasks import StudyText, Task
 from mcspectra.studies.vetting import Trust
 
 STUDY = """
@@ -161,39 +160,6 @@ def test_processes_do_not_repeat_the_warnings_of_planning(capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_a_process_that_is_stopped_or_dies_is_replaced(misbehaving):
-    """One worker: a task that hangs, one whose worker dies once, and one that just works."""
-    names = ("hangs", "dies_once", "good", "dies")
-    study = decode_study(
-        STUDY.format(name="hangs")
-        + "".join(
-            f"[[estimators]]\nname = '{name}'\ndims = 1\n"
-            f"integrand = \"python(function='misbehaving:{name}')\"\n"
-            for name in names[1:]
-        )
-    )
-    text = StudyText.of(study, Path(), Trust(tuple(f"misbehaving:{name}" for name in names)))
-    (misbehaving / "hang").touch()
-    tasks = {name: _task(name.replace("_", "-")) for name in names[1:]} | {"hangs": _task()}
-    # dask's own patience with a worker that starts is over at once, as under load
-    impatient = {"distributed.deploy.lost-worker-timeout": 0}
-    with dask.config.set({"distributed.scheduler.allowed-failures": 1} | impatient):
-        executor = Dask(text, Cluster(workers=1, time_limit=5.0))
-        _end_after(200.0, executor)
-        for name in names:
-            executor.submit(tasks[name])
-        found = {outcome.task: outcome for outcome in executor.outcomes()}
-        executor.close(cancel=False)
-    outcomes = {name: found.pop(task) for name, task in tasks.items()}
-    assert not found
-    assert outcomes["hangs"].error == "It took longer than the time limit of 5 s and was stopped."
-    assert outcomes["dies"].error.startswith("4 workers died while computing it")
-    assert (misbehaving / "died").exists()
-    # dies_once and good have the same values, hence the same moments.
-    assert outcomes["dies_once"].error is outcomes["good"].error is None
-    assert outcomes["good"].payload == attempt(text, tasks["good"]).payload
-
-
 def test_a_cluster_of_this_machine_that_loses_its_workers_is_lost(monkeypatch):
     monkeypatch.setattr(executors, "_DESERTED", 1.0)
     executor = Dask(_text("good"), Cluster(workers=1))
@@ -205,14 +171,3 @@ def test_a_cluster_of_this_machine_that_loses_its_workers_is_lost(monkeypatch):
             next(executor.outcomes())
     finally:
         executor.close(cancel=True)
-
-
-def test_code_that_never_gives_python_back_fails_alone(misbehaving):
-    """The worker cannot notice that its time is over: it is ended from within, and replaced."""
-    with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
-        executor = Dask(_text("holds_the_lock"), Cluster(workers=1, time_limit=2.0))
-    executor.submit(_task())
-    (outcome,) = executor.outcomes()
-    executor.close(cancel=False)
-    assert outcome.error.startswith("2 workers died while computing it")
-    assert misbehaving.exists()

@@ -91,8 +91,8 @@ def assert_finished(out, straight):
 @pytest.mark.parametrize("kills", [3, pytest.param(150, marks=pytest.mark.endurance)])
 def test_killed_at_any_moment_and_resumed(study, tmp_path, straight, kills):
     """Forks that have everything imported: see killed_runs.py."""
-    script = Path(__file__).with_name("killed_runs.py")
-    done = python(script, study, tmp_path, kills, 1, env=ONE_THREAD, check=True)
+    program = ("-m", "tests.studies.killed_runs", study, tmp_path, kills, 1)
+    done = python(*program, cwd=Path(__file__).parents[2], env=ONE_THREAD, check=True)
     trials = list(map(json.loads, done.stdout.splitlines()))
     assert len(trials) == kills
     ends = [end for trial in trials for end in trial["ends"]]
@@ -243,7 +243,6 @@ def test_a_refused_run_gives_the_folder_free(half, tmp_path):
 FUNCTION = """
 title = "waits"
 samplers = ["random"]
-time_limit = LIMIT
 [convergence]
 counts = [4, 16]
 realizations = 10
@@ -254,10 +253,10 @@ dims = 1
 """
 
 
-def waiting_run(misbehaving, folder, limit="1000"):
-    """A command whose integrand hangs while a file is there, and its study."""
+def waiting_run(misbehaving, folder, limit=""):
+    """A command whose integrand hangs while a file is there; with a time limit in a process of its own."""
     study = folder / "study.toml"
-    study.write_text(FUNCTION.replace("LIMIT", limit))
+    study.write_text(limit + FUNCTION)
     (misbehaving / "hang").touch()
     arguments = command(study, folder / "out", "--allow-code", "misbehaving:hangs")
     environment = process_env(misbehaving)
@@ -313,7 +312,7 @@ def children(pid):
 
 def test_no_worker_outlives_a_run_that_is_killed(misbehaving, tmp_path):
     """Even one whose task hangs; the store can be resumed at once."""
-    process, arguments = waiting_run(misbehaving, tmp_path)
+    process, arguments = waiting_run(misbehaving, tmp_path, "time_limit = 1000\n")
     try:
         wait_for((misbehaving / "begun").exists, process)
         workers = children(process.pid)

@@ -54,6 +54,7 @@ def small_effort():
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(EFFORTS, "quick", SMALL)
         patch.setattr(module, "predict", predicted)
+        patch.setattr("mcspectra.rendering.pixel._POINTS", 2**12)  # of means: 2**17 take seconds
         yield calls
 
 
