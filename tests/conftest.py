@@ -67,6 +67,11 @@ def browser():
         found.close()
 
 
+def pytest_xdist_auto_num_workers():
+    """One worker more than cores: a seventh of the time tests wait for processes, pages and clusters."""
+    return (os.cpu_count() or 1) + 1
+
+
 def pytest_collection_modifyitems(items):
     """Tests that take minutes have time for them."""
     for item in items:
