@@ -129,11 +129,13 @@ def render(
     def draw(block: tuple[range, range]) -> tuple[range, Callable[[], Array]]:
         """Draw the points of a tile in some images; what is returned gives the means (images · P, 3)."""
         tile, images = block
-        y, x = np.divmod(np.arange(tile.start, tile.stop), width)
-        pixels = np.stack([x + left, y + top], axis=-1)
+        lines = np.arange(tile.start // width, (tile.stop - 1) // width + 1)
+        grid = np.empty((len(lines), width, 2), np.int64)
+        grid[..., 0], grid[..., 1] = np.arange(left, left + width), (lines + top)[:, None]
+        pixels = grid.reshape(-1, 2)[tile.start - lines[0] * width :][: len(tile)]
         numbers = pixels[:, 0] + waves.width * pixels[:, 1]
         streams = [stream.child(image) for image in images]
-        everywhere = np.tile(pixels, (len(images), 1))
+        everywhere = np.tile(pixels, (len(images), 1)) if len(images) > 1 else pixels
         if net is not None:
             keys = np.array([scramble_key(each) for each in streams], np.uint64)
             points = NetPoints(net, spp, keys, numbers.astype(np.uint32))
@@ -162,12 +164,11 @@ def render(
     names = {"image": "mean"}
     if realizations > 1:
         names |= {"variance": "variance", "image_se": "mean_se"}
-    joined = {
-        name: np.concatenate([getattr(m, of) for m in moments]).reshape(
-            height, width, len(CHANNELS)
-        )
-        for name, of in names.items()
-    }
+    joined = {}
+    for name, of in names.items():
+        parts = [getattr(m, of) for m in moments]
+        values = np.concatenate(parts) if len(parts) > 1 else parts[0]
+        joined[name] = values.reshape(height, width, len(CHANNELS))
     return dataset(
         {name: (("y", "x", "channel"), values) for name, values in joined.items()},
         {
