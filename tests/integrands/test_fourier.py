@@ -22,6 +22,17 @@ def test_chords_of_a_whole_disk_give_bessel_functions():
     assert np.abs(chords - disk.fourier(m)).max() < 1e-13
 
 
+def test_coefficients_of_a_ball_are_those_of_its_sections():
+    """Along an axis: ∫ π(r² − x²) cos(2πkx) dx over |x| < r, times the phase of the centre."""
+    ball = mcs.integrands.Disk(center=(0.45, 0.5, 0.6), radius=0.37, dims=3)
+    k = np.arange(1, 8)
+    x, weights = np.polynomial.legendre.leggauss(64)
+    sections = 0.37 * weights * np.pi * 0.37**2 * (1 - x**2)
+    expected = np.cos(2 * np.pi * 0.37 * np.outer(k, x)) @ sections * np.exp(-1.2j * np.pi * k)
+    found = ball.fourier(np.stack([0 * k, 0 * k, k], axis=-1))
+    assert np.abs(found - expected).max() < 1e-13
+
+
 def test_the_pieces_of_a_disk_on_the_torus_sum_to_the_whole():
     """Integer shifts do not change exp(−2πi m·x)."""
     m = some_frequencies()
