@@ -184,7 +184,7 @@ MUTATIONS = [
         'band_m2=np.einsum("rca,rcb->cab", deviation, deviation),',
         'band_m2=np.einsum("rca,rcb->cab", bands, bands),',
     ),
-    ("variance", "factor = a * b / (a + b)", "factor = a * a / (a + b)"),
+    ("variance", "factor, part = a * b / (a + b)", "factor, part = a * a / (a + b)"),
     (
         "variance",
         "used = (variance > floor) & np.isfinite(relative_se) & (relative_se > 0)",
