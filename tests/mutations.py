@@ -184,7 +184,11 @@ MUTATIONS = [
         'band_m2=np.einsum("rca,rcb->cab", deviation, deviation),',
         'band_m2=np.einsum("rca,rcb->cab", bands, bands),',
     ),
-    ("variance", "factor, part = a * b / (a + b)", "factor, part = a * a / (a + b)"),
+    (
+        "variance",
+        "a * b / (a + b), b / (a + b)\n        delta = other.mean - self.mean\n        shift",
+        "a * a / (a + b), b / (a + b)\n        delta = other.mean - self.mean\n        shift",
+    ),
     (
         "variance",
         "used = (variance > floor) & np.isfinite(relative_se) & (relative_se > 0)",
