@@ -1,0 +1,24 @@
+"""Render the frames of this folder: Mitsuba's Cornell box, each frame with a seed of its own.
+
+Run it from the root of the repository: ``python docs/frames/make.py`` (extra ``render``). The
+files are .npy of half precision, 64 × 64 pixels, so that they are small and need no extra to be
+read. Other versions of Mitsuba or other processors render other noise.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from mcspectra.rendering import load_mitsuba
+
+SIZE, FRAMES, COUNTS = 64, 6, (16, 64)
+
+mi = load_mitsuba()
+box = mi.cornell_box()
+box["sensor"]["film"] |= {"width": SIZE, "height": SIZE, "rfilter": {"type": "box"}}
+scene = mi.load_dict(box)
+for spp in COUNTS:
+    for frame in range(FRAMES):
+        image = np.array(mi.render(scene, spp=spp, seed=1000 * spp + frame))
+        file = Path(__file__).with_name(f"cornell_{frame}_{spp}spp.npy")
+        np.save(file, image.astype(np.float16))
