@@ -1,6 +1,6 @@
 """Render the frames of this folder: Mitsuba's Cornell box, each frame with a seed of its own.
 
-Run it from the root of the repository: ``python docs/frames/make.py`` (extra ``render``). The
+Run it from the root of the repository: ``python docs/examples/frames/make.py`` (extra ``render``). The
 files are .npy of half precision, 64 × 64 pixels, so that they are small and need no extra to be
 read. Other versions of Mitsuba or other processors render other noise.
 """
