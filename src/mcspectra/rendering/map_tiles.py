@@ -64,8 +64,8 @@ from mcspectra.rendering.techniques import (
     sample_columns,
     sample_light,
 )
-from mcspectra.samplers import Jittered, Random, Sampler
-from mcspectra.spectra.bases import fitting_basis, parts_of
+from mcspectra.samplers import Jittered, Sampler
+from mcspectra.samplers.law import Fixed, Independent, Scrambled, Strata
 from mcspectra.spectra.gain import gains_at
 
 __all__ = [
@@ -453,21 +453,20 @@ def unmet(prediction: Prediction, values: Array, there: Array) -> Array:
 
 def prediction_for(sampler: Sampler, n: int, stream: Stream) -> Prediction | None:
     """Return how to predict the variance of `n` points; None where it is not known."""
-    if isinstance(sampler, Jittered):
-        return _Strata.of(sampler.sides(n), stream)
-    if isinstance(sampler, Random):
-        return _Grid(method="random", count=n, samples=_midpoints(sampler.dims))
-    base, steps = parts_of(sampler)
-    if sampler.dims != 2:
+    law = sampler.law(n)
+    if isinstance(law, Strata) and law.jittered:
+        return _Strata.of(law.sides, stream)
+    if isinstance(law, Independent):
+        return _Grid(method="random", count=n, samples=_midpoints(law.dims))
+    if law.dims != 2:
         return None
-    if fitting_basis(sampler, _GRIDS[2]) == "fourier":
+    if law.stationary:
         power, se = _grid_power(sampler, n, stream)
         return _Grid(method="spectrum", count=n, samples=_midpoints(2), power=power, power_se=se)
-    names = {step.name for step in steps}
-    nested = "owen" in names and names <= {"owen", "digital-shift", "permute"}
-    if nested and base.fixed and set(base.digit_bases) == {2}:
+    nested = isinstance(law, Scrambled) and law.nested_pairs and set(law.bases) == {2}
+    if isinstance(law, Scrambled) and nested and isinstance(law.inner, Fixed):
         side = _GRIDS[2]
-        gains = gains_at(base, n, side.bit_length() - 1)
+        gains = gains_at(law.inner, law.bases, side.bit_length() - 1)
         # Points anywhere in their cells, in C order, see what varies within these, too
         u = Jittered(dims=2, sides_=(side, side)).draw_stream(side * side, stream, 0, 1)[0]
         u = u[np.lexsort(np.floor(u * side).T[::-1])]

@@ -7,6 +7,7 @@ sampler; ``sampler.then(randomization)`` chains them. Implementations write `_po
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -22,6 +23,7 @@ from mcspectra.core.errors import CountError, NotPowerOfTwoWarning, ParameterErr
 from mcspectra.core.fields import settle
 from mcspectra.core.spec import Component
 from mcspectra.core.streams import RngLike, Stream
+from mcspectra.samplers.law import Fixed, Law, Unknown
 
 __all__ = [
     "FIRST_STEP",
@@ -160,6 +162,30 @@ class Sampler(Component, ABC):
     def draw_stream(self, n: int, stream: Stream, first: int, count: int) -> Array:
         """Draw `count` realisations from `stream`, `n` already checked: for estimators' inner loops."""
         return self._points(n, stream, first, count)
+
+    def law(self, n: int) -> Law:
+        """Return the joint distribution of the points of one realization of `n` points.
+
+        Everything that is predicted of a sampler follows from its law: closed forms of spectra and
+        covariances, exact variances, rates and refusals (`mcspectra.samplers.law`).
+
+        Raises
+        ------
+        CountError
+            The sampler cannot make `n` points.
+        """
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotPowerOfTwoWarning)
+            n = self.check_count(n)
+        law = self._law(n)
+        return law if law.source is not None else law.of(self)
+
+    def _law(self, n: int) -> Law:
+        """Return the law of `n` points, a possible count; by default no more than what is declared."""
+        if not self.fixed:
+            return Unknown(n=n, dims=self.dims, is_uniform=self.unbiased)
+        bases = self.digit_bases if self.structure is Structure.DIGITS else None
+        return Fixed(n=n, dims=self.dims, bases=bases)
 
     def as_chain(self, n: int) -> Sampler:  # noqa: ARG002
         """The sampler and randomisations that this one is short for at n points; itself if for none."""
@@ -303,6 +329,14 @@ class Randomization(Component, ABC):
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
         """Return new points (count, n, d) in [0,1) for realisations first … first+count−1."""
 
+    def law_of(self, law: Law, n: int) -> Law:
+        """Return the law of `n` points that follow `law` before they are randomized."""
+        return Unknown(n=n, dims=law.dims, is_uniform=law.uniform or self.debiases)
+
+    def count_inside(self, sampler: Sampler, n: int) -> int:  # noqa: ARG002
+        """Return how many points of `sampler` make `n` randomized ones."""
+        return n
+
     def fit(self, sampler: Sampler) -> Randomization:
         """Return this randomisation as it is applied to `sampler`, e.g. in its digits' base.
 
@@ -372,6 +406,10 @@ class Randomized(Sampler):
             independent=inner.independent and last.independent,
             max_count=last.max_count(inner),
         )
+
+    def _law(self, n: int) -> Law:
+        last = self.steps[-1]
+        return last.law_of(self._inner.law(last.count_inside(self._inner, n)), n)
 
     @property
     def spec(self) -> str:

@@ -38,6 +38,7 @@ from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.spec import Call
 from mcspectra.core.streams import Stream
 from mcspectra.samplers.base import MAX_COUNT, Draw, Randomization, Sampler, repeated
+from mcspectra.samplers.law import Fixed, Law, Unknown
 
 __all__ = [
     "FUNCTION",
@@ -179,6 +180,12 @@ class GivenPoints(Sampler):
         path = list(self.path) if isinstance(self.path, tuple) else self.path
         name = f", name={self.name_!r}" if self.name_ else ""
         return f"points(path={path!r}{', cycle=True' if self.cycle else ''}{name})"
+
+    def _law(self, n: int) -> Law:
+        sets = len(self.sets[n])
+        if sets == 1:
+            return Fixed(n=n, dims=self.dims)
+        return Unknown(n=n, dims=self.dims, is_uniform=False, sets=sets)
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         del stream

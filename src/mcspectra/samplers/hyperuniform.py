@@ -24,6 +24,7 @@ from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream, mix_uniform, uniforms
 from mcspectra.samplers.base import Sampler, Structure
+from mcspectra.samplers.law import Law, Stationary, mean_of_terms
 from mcspectra.samplers.optimised import OptimisedSampler, Report, minimize, random_points, wrap
 from mcspectra.samplers.stratified import GridSampler, corners
 
@@ -40,6 +41,7 @@ __all__ = [
 
 _GOAL = 1e-22  # sum of all powers that count as zero: rounding leaves 1e-28 each, random points 1
 _STARTS = 20
+_PAIRS = 2**20  # pairs of waves and frequencies that are compared at once
 _BLOCK = 16  # basis vectors between two looks at which proposals are lost already
 _BATCH = 8  # proposals that are tested together, so that the basis is read once for all
 
@@ -79,6 +81,31 @@ class PerturbedLattice(GridSampler):
         if n == 1 or self.correlation == 0.0:
             return np.asarray(np.arange(n) == 0, float).reshape(sides)
         return np.asarray(np.fft.ifftn(_gains(sides, self.correlation) ** 2).real)
+
+    def _law(self, n: int) -> Law:
+        return Stationary(n=n, dims=self.dims, power=lambda m: self._power(n, m))
+
+    def _power(self, n: int, m: Array) -> Array:
+        """⟨|S_m|²⟩ at integer m, of shape (..., d); the common translation leaves it alone.
+
+        (1/n) Σ_r exp(−2πi m·r/s) exp(−4π² |m|² (width/s)² (1 − ρ(r))) over the places r of the grid,
+        ρ the correlation of displacements r apart ([Gabrielli2004]_, of Gaussian ones).
+        """
+        sides = self._sides(n)
+        if self.correlation == 0.0:
+            gauss = np.exp(-2.0 * (np.pi * self.width * m / sides[0]) ** 2)
+            square = np.prod(gauss, axis=-1) ** 2
+            on_grid = (np.mod(m, sides[0]) == 0).all(axis=-1)
+            return np.asarray((1.0 - square) / n + square * on_grid)
+        places = np.stack(np.unravel_index(np.arange(n), sides), axis=-1)
+        apart = 1.0 - self.displacement_correlation(n).reshape(-1)
+
+        def terms(rows: Array) -> Array:
+            spread = (2.0 * np.pi * self.width / sides[0]) ** 2 * (rows**2).sum(axis=-1)
+            phases = 2.0 * np.pi * np.remainder(rows @ places.T / sides[0], 1.0)
+            return np.asarray(np.cos(phases) * np.exp(-np.outer(spread, apart)))
+
+        return mean_of_terms(n, m, terms)
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         keys, sides = stream.keys(first, count), self._sides(n)
@@ -280,6 +307,27 @@ class Determinantal(Sampler):
     def frequencies(self, n: int) -> Array:
         """Return M, the frequencies of the kernel of `n` points: int64 (n, dims)."""
         return nearest_frequencies(self.check_count(n), self.dims)
+
+    def _law(self, n: int) -> Law:
+        return Stationary(n=n, dims=self.dims, power=lambda m: self._power(n, m))
+
+    def _power(self, n: int, m: Array) -> Array:
+        """⟨|S_m|²⟩ at integer m, of shape (..., d): 1/n less the share of waves that m moves to others."""
+        waves = self.frequencies(n)
+        flat = np.rint(m).reshape(-1, self.dims).astype(np.int64)
+        rows, back = np.unique(flat, axis=0, return_inverse=True)
+
+        # Each frequency has a number, the sum of those of its coordinates; no two have the same
+        factors = np.random.default_rng(n).integers(2**63, size=self.dims)
+        numbers = np.sort(waves @ factors)
+        pairs = np.zeros(len(rows))
+        near = np.flatnonzero((np.abs(rows) <= 2 * np.abs(waves).max(axis=0)).all(axis=1))
+        for some in np.array_split(near, len(near) * n // _PAIRS + 1):
+            moved = numbers + (rows[some] @ factors)[:, None]
+            found = numbers[np.minimum(np.searchsorted(numbers, moved), n - 1)]
+            pairs[some] = (found == moved).sum(axis=1)
+        share = pairs[back.reshape(-1)].reshape(m.shape[:-1]) / n
+        return np.asarray((1.0 - share) / n + np.all(m == 0, axis=-1))
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         out = np.empty((count, n, self.dims))

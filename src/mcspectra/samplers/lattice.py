@@ -17,6 +17,7 @@ from mcspectra.core.fields import settle, whole
 from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.samplers.base import MAX_COUNT, FixedSet, PlaneSampler, Structure
+from mcspectra.samplers.law import Fixed, Law
 
 __all__ = ["Fibonacci", "Korobov", "Kronecker", "Rank1Lattice", "golden_steps"]
 
@@ -38,6 +39,9 @@ class _Lattice(FixedSet):
     @abstractmethod
     def _vector(self, n: int) -> Sequence[int]:
         """Make z for n points."""
+
+    def _law(self, n: int) -> Law:
+        return Fixed(n=n, dims=self.dims, vector=tuple(self.generating_vector(n).tolist()))
 
     def _set(self, n: int) -> Array:
         points = np.empty((n, self.dims))

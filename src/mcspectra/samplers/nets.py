@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
@@ -25,6 +25,7 @@ from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.samplers import _digital_kernels
 from mcspectra.samplers._primes import LARGEST_BASE, is_prime, power_from, prime_from
 from mcspectra.samplers.base import MAX_COUNT, FixedSet, PlaneSampler, Sampler, Structure
+from mcspectra.samplers.law import Fixed, Law, is_power
 
 __all__ = ["DigitalNet", "Faure", "LarcherPillichshammer", "Niederreiter", "Sobol"]
 
@@ -45,6 +46,21 @@ class _BinaryNet(FixedSet):
     @abstractmethod
     def direction_numbers(self, n: int) -> Array:
         """Return the columns of the matrices for n points: uint32 (dims, 32), 2^31 being ½."""
+
+    def _law(self, n: int) -> Law:
+        count = n.bit_length() - 1
+        digital = 2**count == n and set(self.digit_bases) == {2}
+
+        def columns() -> Array:
+            return self.direction_numbers(n)[:, :count].astype(np.uint64)
+
+        return Fixed(
+            n=n,
+            dims=self.dims,
+            bases=self.digit_bases,
+            digital=is_power(n, self.digit_bases[0]),
+            columns=columns if digital else None,
+        )
 
     def _set(self, n: int) -> Array:
         points = np.empty((n, self.dims))
@@ -338,6 +354,10 @@ class _AnyBaseNet(FixedSet):
     def _columns(self, n: int) -> Array:
         """Columns of the matrices for n points: int64 (dims, columns, rows)."""
 
+    def _law(self, n: int) -> Law:
+        bases = self.digit_bases
+        return Fixed(n=n, dims=self.dims, bases=bases, digital=is_power(n, bases[0]))
+
     def _set(self, n: int) -> Array:
         points = np.empty((n, self.dims))
         columns = np.ascontiguousarray(self._columns(n))
@@ -477,6 +497,19 @@ class DigitalNet(_AnyBaseNet):
     def generator_matrices(self) -> Array:
         """Return the matrices as int64 (dims, rows, columns)."""
         return np.ascontiguousarray(self._columns(0).transpose(0, 2, 1))
+
+    def _law(self, n: int) -> Law:
+        count = n.bit_length() - 1
+        law = _AnyBaseNet._law(self, n)
+        if 2**count != n or set(self.digit_bases) != {2}:
+            return law
+
+        def columns() -> Array:
+            matrices = self.generator_matrices()[:, :_BITS, :count]
+            places = 2 ** np.arange(_BITS - 1, _BITS - 1 - matrices.shape[1], -1, dtype=np.int64)
+            return np.tensordot(matrices, places, axes=([1], [0])).astype(np.uint64)
+
+        return replace(law, columns=columns)  # type: ignore[call-arg]
 
     def _net(self) -> tuple[int, Array]:
         if isinstance(self.matrices, str):

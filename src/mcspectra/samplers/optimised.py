@@ -27,6 +27,7 @@ from mcspectra.core.progress import report
 from mcspectra.core.streams import Stream, uniforms
 from mcspectra.samplers._kernels import translated
 from mcspectra.samplers.base import Sampler, Structure
+from mcspectra.samplers.law import Law, Stationary, Unknown
 
 __all__ = [
     "OptimisedSampler",
@@ -69,6 +70,11 @@ class OptimisedSampler(Sampler, ABC):
     @abstractmethod
     def _optimize(self, n: int, keys: Array, report: Report) -> Array:
         """Make one set (n, dims) in [0,1) from keys uint64 (2,); report the fraction done."""
+
+    def _law(self, n: int) -> Law:
+        if self.unbiased and self.structure is Structure.TORUS:
+            return Stationary(n=n, dims=self.dims, sets=self.sets)
+        return Unknown(n=n, dims=self.dims, is_uniform=self.unbiased, sets=self.sets)
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         source = stream if self.sets is None else Stream(0)

@@ -17,6 +17,7 @@ from mcspectra.core.streams import Stream, mix_uniform
 from mcspectra.samplers._kernels import _shuffle, fill_latin
 from mcspectra.samplers._primes import is_prime, prime_from
 from mcspectra.samplers.base import MAX_COUNT, PlaneSampler, Sampler, Structure
+from mcspectra.samplers.law import Law, Unknown, latin_hypercube, paired_axes_of_array
 from mcspectra.samplers.stratified import cell_side, root
 
 __all__ = ["LatinHypercube", "NRooks", "OrthogonalArray"]
@@ -55,6 +56,11 @@ class LatinHypercube(Sampler):
                 f"latin-hypercube: dims is {self.dims}; strength 2 allows at most {MAX_DIMS}."
             )
 
+    def _law(self, n: int) -> Law:
+        if self.strength == 2:
+            return paired_axes_of_array(root(n, 2), self.dims, shared_out=True)
+        return latin_hypercube(n, self.dims)
+
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         if self.strength == 2:
             return _orthogonal(n, self.dims, 2, "multi-jittered", stream.keys(first, count))
@@ -79,6 +85,9 @@ class NRooks(PlaneSampler):
     name: ClassVar[str] = "n-rooks"
     structure: ClassVar[Structure] = Structure.STRATA
     other_dims: ClassVar[str] = "for other dims use latin-hypercube"
+
+    def _law(self, n: int) -> Law:
+        return latin_hypercube(n, 2)
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         return _latin(n, self.dims, stream.keys(first, count))
@@ -140,6 +149,12 @@ class OrthogonalArray(Sampler):
                 f"orthogonal-array: {self.dims} dims at strength {self.strength} need at least "
                 f"{least}^{self.strength} points, more than is possible; lower the strength."
             )
+
+    def _law(self, n: int) -> Law:
+        if self.strength > 2 or self.jitter == "correlated-multi-jittered":
+            return Unknown(n=n, dims=self.dims)
+        shared_out = self.jitter == "multi-jittered"
+        return paired_axes_of_array(root(n, 2), self.dims, shared_out=shared_out)
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         return _orthogonal(n, self.dims, self.strength, self.jitter, stream.keys(first, count))

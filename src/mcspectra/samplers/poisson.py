@@ -37,6 +37,7 @@ from mcspectra.core.streams import Stream
 from mcspectra.samplers import _spacing_kernels as kernels
 from mcspectra.samplers._kernels import translated
 from mcspectra.samplers.base import Sampler, Structure
+from mcspectra.samplers.law import Law, Stationary, Unknown
 
 __all__ = ["DENSEST", "BestCandidate", "DartThrowing", "PoissonDisk", "densest_distance", "thrown"]
 
@@ -128,6 +129,11 @@ class PoissonDisk(Sampler):
         relative = _DEFAULT_RADIUS[self.dims - 1] if self.radius_ is None else self.radius_
         return relative * densest_distance(self.check_count(n), self.dims)
 
+    def _law(self, n: int) -> Law:
+        if self.unbiased:
+            return Stationary(n=n, dims=self.dims)
+        return Unknown(n=n, dims=self.dims, is_uniform=False)
+
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         keys = stream.keys(first, count)
         if self.mode == "maximal":
@@ -196,6 +202,9 @@ class DartThrowing(Sampler):
         """Return the minimum distance between any two of n points, in units of the domain."""
         return self.radius_ * densest_distance(self.check_count(n), self.dims)
 
+    def _law(self, n: int) -> Law:
+        return Stationary(n=n, dims=self.dims)
+
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         radius = self.radius(n)
         # Cells no smaller than a disk, so that it can only touch those next to its own
@@ -230,6 +239,9 @@ class BestCandidate(Sampler):
     max_count: ClassVar[int] = 2**16
     dims: int = DEFAULT_DIMS
     candidates: int = whole(4, least=1, most=10_000)
+
+    def _law(self, n: int) -> Law:
+        return Stationary(n=n, dims=self.dims)
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         out = np.empty((count, n, self.dims))

@@ -24,10 +24,12 @@ from mcspectra.core.jit import kernel
 from mcspectra.core.streams import Stream, mix_bits
 from mcspectra.samplers._kernels import _mix_below
 from mcspectra.samplers.base import PlaneSampler, Structure
+from mcspectra.samplers.law import Choice, Fixed, Law, Unknown, is_power, scrambled
 
 __all__ = ["PMJ", "PMJ02", "PMJ02BlueNoise", "pairings"]
 
 _PASSES = 31
+_SETS = 16  # of pmj that stand for all in its law
 _ONE, _S11 = np.uint64(1), np.uint64(11)
 _EVEN_BITS = np.uint64(0x5555555555555555)
 _BITS = 5  # of each word that are chosen below those of its cell; finer ones matter little
@@ -74,6 +76,11 @@ class PMJ(_PlaneSequence):
 
     sequence: ClassVar[bool] = True
 
+    def _law(self, n: int) -> Law:
+        # Scrambled by their making; which digits agree is random, here that of some sets
+        sets = (Fixed(n=n, dims=2, bases=(2, 2), seed=k).of(self) for k in range(_SETS))
+        return Choice(n=n, dims=2, laws=tuple(scrambled(each, "nested", (2, 2)) for each in sets))
+
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         out = np.empty((count, n, 2))
         _fill_pmj(stream.keys(first, count), out)
@@ -100,6 +107,12 @@ class PMJ02(_PlaneSequence):
     """
 
     sequence: ClassVar[bool] = True
+
+    def _law(self, n: int) -> Law:
+        # Sobol' points that are Owen-scrambled by their making: one set has the digits of all
+        if not is_power(n, 2):
+            return Unknown(n=n, dims=2)
+        return scrambled(Fixed(n=n, dims=2, bases=(2, 2)).of(self), "nested", (2, 2))
 
 
 @final

@@ -26,6 +26,7 @@ from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream, mix_uniform
 from mcspectra.samplers.base import Sampler, Structure
+from mcspectra.samplers.law import Law, Stationary
 from mcspectra.samplers.poisson import densest_distance, thrown
 
 __all__ = ["ProjectiveBlueNoise"]
@@ -66,6 +67,9 @@ class ProjectiveBlueNoise(Sampler):
         count = self.check_count(n)
         relative = _DEFAULT_RADIUS[self.dims - 1] if self.radius_ is None else self.radius_
         return tuple(relative * densest_distance(count, k) for k in range(1, self.dims + 1))
+
+    def _law(self, n: int) -> Law:
+        return Stationary(n=n, dims=self.dims)
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         limits = np.square(self.radii(n))

@@ -15,6 +15,7 @@ from mcspectra.core.streams import Stream
 from mcspectra.samplers._primes import LARGEST_BASE
 from mcspectra.samplers._scramble_kernels import fill_inverses, fill_nested
 from mcspectra.samplers.base import MAX_COUNT, FixedSet, Sampler, Structure
+from mcspectra.samplers.law import Fixed, Law, Unknown, is_power
 from mcspectra.samplers.registry import RANDOMIZATIONS
 
 __all__ = ["Halton", "Hammersley", "RadicalInverses", "VanDerCorput"]
@@ -61,6 +62,14 @@ class RadicalInverses(FixedSet):
             return self
         plain: Sampler = replace(self, scramble="none")  # type: ignore[type-var]
         return plain.then(RANDOMIZATIONS.load(self.scramble)())
+
+    def _law(self, n: int) -> Law:
+        if not self.fixed:
+            chain = self.as_chain(n)
+            return Unknown(n=n, dims=self.dims) if chain is self else chain.law(n)
+        bases = self.digit_bases
+        digital = len(set(bases)) == 1 and is_power(n, bases[0]) and self.skip % n == 0
+        return Fixed(n=n, dims=self.dims, bases=bases, digital=digital)
 
     def _set(self, n: int) -> Array:
         return _inverses(self.digit_bases, self.skip, n)

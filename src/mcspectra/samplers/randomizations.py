@@ -21,6 +21,16 @@ from mcspectra.core.jit import kernel
 from mcspectra.core.streams import Stream, mix_bits, mix_uniform
 from mcspectra.samplers._kernels import translated
 from mcspectra.samplers.base import MAX_COUNT, Randomization, Sampler, Structure, repeated
+from mcspectra.samplers.law import (
+    Folded,
+    Independent,
+    Law,
+    Mirrored,
+    Stationary,
+    independent_sets,
+    moved,
+    shifted,
+)
 
 __all__ = ["Decorrelate", "Mirror", "RandomRotation", "Shift", "StrataShift", "folded"]
 
@@ -53,6 +63,10 @@ class Shift(Randomization):
     fits: ClassVar[Mapping[Structure, Structure]] = _TRANSLATED
     stationary: ClassVar[bool] = True
     debiases: ClassVar[bool] = True
+
+    def law_of(self, law: Law, n: int) -> Law:  # noqa: ARG002
+        """One uniform translation of the torus."""
+        return shifted(law)
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
         """Translate each realisation by its own vector."""
@@ -94,6 +108,12 @@ class StrataShift(Randomization):
         """Refuse a list of offsets of another length than dims."""
         as_reals("offset", self.offset, sampler.dims)
         return Randomization.fit(self, sampler)
+
+    def law_of(self, law: Law, n: int) -> Law:
+        """One fixed translation of the torus."""
+        return moved(
+            law, np.array(as_reals("offset", self.offset, law.dims)) * n ** (-1.0 / law.dims)
+        )
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
         """Translate all realisations by the same vector."""
@@ -150,6 +170,14 @@ class RandomRotation(Randomization):
         if sampler.structure is Structure.DIGITS and same:
             return Structure.DIGITS
         return Randomization.left(self, sampler)
+
+    def law_of(self, law: Law, n: int) -> Law:
+        """Sets whose law is the same after any translation remain so; of others little is known."""
+        if isinstance(law, Independent):
+            return law
+        if law.stationary or self.stationary:
+            return Stationary(n=n, dims=law.dims, sets=independent_sets(law))
+        return Randomization.law_of(self, law, n)
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
         """Rotate each realisation by its own symmetry or angle."""
@@ -273,6 +301,16 @@ class Mirror(Randomization):
             )
         return Randomization.fit(self, sampler)
 
+    def law_of(self, law: Law, n: int) -> Law:
+        """Folded or mirrored points see another integrand."""
+        if self.mode == "fold":
+            return Folded(n=n, dims=law.dims, inner=law)
+        return Mirrored(n=n, dims=law.dims, inner=law, mode=self.mode)  # type: ignore[arg-type]
+
+    def count_inside(self, sampler: Sampler, n: int) -> int:
+        """Return how many points have n mirror images in the uniform mode."""
+        return n // self._images(sampler)
+
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
         """Mirror each realisation; the uniform mode returns 2^d points for each of `points`."""
         if self.mode == "uniform":
@@ -394,6 +432,10 @@ class Decorrelate(Randomization):
                 f"{min(others)}; use mask='white' or mode='shift'."
             )
         return self
+
+    def law_of(self, law: Law, n: int) -> Law:
+        """The law of one pixel; pixels share one set."""
+        return self._step().law_of(law, n)
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
         """Move each of `points`, given for each pixel, by the shift of its pixel."""

@@ -20,6 +20,7 @@ from mcspectra.core.streams import Stream
 from mcspectra.samplers import _scramble_kernels as kernels
 from mcspectra.samplers._primes import LARGEST_BASE, is_prime
 from mcspectra.samplers.base import MAX_COUNT, FixedSet, Randomization, Sampler, Structure
+from mcspectra.samplers.law import Law, Scramble, scrambled
 from mcspectra.samplers.radical import RadicalInverses
 
 __all__ = ["DigitalShift", "Lms", "Owen", "Permute"]
@@ -143,6 +144,12 @@ class _OfPlaces(_OfDigits):
         else:
             kernels.permute_digits(keys, bases, self.shift, points, out)
 
+    def law_of(self, law: Law, n: int) -> Law:  # noqa: ARG002
+        """In base 2 a permutation of a digit is a digital shift."""
+        bases = self._bases(law.dims)
+        kind: Scramble = "digital-shift" if self.shift or set(bases) == {2} else "permutation"
+        return scrambled(law, kind, bases)
+
     def _fill(self, keys: Array, sampler: Sampler, n: int, out: Array) -> bool:
         del n
         if self._binary or not isinstance(sampler, RadicalInverses):
@@ -234,6 +241,10 @@ class Owen(_OfDigits):
     method: str = choice("nested", "hash")
     base: Base = checked(_as_base, None)
 
+    def law_of(self, law: Law, n: int) -> Law:  # noqa: ARG002
+        """Nested scrambling; that of hashes has the same law of pairs."""
+        return scrambled(law, "nested", self._bases(law.dims))
+
     def _check(self) -> None:
         if self.method == "hash" and not self._binary:
             raise ParameterError(
@@ -280,6 +291,10 @@ class Lms(_OfDigits):
     keeps_pairs: ClassVar[bool] = False
     shift: bool = flag(default=True)
     base: Base = checked(_as_base, None)
+
+    def law_of(self, law: Law, n: int) -> Law:  # noqa: ARG002
+        """A linear scramble, with or without a shift."""
+        return scrambled(law, "linear", self._bases(law.dims), shifts=self.shift)
 
     @property
     def debiases(self) -> bool:  # type: ignore[override]

@@ -15,6 +15,7 @@ from mcspectra.core.fields import choice, whole
 from mcspectra.core.jit import kernel
 from mcspectra.core.streams import Stream, mix_bits, mix_uniform
 from mcspectra.samplers.base import MAX_COUNT, Randomization, Sampler, Structure
+from mcspectra.samplers.law import Fixed, Independent, Law
 
 __all__ = ["Shuffle", "Skip", "Subset"]
 
@@ -64,6 +65,16 @@ class Subset(Randomization):
                 warnings.simplefilter("ignore", NotPowerOfTwoWarning)  # a part is never balanced
                 sampler.check_count(self.of)
         return Randomization.fit(self, sampler)
+
+    def law_of(self, law: Law, n: int) -> Law:
+        """A part of independent points is as good as any; all of the points are the set itself."""
+        if isinstance(law, Independent):
+            return Independent(n=n, dims=law.dims)
+        return law if law.n == n else Randomization.law_of(self, law, n)
+
+    def count_inside(self, sampler: Sampler, n: int) -> int:
+        """Return the size of the whole set."""
+        return self.of or sampler._counts_near(n)[1]
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
         """Return all points: a copy."""
@@ -133,6 +144,18 @@ class Skip(Randomization):
             )
         return Randomization.fit(self, sampler)
 
+    def law_of(self, law: Law, n: int) -> Law:
+        """A run of a fixed sequence is fixed, too."""
+        if isinstance(law, Independent):
+            return Independent(n=n, dims=law.dims)
+        if isinstance(law, Fixed):
+            return Fixed(n=n, dims=law.dims, bases=law.bases)
+        return Randomization.law_of(self, law, n)
+
+    def count_inside(self, sampler: Sampler, n: int) -> int:  # noqa: ARG002
+        """Return how many points are made."""
+        return n + self.count
+
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
         """Return all points but the first `count`."""
         del stream, first
@@ -183,6 +206,10 @@ class Shuffle(Randomization):
     ----------
     [Knuth1997]_, section 3.4.2, algorithm P.
     """
+
+    def law_of(self, law: Law, n: int) -> Law:  # noqa: ARG002
+        """The order of points is no part of a law."""
+        return law
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
         """Reorder each realisation by its own permutation."""

@@ -28,6 +28,18 @@ from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream, mix_uniform
 from mcspectra.samplers._kernels import _shuffle, fill_jittered
 from mcspectra.samplers.base import MAX_COUNT, FixedSet, PlaneSampler, Sampler, Structure
+from mcspectra.samplers.law import (
+    AntitheticPair,
+    BoxPoint,
+    Fixed,
+    GaussianPoint,
+    Independent,
+    Law,
+    PairedAxes,
+    PairPattern,
+    Shifted,
+    Strata,
+)
 
 __all__ = [
     "AntitheticJittered",
@@ -68,6 +80,9 @@ class Random(Sampler):
     structure: ClassVar[Structure] = Structure.NONE
     sequence: ClassVar[bool] = True
     dims: int = DEFAULT_DIMS
+
+    def _law(self, n: int) -> Law:
+        return Independent(n=n, dims=self.dims)
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         return stream.uniforms(first, count, n * self.dims).reshape(count, n, self.dims)
@@ -138,6 +153,10 @@ class Regular(FixedSet, GridSampler):
     position: str = choice("center", "corner")
     sides_: Sequence[int] | None = None
 
+    def _law(self, n: int) -> Law:
+        corner = 0.5 if self.position == "center" else 0.0
+        return Fixed(n=n, dims=self.dims, sides=self._sides(n), corner=corner)
+
     def _set(self, n: int) -> Array:
         sides = self._sides(n)
         points: Array = corners(sides) + (0.5 / np.array(sides) if self.position == "center" else 0)
@@ -165,6 +184,10 @@ class UniformJitter(GridSampler):
     dims: int = DEFAULT_DIMS
     sides_: Sequence[int] | None = None
 
+    def _law(self, n: int) -> Law:
+        grid = Regular(dims=self.dims, position="corner", sides_=self._sides(n)).law(n)
+        return Shifted(n=n, dims=self.dims, inner=grid)
+
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         return _in_cells(self._sides(n), stream.uniforms(first, count, self.dims)[:, None, :])
 
@@ -189,6 +212,9 @@ class Jittered(GridSampler):
     structure: ClassVar[Structure] = Structure.STRATA
     dims: int = DEFAULT_DIMS
     sides_: Sequence[int] | None = None
+
+    def _law(self, n: int) -> Law:
+        return Strata(n=n, dims=self.dims, sides=self._sides(n))
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         sides = self._sides(n)
@@ -233,6 +259,9 @@ class BoxJitter(GridSampler):
         """Whether the boxes tile the torus."""
         return self.width >= 1.0 and self.width.is_integer()
 
+    def _law(self, n: int) -> Law:
+        return Strata(n=n, dims=self.dims, sides=self._sides(n), motif=BoxPoint(self.width))
+
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         u = stream.uniforms(first, count, n * self.dims)
         return _moved_centers(self._sides(n), self.width * (u - 0.5))
@@ -267,6 +296,9 @@ class GaussianJitter(GridSampler):
     dims: int = DEFAULT_DIMS
     width: float = real(0.25, least=0.0, most=_MOST_WIDTH)
 
+    def _law(self, n: int) -> Law:
+        return Strata(n=n, dims=self.dims, sides=self._sides(n), motif=GaussianPoint(self.width))
+
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         from scipy.special import ndtri
 
@@ -295,6 +327,10 @@ class AntitheticJittered(Sampler):
     structure: ClassVar[Structure] = Structure.STRATA
     antithetic: ClassVar[bool] = True
     dims: int = DEFAULT_DIMS
+
+    def _law(self, n: int) -> Law:
+        sides = (root(n // 2, self.dims),) * self.dims
+        return Strata(n=n, dims=self.dims, sides=sides, motif=AntitheticPair())
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         s = root(n // 2, self.dims)
@@ -340,6 +376,25 @@ class MultiJittered(PlaneSampler):
 
     structure: ClassVar[Structure] = Structure.STRATA
     other_dims: ClassVar[str] = "for other dims use orthogonal-array, jittered or latin-hypercube"
+
+    def _law(self, n: int) -> Law:
+        # Two points are in one column, in one row, or in neither
+        columns = nearly_square(n)
+        rows = n // columns
+        c, r = 1.0 / columns, 1.0 / rows
+        patterns = (
+            PairPattern((1.0 - c) * (1.0 - r), ("apart", "apart")),
+            PairPattern(c * (1.0 - r), ("mates", "apart")),
+            PairPattern(r * (1.0 - c), ("apart", "mates")),
+        )
+        return PairedAxes(
+            n=n,
+            dims=2,
+            strata=(columns, rows),
+            parts=(rows, columns),
+            patterns=patterns,
+            base=columns if 1 < columns == rows else None,
+        )
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         columns, out = nearly_square(n), np.empty((count, n, 2))

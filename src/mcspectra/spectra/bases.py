@@ -34,8 +34,8 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.integrands import Integrand
 from mcspectra.integrands._quadrature import axis_rules, cell_integrals, product_coefficients
 from mcspectra.samplers import Randomized, Sampler
-from mcspectra.samplers.base import Randomization, Structure
-from mcspectra.samplers.randomizations import Mirror
+from mcspectra.samplers.base import Randomization
+from mcspectra.samplers.law import Fixed, Folded, Independent, Law, Mirrored, Moved, Scrambled
 from mcspectra.spectra._kernels import bin_weights
 from mcspectra.spectra.transforms import FrequencyGrid, IndexGrid, Transform, given_or_equal
 
@@ -266,9 +266,6 @@ def make_basis(name: str, dims: int, half_width: int) -> Basis:
     return _CLASSES[as_choice("basis", name, BASES)](dims, half_width)
 
 
-_DYADIC_STEPS = ("digital-shift", "owen", "lms", "permute")
-
-
 def parts_of(sampler: Sampler) -> tuple[Sampler, tuple[Randomization, ...]]:
     """The sampler inside its randomisations, and these in their order."""
     return (sampler.base, sampler.steps) if isinstance(sampler, Randomized) else (sampler, ())
@@ -280,7 +277,7 @@ def without_last(sampler: Sampler) -> Sampler:
     return Randomized(base=base, steps=steps[:-1]) if steps[:-1] else base
 
 
-def fitting_basis(sampler: Sampler, half_width: int) -> str:
+def fitting_basis(law: Law, half_width: int) -> str:
     """Name a basis that fits what was random about a sampler last.
 
     Fourier after a shift and for sets that are statistically the same after any translation; Walsh
@@ -293,17 +290,12 @@ def fitting_basis(sampler: Sampler, half_width: int) -> str:
     much as in Fourier (a disk, n = 64: −0.40 of the variance). Strata of 2^k to a side leave none
     in Haar and Walsh, in which sums of smooth functions converge slowly.
     """
-    base, steps = parts_of(sampler)
-    dyadic = not half_width & (half_width - 1) and set(sampler.digit_bases) == {2}
     mirrored = False
-    for step in reversed(steps):
-        if isinstance(step, Mirror):
-            mirrored = True
-        elif step.stationary:
-            return "cosine" if mirrored else "fourier"
-        elif step.name in _DYADIC_STEPS and dyadic:
-            return "walsh"
-    if mirrored:
-        return "walsh" if dyadic and base.structure is not Structure.TORUS else "cosine"
-    stationary = sampler.structure is Structure.TORUS and sampler.unbiased and not steps
-    return "fourier" if stationary else "cosine"
+    while isinstance(law, Folded | Mirrored | Moved):
+        mirrored |= not isinstance(law, Moved)
+        law = law.inner
+    if law.stationary and not isinstance(law, Independent):
+        return "cosine" if mirrored else "fourier"
+    bases = (law.bases if isinstance(law, Scrambled | Fixed) else None) or (2,)
+    dyadic = not half_width & (half_width - 1) and set(bases) == {2}
+    return "walsh" if dyadic and (mirrored or isinstance(law, Scrambled)) else "cosine"

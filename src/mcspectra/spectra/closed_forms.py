@@ -30,24 +30,43 @@ on one axis.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial, singledispatch
 from typing import Any, final
 
 import numpy as np
 
 from mcspectra.core.checks import Array, as_frequencies
 from mcspectra.core.errors import InfiniteWeightVarianceWarning, NoClosedForm, ParameterError, warn
-from mcspectra.core.streams import Stream
 from mcspectra.densities import Density, Linear, TruncatedNormal, Uniform, as_warp
 from mcspectra.integrands import Integrand
 from mcspectra.integrands._quadrature import AxisRule
-from mcspectra.samplers import Randomized, Sampler, Shift, StrataShift, as_sampler
-from mcspectra.samplers.stratified import nearly_square, root
+from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.samplers.law import (
+    Fixed,
+    Independent,
+    Law,
+    Motif,
+    Moved,
+    PairedAxes,
+    Scrambled,
+    Shifted,
+    Stationary,
+    Strata,
+    UniformPoint,
+    mean_of_terms,
+)
 
 __all__ = ["Moments", "closed_form_covariance", "closed_form_power", "moments_of", "points_at"]
 
-_MAX_WORK = 2**32  # points times frequencies summed directly: about half a minute
+_SCRAMBLED_BITS = 32
+"""Bits that are scrambled; lower ones are uniform and independent."""
+_MOST_PAIR_TERMS = 2**31
+"""Most terms of sums over pairs of digits and frequencies: about half a minute."""
+_MOST_SHIFTED = 2**16
+"""Most points of a net whose digital shifts are summed: 1 MB of complex numbers a frequency."""
 
 # With a density
 _BLOCK = 2**20  # numbers at once
@@ -95,10 +114,9 @@ def closed_form_power(
     array([0.1, 1. ])
     """
     source, p, nu = points_at(sampler, frequencies, density)
-    n = source.check_count(n)
-    source = source.as_chain(n)
+    law = source.law(source.check_count(n))
     if p is None or isinstance(p, Uniform):
-        return moments_of(source, n, nu).power(nu)
+        return moments_of(law, source.spec, nu).power(nu)
     reciprocal = p.reciprocal_integral()
     if not np.isfinite(reciprocal):
         warn(
@@ -106,11 +124,12 @@ def closed_form_power(
             InfiniteWeightVarianceWarning,
         )
         return np.full(nu.shape[:-1], np.inf)
-    base, moves = _translations(source)
-    if base.name == "random":
+    if isinstance(law, Independent):
+        n = law.n
         return np.asarray(reciprocal / n + (n - 1) / n * np.abs(_product(_interval(nu))) ** 2)
-    _check_integers(source, nu)
-    return np.asarray(_weighted_covariance(base, moves, n, nu, nu, p).real + _is_zero(nu))
+    _check_integers(source.spec, nu)
+    covariance = _weighted_covariance(law, source.spec, nu, nu, p)
+    return np.asarray(covariance.real + _is_zero(nu))
 
 
 def closed_form_covariance(
@@ -145,8 +164,7 @@ def closed_form_covariance(
     array([0.047, 0.068])
     """
     source, p, m = points_at(sampler, frequencies, density)
-    n = source.check_count(n)
-    source = source.as_chain(n)
+    law = source.law(source.check_count(n))
     other = as_frequencies(others, m.shape[-1])
     try:
         m, other = np.broadcast_arrays(m, other)
@@ -156,15 +174,14 @@ def closed_form_covariance(
             "broadcast; give one l for each m, or insert axes of length 1."
         ) from None
     if p is None or isinstance(p, Uniform):
-        return moments_of(source, n, m, other).covariance(m, other)
-    base, moves = _translations(source)
-    _check_integers(source, m, other)
+        return moments_of(law, source.spec, m, other).covariance(m, other)
+    _check_integers(source.spec, m, other)
     if not np.isfinite(p.reciprocal_integral()):
         raise NoClosedForm(
             f"∫1/p diverges for {p.spec}: the covariances of S_m are infinite; measure the "
             "variance of the estimate by convergence instead."
         )
-    return _weighted_covariance(base, moves, n, m, other, p)
+    return _weighted_covariance(law, source.spec, m, other, p)
 
 
 @final
@@ -183,21 +200,19 @@ class Moments:
         return np.asarray(self.covariance(nu, nu).real + np.abs(self.mean(nu)) ** 2)
 
 
-def moments_of(sampler: Sampler, n: int, *frequencies: Array) -> Moments:
-    """Return the exact moments of a sampler, if they are known at the given frequencies."""
-    base, steps = _translations(sampler)
-    integer = all(np.array_equal(nu, np.rint(nu)) for nu in frequencies)
-    moments = _known_moments(base, n)
+def moments_of(law: Law, name: str, *frequencies: Array) -> Moments:
+    """Return the exact moments of a law, if they are known at the given frequencies.
+
+    Raises
+    ------
+    NoClosedForm
+        They are not known; the sentence has the sampler's `name`.
+    """
+    moments = _moments(law)
     if moments is None:
-        raise _unknown(sampler)
-    if base.name == "random":
-        return moments
-    if not integer and (steps or moments.integer):
-        raise _unknown(sampler, "at real frequencies")
-    for step in steps:
-        moments = (
-            _stationary(moments.power) if isinstance(step, Shift) else _moved(moments, step, n)
-        )
+        raise _unknown(name)
+    if moments.integer and not all(np.array_equal(nu, np.rint(nu)) for nu in frequencies):
+        raise _unknown(name, "at real frequencies")
     return moments
 
 
@@ -213,99 +228,82 @@ def points_at(
     return source, p, as_frequencies(frequencies, source.dims if p is None else p.dims)
 
 
-def _translations(sampler: Sampler) -> tuple[Sampler, tuple[Shift | StrataShift, ...]]:
-    """Return the sampler inside its randomisations, and these, if they do no more than translate."""
-    if not isinstance(sampler, Randomized):
-        return sampler, ()
-    steps = [step for step in sampler.steps if step.name != "shuffle"]  # sums have no order
-    moves = tuple(step for step in steps if isinstance(step, Shift | StrataShift))
-    if len(moves) < len(steps):
-        raise _unknown(sampler, "with these randomisations")
-    return sampler.base, moves
-
-
-def _unknown(sampler: Sampler, reason: str = "") -> NoClosedForm:
+def _unknown(name: str, reason: str = "") -> NoClosedForm:
     return NoClosedForm(
-        f"No closed-form power is known for {sampler.spec}{' ' if reason else ''}{reason}; "
+        f"No closed-form power is known for {name}{' ' if reason else ''}{reason}; "
         "use power_spectrum, or variance_terms for covariances."
     )
 
 
-def _check_integers(sampler: Sampler, *frequencies: Array) -> None:
+def _check_integers(name: str, *frequencies: Array) -> None:
     if not all(np.array_equal(nu, np.rint(nu)) for nu in frequencies):
-        raise _unknown(sampler, "with a density at real frequencies")
+        raise _unknown(name, "with a density at real frequencies")
 
 
-def _known_moments(sampler: Any, n: int) -> Moments | None:
-    """Return the moments of a sampler without randomisations, None where they are not known."""
-    if sampler.fixed:
-        return _fixed(sampler, n)
-    match sampler.name:  # and not by class: modules of samplers that nobody uses are not loaded
-        case "random":
-            return _single((1,) * sampler.dims, n, _interval)
-        case "jittered":
-            return _single(sampler.sides(n), n, _interval)
-        case "box-jitter":
-            width = sampler.width
-            cells = _cube(sampler, n)
-            return _single(cells, n, lambda a: _center(a) * np.sinc(width * a), width > 1.0)
-        case "gaussian-jitter":
-            cells = _cube(sampler, n)
-            return _single(cells, n, lambda a: _center(a) * _gauss(sampler.width, a), True)
-        case "antithetic-jittered":
-
-            def second(a: Array, b: Array) -> Array:
-                # a point and its reflection: exp(−iπν) cos(2πν·η), η uniform in the centered cell
-                mean = 0.5 * (_product(np.sinc(a - b)) + _product(np.sinc(a + b)))
-                return np.asarray(_product(_center(a - b)) * mean)
-
-            return _motifs(_cube(sampler, n // 2), n // 2, lambda a: _product(_interval(a)), second)
-        case "uniform-jitter":
-            return _offset_grid(np.asarray(sampler.sides(n), float))
-        case "perturbed-lattice":
-            return _stationary(lambda m: _displaced(sampler, n, m))
-        case "determinantal":
-            return _stationary(lambda m: _determinantal(sampler, n, m))
-        case "latin-hypercube" | "n-rooks" if getattr(sampler, "strength", 1) == 1:
-            # One point in each n-th of every axis, at random
-            return _of_pairs(n, lambda m, l: (1.0 - 1.0 / n) * _product(_apart(m, l, n)))
-        case "latin-hypercube" | "n-rooks":
-            return _orthogonal_array(root(n, 2), sampler.dims, shared_out=True)
-        case "orthogonal-array":
-            if sampler.strength != 2 or sampler.jitter == "correlated-multi-jittered":
-                return None
-            shared_out = sampler.jitter == "multi-jittered"
-            return _orthogonal_array(root(n, 2), sampler.dims, shared_out=shared_out)
-        case "multi-jittered":
-            return _multi_jittered(nearly_square(n), n)
+@singledispatch
+def _moments(law: Law) -> Moments | None:  # noqa: ARG001
+    """Moments of a law, None where they are not known."""
     return None
 
 
-def _motifs(
-    sides: tuple[int, ...],
-    count: int,
-    mean: Callable[[Array], Array],
-    second: Callable[[Array, Array], Array],
-    integer: bool = False,
-) -> Moments:
+@_moments.register
+def _(law: Independent) -> Moments:
+    point = UniformPoint()
+    return _motifs((1,) * law.dims, law.n, point)
+
+
+@_moments.register
+def _(law: Strata) -> Moments:
+    return _motifs(law.sides, law.n // law.motif.size, law.motif)
+
+
+@_moments.register
+def _(law: PairedAxes) -> Moments:
+    strata, parts = np.array(law.strata), np.array(law.parts)
+
+    def pairs(m: Array, other: Array) -> Array:
+        relations = {
+            "apart": _apart(m, other, strata),
+            "same": _same(m, other, strata),
+            "mates": _level_mates(m, other, strata, parts),
+        }
+        return np.asarray(sum(
+            each.share * _product(np.stack([relations[r][..., j] for j, r in enumerate(each.axes)], -1))
+            for each in law.patterns
+        ))  # fmt: skip
+
+    return _of_pairs(law.n, pairs)
+
+
+@_moments.register
+def _(law: Stationary) -> Moments | None:
+    return None if law.power is None else _stationary(law.power)
+
+
+@_moments.register
+def _(law: Shifted) -> Moments | None:
+    if isinstance(law.inner, Fixed) and law.inner.sides is not None:
+        return _offset_grid(np.asarray(law.inner.sides, float))
+    inner = _moments(law.inner)
+    return None if inner is None else _stationary(inner.power)
+
+
+@_moments.register
+def _(law: Moved) -> Moments | None:
+    inner = _moments(law.inner)
+    return None if inner is None else _moved(inner, np.array(law.by))
+
+
+def _motifs(sides: tuple[int, ...], count: int, motif: Motif) -> Moments:
     """`count` independent motifs, spread evenly over the cells; their moments in units of cells."""
     s = np.asarray(sides, float)
 
     def covariance(m: Array, other: Array) -> Array:
         a, b = m / s, other / s
-        within = second(a, b) - mean(a) * np.conj(mean(b))
+        within = motif.second(a, b) - motif.mean(a) * np.conj(motif.mean(b))
         return np.asarray(_product(_comb(m - other, s)) * within / count)
 
-    return Moments(lambda nu: _product(_comb(nu, s)) * mean(nu / s), covariance, integer)
-
-
-def _single(
-    sides: tuple[int, ...], count: int, axis: Callable[[Array], Array], integer: bool = False
-) -> Moments:
-    """One point in each cell, its coordinates independent and of the transform `axis`."""
-    return _motifs(
-        sides, count, lambda a: _product(axis(a)), lambda a, b: _product(axis(a - b)), integer
-    )
+    return Moments(lambda nu: _product(_comb(nu, s)) * motif.mean(nu / s), covariance, motif.wraps)
 
 
 def _offset_grid(s: Array) -> Moments:
@@ -329,127 +327,26 @@ def _stationary(power: Callable[[Array], Array]) -> Moments:
     return Moments(lambda nu: _is_zero(nu) + 0j, covariance, integer=True)
 
 
-def _displaced(sampler: Any, n: int, m: Array) -> Array:
-    """Power of a grid with Gaussian displacements; the common translation leaves it alone.
-
-    (1/n) Σ_r exp(−2πi m·r/s) exp(−4π² |m|² (width/s)² (1 − ρ(r))) over the places r of the grid, where
-    ρ is the correlation of displacements r apart ([Gabrielli2004]_, of Gaussian ones).
-    """
-    sides = _cube(sampler, n)
-    if sampler.correlation == 0.0:
-        s = np.asarray(sides, float)
-        square = _product(_gauss(sampler.width, m / s)) ** 2
-        return np.asarray((1.0 - square) / n + square * np.abs(_product(_comb(m, s))) ** 2)
-    _check_terms(n, m)
-    places = np.stack(np.unravel_index(np.arange(n), sides), axis=-1)
-    apart = 1.0 - sampler.displacement_correlation(n).reshape(-1)
-
-    def terms(rows: Array) -> Array:
-        spread = (2.0 * np.pi * sampler.width / sides[0]) ** 2 * (rows**2).sum(axis=-1)
-        phases = 2.0 * np.pi * np.remainder(rows @ places.T / sides[0], 1.0)
-        return np.asarray(np.cos(phases) * np.exp(-np.outer(spread, apart)))
-
-    return _mean_of_terms(n, m, terms)
-
-
-def _determinantal(sampler: Any, n: int, m: Array) -> Array:
-    """Power by the share of waves that m moves to others."""
-    waves = sampler.frequencies(n)
-    flat = np.rint(m).reshape(-1, sampler.dims).astype(np.int64)
-    rows, back = np.unique(flat, axis=0, return_inverse=True)
-
-    # Each frequency has a number, the sum of those of its coordinates; no two have the same
-    factors = np.random.default_rng(n).integers(2**63, size=sampler.dims)
-    numbers = np.sort(waves @ factors)
-    pairs = np.zeros(len(rows))
-    near = np.flatnonzero((np.abs(rows) <= 2 * np.abs(waves).max(axis=0)).all(axis=1))
-    for some in np.array_split(near, len(near) * n // _BLOCK + 1):
-        moved = numbers + (rows[some] @ factors)[:, None]
-        found = numbers[np.minimum(np.searchsorted(numbers, moved), n - 1)]
-        pairs[some] = (found == moved).sum(axis=1)
-    share = pairs[back.reshape(-1)].reshape(m.shape[:-1]) / n
-    return np.asarray((1.0 - share) / n + _is_zero(m))
-
-
-def _fixed(sampler: Any, n: int) -> Moments:
-    """A set that is the same every time: S_ν itself, by the dual lattice or by summing it."""
-
+@_moments.register
+def _(law: Fixed) -> Moments:
+    # A set that is the same every time: S_ν itself, by the dual lattice or by summing it
     def mean(nu: Array) -> Array:
-        if sampler.name == "regular":
-            s = np.asarray(sampler.sides(n), float)
-            corner = _center(nu / s) if sampler.position == "center" else 1.0
+        if law.sides is not None:
+            s = np.asarray(law.sides, float)
+            corner = np.exp(-2j * np.pi * np.remainder(law.corner * nu / s, 1.0))
             return _product(_comb(nu, s) * corner)
-        if hasattr(sampler, "generating_vector") and np.array_equal(nu, np.rint(nu)):
+        if law.vector is not None and np.array_equal(nu, np.rint(nu)):
             # 1 where m·z ≡ 0 modulo n; residues are multiplied, so that nothing overflows
-            vector = sampler.generating_vector(n)
+            n, vector = law.n, np.asarray(law.vector, np.int64)
             residues = np.rint(np.remainder(nu, n)).astype(np.int64) * (vector % n) % n
             return np.asarray((residues.sum(axis=-1) % n == 0) + 0j)
-        _check_terms(n, nu)
-        points = sampler.draw_stream(n, Stream.from_rng(0), 0, 1)[0]
 
         def terms(rows: Array) -> Array:
-            return np.asarray(np.exp(-2j * np.pi * np.remainder(rows @ points.T, 1.0)))
+            return np.asarray(np.exp(-2j * np.pi * np.remainder(rows @ law.points.T, 1.0)))
 
-        return _mean_of_terms(n, nu, terms)
+        return mean_of_terms(law.n, nu, terms)
 
     return Moments(mean, lambda m, other: np.zeros(np.broadcast(m, other).shape[:-1], complex))
-
-
-def _check_terms(n: int, nu: Array) -> None:
-    if float(n) * max(64, nu[..., 0].size) > _MAX_WORK:  # the points take memory, too
-        raise NoClosedForm(
-            f"The exact transform of {n} points at {nu[..., 0].size} frequencies would take more "
-            f"than {_MAX_WORK:.2g} terms; use power_spectrum, or ask for fewer frequencies."
-        )
-
-
-def _mean_of_terms(n: int, nu: Array, terms: Callable[[Array], Array]) -> Array:
-    """Mean of n terms for each frequency (..., d), a block of frequencies (F, d) at a time."""
-    rows = nu.reshape(-1, nu.shape[-1])
-    block = max(1, 2**22 // n)
-    parts = [terms(rows[i : i + block]).mean(axis=-1) for i in range(0, len(rows), block)]
-    return np.concatenate(parts).reshape(nu.shape[:-1])
-
-
-def _orthogonal_array(s: int, dims: int, *, shared_out: bool) -> Moments:
-    """Strength 2, s² points, levels renamed at random: two rows agree on one axis at most.
-
-    Of the s²(s² − 1) ordered pairs, s²(s − 1) agree on each axis. Points of a level are
-    independent in it, or share it out (`shared_out`): each in an s-th of it of its own.
-    """
-    n = s * s
-
-    def pairs(m: Array, other: Array) -> Array:
-        differ = _apart(m, other, s)
-        agree = _level_mates(m, other, s) if shared_out else _same(m, other, s)
-        on_one = sum(
-            _product(np.where(np.arange(dims) == axis, agree, differ)) for axis in range(dims)
-        )
-        return np.asarray((s - 1) / n * (on_one + (s + 1 - dims) * _product(differ)))
-
-    return _of_pairs(n, pairs)
-
-
-def _multi_jittered(columns: int, n: int) -> Moments:
-    """Columns × rows cells; the points of a column share it out, those of a row likewise.
-
-    Two points are in one column, in one row, or in neither; what is not shared is independent.
-    """
-    rows = n // columns
-
-    def pairs(m: Array, other: Array) -> Array:
-        s = np.array([columns, rows])
-        free, same = _free(m, other), _same(m, other, s)
-        # Sums over pairs of strata of an axis, divided by s²: all different ones, and equal ones
-        different = free - same / s
-        mates = _level_mates(m, other, s, np.array([rows, columns])) / s
-        return np.asarray(
-            _product(different)
-            + mates[..., 0] * different[..., 1]
-            + different[..., 0] * mates[..., 1]
-        )
-
-    return _of_pairs(n, pairs)
 
 
 def _of_pairs(n: int, pairs: Callable[[Array, Array], Array]) -> Moments:
@@ -481,12 +378,96 @@ def _level_mates(m: Array, other: Array, s: int | Array, parts: int | Array | No
     return _comb(m - other, s) * _apart(m / s, other / s, s if parts is None else parts)
 
 
-def _moved(moments: Moments, step: StrataShift, n: int) -> Moments:
+@_moments.register
+def _(law: Scrambled) -> Moments | None:
+    inner = law.inner
+    if not isinstance(inner, Fixed):
+        return None
+    if law.nested_pairs:
+        return _of_pairs(law.n, partial(_nested_pairs, inner, law.bases))
+    if law.xor and inner.digital and law.n <= _MOST_SHIFTED:
+        return _of_pairs(law.n, partial(_xor_pairs, inner.points))
+    return None
+
+
+def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> Array:
+    """(1/n²) Σ over pairs of different points after nested scrambling: by the digits that agree.
+
+    Two coordinates that agree in just a digits lie in one of b^a strata, in different ones of its b parts,
+    and are uniform in these [Owen1997]_.
+    """
+    n, levels = law.n, [_levels(law.points[:, j], b) for j, b in enumerate(bases)]
+    most = max(levels)
+    shares = (law.agreements(bases, most) - 1.0) / n
+    for axis in range(law.dims):  # of those that agree in a digits or more, those that do in just a
+        shares = np.moveaxis(shares, axis, 0)
+        shares = np.concatenate([shares[:-1] - shares[1:], shares[-1:]])
+        shares = np.moveaxis(shares, 0, axis)
+
+    # Contract one axis after the other, for all frequencies
+    total = shares[..., None]
+    flat, far = (np.broadcast_to(a, m.shape).reshape(-1, law.dims) for a in (m, other))
+    if float(shares.size) * len(flat) > _MOST_PAIR_TERMS:
+        raise NoClosedForm(
+            f"The covariances of {n} scrambled points at {len(flat)} pairs of frequencies take more than "
+            f"{_MOST_PAIR_TERMS:.2g} terms; use power_spectrum, or ask for fewer."
+        )
+    for axis in range(law.dims - 1, -1, -1):
+        b, row, column = bases[axis], flat[:, axis : axis + 1], far[:, axis : axis + 1]
+        by_level = [_level_mates(row, column, b**a, b)[:, 0] for a in range(most)]
+        # The same in all of these: equal coordinates, which stay so to the last scrambled digit
+        by_level.append(_same(row, column, b ** _scrambled_digits(b))[:, 0])
+        total = np.einsum("...af,af->...f", total, np.array(by_level))
+    return np.asarray(total.reshape(m.shape[:-1]))
+
+
+def _scrambled_digits(base: int) -> int:
+    return math.floor(_SCRAMBLED_BITS / math.log2(base))
+
+
+def _levels(x: Array, base: int) -> int:
+    """Number of digits that tell all coordinates apart, or as many as are scrambled."""
+    most = _scrambled_digits(base)
+    different = len(np.unique(x))
+    for level in range(most):
+        if len(np.unique(np.floor(x * base**level + 1e-9))) == different:
+            return level
+    return most
+
+
+def _xor_pairs(points: Array, m: Array, other: Array) -> Array:
+    """(1/n²) Σ over pairs of different points of a net in base 2 that one digital shift moves.
+
+    Points of a pair are u and u ⊕ z, u uniform and z another point of the net; the bits of u are
+    independent, so that each gives a factor.
+    """
+    n, dims = points.shape
+    words = np.rint(points * 2.0**_SCRAMBLED_BITS).astype(np.uint64)[1:] ^ np.rint(
+        points[0] * 2.0**_SCRAMBLED_BITS
+    ).astype(np.uint64)
+    flat, far = (np.broadcast_to(a, m.shape).reshape(-1, dims) for a in (m, other))
+    if float(n) * len(flat) * dims * _SCRAMBLED_BITS > _MOST_PAIR_TERMS:
+        raise NoClosedForm(
+            f"The covariances of {n} shifted points at {len(flat)} pairs of frequencies take more than "
+            f"{_MOST_PAIR_TERMS:.2g} terms; use power_spectrum, or ask for fewer."
+        )
+    total = np.ones((len(words), len(flat)), complex)
+    for axis in range(dims):
+        a, b = flat[:, axis], far[:, axis]
+        for bit in range(1, _SCRAMBLED_BITS + 1):
+            low = 0.5 * (1.0 + np.exp(-2j * np.pi * (a - b) * 2.0**-bit))
+            high = 0.5 * (np.exp(2j * np.pi * b * 2.0**-bit) + np.exp(-2j * np.pi * a * 2.0**-bit))
+            is_set = (words[:, axis] >> np.uint64(_SCRAMBLED_BITS - bit)) & np.uint64(1)
+            total *= np.where(is_set[:, None] == 1, high, low)
+        total *= _interval((a - b) * 2.0**-_SCRAMBLED_BITS)
+    return np.asarray(total.sum(axis=0).reshape(m.shape[:-1]) / n)
+
+
+def _moved(moments: Moments, by: Array) -> Moments:
     """After a fixed translation, at integer frequencies: phases."""
 
     def phase(nu: Array) -> Array:
-        move = np.asarray(step.offset, float) * n ** (-1.0 / nu.shape[-1])
-        return np.asarray(np.exp(-2j * np.pi * np.remainder((nu * move).sum(axis=-1), 1.0)))
+        return np.asarray(np.exp(-2j * np.pi * np.remainder((nu * by).sum(axis=-1), 1.0)))
 
     return Moments(
         lambda nu: moments.mean(nu) * phase(nu),
@@ -512,19 +493,6 @@ def _product(values: Array) -> Array:
     return np.asarray(np.prod(values, axis=-1))
 
 
-def _cube(sampler: Sampler, cells: int) -> tuple[int, ...]:
-    return (root(cells, sampler.dims),) * sampler.dims
-
-
-def _center(a: Array) -> Array:
-    """Phase of the center of a cell, of each coordinate."""
-    return np.asarray(np.exp(-1j * np.pi * np.remainder(a, 2.0)))
-
-
-def _gauss(width: float, a: Array) -> Array:
-    return np.asarray(np.exp(-2.0 * (np.pi * width * a) ** 2))
-
-
 def _is_zero(m: Array) -> Array:
     return np.asarray(np.all(m == 0, axis=-1).astype(float))
 
@@ -532,43 +500,43 @@ def _is_zero(m: Array) -> Array:
 # ---- With a density
 
 
-def _weighted_covariance(
-    base: Any,
-    moves: Sequence[Shift | StrataShift],
-    n: int,
-    m: Array,
-    other: Array,
-    density: Density,
-) -> Array:
+def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: Density) -> Array:
     """C_ml of importance-sampled points at integers m, l of one shape (..., d): complex (...)."""
     zero = np.all(m == 0, axis=-1) & np.all(other == 0, axis=-1)
-    shifted = any(isinstance(step, Shift) for step in moves)
-    if base.name in ("regular", "uniform-jitter"):
-        if base.name == "regular" and not shifted:
+
+    # Take the translations off the law of the set
+    n, offset, shifted = law.n, np.zeros(density.dims), False
+    while isinstance(law, Shifted | Moved):
+        if isinstance(law, Moved):
+            offset = offset + np.array(law.by)
+        shifted |= isinstance(law, Shifted)
+        law = law.inner
+
+    if isinstance(law, Fixed) and law.sides is not None:
+        if not shifted:
             raise NoClosedForm(
-                f"{base.spec} is the same every time, so that nothing varies; add shift, or use "
+                f"{name} is the same every time, so that nothing varies; add shift, or use "
                 "power_spectrum."
             )
         highest, power = _highest(m, other), np.ones(m.shape[:-1])
-        for i, (p, s) in enumerate(zip(_factors(density), base.sides(n), strict=True)):
+        for i, (p, s) in enumerate(zip(_factors(density), law.sides, strict=True)):
             axis = _Axis(p, s, *_all_offsets(p, s, 1.0 / s, highest))
             power = power * axis.mean_product(axis.of_grid, m[..., i], other[..., i])
         return np.asarray(power - zero)
     reciprocal = _reciprocal(density, m - other)
-    if base.name == "random":
+    if isinstance(law, Independent):
         return np.asarray((reciprocal - zero) / n)
-    latin = base.name == "latin-hypercube" and getattr(base, "strength", 1) == 1
-    if base.name != "jittered" and not latin:
+    latin = isinstance(law, PairedAxes) and law.latin
+    if isinstance(law, PairedAxes) and latin:
+        sides = law.strata
+    elif isinstance(law, Strata) and law.jittered:
+        sides = law.sides
+    else:
         raise NoClosedForm(
-            f"No covariances are known for {base.spec} with the density {density.spec}; give random, "
+            f"No covariances are known for {name} with the density {density.spec}; give random, "
             "jittered, latin-hypercube, or a grid with shift, or use variance_terms."
         )
     # Strata of each axis: where they are, or everywhere if a random shift follows
-    sides = (n,) * base.dims if latin else base.sides(n)
-    offset = np.zeros(density.dims)
-    for step in moves:
-        if isinstance(step, StrataShift):
-            offset = offset + np.asarray(step.offset, float) * n ** (-1.0 / density.dims)
     highest, pairs = _highest(m, other), np.ones(m.shape[:-1])
     for i, (p, s) in enumerate(zip(_factors(density), sides, strict=True)):
         rule = np.remainder(np.arange(s) / s + offset[i], 1.0), np.full(s, 1.0 / s)

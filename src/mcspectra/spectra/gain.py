@@ -11,6 +11,7 @@ elsewhere.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,11 +19,11 @@ import numpy as np
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.results import dataset
-from mcspectra.core.streams import Stream
 from mcspectra.core.tally import counting
 from mcspectra.integrands import Integrand, as_integrand
 from mcspectra.samplers import Sampler, as_sampler
-from mcspectra.spectra.bases import Walsh, parts_of
+from mcspectra.samplers.law import Fixed, Law, Scrambled
+from mcspectra.spectra.bases import Walsh
 from mcspectra.spectra.closed_forms import points_at
 
 if TYPE_CHECKING:
@@ -30,9 +31,7 @@ if TYPE_CHECKING:
 
 __all__ = ["closed_form_walsh_power", "gain_coefficients", "gains_at", "nested_variances"]
 
-_MAX_WORK = 2**28  # points times levels to be counted: about a minute
 _BITS = 32
-_NESTED = frozenset({"owen", "lms", "digital-shift", "permute"})  # keep which digits agree
 
 
 def gain_coefficients(
@@ -73,61 +72,35 @@ def gain_coefficients(
     """
     source = as_sampler(sampler, dims)
     n = source.check_count(n)
-    base = _net_inside(source.as_chain(n))
-    bases = base.digit_bases
+    net, bases = _net_inside(source.law(n), source.spec)
     most = max(1, math.floor(52 / math.log2(max(bases))))
     digits = 1
     while min(bases) ** digits < n:
         digits += 1
     default = min(digits + 1, most)
     levels = default if levels is None else as_integer("levels", levels, least=1, most=most)
-    names = tuple(f"level{i}" for i in range(base.dims))
+    names = tuple(f"level{i}" for i in range(net.dims))
     attributes = {"long_name": "level of the digits, 0: not varying", "units": "1"}
     return dataset(
-        {"gain": (names, gains_at(base, n, levels))},
+        {"gain": (names, gains_at(net, bases, levels))},
         {name: (name, np.arange(levels + 1), attributes) for name in names},
         sampler=source.spec,
         n=n,
     )
 
 
-def gains_at(sampler: Sampler, n: int, levels: int) -> Array:
-    """Return the gains of n points that are known to be possible, (levels + 1, …).
+def gains_at(net: Fixed, bases: Sequence[int], levels: int) -> Array:
+    """Return the gains of a set that is scrambled in these bases, (levels + 1, …).
 
     From the numbers of pairs that agree: a difference of levels along each axis. Errors are those
     of `gain_coefficients`.
     """
-    sampler = _net_inside(sampler.as_chain(n))
-    work = float(n) * float(levels + 1) ** sampler.dims
-    if work > _MAX_WORK:
-        raise ParameterError(
-            f"{levels} levels in {sampler.dims} dims of {n} points are {work:.2g} counts, more than "
-            f"{_MAX_WORK:.2g}; lower levels, n or dims."
-        )
-    points = sampler.draw_stream(n, Stream.from_rng(0), 0, 1)[0]
-    bases = sampler.digit_bases
-    gains = np.empty((levels + 1,) * len(bases))
-
-    def fill(cells: Array, axis: int, at: tuple[int, ...]) -> None:
-        """Count ordered pairs that agree in the first l_j digits of coordinate j, for all l."""
-        if axis == len(bases):
-            gains[at] = np.sum(np.bincount(cells).astype(float) ** 2) / n
-            return
-        for level in range(levels + 1):
-            # The first digits as whole numbers; coordinates rounded down to below k/b^level count as k
-            base, scale = bases[axis], float(bases[axis] ** level)
-            nudge = 0.0 if base & (base - 1) == 0 else scale * 2.0**-50
-            digits = np.floor(points[:, axis] * scale + nudge)
-            prefix = np.minimum(digits, scale - 1.0).astype(np.int64)
-            inner = cells * base**level + prefix if n > 1 else cells
-            fill(np.unique(inner, return_inverse=True)[1], axis + 1, (*at, level))
-
-    fill(np.zeros(n, np.int64), 0, ())
+    gains = net.agreements(bases, levels)
     for axis, base in enumerate(bases):
         values = np.moveaxis(gains, axis, 0)
         finer = (base * values[1:] - values[:-1]) / (base - 1)
         gains = np.moveaxis(np.concatenate([values[:1], finer]), 0, axis)
-    gains[(0,) * sampler.dims] = 0.0
+    gains[(0,) * net.dims] = 0.0
     return gains
 
 
@@ -196,59 +169,46 @@ def closed_form_walsh_power(sampler: Sampler | str, n: int, indices: Any) -> Arr
     array([0., 1., 1.])
     """
     source, _, given = points_at(sampler, indices)
-    n = source.check_count(n)
-    source = source.as_chain(n)
+    law = source.law(source.check_count(n))
     if not np.array_equal(given, np.rint(given)) or given.min() < 0 or given.max() >= 2.0**_BITS:
         raise ParameterError(
             "Walsh indices are whole numbers from 0 to 2^32 − 1; those given are not."
         )
     m = given.astype(np.uint64)
-    steps = {step.name for step in parts_of(source)[1]}
-    columns = _columns(_net_inside(source), n)
-    if steps == {"digital-shift"}:
+    net, bases = _net_inside(law, source.spec)
+    if net.columns is None:
+        raise NoClosedForm(
+            f"{n} points of {source.spec} are not a digital net in base 2 with known matrices; take a "
+            "power of two of sobol, niederreiter, larcher-pillichshammer or digital-net."
+        )
+    if isinstance(law, Scrambled) and law.xor:
         # On the dual net Σ_j (digits of m_j) · (column c of matrix j) is even for every column c
         reversed_digits = np.zeros_like(m)
         for bit in range(_BITS):
             digit = (m >> np.uint64(bit)) & np.uint64(1)
             reversed_digits |= digit << np.uint64(_BITS - 1 - bit)
-        both = reversed_digits[..., None] & columns
+        both = reversed_digits[..., None] & net.columns()
         odd = np.bitwise_count(np.bitwise_xor.reduce(both, axis=-2)) & 1
         return np.asarray((~odd.any(axis=-1)).astype(float))
-    if "owen" not in steps:
+    if not (isinstance(law, Scrambled) and law.nested_pairs):
         raise NoClosedForm(
             f"No power in the Walsh basis is known for {source.spec}; add digital-shift or owen, or "
             "use variance_terms with basis='walsh'."
         )
     level = np.frexp(given)[1]
     levels = max(1, int(level.max()))
-    power = gains_at(source, n, levels) / n
+    power = gains_at(net, bases, levels) / law.n
     power[(0,) * source.dims] = 1.0
     return np.asarray(power[tuple(np.moveaxis(level, -1, 0))])
 
 
-def _net_inside(sampler: Sampler) -> Sampler:
-    """Return the net inside randomisations of its digits, which keep which digits agree."""
-    base, steps = parts_of(sampler)
-    if not base.fixed or not all(step.name in _NESTED for step in steps):
+def _net_inside(law: Law, name: str) -> tuple[Fixed, tuple[int, ...]]:
+    """Return the fixed set inside scrambles of its digits, and the bases of these."""
+    inner = law.inner if isinstance(law, Scrambled) else law
+    if not isinstance(inner, Fixed):
         raise NoClosedForm(
-            f"No gain coefficients are known for {sampler.spec}; give a net that is the same every "
+            f"No gain coefficients are known for {name}; give a net that is the same every "
             "time, such as sobol, alone or with owen."
         )
-    return base
-
-
-def _columns(sampler: Sampler, n: int) -> Array:
-    """Columns of the generator matrices as 32-bit numbers, the first digit highest: (dims, log2 n)."""
-    count = n.bit_length() - 1
-    binary = 2**count == n and set(sampler.digit_bases) == {2}
-    if binary and hasattr(sampler, "direction_numbers"):
-        directions: Array = sampler.direction_numbers(n)
-        return directions[:, :count].astype(np.uint64)
-    if binary and sampler.name == "digital-net":
-        matrices = sampler.generator_matrices()[:, :_BITS, :count]  # type: ignore[attr-defined]
-        places = 2 ** np.arange(_BITS - 1, _BITS - 1 - matrices.shape[1], -1, dtype=np.int64)
-        return np.tensordot(matrices, places, axes=([1], [0])).astype(np.uint64)
-    raise NoClosedForm(
-        f"{n} points of {sampler.spec} are not a digital net in base 2 with known matrices; take a "
-        "power of two of sobol, niederreiter, larcher-pillichshammer or digital-net."
-    )
+    bases = law.bases if isinstance(law, Scrambled) else inner.bases
+    return inner, bases or (2,) * law.dims

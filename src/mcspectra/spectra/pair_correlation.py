@@ -17,6 +17,7 @@ from mcspectra.core.records import MeanSums, mean_interval
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.samplers.law import Independent, Strata
 from mcspectra.spectra._pair_kernels import count_distances, count_ordered_pairs
 
 if TYPE_CHECKING:
@@ -223,10 +224,11 @@ def closed_form_pair_correlation(sampler: Sampler | str, n: int, r: Any) -> Arra
     distance = as_real_array("r", r)
     if distance.size and not (distance.min() >= 0.0 and distance.max() <= 0.5):
         raise ParameterError("r must hold distances from 0 to 1/2; those given do not.")
-    if source.name == "random":
+    law = source.law(n)
+    if isinstance(law, Independent):
         return np.ones(distance.shape)
-    if source.name == "jittered" and source.dims <= 2:
-        sides = source.sides(n)  # type: ignore[attr-defined]
+    if isinstance(law, Strata) and law.jittered and law.dims <= 2:
+        sides = law.sides
         # On an axis of one cell two places always share it
         a, *rest = ((0.0 if s == 1 else s) * distance for s in sides)
         shared = np.maximum(0.0, 1.0 - a)

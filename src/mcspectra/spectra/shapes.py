@@ -27,7 +27,6 @@ from mcspectra.core.errors import (
 from mcspectra.core.fits import line_fit
 from mcspectra.core.results import dataset
 from mcspectra.samplers import as_sampler
-from mcspectra.spectra.bases import fitting_basis
 from mcspectra.spectra.power import MAX_WEDGES, wedge_angles, wedge_labels
 from mcspectra.spectra.transforms import FrequencyGrid
 
@@ -490,9 +489,8 @@ def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
         source = None
     correlated = (
         source is not None
-        and source.name != "random"
         and grid.step == round(grid.step)
-        and fitting_basis(source, 1) != "fourier"
+        and not source.law(source.nearest_count(spectrum.attrs["n"])).stationary
     )
     if correlated:
         warn(

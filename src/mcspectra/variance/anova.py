@@ -35,7 +35,6 @@ from mcspectra.estimators.moments import rounding_floor
 from mcspectra.estimators.tails import tail_note
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler, as_sampler
-from mcspectra.spectra.bases import fitting_basis
 from mcspectra.spectra.closed_forms import closed_form_power
 from mcspectra.spectra.listed import power_at
 from mcspectra.variance.doors import answer, counted
@@ -293,7 +292,7 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
                 f"Sampled frequencies need exact Fourier coefficients and uniform points, which "
                 f"{estimator.spec} does not have; use anova_variances."
             )
-        if sampler.name != "random" and fitting_basis(sampler, 1) != "fourier":
+        if not sampler.law(self.n).stationary:
             raise NoClosedForm(
                 f"The frequencies of {sampler.spec} are correlated; add shift, or use "
                 "anova_variances."

@@ -488,7 +488,7 @@ def _nested(net: Sampler, points: Array, g: Integrand, rule: Rule) -> tuple[Arra
     boxes = math.prod(map(float, sides))
     rule.check(f"The exact variance of {net.spec}", boxes * rule.each(g))
     try:
-        gains = gains_at(net, n, max(1, *digits))
+        gains = gains_at(net.law(n), net.digit_bases, max(1, *digits))  # type: ignore[arg-type]
     except ParameterError as error:
         raise NoClosedForm(f"{error} Or use convergence or variance_terms.") from None
     gains = gains[tuple(slice(level + 1) for level in digits)]

@@ -77,7 +77,8 @@ class Frequencies:
             mirrored = isinstance(estimator, Mirrored) and estimator.mode == "integrand"
             if chosen == "domain" and mirrored:
                 source = source.then(Mirror(mode="fold"))
-            basis = fitting_basis(source, width)
+            count = asked.n if hasattr(asked, "n") else asked.counts[-1]
+            basis = fitting_basis(source.law(source.nearest_count(count)), width)
         return Frequencies(estimator, chosen, make_basis(basis, dims, width))
 
     @property

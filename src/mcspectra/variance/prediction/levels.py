@@ -119,7 +119,7 @@ def _scrambled(net: Sampler, n: int, known: Known) -> Predicted:
     # Gains, a few digits further than n has: as a rule all coordinates differ there
     levels = math.ceil(math.log(max(n, 2), min(bases)) - 1e-9) + _MORE
     try:
-        gains = gains_at(net, n, levels)
+        gains = gains_at(net.law(n), bases, levels)  # type: ignore[arg-type]
     except ParameterError as error:
         raise NoClosedForm(f"{error} Or use convergence or variance_terms.") from None
     wanted = np.abs(gains - 1.0) > 1e-9

@@ -1,0 +1,701 @@
+"""The law of a sampler: the joint distribution of the points of one realization.
+
+The variance of an estimator is the spectrum of its integrand times the covariance of the sampler,
+
+    Var(I_n) = Σ_m Σ_l conj(f_m) f_l C_ml,     C_ml = ⟨S_m conj(S_l)⟩ − ⟨S_m⟩ conj⟨S_l⟩,
+
+and C_ml is a property of the sampler's law. A sampler states its law once, in `Sampler.law`;
+closed forms, exact variances, predictions, rates and the fitting basis are functions of it. They
+dispatch on the class at the root of a law and recurse, and never ask for a sampler's name.
+
+A law is a small tree of frozen classes. Leaves say how points are drawn:
+
+    Independent   n independent uniform points
+    Strata        one independent motif (a point, or a pair) in each cell of a grid
+    PairedAxes    pairs of points that share, or do not share, strata of each axis
+    Fixed         the same set every time
+    Stationary    a set whose law is the same after any translation of the torus
+    Choice        one of several laws, chosen at random
+    Unknown       anything that can only be drawn
+
+Operators say how a set is randomized:
+
+    Shifted       one uniform translation of all points (Cranley-Patterson)
+    Moved         one fixed translation of all points
+    Scrambled     random permutations of the digits of all points
+    Folded        u → 1 − |2u − 1| of every coordinate
+    Mirrored      reflections of every coordinate
+
+The order of points is no part of a law, since estimates are sums.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar, Literal, Self, TypeAlias, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import NoClosedForm, ParameterError
+from mcspectra.core.streams import Stream
+
+if TYPE_CHECKING:
+    from mcspectra.samplers.base import Sampler
+
+__all__ = [
+    "AntitheticPair",
+    "BoxPoint",
+    "Choice",
+    "Fixed",
+    "Folded",
+    "GaussianPoint",
+    "Independent",
+    "Law",
+    "Mirrored",
+    "Motif",
+    "Moved",
+    "PairPattern",
+    "PairedAxes",
+    "Scramble",
+    "Scrambled",
+    "Shifted",
+    "Stationary",
+    "Strata",
+    "UniformPoint",
+    "Unknown",
+    "independent_sets",
+    "is_power",
+    "latin_hypercube",
+    "mean_of_terms",
+    "moved",
+    "paired_axes_of_array",
+    "scrambled",
+    "shifted",
+]
+
+
+_MOST_TERMS = 2**32
+"""Most terms of a sum over points and frequencies: about half a minute."""
+_MOST_COUNTS = 2**28
+"""Most points times levels whose digits are compared: about a minute."""
+_TERMS_AT_ONCE = 2**22
+"""Terms that are in memory together: 64 MB of complex numbers."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Law(ABC):
+    """The joint distribution of the n points of one realization.
+
+    Attributes
+    ----------
+    n, dims
+        Number of points and of coordinates.
+    source
+        The sampler whose law this is, for what can only be drawn.
+    fixed
+        Whether all realizations are the same set.
+    uniform
+        Whether every point is uniform on [0,1)^d, so that estimates are unbiased.
+    stationary
+        Whether the law is the same after any translation of the torus.
+    """
+
+    fixed: ClassVar[bool] = False
+    uniform: ClassVar[bool] = True
+    stationary: ClassVar[bool] = False
+    n: int
+    dims: int
+    source: Sampler | None = field(default=None, compare=False, repr=False)
+
+    def draw(self, stream: Stream, first: int, count: int) -> Array:
+        """Draw realizations first … first + count − 1: float64 (count, n, dims)."""
+        assert self.source is not None
+        return self.source.draw_stream(self.n, stream, first, count)
+
+    def of(self, source: Sampler) -> Self:
+        """Return this law as that of `source`."""
+        return replace(self, source=source)
+
+
+# Leaves
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Independent(Law):
+    """n independent uniform points."""
+
+    stationary: ClassVar[bool] = True
+
+
+class Motif(ABC):
+    """What lies in one cell of `Strata`, in units of cells: one point, or several.
+
+    Attributes
+    ----------
+    size
+        Number of points.
+    wraps
+        Whether points may leave their cell, so that they are wrapped around the torus. Transforms
+        then hold at integer frequencies only.
+    uniform
+        Whether a point of the motif is uniform in its cell, or on the torus where it wraps.
+    """
+
+    size: ClassVar[int] = 1
+    wraps: bool = False
+    uniform: bool = True
+
+    @abstractmethod
+    def mean(self, a: Array) -> Array:
+        """⟨M(a)⟩ with M(a) the mean of exp(−2πi a·ξ) over the points ξ; a of shape (..., d)."""
+
+    @abstractmethod
+    def second(self, a: Array, b: Array) -> Array:
+        """⟨M(a) conj M(b)⟩."""
+
+
+@dataclass(frozen=True)
+class _Point(Motif):
+    """One point whose coordinates are independent, of the transform `axis`."""
+
+    @abstractmethod
+    def axis(self, a: Array) -> Array:
+        """Transform of each coordinate."""
+
+    def mean(self, a: Array) -> Array:
+        """The product over the axes."""
+        return np.asarray(np.prod(self.axis(a), axis=-1))
+
+    def second(self, a: Array, b: Array) -> Array:
+        """That of the difference."""
+        return self.mean(a - b)
+
+
+@final
+@dataclass(frozen=True)
+class UniformPoint(_Point):
+    """A uniform point of the cell."""
+
+    def axis(self, a: Array) -> Array:
+        """χ(a) = sinc(πa) exp(−iπa)."""
+        return np.asarray(np.sinc(a) * np.exp(-1j * np.pi * np.remainder(a, 2.0)))
+
+
+@final
+@dataclass(frozen=True)
+class BoxPoint(_Point):
+    """A uniform point of a box of some width about the center of the cell."""
+
+    width: float
+
+    @property
+    def wraps(self) -> bool:  # type: ignore[override]
+        """Boxes wider than a cell wrap."""
+        return self.width > 1.0
+
+    @property
+    def uniform(self) -> bool:  # type: ignore[override]
+        """Whether the boxes tile the torus."""
+        return self.width >= 1.0 and self.width.is_integer()
+
+    def axis(self, a: Array) -> Array:
+        """exp(−iπa) sinc(π width a)."""
+        return np.asarray(_center(a) * np.sinc(self.width * a))
+
+
+@final
+@dataclass(frozen=True)
+class GaussianPoint(_Point):
+    """A Gaussian point about the center of the cell, its width the standard deviation."""
+
+    width: float
+    wraps: ClassVar[bool] = True  # type: ignore[misc]
+    uniform: ClassVar[bool] = False  # type: ignore[misc]
+
+    def axis(self, a: Array) -> Array:
+        """exp(−iπa) exp(−2π² width² a²)."""
+        return np.asarray(_center(a) * np.exp(-2.0 * (np.pi * self.width * a) ** 2))
+
+
+@final
+@dataclass(frozen=True)
+class AntitheticPair(Motif):
+    """A uniform point of the cell and its reflection through the center of the cell [Haber1967]_."""
+
+    size: ClassVar[int] = 2
+
+    def mean(self, a: Array) -> Array:
+        """That of one uniform point."""
+        return UniformPoint().mean(a)
+
+    def second(self, a: Array, b: Array) -> Array:
+        """M(a) = exp(−iπ Σ a) cos(2π a·η), η uniform in the centered cell."""
+        mean = 0.5 * (np.prod(np.sinc(a - b), axis=-1) + np.prod(np.sinc(a + b), axis=-1))
+        return np.asarray(np.prod(_center(a - b), axis=-1) * mean)
+
+
+def _center(a: Array) -> Array:
+    """Phase of the center of a cell, of each coordinate."""
+    return np.asarray(np.exp(-1j * np.pi * np.remainder(a, 2.0)))
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Strata(Law):
+    """One independent motif in each cell of a grid.
+
+    Attributes
+    ----------
+    sides
+        Number of cells along each axis.
+    motif
+        What lies in each cell.
+    """
+
+    sides: tuple[int, ...]
+    motif: Motif = UniformPoint()
+
+    @property
+    def uniform(self) -> bool:  # type: ignore[override]
+        """Whether a point of the motif is."""
+        return self.motif.uniform
+
+    @property
+    def jittered(self) -> bool:
+        """Whether each cell holds one uniform point."""
+        return isinstance(self.motif, UniformPoint)
+
+
+Relation: TypeAlias = Literal["apart", "same", "mates"]
+"""Two points on one axis: independent in two different strata; independent in one stratum; or in two
+different parts of one stratum, each uniform in its part."""
+
+
+@final
+@dataclass(frozen=True)
+class PairPattern:
+    """A share of all ordered pairs of points, n² with those of a point with itself.
+
+    Attributes
+    ----------
+    share
+        Number of these pairs divided by n².
+    axes
+        How the two points lie on each axis; the axes are independent.
+    """
+
+    share: float
+    axes: tuple[Relation, ...]
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class PairedAxes(Law):
+    """Points whose pairs share, or do not share, strata of each axis: Latin hypercubes and arrays.
+
+    Attributes
+    ----------
+    strata
+        Number of strata of each axis.
+    parts
+        Number of parts of each stratum, of which no two points share one.
+    patterns
+        The pairs of different points.
+    base
+        Base in which every realization is a scrambled net, None if it is none [Tang1993]_.
+    """
+
+    strata: tuple[int, ...]
+    parts: tuple[int, ...]
+    patterns: tuple[PairPattern, ...]
+    base: int | None = None
+
+    @property
+    def latin(self) -> bool:
+        """Whether all pairs of points lie in different ones of n strata of every axis."""
+        return self.strata == (self.n,) * self.dims
+
+
+def latin_hypercube(n: int, dims: int) -> PairedAxes:
+    """One point in each of n strata of every axis, in a random order of its own [McKay1979]_."""
+    pattern = PairPattern(1.0 - 1.0 / n, ("apart",) * dims)
+    return PairedAxes(n=n, dims=dims, strata=(n,) * dims, parts=(1,) * dims, patterns=(pattern,))
+
+
+def paired_axes_of_array(s: int, dims: int, *, shared_out: bool) -> PairedAxes:
+    """An orthogonal array of strength 2 and s² points, its levels renamed at random.
+
+    Of the s²(s² − 1) ordered pairs of different points s²(s − 1) agree on each axis, and none on
+    two. The points of a level are independent in it, or share it out: each in an s-th of its own.
+    """
+    n, agree = s * s, "mates" if shared_out else "same"
+    found = [PairPattern((s - 1) / n * (s + 1 - dims), ("apart",) * dims)]
+    for axis in range(dims):
+        axes: list[Relation] = ["apart"] * dims
+        axes[axis] = agree  # type: ignore[call-overload]
+        found.append(PairPattern((s - 1) / n, tuple(axes)))
+    return PairedAxes(
+        n=n,
+        dims=dims,
+        strata=(s,) * dims,
+        parts=(s,) * dims,
+        patterns=tuple(found),
+        base=s if shared_out and s > 1 else None,
+    )
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fixed(Law):
+    """The same set every time.
+
+    Attributes
+    ----------
+    bases
+        Base of the digits of each coordinate whose elementary intervals the set fills evenly; None
+        for sets that are not made of digits.
+    vector
+        Generating vector z of a rank-1 lattice {k z / n}; None for other sets.
+    sides, corner
+        Cells of a grid along each axis, and the place of the point in each, in units of cells;
+        None for other sets.
+    digital
+        Whether the digits of the points are a group under addition without carry, so that all points
+        have the same relation to the others.
+    columns
+        Columns of the generator matrices of a digital net in base 2, as 32-bit numbers with the
+        first digit highest, uint64 (dims, log2 n); None where they are not known.
+    seed
+        Seed of the set, where one realization of a sampler is taken for all of them.
+    """
+
+    fixed: ClassVar[bool] = True
+    uniform: ClassVar[bool] = False
+    bases: tuple[int, ...] | None = None
+    vector: Sequence[int] | None = None
+    sides: tuple[int, ...] | None = None
+    corner: float = 0.0
+    digital: bool = False
+    columns: Callable[[], Array] | None = None
+    seed: int = 0
+
+    @cached_property
+    def points(self) -> Array:
+        """The set, float64 (n, dims)."""
+        return self.draw(Stream.from_rng(self.seed), 0, 1)[0]
+
+    def agreements(self, bases: Sequence[int], levels: int) -> Array:
+        """Return how many points agree with a point in their first digits, itself among them.
+
+        Entry (l_1, …, l_d) of the array (levels + 1, …) is the mean over the points of the number of
+        points whose coordinate j has the same first l_j digits in base j, for all j.
+
+        Raises
+        ------
+        ParameterError
+            More points and levels than can be counted in about a minute.
+        """
+        work = float(self.n) * float(levels + 1) ** self.dims
+        if work > _MOST_COUNTS:
+            raise ParameterError(
+                f"{levels} levels in {self.dims} dims of {self.n} points are {work:.2g} counts, more "
+                f"than {_MOST_COUNTS:.2g}; lower levels, n or dims."
+            )
+        points, found = self.points, np.empty((levels + 1,) * self.dims)
+
+        def fill(cells: Array, axis: int, at: tuple[int, ...]) -> None:
+            if axis == self.dims:
+                found[at] = np.sum(np.bincount(cells).astype(float) ** 2) / self.n
+                return
+            for level in range(levels + 1):
+                # The first digits as whole numbers; coordinates rounded down to below k/b^level are k
+                base, scale = bases[axis], float(bases[axis] ** level)
+                nudge = 0.0 if base & (base - 1) == 0 else scale * 2.0**-50
+                digits = np.floor(points[:, axis] * scale + nudge)
+                prefix = np.minimum(digits, scale - 1.0).astype(np.int64)
+                inner = cells * base**level + prefix if self.n > 1 else cells
+                fill(np.unique(inner, return_inverse=True)[1], axis + 1, (*at, level))
+
+        fill(np.zeros(self.n, np.int64), 0, ())
+        return found
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Stationary(Law):
+    """A set whose law is the same after any translation of the torus.
+
+    Attributes
+    ----------
+    power
+        ⟨|S_m|²⟩ at integer m of shape (..., d), in closed form; None where it can only be measured.
+    sets
+        Number of different sets that exist, None if every realization is a new one.
+    """
+
+    stationary: ClassVar[bool] = True
+    power: Callable[[Array], Array] | None = field(default=None, compare=False)
+    sets: int | None = None
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Choice(Law):
+    """One of several laws, each with the same probability.
+
+    Attributes
+    ----------
+    laws
+        Some of them where there are many, drawn at random.
+    sets
+        Number of all of them, None if there is no limit.
+    """
+
+    laws: tuple[Law, ...]
+    sets: int | None = None
+
+    @property
+    def uniform(self) -> bool:  # type: ignore[override]
+        """Whether all of them are."""
+        return all(law.uniform for law in self.laws)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Unknown(Law):
+    """Points that can only be drawn.
+
+    Attributes
+    ----------
+    is_uniform
+        Whether the sampler declares that every point is uniform.
+    sets
+        Number of different sets that exist, None if every realization is a new one.
+    """
+
+    is_uniform: bool = True
+    sets: int | None = None
+
+    @property
+    def uniform(self) -> bool:  # type: ignore[override]
+        """As declared."""
+        return self.is_uniform
+
+
+# Operators
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Shifted(Law):
+    """One uniform translation of all points on the torus (Cranley-Patterson).
+
+    Attributes
+    ----------
+    inner
+        The law of the set before.
+    """
+
+    stationary: ClassVar[bool] = True
+    inner: Law
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Moved(Law):
+    """One fixed translation of all points on the torus.
+
+    Attributes
+    ----------
+    inner
+        The law of the set before.
+    by
+        The translation, one number for each axis, from 0 to 1.
+    """
+
+    inner: Law
+    by: tuple[float, ...]
+
+    @property
+    def fixed(self) -> bool:  # type: ignore[override]
+        """As before."""
+        return self.inner.fixed
+
+    @property
+    def uniform(self) -> bool:  # type: ignore[override]
+        """As before."""
+        return self.inner.uniform
+
+
+Scramble: TypeAlias = Literal["digital-shift", "permutation", "linear", "nested"]
+"""How digits are randomized, each of which contains those before it: one random digit added to each
+place; a random permutation of each place; a random lower triangular matrix, and a shift; permutations
+that depend on all digits above."""
+
+_SCRAMBLES: tuple[Scramble, ...] = ("digital-shift", "permutation", "linear", "nested")
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Scrambled(Law):
+    """Random permutations of the digits of all points.
+
+    Attributes
+    ----------
+    inner
+        The law of the set before.
+    kind
+        How digits are randomized. Nested and linear scrambles have the same law of pairs of points,
+        hence the same variances.
+    bases
+        Base of the digits of each coordinate.
+    shifts
+        Whether every point becomes uniform: not so by matrices alone, which leave the origin alone.
+    """
+
+    inner: Law
+    kind: Scramble
+    bases: tuple[int, ...]
+    shifts: bool = True
+
+    @property
+    def uniform(self) -> bool:  # type: ignore[override]
+        """After a shift, or as before."""
+        return self.shifts or self.inner.uniform
+
+    @property
+    def nested_pairs(self) -> bool:
+        """Whether pairs of points have the law of nested scrambling."""
+        return self.kind in ("linear", "nested") and self.shifts
+
+    @property
+    def xor(self) -> bool:
+        """Whether one digital shift in base 2 moves all points."""
+        return self.kind in ("digital-shift", "permutation") and set(self.bases) == {2}
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Folded(Law):
+    """u → 1 − |2u − 1| of every coordinate: the law before, with a folded integrand."""
+
+    inner: Law
+
+    @property
+    def fixed(self) -> bool:  # type: ignore[override]
+        """As before."""
+        return self.inner.fixed
+
+    @property
+    def uniform(self) -> bool:  # type: ignore[override]
+        """As before."""
+        return self.inner.uniform
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Mirrored(Law):
+    """Reflections u → 1 − u of coordinates.
+
+    Attributes
+    ----------
+    inner
+        The law of the set before.
+    mode
+        ``"random"``: a fair coin for each coordinate of each point. ``"uniform"``: each of n/2^d
+        points becomes its 2^d reflections.
+    """
+
+    inner: Law
+    mode: Literal["random", "uniform"]
+
+    @property
+    def fixed(self) -> bool:  # type: ignore[override]
+        """Reflections at random never are; all of a fixed set are."""
+        return self.mode == "uniform" and self.inner.fixed
+
+    @property
+    def uniform(self) -> bool:  # type: ignore[override]
+        """As before."""
+        return self.inner.uniform
+
+
+# What randomizations make of laws
+
+
+def shifted(law: Law) -> Law:
+    """The law after one uniform translation of the torus."""
+    while isinstance(law, Moved):
+        law = law.inner
+    return law if law.stationary else Shifted(n=law.n, dims=law.dims, inner=law)
+
+
+def moved(law: Law, by: Sequence[float]) -> Law:
+    """The law after one fixed translation of the torus."""
+    if isinstance(law, Moved):
+        law, by = law.inner, [a + b for a, b in zip(law.by, by, strict=True)]
+    if law.stationary:
+        return law
+    return Moved(n=law.n, dims=law.dims, inner=law, by=tuple(float(b) % 1.0 for b in by))
+
+
+def scrambled(law: Law, kind: Scramble, bases: Sequence[int], *, shifts: bool = True) -> Law:
+    """The law after digits in these bases are randomized.
+
+    Strata whose sides are powers of the base, and strata of axes, keep their law: cells go to cells,
+    and points in them are uniform already. Samplers refuse scrambles that break them.
+    """
+    digits = tuple(map(int, bases))
+    if isinstance(law, Scrambled) and law.bases == digits:
+        kind = max(kind, law.kind, key=_SCRAMBLES.index)
+        return replace(law, kind=kind, shifts=shifts or law.shifts, source=None)
+    if isinstance(law, Independent | PairedAxes):
+        return law
+    if isinstance(law, Strata) and not law.motif.wraps:
+        return law
+    return Scrambled(n=law.n, dims=law.dims, inner=law, kind=kind, bases=digits, shifts=shifts)
+
+
+def is_power(n: int, base: int) -> bool:
+    """Whether n is a power of the base, 1 among them."""
+    while n % base == 0:
+        n //= base
+    return n == 1
+
+
+def mean_of_terms(n: int, nu: Array, terms: Callable[[Array], Array]) -> Array:
+    """Return the mean of n terms for each frequency (..., d), a block of frequencies (F, d) at a time.
+
+    Raises
+    ------
+    NoClosedForm
+        There are too many terms.
+    """
+    if float(n) * max(64, nu[..., 0].size) > _MOST_TERMS:  # the points take memory, too
+        raise NoClosedForm(
+            f"The exact transform of {n} points at {nu[..., 0].size} frequencies would take more "
+            f"than {_MOST_TERMS:.2g} terms; use power_spectrum, or ask for fewer frequencies."
+        )
+    rows = nu.reshape(-1, nu.shape[-1])
+    block = max(1, _TERMS_AT_ONCE // n)
+    parts = [terms(rows[i : i + block]).mean(axis=-1) for i in range(0, len(rows), block)]
+    return np.concatenate(parts).reshape(nu.shape[:-1])
+
+
+def independent_sets(law: Law) -> int | None:
+    """Number of sets that are truly independent, None if every realization is a new one.
+
+    Randomizations make new realizations of few sets, but power spectra and distances of points are
+    those of the sets: their standard errors follow this number.
+    """
+    match law:
+        case Stationary() | Choice() | Unknown():
+            return law.sets
+        case Shifted() | Moved() | Scrambled() | Folded() | Mirrored():
+            return independent_sets(law.inner)
+    return None
