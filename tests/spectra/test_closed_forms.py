@@ -53,7 +53,6 @@ ANYWHERE = [
     ("jittered | owen", 2, 16),
     ("antithetic-jittered | digital-shift", 2, 8),
     ("sobol | owen", 2, 8),
-    ("sobol | owen", 2, 6),
     ("sobol | lms", 3, 8),
     ("sobol | digital-shift", 2, 8),
     ("hammersley | permute", 2, 8),
