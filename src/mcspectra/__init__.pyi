@@ -75,8 +75,6 @@ from .variance.profiling.causes import Cause as Cause
 from .variance.profiling.profile import Profile as Profile
 from .variance.profiling.profile import profile as profile
 from .variance.remedies import remedies as remedies
-from .variance.routes import variance_from_pair_correlation as variance_from_pair_correlation
-from .variance.routes import variance_routes as variance_routes
 from .variance.techniques import technique_terms as technique_terms
 from .variance.terms import variance_terms as variance_terms
 from .variance.variants import mirror_study as mirror_study
@@ -160,9 +158,7 @@ __all__ = [
     "subset_frequencies",
     "technique_terms",
     "variance",
-    "variance_from_pair_correlation",
     "variance_from_spectrum",
-    "variance_routes",
     "variance_terms",
     "warp_quality",
     "wedge_means",
