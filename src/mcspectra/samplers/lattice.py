@@ -41,7 +41,9 @@ class _Lattice(FixedSet):
         """Make z for n points."""
 
     def _law(self, n: int) -> Law:
-        return Fixed(n=n, dims=self.dims, vector=tuple(self.generating_vector(n).tolist()))
+        return Fixed(
+            n=n, dims=self.dims, vector=tuple(self.generating_vector(n).tolist()), even=True
+        )
 
     def _set(self, n: int) -> Array:
         points = np.empty((n, self.dims))
@@ -283,6 +285,9 @@ class Kronecker(FixedSet):
         if self.alpha is None:
             return golden_steps(self.dims)
         return np.array([_in_units(a) for a in self.alpha], dtype=np.uint64)
+
+    def _law(self, n: int) -> Law:
+        return Fixed(n=n, dims=self.dims, even=True)
 
     def _set(self, n: int) -> Array:
         points = np.empty((n, self.dims))

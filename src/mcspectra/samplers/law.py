@@ -67,14 +67,17 @@ __all__ = [
     "Strata",
     "UniformPoint",
     "Unknown",
+    "as_scrambled",
     "independent_sets",
     "is_power",
     "latin_hypercube",
+    "leaf_of",
     "mean_of_terms",
     "moved",
     "paired_axes_of_array",
     "scrambled",
     "shifted",
+    "unmoved",
 ]
 
 
@@ -115,6 +118,11 @@ class Law(ABC):
         """Draw realizations first … first + count − 1: float64 (count, n, dims)."""
         assert self.source is not None
         return self.source.draw_stream(self.n, stream, first, count)
+
+    @property
+    def name(self) -> str:
+        """What sentences call it: the spec of the sampler, or the class of the law."""
+        return type(self).__name__ if self.source is None else self.source.spec
 
     def of(self, source: Sampler) -> Self:
         """Return this law as that of `source`."""
@@ -323,7 +331,8 @@ class PairedAxes(Law):
 
 def latin_hypercube(n: int, dims: int) -> PairedAxes:
     """One point in each of n strata of every axis, in a random order of its own [McKay1979]_."""
-    pattern = PairPattern(1.0 - 1.0 / n, ("apart",) * dims)
+    apart: list[Relation] = ["apart"] * dims
+    pattern = PairPattern(1.0 - 1.0 / n, tuple(apart))
     return PairedAxes(n=n, dims=dims, strata=(n,) * dims, parts=(1,) * dims, patterns=(pattern,))
 
 
@@ -333,11 +342,14 @@ def paired_axes_of_array(s: int, dims: int, *, shared_out: bool) -> PairedAxes:
     Of the s²(s² − 1) ordered pairs of different points s²(s − 1) agree on each axis, and none on
     two. The points of a level are independent in it, or share it out: each in an s-th of its own.
     """
-    n, agree = s * s, "mates" if shared_out else "same"
-    found = [PairPattern((s - 1) / n * (s + 1 - dims), ("apart",) * dims)]
+    if dims == 1 and shared_out:
+        return latin_hypercube(s * s, 1)
+    n, apart = s * s, list[Relation](["apart"] * dims)
+    agree: Relation = "mates" if shared_out else "same"
+    found = [PairPattern((s - 1) / n * (s + 1 - dims), tuple(apart))]
     for axis in range(dims):
-        axes: list[Relation] = ["apart"] * dims
-        axes[axis] = agree  # type: ignore[call-overload]
+        axes = apart.copy()
+        axes[axis] = agree
         found.append(PairPattern((s - 1) / n, tuple(axes)))
     return PairedAxes(
         n=n,
@@ -364,6 +376,9 @@ class Fixed(Law):
     sides, corner
         Cells of a grid along each axis, and the place of the point in each, in units of cells;
         None for other sets.
+    even
+        Whether the set is even by its differences on the torus, as lattices and Kronecker points are:
+        what translations keep.
     digital
         Whether the digits of the points are a group under addition without carry, so that all points
         have the same relation to the others.
@@ -380,6 +395,7 @@ class Fixed(Law):
     vector: Sequence[int] | None = None
     sides: tuple[int, ...] | None = None
     corner: float = 0.0
+    even: bool = False
     digital: bool = False
     columns: Callable[[], Array] | None = None
     seed: int = 0
@@ -387,7 +403,7 @@ class Fixed(Law):
     @cached_property
     def points(self) -> Array:
         """The set, float64 (n, dims)."""
-        return self.draw(Stream.from_rng(self.seed), 0, 1)[0]
+        return np.asarray(self.draw(Stream.from_rng(self.seed), 0, 1)[0])
 
     def agreements(self, bases: Sequence[int], levels: int) -> Array:
         """Return how many points agree with a point in their first digits, itself among them.
@@ -426,7 +442,7 @@ class Fixed(Law):
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Stationary(Law):
     """A set whose law is the same after any translation of the torus.
 
@@ -439,7 +455,7 @@ class Stationary(Law):
     """
 
     stationary: ClassVar[bool] = True
-    power: Callable[[Array], Array] | None = field(default=None, compare=False)
+    power: Callable[[Array], Array] | None = None
     sets: int | None = None
 
 
@@ -466,7 +482,7 @@ class Choice(Law):
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Unknown(Law):
     """Points that can only be drawn.
 
@@ -476,10 +492,13 @@ class Unknown(Law):
         Whether the sampler declares that every point is uniform.
     sets
         Number of different sets that exist, None if every realization is a new one.
+    strata
+        Number of strata of each axis that hold a point each, where this is known.
     """
 
     is_uniform: bool = True
     sets: int | None = None
+    strata: tuple[int, ...] | None = None
 
     @property
     def uniform(self) -> bool:  # type: ignore[override]
@@ -638,7 +657,8 @@ def shifted(law: Law) -> Law:
 def moved(law: Law, by: Sequence[float]) -> Law:
     """The law after one fixed translation of the torus."""
     if isinstance(law, Moved):
-        law, by = law.inner, [a + b for a, b in zip(law.by, by, strict=True)]
+        by = [a + b for a, b in zip(law.by, by, strict=True)]
+        law = law.inner
     if law.stationary:
         return law
     return Moved(n=law.n, dims=law.dims, inner=law, by=tuple(float(b) % 1.0 for b in by))
@@ -659,6 +679,38 @@ def scrambled(law: Law, kind: Scramble, bases: Sequence[int], *, shifts: bool = 
     if isinstance(law, Strata) and not law.motif.wraps:
         return law
     return Scrambled(n=law.n, dims=law.dims, inner=law, kind=kind, bases=digits, shifts=shifts)
+
+
+def as_scrambled(law: Law) -> Law:
+    """Arrays of strength 2 whose levels are shared out, as nets that are scrambled in their base.
+
+    The second digits are permuted within each first one [Tang1993]_; one realization has the digits
+    of all.
+    """
+    if not isinstance(law, PairedAxes) or law.base is None or law.source is None:
+        return law
+    bases = (law.base,) * law.dims
+    one = Fixed(n=law.n, dims=law.dims, bases=bases).of(law.source)
+    return Scrambled(
+        n=law.n, dims=law.dims, inner=one, kind="nested", bases=bases, source=law.source
+    )
+
+
+def unmoved(law: Law) -> tuple[Law, Array]:
+    """The law before all translations at its end, and the sum of the fixed ones, (dims,)."""
+    by = np.zeros(law.dims)
+    while isinstance(law, Moved | Shifted):
+        if isinstance(law, Moved):
+            by = by + np.array(law.by)
+        law = law.inner
+    return law, by
+
+
+def leaf_of(law: Law) -> Law:
+    """The law of the set before all randomizations."""
+    while isinstance(law, Shifted | Moved | Scrambled | Folded | Mirrored):
+        law = law.inner
+    return law
 
 
 def is_power(n: int, base: int) -> bool:

@@ -152,7 +152,8 @@ class OrthogonalArray(Sampler):
 
     def _law(self, n: int) -> Law:
         if self.strength > 2 or self.jitter == "correlated-multi-jittered":
-            return Unknown(n=n, dims=self.dims)
+            strata = n if self.jitter != "jittered" else root(n, self.strength)
+            return Unknown(n=n, dims=self.dims, strata=(strata,) * self.dims)
         shared_out = self.jitter == "multi-jittered"
         return paired_axes_of_array(root(n, 2), self.dims, shared_out=shared_out)
 

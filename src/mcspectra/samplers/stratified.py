@@ -39,6 +39,7 @@ from mcspectra.samplers.law import (
     PairPattern,
     Shifted,
     Strata,
+    Unknown,
 )
 
 __all__ = [
@@ -440,6 +441,9 @@ class CorrelatedMultiJittered(PlaneSampler):
         columns = nearly_square(n)
         return columns > 0 and base ** round(math.log(columns, base)) == columns
 
+    def _law(self, n: int) -> Law:
+        return Unknown(n=n, dims=2, strata=(n, n))
+
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         columns = nearly_square(n) or math.isqrt(n)
         rows = -(-n // columns)
@@ -513,6 +517,9 @@ class Hexagonal(PlaneSampler, FixedSet):
 
     structure: ClassVar[Structure] = Structure.TORUS
     other_dims: ClassVar[str] = "for other dims use rank1-lattice or regular"
+
+    def _law(self, n: int) -> Law:
+        return Fixed(n=n, dims=2, even=True)
 
     def _set(self, n: int) -> Array:
         across = _largest_across(n)

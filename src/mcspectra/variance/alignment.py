@@ -24,8 +24,8 @@ from mcspectra.densities import AlignedStrata
 from mcspectra.estimators import AbstractEstimator, Estimator, as_estimator, as_subject
 from mcspectra.estimators.moments import rounding_floor, variance_interval
 from mcspectra.integrands import Integrand
-from mcspectra.samplers import Sampler, Shift, StrataShift
-from mcspectra.spectra.bases import parts_of
+from mcspectra.samplers import Sampler, StrataShift
+from mcspectra.samplers.law import Shifted
 from mcspectra.variance.convergence import count_moments, count_stream
 from mcspectra.variance.doors import counted
 from mcspectra.variance.exact import exact_variance
@@ -338,7 +338,7 @@ class _Offsets:
         workers: int,
     ) -> _Offsets:
         """Variances at offsets; ``"auto"`` is exact where that is known for all counts, of no black box."""
-        if any(isinstance(step, Shift) for step in parts_of(sampler)[1]):
+        if isinstance(sampler.law(counts[0]), Shifted):
             raise ParameterError(
                 f"{sampler.spec} is shifted at random, which averages over all offsets; leave the "
                 "shift out."

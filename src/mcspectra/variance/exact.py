@@ -27,7 +27,6 @@ Quadratures of two orders must agree, and their sums with ∫g and ∫g² (`blin
 from __future__ import annotations
 
 import contextlib
-import functools
 import math
 from typing import Any
 
@@ -40,18 +39,22 @@ from mcspectra.core.tally import counting
 from mcspectra.estimators import AbstractEstimator, as_subject
 from mcspectra.estimators.mirrored import FoldedIntegrand, SymmetrizedIntegrand
 from mcspectra.integrands import Integrand, integral_accuracy
-from mcspectra.samplers import (
-    Jittered,
-    LatinHypercube,
-    Mirror,
-    Random,
-    Regular,
-    Sampler,
-    Shift,
-    StrataShift,
-    UniformJitter,
+from mcspectra.samplers import Sampler
+from mcspectra.samplers.law import (
+    AntitheticPair,
+    Fixed,
+    Folded,
+    Independent,
+    Law,
+    Mirrored,
+    Moved,
+    PairedAxes,
+    Scrambled,
+    Shifted,
+    Strata,
+    unmoved,
 )
-from mcspectra.spectra.bases import hadamard, parts_of, without_last
+from mcspectra.spectra.bases import hadamard
 from mcspectra.spectra.gain import gains_at
 from mcspectra.variance.ordered import weighted_sum
 from mcspectra.variance.prediction.known import Known
@@ -90,8 +93,6 @@ _SAFETY = 3.0  # times the difference of two orders: more than the error of the 
 _MOST = 0.5  # relative error of a variance that a larger tolerance is offered for
 _FINER, _HOPE = 4, 10.0  # times the order, of errors of up to so many times the tolerance
 _MANY_DIMS, _LOOSE = 4, 1e-3  # from which on, and with which tolerance, sums of products may do
-_KEEP_LAW = frozenset({"digital-shift", "permute"})  # of nested scrambling, too
-_LATIN = ("latin-hypercube", "n-rooks")
 _MOST_BITS = 24
 
 
@@ -174,15 +175,15 @@ def estimated_variance(
     total: Any = 0.0
     for technique, count in enumerate(given.counts):
         g = given.primary_integrand(technique)
-        chain = source.as_chain(n * count)
+        law = source.law(n * count)
         try:
-            found = of_integrand(chain, n * count, g, tolerance)
+            found = of_integrand(law, g, tolerance)
         except NoClosedForm:
             if g.dims < _MANY_DIMS or tolerance < _LOOSE:
                 raise
             by_axes = None
             with contextlib.suppress(NoClosedForm):
-                by_axes = of_subsets(chain, n * count, Known(g), Stream.from_rng(0))
+                by_axes = of_subsets(law, Known(g), Stream.from_rng(0))
             if by_axes is None or (by_axes.error > tolerance * by_axes.variance).any():
                 raise
             found = by_axes.variance, by_axes.error
@@ -195,7 +196,7 @@ def estimated_variance(
 
 
 def of_integrand(
-    sampler: Sampler, n: int, g: Integrand, tolerance: float, most: float = MOST_EVALUATIONS
+    law: Law, g: Integrand, tolerance: float, most: float = MOST_EVALUATIONS
 ) -> tuple[Array, Array]:
     """Variance and a bound of its error, (channels or 1,); 0 where the variance is all rounding.
 
@@ -209,15 +210,13 @@ def of_integrand(
         As `exact_variance`, the error is more than `tolerance` times the variance, or a rule would
         take more than about `most` evaluations.
     """
-    g = looked_at(g)
-    base, steps = parts_of(sampler)
-    names = {step.name for step in steps}
+    g, n = looked_at(g), law.n
     square = square_error = np.full(max(1, g.channels), np.nan)
-    if sampler.unbiased and not (in_closed_form(g) or g.costly):
+    if law.uniform and not (in_closed_form(g) or g.costly):
         square, square_error = square_integral(g)
         if np.isinf(square).all():  # one point next to the pole outweighs all others
             return square, np.zeros(len(square))
-    if isinstance(base, Random) and names <= {"shift", "strata-shift"}:
+    if isinstance(law, Independent):
         middle, first, second, error = moments(g)
         value = second - first**2
         # Three standard errors of the integrals become 4.5: of 1,000 functions none is to be beyond
@@ -230,16 +229,19 @@ def of_integrand(
         if (error <= tolerance * value).all() and (value > 0.0).all():
             return value / n, error / n
 
-    cells = names <= {"owen", "permute", "shuffle", "strata-shift"} and (
-        isinstance(base, Jittered | LatinHypercube) or "owen" in names
+    bare = law.inner if isinstance(law, Moved) else law
+    cells = (
+        (isinstance(bare, Strata) and bare.jittered)
+        or isinstance(bare, PairedAxes)
+        or (isinstance(bare, Scrambled) and bare.nested_pairs)
     )
     coarse, fine = orders_of(n, g.dims)
     for times in (1, _FINER) if most >= MOST_EVALUATIONS else (1,):
         try:
-            high, unseen = _variance(sampler, n, g, Rule(times * fine, most, times * coarse))
+            high, unseen = _variance(law, g, Rule(times * fine, most, times * coarse))
             low = high
             if not (cells and in_closed_form(g)):  # moments of cells in closed form have no order
-                low, _ = _variance(sampler, n, g, Rule(times * coarse, most))
+                low, _ = _variance(law, g, Rule(times * coarse, most))
         except NoClosedForm:
             if times == 1:
                 raise
@@ -252,7 +254,7 @@ def of_integrand(
         return high, error
     square, _ = square_integral(g)
     agree |= error <= _NEGLIGIBLE * np.max(square) / n
-    if sampler.unbiased:  # one point next to the pole outweighs all others
+    if law.uniform:  # one point next to the pole outweighs all others
         high = np.where(np.isinf(square), np.inf, high)
     # Σ (mean g² − (mean g)²)/n is rounded by some 1e-15 of ∫g²/n: all there is if it vanishes.
     rounding = 4e-15 * square / n
@@ -270,72 +272,60 @@ def of_integrand(
     return np.where(vanishes, 0.0, high), np.where(np.isinf(high), 0.0, error)
 
 
-def _variance(sampler: Sampler, n: int, g: Integrand, rule: Rule) -> tuple[Array, Array]:
+def _variance(law: Law, g: Integrand, rule: Rule) -> tuple[Array, Array]:
     """Variance of the mean of g over a set, and what it may miss; (channels,) or (1,)."""
-    base, steps = parts_of(sampler)
-    if steps and isinstance(steps[-1], Mirror):
-        # The variance of the sampler inside with another integrand
-        inner, mode = without_last(sampler), steps[-1].mode
-        if mode == "fold":
-            return _variance(inner, n, FoldedIntegrand(g), rule)
-        average = SymmetrizedIntegrand(g)
-        if mode == "uniform":
-            return _variance(inner, n >> g.dims, average, rule)
-        if not inner.unbiased:
-            raise NoClosedForm(
-                f"No exact variance is known for random reflections of {inner.spec}, whose points are "
-                "not uniform; use convergence or variance_terms."
-            )
-        one = Random(dims=g.dims)
-        whole, missed = _variance(one, 1, g, rule)
-        part, unseen = _variance(inner, n, average, rule)
-        coins = np.maximum(whole - _variance(one, 1, average, rule)[0], 0.0)
-        return part + coins / n, unseen + missed / n
-
-    names, none = {step.name for step in steps}, np.zeros(g.dims)
-    if sampler.name == "antithetic-jittered":
-        # One jittered point in each of n/2 cells, with the mean of g at it and at its reflection
-        side = round((n // 2) ** (1.0 / g.dims))
-        _, spread, unseen = strata(paired(g, side), (side,) * g.dims, none, rule)
-        return spread / (n // 2), unseen / (n // 2)
-    if base.name in _LATIN and getattr(base, "strength", 1) == 1 and sampler.dims > 1:
-        if names <= {"shift", "shuffle"}:
-            return _latin(sampler, n, g, rule, shifted="shift" in names)
-    elif steps and base.fixed:
-        # In the base of the net: others do not fit it
-        points = functools.partial(base.draw_stream, n, Stream.from_rng(0), 0, 1)
-        if "owen" in names and names <= _KEEP_LAW | {"owen"}:
-            return _nested(base, points()[0], g, rule)
-        # In base 2 there are two permutations of a digit: permute is the same thing
-        if set(base.digit_bases) == {2} and names <= _KEEP_LAW:
-            return _digitally_shifted(base, points()[0], g, rule)
+    n, none = law.n, np.zeros(g.dims)
+    match law:
+        # The variance of the set inside with another integrand
+        case Folded(inner=inner):
+            return _variance(inner, FoldedIntegrand(g), rule)
+        case Mirrored(inner=inner, mode="uniform"):
+            return _variance(inner, SymmetrizedIntegrand(g), rule)
+        case Mirrored(inner=inner):
+            if not inner.uniform:
+                raise NoClosedForm(
+                    f"No exact variance is known for random reflections of {inner.name}, whose points "
+                    "are not uniform; use convergence or variance_terms."
+                )
+            one, average = Independent(n=1, dims=g.dims), SymmetrizedIntegrand(g)
+            whole, missed = _variance(one, g, rule)
+            part, unseen = _variance(inner, average, rule)
+            coins = np.maximum(whole - _variance(one, average, rule)[0], 0.0)
+            return part + coins / n, unseen + missed / n
+        case Strata(sides=sides, motif=AntitheticPair()):
+            # One jittered point in each of n/2 cells, with the mean of g at it and at its reflection
+            _, spread, unseen = strata(paired(g, sides[0]), sides, none, rule)
+            return spread / (n // 2), unseen / (n // 2)
+        case Scrambled(inner=Fixed() as net) if law.nested_pairs:
+            return _nested(net, law.bases, g, rule)
+        case Scrambled(inner=Fixed() as net) if law.xor:
+            return _digitally_shifted(net, g, rule)
+        case Independent():
+            _, spread, unseen = strata(g, (1,) * g.dims, none, rule)
+            return spread / n, unseen / n
 
     # One point in each stratum, or a grid, with fixed and random offsets
-    latin = isinstance(base, LatinHypercube)
-    known = isinstance(base, Random | Jittered | Regular | UniformJitter) or (latin and g.dims == 1)
-    if not known or not all(isinstance(step, Shift | StrataShift) for step in steps):
+    set_, offset = unmoved(law)
+    shifted = isinstance(law, Shifted)
+    if isinstance(set_, PairedAxes) and set_.latin and g.dims > 1 and not offset.any():
+        return _latin(law, g, rule, shifted=shifted)
+    jittered = isinstance(set_, Strata) and set_.jittered
+    latin = isinstance(set_, PairedAxes) and set_.latin and g.dims == 1
+    grid = isinstance(set_, Fixed) and set_.sides is not None
+    if not (jittered or latin or grid):
         raise NoClosedForm(
-            f"No exact variance is known for {sampler.spec} in {g.dims} dims; "
+            f"No exact variance is known for {law.name} in {g.dims} dims; "
             "use convergence or variance_terms."
         )
-    offset = none
-    for step in steps:
-        if isinstance(step, StrataShift):
-            offset = offset + np.asarray(step.offset, float)
-    offset, shifted = offset % 1.0, any(isinstance(step, Shift) for step in steps)
-    if isinstance(base, Random):
-        _, spread, unseen = strata(g, (1,) * g.dims, none, rule)
+    sides = set_.strata if isinstance(set_, PairedAxes) else set_.sides  # type: ignore[attr-defined]
+    if not (grid or shifted):
+        _, spread, unseen = strata(g, sides, np.mod(offset, 1.0 / np.array(sides)), rule)
         return spread / n, unseen / n
-    sides = (n,) if latin else base.sides(n)  # type: ignore[attr-defined]
-    jittered = latin or isinstance(base, Jittered)
-    if jittered and not shifted:
-        _, spread, unseen = strata(g, sides, offset * n ** (-1.0 / g.dims), rule)
-        return spread / n, unseen / n
-    if not jittered and not (shifted or isinstance(base, UniformJitter)):
+    if grid and not shifted:
         return np.zeros(max(1, g.channels)), np.zeros(max(1, g.channels))  # a deterministic set
     nodes, weights = offset_rule(g, sides, rule.order)
-    rule.check(f"The exact variance of {sampler.spec}", float(len(nodes) * n) * rule.each(g))
-    if jittered:
+    rule.check(f"The exact variance of {law.name}", float(len(nodes) * n) * rule.each(g))
+    if not grid:
         found = np.stack([strata(g, sides, d, rule)[1:] for d in nodes])
         spread, unseen = weighted_sum(weights, found)
         return spread / n, unseen / n
@@ -364,14 +354,13 @@ def paired(g: Integrand, side: int) -> Integrand:
     return Pointwise(g, lambda x: 0.5 * (g(x) + g(reflected(x))), breaks, label)
 
 
-def _latin(
-    sampler: Sampler, n: int, g: Integrand, rule: Rule, *, shifted: bool
-) -> tuple[Array, Array]:
+def _latin(law: Law, g: Integrand, rule: Rule, *, shifted: bool) -> tuple[Array, Array]:
     """Over the offset of the cells the mean: the points are uniform for each, and nothing is added.
 
     Where n^d cells are too many, larger ones, of each n^d a whole number, and slabs of width 1/n: what
     several axes share within these cells has a weight from 1 to 1 + 1/(n − 1).
     """
+    n = law.n
     fine, nodes, weights = (n,) * g.dims, np.zeros((1, g.dims)), np.ones(1)
     if shifted:  # a mean over all cells is smooth
         nodes, weights = offset_rule(g, fine, rule.order // 2 + 2)
@@ -380,7 +369,7 @@ def _latin(
     most = rule.most / one / (1 if in_closed_form(g) or g.dims > 2 else 2)
     side = next((m for m in range(n, 1, -1) if n % m == 0 and m**g.dims <= most), 1)
     if side < n:
-        rule.check(f"The exact variance of {sampler.spec}", one * n)
+        rule.check(f"The exact variance of {law.name}", one * n)
     varying = np.indices((min(side, 2),) * g.dims).sum(axis=0)  # |v|
     gains = np.where(varying > 0, 1.0 + (n - 1.0) * (-1.0 / max(n - 1.0, 1.0)) ** varying, 0.0)
     found = []
@@ -400,9 +389,9 @@ def _latin(
     return total, unseen
 
 
-def _nested(net: Sampler, points: Array, g: Integrand, rule: Rule) -> tuple[Array, Array]:
+def _nested(net: Fixed, bases: tuple[int, ...], g: Integrand, rule: Rule) -> tuple[Array, Array]:
     """Nested uniform scrambling of a net."""
-    n, bases = len(points), net.digit_bases
+    n, points = net.n, net.points
     # For each axis the number of digits in which all coordinates differ
     digits = []
     for axis, base in enumerate(bases):
@@ -413,15 +402,15 @@ def _nested(net: Sampler, points: Array, g: Integrand, rule: Rule) -> tuple[Arra
             level += 1
             if level > limit:
                 raise NoClosedForm(
-                    f"Axis {axis} of {net.spec} has coordinates that coincide or nearly so; the "
+                    f"Axis {axis} of {net.name} has coordinates that coincide or nearly so; the "
                     "exact variance of nested scrambling is known for distinct ones only."
                 )
         digits.append(level)
     sides = tuple(b**level for b, level in zip(bases, digits, strict=True))
     boxes = math.prod(map(float, sides))
-    rule.check(f"The exact variance of {net.spec}", boxes * rule.each(g))
+    rule.check(f"The exact variance of {net.name}", boxes * rule.each(g))
     try:
-        gains = gains_at(net.law(n), net.digit_bases, max(1, *digits))  # type: ignore[arg-type]
+        gains = gains_at(net, bases, max(1, *digits))
     except ParameterError as error:
         raise NoClosedForm(f"{error} Or use convergence or variance_terms.") from None
     gains = gains[tuple(slice(level + 1) for level in digits)]
@@ -431,10 +420,9 @@ def _nested(net: Sampler, points: Array, g: Integrand, rule: Rule) -> tuple[Arra
     return (within + weighted_sum(gains, levels)) / n, unseen / n
 
 
-def _digitally_shifted(
-    net: Sampler, points: Array, g: Integrand, rule: Rule
-) -> tuple[Array, Array]:
+def _digitally_shifted(net: Fixed, g: Integrand, rule: Rule) -> tuple[Array, Array]:
     """A digital shift of a net in base 2."""
+    points = net.points
     whole = (
         2**bits
         for bits in range(_MOST_BITS + 1)
@@ -443,7 +431,7 @@ def _digitally_shifted(
     cells = next(whole, None)
     if cells is None:
         raise NoClosedForm(
-            f"Coordinates of {net.spec} have more than {_MOST_BITS} bits; use convergence or "
+            f"Coordinates of {net.name} have more than {_MOST_BITS} bits; use convergence or "
             "variance_terms."
         )
     sides = (cells,) * g.dims

@@ -39,8 +39,8 @@ from mcspectra.estimators import AbstractEstimator, Estimator, Moments, as_estim
 from mcspectra.estimators.moments import mean_interval, rounding_floor
 from mcspectra.estimators.tails import tail_note
 from mcspectra.integrands import Calls, FunctionIntegrand, Integrand
-from mcspectra.samplers import Lms, Owen, Sampler, as_sampler
-from mcspectra.spectra.bases import parts_of
+from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.samplers.law import Scrambled
 from mcspectra.variance.counterfactuals import Setup, affordable_count
 
 if TYPE_CHECKING:
@@ -49,6 +49,7 @@ if TYPE_CHECKING:
 __all__ = ["integrate"]
 
 _LEAST, _LEAST_OF_MEDIAN = 8, 11  # replicates
+_LAW_AT = 64  # points at which the kind of scramble is looked up; it is the same at all n
 _PILOT = 4  # a part of the budget: the first replicates at this part of their longest sets
 _LEVELS = 4  # prefixes of a replicate, each half of the next
 _SIDE = 0.025  # chance, on either side of an interval
@@ -137,8 +138,8 @@ def integrate(
         raise ParameterError(
             f"{source.spec} is the same every time, which says nothing of its error; add owen or shift."
         )
-    kinds = {type(step) for step in parts_of(source)[1]}
-    linear = Lms in kinds and Owen not in kinds and source.unbiased
+    law = source.law(source.nearest_count(_LAW_AT))
+    linear = isinstance(law, Scrambled) and law.kind == "linear" and law.uniform
     if median and not linear:
         raise ParameterError(
             f"combine is 'median', and {source.spec} is no linear scramble, few of whose sets make the "

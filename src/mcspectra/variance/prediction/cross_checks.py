@@ -28,8 +28,7 @@ from mcspectra.estimators import AbstractEstimator, Estimator
 from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler
-from mcspectra.samplers.base import Structure
-from mcspectra.spectra.bases import fitting_basis, parts_of
+from mcspectra.samplers.law import Independent, Shifted, Strata
 from mcspectra.spectra.closed_forms import closed_form_covariance, closed_form_power
 from mcspectra.variance._kernels import pair_sum_1d, pair_sum_2d
 from mcspectra.variance.ordered import weighted_sum
@@ -56,7 +55,6 @@ _GRID = {1: 2**15, 2: 2**10}  # points of an axis where the autocorrelation is s
 _MOST_POINTS = 2**17
 _TOLERANCE = 1e-6
 _ROUNDING = 4e-15
-_MOVES = frozenset({"shift", "strata-shift", "shuffle"})  # keep the differences of points
 
 
 def terms_for(
@@ -93,7 +91,7 @@ def of_homogenized(
 ) -> Cells:
     """Σ_{m≠0} |f_m|² ⟨|S_m|²⟩; the variance is NaN where the power has no closed form."""
     given, width = _of_one_technique(estimator), _half_width(estimator, sampler, n, asked)
-    if not _homogeneous(given, sampler, width):
+    if not _homogeneous(given, sampler, n):
         raise NoClosedForm(
             "The homogenized formula holds for uniform points that are the same after any "
             f"translation, not for {given.spec} with {sampler.spec}; add shift."
@@ -108,13 +106,13 @@ def of_homogenized(
     return _certain("homogenized", variance, how, _share(estimator, f))
 
 
-def draws_power(estimator: AbstractEstimator, sampler: Sampler, n: int, asked: Terms) -> bool:
+def draws_power(estimator: AbstractEstimator, sampler: Sampler, n: int) -> bool:
     """Whether the homogenized formula applies, but its power has no closed form."""
-    given, width = _of_one_technique(estimator), _half_width(estimator, sampler, n, asked)
+    given = _of_one_technique(estimator)
     try:
         closed_form_power(sampler, n, np.ones((1, estimator.domain_dims)))
     except NoClosedForm:
-        return _homogeneous(given, sampler, width)
+        return _homogeneous(given, sampler, n)
     return False
 
 
@@ -174,10 +172,9 @@ def _of_one_technique(estimator: AbstractEstimator) -> Estimator:
     return estimator
 
 
-def _homogeneous(given: Estimator, sampler: Sampler, width: int) -> bool:
+def _homogeneous(given: Estimator, sampler: Sampler, n: int) -> bool:
     """Whether the points are uniform and the same after any translation."""
-    stationary = fitting_basis(sampler, width) == "fourier"
-    return given.density is None and (stationary or sampler.name == "random")
+    return given.density is None and sampler.law(n).stationary
 
 
 def _half_width(estimator: AbstractEstimator, sampler: Sampler, n: int, asked: Terms) -> int:
@@ -227,13 +224,11 @@ def of_pairs(
     source, realizations = estimator.randomized(sampler), asked.realizations
 
     # Whether pairs are known, or may be counted
-    exact = source.name in ("random", "jittered")
-    base, steps = parts_of(source)
-    alone = source.structure is Structure.TORUS and source.unbiased and not steps
-    stationary = alone or (bool(steps) and steps[-1].stationary)
-    moved_only = all(step.name in _MOVES for step in steps)
-    lattice = moved_only and (base.fixed or base.name == "uniform-jitter")
-    if not exact and (source.dims > 2 or not stationary or lattice):
+    law = source.law(n)
+    jittered = isinstance(law, Strata) and law.jittered
+    exact = jittered or isinstance(law, Independent)
+    lattice = isinstance(law, Shifted) and law.inner.fixed
+    if not exact and (source.dims > 2 or not law.stationary or lattice):
         raise NoClosedForm(
             f"The variance of {source.spec} in {source.dims} dims is not found from pairs "
             "of points: give random or jittered, or in 1-D and 2-D a stationary set other than "
@@ -247,8 +242,7 @@ def of_pairs(
         if exact:
             # Random: all pairs; jittered: those in different cells
             (square, square_error), points = square_integral(g), n * count
-            jittered: Any = source if source.name == "jittered" else None
-            sides = jittered.sides(points) if jittered else (1,) * g.dims
+            sides: Any = getattr(source.law(points), "sides", (1,) * g.dims)
             squares = []  # Σ_j (∫_cell j g)²
             for order in orders_of(math.prod(sides), g.dims):
                 means, _ = stratum_moments(g, sides, np.zeros(g.dims), order)

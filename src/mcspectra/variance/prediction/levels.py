@@ -28,8 +28,7 @@ from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.integrands import Integrand
 from mcspectra.integrands._quadrature import gauss_rule
-from mcspectra.samplers import Jittered, Sampler, StrataShift
-from mcspectra.spectra.bases import parts_of
+from mcspectra.samplers.law import AntitheticPair, Fixed, Law, Moved, PairedAxes, Scrambled, Strata
 from mcspectra.spectra.gain import gains_at
 from mcspectra.variance.doors import NO_VARIANCE
 from mcspectra.variance.exact import level_variances, paired
@@ -52,18 +51,15 @@ _BLOCK = 2**20  # evaluations at a time
 _ROUNDING = 4e-15  # of ∫g², absolute
 _CLEAR, _DOUBT = 2.0, 0.5  # what tables miss of ∫g²: errors it must exceed, and doubt of its weight
 _MOST_ERROR, _NOISE = 0.2, 1e-12  # of the variance, from where on it is refused, and of ∫g²
-_KEEP_LAW = frozenset({"digital-shift", "permute"})
-_LATIN = ("latin-hypercube", "n-rooks")
 
 
-def of_levels(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
+def of_levels(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
     """Predict the variance of scrambled nets and of strata from means of g over cells.
 
     Parameters
     ----------
-    sampler, n
-        In 1 to 3 dims: fixed sets with owen or lms; jittered and antithetic-jittered, unshifted;
-        latin-hypercube in 1-D.
+    law
+        In 1 to 3 dims: fixed sets with nested or linear scrambling; strata without a random shift.
     known
         g, and the tables made for other counts and samplers.
     stream
@@ -79,43 +75,38 @@ def of_levels(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predict
     ----------
     [Owen1997]_, [Haber1967]_, [DickPillichshammer2010]_
     """
-    chain = sampler.as_chain(n)
-    if chain.fixed:
-        raise NoClosedForm(f"{sampler.spec} {NO_VARIANCE}.")
-    if known.g.dims > _MOST_DIMS:
+    if law.fixed:
+        raise NoClosedForm(f"{law.name} {NO_VARIANCE}.")
+    n, dims = law.n, law.dims
+    if dims > _MOST_DIMS:
         raise NoClosedForm(
-            f"Tables of cells are for at most {_MOST_DIMS} dims; {known.g.spec} has {known.g.dims}."
+            f"Tables of cells are for at most {_MOST_DIMS} dims; {known.g.spec} has {dims}."
         )
-    base, steps = parts_of(chain)
-    names, dims = {step.name for step in steps}, known.g.dims
-    if base.fixed and steps:
-        nested = "owen" in names or ("lms" in names and any(s.debiases for s in steps))
-        if nested and names <= _KEEP_LAW | {"owen", "lms"}:
-            return _scrambled(base, n, known)
-    if base.name == "antithetic-jittered" and not steps:
-        side = round((n // 2) ** (1.0 / dims))
-        mean, sides = Known(paired(known.g, side)), (side,) * dims
-        return _strata(sides, np.zeros(dims), n // 2, mean, "strata, pairs of points", whole=False)
-    if base.name in _LATIN and dims == 1 and names <= {"shuffle"}:
-        return _strata((n,), np.zeros(1), n, known, "strata")
-    if isinstance(base, Jittered) and all(isinstance(step, StrataShift) for step in steps):
-        offset: Any = np.zeros(dims)
-        for step in steps:
-            offset = offset + np.asarray(getattr(step, "offset", 0.0), float)
-        offset = offset % 1.0 * n ** (-1.0 / dims)
-        return _strata(base.sides(n), offset, n, known, "strata")
-    raise NoClosedForm(f"No gains by level and no strata are known for {sampler.spec}.")
+    if isinstance(law, Scrambled) and law.nested_pairs and isinstance(law.inner, Fixed):
+        return _scrambled(law.inner, law.bases, known)
+    offset = np.zeros(dims)
+    if isinstance(law, Moved):
+        offset, law = np.array(law.by), law.inner
+    match law:
+        case Strata(sides=sides, motif=AntitheticPair()) if not offset.any():
+            mean = Known(paired(known.g, sides[0]))
+            return _strata(sides, offset, n // 2, mean, "strata, pairs of points", whole=False)
+        case Strata(sides=sides) if law.jittered:
+            return _strata(sides, np.mod(offset, 1.0 / np.array(sides)), n, known, "strata")
+        case PairedAxes() if law.latin and dims == 1 and not offset.any():
+            return _strata((n,), offset, n, known, "strata")
+    raise NoClosedForm(f"No gains by level and no strata are known for {law.name}.")
 
 
-def _scrambled(net: Sampler, n: int, known: Known) -> Predicted:
+def _scrambled(net: Fixed, bases: tuple[int, ...], known: Known) -> Predicted:
     """Nested scrambling of a fixed set."""
-    bases, dims = net.digit_bases, net.dims
+    n, dims = net.n, net.dims
     origin: Any = (0,) * dims
 
     # Gains, a few digits further than n has: as a rule all coordinates differ there
     levels = math.ceil(math.log(max(n, 2), min(bases)) - 1e-9) + _MORE
     try:
-        gains = gains_at(net.law(n), bases, levels)  # type: ignore[arg-type]
+        gains = gains_at(net, bases, levels)
     except ParameterError as error:
         raise NoClosedForm(f"{error} Or use convergence or variance_terms.") from None
     wanted = np.abs(gains - 1.0) > 1e-9

@@ -16,8 +16,7 @@ from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator
 from mcspectra.samplers import Sampler
-from mcspectra.samplers.base import Structure
-from mcspectra.spectra.bases import parts_of
+from mcspectra.samplers.law import Fixed, Law, leaf_of
 from mcspectra.variance.doors import VANISHES, answer
 from mcspectra.variance.prediction.known import Cells
 from mcspectra.variance.prediction.predict import Prediction, Predictor
@@ -246,16 +245,15 @@ def _range(
             ends.append(np.interp(0.0, -off[k - 1 : k + 1], x[k - 1 : k + 1]))
     with np.errstate(over="ignore"):
         low, high = np.exp(ends)
-        if _doubles(sampler):
+        if _doubles(sampler.law(sampler.nearest_count(int(n)))):
             low, high = np.exp2(np.ceil(np.log2([low, high]) - 1e-6))
     return min(math.ceil(low - 1e-6), n), max(float(np.ceil(high - 1e-6)), n)
 
 
-def _doubles(sampler: Sampler) -> bool:
-    """Whether it is a net in base 2, balanced at powers of two alone."""
-    base, _ = parts_of(sampler)
-    digital = base.structure is Structure.DIGITS and base.fixed
-    return digital and set(sampler.digit_bases) == {2}
+def _doubles(law: Law) -> bool:
+    """Whether it is that of a net in base 2, balanced at powers of two alone."""
+    leaf = leaf_of(law)
+    return isinstance(leaf, Fixed) and set(leaf.bases or ()) == {2}
 
 
 def _cells(predictor: Predictor, sampler: Sampler, n: int) -> Cells:

@@ -11,8 +11,8 @@ import contextlib
 import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeAlias, final
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, final
 
 import msgspec
 import numpy as np
@@ -24,24 +24,28 @@ from mcspectra.core.errors import CountError, NoClosedForm, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNTS, HALF_WIDTH, Counts
 from mcspectra.core.parallel import MAX_REALIZATIONS
+from mcspectra.core.records import student_t
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, Estimator, Moments
 from mcspectra.estimators.mirrored import FoldedIntegrand, SymmetrizedIntegrand
 from mcspectra.estimators.moments import CONFIDENCE_Z, rounding_floor
 from mcspectra.integrands import Integrand
-from mcspectra.samplers import (
-    Jittered,
-    Mirror,
-    Owen,
-    Random,
-    Sampler,
-    Shift,
-    StrataShift,
+from mcspectra.samplers import Sampler
+from mcspectra.samplers.law import (
+    Choice,
+    Fixed,
+    Folded,
+    Independent,
+    Law,
+    Mirrored,
+    PairedAxes,
+    Shifted,
+    Strata,
+    as_scrambled,
+    leaf_of,
+    moved,
 )
-from mcspectra.samplers.base import FixedSet, Structure
-from mcspectra.samplers.stratified import root
-from mcspectra.spectra.bases import parts_of, without_last
 from mcspectra.variance.convergence import count_moments, count_stream
 from mcspectra.variance.doors import NO_VARIANCE, VANISHES, answer, counted
 from mcspectra.variance.exact import EXACT_TOLERANCE, estimated_variance, of_integrand
@@ -78,8 +82,6 @@ _LOOSE = 0.25  # half intervals, relative to the variance, that say nothing of r
 # Where c(1 − c), the part of jumps at faces, has its mean over all shifts
 _OFFSET = 0.5 - 0.5 / 3**0.5
 
-_SETS, _T_SETS = 16, 2.13  # of pmj, that are scrambled; Student's t of their mean
-
 # Tables, at the middles of cells
 _TABLE = {1: 2**16, 2: 2**10, 3: 100}  # cells along each axis
 _PROBE = 2**16  # points, random, at which a table is held against g
@@ -97,34 +99,33 @@ _NEAR_SETS, _NEAR_POINTS = 1000, 2**20  # of those next to n, and their points: 
 _MOST_FACTOR = 30.0  # by which an extrapolation may be off at most
 
 
-def of_quadrature(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
+def of_quadrature(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
     """The exact variance, to the error of its quadrature; shifted strata are cheaper on the torus."""
-    g, (_, steps) = known.g, parts_of(sampler)
+    g = known.g
     dear = not in_closed_form(g) or sum(map(len, g.breaks)) > _MOST_BREAKS
-    if g.dims > 1 and any(isinstance(s, Shift) for s in steps) and dear:
+    if g.dims > 1 and isinstance(law, Shifted) and dear:
         raise NoClosedForm("A quadrature for every offset of the strata would take long.")
-    return Predicted(*of_integrand(sampler, n, known.g, _TOLERANCE, _EVALUATIONS), "quadrature")
+    return Predicted(*of_integrand(law, g, _TOLERANCE, _EVALUATIONS), "quadrature")
 
 
-def of_limits(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
+def of_limits(law: Law, known: Known, stream: Stream) -> Predicted:
     """Many points at little cost: no sets are drawn, and shifted strata have one offset, not all."""
     if np.isinf(known.square[0]).any():
         raise NoClosedForm("∫g² diverges.")
-    base, steps = parts_of(sampler)
-    alone = base.name == "random" or (base.fixed and len(steps) == 1 and steps[0].stationary)
-    if alone or not any(step.stationary for step in steps):
+    alone = isinstance(law, Independent) or (isinstance(law, Shifted) and law.inner.fixed)
+    if alone or not isinstance(law, Shifted):
         with contextlib.suppress(NoClosedForm):
-            return of_few_moves(sampler, n, known, stream)
+            return of_few_moves(law, known, stream)
     if alone:
-        return of_torus(sampler, n, known, stream)
-    if isinstance(base, Jittered) and any(isinstance(step, Shift) for step in steps):
-        sampler = base.then(StrataShift(offset=_OFFSET))
-    if base.name == "latin-hypercube" and sampler.dims > 1:
-        return of_subsets(sampler, n, known, stream)
-    return of_levels(sampler, n, known, stream)
+        return of_torus(law, known, stream)
+    if isinstance(law, Shifted) and isinstance(law.inner, Strata):
+        law = moved(law.inner, [_OFFSET * law.n ** (-1.0 / law.dims)] * law.dims)
+    if isinstance(law, PairedAxes) and law.latin and law.dims > 1:
+        return of_subsets(law, known, stream)
+    return of_levels(law, known, stream)
 
 
-def of_table(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
+def of_table(law: Law, known: Known, stream: Stream) -> Predicted:
     """Measure a table of g with sets of the sampler, and add what the table leaves out.
 
     It holds g at the middles of fine cells, once for all samplers and counts, and is linear between them.
@@ -134,7 +135,9 @@ def of_table(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicte
         raise NoClosedForm("A table takes 1 to 3 dims.")
     if np.isinf(known.square[0]).any():
         raise NoClosedForm("∫g² diverges.")
-    g = known.g
+    if law.source is None:
+        raise NoClosedForm("These points have no sampler.")
+    g, n = known.g, law.n
 
     def tabulated() -> tuple[Integrand, Array, Array]:
         """A table of g, and ∫(g − table)² with half its 95 % interval, by channel."""
@@ -154,9 +157,9 @@ def of_table(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicte
 
     table, missed, miss = known.once("table", tabulated)
     sets = min(max(_POINTS // n, _LEAST_SETS), _MOST_SETS)
-    moments = count_moments(Estimator(table), sampler, n, sets, stream)
+    moments = count_moments(Estimator(table), law.source, n, sets, stream)
     if not (moments.resolved & (moments.variance > rounding_floor(moments.mean))).all():
-        raise NoClosedForm(f"{sets} sets do not tell the variance of {sampler.spec}.")
+        raise NoClosedForm(f"{sets} sets do not resolve the variance of {law.name}.")
     tail = missed / n
     # Points may be as good within cells as they are beyond, or as bad as at random
     error = CONFIDENCE_Z * moments.relative_se * moments.variance + tail + miss / n
@@ -164,9 +167,11 @@ def of_table(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicte
     return Predicted(moments.variance + tail, error, f"{sets} sets", share, tail)
 
 
-def of_measurements(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
+def of_measurements(law: Law, known: Known, stream: Stream) -> Predicted:
     """Extrapolate the variances of the sampler's small sets."""
-    return extrapolated(Estimator(known.g), sampler, n, known, stream)
+    if law.source is None:
+        raise NoClosedForm("These points have no sampler.")
+    return extrapolated(Estimator(known.g), law.source, law.n, known, stream)
 
 
 def extrapolated(
@@ -223,7 +228,7 @@ def extrapolated(
     return Predicted(variance, error, f"from measurements at {listed}", 0.0, variance)
 
 
-Method: TypeAlias = Callable[[Sampler, int, Known, Stream], Predicted]
+Method: TypeAlias = Callable[[Law, Known, Stream], Predicted]
 Methods: TypeAlias = Sequence[tuple[str, Method]]
 
 _AUTO: Methods = (
@@ -383,7 +388,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
         for s, sampler in enumerate(samplers):
             for n in self.counts if not set(_SAMPLED).isdisjoint(methods) else ():
                 terms, _, refusal = self._terms(Subject(estimator, sampler), n)
-                if self.method != "homogenized" or draws_power(estimator, sampler, n, terms):
+                if self.method != "homogenized" or draws_power(estimator, sampler, n):
                     reduction = terms.reduction(Subject(estimator, sampler), own)
                     sampled[s, n] = replace(reduction, key=f"{s} {n}"), refusal
         step: list[Reduction[Any]] = [reduction for reduction, _ in sampled.values()]
@@ -647,7 +652,7 @@ class Predictor:
         try:
             if not n:
                 raise NoClosedForm("there is no such count")
-            if source.as_chain(n).fixed:
+            if source.law(n).fixed:
                 raise NoClosedForm(f"a deterministic sampler {NO_VARIANCE}")
             known, stream = self._known, self._stream
             said = [each.constant for each in known]
@@ -664,7 +669,7 @@ class Predictor:
             else:
                 places = enumerate(zip(estimator.counts, known, strict=True))
                 parts = [
-                    _by_methods(source.as_chain(n * c), n * c, each, stream.child(t), methods)
+                    _by_methods(source.law(n * c), each, stream.child(t), methods)
                     for t, (c, each) in places
                 ]
             # What their shares weigh
@@ -706,38 +711,34 @@ class Predictor:
         """What theory knows of the rate at large n: of several techniques the slowest."""
         source, found = self.estimator.randomized(sampler), []
         for count, known in zip(self.estimator.counts, self._known, strict=True):
-            chain = source.as_chain(counts[-1] * count)
-            steps = parts_of(chain)[1]
-            g = known.g
-            if steps and isinstance(steps[-1], Mirror):
-                chain = without_last(chain)
-                seen = FoldedIntegrand if steps[-1].mode == "fold" else SymmetrizedIntegrand
-                g = looked_at(seen(g))
+            laws, g = [source.law(n * count) for n in counts], known.g
+            if isinstance(laws[0], Folded | Mirrored):
+                seen = FoldedIntegrand if isinstance(laws[0], Folded) else SymmetrizedIntegrand
+                laws, g = [law.inner for law in laws], looked_at(seen(g))  # type: ignore[attr-defined]
             if not known.constant and np.isfinite(known.square[0]).all():
-                found.append(slowest_of_jumps(g, chain, [n * count for n in counts]))
+                found.append(slowest_of_jumps(g, laws))
         return max(found, key=lambda each: each.exponent, default=Slowest())
 
 
-def _by_methods(
-    sampler: Sampler, n: int, known: Known, stream: Stream, methods: Methods
-) -> Predicted:
-    """The first method that applies; points that are mirrored last see another integrand."""
-    if n == 1 and sampler.unbiased:  # one point, which is as at random
-        sampler = Random(dims=sampler.dims)
-    if sets := _scrambled_sets(sampler, n):
-        parts = [_by_methods(one.then(Owen()), n, known, stream, methods) for one in sets]
+def _by_methods(law: Law, known: Known, stream: Stream, methods: Methods) -> Predicted:
+    """The first method that applies to a law; mirrored points see another integrand."""
+    n = law.n
+    if n == 1 and law.uniform:  # one point, which is as at random
+        law = Independent(n=1, dims=law.dims)
+    law = as_scrambled(law)
+    if isinstance(law, Choice):
+        parts = [_by_methods(one, known, stream, methods) for one in law.laws]
         values = np.array([part.variance for part in parts])
-        spread = _T_SETS * values.std(axis=0, ddof=len(sets) > 1) / math.sqrt(len(sets))
+        spread = student_t(len(parts)) * values.std(axis=0, ddof=1) / math.sqrt(len(parts))
         error = np.hypot(np.mean([part.error for part in parts], axis=0), spread)
         return replace(parts[0], variance=values.mean(axis=0), error=error)
-    base, steps = parts_of(sampler)
     if methods is _AUTO and known.g.costly:
         methods = _OF_COSTLY
     if known.constant:  # a technique of several
         none = 0.0 * known.square[0]
         return Predicted(none, none, "the same at all points", method=methods[0][0])
-    best = None
-    lattice = base.fixed and base.structure is Structure.TORUS
+    best, leaf = None, leaf_of(law)
+    lattice = isinstance(leaf, Fixed) and leaf.even
     for place, (name, method) in enumerate(methods):
         # Where products miss jumps and kinks across many axes the narrower interval counts; but of
         # lattices, a count tells nothing of those next to it
@@ -746,7 +747,7 @@ def _by_methods(
             if good or (lattice and name == "extrapolated"):
                 continue
         try:
-            found = replace(method(sampler, n, known, stream), method=name)
+            found = replace(method(law, known, stream), method=name)
             # One method may see what others do not: none knows more than the probe
             if np.isfinite(found.variance).all():
                 found = replace(found, error=np.maximum(found.error, known.unseen / n))
@@ -758,19 +759,18 @@ def _by_methods(
             reason = error
         if place == 0 and best is None:
             chosen = len(methods) == 1 and methods is not _LIMITS  # by its name
-            if sampler.unbiased and not chosen and np.isinf(known.square[0]).any():
+            if law.uniform and not chosen and np.isinf(known.square[0]).any():
                 infinite = np.where(np.isinf(known.square[0]), math.inf, math.nan)
                 return Predicted(infinite, infinite, "∫g² = ∞", 0.0, infinite, "exact")
-            if steps and isinstance(steps[-1], Mirror) and (steps[:-1] or not base.fixed):
-                # The prediction of the sampler inside with another integrand (`mcspectra.variance.exact`)
-                inner, mode = without_last(sampler), steps[-1].mode
-                if mode == "fold":
+            if isinstance(law, Folded | Mirrored) and not law.inner.fixed:
+                # The prediction of the set inside with another integrand (`mcspectra.variance.exact`)
+                if isinstance(law, Folded):
                     folded = known.once("folded", lambda: Known(FoldedIntegrand(known.g)))
-                    return _by_methods(inner, n, folded, stream, methods)
+                    return _by_methods(law.inner, folded, stream, methods)
                 average = known.once("symmetrized", lambda: Known(SymmetrizedIntegrand(known.g)))
-                if mode == "uniform":
-                    return _by_methods(inner, n >> known.g.dims, average, stream, methods)
-                found = _by_methods(inner, n, average, stream, methods)
+                found = _by_methods(law.inner, average, stream, methods)
+                if law.mode == "uniform":
+                    return found
                 coins = np.maximum(known.square[0] - average.square[0], 0.0) / n
                 rounding = np.hypot(found.error, (known.square[1] + average.square[1]) / n)
                 return replace(found, variance=found.variance + coins, error=rounding)
@@ -779,56 +779,14 @@ def _by_methods(
     raise reason
 
 
-@final
-@dataclass(frozen=True, kw_only=True)
-class _OneSet(FixedSet):
-    """One set of a sampler, all sets of which are scrambles of it in a base."""
-
-    name: ClassVar[str] = "one-set"
-    structure: ClassVar[Structure] = Structure.DIGITS
-    sampler: Sampler
-    base: int
-    dims: int
-    seed: int
-
-    @property
-    def digit_bases(self) -> tuple[int, ...]:
-        """The base, along each axis."""
-        return (self.base,) * self.dims
-
-    def _set(self, n: int) -> Array:
-        return np.asarray(self.sampler.draw_stream(n, Stream.from_rng(self.seed), 0, 1)[0])
-
-
-def _scrambled_sets(sampler: Sampler, n: int) -> list[Sampler]:
-    """Sets that have the law of the sampler's once they are scrambled with owen, as many as it takes.
-
-    Arrays of strength 2 whose s-ths are shared out at random [Tang1993]_, as multi-jittered is for
-    n = s², are nets in base s: the second digits are permuted within each first one. pmj and pmj02 are
-    scrambled by their making [Helmer2021]_; of pmj which digits agree is random.
-    """
-    inner, steps = parts_of(sampler)
-    name, jitter = inner.name, getattr(inner, "jitter", "multi-jittered")
-    strong = getattr(inner, "strength", 1) == 2 and jitter == "multi-jittered"
-    side = root(n, 2)
-    if any(step.name != "shuffle" for step in steps):
-        return []
-    if (strong or name == "multi-jittered") and side**2 == n > 1:
-        count, base = 1, side
-    elif name == "pmj" or (name == "pmj02" and n & (n - 1) == 0):
-        count, base = _SETS if name == "pmj" else 1, 2
-    else:
-        return []
-    return [_OneSet(sampler=sampler, base=base, dims=sampler.dims, seed=k) for k in range(count)]
-
-
 def _places(sampler: Sampler, counts: Sequence[int]) -> list[int]:
     """A count before a single one, the counts, and two beyond them; 0 where there is none."""
     last = counts[-1]
     half = sampler.nearest_count(max(1, last // 2)) if len(counts) == 1 else last
-    base, _ = parts_of(sampler)
-    ahead = [_AHEAD * last]
-    if isinstance(base, Jittered):  # which are cheap where one table has the cells of all
+    ahead, leaf = [_AHEAD * last], leaf_of(sampler.law(last))
+    if (
+        isinstance(leaf, Strata) and leaf.jittered
+    ):  # which are cheap where one table has the cells of all
         top = sampler.dims * (_MOST_AHEAD // sampler.dims)
         ahead = [2 ** (top - max(sampler.dims, 2)), 2**top]
     beyond = [sampler.nearest_count(n) for n in ahead if n <= 2**_MOST_AHEAD]

@@ -22,9 +22,18 @@ from mcspectra.core.tally import counting
 from mcspectra.integrands import Integrand
 from mcspectra.integrands._quadrature import PROBE, probe
 from mcspectra.integrands.registry import as_integrand
-from mcspectra.samplers import Sampler
-from mcspectra.samplers.base import Structure
-from mcspectra.spectra.bases import parts_of
+from mcspectra.samplers.law import (
+    Choice,
+    Fixed,
+    Independent,
+    Law,
+    PairedAxes,
+    Shifted,
+    Stationary,
+    Strata,
+    Unknown,
+    leaf_of,
+)
 from mcspectra.variance.quadrature import mesh, values_at
 
 __all__ = ["DECAYS", "DecayFit", "fitted_decay", "integrand_decay", "predicted_rate"]
@@ -119,40 +128,57 @@ class Slowest:
     sure: bool = True
 
 
-def slowest_of_jumps(g: Integrand, sampler: Sampler, counts: Sequence[int]) -> Slowest:
-    """The rate that jumps of g leave to stratified sets, lattices and nets.
+def slowest_of_jumps(g: Integrand, laws: Sequence[Law]) -> Slowest:
+    """The rate that jumps of g leave to stratified sets, lattices and nets, of laws at several n.
 
     Of n^(1 − 1/d) strata that a jump cuts each is as large as the others: −1 − 1/d. Across an axis it cuts
     one of n strata of sets whose projections are stratified: −2; none where it is at a border of
     strata at all counts. On the torus g may jump at the border of the cube. Lattices see a straight
     line as well as an axis, and disks at −1 − 1/d in the mean over n alone.
     """
-    d, (base, steps) = g.dims, parts_of(sampler)
+    d, law = g.dims, laws[-1]
     curves = -1.0 - 1.0 / d
-    if base.name == "random":
+    if isinstance(law, Independent):
         return Slowest(-1.0)
-    if base.structure is Structure.UNKNOWN or g.costly or d > _LOOKED_DIMS:
+    cells = [_cells_of_axes(each) for each in laws]
+    if not cells[-1] or g.costly or d > _LOOKED_DIMS:
         return Slowest()
-    shifted = any(step.stationary for step in steps)
     across, along = _jumps(g)
     cut = False
     for axis, place in across:
-        for n in counts:
-            cells = n if base.structure is Structure.STRATA else 0
-            if base.name in ("jittered", "regular"):
-                cells = round(n ** (1.0 / d))
-            elif base.structure is Structure.DIGITS:
-                digit = base.digit_bases[axis]
-                cells = digit ** int(math.log(n) / math.log(digit) + 1e-9)
-            off = abs(place * cells - round(place * cells)) if cells else 1.0
-            cut |= shifted or (0.0 < place < 1.0 and off > _AT_BORDER)
+        for each in cells:
+            off = abs(place * each[axis] - round(place * each[axis])) if each[axis] else 1.0
+            cut |= isinstance(law, Shifted) or (0.0 < place < 1.0 and off > _AT_BORDER)
+    set_ = leaf_of(law)
+    regular = isinstance(set_, Fixed) and set_.sides is not None
+    even = isinstance(set_, Stationary) or (isinstance(set_, Fixed) and set_.even)
     found = []
     if cut:
-        of_axis = {"jittered": curves, "regular": -2.0 / d}.get(base.name, -2.0)
+        of_axis = curves if isinstance(set_, Strata) else -2.0 / d if regular else -2.0
         found.append(Slowest(of_axis))
-    if along and base.name != "regular":
-        found.append(Slowest(curves, base.structure is not Structure.TORUS))
+    if along and not regular:
+        found.append(Slowest(curves, not even))
     return max(found, key=lambda each: each.exponent, default=Slowest())
+
+
+def _cells_of_axes(law: Law) -> tuple[int, ...]:
+    """Number of strata along each axis, 0 where there are none; empty where nothing is known."""
+    match leaf_of(law):
+        case Strata(sides=sides):
+            return sides
+        case PairedAxes(strata=strata, parts=parts):
+            return tuple(s * p for s, p in zip(strata, parts, strict=True))
+        case Fixed(sides=tuple() as sides):
+            return sides
+        case Unknown(strata=tuple() as strata):
+            return strata
+        case Fixed(bases=tuple() as bases):
+            return tuple(b ** int(math.log(law.n) / math.log(b) + 1e-9) for b in bases)
+        case Choice(laws=laws):
+            return _cells_of_axes(laws[0])
+        case Fixed(even=True) | Stationary():
+            return (0,) * law.dims
+    return ()
 
 
 @np.errstate(over="ignore", invalid="ignore")  # next to poles

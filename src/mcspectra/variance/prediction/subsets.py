@@ -42,9 +42,18 @@ from mcspectra.core.errors import NoClosedForm
 from mcspectra.core.jit import kernel
 from mcspectra.core.streams import Stream
 from mcspectra.integrands import Integrand
-from mcspectra.samplers import Jittered, Random, Sampler, as_sampler
-from mcspectra.samplers.base import Structure
-from mcspectra.spectra.bases import hadamard, parts_of, without_last
+from mcspectra.samplers import as_sampler
+from mcspectra.samplers.law import (
+    Fixed,
+    Independent,
+    Law,
+    PairedAxes,
+    Scrambled,
+    Shifted,
+    Stationary,
+    Strata,
+)
+from mcspectra.spectra.bases import hadamard
 from mcspectra.variance.prediction.known import Known, Predicted, half_interval
 from mcspectra.variance.prediction.torus import lattice_basis
 from mcspectra.variance.quadrature import values_at
@@ -77,19 +86,17 @@ _ADDS_UP = 20.0  # times its part of white points, kinks on lattices
 _RESOLVED = (2e-3, 0.01)  # relative error of curves between their nodes: smooth, and with jumps
 _MOST_WORK = 2.0**34  # pairs of points times axes times groups
 _DRAWS = 8  # of a set that is random before its shift or scramble
-_LATIN = ("latin-hypercube", "n-rooks")
-_KEEP_LAW = frozenset({"owen", "digital-shift", "permute"})  # of nested scrambling
 _DIGITS = 1 << 13  # cells of an axis that digits tell apart, or more where there are more points
 
 
-def of_subsets(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
+def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
     """Predict the variance from single axes, sums of products and the law of pairs of points.
 
     Parameters
     ----------
-    sampler, n
-        random, jittered, latin-hypercube; any set with shift; nets and sequences with owen, and those
-        in base 2 with digital-shift.
+    law
+        Independent points, strata, Latin hypercubes; any set that is the same after all translations;
+        nested and linear scrambles, and digital shifts in base 2.
     known
         The integrand, two dims or more; about 2^20 evaluations, once for all counts and samplers.
     stream
@@ -103,40 +110,40 @@ def of_subsets(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predic
     Raises
     ------
     NoClosedForm
-        One dim, or a sampler whose pairs of points have no law that is known here.
+        One dim, or a law whose pairs of points have no law that is known here.
     """
     g = known.g
     if g.dims < _LEAST_DIMS:
         raise NoClosedForm("Subsets of axes need two dims; use exact_variance or convergence.")
-    source = sampler.as_chain(n)
-    base, steps = parts_of(source)
-    names = {step.name for step in steps}
-    if isinstance(base, Jittered) and not steps:
-        return known.once(f"subsets: strata {n}", lambda: _of_strata(base, n, g))
+    n = law.n
+    if isinstance(law, Strata) and law.jittered:
+        return known.once(f"subsets: strata {law.sides}", lambda: _of_strata(law.sides, g))
     parts = known.once("subsets: parts", lambda: _all_parts(known))
-    if isinstance(base, Random) and names <= _KEEP_LAW | {"shift", "shuffle", "lms"}:
+    if isinstance(law, Independent):
         variance, half = np.array([[p.variance, p.half] for p in parts]).T / n
         return Predicted(variance, half, "energy of g")
-    law, codes, rows = _law_of(source, n, stream)
+    pairs, codes, rows = _pairs_of(law, stream)
     work = float(len(rows)) * codes[..., 0].size * _RANK**2
     if work > _MOST_WORK:
         raise NoClosedForm(
-            f"The pairs of {n} points of {source.spec} in {g.dims} dims are too many; use convergence."
+            f"The pairs of {n} points of {law.name} in {g.dims} dims are too many; use convergence."
         )
     found = []
     for c, p in enumerate(parts):
         first, rest, means, weights = known.once(
-            f"subsets: {c} {law}", functools.partial(law.tables, p)
+            f"subsets: {c} {pairs}", functools.partial(pairs.tables, p)
         )
-        mode = ("digits", "xor", "torus").index(law.kind)
-        sums = [pair_sums(x, rows, mode, law.bases[0], first, rest, means, weights) for x in codes]
+        mode = ("digits", "xor", "torus").index(pairs.kind)
+        sums = [
+            pair_sums(x, rows, mode, pairs.bases[0], first, rest, means, weights) for x in codes
+        ]
         by_set = np.array(sums).mean(axis=1) / n  # (sets, 1 + groups + 1)
         sets, mean = by_set[:, 0] + by_set[:, -1], by_set.mean(axis=0)
         ones, more = mean[:-1], mean[-1]
         # What the fit misses: white to 100 %, and correlated with the fit by a half either way; where one
         # offset moves all points, it may add up
         tail = p.residual / n
-        together = law.kind != "digits" and len(codes) == 1
+        together = pairs.kind != "digits" and len(codes) == 1
         half = (_ADDS_UP if together else 1.0) * tail + math.sqrt(max(ones[0] + more, 0.0) * tail)
         # All that counts of Latin hypercubes but single axes: as points saw it, or of the whole energy
         single = first[:, -1].sum(axis=0)
@@ -145,7 +152,7 @@ def of_subsets(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predic
             math.hypot(p.half, float(half_interval(single[1:]))),
         )
         joint, joint_half = min(p.joint, of_whole, key=lambda each: each[1])
-        if law.latin and joint_half < p.residual:
+        if pairs.latin and joint_half < p.residual:
             # Its weight is 1 within strata and n/(n − 1) between them
             joint = max(joint, 0.0) / n
             either = 0.5 * joint / max(n - 1.0, 1.0)
@@ -154,7 +161,7 @@ def of_subsets(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predic
         drawn = half_interval(sets) if len(sets) > 1 else 0.0
         seen = p.half / p.variance if p.variance > 0.0 else 0.0  # of peaks, that few points meet
         rough = any(len(axis.knots) > 2 for axis in p.axes)
-        rough |= law.leaves_cells and 32 * n > _FINEST
+        rough |= pairs.leaves_cells and 32 * n > _FINEST
         between = _RESOLVED[rough] * value
         error = math.hypot(float(half_interval(ones[1:])), half, drawn, between, seen * value)
         share = max(0.0, 1.0 - p.residual / p.variance) if p.variance > 0.0 else 0.0
@@ -215,7 +222,7 @@ class _Parts:
 
 @final
 @dataclass(frozen=True)
-class _Law:
+class _Pairs:
     """What the covariance of the values at two points depends on, along each axis.
 
     digits: in how many first digits in `bases` the coordinates agree, `levels` at most. xor and torus:
@@ -331,14 +338,14 @@ def pair_sums(
     return out
 
 
-def _of_strata(base: Jittered, n: int, g: Integrand) -> Predicted:
+def _of_strata(sides: tuple[int, ...], g: Integrand) -> Predicted:
     """Half the mean square of differences within strata, by scrambled nets of pairs."""
-    sides = np.array(base.sides(n), float)
+    cells = np.array(sides, float)
     u = _net(2 * g.dims, _STRATA, _REPLICATES, 1)
     x, other = u[..., : g.dims], u[..., g.dims :]
-    within = (np.floor(x * sides) + other) / sides
+    within = (np.floor(x * cells) + other) / cells
     change = values_at(g, x) - values_at(g, np.minimum(within, BELOW_ONE))
-    spread = 0.5 * (change**2).mean(axis=1) / n
+    spread = 0.5 * (change**2).mean(axis=1) / math.prod(sides)
     return Predicted(spread.mean(axis=0), half_interval(spread), "pairs in strata")
 
 
@@ -573,41 +580,35 @@ def _least_squares(
     return weights
 
 
-def _law_of(source: Sampler, n: int, stream: Stream) -> tuple[_Law, Array, Array]:
-    """The law of pairs of a sampler; codes of its points (sets, n, d, digits), and rows that show all."""
-    base, steps = parts_of(source)
-    names, d = {step.name for step in steps}, source.dims
+def _pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
+    """How pairs of points lie; codes of the points (sets, n, d, digits), and rows that show all pairs."""
+    n, d = law.n, law.dims
     every, one = np.arange(n), np.arange(1)
-    latin = base.name in _LATIN and getattr(base, "strength", 1) == 1
-    if latin and names <= {"shuffle"}:
+    if isinstance(law, PairedAxes) and law.latin:
         codes = np.arange(n)[None, :, None, None].repeat(d, axis=2)
-        return _Law("digits", (n,) * d, (1,) * d, latin=True), codes, one
-    last = steps[-1].name if steps else ""
-    points = base
-    net = base.fixed and n & (n - 1) == 0 and base.structure is Structure.DIGITS
-    if last == "shift":
-        points = without_last(source)
-    elif (
-        not names or not names <= _KEEP_LAW or not ("owen" in names or set(base.digit_bases) == {2})
-    ):
+        return _Pairs("digits", (n,) * d, (1,) * d, latin=True), codes, one
+    set_ = law.inner if isinstance(law, Shifted | Scrambled) else law
+    unknown = isinstance(law, Scrambled) and not (law.nested_pairs or law.xor)
+    if unknown or not isinstance(law, Shifted | Scrambled | Stationary):
         raise NoClosedForm(
-            f"No law of pairs of points is known for {source.spec} in {d} dims; use convergence."
+            f"No law of pairs of points is known for {law.name} in {d} dims; use convergence."
         )
-    x = points.draw_stream(n, stream, 0, 1 if points.fixed else _DRAWS)
-    if last == "shift":
+    digital = isinstance(set_, Fixed) and set_.digital
+    x = set_.draw(stream, 0, 1 if set_.fixed else _DRAWS)
+    if not isinstance(law, Scrambled):
         lattice = np.abs(x * n - np.rint(x * n)).max() < 1e-6
         cells = n if lattice else _TORUS
         codes = np.rint(x * cells).astype(np.int64)[..., None] % cells
         return (
-            _Law("torus", (cells,) * d, (1,) * d),
+            _Pairs("torus", (cells,) * d, (1,) * d),
             codes,
             one if lattice and lattice_basis(x[0]) is not None else every,
         )
-    if "owen" not in names:
+    if law.xor:
         cells = 1 << (n - 1).bit_length()
         codes = np.floor(x * cells).astype(np.int64)[..., None]
-        return _Law("xor", (cells,) * d, (1,) * d), codes, one if net else every
-    bases = base.digit_bases
+        return _Pairs("xor", (cells,) * d, (1,) * d), codes, one if digital else every
+    bases = law.bases
     levels = tuple(math.ceil(math.log(max(n, _DIGITS), b) - 1e-9) for b in bases)
     codes = np.zeros((*x.shape, max(levels)), np.int64)
     for axis, (b, most) in enumerate(zip(bases, levels, strict=True)):
@@ -615,7 +616,8 @@ def _law_of(source: Sampler, n: int, stream: Stream) -> tuple[_Law, Array, Array
         whole = np.floor(x[..., axis] * b**most + (0.0 if b & (b - 1) == 0 else 1e-9))
         for level in range(most):
             codes[..., axis, level] = whole // b ** (most - 1 - level) % b
-    return _Law("digits", bases, levels), codes, one if net and set(bases) == {2} else every
+    binary = digital and set(bases) == {2}
+    return _Pairs("digits", bases, levels), codes, one if binary else every
 
 
 def _net(dims: int, n: int, replicates: int, label: int) -> Array:

@@ -32,10 +32,9 @@ from mcspectra.core.errors import NoClosedForm
 from mcspectra.core.streams import Stream
 from mcspectra.integrands import Integrand
 from mcspectra.integrands._quadrature import grid_coefficients
-from mcspectra.samplers import Randomized, Regular, Sampler, UniformJitter
-from mcspectra.samplers.base import Structure
-from mcspectra.spectra.bases import parts_of
-from mcspectra.spectra.closed_forms import closed_form_power
+from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.samplers.law import Independent, Law, Scrambled, Shifted
+from mcspectra.spectra.closed_forms import moments_of
 from mcspectra.variance.prediction.known import Known, Predicted, half_interval
 from mcspectra.variance.quadrature import mesh
 
@@ -74,7 +73,6 @@ _DIAGONALS = {
 }
 _BLOCK = 2**18  # frequencies of which a closed form is asked at once
 _EPS = 1e-9
-_STILL = frozenset({"strata-shift", "shuffle"})  # steps that leave the law on the torus as it is
 
 _SHELLS = 6  # of the box, each √2 wide, whose power says how white the tail is
 _NORMAL = 1.96
@@ -100,8 +98,8 @@ _WHOLE = 1e-6  # differences of lattice points from multiples of 1/n, times n
 _RELATIVE = 1e-9  # of sums that do not cancel
 _LEAST_OFFSETS, _OFFSETS, _MOST_EVALUATIONS = 2**6, 2**13, 2**23  # of a lattice that is moved
 _AT_ONCE = 2**20  # evaluations
-_SPREADS = 16  # parts of the offsets, whose variances tell the error
-_KEEP_LAW = frozenset({"digital-shift", "permute"})  # in base 2 the same thing
+_SPREADS = 16  # nets of offsets, whose variances give the standard error
+_OWN = Stream(0x0FF5E7)  # of the offsets
 _BITS = 2.0**53
 _LEAST_BOX, _BOX = 32, 6.0  # half width of the box of a homogeneous set, and in units of n^(1/d)
 
@@ -158,13 +156,11 @@ class Region:
         )
         return np.asarray(np.abs(found) ** 2)
 
-    def power(self, sampler: Sampler, n: int) -> Array:
+    def power(self, law: Law) -> Array:
         """The closed form of P, on the grid."""
-        m = self.frequencies()
-        blocks = [
-            closed_form_power(sampler, n, m[start : start + _BLOCK])
-            for start in range(0, len(m), _BLOCK)
-        ]
+        m = self.frequencies().astype(float)
+        blocks = [m[start : start + _BLOCK] for start in range(0, len(m), _BLOCK)]
+        blocks = [moments_of(law, law.name, some).power(some) for some in blocks]
         return np.concatenate(blocks).reshape(self.shape)
 
     def symmetrized(self) -> Region:
@@ -233,7 +229,7 @@ def _energies(g: Integrand) -> tuple[Region, ...]:
     return tuple(regions)
 
 
-def of_torus(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
+def of_torus(law: Law, known: Known, stream: Stream) -> Predicted:
     """Predict the variance with a set that is the same after any translation, in 1 to 3 dims.
 
     Raises
@@ -241,10 +237,11 @@ def of_torus(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicte
     NoClosedForm
         The set is another, or has more dims, or ∫g² diverges.
     """
-    inner = _before_shift(sampler, n)
-    if inner is None or (sampler.dims > 3 and inner.name != "random"):
+    n, dims = law.n, law.dims
+    inner = law.inner if isinstance(law, Shifted) else law
+    if not law.stationary or (dims > 3 and not isinstance(law, Independent)):
         raise NoClosedForm(
-            f"{sampler.spec} is not known to be the same after any translation, or has over 3 dims."
+            f"{law.name} is not known to be the same after any translation, or has over 3 dims."
         )
     square, square_error = known.square
     mean = np.atleast_1d(np.asarray(known.g.integral, float))
@@ -252,14 +249,14 @@ def of_torus(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicte
     spread = np.where(spread > _ROUNDING * square, spread, 0.0)
     if not np.isfinite(square).all():
         raise NoClosedForm(f"∫g² of {known.g.spec} diverges.")
-    if inner.name == "random":
+    if isinstance(law, Independent):
         error = square_error / n + _ROUNDING * square / n
-        if sampler.dims > 3 and (error > _VAGUE * spread / n).any():
+        if dims > 3 and (error > _VAGUE * spread / n).any():
             raise NoClosedForm(f"∫g² of {known.g.spec} is not known well enough by quadrature.")
         return Predicted(spread / n, error, "∫g²")
 
     if inner.fixed:
-        points = inner.draw_stream(n, Stream.from_rng(0), 0, 1)[0]
+        points = inner.draw(Stream.from_rng(0), 0, 1)[0]
         if known.g.fourier_source == "exact" and lattice_basis(points) is not None:
             return _of_dual(points, known)
     regions = known.once("torus", lambda: _energies(known.g))
@@ -268,16 +265,16 @@ def of_torus(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicte
         sampling, how = np.zeros(len(spread)), "one transform"
     else:
         try:
-            powers = [r.power(sampler, n) for r in regions]
+            powers = [r.power(law) for r in regions]
             sampling, how = np.zeros(len(spread)), "closed form"
         except NoClosedForm:
-            if inner is sampler:
+            if inner is law:
                 box = known.once("torus, symmetrised", regions[0].symmetrized)
-                width = max(_LEAST_BOX, math.ceil(_BOX * n ** (1.0 / sampler.dims)))
+                width = max(_LEAST_BOX, math.ceil(_BOX * n ** (1.0 / dims)))
                 regions = (_cropped(box, width)[0],)
             else:
                 regions = tuple(r for r in regions if r.near)
-            powers, sampling, count = _drawn(inner, n, regions, stream, isotropic=inner is sampler)
+            powers, sampling, count = _drawn(inner, regions, stream, isotropic=inner is law)
             how = f"{count} sets"
 
     # Add the tail, and what it may be off by
@@ -375,12 +372,12 @@ def _of_dual(points: Array, known: Known) -> Predicted:
     return Predicted(value + tail, error, "dual lattice", share, tail)
 
 
-def of_moves(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
+def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
     """The variance of the mean of g over a fixed set that one random offset moves, in any dims.
 
-    The means at offsets of our own, of a Kronecker sequence, have this variance to a share that does not
-    depend on n; of a lattice those in one of its cells are all there are. The interval is by Student's t of
-    successive parts. Pairs, E g(u) g(u + x_k) over independent u, need more: the square of the mean is
+    The means at offsets of our own, independent scrambled nets of them, have this variance to a share that
+    does not depend on n; of a lattice those in one of its cells are all there are. The interval is by
+    Student's t of the nets. Pairs, E g(u) g(u + x_k) over independent u, need more: the square of the mean is
     their mean over all pairs of points.
 
     Raises
@@ -389,14 +386,12 @@ def of_moves(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicte
         The last step is no shift, or no digital shift in base 2, of a fixed set; or n is so large that
         too few offsets are left.
     """
-    base, steps = parts_of(sampler)
-    inner = _before_shift(sampler, n)
-    shifted, fixed = (True, inner) if inner is not None and inner.fixed else (False, base)
-    digits = base.fixed and set(base.digit_bases) == {2} and {s.name for s in steps} <= _KEEP_LAW
-    g, count = known.g, min(_OFFSETS, _MOST_EVALUATIONS // n)
-    if not (shifted or (digits and steps)) or count < _LEAST_OFFSETS:
-        raise NoClosedForm(f"{sampler.spec} does not move {n} points at once, or too many of them.")
-    points = fixed.draw_stream(n, Stream.from_rng(0), 0, 1)[0]
+    g, n = known.g, law.n
+    count = min(_OFFSETS, _MOST_EVALUATIONS // n)
+    if not _moves_at_once(law) or count < _LEAST_OFFSETS:
+        raise NoClosedForm(f"{law.name} does not move {n} points at once, or too many of them.")
+    assert isinstance(law, Shifted | Scrambled)
+    shifted, points = isinstance(law, Shifted), law.inner.draw(Stream.from_rng(0), 0, 1)[0]
     words, cell, how = (points * _BITS).astype(np.uint64), np.eye(g.dims), "offsets of the set"
     if shifted and (basis := lattice_basis(points)) is not None:
         # Short vectors of the lattice, in which the mean is the smoothest
@@ -408,11 +403,12 @@ def of_moves(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicte
     elif not shifted:
         how = "digital shifts of the net"
 
-    # Means of g over the moved sets
-    root = float(np.roots([1.0, *[0.0] * (g.dims - 1), -1.0, -1.0]).real.max())
-    offsets = np.arange(1, count + 1)[:, None] * root ** -np.arange(1.0, g.dims + 1) % 1.0
+    # Means of g over the moved sets. Offsets from a fixed sequence might be those of the set itself
+    each = 1 << (count // _SPREADS).bit_length() - 1
+    nets = as_sampler("sobol | owen", g.dims).draw_stream(each, _OWN, 0, _SPREADS)
+    offsets = nets.reshape(_SPREADS * each, g.dims)
     means = []
-    for some in np.array_split(offsets, max(1, count * n // _AT_ONCE)):
+    for some in np.array_split(offsets, max(1, len(offsets) * n // _AT_ONCE)):
         if shifted:
             x = (points + (some @ cell)[:, None]) % 1.0
         else:
@@ -420,46 +416,36 @@ def of_moves(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicte
         means.append(g(x).reshape(len(some), n, -1).mean(axis=1))
     of_offsets = np.concatenate(means)
     value = of_offsets.var(axis=0)
-    spreads = [part.var(axis=0, ddof=1) for part in np.array_split(of_offsets, _SPREADS)]
-    return Predicted(value, half_interval(np.array(spreads)), how)
+    spreads = of_offsets.reshape(_SPREADS, each, -1).var(axis=1, ddof=1)
+    return Predicted(value, half_interval(spreads), how)
 
 
-def of_few_moves(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
+def _moves_at_once(law: Law) -> bool:
+    """Whether one random offset, or one digital shift in base 2, moves a fixed set."""
+    return (isinstance(law, Shifted) or (isinstance(law, Scrambled) and law.xor)) and (
+        law.inner.fixed
+    )
+
+
+def of_few_moves(law: Law, known: Known, stream: Stream) -> Predicted:
     """`of_moves` for the sets of 1 to 3 dims that it resolves better than other methods do.
 
     These are shifted lattices, where the coefficients of g are not exact, and nets in base 2 with a
     digital shift, whose weights depend on g.
     """
-    chain = sampler.as_chain(n)
-    (base, steps), inner = parts_of(chain), _before_shift(sampler, n)
-    if known.g.dims <= 3 and n <= _MOST_EVALUATIONS // _LEAST_OFFSETS:
-        names = {step.name for step in steps}
-        if base.fixed and steps and names <= _KEEP_LAW and set(base.digit_bases) == {2}:
-            return of_moves(chain, n, known, stream)
-        if inner is not None and inner.fixed and known.g.fourier_source != "exact":
-            points = inner.draw_stream(n, Stream.from_rng(0), 0, 1)[0]
+    few = law.dims <= 3 and law.n <= _MOST_EVALUATIONS // _LEAST_OFFSETS
+    if few and _moves_at_once(law):
+        if isinstance(law, Scrambled):
+            return of_moves(law, known, stream)
+        if isinstance(law, Shifted) and known.g.fourier_source != "exact":
+            points = law.inner.draw(Stream.from_rng(0), 0, 1)[0]
             if lattice_basis(points) is not None and np.isfinite(known.square[0]).all():
-                return of_moves(sampler, n, known, stream)
-    raise NoClosedForm(f"Other methods resolve {sampler.spec} in {known.g.dims} dims better.")
-
-
-def _before_shift(sampler: Sampler, n: int) -> Sampler | None:
-    """The sampler whose sets have the power of this one's, itself where it is homogeneous; else None."""
-    base, steps = parts_of(sampler)
-    while steps and steps[-1].name in _STILL:
-        steps = steps[:-1]
-    homogeneous = base.structure is Structure.TORUS and base.unbiased and not base.fixed
-    if not (steps[-1].stationary if steps else homogeneous or base.name == "random"):
-        return None
-    if isinstance(base, UniformJitter) and all(step.name in _STILL for step in steps[:-1]):
-        return Regular(dims=base.dims, sides_=base.sides(n))
-    if not steps:
-        return sampler
-    return Randomized(base=base, steps=steps[:-1]) if steps[:-1] else base
+                return of_moves(law, known, stream)
+    raise NoClosedForm(f"Other methods resolve {law.name} in {law.dims} dims better.")
 
 
 def _drawn(
-    inner: Sampler, n: int, regions: tuple[Region, ...], stream: Stream, *, isotropic: bool
+    inner: Law, regions: tuple[Region, ...], stream: Stream, *, isotropic: bool
 ) -> tuple[list[Array], Array, int]:
     """Mean power over sets, half the 95 % interval of Σ |g_m|² P(m), and the number of sets.
 
@@ -469,7 +455,9 @@ def _drawn(
     """
     from scipy.special import stdtrit
 
-    dear = inner.max_count <= _DEAR
+    n = inner.n
+    assert inner.source is not None
+    dear = inner.source.max_count <= _DEAR
     points, first = (_DEAR_POINTS, _LEAST_SETS // 2) if dear else (_SET_POINTS, _LEAST_SETS)
     most = min(max(points // n, first), _MOST_SETS)
     box = regions[0]
@@ -482,9 +470,9 @@ def _drawn(
     values: tuple[list[Array], ...] = ([], [], [])  # of the core, the other low ones, all others
     while True:
         for x in (
-            _sets(inner, n, stream, count, min(first, most))
+            _sets(inner.source, n, stream, count, min(first, most))
             if dear
-            else inner.draw_stream(n, stream, count, min(first, most))
+            else inner.draw(stream, count, min(first, most))
         ):
             if count < first:
                 powers = [r.power_of(x) for r in regions]
@@ -516,7 +504,7 @@ def _drawn(
 
 @lru_cache(maxsize=32)
 def _sets(sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> Array:
-    """Sets that are dear to make, kept for other integrands."""
+    """Sets that are expensive to make, kept for other integrands."""
     return sampler.draw_stream(n, stream, first, count)
 
 

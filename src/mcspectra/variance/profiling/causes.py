@@ -20,8 +20,8 @@ from mcspectra.core.streams import Stream
 from mcspectra.densities.base import FunctionDensity
 from mcspectra.estimators import AbstractEstimator, Estimator, Mirrored, Moments
 from mcspectra.estimators.support import uncovered
-from mcspectra.samplers import GivenPoints, Random, Sampler, Shift, as_sampler
-from mcspectra.spectra.bases import parts_of
+from mcspectra.samplers import GivenPoints, Sampler, as_sampler
+from mcspectra.samplers import law as laws
 from mcspectra.variance.profiling.probing import (
     COARSE,
     Lines,
@@ -77,6 +77,7 @@ Name: TypeAlias = Literal[
 
 _MORE_FROM = 16384  # points, from which on there are more nets
 _LINES, _CHECK = 0.2, 0.15  # of the budget
+_LAW_AT = 64  # points at which a shift is looked up; it is the same at all n
 _AGAIN = 8  # points whose values are asked for twice
 _SAME_VALUE = 1e-6  # of the size of values: rounding of sums whose order changes
 _POLES = 0.8  # of what lines may take
@@ -278,8 +279,10 @@ class Evidence:
     @property
     def wraps(self) -> bool:
         """Whether the sampler shifts points around the torus, to whose order that matters."""
-        base, steps = parts_of(self.sampler)
-        shifted = any(isinstance(step, Shift) for step in steps) and not isinstance(base, Random)
+        law = self.sampler.law(self.sampler.nearest_count(_LAW_AT))
+        while isinstance(law, laws.Folded | laws.Mirrored):
+            law = law.inner
+        shifted = isinstance(law, laws.Shifted)
         # What is mirrored is shifted before it is folded
         return shifted and not isinstance(self.estimator, Mirrored)
 
