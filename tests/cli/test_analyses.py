@@ -120,10 +120,10 @@ def spectrum():
 @pytest.mark.parametrize(
     ("view", "function", "names"),
     [
-        ("radial", mcs.radial_statistics, ["radial_power", "anisotropy_db"]),
-        ("slices", mcs.slices, ["slice_power", "slice_radius"]),
-        ("wedges", mcs.wedge_means, ["angle", "wedge_power", "wedge_power_se"]),
-        ("exponent", mcs.low_frequency_exponent, ["low_frequency_exponent_ci"]),
+        ("radial", mcs.spectra.radial_statistics, ["radial_power", "anisotropy_db"]),
+        ("slices", mcs.spectra.slices, ["slice_power", "slice_radius"]),
+        ("wedges", mcs.spectra.wedge_means, ["angle", "wedge_power", "wedge_power_se"]),
+        ("exponent", mcs.spectra.low_frequency_exponent, ["low_frequency_exponent_ci"]),
     ],
 )
 def test_views_of_a_spectrum(run, run_json, spectrum, view, function, names):

@@ -17,10 +17,10 @@ from mcspectra.core.streams import Stream
 from mcspectra.estimators import Moments, as_subject
 from mcspectra.testing import check_analysis
 from mcspectra.variance.anova import Anova, AnovaSpectrum
-from mcspectra.variance.convergence import Convergence, RealizationsNeeded, count_stream
 from mcspectra.variance.exact import Exact
+from mcspectra.variance.measured import Convergence, RealizationsNeeded, count_stream
 from mcspectra.variance.modes import Modes
-from mcspectra.variance.remedies import Remedies
+from mcspectra.variance.remedy import Remedies
 from mcspectra.variance.routes import Routes
 from mcspectra.variance.sums import TermSums, spread
 from mcspectra.variance.techniques import Techniques
@@ -253,7 +253,7 @@ def test_states_of_anova_are_the_estimates_of_realizations_in_order(monkeypatch)
 RANDOM = as_subject(PLAIN, "random")
 MANY = as_subject(mcs.Estimator("gaussian", dims=64), "random")
 JITTERED = as_subject(PLAIN, "jittered")
-TECHNIQUES = as_subject(mcs.TechniqueSum(["linear", "step(at=0.3)"], dims=1), "jittered")
+TECHNIQUES = as_subject(mcs.estimators.TechniqueSum(["linear", "step(at=0.3)"], dims=1), "jittered")
 NAN = float("nan")
 
 

@@ -203,7 +203,7 @@ def test_what_is_alike_has_no_interval():
         (smooth, {"sampler": "sobol"}, "is the same every time"),
         (smooth, {"dims": 3, "sampler": mcs.sampler("sobol | owen", dims=2)}, "dims"),
         (7, {}, "not a callable"),
-        (mcs.TechniqueSum(["disk", "linear"]), {}, "has several techniques"),
+        (mcs.estimators.TechniqueSum(["disk", "linear"]), {}, "has several techniques"),
         (mcs.Integrand.from_function(lambda x: x, dims=2), {}, "2 channels"),
     ],
 )

@@ -26,10 +26,10 @@ from mcspectra.estimators.moments import rounding_floor, variance_interval
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler, Shift, StrataShift
 from mcspectra.spectra.bases import parts_of
-from mcspectra.variance.convergence import count_moments, count_stream
 from mcspectra.variance.doors import counted
 from mcspectra.variance.exact import exact_variance
 from mcspectra.variance.fit import fit_rates
+from mcspectra.variance.measured import count_moments, count_stream
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -96,7 +96,7 @@ def strata_shift_scan(
     --------
     >>> import mcspectra as mcs
     >>> light = mcs.integrand("disk(center=0.5125, radius=0.25)", dims=1)  # 2.1 to 6.1 strata
-    >>> d = mcs.strata_shift_scan(light, "jittered", 8, offsets=[0, 0.1, 0.6])
+    >>> d = mcs.variance.strata_shift_scan(light, "jittered", 8, offsets=[0, 0.1, 0.6])
     >>> [round(float(v) * 64, 2) for v in d["variance"].squeeze()]
     [0.18, 0.0, 0.5]
     """
@@ -168,7 +168,7 @@ def best_alignment(
         Places of known edges, as for `aligned`: strata with borders there are tried
         as well. Needs an estimator without a density and n = s^d.
     offsets, method
-        As for `mcspectra.strata_shift_scan`; the best of the scan is refined by a pattern search,
+        As for `mcspectra.variance.strata_shift_scan`; the best of the scan is refined by a pattern search,
         whose step is halved 8 times.
     realizations, rng, workers
         As for `mcspectra.convergence`; the measurement of each candidate has a stream of its own.
@@ -187,7 +187,7 @@ def best_alignment(
     Raises
     ------
     CountError, ParameterError, NoClosedForm
-        As for `mcspectra.strata_shift_scan` and `aligned`.
+        As for `mcspectra.variance.strata_shift_scan` and `aligned`.
 
     Notes
     -----
@@ -197,7 +197,7 @@ def best_alignment(
     --------
     >>> import mcspectra as mcs
     >>> light = mcs.integrand("disk(center=0.5125, radius=0.25)", dims=1)  # 2.1 to 6.1 strata
-    >>> found = mcs.best_alignment(light, "jittered", 8)
+    >>> found = mcs.variance.best_alignment(light, "jittered", 8)
     >>> found.attrs["improved"], round(float(found["strata_offset"].sel(candidate="offset")[0]), 2)
     ('yes', 0.1)
     """

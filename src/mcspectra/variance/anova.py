@@ -258,7 +258,7 @@ class Anova(Counted, frozen=True, kw_only=True):
 class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
     """Which subsets of the axes the variance comes from, by sampled frequencies."""
 
-    function = "anova_spectrum"
+    function = "variance.anova_spectrum"
     variables = ("anova_variance", "anova_variance_se")
     provenance = ("estimator", "sampler", "n", "half_width", "frequencies", "stream_key")
 

@@ -31,9 +31,9 @@ from mcspectra.estimators.moments import rounding_floor
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler
 from mcspectra.variance.blindness import is_fixed
-from mcspectra.variance.convergence import count_stream
 from mcspectra.variance.doors import NO_VARIANCE, answer, counted
 from mcspectra.variance.fit import check_window, fit_rates
+from mcspectra.variance.measured import count_stream
 from mcspectra.variance.ordered import product, weighted_sum
 from mcspectra.variance.sums import BATCHES, Variables, ratio_factors, spread
 from mcspectra.variance.views import Frequencies, View
@@ -264,7 +264,7 @@ def technique_terms(
     Examples
     --------
     >>> import mcspectra as mcs
-    >>> parts = mcs.TechniqueSum(["linear", "step(at=0.3)"], dims=1)
+    >>> parts = mcs.estimators.TechniqueSum(["linear", "step(at=0.3)"], dims=1)
     >>> d = mcs.technique_terms(parts, "jittered", [16, 64, 256], half_width=8, realizations=200)
     >>> d.attrs["bottleneck"]
     'technique 1'

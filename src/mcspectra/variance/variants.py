@@ -21,9 +21,9 @@ from mcspectra.estimators import MIRRORINGS, AbstractEstimator, Estimator, Mirro
 from mcspectra.integrands import Integrand, as_integrand, integral_accuracy
 from mcspectra.integrands.smoothing import BoxSmoothed, smoothed
 from mcspectra.samplers import Sampler, Shift
-from mcspectra.variance.convergence import convergence
 from mcspectra.variance.doors import counted
 from mcspectra.variance.exact import exact_variance
+from mcspectra.variance.measured import convergence
 from mcspectra.variance.sums import Variables
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def smoothing_scan(
     Examples
     --------
     >>> import mcspectra as mcs
-    >>> d = mcs.smoothing_scan("disk(center=0.47)", "jittered", 256, [0, 0.05, 0.2], rng=1)
+    >>> d = mcs.variance.smoothing_scan("disk(center=0.47)", "jittered", 256, [0, 0.05, 0.2], rng=1)
     >>> float(d["best_width"][0])
     0.05
     """
@@ -194,7 +194,7 @@ def mirror_study(
     Examples
     --------
     >>> import mcspectra as mcs
-    >>> study = mcs.mirror_study("linear", mcs.sampler("jittered", dims=1), [16, 512], rng=1)
+    >>> study = mcs.variance.mirror_study("linear", mcs.sampler("jittered", dims=1), [16, 512], rng=1)
     >>> [round(float(r), 1) for r in study["rate"].sel(mirroring="original")]
     [-3.0, -2.0]
     >>> [round(float(r), 1) for r in study["rate"].sel(mirroring="integrand")]

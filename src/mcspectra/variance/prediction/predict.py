@@ -40,9 +40,9 @@ from mcspectra.samplers import (
 from mcspectra.samplers.base import FixedSet, Structure
 from mcspectra.samplers.stratified import root
 from mcspectra.spectra.bases import parts_of, without_last
-from mcspectra.variance.convergence import count_moments, count_stream
 from mcspectra.variance.doors import NO_VARIANCE, VANISHES, answer, counted
 from mcspectra.variance.exact import of_integrand
+from mcspectra.variance.measured import count_moments, count_stream
 from mcspectra.variance.prediction.known import Known, Predicted
 from mcspectra.variance.prediction.levels import of_levels
 from mcspectra.variance.prediction.rates import Slowest, rates_of, slowest_of_jumps

@@ -457,7 +457,7 @@ def _of_draws(draws: Any) -> Profile:
     except McspectraError as error:
         raise ParameterError(
             f"{draws!r:.80} cannot be profiled; give a function, an integrand, an estimator, a spec, or "
-            f"draws as chain_error takes them: {error}"
+            f"draws as variance.chain_error takes them: {error}"
         ) from None
     if found["mean"].ndim:
         raise ParameterError("The draws are of several quantities; profile one at a time.")

@@ -261,7 +261,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
 class RealizationsNeeded(Counted, frozen=True, kw_only=True):
     """How many realisations a wanted precision of the variance takes."""
 
-    function = "realizations_needed"
+    function = "variance.realizations_needed"
     variables = (
         *("realizations_used", "reached", "variance", "variance_ci", "variance_relative_se"),
         *("skewness", "kurtosis", "mean", "mean_se"),
@@ -441,7 +441,7 @@ def realizations_needed(
     --------
     >>> import mcspectra as mcs
     >>> f = mcs.Estimator("linear", dims=1)
-    >>> found = mcs.realizations_needed(f, "jittered", 16, relative_error=0.1, rng=1)
+    >>> found = mcs.variance.realizations_needed(f, "jittered", 16, relative_error=0.1, rng=1)
     >>> bool(found["reached"]), bool(found["variance_relative_se"] <= 0.1)
     (True, True)
     """
