@@ -177,12 +177,12 @@ def _line():
     """The reduction of the terms along a line, and its states block by block."""
     found = LINE_TERMS.reduction(as_subject(LINE, "jittered"), Stream.from_rng(0))
     assert isinstance(found, Reduction)
-    return found, [found.block(i) for i in range(found.blocks)]
+    return found, [found.block(i)[0] for i in range(found.blocks)]
 
 
 def _total():
     found, _ = _line()
-    return compute_chunk(found, (0, found.blocks))
+    return compute_chunk(found, (0, found.blocks))[0]
 
 
 def test_errors_are_those_of_all_blocks_kept():

@@ -45,10 +45,11 @@ _HALVINGS = 8  # of the step of the scan: a part of 256
 
 
 def strata_shift_scan(
-    estimator: AbstractEstimator | Integrand | str,
+    estimator: Any,
     sampler: Sampler | str,
     counts: int | Sequence[int],
     *,
+    dims: int | None = None,
     offsets: int | Sequence[float] | None = None,
     method: str = "auto",
     realizations: int = 1000,
@@ -63,6 +64,9 @@ def strata_shift_scan(
         An estimator, and a sampler without a shift, which would average over all offsets.
     counts
         One number of points n, or ascending ones, in whose number a rate needs two.
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
     offsets
         Parts of the side n^(-1/d) of a stratum: ascending in [0, 1), the same along each axis, or how
         many equally spaced ones from 0; by default 16 in 1-D, 8 in 2-D and 4 in more dims, and 4096
@@ -100,7 +104,7 @@ def strata_shift_scan(
     >>> [round(float(v) * 64, 2) for v in d["variance"].squeeze()]
     [0.18, 0.0, 0.5]
     """
-    subject = as_subject(estimator, sampler)
+    subject = as_subject(estimator, sampler, dims=dims)
     given, source = subject.estimator, subject.sampler
     several = isinstance(counts, Sequence | np.ndarray) and not isinstance(counts, str)
     ns = [as_integer("counts", n, least=1) for n in (counts if several else [counts])]  # type: ignore[union-attr]
@@ -147,10 +151,11 @@ def strata_shift_scan(
 
 
 def best_alignment(
-    estimator: AbstractEstimator | Integrand | str,
+    estimator: Any,
     sampler: Sampler | str,
     n: int,
     *,
+    dims: int | None = None,
     edges: Any = None,
     offsets: Any = None,
     method: str = "auto",
@@ -164,6 +169,9 @@ def best_alignment(
     ----------
     estimator, sampler, n
         What is to be improved; the sampler without a shift, which would average over all offsets.
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
     edges
         Places of known edges, as for `aligned`: strata with borders there are tried
         as well. Needs an estimator without a density and n = s^d.
@@ -203,7 +211,7 @@ def best_alignment(
     """
     from scipy.special import ndtri
 
-    subject = as_subject(estimator, sampler)
+    subject = as_subject(estimator, sampler, dims=dims)
     plain, source = subject.estimator, subject.sampler
     plain.check_sampler(source, as_integer("n", n, least=1))
     count = as_integer("realizations", realizations, least=2, most=MAX_REALIZATIONS)

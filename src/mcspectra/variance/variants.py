@@ -152,10 +152,11 @@ def smoothing_scan(
 
 
 def mirror_study(
-    estimator: AbstractEstimator | Integrand | str,
+    estimator: Any,
     sampler: Sampler | str,
     counts: Sequence[int],
     *,
+    dims: int | None = None,
     mirrorings: Sequence[str] = (_ORIGINAL, *MIRRORINGS),
     exact: bool = False,
     realizations: int = 1000,
@@ -170,6 +171,9 @@ def mirror_study(
     estimator, sampler, counts
         As for `mcspectra.convergence`; the sampler without a shift at its end. n counts evaluations
         of the integrand, so that variances at one n are at equal cost.
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
     mirrorings
         Which of ``"original"``, ``"integrand"``, ``"random"``, ``"uniform"``
         (`mcspectra.Mirrored`); the slides' six plots leave out ``"integrand"``.
@@ -202,7 +206,7 @@ def mirror_study(
     """
     if not isinstance(exact, bool):
         raise ParameterError(f"exact is {exact!r}; give True or False.")
-    subject = as_subject(estimator, sampler)
+    subject = as_subject(estimator, sampler, dims=dims)
     plain, source = subject.estimator, subject.sampler
     allowed = (_ORIGINAL, *MIRRORINGS)
     names = list(mirrorings) if isinstance(mirrorings, list | tuple) else []

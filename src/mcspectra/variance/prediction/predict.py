@@ -359,6 +359,7 @@ def predict(
     samplers: Any,
     counts: Sequence[int],
     *,
+    dims: int | None = None,
     rng: RngLike = 0,
     max_evaluations: int | None = None,
     workers: int | None = None,
@@ -368,11 +369,15 @@ def predict(
     Parameters
     ----------
     estimator
-        An estimator, or an integrand or its spec string, for plain sampling.
+        An estimator or, for plain sampling, an integrand, its spec string, or a vectorised function of
+        points (…, d).
     samplers
         One or a list, no sampler twice.
     counts
         Numbers of points n, ascending; each must be one that every sampler can do.
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
     rng
         Seed (SPEC 7), of routes that draw sets.
     workers
