@@ -206,8 +206,8 @@ def test_errors_are_those_of_all_blocks_kept():
 
 
 def test_a_block_of_one_says_nothing():
-    found, blocks = _line()
-    first, last = blocks[0], found.block(found.blocks - 1)
+    _, blocks = _line()
+    first, last = blocks[0], blocks[-1]
     assert last.sums.count == 1
     assert last.batches is None
     assert unpack(TermSums, pack(last)).batches is None
