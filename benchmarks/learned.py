@@ -61,7 +61,7 @@ def main():
             before = variance(f, None, u)
             found = []
             for kind in LEARNED:
-                p = mcs.learned_density(f, kind, sampler, n, dims=dims)
+                p = mcs.variance.learned_density(f, kind, sampler, n, dims=dims)
                 ratio = variance(f, p, u) / before
                 found.append("uniform" if p.name == "uniform" else f"{ratio:.2g}")
             found.append(f"{variance(f, grid, u) / before:.2g}")

@@ -120,10 +120,10 @@ def spectrum():
 @pytest.mark.parametrize(
     ("view", "function", "names"),
     [
-        ("radial", mcs.radial_statistics, ["radial_power", "anisotropy_db"]),
-        ("slices", mcs.slices, ["slice_power", "slice_radius"]),
-        ("wedges", mcs.wedge_means, ["angle", "wedge_power", "wedge_power_se"]),
-        ("exponent", mcs.low_frequency_exponent, ["low_frequency_exponent_ci"]),
+        ("radial", mcs.spectra.radial_statistics, ["radial_power", "anisotropy_db"]),
+        ("slices", mcs.spectra.slices, ["slice_power", "slice_radius"]),
+        ("wedges", mcs.spectra.wedge_means, ["angle", "wedge_power", "wedge_power_se"]),
+        ("exponent", mcs.spectra.low_frequency_exponent, ["low_frequency_exponent_ci"]),
     ],
 )
 def test_views_of_a_spectrum(run, run_json, spectrum, view, function, names):
@@ -215,6 +215,7 @@ SEVERAL = {
     "converge": ("--counts", "4,16", "-m", 20),
     "predict": ("--counts", "4,16"),
     "plan": ("--target-error", 0.1),
+    "variance": ("-n", 16, "--half-width", 4, "-m", 20),
 }
 
 
@@ -281,3 +282,21 @@ def test_variance_prints_what_is_beyond_its_half_width(run, run_json):
     _, out, _ = run("variance", "gaussian", "--sampler", "sobol", "-n", 16, "-m", 20)
     assert "e-3" not in out
     assert "sobol has no variance: add owen or shift, or look at |bias|" in out
+
+
+def test_variance_has_a_table_for_each_sampler(run, run_json):
+    rest = ("-n", 16, "--half-width", 4, "-m", 50)
+    samplers = ("random", "sobol | owen")
+    both = ("variance", "gaussian", *(part for s in samplers for part in ("--sampler", s)), *rest)
+    data = run_json(*both)
+    assert data["sampler"] == list(samplers)
+    _, out, _ = run(*both)
+    title, about, *tables = out.split("\n\n")[0].splitlines() + out.split("\n\n")[1:]
+    assert title == "gaussian,  n = 16"
+    assert "50 realisations; domain space" in about
+    for k, sampler in enumerate(samplers):
+        alone = run_json("variance", "gaussian", "--sampler", sampler, *rest)
+        assert data["cross_term"][k] == alone["cross_term"]
+        assert data["band_covariance"][k] == alone["band_covariance"]
+        _, text, _ = run("variance", "gaussian", "--sampler", sampler, *rest)
+        assert tables[k].splitlines() == [sampler, *text.splitlines()[2:]]

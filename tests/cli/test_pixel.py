@@ -16,7 +16,7 @@ from mcspectra.rendering import Pixel, backend, named_pixels
 from mcspectra.report.pixel_page import STRATEGY_NAMES
 from mcspectra.studies import pixel
 from mcspectra.studies.pixel import EFFORTS, analyse_pixel
-from mcspectra.variance.convergence import convergence
+from mcspectra.variance.measured import convergence
 from mcspectra.variance.terms import variance_terms
 
 pytestmark = pytest.mark.render

@@ -45,7 +45,7 @@ def finished(tmp_path_factory):
 
 def _expected():
     edge = mcs.Estimator("linear", dims=1)
-    both = mcs.TechniqueSum(["linear", "step(at=0.3)"], dims=1)
+    both = mcs.estimators.TechniqueSum(["linear", "step(at=0.3)"], dims=1)
     return {
         "edge/jittered-shift/anova": mcs.anova_variances(edge, SAMPLER, realizations=40, rng=5),
         "edge/jittered-shift/pcf": mcs.pair_correlation(

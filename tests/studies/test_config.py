@@ -43,12 +43,12 @@ def _estimator(keys, tmp_path):
              "linear", TWO_DENSITIES, dims=1, heuristic="power(beta=3)", counts=[1, 2])),
         (TWO + 'sets = "shared"',
          lambda: mcs.MultipleImportance("linear", TWO_DENSITIES, dims=1, sets="shared")),
-        (TWO + "one_sample = true", lambda: mcs.OneSampleMIS("linear", TWO_DENSITIES, dims=1)),
+        (TWO + "one_sample = true", lambda: mcs.estimators.OneSampleMIS("linear", TWO_DENSITIES, dims=1)),
         (TWO + 'one_sample = true\nprobabilities = [0.25, 0.75]\nselection = "coordinate"',
-         lambda: mcs.OneSampleMIS(
+         lambda: mcs.estimators.OneSampleMIS(
              "linear", TWO_DENSITIES, [0.25, 0.75], dims=1, selection="coordinate")),
         (SUM + 'sets = "joint"\ntechnique_counts = [1, 2]',
-         lambda: mcs.TechniqueSum(["linear", "step(at=0.3)"], dims=1, sets="joint", counts=[1, 2])),
+         lambda: mcs.estimators.TechniqueSum(["linear", "step(at=0.3)"], dims=1, sets="joint", counts=[1, 2])),
     ],
 )  # fmt: skip
 def test_keys_make_the_estimators_of_the_library(tmp_path, keys, expected):
@@ -75,7 +75,7 @@ def test_channels_are_those_of_channel_estimators(colour, way):
     listed = ", ".join(f'"{s.format(folder="")}"' for s in specs)
     keys = f'integrand = "image(path=\'c.png\')"\ndensities = [{listed}]\nchannels = "{way}"\n'
     built = _estimator(keys, colour)
-    made = mcs.channel_estimators(
+    made = mcs.estimators.channel_estimators(
         f"image(path='{colour}/c.png')", [s.format(folder=f"{colour}/") for s in specs]
     )
     wanted = made["mis" if way == "combined" else way]

@@ -17,10 +17,10 @@ from mcspectra.core.streams import Stream
 from mcspectra.estimators import Moments, as_subject
 from mcspectra.testing import check_analysis
 from mcspectra.variance.anova import Anova, AnovaSpectrum
-from mcspectra.variance.convergence import Convergence, RealizationsNeeded, count_stream
 from mcspectra.variance.exact import Exact
+from mcspectra.variance.measured import Convergence, RealizationsNeeded, count_stream
 from mcspectra.variance.modes import Modes
-from mcspectra.variance.remedies import Remedies
+from mcspectra.variance.remedy import Remedies
 from mcspectra.variance.routes import Routes
 from mcspectra.variance.sums import TermSums, spread
 from mcspectra.variance.techniques import Techniques
@@ -177,12 +177,12 @@ def _line():
     """The reduction of the terms along a line, and its states block by block."""
     found = LINE_TERMS.reduction(as_subject(LINE, "jittered"), Stream.from_rng(0))
     assert isinstance(found, Reduction)
-    return found, [found.block(i) for i in range(found.blocks)]
+    return found, [found.block(i)[0] for i in range(found.blocks)]
 
 
 def _total():
     found, _ = _line()
-    return compute_chunk(found, (0, found.blocks))
+    return compute_chunk(found, (0, found.blocks))[0]
 
 
 def test_errors_are_those_of_all_blocks_kept():
@@ -206,8 +206,8 @@ def test_errors_are_those_of_all_blocks_kept():
 
 
 def test_a_block_of_one_says_nothing():
-    found, blocks = _line()
-    first, last = blocks[0], found.block(found.blocks - 1)
+    _, blocks = _line()
+    first, last = blocks[0], blocks[-1]
     assert last.sums.count == 1
     assert last.batches is None
     assert unpack(TermSums, pack(last)).batches is None
@@ -253,7 +253,7 @@ def test_states_of_anova_are_the_estimates_of_realizations_in_order(monkeypatch)
 RANDOM = as_subject(PLAIN, "random")
 MANY = as_subject(mcs.Estimator("gaussian", dims=64), "random")
 JITTERED = as_subject(PLAIN, "jittered")
-TECHNIQUES = as_subject(mcs.TechniqueSum(["linear", "step(at=0.3)"], dims=1), "jittered")
+TECHNIQUES = as_subject(mcs.estimators.TechniqueSum(["linear", "step(at=0.3)"], dims=1), "jittered")
 NAN = float("nan")
 
 

@@ -17,10 +17,10 @@ from mcspectra.core.errors import (
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import SharedCells
 from mcspectra.samplers.stratified import write_cells
-from mcspectra.variance.design import design as doors
-from mcspectra.variance.design import searches
-from mcspectra.variance.design._kernels import improve_code
-from mcspectra.variance.design.objectives import as_objective
+from mcspectra.variance.designs import design as doors
+from mcspectra.variance.designs import searches
+from mcspectra.variance.designs._kernels import improve_code
+from mcspectra.variance.designs.objectives import as_objective
 
 GAUSSIANS = "gaussian(center=uniform(0, 1), width=uniform(0.15, 0.4))"
 KINDS = tuple(searches.KINDS)

@@ -74,7 +74,7 @@ def test_the_variance_under_the_sampler_is_smaller(kind):
         calls += x[..., 0].size
         return peaks(x)
 
-    p = mcs.learned_density(f, kind, OWEN, 256, dims=2, evaluations=6000)
+    p = mcs.variance.learned_density(f, kind, OWEN, 256, dims=2, evaluations=6000)
     assert 5000 < calls <= 6000
     assert variance(p, 256) * NOISE < variance(None, 256)
     # Bounded weights, and unbiased: the integral is within 4 standard errors
@@ -98,14 +98,14 @@ def test_the_variance_under_the_sampler_is_smaller(kind):
 def test_warps_keep_the_rate_of_nets(kind):
     """T is continuous: from n to 16 n the variance falls faster than by 16^1.5, which is what a jump
     across a curve would leave. Smooth ones leave 16^3: far beyond the noise of 50 nets, a factor of 3."""
-    p = mcs.learned_density(peaks, kind, OWEN, 1024, dims=2)
+    p = mcs.variance.learned_density(peaks, kind, OWEN, 1024, dims=2)
     noise = math.exp(4.0 * math.sqrt(2.0 * 2.0 / 49))
     assert variance(p, 2**14, 50) * noise < variance(p, 2**10, 50) * 16.0**-1.5
 
 
 def test_the_same_seed_gives_the_same_density_and_its_spec_makes_it_again(tmp_path):
     def made(seed, **more):
-        return mcs.learned_density(
+        return mcs.variance.learned_density(
             peaks, "mixture", OWEN, 64, dims=2, evaluations=1024, rng=seed, **more
         )
 
@@ -127,7 +127,7 @@ def test_the_size_and_the_sign_of_f_do_not_matter():
     """Powers of two, which round nothing: the same bits."""
 
     def spec(factor, kind="mixture"):
-        return mcs.learned_density(
+        return mcs.variance.learned_density(
             lambda x: factor * peaks(x), kind, OWEN, 64, dims=2, evaluations=1024
         ).spec
 
@@ -139,14 +139,14 @@ def test_the_size_and_the_sign_of_f_do_not_matter():
 def test_threads_and_blocks_do_not_matter():
     """Neither those of BLAS to the fit, nor how points are shared out to what uses it."""
     specs = [
-        mcs.learned_density(
+        mcs.variance.learned_density(
             "gaussian(width=0.1, center=0.3)", kind, OWEN, 256, dims=3, evaluations=8192
         ).spec
         for kind in KINDS
     ]
     code = (
         "import mcspectra as mcs\n"
-        f"for kind in {KINDS}: print(mcs.learned_density('gaussian(width=0.1, center=0.3)', "
+        f"for kind in {KINDS}: print(mcs.variance.learned_density('gaussian(width=0.1, center=0.3)', "
         f"kind, {OWEN!r}, 256, dims=3, evaluations=8192).spec)"
     )
     threads = "1" if os.environ["OPENBLAS_NUM_THREADS"] != "1" else "2"
@@ -164,9 +164,9 @@ def test_threads_and_blocks_do_not_matter():
 def test_where_nothing_is_gained_it_is_uniform(tmp_path):
     """A constant has no variance."""
     path = tmp_path / "uniform.json"
-    p = mcs.learned_density("constant", "piecewise", OWEN, 64, dims=2, evaluations=2048)
+    p = mcs.variance.learned_density("constant", "piecewise", OWEN, 64, dims=2, evaluations=2048)
     assert p.spec == "uniform"
-    kept = mcs.learned_density(
+    kept = mcs.variance.learned_density(
         "constant", "piecewise", OWEN, 64, dims=2, evaluations=2048, path=path
     )
     x = np.random.default_rng(0).random((100, 2))
@@ -177,7 +177,9 @@ def test_where_nothing_is_gained_it_is_uniform(tmp_path):
 def test_exact_variances_are_those_measured():
     """Of 2-D, where knots lie along curves of primary space."""
     f = mcs.Integrand.from_function(peaks, dims=2)
-    estimator = mcs.Estimator(f, mcs.learned_density(f, "piecewise", OWEN, 64, evaluations=4096))
+    estimator = mcs.Estimator(
+        f, mcs.variance.learned_density(f, "piecewise", OWEN, 64, evaluations=4096)
+    )
     for sampler in ("jittered", OWEN):
         exact = mcs.exact_variance(estimator, sampler, 16, tolerance=0.01)
         found = mcs.convergence(estimator, sampler, [16], realizations=4 * REALIZATIONS)
@@ -189,7 +191,7 @@ def test_exact_variances_are_those_measured():
 
 def test_errors_say_what_to_do(tmp_path):
     def learn(f=peaks, kind="mixture", sampler=OWEN, n=64, **options):
-        return mcs.learned_density(
+        return mcs.variance.learned_density(
             f, kind, sampler, n, **{"dims": 2, "evaluations": 512, **options}
         )
 
@@ -231,7 +233,7 @@ def test_other_files_are_refused(tmp_path, text):
 
 def test_tables_that_do_not_fit_are_refused(tmp_path):
     path = tmp_path / "density.json"
-    mcs.learned_density("constant", "mixture", OWEN, 4, dims=1, evaluations=512, path=path)
+    mcs.variance.learned_density("constant", "mixture", OWEN, 4, dims=1, evaluations=512, path=path)
     good = json.loads(path.read_text())
     for name, value in [
         ("defensive", 0.0),

@@ -56,7 +56,7 @@ def test_known_pairs_give_the_variance_of_strata_quadrature(estimator, spec, dim
     if isinstance(estimator, str):
         estimator = mcs.Estimator(estimator, dims=dims)
     sampler = mcs.sampler(spec, dims=dims)
-    found = mcs.variance_from_pair_correlation(estimator, sampler, n)
+    found = mcs.variance.variance_from_pair_correlation(estimator, sampler, n)
     exact = mcs.exact_variance(estimator, sampler, n)
     np.testing.assert_allclose(found["variance"], exact, rtol=1e-6)
     assert float(found["variance_se"]) == 0.0
@@ -77,7 +77,9 @@ def test_counted_pairs_agree_with_the_exact_variance(estimator, spec, dims, n):
     if isinstance(estimator, str):
         estimator = mcs.Estimator(estimator, dims=dims)
     sampler = mcs.sampler(spec, dims=dims)
-    found = mcs.variance_from_pair_correlation(estimator, sampler, n, realizations=2000, rng=3)
+    found = mcs.variance.variance_from_pair_correlation(
+        estimator, sampler, n, realizations=2000, rng=3
+    )
     assert found.attrs["method"] == "counted pairs"
     if spec.startswith("random"):
         exact = mcs.integrand("disk").integral * (1 - mcs.integrand("disk").integral) / n
@@ -93,7 +95,7 @@ def test_counted_pairs_agree_with_the_exact_variance(estimator, spec, dims, n):
 )
 def test_counted_pairs_agree_with_simulation(spec, n, integrand):
     estimator = mcs.Estimator(integrand, dims=2)
-    found = mcs.variance_from_pair_correlation(estimator, spec, n, rng=3)
+    found = mcs.variance.variance_from_pair_correlation(estimator, spec, n, rng=3)
     assert within(found, *simulated(estimator, spec, n))
 
 
@@ -130,7 +132,7 @@ def test_poles_and_roots_of_g_are_integrated_to_1e_6(estimator, power, spec, n):
         mean = float(mcs.integrand("gaussian(center=0.3)", dims=1).integral)
         truth = (square - mean**2) / n
         estimator = _weighted(estimator, f"power(exponent={power})")
-    found = mcs.variance_from_pair_correlation(estimator, mcs.sampler(spec, dims=1), n)
+    found = mcs.variance.variance_from_pair_correlation(estimator, mcs.sampler(spec, dims=1), n)
     assert float(found["variance"]) == pytest.approx(truth, rel=1e-6)
     assert float(found["variance_se"]) == 0.0
 
@@ -146,7 +148,7 @@ def test_poles_and_roots_of_g_are_integrated_to_1e_6(estimator, power, spec, n):
 )
 def test_variances_are_infinite_where_the_square_diverges(estimator, dims, spec):
     sampler = mcs.sampler(spec, dims=dims)
-    found = mcs.variance_from_pair_correlation(estimator, sampler, 16)
+    found = mcs.variance.variance_from_pair_correlation(estimator, sampler, 16)
     assert float(found["variance"]) == np.inf
     assert float(found["variance_se"]) == 0.0
     assert mcs.exact_variance(estimator, sampler, 16) == np.inf
@@ -161,7 +163,7 @@ def test_infinite_variances_of_shifted_sets():
 def test_one_infinite_channel_leaves_the_other():
     f = mcs.Integrand.from_function(lambda x: np.stack([1 + 0 * x[..., 0], x[..., 0]], -1), dims=1)
     estimator = mcs.Estimator(f, mcs.density("power(exponent=1)", dims=1))
-    found = mcs.variance_from_pair_correlation(estimator, mcs.sampler("random", dims=1), 4)
+    found = mcs.variance.variance_from_pair_correlation(estimator, mcs.sampler("random", dims=1), 4)
     assert found["variance"].values[0] == np.inf
     assert found["variance"].values[1] == pytest.approx(0.0, abs=1e-15)  # g = 1/2
 
@@ -170,7 +172,7 @@ def test_pairs_that_do_not_converge_are_refused():
     """A disk's border crosses cells: what fixed rules made of it was 3 % off."""
     estimator = mcs.Estimator("disk(center=0.4, radius=0.2)", "linear(slope=1.5)", dims=2)
     with pytest.raises(NoClosedForm, match=r"has an error of .* in a variance"):
-        mcs.variance_from_pair_correlation(estimator, "jittered", 256)
+        mcs.variance.variance_from_pair_correlation(estimator, "jittered", 256)
 
 
 def test_many_strata_take_little_memory():
@@ -178,7 +180,7 @@ def test_many_strata_take_little_memory():
     estimator = _weighted("linear", "exponential(rate=3)")
     sampler = mcs.sampler("jittered", dims=1)
     tracemalloc.start()
-    found = mcs.variance_from_pair_correlation(estimator, sampler, 4096)
+    found = mcs.variance.variance_from_pair_correlation(estimator, sampler, 4096)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 2**28
@@ -193,7 +195,9 @@ def test_channels_are_kept():
     )
     for spec in ("jittered", "jittered | shift"):
         sampler = mcs.sampler(spec, dims=1)
-        found = mcs.variance_from_pair_correlation(mcs.Estimator(f), sampler, 4, realizations=50)
+        found = mcs.variance.variance_from_pair_correlation(
+            mcs.Estimator(f), sampler, 4, realizations=50
+        )
         assert found["variance"].dims == ("channel",)
         first, second, _ = found["variance"].values
         assert second == pytest.approx(4 * first, rel=1e-9)
@@ -202,6 +206,6 @@ def test_channels_are_kept():
 
 def test_workers_do_not_matter():
     arguments = ("gaussian", "jittered | shift", 16)
-    one = mcs.variance_from_pair_correlation(*arguments, realizations=20, workers=1)
-    many = mcs.variance_from_pair_correlation(*arguments, realizations=20, workers=3)
+    one = mcs.variance.variance_from_pair_correlation(*arguments, realizations=20, workers=1)
+    many = mcs.variance.variance_from_pair_correlation(*arguments, realizations=20, workers=3)
     assert one.equals(many)

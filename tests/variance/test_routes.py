@@ -114,7 +114,7 @@ def test_channels_and_techniques():
     assert float(of_mis["route_variance"].sel(route="pairs")) == pytest.approx(
         float(of_mis["route_variance"].sel(route="exact")), rel=1e-5
     )
-    parts = mcs.TechniqueSum([mcs.integrand(WAVE, dims=1), mcs.integrand(BELL, dims=1)])
+    parts = mcs.estimators.TechniqueSum([mcs.integrand(WAVE, dims=1), mcs.integrand(BELL, dims=1)])
     of_parts = mcs.variance_routes(parts, "jittered", 6, half_width=4, realizations=200, rng=4)
     assert np.isnan(of_parts["energy_share"].sel(route="spectral"))
 

@@ -78,7 +78,9 @@ def analysis_verb(name: str) -> Verb:
     usual, *others = views
 
     # What the public function takes says what its verb does
-    door = getattr(mcs, analysis.function, None)
+    door: Any = mcs
+    for part in analysis.function.split("."):
+        door = getattr(door, part, None)
     takes = {} if door is None else inspect.signature(door).parameters
     default_sampler = takes["sampler"].default if "sampler" in takes else None
     if not isinstance(default_sampler, str):

@@ -38,7 +38,7 @@ def learn_(options: argparse.Namespace) -> Answer:
     """
     sampler, n, seed = options.sampler or "sobol | owen", options.n or 256, options.seed or 0
     f = mcs.integrand(options.integrand, dims=options.dims)
-    density = mcs.learned_density(
+    density = mcs.variance.learned_density(
         f,
         options.kind or "mixture",
         sampler,

@@ -156,7 +156,8 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     Attributes
     ----------
     function
-        Public function that is its door in Python, as a name of `mcspectra`; empty if it has none.
+        Its public function in Python, as a name of `mcspectra`, dotted if the function is in a package;
+        empty if it has none.
     verb
         Its verb on the command line; empty if it has none.
     about
@@ -252,16 +253,16 @@ ANALYSES = Registry(
     classes_of(
         {
             "rendering.maps": "Map",
-            "spectra.pair_correlation": "pcf=PairCorrelation",
+            "spectra.pairs": "pcf=PairCorrelation",
             "spectra.power": "Points Spectrum",
             "variance.anova": "Anova AnovaSpectrum",
-            "variance.convergence": "Convergence",
+            "variance.measured": "Convergence",
             "variance.exact": "Exact",
             "variance.modes": "Modes",
             "variance.prediction.plan": "Plan",
             "variance.prediction.predict": "predict=Prediction",
             "variance.profiling.profile": "profile=Profiling",
-            "variance.remedies": "Remedies",
+            "variance.remedy": "Remedies",
             "variance.routes": "Routes",
             "variance.techniques": "Techniques",
             "variance.terms": "Terms",

@@ -42,7 +42,7 @@ from mcspectra.samplers.facts import Facts as SamplerFacts
 from mcspectra.samplers.facts import sampler_facts
 from mcspectra.spectra.power import power_spectrum
 from mcspectra.variance.bench import SHARED_SETS, making_seconds, randomized, shared_sets
-from mcspectra.variance.convergence import convergence
+from mcspectra.variance.measured import convergence
 from mcspectra.version import __version__
 
 __all__ = [

@@ -31,7 +31,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         for name, (counted, measured) in variances.items()
     )
     n, ramp = 16, mcs.Estimator("linear", dims=1)
-    value = float(mcs.variance_from_pair_correlation(ramp, "jittered", n)["variance"])
+    value = float(mcs.variance.variance_from_pair_correlation(ramp, "jittered", n)["variance"])
 
     # Look for pairs of Poisson-disk points in bins below the radius
     disk, radius = pairs["poisson-disk"], mcs.samplers.PoissonDisk(dims=2).radius(N)
@@ -43,7 +43,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     for k, (name, data) in enumerate(pairs.items()):
         r, g = data["r"].values, data["pair_correlation"].values
         half = CONFIDENCE_Z * data["pair_correlation_se"].values
-        line = g if name == "poisson-disk" else mcs.closed_form_pair_correlation(name, N, r)
+        line = g if name == "poisson-disk" else mcs.spectra.closed_form_pair_correlation(name, N, r)
         marks.append(Line(x=r, y=line, color=PALETTE[k], width=1.2, label=name))
         marks.append(whiskers(r, g, np.stack([g - half, g + half], axis=-1), k, name, 3.0))
     x = Axis(label="distance r (sides of the domain)", low=0.0, high=0.4)
@@ -75,7 +75,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 Claim(
                     f"From the known pairs of {name} points the variance of exp(−x² − y²) is that of quadrature: relative "
                     "difference.",
-                    float(mcs.variance_from_pair_correlation(_SMOOTH, name, N)["variance"])
+                    float(mcs.variance.variance_from_pair_correlation(_SMOOTH, name, N)["variance"])
                     / float(mcs.exact_variance(_SMOOTH, name, N))
                     - 1,
                     at_most=1e-5,
@@ -103,7 +103,7 @@ def count_pairs(name: str, realizations: int, seed: int) -> xr.Dataset:
 
 def routes(name: str, realizations: int, seed: int) -> tuple[Measured, Measured]:
     """The variance from counted pairs, and measured with other random numbers."""
-    found = mcs.variance_from_pair_correlation(
+    found = mcs.variance.variance_from_pair_correlation(
         _SMOOTH, name, N, realizations=2 * realizations, rng=seed
     )
     curve = mcs.convergence(_SMOOTH, name, [N], realizations=10 * realizations, rng=seed + 1)
@@ -116,7 +116,9 @@ def _as_closed(name: str, data: xr.Dataset) -> Claim:
     # A bin counts pairs in proportion to r: Simpson's rule with that weight
     nodes = [(-0.5, 1), (0.0, 4), (0.5, 1)]
     weights = [w * (r + t * width) for t, w in nodes]
-    values = [mcs.closed_form_pair_correlation(name, N, np.abs(r + t * width)) for t, _ in nodes]
+    values = [
+        mcs.spectra.closed_form_pair_correlation(name, N, np.abs(r + t * width)) for t, _ in nodes
+    ]
     expected = sum(w * v for w, v in zip(weights, values, strict=True)) / sum(weights)
     return largest_distance(
         f"Counted pairs of {N} {name} points in the plane have the closed form of g(r), {r.size} distances",
@@ -131,7 +133,7 @@ def _transformed(name: str) -> Claim:
     # g is linear up to 1/n and constant beyond: Gauss-Legendre nodes in pieces of 1/n
     nodes, weights = np.polynomial.legendre.leggauss(16)
     h = ((np.arange(n // 2)[:, None] + (nodes + 1) / 2) / n).ravel()
-    g = mcs.closed_form_pair_correlation(mcs.sampler(name, 1), n, h)
+    g = mcs.spectra.closed_form_pair_correlation(mcs.sampler(name, 1), n, h)
     g = g * np.tile(weights, n // 2) / (2 * n)
     found = 1 + (n - 1) * 2 * (g * np.cos(2 * np.pi * m[:, None] * h)).sum(axis=1)
     return Claim(

@@ -129,7 +129,7 @@ def power_at(
     Examples
     --------
     >>> import mcspectra as mcs
-    >>> found = mcs.power_at("latin-hypercube", 64, [[1, 0], [1, 1]], realizations=200)
+    >>> found = mcs.spectra.power_at("latin-hypercube", 64, [[1, 0], [1, 1]], realizations=200)
     >>> (64 * found["power"] > 0.5).values
     array([False,  True])
     """

@@ -3,7 +3,7 @@
 Method
 ------
 All changes are measured at the same counts on the same random numbers as the path as given, and compared at
-its largest count by `mcspectra.variance.remedies.ranked`. A path of another roulette costs as many more or
+its largest count by `mcspectra.variance.remedy.ranked`. A path of another roulette costs as many more or
 fewer as it asks for numbers, that is by the turns of the integrator's loop, each a ray and at most one
 shadow ray. What is chosen by a pilot is compared with a path as given that has the pilot's paths, too.
 
@@ -45,10 +45,10 @@ from mcspectra.rendering.scenes import Scene, emitter_names, scene_name
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.studies.pixel import check_compared, find_pixel
 from mcspectra.variance.anova import Anova, anova_variances
-from mcspectra.variance.convergence import convergence, count_stream
 from mcspectra.variance.diagnosis import Diagnosis
+from mcspectra.variance.measured import convergence, count_stream
 from mcspectra.variance.prediction.predict import predict
-from mcspectra.variance.remedies import (
+from mcspectra.variance.remedy import (
     Errors,
     Trial,
     compare,

@@ -30,10 +30,9 @@ from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.records import JOIN, Join, student_t
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Estimator, Moments
+from mcspectra.estimators import Estimator, Moments
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.estimators.tails import tail_note
-from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.spectra.bases import fitting_basis
 from mcspectra.spectra.closed_forms import closed_form_power
@@ -258,7 +257,7 @@ class Anova(Counted, frozen=True, kw_only=True):
 class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
     """Which subsets of the axes the variance comes from, by sampled frequencies."""
 
-    function = "anova_spectrum"
+    function = "variance.anova_spectrum"
     variables = ("anova_variance", "anova_variance_se")
     provenance = ("estimator", "sampler", "n", "half_width", "frequencies", "stream_key")
 
@@ -367,6 +366,7 @@ def anova_variances(
     sampler: Sampler | str = "random",
     n: int = 1,
     *,
+    dims: int | None = None,
     order: int = 2,
     realizations: int = 10_000,
     groups: Sequence[int] | None = None,
@@ -381,6 +381,9 @@ def anova_variances(
     estimator, sampler, n
         What is analysed, in up to 64 dims or groups. Random sampling with n = 1, the default, gives the ANOVA
         variances σ²_u of the integrand itself.
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
     order
         1 or 2: list subsets of up to so many axes.
     realizations
@@ -433,10 +436,11 @@ def anova_variances(
 
 
 def anova_spectrum(
-    estimator: AbstractEstimator | Integrand | str,
+    estimator: Any,
     sampler: Sampler | str,
     n: int,
     *,
+    dims: int | None = None,
     order: int = 2,
     frequencies: int = 1024,
     half_width: int = 4096,
@@ -451,6 +455,9 @@ def anova_spectrum(
         Of one integrand with exact Fourier coefficients and uniform points, in up to 64 dims.
     sampler, n
         Points that are the same after any translation: random, or with shift.
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
     order
         Subsets of up to so many axes, 1 to 3.
     frequencies

@@ -29,10 +29,10 @@ from mcspectra.samplers import GivenPoints, Owen, Sampler, Shift, as_sampler
 from mcspectra.samplers.base import Randomized, Structure
 from mcspectra.samplers.optimised import OptimisedSampler
 from mcspectra.spectra.bases import parts_of
-from mcspectra.spectra.pair_correlation import pair_correlation
+from mcspectra.spectra.pairs import pair_correlation
 from mcspectra.spectra.power import power_spectrum
 from mcspectra.spectra.shapes import radial_statistics
-from mcspectra.variance.convergence import convergence
+from mcspectra.variance.measured import convergence
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -163,10 +163,11 @@ class _Variances:
 
 
 def exact_variance(
-    estimator: AbstractEstimator | Integrand | str,
+    estimator: Any,
     sampler: Sampler | str,
     n: int,
     *,
+    dims: int | None = None,
     tolerance: float = _TOLERANCE,
     max_evaluations: int | None = None,
 ) -> Any:
@@ -179,6 +180,9 @@ def exact_variance(
         shift or strata-shift, and with mirror; antithetic-jittered; latin-hypercube, alone or with
         shift; nets and sequences such as sobol or halton with owen, and those in base 2 with digital-shift. Latin hypercubes and nets take cells,
         about n to a side: some thousands of points in 2-D, some tens in 3-D.
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
     tolerance
         Relative error up to which a variance is given, 1e-12 to 1. Jumps that f does not declare
         and no axis follows take 1e-3 for random points, some 0.1 for strata; a refusal says how much.
@@ -221,11 +225,11 @@ def exact_variance(
     1.0
     """
     tolerance = as_real("tolerance", tolerance, least=1e-12, most=1.0)
+    subject = as_subject(estimator, sampler, dims=dims)
     with counting("exact_variance", max_evaluations) as tally:
-        value, _ = estimated_variance(estimator, sampler, n, tolerance)
+        value, _ = estimated_variance(subject.estimator, subject.sampler, n, tolerance)
     tally.check()
-    several = as_subject(estimator, sampler).estimator.channels
-    return value if several else float(np.squeeze(value))
+    return value if subject.estimator.channels else float(np.squeeze(value))
 
 
 def estimated_variance(

@@ -97,7 +97,7 @@ def image_error_spectrum(
     >>> import mcspectra as mcs
     >>> for mask in ("white", "blue-noise"):
     ...     chain = f"jittered | decorrelate(mask={mask!r}, width=32)"
-    ...     found = mcs.image_error_spectrum("gaussian(width=0.3)", chain, 4, dims=2)
+    ...     found = mcs.variance.image_error_spectrum("gaussian(width=0.3)", chain, 4, dims=2)
     ...     print(mask, round(float(found["low_share"]), 1))
     white 0.9
     blue-noise 0.1

@@ -330,7 +330,7 @@ def learned_density(
     --------
     >>> import mcspectra as mcs
     >>> f = mcs.integrand("gaussian(width=0.1)", dims=2)
-    >>> p = mcs.learned_density(f, "piecewise", "sobol | owen", 64, evaluations=4096)
+    >>> p = mcs.variance.learned_density(f, "piecewise", "sobol | owen", 64, evaluations=4096)
     >>> float(p.pdf([[0.5, 0.5]])[0]) > 4.0
     True
     """

@@ -249,6 +249,7 @@ def covariance_modes(
     sampler: Any,
     n: int,
     *,
+    dims: int | None = None,
     half_width: int = 32,
     modes: int = 8,
     weighted: bool = True,
@@ -271,7 +272,7 @@ def covariance_modes(
     ----------
     estimator, sampler, n
         What is analysed, as in `variance_terms`.
-    half_width, realizations, rng, basis, space, engine, eps, workers
+    dims, half_width, realizations, rng, basis, space, engine, eps, workers
         As in `variance_terms`.
     modes
         How many, at most as many as coefficients.

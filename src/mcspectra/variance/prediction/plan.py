@@ -270,6 +270,7 @@ def plan(
     estimator: Any,
     samplers: Any,
     *,
+    dims: int | None = None,
     target_error: float,
     relative: bool = False,
     rng: RngLike = 0,
@@ -282,6 +283,9 @@ def plan(
     ----------
     estimator, samplers
         As in `predict`: an estimator, one sampler or a list.
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
     target_error
         Wanted root mean square error; of several channels of each.
     relative

@@ -40,9 +40,9 @@ from mcspectra.samplers import (
 from mcspectra.samplers.base import FixedSet, Structure
 from mcspectra.samplers.stratified import root
 from mcspectra.spectra.bases import parts_of, without_last
-from mcspectra.variance.convergence import count_moments, count_stream
 from mcspectra.variance.doors import NO_VARIANCE, VANISHES, answer, counted
 from mcspectra.variance.exact import of_integrand
+from mcspectra.variance.measured import count_moments, count_stream
 from mcspectra.variance.prediction.known import Known, Predicted
 from mcspectra.variance.prediction.levels import of_levels
 from mcspectra.variance.prediction.rates import Slowest, rates_of, slowest_of_jumps
@@ -359,6 +359,7 @@ def predict(
     samplers: Any,
     counts: Sequence[int],
     *,
+    dims: int | None = None,
     rng: RngLike = 0,
     max_evaluations: int | None = None,
     workers: int | None = None,
@@ -368,11 +369,15 @@ def predict(
     Parameters
     ----------
     estimator
-        An estimator, or an integrand or its spec string, for plain sampling.
+        An estimator or, for plain sampling, an integrand, its spec string, or a vectorised function of
+        points (…, d).
     samplers
         One or a list, no sampler twice.
     counts
         Numbers of points n, ascending; each must be one that every sampler can do.
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
     rng
         Seed (SPEC 7), of routes that draw sets.
     workers

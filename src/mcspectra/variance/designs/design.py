@@ -25,8 +25,8 @@ from mcspectra.core.streams import RngLike, Stream
 from mcspectra.samplers import Sampler
 from mcspectra.samplers import sampler as sampler_of
 from mcspectra.samplers.registry import as_sampler
-from mcspectra.variance.design.objectives import as_objective
-from mcspectra.variance.design.searches import KINDS, Candidate, mean_variances
+from mcspectra.variance.designs.objectives import as_objective
+from mcspectra.variance.designs.searches import KINDS, Candidate, mean_variances
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -102,7 +102,7 @@ def design(
 
     Notes
     -----
-    The objective is the expected variance tr(C_f C_S), by `variance.design.searches`. Variances for
+    The objective is the expected variance tr(C_f C_S), by `variance.designs.searches`. Variances for
     other classes may be larger than those of usual samplers: see `certificate`. Interrupting the search
     (Ctrl-C) keeps the best sampler so far, and leaves it out of the cache.
 
