@@ -228,7 +228,6 @@ PYTHON = _rows(
         "mcs.density('spherical-triangle(a=[0,0,0], b=[1,0,0], c=[0,1,0], origin=[0,0,0])')",
         "origin",
     ),
-    ("mcs.density('vegas(integrand=\"no-such\")')", "no-such"),
     ("mcs.Density.from_functions(pdf=lambda x: 3 * x[..., 0], dims=1)", "1.5"),
     ("mcs.Density.from_functions(pdf=lambda x: -1 + 0 * x[..., 0], dims=1)", "negative"),
     ("mcs.Estimator('gaussian', 'disk')", "positive wherever"),

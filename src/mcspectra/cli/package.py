@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["app_", "cite_", "doctor_", "reproduce_"]
 
-_OPTIONAL = {"qmcpy": "qmcpy", "pyarrow": "parquet", "vegas": "vegas"}
+_OPTIONAL = {"qmcpy": "qmcpy", "pyarrow": "parquet"}
 """Packages that are not always there, with the extra that installs them."""
 
 _CITED = {
