@@ -10,7 +10,7 @@ import pytest
 
 from tests.processes import python
 
-EXTRAS = ("mitsuba", "drjit", "qmcpy", "pyarrow", "vegas", "hypothesis")
+EXTRAS = ("mitsuba", "drjit", "qmcpy", "pyarrow", "hypothesis")
 BLOCK = f"""import sys
 sys.modules.update(dict.fromkeys({EXTRAS}))
 """

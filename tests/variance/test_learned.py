@@ -15,7 +15,7 @@ from mcspectra.densities.learned import SplineDensity
 from mcspectra.variance.learned import LEARNED, _Seen, fit_splines
 
 OWEN = "sobol | owen"
-KINDS = [k for k in LEARNED if k != "vegas"]  # that package may be missing
+KINDS = list(LEARNED)
 REALIZATIONS = 200
 # F of two estimated variances of REALIZATIONS each: quantile of log F at 4 sigma, Var(log s²) = 2/(R − 1)
 NOISE = math.exp(4.0 * math.sqrt(2.0 * 2.0 / (REALIZATIONS - 1)))
@@ -164,10 +164,10 @@ def test_threads_and_blocks_do_not_matter():
 def test_where_nothing_is_gained_it_is_uniform(tmp_path):
     """A constant has no variance."""
     path = tmp_path / "uniform.json"
-    p = mcs.variance.learned_density("constant", "piecewise", OWEN, 64, dims=2, evaluations=2048)
+    p = mcs.variance.learned_density("constant", "mixture", OWEN, 64, dims=2, evaluations=2048)
     assert p.spec == "uniform"
     kept = mcs.variance.learned_density(
-        "constant", "piecewise", OWEN, 64, dims=2, evaluations=2048, path=path
+        "constant", "mixture", OWEN, 64, dims=2, evaluations=2048, path=path
     )
     x = np.random.default_rng(0).random((100, 2))
     np.testing.assert_array_equal(kept.pdf(x), 1.0)
@@ -178,7 +178,7 @@ def test_exact_variances_are_those_measured():
     """Of 2-D, where knots lie along curves of primary space."""
     f = mcs.Integrand.from_function(peaks, dims=2)
     estimator = mcs.Estimator(
-        f, mcs.variance.learned_density(f, "piecewise", OWEN, 64, evaluations=4096)
+        f, mcs.variance.learned_density(f, "mixture", OWEN, 64, evaluations=4096)
     )
     for sampler in ("jittered", OWEN):
         exact = mcs.exact_variance(estimator, sampler, 16, tolerance=0.01)
@@ -255,7 +255,7 @@ def test_the_verb_measures_what_is_gained(tmp_path):
 
     path = tmp_path / "density.json"
     words = (
-        f"learn gaussian(width=0.05) -k piecewise -n 64 --evaluations 2048 -m 200 -o {path} --json"
+        f"learn gaussian(width=0.05) -k mixture -n 64 --evaluations 2048 -m 200 -o {path} --json"
     )
     assert main(words.split()) == 0
     assert mcs.density(f"learned(path={str(path)!r})").dims == 2

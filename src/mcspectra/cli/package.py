@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["app_", "cite_", "doctor_", "reproduce_"]
 
-_OPTIONAL = {"qmcpy": "qmcpy", "pyarrow": "parquet", "vegas": "vegas"}
+_OPTIONAL = {"qmcpy": "qmcpy", "pyarrow": "parquet"}
 """Packages that are not always there, with the extra that installs them."""
 
 _CITED = {
@@ -133,19 +133,14 @@ def app_(options: argparse.Namespace) -> Answer:
 
 @verb()
 def doctor_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
-    """Say what is installed and whether it works: versions, kernels, NUFFT, GPU, renderer, extras."""
+    """Say what is installed and whether it works: versions, kernels, NUFFT, renderer, extras."""
     import numpy as np
 
     from mcspectra.core.cache import cache_folder, cache_size
     from mcspectra.core.parallel import available_workers
     from mcspectra.core.results import package_versions
     from mcspectra.rendering.backend import describe
-    from mcspectra.spectra.transforms import (
-        FrequencyGrid,
-        Transform,
-        direct_sum,
-        gpu_description,
-    )
+    from mcspectra.spectra.transforms import FrequencyGrid, Transform, direct_sum
 
     # Compare one NUFFT with the direct sum: the part that is always needed
     grid = FrequencyGrid(2, 8)
@@ -176,7 +171,6 @@ def doctor_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
         "cache of point sets": f"{entries} sets, {size / 2**20:.1f} MiB in {cache_folder()}",
         "numba cache": os.environ.get("NUMBA_CACHE_DIR", "beside the package"),
         "transforms": transforms,
-        "gpu": gpu_description()[1],
         "renderer": describe(),
         "optional packages": optional,
     }

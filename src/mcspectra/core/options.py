@@ -107,8 +107,8 @@ FIT_LAST = Meta(
     extra={"metavar": "K"},
 )
 ENGINE = Meta(
-    description="How transforms are computed: auto, nufft, direct, or gpu (extra gpu).",
-    extra={"choices": ("auto", "nufft", "direct", "gpu")},
+    description="How transforms are computed: auto, nufft or direct.",
+    extra={"choices": ("auto", "nufft", "direct")},
 )
 EPS = Meta(ge=1e-14, le=0.1, description="Wanted relative accuracy of the transforms.")
 

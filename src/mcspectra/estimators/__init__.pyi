@@ -17,4 +17,3 @@ from .mis import OneSampleMIS as OneSampleMIS
 from .mis import TechniqueSum as TechniqueSum
 from .mis import split_mixture as split_mixture
 from .moments import Moments as Moments
-from .vegas_ import VegasDensity as VegasDensity

@@ -329,8 +329,8 @@ def low_frequency_exponent(
         raise ParameterError(
             "The spectrum has no standard errors to weight the fit by; use two or more realisations."
         )
-    exact = spectrum.attrs.get("engine") not in ("nufft", "gpu")
-    least = 0.0 if exact else 10 * spectrum.attrs.get("eps", 0.0)
+    approximate = spectrum.attrs.get("engine") == "nufft"
+    least = 10 * spectrum.attrs.get("eps", 0.0) if approximate else 0.0
     if "transform_error" in spectrum.attrs:
         least = _SINGLE_ROUNDING  # single precision was chosen because its errors are small where power is
     empty = int(np.count_nonzero(power <= max(least, 1e-14) ** 2))

@@ -304,7 +304,6 @@ def standard_tasks(dims: int) -> Iterator[Task]:
         if family != "discontinuous" or dims > 1:
             spec = f"genz-{family}(a={difficulty / dims:.4g})"
             yield Task(_KINDS.get(family, "smooth"), spec, dims)
-    yield Task("kink", "sobol-g", dims)
     normal = [round(1.0 / (1.0 + 0.3 * i), 4) for i in range(dims)]
     yield Task("jump", f"half-space(normal={normal}, offset={0.5 * sum(normal):.5g})", dims)
     if dims in (2, 3):
