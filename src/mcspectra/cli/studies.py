@@ -80,13 +80,15 @@ _LISTED = 10  # paths of cells that are not done
 def run_(options: argparse.Namespace) -> Answer:
     """Run a study file: measure, predict and explain every estimator with every sampler.
 
-    Writes DIR/results.zarr (opened by xarray.open_datatree), DIR/report.html and DIR/figures/.
+    Writes DIR/study.sqlite, DIR/results.zarr (opened by xarray.open_datatree), DIR/report.html and
+    DIR/figures/. Without the extra store or report it leaves out the store or the page.
     """
     import msgspec
 
+    from mcspectra.core.errors import MissingDependency, MissingPackageWarning, warn
     from mcspectra.core.parallel import available_workers
     from mcspectra.report import write_report
-    from mcspectra.report.page import columns_of
+    from mcspectra.report.page import check_page_packages, columns_of
     from mcspectra.report.tables import summary_table
     from mcspectra.studies import (
         Trust,
@@ -122,6 +124,17 @@ def run_(options: argparse.Namespace) -> Answer:
         data = {"seconds": wall, "workers": count, "cells": cells}
         return Answer(estimate_text(estimates, wall, count), data)
 
+    # Say before the run that it cannot write the report
+    reported = True
+    try:
+        check_page_packages()
+    except MissingDependency as missing:
+        reported = False
+        warn(
+            f"{missing}, then 'mcspectra report {out}' writes the report; this run leaves it out.",
+            MissingPackageWarning,
+        )
+
     # Run the cells; the report is written of what is there, even if some fail
     code = 0
     try:
@@ -148,14 +161,15 @@ def run_(options: argparse.Namespace) -> Answer:
         )
         return Answer(text, {"report": None, "rows": []}, code)
     rows = summarize(open_results(out))
-    page = write_report(out)
+    page = write_report(out) if reported else None
     data = {"report": page, "rows": [msgspec.to_builtins(row) for row in rows]}
     # Show the first columns of its first table: rates, variances, predictions
     summary = summary_table(rows)
     shown = page_table(columns_of(summary, summary.columns[:5]))
     if "unresolved" in shown:
         shown += f"\nunresolved: the rate is {UNRESOLVED}"
-    return Answer(f"{shown}\n\nreport: {page}" if rows else f"report: {page}", data, code)
+    place = f"report: {page}" if page else f"results: {out}"
+    return Answer(f"{shown}\n\n{place}" if rows else place, data, code)
 
 
 def _cluster_engine(options: argparse.Namespace, time_limit: float | None) -> MakeExecutor | None:

@@ -28,6 +28,7 @@ from mcspectra.core.errors import (
     writing,
 )
 from mcspectra.core.progress import report
+from mcspectra.core.registry import optional_package
 from mcspectra.plots.description import Plot
 from mcspectra.plots.text import number, slug
 from mcspectra.report import page as html
@@ -223,7 +224,11 @@ def reproduce(
         The folder has no name, or the seed is out of range.
     StoreError
         The folder cannot be written.
+    MissingDependency
+        The extra ``report`` is not installed.
     """
+    html.check_page_packages()
+    optional_package("latex2mathml", "report", "The formulas of the slides need")
     chosen = exhibit_names(names)
     seed = as_integer("seed", seed, least=0)
     if not str(folder).strip():

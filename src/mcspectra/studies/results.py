@@ -26,7 +26,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import google_crc32c
 import msgspec
 import numpy as np
 
@@ -43,6 +42,7 @@ from mcspectra.core.errors import (
 )
 from mcspectra.core.memory import available_memory, check_memory, shown_bytes
 from mcspectra.core.records import unpack
+from mcspectra.core.registry import optional_package
 from mcspectra.studies.ledger import (
     FORMAT,
     LEDGER_NAME,
@@ -314,6 +314,8 @@ def write_zarr(folder: Path) -> Path | None:
     ------
     StorageError
         It cannot be written; the ledger has all of it.
+    MissingDependency
+        The extra ``store`` is not installed.
     """
     check_links(folder)
     target = folder / STORE_NAME
@@ -362,7 +364,7 @@ def export_results(source: str | Path, file: str | Path, select: str | None = No
     StorageError
         The file cannot be written.
     MissingDependency
-        Parquet without pyarrow, URLs without fsspec.
+        A store without the extra ``store``, Parquet without pyarrow, URLs without fsspec.
     """
     as_path("file", file)
     name = str(file).lower()
@@ -498,6 +500,7 @@ def _store_files(
     """Files of a store, cell by cell; those of the root come last."""
     from xarray.conventions import encode_dataset_coordinates
 
+    crc32c = optional_package("google_crc32c", "store", "Stores of zarr need")
     documents: dict[str, Any] = {}
     digests: dict[str, str] = {}
     for path, cell in cells:
@@ -511,7 +514,7 @@ def _store_files(
         for name, variable in variables.items():
             if variable.size:
                 content = np.asarray(variable.values, variable.dtype.newbyteorder("<")).tobytes()
-                checksum = google_crc32c.value(content).to_bytes(4, "little")
+                checksum = crc32c.value(content).to_bytes(4, "little")
                 files["/".join([path, str(name), "c", *"0" * variable.ndim])] = content + checksum
         for parent in map(str, Path(path).parents):
             if parent != "." and parent not in documents:
