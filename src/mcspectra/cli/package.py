@@ -200,7 +200,9 @@ def doctor_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
             texts = {k: ", ".join(v) if isinstance(v, list) else v for k, v in value.items()}
             value = "; ".join(f"{key} {text}" for key, text in texts.items() if text)
         lines.append(f"{name.replace('_', ' ').ljust(width)}  {value}")
-    return Answer("\n".join(lines), {**found, "extras": optional, "works": works}, 0 if works else 1)
+    return Answer(
+        "\n".join(lines), {**found, "extras": optional, "works": works}, 0 if works else 1
+    )
 
 
 @verb()

@@ -21,6 +21,7 @@ from mcspectra.cli.common import (
     whole,
 )
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.registry import optional_package
 from mcspectra.variance.fit import UNRESOLVED
 
 if TYPE_CHECKING:
@@ -174,6 +175,8 @@ def run_(options: argparse.Namespace) -> Answer:
 
 def _cluster_engine(options: argparse.Namespace, time_limit: float | None) -> MakeExecutor | None:
     """What makes the engine that the options ask for; None without --cluster."""
+    if options.cluster is not None or time_limit is not None:
+        optional_package("distributed", "cluster", "Processes and clusters of dask need")
     if options.cluster is None:
         for name in ("listen", "dashboard"):
             if getattr(options, name) is not None:

@@ -16,8 +16,6 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast, final
 
-from markupsafe import Markup
-
 from mcspectra.core.checks import as_integer
 from mcspectra.core.errors import (
     McspectraError,
@@ -341,7 +339,7 @@ def _section(entry: Entry) -> html.Section:
         if slide.formula:
             from latex2mathml.converter import convert
 
-            formula = Markup(convert(" ".join(slide.formula.split()), display="block"))
+            formula = html.Markup(convert(" ".join(slide.formula.split()), display="block"))
             blocks.append(html.Text(text=formula, kind="formula"))
         blocks.append(html.Text(text=entry.exhibit.caption))
         plots = {slug(plot.kind): plot for plot in entry.exhibit.plots}

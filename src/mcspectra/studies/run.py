@@ -132,10 +132,10 @@ def run_study(
     stored = True
     try:
         optional_package("zarr", "store", f"{STORE_NAME} needs")
-    except MissingDependency as missing:
+    except MissingDependency as absent:
         stored = False
         warn(
-            f"{missing}, then the same run with --resume writes {STORE_NAME}; this run leaves it out, and "
+            f"{absent}, then the same run with --resume writes {STORE_NAME}; this run leaves it out, and "
             f"{LEDGER_NAME} has all results.",
             MissingPackageWarning,
         )
