@@ -82,7 +82,7 @@ def run_(options: argparse.Namespace) -> Answer:
     """Run a study file: measure, predict and explain every estimator with every sampler.
 
     Writes DIR/study.sqlite, DIR/results.zarr (opened by xarray.open_datatree), DIR/report.html and
-    DIR/figures/. Without the extra store or report it leaves out the store or the page.
+    DIR/figures/. Without the extra report it leaves out the page and its figures.
     """
     import msgspec
 
@@ -244,7 +244,7 @@ def report_(options: argparse.Namespace) -> Answer:
     """
     from mcspectra.report import write_comparison, write_report
 
-    if options.out is None and str(options.folder).endswith((".zarr", ".zip")):
+    if options.out is None and str(options.folder).endswith(".zarr"):
         raise ParameterError(
             f"{str(options.folder)!r} is a store, in which no page is written; give --out FILE.html."
         )
@@ -311,23 +311,32 @@ def status_(options: argparse.Namespace) -> Answer:
 
 
 @verb(
-    option("DIR", "output folder, .zarr.zip file or URL", dest="source"),
+    option("DIR", "output folder of a study, or a .zarr store", dest="source"),
     option(
-        "--to FILE", "its end chooses the format; a store, .zarr, may go to a URL", required=True
+        "-o, --out FILE",
+        ".csv: a table of all scalars; .zarr: a store of all results; repeatable",
+        repeated="all",
+        required=True,
     ),
     option("--select PATTERN", "cells to export, e.g. 'estimator/*' (default: all)"),
 )
 def export_(options: argparse.Namespace) -> Answer:
-    """Write the results of a study to one file (.csv, .parquet, .nc, .json, .zarr.zip) or as a .zarr store."""
+    """Write the results of a study as files; the extension of each chooses its format.
+
+    A table has a row for each number: estimator, sampler, analysis, n, variable, value, 95 % interval
+    (low, high), standard error (se) and unit. pandas.read_csv reads it, xarray.open_datatree a store.
+    """
     from mcspectra.core.memory import shown_bytes
     from mcspectra.studies.results import export_results
 
-    file = export_results(options.source, options.to, options.select)
-    if not isinstance(file, Path):
-        return Answer(str(file), {"file": file, "bytes": None})
-    files = file.rglob("*") if file.is_dir() else [file]
-    size = sum(each.stat().st_size for each in files if each.is_file())
-    return Answer(f"{file}: {shown_bytes(size)}", {"file": file, "bytes": size})
+    written = []
+    for target in options.out:
+        file = export_results(options.source, target, options.select)
+        files = file.rglob("*") if file.is_dir() else [file]
+        size = sum(each.stat().st_size for each in files if each.is_file())
+        written.append({"file": file, "bytes": size})
+    lines = [f"{each['file']}: {shown_bytes(each['bytes'])}" for each in written]
+    return Answer("\n".join(lines), written)
 
 
 @verb(option("FILE", "default study.toml", nargs="?", default="study.toml"))

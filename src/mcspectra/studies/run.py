@@ -11,19 +11,11 @@ from typing import Any
 import msgspec
 
 from mcspectra.core import progress
-from mcspectra.core.errors import (
-    DamagedResultsWarning,
-    McspectraError,
-    MissingDependency,
-    MissingPackageWarning,
-    StoreError,
-    warn,
-)
+from mcspectra.core.errors import DamagedResultsWarning, McspectraError, StoreError, warn
 from mcspectra.core.parallel import available_workers
-from mcspectra.core.registry import optional_package
 from mcspectra.studies.executors import Cluster, Dask, Executor, Threads, check_time_limit
 from mcspectra.studies.files import StudyConfig, as_study
-from mcspectra.studies.ledger import LEDGER_NAME, STORE_NAME, Ledger, StudyNote
+from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote
 from mcspectra.studies.plan import Cell, Plan, make_plan
 from mcspectra.studies.results import output_folder, write_zarr
 from mcspectra.studies.schedule import Schedule, Settled, task_seconds
@@ -78,7 +70,7 @@ def run_study(
         The study.
     out
         Output folder: ``out/study.sqlite`` is the ledger of the run, ``out/results.zarr`` has the
-        results at its end if the extra ``store`` is installed.
+        results at its end.
     folder
         Where relative paths in spec strings start: the study file's folder.
     resume
@@ -120,8 +112,6 @@ def run_study(
         Results of an earlier run are damaged: they are computed again.
     OtherVersionsWarning
         An earlier run had other versions of packages that numbers depend on.
-    MissingPackageWarning
-        ``results.zarr`` is left out, because the extra ``store`` is not installed.
     """
     out = Path(output_folder(out))
     limit = check_time_limit(as_study(config).time_limit if time_limit is None else time_limit)
@@ -129,16 +119,6 @@ def run_study(
     config = msgspec.structs.replace(config, time_limit=limit)
     plan = make_plan(config, folder, trust, force=force)
     text = StudyText.of(config, Path(folder), trust, force=force, inputs=plan.inputs)
-    stored = True
-    try:
-        optional_package("zarr", "store", f"{STORE_NAME} needs")
-    except MissingDependency as absent:
-        stored = False
-        warn(
-            f"{absent}, then the same run with --resume writes {STORE_NAME}; this run leaves it out, and "
-            f"{LEDGER_NAME} has all results.",
-            MissingPackageWarning,
-        )
     note, paths = StudyNote.of(config, plan.inputs), [cell.path for cell in plan.cells]
     with (
         _told_where(out),
@@ -183,8 +163,7 @@ def run_study(
                         report(Progress(cell, done, len(plan.cells)))
         failed = ledger.failures()
         ledger.commit()
-        if stored:
-            write_zarr(out)
+        write_zarr(out)
     if failed:
         path, message = next(iter(failed.items()))
         raise CellFailed(
