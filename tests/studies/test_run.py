@@ -95,7 +95,7 @@ def test_a_seed_of_128_bits_comes_back(tmp_path):
     run_study(config, tmp_path, workers=1)
     cells = [node for node in open_results(tmp_path).subtree if "seed" in node.attrs]
     assert {int(cell.attrs["seed"]) for cell in cells} == {seed}
-    assert export_results(tmp_path, tmp_path / "x.nc").is_file()
+    assert export_results(tmp_path, tmp_path / "x.zarr").is_dir()
 
 
 def test_stored_is_what_the_functions_return(finished):

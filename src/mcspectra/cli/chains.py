@@ -10,7 +10,14 @@ import numpy as np
 
 from mcspectra.cli.common import Answer, option, verb
 from mcspectra.cli.texts import data_of, table_of_anything
-from mcspectra.core.errors import FileFormatError, UnknownName, close_match_hint, reason_of
+from mcspectra.core.errors import (
+    FileFormatError,
+    MissingDependency,
+    UnknownName,
+    close_match_hint,
+    reason_of,
+)
+from mcspectra.core.registry import optional_package
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -86,8 +93,12 @@ def _draws(name: str) -> Any:
             case ".csv":
                 return _table(file)
             case ".nc" | ".zarr":
+                if file.suffix.lower() == ".zarr":
+                    optional_package("zarr", "store", "Files .zarr need")
                 tree = xr.open_datatree(file)
                 return getattr(tree, "posterior", tree).to_dataset()
+    except MissingDependency:
+        raise
     except Exception as error:  # noqa: BLE001 - readers of formats raise anything
         reason = getattr(error, "strerror", None) or reason_of(error)
         raise FileFormatError(f"{file} cannot be read as {file.suffix}: {reason}.") from None

@@ -29,7 +29,7 @@ _MODULES = {
         "run": "run a study file: results, figures and report.html",
         "report": "write the report of a study again, or compare two studies",
         "status": "what the folder of a study holds: done, failed, missing, damaged",
-        "export": "write results as .csv, .parquet, .nc, .json or .zarr.zip",
+        "export": "write results as a .csv table or a .zarr store",
         "init": "write a study file to begin with",
         "schema": "print the JSON Schema of study files",
     },

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from mcspectra.cli.common import Answer, option, verb, whole
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.references import bibtex
+from mcspectra.core.registry import optional_package
 from mcspectra.version import __version__
 
 if TYPE_CHECKING:
@@ -21,8 +22,15 @@ if TYPE_CHECKING:
 
 __all__ = ["app_", "cite_", "doctor_", "reproduce_"]
 
-_OPTIONAL = {"qmcpy": "qmcpy", "pyarrow": "parquet"}
-"""Packages that are not always there, with the extra that installs them."""
+_EXTRAS = {
+    "report": ("bokeh", "jinja2", "latex2mathml"),
+    "store": ("zarr",),
+    "cluster": ("distributed", "cloudpickle"),
+    "render": ("mitsuba", "OpenEXR"),
+    "frames": ("flip-evaluator", "tevclient"),
+    "qmcpy": ("qmcpy",),
+}
+"""Optional packages by the extra that installs them."""
 
 _CITED = {
     "the three terms under importance sampling": "Singh2019",
@@ -123,6 +131,7 @@ def app_(options: argparse.Namespace) -> Answer:
     """
     if options.json or options.seed is not None:
         raise ParameterError("app takes neither --json nor --seed; choose the seed on the page.")
+    optional_package("bokeh", "report", "The explorer needs")
     from mcspectra.app.server import serve
     from mcspectra.app.specs import allow_folders
 
@@ -154,13 +163,18 @@ def doctor_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
         works = off < 1e-8
         transforms = f"NUFFT against the direct sum: largest difference {off:.1e}"
 
-    # Find the version of each optional package, or what installs it
+    # Find the versions of the packages of each extra, or the command that installs it
     optional = {}
-    for name, extra in _OPTIONAL.items():
-        try:
-            optional[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            optional[name] = f"not installed (pip install 'mcspectra[{extra}]')"
+    for extra, names in _EXTRAS.items():
+        versions = []
+        for name in names:
+            try:
+                versions.append(f"{name} {metadata.version(name)}")
+            except metadata.PackageNotFoundError:
+                versions.append(f"{name} not installed")
+        optional[extra] = ", ".join(versions)
+        if "not installed" in optional[extra]:
+            optional[extra] += f" (pip install 'mcspectra[{extra}]')"
 
     entries, size = cache_size()
     found: dict[str, Any] = {
@@ -172,15 +186,17 @@ def doctor_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
         "numba cache": os.environ.get("NUMBA_CACHE_DIR", "beside the package"),
         "transforms": transforms,
         "renderer": describe(),
-        "optional packages": optional,
     }
-    width, lines = max(map(len, found)), []
-    for name, value in found.items():
+    shown = found | {f"extra {extra}": text for extra, text in optional.items()}
+    width, lines = max(map(len, shown)), []
+    for name, value in shown.items():
         if isinstance(value, dict):
             texts = {k: ", ".join(v) if isinstance(v, list) else v for k, v in value.items()}
             value = "; ".join(f"{key} {text}" for key, text in texts.items() if text)
         lines.append(f"{name.replace('_', ' ').ljust(width)}  {value}")
-    return Answer("\n".join(lines), {**found, "works": works}, 0 if works else 1)
+    return Answer(
+        "\n".join(lines), {**found, "extras": optional, "works": works}, 0 if works else 1
+    )
 
 
 @verb()

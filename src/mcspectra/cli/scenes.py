@@ -25,7 +25,8 @@ from mcspectra.cli.common import (
     wholes,
 )
 from mcspectra.cli.texts import remedies_table
-from mcspectra.core.errors import MissingDependency, ParameterError, writing
+from mcspectra.core.errors import ParameterError, writing
+from mcspectra.core.registry import optional_package
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -235,6 +236,11 @@ def pixel_(options: argparse.Namespace) -> Answer:
     elif options.x.lstrip("-").isdecimal():
         raise ParameterError(f"The pixel has a column, {x}, and no row; give X and Y.")
 
+    if options.out is not None:
+        from mcspectra.report.page import check_page_packages
+
+        check_page_packages("render,report")
+
     # Options that are not given are left to the function
     passed = ("light", "channel", "dims", "samplers", "counts", "realizations", "budget")
     asked = {
@@ -337,10 +343,12 @@ def map_(options: argparse.Namespace) -> Answer:
     from mcspectra.plots.groups import labelled
     from mcspectra.rendering.maps import Map, compared
     from mcspectra.report.map_page import map_summary, map_table, write_map
+    from mcspectra.report.page import check_page_packages
     from mcspectra.studies import StudyConfig, Trust, open_results, run_study
     from mcspectra.studies.files import SceneConfig
 
     # Refuse what cannot be before there is a folder
+    check_page_packages("render,report")
     analysis = checked(Map(**given_of(options, *(each.name for each in options_of(Map)))))
     samplers = options.sampler or [analysis.default_sampler]
     subjects = [Subject(None, read_sampler(each, analysis.points_dims)) for each in samplers]
@@ -438,6 +446,8 @@ def frames_(options: argparse.Namespace) -> Answer:
     from mcspectra.report import frames_page
 
     files = options.files
+    if options.out:
+        frames_page.check_frames_packages()
     result = frames(
         files[0] if len(files) == 1 else files,
         spp=options.spp,
@@ -469,13 +479,7 @@ def _show(result: xr.Dataset, address: str) -> None:
     host, _, port = address.rpartition(":")
     if not port.isdecimal():
         raise ParameterError(f"--tev is {address!r}; give HOST:PORT, as tev --hostname takes it.")
-    try:
-        from tevclient import Ipc
-    except ImportError:
-        raise MissingDependency(
-            "--tev needs the package tevclient; install it with: pip install 'mcspectra[frames]'"
-        ) from None
-    tev = Ipc(host or "localhost", int(port))
+    tev = optional_package("tevclient", "frames", "--tev needs").Ipc(host or "localhost", int(port))
     try:
         with tev:
             for name, plane in frame_layers(result).items():

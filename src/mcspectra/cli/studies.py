@@ -21,6 +21,7 @@ from mcspectra.cli.common import (
     whole,
 )
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.registry import optional_package
 from mcspectra.variance.fit import UNRESOLVED
 
 if TYPE_CHECKING:
@@ -80,13 +81,15 @@ _LISTED = 10  # paths of cells that are not done
 def run_(options: argparse.Namespace) -> Answer:
     """Run a study file: measure, predict and explain every estimator with every sampler.
 
-    Writes DIR/results.zarr (opened by xarray.open_datatree), DIR/report.html and DIR/figures/.
+    Writes DIR/study.sqlite, DIR/results.zarr (opened by xarray.open_datatree), DIR/report.html and
+    DIR/figures/. Without the extra report it leaves out the page and its figures.
     """
     import msgspec
 
+    from mcspectra.core.errors import MissingDependency, MissingPackageWarning, warn
     from mcspectra.core.parallel import available_workers
     from mcspectra.report import write_report
-    from mcspectra.report.page import columns_of
+    from mcspectra.report.page import check_page_packages, columns_of
     from mcspectra.report.tables import summary_table
     from mcspectra.studies import (
         Trust,
@@ -122,6 +125,17 @@ def run_(options: argparse.Namespace) -> Answer:
         data = {"seconds": wall, "workers": count, "cells": cells}
         return Answer(estimate_text(estimates, wall, count), data)
 
+    # Say before the run that it cannot write the report
+    reported = True
+    try:
+        check_page_packages()
+    except MissingDependency as missing:
+        reported = False
+        warn(
+            f"{missing}, then 'mcspectra report {out}' writes the report; this run leaves it out.",
+            MissingPackageWarning,
+        )
+
     # Run the cells; the report is written of what is there, even if some fail
     code = 0
     try:
@@ -148,18 +162,21 @@ def run_(options: argparse.Namespace) -> Answer:
         )
         return Answer(text, {"report": None, "rows": []}, code)
     rows = summarize(open_results(out))
-    page = write_report(out)
+    page = write_report(out) if reported else None
     data = {"report": page, "rows": [msgspec.to_builtins(row) for row in rows]}
     # Show the first columns of its first table: rates, variances, predictions
     summary = summary_table(rows)
     shown = page_table(columns_of(summary, summary.columns[:5]))
     if "unresolved" in shown:
         shown += f"\nunresolved: the rate is {UNRESOLVED}"
-    return Answer(f"{shown}\n\nreport: {page}" if rows else f"report: {page}", data, code)
+    place = f"report: {page}" if page else f"results: {out}"
+    return Answer(f"{shown}\n\n{place}" if rows else place, data, code)
 
 
 def _cluster_engine(options: argparse.Namespace, time_limit: float | None) -> MakeExecutor | None:
     """What makes the engine that the options ask for; None without --cluster."""
+    if options.cluster is not None or time_limit is not None:
+        optional_package("distributed", "cluster", "Processes and clusters of dask need")
     if options.cluster is None:
         for name in ("listen", "dashboard"):
             if getattr(options, name) is not None:
@@ -227,7 +244,7 @@ def report_(options: argparse.Namespace) -> Answer:
     """
     from mcspectra.report import write_comparison, write_report
 
-    if options.out is None and str(options.folder).endswith((".zarr", ".zip")):
+    if options.out is None and str(options.folder).endswith(".zarr"):
         raise ParameterError(
             f"{str(options.folder)!r} is a store, in which no page is written; give --out FILE.html."
         )
@@ -294,23 +311,32 @@ def status_(options: argparse.Namespace) -> Answer:
 
 
 @verb(
-    option("DIR", "output folder, .zarr.zip file or URL", dest="source"),
+    option("DIR", "output folder of a study, or a .zarr store", dest="source"),
     option(
-        "--to FILE", "its end chooses the format; a store, .zarr, may go to a URL", required=True
+        "-o, --out FILE",
+        ".csv: a table of all scalars; .zarr: a store of all results; repeatable",
+        repeated="all",
+        required=True,
     ),
     option("--select PATTERN", "cells to export, e.g. 'estimator/*' (default: all)"),
 )
 def export_(options: argparse.Namespace) -> Answer:
-    """Write the results of a study to one file (.csv, .parquet, .nc, .json, .zarr.zip) or as a .zarr store."""
+    """Write the results of a study as files; the extension of each chooses its format.
+
+    A table has a row for each number: estimator, sampler, analysis, n, variable, value, 95 % interval
+    (low, high), standard error (se) and unit. pandas.read_csv reads it, xarray.open_datatree a store.
+    """
     from mcspectra.core.memory import shown_bytes
     from mcspectra.studies.results import export_results
 
-    file = export_results(options.source, options.to, options.select)
-    if not isinstance(file, Path):
-        return Answer(str(file), {"file": file, "bytes": None})
-    files = file.rglob("*") if file.is_dir() else [file]
-    size = sum(each.stat().st_size for each in files if each.is_file())
-    return Answer(f"{file}: {shown_bytes(size)}", {"file": file, "bytes": size})
+    written = []
+    for target in options.out:
+        file = export_results(options.source, target, options.select)
+        files = file.rglob("*") if file.is_dir() else [file]
+        size = sum(each.stat().st_size for each in files if each.is_file())
+        written.append({"file": file, "bytes": size})
+    lines = [f"{each['file']}: {shown_bytes(each['bytes'])}" for each in written]
+    return Answer("\n".join(lines), written)
 
 
 @verb(option("FILE", "default study.toml", nargs="?", default="study.toml"))

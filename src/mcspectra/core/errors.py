@@ -33,6 +33,7 @@ __all__ = [
     "InfiniteWeightVarianceWarning",
     "McspectraError",
     "MissingDependency",
+    "MissingPackageWarning",
     "NoClosedForm",
     "NotPowerOfTwoWarning",
     "OtherVersionsWarning",
@@ -133,6 +134,10 @@ class CacheWarning(UserWarning):
 
 class DependentRealizationsWarning(UserWarning):
     """The realisations of a seed are not independent: variances and errors over them mislead."""
+
+
+class MissingPackageWarning(UserWarning):
+    """A file is left out because an optional package is not installed; the results are complete."""
 
 
 class NotPowerOfTwoWarning(UserWarning):

@@ -44,10 +44,20 @@ _TEX = str.maketrans({
 
 
 def check_result_file(file: str | None, known: tuple[str, ...] = RESULT_FILES) -> None:
-    """Refuse a file of another extension than those known, before anything is computed."""
+    """Refuse a file that cannot be written, before anything is computed.
+
+    Raises
+    ------
+    ParameterError
+        Its extension is not one of those known.
+    MissingDependency
+        It is a page, and the extra ``report`` is not installed.
+    """
     if file is not None and Path(file).suffix not in known:
         allowed = f"{', '.join(known[:-1])} or {known[-1]}"
         raise ParameterError(f"--out is {file!r}; it must end in {allowed}.")
+    if file is not None and Path(file).suffix == ".html":
+        html.check_page_packages()
 
 
 def write_result_file(result: xr.Dataset, file: str, title: str) -> None:

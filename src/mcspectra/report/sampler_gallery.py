@@ -8,11 +8,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from html import escape
 from pathlib import Path
 from typing import final
 
 import xarray as xr
-from markupsafe import Markup, escape
 
 from mcspectra.core.checks import Array, as_choice
 from mcspectra.core.errors import (
@@ -197,8 +197,11 @@ def write_gallery(
         A sampler cannot be made or measured; the message says why.
     StoreError
         The folder cannot be written.
+    MissingDependency
+        The format is ``html``, and the extra ``report`` is not installed.
     """
-    as_choice("format", format, FORMATS)
+    if as_choice("format", format, FORMATS) == "html":
+        html.check_page_packages()
     chosen = gallery_specs() if specs is None else list(specs)
     if not chosen:
         raise ParameterError("The gallery is empty; name a sampler at least.")
@@ -346,8 +349,8 @@ def _page(cards: Sequence[Card], effort: Effort) -> html.Page:
     for card, anchor in zip(cards, names, strict=True):
         facts = []
         for name, value in _card_facts(card):
-            text = ADDRESS.sub(r'<a href="\g<0>">\g<0></a>', str(escape(value)))
-            facts.append((name, Markup(text)))
+            text = ADDRESS.sub(r'<a href="\g<0>">\g<0></a>', escape(value))
+            facts.append((name, html.Markup(text)))
         blocks: tuple[html.Block, ...] = (
             html.Text(text=card.facts.summary if card.facts else ""),
             *html.figures_of([_card_plot(card)]),
