@@ -9,7 +9,7 @@ import pytest
 
 from mcspectra.variance.ordered import eigenpairs, gram, orthonormal, product, weighted_sum
 
-# Sizes of which BLAS cuts the sums: modes, cross matrix and routes were seen to differ by its threads
+# Sizes of which BLAS cuts the sums: modes, cross matrix and sums over frequencies were seen to differ by its threads
 RESULTS = """
 import hashlib
 import mcspectra as mcs
@@ -20,7 +20,7 @@ for found in (
     mcs.variance_terms(
         f, "random", 4, half_width=12, cross_matrix=True, realizations=3000, **runs
     ),
-    mcs.variance_routes(f, "jittered | shift", 16, half_width=100, realizations=10, workers=1),
+    mcs.predict(f, "jittered | shift", [16], method="all", half_width=100, realizations=10, workers=1),
 ):
     print(hashlib.sha256(b"".join(v.values.tobytes() for v in found.values())).hexdigest())
 """

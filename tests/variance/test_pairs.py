@@ -9,6 +9,7 @@ from scipy.ndimage import map_coordinates
 
 import mcspectra as mcs
 from mcspectra.core.errors import NoClosedForm
+from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.variance._kernels import pair_sum_1d, pair_sum_2d
 
 MIS = mcs.MultipleImportance(
@@ -23,8 +24,9 @@ def by_pairs(estimator, sampler, n, **options):
 
 
 def se_of(found):
-    ends = found["predicted_variance_ci"].values
-    return np.where(ends[..., 1] == ends[..., 0], 0.0, ends[..., 1] - ends[..., 0]) / 3.919927969
+    low, high = np.moveaxis(found["predicted_variance_ci"].values, -1, 0)
+    with np.errstate(invalid="ignore"):  # both infinite
+        return np.where(low == high, 0.0, high - low) / (2 * CONFIDENCE_Z)
 
 
 def within(found, expected, expected_se=0.0, sigmas=4.0):

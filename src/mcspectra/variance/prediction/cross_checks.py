@@ -31,6 +31,7 @@ from mcspectra.samplers import Sampler
 from mcspectra.samplers.base import Structure
 from mcspectra.spectra.bases import fitting_basis, parts_of
 from mcspectra.spectra.closed_forms import closed_form_covariance, closed_form_power
+from mcspectra.spectra.transforms import FrequencyGrid
 from mcspectra.variance._kernels import pair_sum_1d, pair_sum_2d
 from mcspectra.variance.ordered import weighted_sum
 from mcspectra.variance.prediction.known import Cells
@@ -98,6 +99,7 @@ def of_homogenized(
             "The homogenized formula holds for uniform points that are the same after any "
             f"translation, not for {given.spec} with {sampler.spec}; add shift."
         )
+    FrequencyGrid(estimator.domain_dims, width)  # refuses too many frequencies
     m, f = _coefficients(given, width)
     try:
         known = closed_form_power(sampler, n, m)

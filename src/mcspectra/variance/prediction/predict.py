@@ -288,6 +288,8 @@ class Prediction(Counted, frozen=True, kw_only=True):
         *("local_rate", "predicted_rate", "limit_rate", "bend_n"),
     )
 
+    provenance = ("method",)
+
     counts: Annotated[Counts, COUNTS]
     method: Annotated[str, METHOD] = "auto"
     tolerance: Annotated[
