@@ -19,8 +19,8 @@ from mcspectra.testing import check_analysis
 from mcspectra.variance.anova import Anova, AnovaSpectrum
 from mcspectra.variance.convergence import Convergence, RealizationsNeeded, count_stream
 from mcspectra.variance.modes import Modes
-from mcspectra.variance.remedies import Remedies
 from mcspectra.variance.prediction.predict import Prediction
+from mcspectra.variance.remedies import Remedies
 from mcspectra.variance.sums import TermSums, spread
 from mcspectra.variance.techniques import Techniques
 from mcspectra.variance.terms import Terms

@@ -432,11 +432,12 @@ def of_few_moves(sampler: Sampler, n: int, known: Known, stream: Stream) -> Pred
     """
     chain = sampler.as_chain(n)
     (base, steps), inner = parts_of(chain), _before_shift(sampler, n)
-    if known.g.dims <= 3 and n <= _MOST_EVALUATIONS // _LEAST_OFFSETS:
+    if known.g.dims <= 3:
         names = {step.name for step in steps}
         if base.fixed and steps and names <= _KEEP_LAW and set(base.digit_bases) == {2}:
             return of_moves(chain, n, known, stream)
-        if inner is not None and inner.fixed and known.g.fourier_source != "exact":
+        few = n <= _MOST_EVALUATIONS // _LEAST_OFFSETS and known.g.fourier_source != "exact"
+        if few and inner is not None and inner.fixed:
             points = inner.draw_stream(n, Stream.from_rng(0), 0, 1)[0]
             if lattice_basis(points) is not None and np.isfinite(known.square[0]).all():
                 return of_moves(sampler, n, known, stream)
