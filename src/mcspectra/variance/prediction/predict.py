@@ -270,8 +270,8 @@ _WORTH = {"moves": 0.03, "table": 0.2, "extrapolated": 0.2}
 """Half intervals of sums of products, relative to the variance, that a method may narrow."""
 
 METHOD = Meta(
-    description="auto: the most trusted method that applies; all: every method, side by side; or one "
-    f"of {', '.join(METHODS)}.",
+    description="auto: the most trusted method that applies; all: every method, side by side; else one "
+    "by its name.",
     extra={"choices": ("auto", "all", *METHODS)},
 )
 
