@@ -200,6 +200,7 @@ def _share(estimator: AbstractEstimator, f: Array) -> Any:
     """Part of ∫f² that the coefficients hold; NaN where ∫f² is not known."""
     within = (np.abs(f) ** 2).reshape(-1, max(1, estimator.channels)).sum(axis=0)
     try:
+        assert estimator.domain_integrand is not None
         whole, _ = square_integral(estimator.domain_integrand)
     except ParameterError:  # too many dims for a quadrature
         return np.nan
