@@ -152,7 +152,9 @@ def test_what_is_named_says_what_it_called(name):
 @pytest.mark.parametrize("name", NAMED)
 def test_no_call_is_made_beyond_the_most(name, most):
     f = Function(2)
-    with pytest.raises(BudgetError, match=f"{name} takes at least .* max_evaluations is {most};"):
+    with pytest.raises(
+        BudgetError, match=f"{name.split()[0]} takes at least .* max_evaluations is {most};"
+    ):
         NAMED[name](f.integrand, most)
     assert f.calls <= most
 
