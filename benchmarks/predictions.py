@@ -169,7 +169,7 @@ def main(*flags: str) -> None:
             none = np.isnan(value) & (measured <= rounding_floor(size))
             value = np.where(none, measured, value)
             bounds = np.where(none[..., None], measured[..., None], bounds)
-            routes = [np.broadcast_to(_routes(each), value.shape[1:]) for each in found]
+            methods = [np.broadcast_to(_methods(each), value.shape[1:]) for each in found]
 
             # Relative to the measured value, whose own error is allowed for
             off = np.abs(value / measured - 1.0)
@@ -187,7 +187,7 @@ def main(*flags: str) -> None:
             )
             totals += (value.size, right.sum(), near.sum(), covered.sum())
             for i, j in np.argwhere(~right):
-                text = f"{group.problems[i].spec}, {sampler}, n = {counts[j]} ({routes[i][j]})"
+                text = f"{group.problems[i].spec}, {sampler}, n = {counts[j]} ({methods[i][j]})"
                 worst.append((float(ratio[i, j]), text))
     cells, right_, near_, covered_ = totals
     print(
@@ -199,10 +199,9 @@ def main(*flags: str) -> None:
         print(f"  {far:8.3g}  {text}")
 
 
-def _routes(found: Any) -> Array:
-    """Names of the routes along n."""
-    route = found.coords["route"].to_numpy() if "route" in found.coords else found.attrs["route"]
-    return np.asarray(route)
+def _methods(found: Any) -> Array:
+    """Names of the methods along n."""
+    return np.asarray(found["method"].to_numpy())
 
 
 if __name__ == "__main__":

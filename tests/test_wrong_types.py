@@ -170,7 +170,7 @@ def test_documented_functions_refuse_wrong_types_too(function, right):
 
 def test_a_study_is_asked_for_before_its_folder_is_made():
     config = studies.decode_study(
-        'title = "t"\nseed = 1\nsamplers = ["random"]\nexact = {counts = [4]}\n'
+        'title = "t"\nseed = 1\nsamplers = ["random"]\npredict = {counts = [4]}\n'
         '[[estimators]]\nname = "a"\nintegrand = "gaussian"\n'
     )
     for wrong in (None, 3, "\0", "\ud800"):

@@ -1,6 +1,7 @@
-"""The verbs exact, anova and modes, and the views of spectrum, against the functions behind them."""
+"""The verbs predict, anova and modes, and the views of spectrum, against the functions behind them."""
 
 import io
+import re
 
 import numpy as np
 import pytest
@@ -11,21 +12,34 @@ from mcspectra.core.analysis import ANALYSES
 
 def test_exact_variance_of_a_line(run, run_json):
     """Jittered and linear: 1/(12 n³), so that the local rate is −3."""
-    arguments = ("exact", "linear", "-d", 1, "--sampler", "jittered", "-n", "4, 8")
+    arguments = (
+        "predict",
+        "linear",
+        "-d",
+        1,
+        "--sampler",
+        "jittered",
+        "--counts",
+        "4, 8",
+        "--method",
+        "exact",
+    )
     data = run_json(*arguments)
     assert data["n"] == [4, 8]
-    assert data["exact_variance"] == pytest.approx([1 / (12 * 4**3), 1 / (12 * 8**3)])
+    assert data["predicted_variance"] == pytest.approx([1 / (12 * 4**3), 1 / (12 * 8**3)])
     code, out, _ = run(*arguments)
     assert code == 0
-    rows = [line.split() for line in out.splitlines()[3:]]
-    assert [row[-1] for row in rows] == ["–", "-3.0000"]
+    rows = [line.split() for line in out.splitlines()[3:5]]
+    assert [row[1:3] for row in rows] == [["0.00130208333", "-3.00"], ["0.000162760417", "-3.00"]]
+    assert rows[0][-2:] == ["exact", "(quadrature)"]
     assert run(*arguments, "--quiet")[1] == ""
 
 
 def test_exact_variance_of_zero_has_no_rate(run):
-    code, out, _ = run("exact", "linear", "-d", 1, "--sampler", "regular", "-n", "4,8,16")
+    given = ("--sampler", "regular", "--counts", "4,8,16", "--method", "exact")
+    code, out, _ = run("predict", "linear", "-d", 1, *given)
     assert code == 0
-    assert [line.split()[1:] for line in out.splitlines()[3:]] == [["0", "–"]] * 3
+    assert [line.split()[1:3] for line in out.splitlines()[3:]] == [["0", "–"]] * 3
 
 
 def test_anova_is_that_of_the_function(run, run_json):
@@ -160,15 +174,15 @@ def test_no_exponent_has_its_reason(run, run_json):
 
 
 def test_exact_says_infinite(run):
-    given = ("exact", "cosine", "-d", 1, "--density", "power", "--sampler", "random", "-n", "4,8")
-    code, out, _ = run(*given)
+    given = ("cosine", "-d", 1, "--density", "power", "--sampler", "random", "--counts", "4,8")
+    code, out, _ = run("predict", *given, "--method", "exact")
     assert code == 0
-    assert [line.split()[1:] for line in out.splitlines()[3:]] == [["infinite", "–"]] * 2
+    assert [line.split()[1] for line in out.splitlines()[3:]] == ["infinite"] * 2
 
 
 def test_a_warning_is_shown_once(run):
-    given = ("exact", "linear", "-d", 1, "--sampler", "sobol | digital-shift", "-n", "16,60")
-    code, _, err = run(*given)
+    given = ("linear", "-d", 1, "--sampler", "sobol | digital-shift", "--counts", "16,60")
+    code, _, err = run("predict", *given, "--method", "exact")
     assert code == 0
     assert err.count("60 Sobol' points are not balanced") == 1
 
@@ -243,7 +257,7 @@ def test_several_samplers_wherever_the_analysis_takes_them(run, run_json):
         twice = run(verb, "linear", "-d", 1, *two, *two[:2], *options)
         assert twice[0] == 2
         assert "The sampler jittered is listed twice; list each once." in twice[2]
-    code, _, err = run("exact", "linear", "-d", 1, *two, "-n", 4)
+    code, _, err = run("variance", "linear", "-d", 1, *two, "-n", 4)
     assert code == 2
     assert "--sampler is given twice; give it once" in err
 
@@ -253,7 +267,24 @@ def test_several_predictions_are_those_of_each(run_json):
     data = run_json("predict", "gaussian", *two, "--counts", "16,64")
     expected = mcs.predict("gaussian", ["jittered", "random"], [16, 64])
     assert data["predicted_variance"] == expected["predicted_variance"].values.tolist()
-    assert data["route"] == expected["route"].values.tolist()
+    assert data["method"] == expected["method"].values.tolist()
+
+
+def test_all_methods_are_rows_and_those_without_a_value_say_why(run, run_json):
+    given = ("predict", "gaussian", "--sampler", "sobol | owen", "--counts", "16,64")
+    options = ("--method", "all", "-m", 50, "--half-width", 4)
+    code, out, _ = run(*given, *options)
+    assert code == 0
+    rows, reasons = out.split("no value by\n")
+    for n in (16, 64):
+        assert re.search(rf"^{n} .* exact \(quadrature\)$", rows, re.MULTILINE)
+        assert re.search(rf"^{n} .* measured \(50 realizations\)$", rows, re.MULTILINE)
+    assert reasons.count("  torus: sobol | owen is not known to be the same") == 1
+    data = run_json(*given, *options)
+    assert "measured" in data["method"]
+    code, _, err = run("predict", "gaussian", *given[2:], "--method", "torus")
+    assert code == 2
+    assert "The method torus does not apply to gaussian with sobol | owen" in err
 
 
 def test_a_plan_without_an_answer_says_why(run):

@@ -349,9 +349,10 @@ def test_shared_points_of_opposite_techniques_cancel():
     own = mcs.convergence(mcs.estimators.TechniqueSum(g, dims=1), "random", [4], realizations=100)
     assert float(own["variance"][0]) > 0.01
     assert "shared" in shared.spec
-    for call in (mcs.exact_variance, mcs.variance.variance_from_pair_correlation):
-        with pytest.raises(mcs.NoClosedForm, match="correlated"):
-            call(shared, "random", 4)
+    with pytest.raises(mcs.NoClosedForm, match="correlated"):
+        mcs.exact_variance(shared, "random", 4)
+    with pytest.raises(mcs.NoClosedForm, match="correlated"):
+        mcs.predict(shared, "random", [4], method="pair-correlation")
 
 
 def test_registry_knows_all_and_objects_are_taken():

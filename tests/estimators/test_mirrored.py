@@ -261,7 +261,7 @@ def test_random_reflections_of_a_grid_have_no_closed_form_here():
     with pytest.raises(NoClosedForm, match="not uniform"):
         mcs.exact_variance(mcs.Mirrored(SMOOTH, "random"), "regular", 16)
     with pytest.raises(NoClosedForm):
-        mcs.variance.variance_from_pair_correlation(mcs.Mirrored(SMOOTH, "random"), "jittered", 16)
+        mcs.predict(mcs.Mirrored(SMOOTH, "random"), "jittered", [16], method="pair-correlation")
 
 
 def _exact_rate(estimator, spec, low, high):

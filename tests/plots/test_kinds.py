@@ -39,10 +39,8 @@ PLOTS = {
     "predict": ["prediction"],
     "plan": ["prediction"],
     "profile": ["profile"],
-    "exact": ["exact"],
     "remedies": ["remedies"],
     "modes": ["modes"],
-    "routes": ["routes"],
     "map": [kind for kind in KINDS if kind.startswith("map-") and kind not in PATHS],
 }
 TERMS = ("terms", "captured", "contributions", "bands")

@@ -199,11 +199,14 @@ def test_importing_the_module_registers_the_accessor():
     assert accessor.Result(xr.Dataset()).kinds == ()
 
 
-def test_summaries_of_predictions_have_values_routes_and_rates():
+def test_summaries_of_predictions_have_values_methods_and_rates():
     found = mcs.predict("disk", ["random", "jittered | shift"], [64, 256])
     random, jittered = found["predicted_variance"].isel(n=-1).values
     text = found.mcspectra.summary()
-    assert f"random: variance {number(random)} at n = 256 (exact), rate −1.00 now" in text
+    assert (
+        f"random: variance {number(random)} at n = 256 by exact (quadrature), rate −1.00 now"
+        in text
+    )
     assert f"jittered | shift: variance {number(jittered)} at n = 256" in text
     assert "and −1.50 at large n." in text
     alone = mcs.predict("gaussian", "jittered", [16]).mcspectra.summary()

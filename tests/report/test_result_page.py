@@ -1,4 +1,4 @@
-"""The page of one result: what it says, its values with their intervals and routes."""
+"""The page of one result: what it says, its values with their intervals and methods."""
 
 import html
 import re
@@ -23,15 +23,16 @@ def shown(tmp_path):
     return write
 
 
-def test_predictions_stand_with_their_routes(shown):
+def test_predictions_stand_with_their_methods(shown):
     found = mcs.predict("disk", ["random", "rank1-lattice | shift", "sobol"], [16, 64])
     words = shown(found)
     assert "sobol: a deterministic sampler has no variance" in words
     assert "sampler predicted rate limit rate bend n random −1.00 −1.00 –" in words
     for sampler in ("random", "rank1-lattice | shift"):
         for n in (16, 64):
-            route = found["route"].sel(sampler=sampler, n=n).item()
-            assert re.search(rf"{re.escape(sampler)} {n} [^a-z]* {re.escape(route)}", words)
+            one = found.sel(sampler=sampler, n=n)
+            method = f"{one['method'].item()} {one['how'].item()}"
+            assert re.search(rf"{re.escape(sampler)} {n} [^a-z]* {re.escape(method)}", words)
     assert "sobol 16" not in words
 
 

@@ -12,8 +12,9 @@ STUDY = """
 title = "further"
 seed = 5
 samplers = ["jittered | shift"]
-[exact]
+[predict]
 counts = [4, 16]
+method = "exact"
 [[estimators]]
 name = "edge"
 integrand = "linear"
@@ -30,7 +31,7 @@ techniques = { counts = [4, 16], half_width = 4, realizations = 30, fit_last = 2
 [[estimators]]
 name = "none"
 integrand = "disk"
-exact = { counts = [4] }
+predict = { counts = [4], method = "exact" }
 samplers = ["poisson-disk"]
 """
 SAMPLER = "jittered | shift"
@@ -77,19 +78,20 @@ def test_cells_are_what_the_functions_return(finished):
 
 
 def test_exact_variances(finished):
-    found = open_results(finished)["edge/jittered-shift/exact"]
+    found = open_results(finished)["edge/jittered-shift/predict"]
     estimator = mcs.Estimator("linear", dims=1)
     wanted = [mcs.exact_variance(estimator, SAMPLER, n) for n in (4, 16)]
-    assert found["exact_variance"].values.tolist() == wanted
+    assert found["predicted_variance"].values.tolist() == wanted
     assert "note" not in found.attrs
 
 
 def test_no_closed_form_is_a_note_and_no_failure(finished):
-    found = open_results(finished)["none/poisson-disk/exact"]
-    assert np.isnan(found["exact_variance"].values).all()
+    found = open_results(finished)["none/poisson-disk/predict"]
+    assert np.isnan(found["predicted_variance"].values).all()
     with pytest.raises(mcs.NoClosedForm) as caught:
         mcs.exact_variance(mcs.Estimator("disk"), "poisson-disk", 4)
-    assert found.attrs["note"] == str(caught.value)
+    assert found.attrs["note"] == str(caught.value).rstrip(".")
+    assert found.attrs["labels_method"] == ["none"]
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -97,11 +99,12 @@ def test_the_report_has_their_tables(finished):
     text = write_report(finished).read_text(encoding="utf-8")
     tree = open_results(finished)
     remedies = tree["edge/jittered-shift/remedies"]
-    for heading in ("Remedies", "Techniques", "Axes", "Exact variance"):
+    for heading in ("Remedies", "Techniques", "Axes"):
         assert f"<h3>{heading}</h3>" in text
+    assert "Predictions in numbers" in text
     assert remedies.attrs["labels_remedy"][0] in text
     assert tree["sum/jittered-shift/techniques"].attrs["bottleneck"] in text
-    assert tree["none/poisson-disk/exact"].attrs["note"][:30] in text
+    assert tree["none/poisson-disk/predict"].attrs["note"][:30] in text
     assert summarize(tree) == []
 
 

@@ -112,7 +112,7 @@ def test_channels_are_those_of_channel_estimators(colour, way):
         (STEP + "remedies = { budget = 64, kinds = [] }", "kinds"),
         (STEP + "remedies = { budget = 64, realizations = 99 }", ">= 100"),
         (TWO + "remedies = { budget = 1 }", "remedies: budget is 1; give a whole number of at least"),
-        (STEP + "exact = { counts = [16, 4] }", "give ascending numbers"),
+        (STEP + "predict = { counts = [16, 4] }", "give ascending numbers"),
         (STEP + "techniques = { counts = [] }", "counts"),
         (STEP + "pcf = { n = 1 }", "pcf: pair_correlation needs n of at least 2"),
         (STEP + "pcf = { n = 4, max_distance = 0.6 }", "<= 0.5"),

@@ -111,7 +111,7 @@ def test_predictions_are_those_of_predict_and_stand_in_rows_and_sentences(tree, 
         assert (counts, options["rng"]) == (list(COUNTS), 3)
         found, direct = tree[f"predict/{name}"].to_dataset(), said[spec]
         same(found, direct)
-        assert np.array_equal(found["route"], direct["route"])
+        assert np.array_equal(found["method"], direct["method"])
     direct = said[estimators()["balance"].spec]
     rows = [row for row in pixel_rows(tree) if row.estimator == STRATEGY_NAMES["balance"]]
     measured = tree["convergence"]["variance"].sel(strategy="balance")
@@ -119,9 +119,9 @@ def test_predictions_are_those_of_predict_and_stand_in_rows_and_sentences(tree, 
         at = {"sampler": row.sampler, "n": COUNTS[-1]}
         ratio = float(direct["predicted_variance"].sel(at) / measured.sel(at))
         assert row.ratio == pytest.approx(ratio, rel=1e-12)
-        assert row.route == str(direct["route"].sel(at).values)
+        assert row.method == str(direct["method"].sel(at).values)
     said = dict(pixel_sentences(tree))["MIS, balance"]
-    assert f"({rows[SAMPLERS.index(tree.attrs['sampler'])].route})" in said
+    assert f"({rows[SAMPLERS.index(tree.attrs['sampler'])].method})" in said
     listed = next(r for r in pixel_summary(tree)["rates"] if r["strategy"] == "balance")
     assert np.array_equal(listed["predicted_variance"], direct["predicted_variance"][0])
 

@@ -48,7 +48,7 @@ realizations = 3000
 name = "smooth"
 integrand = "gaussian"
 dims = 2
-exact = { counts = [1] }
+predict = { counts = [1], method = "exact" }
 terms = { n = 64, half_width = 4, realizations = 3000 }
 [[estimators]]
 name = "mis"

@@ -128,7 +128,7 @@ def test_placeholders_may_stand_for_numbers():
 
 
 def test_placeholders_may_stand_for_lists_and_not_for_what_a_study_has_once():
-    text = STUDY.replace("n = 4", 'n = "{n}"\n[exact]\ncounts = "{c}"')
+    text = STUDY.replace("n = 4", 'n = "{n}"\n[predict]\ncounts = "{c}"')
     text = text.replace('["random"]', '"{s}"')
     text += 'grid = { n = [4, 8], c = [[4, 8], [16]], s = [["random"], ["jittered"]] }\n'
     assert _complaints(text) == []

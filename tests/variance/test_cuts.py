@@ -17,11 +17,10 @@ from mcspectra.core.streams import Stream
 from mcspectra.estimators import Moments, as_subject
 from mcspectra.testing import check_analysis
 from mcspectra.variance.anova import Anova, AnovaSpectrum
-from mcspectra.variance.exact import Exact
 from mcspectra.variance.measured import Convergence, RealizationsNeeded, count_stream
 from mcspectra.variance.modes import Modes
+from mcspectra.variance.prediction.predict import Prediction
 from mcspectra.variance.remedy import Remedies
-from mcspectra.variance.routes import Routes
 from mcspectra.variance.sums import TermSums, spread
 from mcspectra.variance.techniques import Techniques
 from mcspectra.variance.terms import Terms
@@ -76,11 +75,16 @@ CASES = {
     "anova": (Anova(n=8, order=1, realizations=45), SOLID, "random", 4 * 8 * 3 * 5),
     "anova-pairs": (Anova(n=8, realizations=45), SOLID, "jittered | shift", 4 * 8 * 3 * 5),
     "anova-spectrum": (AnovaSpectrum(n=8, frequencies=32), SOLID, "random", 2**21),
-    "exact": (Exact(counts=(4, 9, 16, 25, 36)), PLAIN, "jittered", 2**21),
+    "exact": (Prediction(counts=(4, 9, 16, 25, 36), method="exact"), PLAIN, "jittered", 2**21),
     "modes": (Modes(n=16, half_width=3, modes=2, realizations=45), MIS, "jittered", 2**21),
     "modes-groups": (Modes(n=16, half_width=2, modes=2, realizations=99), PLAIN, "random", 64),
     "remedies": (Remedies(budget=64, realizations=100), LINE, "jittered | shift", 2**21),
-    "routes": (Routes(n=16, half_width=2, realizations=45), PLAIN, "jittered | shift", 2**21),
+    "methods": (
+        Prediction(counts=(16,), method="all", half_width=2, realizations=45),
+        PLAIN,
+        "jittered | shift",
+        2**21,
+    ),
 }
 
 
@@ -292,9 +296,9 @@ NAN = float("nan")
         (AnovaSpectrum(n=8), JITTERED),
         (AnovaSpectrum(n=17), as_subject(PLAIN, "jittered | shift")),
         (Modes(n=16, channel=1), JITTERED),
-        (Routes(n=16, half_width=10**9), JITTERED),
-        (Routes(n=7), JITTERED),
-        (Routes(n=16, realizations=3), JITTERED),
+        (Prediction(counts=(16,), method="terms", half_width=10**9), JITTERED),
+        (Prediction(counts=(7,), method="all"), JITTERED),
+        (Prediction(counts=(16,), method="all", realizations=3), JITTERED),
         (Remedies(budget=3), JITTERED),
         (Remedies(budget=2**25), JITTERED),
         (Remedies(budget=64, kinds=()), JITTERED),

@@ -120,7 +120,7 @@ def test_all_functions_of_an_estimator_take_dims():
     functions = {n: getattr(p, n) for p in packages for n in p.__all__ if n.islower()}
     for name, function in functions.items():
         parameters = inspect.signature(function).parameters if callable(function) else {}
-        if "estimator" in parameters and name != "variance_from_pair_correlation":
+        if "estimator" in parameters:
             assert "dims" in parameters, name
 
 

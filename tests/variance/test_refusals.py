@@ -58,7 +58,7 @@ def _exact(sampler, n=16, dims=2, integrand="gaussian"):
 
 def _pairs(sampler, n, dims=2, estimator="gaussian", **given):
     sampler = mcs.sampler(sampler, dims=dims)
-    mcs.variance.variance_from_pair_correlation(estimator, sampler, n, **given)
+    mcs.predict(estimator, sampler, [n], method="pair-correlation", **given)
 
 
 ROWS = [
@@ -144,13 +144,13 @@ UNKNOWN = [
     (lambda: _exact("sobol | digital-shift", 64, 12), "evaluations"),
     (lambda: _exact("jittered", integrand=CORNER), "does not converge"),
     (lambda: _exact("sobol | digital-shift", integrand="disk"), "does not converge"),
-    (lambda: _pairs("sobol", 16), "use exact_variance or variance_terms"),
-    (lambda: _pairs("jittered | strata-shift", 16), "use exact_variance or variance_terms"),
-    (lambda: _pairs("regular | shift", 16), "use exact_variance or variance_terms"),
-    (lambda: _pairs("uniform-jitter", 4, 1), "use exact_variance or variance_terms"),
-    (lambda: _pairs("jittered | shift", 27, 3), "use exact_variance or variance_terms"),
-    (lambda: _pairs("latin-hypercube", 16), "use exact_variance or variance_terms"),
-    (lambda: _pairs("jittered | shift", 4, 1, POLE, realizations=2), "diverges"),
+    (lambda: _pairs("sobol", 16), "or use another method"),
+    (lambda: _pairs("jittered | strata-shift", 16), "or use another method"),
+    (lambda: _pairs("regular | shift", 16), "or use another method"),
+    (lambda: _pairs("uniform-jitter", 4, 1), "or use another method"),
+    (lambda: _pairs("jittered | shift", 27, 3), "or use another method"),
+    (lambda: _pairs("latin-hypercube", 16), "or use another method"),
+    (lambda: _pairs("jittered | shift", 4, 1, POLE, realizations=4), "diverges"),
 ]
 
 

@@ -11,11 +11,11 @@ from tests import oracles
 import mcspectra as mcs
 from mcspectra.core.errors import NoClosedForm
 from mcspectra.core.streams import Stream
-from mcspectra.variance.prediction import predict as routes
+from mcspectra.variance.prediction import predict as methods
 from mcspectra.variance.prediction.known import Known
 from mcspectra.variance.prediction.subsets import of_subsets
 
-RESOLVED = 0.01  # relative error of curves with jumps that the route itself allows for
+RESOLVED = 0.01  # relative error of curves with jumps that the method itself allows for
 STREAM = Stream.from_rng(3)
 
 
@@ -230,7 +230,7 @@ def test_channels():
 
 
 def test_a_fit_that_runs_away_where_no_point_is_does_not_predict(monkeypatch):
-    monkeypatch.setattr(routes, "_NEAR_POINTS", 2**16)
+    monkeypatch.setattr(methods, "_NEAR_POINTS", 2**16)
     # Products of twelve axes had a tenth of their energy at the border, and nets six times the variance
     f = oracles.asian_option(12)
     found = mcs.predict(f, "sobol | owen", [256])

@@ -239,4 +239,4 @@ def test_deterministic_sets_have_no_variance_and_say_so():
     assert np.isnan(found["captured_ci"].values).all()
     said = "sobol has no variance: add owen or shift, or look at |bias|"
     assert found.attrs["note"] == said
-    assert mcs.variance_routes("disk", "sobol", 16, realizations=8).attrs["note"] == said
+    assert mcs.predict("disk", "sobol", [16], method="all", realizations=8).attrs["note"] == said

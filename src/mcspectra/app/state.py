@@ -44,7 +44,12 @@ ANALYSES = {
 }
 """What is shown of a set-up, by the names of tables in study files."""
 
-_KNOWN = {option.name: option for kind in ANALYSES.values() for option in options_of(kind)}
+_KNOWN = {
+    option.name: option
+    for name, kind in ANALYSES.items()
+    if name != "predict"  # its half width and realizations are of methods that are not shown
+    for option in options_of(kind)
+}
 
 MIRRORS = ("none", "integrand", "random", "uniform")
 CHANNELS = ("luminance", "0", "1", "2")

@@ -6,6 +6,7 @@ numbers with their meanings and intervals, then a table for each dim.
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import textwrap
@@ -16,7 +17,7 @@ import numpy as np
 
 from mcspectra.cli.common import Answer, page_table, text_table
 from mcspectra.core.errors import NoClosedForm
-from mcspectra.plots.groups import along
+from mcspectra.plots.groups import along, method_of
 from mcspectra.variance.fit import UNRESOLVED, is_resolved
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["VIEWS", "View", "data_of", "remedies_table", "table_of_anything"]
 
 _WIDTH = 100
+_CERTAIN = 2e-6  # width of an interval, relative to the value, that is not printed
 _ROUNDING = 1e-14  # of the variance: sums of terms that cancel
 _MANY = 10_000  # numbers of a variable that --json leaves out
 
@@ -344,24 +346,6 @@ def anova(result: xr.Dataset) -> Answer:
     return _shown(*lines, _note(result), subset=labels)
 
 
-@_view("exact")
-def exact(result: xr.Dataset) -> Answer:
-    """Prints the variance at each n, and the exponent of variance in n from one to the next."""
-    rows, counts = [], result["n"].values
-    values = result["exact_variance"].values.reshape(len(counts), -1)
-    if np.isnan(values).all():
-        raise NoClosedForm(_note(result))
-    for k, n in enumerate(counts):
-        for channel, variance in enumerate(values[k]):
-            before, rate = (values[k - 1][channel] if k else 0.0), "–"
-            if before > 0.0 < variance and n != counts[k - 1] and np.isfinite(before + variance):
-                rate = f"{math.log(variance / before) / math.log(n / counts[k - 1]):+.4f}"
-            label = f"[{channel}]" if len(values[k]) > 1 else ""
-            rows.append([str(n), label, _number(variance, 9), rate])
-    table = text_table(["n", "", "variance", "local rate"], rows)
-    return _shown(f"exact variance of {_title(result)}", table, _note(result))
-
-
 @_view("profile")
 def profiled(result: xr.Dataset) -> Answer:
     """Prints what to do, the causes with their evidence, and what each sampler would leave."""
@@ -394,38 +378,47 @@ def planned(result: xr.Dataset) -> Answer:
 
 @_view("predict")
 def prediction(result: xr.Dataset) -> Answer:
-    """Prints the predicted variance at each n with its interval, its local rate and its route."""
+    """Prints the predicted variance at each n with its interval, its local rate and its method."""
     if np.isnan(result["predicted_variance"]).all():
         raise NoClosedForm(f"{_note(result)[:1].upper()}{_note(result)[1:]}.")
-    parts = [f"predicted variance of {_title(result)}"]
+    parts, several = [f"predicted variance of {_title(result)}"], "method" in result.dims
     names = ("predicted_variance", "local_rate", "energy_share")
-    header = ["n", "", "variance", "95 %", "local rate", "share", "route"]
+    header = ["n", "", "variance", "95 %", "local rate", "share", "method"]
     for sampler, one in along(result, "sampler"):
-        counts, rows = one["n"].values, []
-        value, rate, share = (one[name].values.reshape(len(counts), -1) for name in names)
-        ends = one["predicted_variance_ci"].values.reshape(*value.shape, 2)
-        for k, channel in np.ndindex(value.shape):
-            slope = rate[k, channel]
-            numbers = (
-                _number(float(value[k, channel]), 4),
-                _interval(ends[k, channel]),
-                f"{slope:+.2f}" if np.isfinite(slope) else "–",
-                f"{share[k, channel]:.4f}" if np.isfinite(share[k, channel]) else "–",
-            )
-            label = f"[{channel}]" if value.shape[1] > 1 else ""
-            rows.append([str(counts[k]), label, *numbers, str(one["route"].values[k])])
+        rows, reasons = [], []
+        for n, (method, each) in itertools.product(range(one.sizes["n"]), along(one, "method")):
+            at = each.isel(n=n)
+            numbers = [at[name].values.reshape(-1) for name in names]
+            ends = at["predicted_variance_ci"].values.reshape(-1, 2)
+            if several and np.isnan(numbers[0]).all():
+                reasons.append(f"{method}: {at['how'].item()}.")
+                continue
+            for channel, (value, slope, share) in enumerate(zip(*numbers, strict=True)):
+                low, high = ends[channel]
+                certain = high - low <= _CERTAIN * abs(value)
+                cells = (
+                    _number(float(value), 9 if certain else 4),
+                    "" if certain else _interval((low, high)),
+                    f"{slope:+.2f}" if np.isfinite(slope) else "–",
+                    f"{share:.4f}" if np.isfinite(share) else "–",
+                )
+                label = f"[{channel}]" if len(ends) > 1 else ""
+                rows.append([str(int(at["n"])), label, *cells, method_of(at, channel)])
         rates = "; ".join(
             f"rate: {rate:+.3f}"
             + (f", tends to {limit:+.3f}" if np.isfinite(limit) else "")
             + (f", bends at n = {bend:.3g}" if np.isfinite(bend) else "")
             for rate, limit, bend in _columns(one, "predicted_rate", "limit_rate", "bend_n")
-            if np.isfinite(rate)
+            if np.isfinite(rate) and not several
         )
         parts += [
             f"\n{sampler}" if "sampler" in result.dims else "",
             text_table(header, rows),
             rates,
-        ]
+            "no value by" if reasons else "",
+            *(textwrap.fill(each, _WIDTH, initial_indent="  ", subsequent_indent="    ")
+              for each in dict.fromkeys(reasons)),
+        ]  # fmt: skip
     return _shown(*parts, _note(result))
 
 

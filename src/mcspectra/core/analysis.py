@@ -257,13 +257,11 @@ ANALYSES = Registry(
             "spectra.power": "Points Spectrum",
             "variance.anova": "Anova AnovaSpectrum",
             "variance.measured": "Convergence",
-            "variance.exact": "Exact",
             "variance.modes": "Modes",
             "variance.prediction.plan": "Plan",
             "variance.prediction.predict": "predict=Prediction",
             "variance.profiling.profile": "profile=Profiling",
             "variance.remedy": "Remedies",
-            "variance.routes": "Routes",
             "variance.techniques": "Techniques",
             "variance.terms": "Terms",
         }

@@ -69,7 +69,7 @@ anisotropy_db | f | dB | radius | variance of power over direction / (mean power
 anisotropy_noise_db | f | dB | radius | anisotropy that noise alone makes
 band_covariance | f | f² | band band_other | covariance of band-limited estimates
 band_trace | f | f² | | sum of all eigenvalues of the covariance within the band
-bend_n | f | 1 | | number of points at which the predicted rate changes to its limit; NaN: none known
+bend_n | f | 1 | method? | number of points at which the predicted rate changes to its limit; NaN: none known
 best_width | f | 1 | any | width of smoothed edges with the least mean squared error
 best_width_range | f | 1 | any | widths that may have the least mean squared error
 bias_squared | f | f² | any | (integral of the smoothed integrand minus the original)²
@@ -104,7 +104,7 @@ diaphony | f | 1 | any | diaphony, spectrum weighted by 1/Π max(1, m²)
 effective_dimension_superposition | f | 1 | | least size of subsets with 99 % of the variance
 effective_dimension_truncation | f | 1 | | least number of first axes with 99 % of the variance
 elementary_intervals | f | 1 | any | whether all elementary intervals hold their share (1: yes)
-energy_share | f | 1 | route? n? | part of ∫f² that is counted term by term
+energy_share | f | 1 | method? n? | part of ∫f² that is counted term by term
 exact_variance | f | f² | n | exact variance
 exponent_fit_chi2 | f | 1 | | lack of fit of the exponent, χ² per degree of freedom
 fit_chi2 | f | 1 | strategy? y? x? | lack of fit of the rate, χ² per degree of freedom
@@ -122,8 +122,8 @@ light_mean | f | f | light | what a light gives to the integral, mean over rando
 light_probability | f | 1 | light | how often a light is chosen
 light_selection | f | 1 | light | how often a light had better be chosen, by second moments
 light_share | f | 1 | light | Cov(f_j, f) / Var(f), part of the variance of a random path that light j makes
-limit_rate | f | 1 | | exponent that the predicted variance tends to at large n; NaN: not known
-local_rate | f | 1 | n | exponent of the predicted variance between neighbouring n
+limit_rate | f | 1 | method? | exponent that the predicted variance tends to at large n; NaN: not known
+local_rate | f | 1 | method? n | exponent of the predicted variance between neighbouring n
 low_frequency_exponent | f | 1 | | b of power ∝ |m|^b at low frequencies
 mean | f | f | strategy? quantity? n? y? x? | mean estimate
 mcse | f | f | quantity? | standard error of the mean of chains
@@ -156,8 +156,8 @@ points | f | 1 | point axis | points of one realisation
 power | f | 1 | m frequency? | expected power ⟨|S_m|²⟩; random points: ∫1/p / n
 power_contribution | f | f² | technique? m | |f_m|² C_mm, the diagonal part of the contribution
 power_term | f | f² | n? | power term Σ_{m≠0} |f_m|² C_mm
-predicted_rate | f | 1 | | exponent of the predicted variance in n; random sampling: −1
-predicted_variance | f | f² | n? | predicted variance
+predicted_rate | f | 1 | method? | exponent of the predicted variance in n; random sampling: −1
+predicted_variance | f | f² | method? n? | predicted variance
 radial_power | f | 1 | radius | expected power, mean over directions
 calls | i | 1 | | evaluations of the integrand that were made
 integral | f | f | | estimate of the integral
@@ -167,14 +167,13 @@ realizations_used | i | 1 | n? | realisations used
 rmse | f | f | | root mean square error of an estimate of the whole budget
 relative_minimum_distance | f | 1 | any | minimum distance / that of the densest packing
 slice_power | f | 1 | slice multiple | expected power along a direction
-route_variance | f | f² | route | variance by this route
 skewness | f | 1 | | skewness of the estimates; normal: 0
 smoothing_bias | f | f | any | integral of the smoothed integrand minus the original
 star_discrepancy | f | 1 | any | star discrepancy
 strata_offset | f | 1 | any | offset of strata in sides of a stratum
 t_value | f | 1 | any | quality parameter t of the (t, m, d)-net
 tail_term | f | f² | | variance of what is beyond the half width, if points are random to it
-tail_variance | f | f² | n | part of the predicted variance beyond the terms that are counted
+tail_variance | f | f² | method? n | part of the predicted variance beyond the terms that are counted
 technique_covariance | f | f² | n? technique technique_other | \
 covariance of the parts of the estimate of two techniques
 technique_cross_term | f | f² | n? technique technique_other | cross term of two techniques

@@ -2,7 +2,7 @@
 
 `counting` opens a tally, which sees all that is spent inside of it, in this thread and in those of
 `mcspectra.core.parallel`; tallies may stand within each other. A limit holds before the function is
-called. Work that goes on without what was refused, as another route of a prediction, is made in vain:
+called. Work that goes on without what was refused, as another method of a prediction, is made in vain:
 `Tally.check` says at the end that a limit was met.
 """
 

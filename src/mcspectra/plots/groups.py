@@ -29,6 +29,7 @@ __all__ = [
     "intervals",
     "labelled",
     "lines_of",
+    "method_of",
     "not_finite",
     "numbers",
     "pairs",
@@ -204,6 +205,13 @@ def along(data: xr.Dataset, dim: str) -> Iterator[tuple[str, xr.Dataset]]:
         yield str(each[dim].values) if dim in each.coords else f"{dim} {k}", each
 
 
+def method_of(one: xr.Dataset, channel: int = 0) -> str:
+    """Return the method of a single prediction with its details: ``torus (464 sets)``."""
+    name, how = (str(one[key].item()) for key in ("method", "how"))
+    known = not np.isnan(one["predicted_variance"].values.reshape(-1)[channel])
+    return f"{name} ({how})" if known and how else name
+
+
 def _place(dim: str, value: Any) -> str:
     """A place on a dim in few words: ``uniform``, ``not homogenized``, ``width 0.1``."""
     if value.dtype.kind == "b":
@@ -221,8 +229,14 @@ def labelled(stored: xr.Dataset) -> xr.Dataset:
     # Labels of a dim bear its name; further ones, such as verdicts, run along the same dim, of two
     # counts too, not along the ends of intervals
     dims = sorted(map(str, stored.dims), key=lambda dim: dim != "bound")
-    own = {texts[dim].shape: dim for dim in dims if dim in texts and dim != "bound"}
+    own: dict[tuple[int, ...], Any] = {
+        texts[dim].shape: dim for dim in dims if dim in texts and dim != "bound"
+    }
     own |= {(stored.sizes[dim],): dim for dim in dims if (stored.sizes[dim],) not in own}
+    # Labels along two dims, such as details by method and n, run along those of some variable
+    for values in stored.data_vars.values():
+        if values.ndim > 1:
+            own.setdefault(values.shape[:2], values.dims[:2])
     return stored.assign_coords(
         {
             name: (name if name in stored.dims else own[values.shape], values)

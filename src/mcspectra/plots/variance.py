@@ -1,4 +1,4 @@
-"""The variance itself: against n, its terms, routes to it, where it comes from, what lowers it."""
+"""The variance itself: against n, its terms, by each method, where it comes from, what lowers it."""
 
 from __future__ import annotations
 
@@ -47,10 +47,8 @@ __all__ = [
     "anova",
     "captured",
     "convergence",
-    "exact",
     "prediction",
     "remedies",
-    "routes",
     "task_curves",
     "technique_rates",
     "techniques",
@@ -165,14 +163,10 @@ def task_curves(
     )
 
 
-def exact(group: Group, styles: Styles) -> Plot:
-    """Exact variances against n."""
-    caption = "Exact variance against the number of points, by closed form or quadrature."
-    return _known_curves(group, styles, "exact variance", caption)
-
-
 def prediction(group: Group, styles: Styles) -> Plot:
-    """Predicted variances against n, with their 95 % intervals, rates and bends."""
+    """Predicted variances against n with intervals, rates and bends; or by all methods side by side."""
+    if any("method" in each.dims for each in group.values()):
+        return _by_method(group, styles)
     caption = (
         "Predicted variance against the number of points, with 95 % intervals, the rate over these "
         "counts and its limit at large n; dashed, where it bends."
@@ -183,6 +177,53 @@ def prediction(group: Group, styles: Styles) -> Plot:
             "that is predicted to reach the error, whose square is dashed."
         )
     return _known_curves(group, styles, "predicted variance", caption)
+
+
+def _by_method(group: Group, styles: Styles) -> Plot:
+    """Variances at the largest n by every method that has a value there, with intervals."""
+    last, limits = {}, {}
+    for name, each in group.items():
+        there = each["predicted_variance"].isel(n=-1).notnull().values
+        last[name] = each.isel(n=-1, method=there)
+        ends = last[name]["predicted_variance_ci"].transpose("method", "bound").values
+        limits[name] = np.where(ends > 0, ends, np.nan)  # others have no place on a logarithm
+    values = [each["predicted_variance"].values for each in last.values()]
+    every = np.concatenate([*map(np.ravel, limits.values()), *values])
+    axis = log_axis("variance", *_ends(every[every > 0]))
+    panels = []
+    for name, each in last.items():
+        rows, value = each["method"].values.astype(str).tolist(), each["predicted_variance"].values
+        dots = Dots(
+            x=np.where(value > 0, value, np.nan),
+            y=np.arange(float(len(rows))),
+            color=styles[name].color,
+            marker=styles[name].marker,
+            size=5.0,
+            low=limits[name][:, 0],
+            high=limits[name][:, 1],
+            across=True,
+            hover={
+                "sampler": [name] * len(rows),
+                "method": rows,
+                "how": each["how"].values.astype(str).tolist(),
+                "variance": numbers(value),
+                "95 %": intervals(limits[name]),
+                "share of ∫f²": [percent(float(s)) for s in each["energy_share"].values],
+            },
+        )
+        panels.append(Panel(marks=(dots,), x=axis, y=name_axis(rows), title=name, grid=True))
+    most = max(len(panel.y.ticks or ()) for panel in panels)
+    counts = sorted({int(each["n"]) for each in last.values()})
+    return Plot(
+        panels=tuple(panels),
+        columns=min(2, abreast(len(panels))),
+        caption=f"The variance at n = {', '.join(map(str, counts))} by each method that applies, from the most "
+        "trusted at the top to the measurement, with 95 % intervals.",
+        words="Variances by method. "
+        + for_each(last, lambda d: _named_values(d, "method", "predicted_variance")),
+        height=0.14 + 0.06 * most,
+        share="x",
+    )
 
 
 def profile(group: Group, styles: Styles) -> Plot:
@@ -423,45 +464,6 @@ def anova(group: Group, styles: Styles) -> Plot:
     )
 
 
-def routes(group: Group, styles: Styles) -> Plot:
-    """The variance by every route, with intervals."""
-    every = np.concatenate([_route_ends(each).ravel() for each in group.values()])
-    axis = log_axis("variance", *_ends(every[every > 0]))
-    panels = []
-    for name, each in group.items():
-        rows, ends = [str(route) for route in each["route"].values], _route_ends(each)
-        value = each["route_variance"].values
-        dots = Dots(
-            x=np.where(value > 0, value, np.nan),
-            y=np.arange(float(len(rows))),
-            color=styles[name].color,
-            marker=styles[name].marker,
-            size=5.0,
-            low=ends[:, 0],
-            high=ends[:, 1],
-            across=True,
-            hover={
-                "sampler": [name] * len(rows),
-                "route": rows,
-                "variance": numbers(value),
-                "95 %": intervals(ends),
-                "share of ∫f²": [percent(float(s)) for s in each["energy_share"].values],
-            },
-        )
-        panels.append(Panel(marks=(dots,), x=axis, y=name_axis(rows), title=name, grid=True))
-    most = max(len(panel.y.ticks or ()) for panel in panels)
-    return Plot(
-        panels=tuple(panels),
-        columns=min(2, abreast(len(panels))),
-        caption="The variance by each route, from the most trusted at the top to the measurement, with "
-        "95 % intervals.",
-        words="Variances by route. "
-        + for_each(group, lambda d: _named_values(d, "route", "route_variance")),
-        height=0.14 + 0.06 * most,
-        share="x",
-    )
-
-
 def remedies(group: Group, _: Styles) -> Plot:
     """Variance of every change relative to the set-up as given, with intervals."""
     known = np.concatenate([each["error_ratio_ci"].values.ravel() for each in group.values()])
@@ -657,12 +659,6 @@ def _rate_text(data: xr.Dataset) -> str:
     ):
         notes += f"; {count} of {used.size} {words}" if count else ""
     return text + notes
-
-
-def _route_ends(data: xr.Dataset) -> Array:
-    """Intervals of routes; NaN where no logarithmic axis shows them."""
-    ends = data["route_variance_ci"].values
-    return np.where(ends > 0, ends, np.nan)
 
 
 def _ends(values: Array) -> tuple[float, float]:

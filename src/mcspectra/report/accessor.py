@@ -17,7 +17,7 @@ from mcspectra.core.display import register_accessor
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.results import VARIABLES
 from mcspectra.plots.backend_matplotlib import GivenAxes, draw, panel_axes
-from mcspectra.plots.groups import labelled, pairs, variant_dims
+from mcspectra.plots.groups import along, labelled, method_of, pairs, variant_dims
 from mcspectra.plots.kinds import KINDS, describe, kinds_of
 from mcspectra.plots.text import interval, number, rate
 from mcspectra.report.sentences import explain
@@ -139,26 +139,27 @@ def _sentences(data: xr.Dataset) -> Iterator[str]:
 
 
 def _predictions(data: xr.Dataset) -> Iterator[str]:
-    """The last predicted variance of every sampler and channel, its route and its rates."""
-    for _, points, _, each in pairs(labelled(data)):
-        for channel in range(each.sizes.get("channel", 1)):
-            one = (each.isel(channel=channel) if "channel" in each.dims else each).isel(n=-1)
-            value, now, limit = (
-                float(one[v]) for v in ("predicted_variance", "local_rate", "limit_rate")
-            )
-            if math.isnan(value):
-                continue
-            name = f"{points} [{channel}]" if "channel" in each.dims else points
-            rates = [
-                f"{rate(slope, None, None)} {where}"
-                for slope, where in ((now, "now"), (limit, "at large n"))
-                if math.isfinite(slope)
-            ]
-            yield (
-                f"{name}: variance {number(value)} at n = {int(one['n'])} ({one['route'].item()})"
-                + (f", rate {' and '.join(rates)}" if rates else "")
-                + "."
-            )
+    """The last predicted variance of every sampler, method and channel, and its rates."""
+    for _, points, _, whole in pairs(labelled(data)):
+        for _, each in along(whole, "method"):
+            for channel in range(each.sizes.get("channel", 1)):
+                one = (each.isel(channel=channel) if "channel" in each.dims else each).isel(n=-1)
+                value, now, limit = (
+                    float(one[v]) for v in ("predicted_variance", "local_rate", "limit_rate")
+                )
+                if math.isnan(value):
+                    continue
+                name = f"{points} [{channel}]" if "channel" in each.dims else points
+                rates = [
+                    f"{rate(slope, None, None)} {where}"
+                    for slope, where in ((now, "now"), (limit, "at large n"))
+                    if math.isfinite(slope)
+                ]
+                yield (
+                    f"{name}: variance {number(value)} at n = {int(one['n'])} by {method_of(one)}"
+                    + (f", rate {' and '.join(rates)}" if rates else "")
+                    + "."
+                )
 
 
 def _numbers(data: xr.Dataset) -> Iterator[str]:

@@ -37,7 +37,7 @@ _COLUMNS = {
 
 
 _TOLD = 0.005  # smallest share that a sentence names
-_ROUTES = {
+_METHODS = {
     "strata": "quadrature within the strata",
     "random": "∫g²",
     "spectrum": "the power spectrum on the torus",
@@ -376,9 +376,9 @@ def map_note(summary: Mapping[str, Any]) -> str:
         f"Medians over the {summary['pixels_measured']} pixels{seen}; mean and "
         f"variance at n = {summary['counts'][-1]}."
     )
-    if summary.get("prediction") in _ROUTES:
+    if summary.get("prediction") in _METHODS:
         note += (
-            f" Predicted by {_ROUTES[summary['prediction']]}; each pixel's interval is of 95 %, of both "
+            f" Predicted by {_METHODS[summary['prediction']]}; each pixel's interval is of 95 %, of both "
             "the prediction and the measurement."
         )
     rows = {name: row["mean"] for name, row in summary["strategies"].items() if "mis-" not in name}

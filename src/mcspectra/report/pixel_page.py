@@ -287,7 +287,10 @@ def pixel_summary(tree: xr.DataTree) -> dict[str, Any]:
     rates = [
         {"strategy": str(strategy), "sampler": str(sampler), "n": curves["n"].values}
         | {v: one[v].values for v in ("variance", "variance_ci", "rate", "rate_ci")}
-        | {v: known[v].values for v in ("predicted_variance", "predicted_variance_ci", "route")}
+        | {
+            v: known[v].values
+            for v in ("predicted_variance", "predicted_variance_ci", "method", "how")
+        }
         for strategy in curves["strategy"].values
         for sampler in curves["sampler"].values
         for one in [curves.sel(strategy=strategy, sampler=sampler)]

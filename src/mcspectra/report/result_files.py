@@ -35,6 +35,11 @@ RESULT_FILES = (".npz", ".csv", ".tex", *backend_matplotlib.FORMATS, ".html")
 """Extensions that `write_result_file` knows."""
 
 _SAID = ("answer", "recommendation", "diagnosis", "note")
+# Dims of the tables of values
+_TABLES = (
+    ("sampler",), ("method",), ("n",), ("sampler", "n"), ("method", "n"), ("sampler", "method"),
+    ("sampler", "method", "n"),
+)  # fmt: skip
 _LONG = 300  # characters of a fact
 _MOST_TEX_ROWS = 500
 _TEX = str.maketrans({
@@ -227,7 +232,7 @@ def write_result(result: xr.Dataset, out: str | Path, title: str = "Result") -> 
     heads = ("number", "value", "95 % interval", "meaning")
     tables = [
         html.table_of("Numbers with their 95 % intervals", heads, single, words=(0, -1)),
-        *(_curves(result, dims) for dims in (("sampler",), ("n",), ("sampler", "n"))),
+        *(_curves(result, dims) for dims in _TABLES),
     ]
     facts = [
         (name, str(value))
@@ -263,14 +268,15 @@ def _value(result: xr.Dataset, name: str) -> tuple[str, str]:
 
 
 def _curves(result: xr.Dataset, dims: tuple[str, ...]) -> html.Table:
-    """Values by sampler, by n or by both, where they are known, and the route; of the first channel."""
+    """Values by sampler, method and n, where they are known, and how they were found; of the first channel."""
     first = result.isel(channel=0) if "channel" in result.dims else result
     names = [
         str(name)
         for name, values in first.data_vars.items()
         if values.dims == dims and not str(name).endswith(("_ci", "_se"))
     ]
-    routes = ["route"] if "route" in first.coords and first["route"].dims == dims else []
+    said = [key for key in ("method", "how") if key in first.coords and key not in dims]
+    said = [key for key in said if first[key].dims == dims]
     rows = []
     for place in np.ndindex(*(first.sizes.get(dim, 0) for dim in dims)):
         one = first.isel(dict(zip(dims, place, strict=True)))
@@ -280,8 +286,8 @@ def _curves(result: xr.Dataset, dims: tuple[str, ...]) -> html.Table:
                 text if ends in ("", MISSING, f"{text} … {text}") else f"{text} ({ends})"
                 for text, ends in found
             ]
-            places, how = ([str(one[name].item()) for name in given] for given in (dims, routes))
+            places, how = ([str(one[name].item()) for name in given] for given in (dims, said))
             rows.append((*places, *shown, *how))
-    columns = (*dims, *(name.replace("_", " ") for name in (*names, *routes)))
+    columns = (*dims, *(name.replace("_", " ") for name in (*names, *said)))
     caption = "Values, with 95 % intervals in brackets where they are wider"
     return html.table_of(caption, columns, rows, words=range(len(columns)), heads=len(dims))

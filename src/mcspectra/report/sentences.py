@@ -116,7 +116,7 @@ def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
             None if row.ratio_low is None else 0.5 * ((row.ratio_high or math.inf) - row.ratio_low)
         )
         shown = with_error(row.ratio, half)
-        sentences.append(f"Predicted over measured variance is {shown} ({row.route}).")
+        sentences.append(f"Predicted over measured variance is {shown} ({row.method}).")
     sentences += () if terms is None else _term_sentences(row, terms)
     return " ".join(sentence for sentence in sentences if sentence)
 
@@ -179,12 +179,12 @@ def bottleneck(row: SummaryRow, terms: xr.Dataset | None = None, technique: str 
 
 def further_sentences(analyses: Mapping[str, xr.Dataset]) -> str:
     """Say what analyses of a pair found in words: what was not met, the best remedy, why nothing is exact."""
-    curve, remedies, exact = (analyses.get(k) for k in ("convergence", "remedies", "exact"))
+    curve, remedies, known = (analyses.get(k) for k in ("convergence", "remedies", "predict"))
     note = "" if curve is None else str(curve.attrs.get("note", ""))
     found: list[str | None] = [f"{note[:1].upper()}{note[1:]}." if note else None]
     found += [] if remedies is None else [remedies.attrs.get(k) for k in _REMEDY_WORDS]
-    if exact is not None and exact.attrs.get("note"):
-        found.append(f"No exact variance at every n: {exact.attrs['note']}")
+    if known is not None and known.attrs.get("method") == "exact" and known.attrs.get("note"):
+        found.append(f"No exact variance at every n: {known.attrs['note']}.")
     return " ".join(str(sentence) for sentence in found if sentence)
 
 

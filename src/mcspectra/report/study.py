@@ -30,7 +30,7 @@ REPORT_NAME = "report.html"
 
 _FIRST = ("convergence", "terms", "spectrum", "points")  # analyses; others as they are stored
 _OF_SAMPLERS = ("spectrum", "points", "pcf")  # analyses that may be the same for many estimators
-_WITHOUT_SETTINGS = ("points", "exact")  # the caption and the table have their n
+_WITHOUT_SETTINGS = ("points",)  # the caption and the table have their n
 _FOLDED = ("predict",)  # tables
 _TITLES = {"pcf": "Pair correlation", "anova": "Axes"}
 _LIVE = frozenset(
@@ -455,13 +455,13 @@ def _with_predictions(
     """Analyses for figures: predictions stand in the curves that were measured, where all of them can."""
     measured, predicted = (analyses.get(name, {}) for name in ("convergence", "predict"))
     if not predicted or not all(
-        name in measured and measured[name]["n"].equals(data["n"])
+        name in measured and measured[name]["n"].equals(data["n"]) and "method" not in data.dims
         for name, data in predicted.items()
     ):
         return dict(analyses)
     names = ["predicted_variance", "predicted_variance_ci"]
     both = {
-        name: data.assign(predicted[name][names].drop_vars("route", errors="ignore"))
+        name: data.assign(predicted[name][names].drop_vars(["method", "how"], errors="ignore"))
         if name in predicted
         else data
         for name, data in measured.items()

@@ -13,7 +13,7 @@ import xarray as xr
 from mcspectra.core.analysis import ANALYSES
 from mcspectra.core.checks import as_instances
 from mcspectra.core.errors import McspectraError, ParameterError
-from mcspectra.plots.groups import labelled
+from mcspectra.plots.groups import along, labelled, method_of
 from mcspectra.plots.text import (
     MISSING,
     SUBSCRIPTS,
@@ -29,6 +29,7 @@ from mcspectra.studies import SummaryRow
 
 __all__ = ["analysis_table", "first_channel", "summary_of", "summary_table", "terms_table"]
 
+_CERTAIN = 2e-6  # width of an interval, relative to the value, of a value with six digits
 _NO_CURVE = "convergence was not analysed"
 _NO_TERMS = "nothing that predicts was analysed"
 _NO_RATE = "fewer than two counts have a variance above rounding noise"
@@ -76,7 +77,7 @@ def summary_table(
         no_number = _NO_CURVE if row.n is None else _NO_NUMBER
         variance = number(row.variance)
         at = f" (n = {row.n})" if row.n not in (None, usual) and variance != MISSING else ""
-        route = basis_name(row.route) if row.route else ""
+        method = basis_name(row.method) if row.method else ""
         predicted = with_error(row.ratio, _half(row.ratio_low, row.ratio_high))
         techniques = of_row.get("techniques")
         slow = "" if techniques is None else str(techniques.attrs.get("bottleneck") or "")
@@ -92,7 +93,7 @@ def summary_table(
                 ),
                 number_cell(variance + at, row.variance, why=no_number),
                 number_cell(
-                    f"{predicted} ({route})" if route else predicted, row.ratio, why=no_term
+                    f"{predicted} ({method})" if method else predicted, row.ratio, why=no_term
                 ),
                 Cell(text=limit or MISSING, why="" if limit else no_term, numeric=False),
                 headline(row, terms, len(rows)),
@@ -232,26 +233,25 @@ def _anova(sampler: str, data: xr.Dataset) -> Rows:
         yield sampler, axes, percent(float(mean.values[i]))
 
 
-def _exact(sampler: str, data: xr.Dataset) -> Rows:
-    why = str(data.attrs.get("note", ""))
-    for n, values in zip(data["n"].values, data["exact_variance"].values, strict=True):
-        text = ", ".join(number(float(v), 6) for v in np.atleast_1d(values))
-        yield sampler, str(n), Cell(text=text, why=why)
-
-
 def _predict(sampler: str, data: xr.Dataset) -> Rows:
-    data = first_channel(labelled(data))
-    rates = [number(float(data[name])) for name in ("predicted_rate", "limit_rate", "bend_n")]
-    for n in data["n"].values:
-        one = data.sel(n=n)
-        yield (
-            sampler,
-            str(n),
-            number(float(one["predicted_variance"])),
-            interval(*_ends(one["predicted_variance_ci"])),
-            str(one["route"].item()),
-            *rates,
-        )
+    for _, each in along(first_channel(labelled(data)), "method"):
+        rates = [number(float(each[name])) for name in ("predicted_rate", "limit_rate", "bend_n")]
+        for k, n in enumerate(each["n"].values):
+            one = each.isel(n=k)
+            value, (low, high) = (
+                float(one["predicted_variance"]),
+                _ends(one["predicted_variance_ci"]),
+            )
+            certain = high - low <= _CERTAIN * value
+            why = str(one["how"].item()) if math.isnan(value) else ""
+            yield (
+                sampler,
+                str(n),
+                Cell(text=number(value, 6 if certain else 3), why=why),
+                interval(low, high),
+                method_of(one),
+                *rates,
+            )
 
 
 def _map(sampler: str, data: xr.Dataset) -> Rows:
@@ -331,7 +331,6 @@ _TABLES: Mapping[
         (0, 1),
         _anova,
     ),
-    "exact": ("Exact variance", "Without sampling.", ("Sampler", "n", "Variance"), (0,), _exact),
     "predict": (
         "Predictions in numbers",
         (
@@ -339,7 +338,7 @@ _TABLES: Mapping[
             "over these counts, that at large n, and the n at which it changes. Of several channels the "
             "first."
         ),
-        ("Sampler", "n", "Variance", "95 % interval", "Route", "Rate", "At large n", "Bend"),
+        ("Sampler", "n", "Variance", "95 % interval", "Method", "Rate", "At large n", "Bend"),
         (0, 4),
         _predict,
     ),

@@ -1,4 +1,4 @@
-"""Pair correlation: transform of the power spectrum, and a route to the variance without frequencies."""
+"""Pair correlation: transform of the power spectrum, and the variance without frequencies."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Count pairs, transform their density, and find variances from it."""
     realizations = 400 if quick else 4000
     pairs = {name: count_pairs(name, realizations, seed) for name in SAMPLERS}
-    variances = {name: routes(name, realizations, seed) for name in _COUNTED}
+    variances = {name: by_pairs(name, realizations, seed) for name in _COUNTED}
     both = "; ".join(
         f"{name}: {number(counted.value)} from pairs, {number(measured.value)} measured"
         for name, (counted, measured) in variances.items()
     )
     n, ramp = 16, mcs.Estimator("linear", dims=1)
-    value = float(mcs.variance.variance_from_pair_correlation(ramp, "jittered", n)["variance"])
+    value = float(_from_pairs(ramp, "jittered", n)["predicted_variance"])
 
     # Look for pairs of Poisson-disk points in bins below the radius
     disk, radius = pairs["poisson-disk"], mcs.samplers.PoissonDisk(dims=2).radius(N)
@@ -75,7 +75,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 Claim(
                     f"From the known pairs of {name} points the variance of exp(−x² − y²) is that of quadrature: relative "
                     "difference.",
-                    float(mcs.variance.variance_from_pair_correlation(_SMOOTH, name, N)["variance"])
+                    float(_from_pairs(_SMOOTH, name, N)["predicted_variance"])
                     / float(mcs.exact_variance(_SMOOTH, name, N))
                     - 1,
                     at_most=1e-5,
@@ -101,14 +101,17 @@ def count_pairs(name: str, realizations: int, seed: int) -> xr.Dataset:
     )
 
 
-def routes(name: str, realizations: int, seed: int) -> tuple[Measured, Measured]:
+def by_pairs(name: str, realizations: int, seed: int) -> tuple[Measured, Measured]:
     """The variance from counted pairs, and measured with other random numbers."""
-    found = mcs.variance.variance_from_pair_correlation(
-        _SMOOTH, name, N, realizations=2 * realizations, rng=seed
-    )
+    found = _from_pairs(_SMOOTH, name, N, realizations=2 * realizations, rng=seed)
     curve = mcs.convergence(_SMOOTH, name, [N], realizations=10 * realizations, rng=seed + 1)
-    counted = Measured.normal(float(found["variance"]), float(found["variance_se"]))
+    counted = Measured.of(found, "predicted_variance")
     return counted, Measured.of(curve.isel(n=0), "variance")
+
+
+def _from_pairs(estimator: mcs.Estimator | str, name: str, n: int, **options: int) -> xr.Dataset:
+    """The prediction by pairs of points."""
+    return mcs.predict(estimator, name, [n], method="pair-correlation", **options).isel(n=0)
 
 
 def _as_closed(name: str, data: xr.Dataset) -> Claim:

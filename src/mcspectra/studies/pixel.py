@@ -171,7 +171,7 @@ def analyse_pixel(
     -------
     xarray.DataTree
         ``convergence``: `mcspectra.convergence` on (strategy, sampler, n).
-        ``predict/STRATEGY``: `mcspectra.predict` on (sampler, n), with its route.
+        ``predict/STRATEGY``: `mcspectra.predict` on (sampler, n), with its method.
         ``terms/STRATEGY/VIEW``: `mcspectra.variance_terms` in primary space, where VIEW is ``auto`` (the
         basis that fits the sampler) or ``fourier``. ``techniques``: `mcspectra.technique_terms` of the
         balance heuristic. ``pictures/NAME``: `mcspectra.variance.primary_picture` of ``light``, ``bsdf`` and each

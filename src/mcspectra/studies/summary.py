@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
 
-from mcspectra.core.checks import as_instance
+from mcspectra.core.checks import Array, as_instance
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -17,14 +17,15 @@ if TYPE_CHECKING:
 __all__ = ["SummaryRow", "asked_of", "pairs_of", "rows_of", "summarize"]
 
 TERMS = ("dc", "power", "cross")
-_READ = ("convergence", "terms", "exact", "predict")
+_READ = ("convergence", "terms", "predict")
 
 
 class SummaryRow(msgspec.Struct, frozen=True, kw_only=True):
     """One estimator with one sampler; what was not analysed is None.
 
-    ``ratio`` is predicted over measured variance by the best route there is, which ``route`` names:
-    ``predict``, ``exact``, or the sum over the basis of ``terms``, which ``captured`` is in any case.
+    ``ratio`` is predicted over measured variance, and ``method`` the method of the prediction: one of
+    `METHODS` where there is a result of ``predict``, else the basis of the sum of ``terms``, whose ratio
+    ``captured`` is in any case.
     """
 
     estimator: str
@@ -50,7 +51,7 @@ class SummaryRow(msgspec.Struct, frozen=True, kw_only=True):
     ratio: float | None = None
     ratio_low: float | None = None
     ratio_high: float | None = None
-    route: str | None = None
+    method: str | None = None
     dc_low: float | None = None
     dc_high: float | None = None
     power_low: float | None = None
@@ -151,9 +152,10 @@ def rows_of(estimator: str, sampler: str, found: Mapping[str, xr.Dataset]) -> li
 
 
 def _ratio(found: dict[str, xr.Dataset], row: dict[str, Any]) -> dict[str, Any]:
-    """Predicted over measured variance by the best route, at the most points that both know.
+    """Predicted over measured variance, at the most points that both know.
 
-    Without convergence the measured variance is that of the terms.
+    Without convergence the measured variance is that of the terms. Of all methods side by side the most
+    trusted one that predicts counts.
     """
     import xarray as xr
 
@@ -161,15 +163,16 @@ def _ratio(found: dict[str, xr.Dataset], row: dict[str, Any]) -> dict[str, Any]:
     if curve is None and terms is not None and "measured_variance_ci" in terms:
         values = {name: terms[f"measured_{name}"] for name in ("variance", "variance_ci")}
         curve = xr.Dataset(values).expand_dims(n=[int(terms.attrs["n"])])
-    for name, variable in (("predict", "predicted_variance"), ("exact", "exact_variance")):
-        if curve is None or name not in found:
+    for methods, each in _by_method(found["predict"]) if "predict" in found else ():
+        if curve is None or "measured" in methods:
             continue
-        known = found[name].reindex(n=[n for n in found[name]["n"].values if n in curve["n"]])
-        value = known[variable].dropna("n")
-        value = value[value > 0]
-        if not value.sizes["n"]:
+        there = np.isin(each["n"].values, curve["n"].values) & (
+            each["predicted_variance"].values > 0
+        )
+        if not there.any():
             continue
-        n = value["n"].values[-1]
+        known, method = each.isel(n=there), methods[there][-1]
+        value, n = known["predicted_variance"], known["n"].values[-1]
         measured = float(curve["variance"].sel(n=n))
         if not measured > 0:
             continue
@@ -180,19 +183,29 @@ def _ratio(found: dict[str, xr.Dataset], row: dict[str, Any]) -> dict[str, Any]:
             return (math.log(middle / low) if low > 0 else math.inf), math.log(high / middle)
 
         below, above = half(*_ends(curve["variance_ci"].sel(n=n), measured))
-        own = (0.0, 0.0)
-        if f"{variable}_ci" in known:
-            own = half(*_ends(known[f"{variable}_ci"].sel(n=n), float(value[-1])))
+        own = half(*_ends(known["predicted_variance_ci"].sel(n=n), float(value[-1])))
         return {
             "ratio": ratio,
             "ratio_low": _number(ratio * math.exp(-math.hypot(above, own[0]))),
             "ratio_high": _number(ratio * math.exp(math.hypot(below, own[1]))),
-            "route": str(known["route"].sel(n=n).values) if "route" in known.coords else name,
+            "method": str(method),
         }
     if row.get("captured") is None:
         return {}
     ends = {f"ratio{end}": row[f"captured{end}"] for end in ("", "_low", "_high")}
-    return {**ends, "route": row["basis"] or "fourier"}
+    return {**ends, "method": row["basis"] or "fourier"}
+
+
+def _by_method(data: xr.Dataset) -> Iterator[tuple[Array, xr.Dataset]]:
+    """Predictions of each method, with the names of the methods along n."""
+    names = np.asarray(
+        data["method"].values if "method" in data.coords else data.attrs["labels_method"]
+    )
+    if "method" not in data.dims:
+        yield names, data
+        return
+    for k, name in enumerate(names):
+        yield np.full(data.sizes["n"], name), data.isel(method=k)
 
 
 def _ends(interval: xr.DataArray, middle: float) -> tuple[float, float, float]:

@@ -25,7 +25,6 @@ from .profiling.causes import Cause as Cause
 from .profiling.profile import Profile as Profile
 from .profiling.profile import profile as profile
 from .remedy import remedies as remedies
-from .routes import variance_from_pair_correlation as variance_from_pair_correlation
 from .techniques import technique_terms as technique_terms
 from .terms import variance_terms as variance_terms
 from .variants import mirror_study as mirror_study
@@ -62,6 +61,5 @@ __all__ = [
     "smoothing_scan",
     "strata_shift_scan",
     "technique_terms",
-    "variance_from_pair_correlation",
     "variance_terms",
 ]

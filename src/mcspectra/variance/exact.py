@@ -29,19 +29,12 @@ from __future__ import annotations
 import contextlib
 import functools
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, final
+from typing import Any
 
 import numpy as np
-from msgspec import Meta
 
-from mcspectra.core.analysis import Analysis, Need, Reduction, Subject
 from mcspectra.core.checks import Array, as_real
 from mcspectra.core.errors import NoClosedForm, ParameterError
-from mcspectra.core.memory import memory_of
-from mcspectra.core.options import COUNTS, Counts
-from mcspectra.core.records import JOIN
-from mcspectra.core.results import dataset
 from mcspectra.core.streams import Stream
 from mcspectra.core.tally import counting
 from mcspectra.estimators import AbstractEstimator, as_subject
@@ -80,11 +73,8 @@ from mcspectra.variance.quadrature import (
     stratum_moments,
 )
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 __all__ = [
-    "Exact",
+    "EXACT_TOLERANCE",
     "estimated_variance",
     "exact_variance",
     "level_variances",
@@ -92,7 +82,9 @@ __all__ = [
     "paired",
 ]
 
-_TOLERANCE = 1e-6
+EXACT_TOLERANCE = 1e-6
+"""Largest relative error of an exact variance, where nobody asks for another."""
+
 _NEGLIGIBLE = 1e-9  # of ∫g²/n: an error that no use of the variance is worse for
 _SAFETY = 3.0  # times the difference of two orders: more than the error of the better one
 _MOST = 0.5  # relative error of a variance that a larger tolerance is offered for
@@ -103,72 +95,13 @@ _LATIN = ("latin-hypercube", "n-rooks")
 _MOST_BITS = 24
 
 
-@final
-class Exact(Analysis, frozen=True, kw_only=True):
-    """Exact variances; NaN, with the reason as a note, where no closed form is known."""
-
-    verb = "exact"
-    variables = ("exact_variance",)
-
-    counts: Annotated[Counts, COUNTS, Meta(extra={"flag": "-n"})]
-    tolerance: Annotated[
-        float, Meta(ge=1e-12, le=1.0, description="Largest relative error of a variance.")
-    ] = _TOLERANCE
-
-    def need(self, subject: Subject) -> Need:
-        """The sampler can do every count."""
-        estimator = subject.estimator
-        for n in self.counts:
-            estimator.check_sampler(subject.sampler, n)
-        memory = memory_of(self.counts[-1], estimator.dims, sum(estimator.counts))
-        return Need(cost=1000.0 * sum(self.counts), memory=memory)
-
-    def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Variances]:  # noqa: ARG002
-        """The variance of one count after the other; nothing is random."""
-        estimator, sampler = subject.estimator, subject.sampler
-
-        def of_count(index: int) -> _Variances:
-            try:
-                n, tolerance = self.counts[index], self.tolerance
-                value, note = exact_variance(estimator, sampler, n, tolerance=tolerance), ""
-            except NoClosedForm as error:
-                value, note = np.full(max(1, estimator.channels), np.nan), str(error)
-            return _Variances(np.reshape(value, (1, -1)), np.array([note]))
-
-        def result(found: _Variances) -> xr.Dataset:
-            return dataset(
-                {"exact_variance": (("n", "channel"), found.values)},
-                {"n": np.array(self.counts)},
-                drop=() if estimator.channels else ("channel",),
-                estimator=estimator.spec,
-                sampler=sampler.spec,
-                note=next(filter(None, map(str, found.notes[::-1])), None),
-            )
-
-        return Reduction(
-            kind=_Variances,
-            block=of_count,
-            blocks=len(self.counts),
-            cost=1000.0 * sum(self.counts),
-            result=result,
-        )
-
-
-@dataclass(frozen=True)
-class _Variances:
-    """Of counts, (N, channels or 1), and why each is not known, empty where it is."""
-
-    values: JOIN
-    notes: JOIN
-
-
 def exact_variance(
     estimator: Any,
     sampler: Sampler | str,
     n: int,
     *,
     dims: int | None = None,
-    tolerance: float = _TOLERANCE,
+    tolerance: float = EXACT_TOLERANCE,
     max_evaluations: int | None = None,
 ) -> Any:
     """Return the exact variance of an estimator, without sampling.
@@ -272,7 +205,7 @@ def of_integrand(
 
     The error is that by which two orders differ, and the `blindness` of the higher one; of random
     points that of ∫g². Orders are raised once where this would do; not where `most` is less, for
-    routes that come next.
+    methods that come next.
 
     Raises
     ------

@@ -342,12 +342,11 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
 
     # What part of the variance the frequencies hold; one of rounding noise captures nothing
     real = np.where(measured.variance > rounding_floor(measured.mean), measured.variance, np.nan)
+    with np.errstate(invalid="ignore"):  # 0 times infinity where nothing is captured
+        captured_ci = (predicted / real)[:, None] * batches.captured_factors()
     variables |= {
         "captured": (("channel",), predicted / real),
-        "captured_ci": (
-            ("channel", "bound"),
-            (predicted / real)[:, None] * batches.captured_factors(),
-        ),
+        "captured_ci": (("channel", "bound"), captured_ci),
         "truncated_variance": (by_width, sums.truncated.variance),
         "captured_by_half_width": (by_width, sums.truncated.variance / real[:, None]),
     }

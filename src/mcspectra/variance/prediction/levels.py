@@ -7,8 +7,7 @@ levels, about those of at most n cells: of Σ l_j near log n, not of all l_j nea
     n Var = Σ_{l ≤ T} Γ_l σ²_l + ω²_T − Σ_{l ≰ T} (1 − Γ_l) σ²_l
 
 with ω²_T the mean variance within the cells of one table T and σ²_l from some tables of as many cells
-that are longer along some axes. A digital shift has weights that depend on g: it is one of our own
-shifts at a time (`of_moves`).
+that are longer along some axes. A digital shift has weights that depend on g: see `of_moves`.
 
 Cells are integrated in closed form where g knows its moments over boxes, else by Gauss-Legendre, cut
 at the breaks of g, and once more by a composite rule where g varies most from cell to cell: there
@@ -35,7 +34,6 @@ from mcspectra.spectra.gain import gains_at
 from mcspectra.variance.doors import NO_VARIANCE
 from mcspectra.variance.exact import level_variances, paired
 from mcspectra.variance.prediction.known import Known, Predicted
-from mcspectra.variance.prediction.torus import of_moves
 from mcspectra.variance.quadrature import grid, in_closed_form, stratum_moments
 
 __all__ = ["of_levels"]
@@ -58,14 +56,14 @@ _KEEP_LAW = frozenset({"digital-shift", "permute"})
 _LATIN = ("latin-hypercube", "n-rooks")
 
 
-def of_levels(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
+def of_levels(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
     """Predict the variance of scrambled nets and of strata from means of g over cells.
 
     Parameters
     ----------
     sampler, n
-        In 1 to 3 dims: fixed sets with owen or lms; in base 2 also with digital-shift; jittered
-        and antithetic-jittered, unshifted; latin-hypercube in 1-D.
+        In 1 to 3 dims: fixed sets with owen or lms; jittered and antithetic-jittered, unshifted;
+        latin-hypercube in 1-D.
     known
         g, and the tables made for other counts and samplers.
     stream
@@ -94,8 +92,6 @@ def of_levels(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predict
         nested = "owen" in names or ("lms" in names and any(s.debiases for s in steps))
         if nested and names <= _KEEP_LAW | {"owen", "lms"}:
             return _scrambled(base, n, known)
-        if names <= _KEEP_LAW and set(base.digit_bases) == {2}:
-            return of_moves(chain, n, known, stream)
     if base.name == "antithetic-jittered" and not steps:
         side = round((n // 2) ** (1.0 / dims))
         mean, sides = Known(paired(known.g, side)), (side,) * dims
@@ -274,7 +270,7 @@ def _cell_moments(
 
 
 def _strata(
-    sides: tuple[int, ...], offset: Array, n: int, known: Known, route: str, *, whole: bool = True
+    sides: tuple[int, ...], offset: Array, n: int, known: Known, how: str, *, whole: bool = True
 ) -> Predicted:
     """An independent value of g in each of n equal strata, or n values in one.
 
@@ -294,7 +290,7 @@ def _strata(
     square = squares[-1].reshape(-1, squares.shape[-1]).mean(axis=0)
     value, error = _spread(_merged(means, sides), _merged(squares, sides))
     missed = _missed(known, square) if whole else 0.0 * square
-    return _predicted(value + missed, n, square + missed, route, doubt=error + _DOUBT * missed)
+    return _predicted(value + missed, n, square + missed, how, doubt=error + _DOUBT * missed)
 
 
 def _missed(known: Known, square: Array) -> Array:
@@ -314,7 +310,7 @@ def _merged(moment: Array, sides: tuple[int, ...]) -> Array:
 
 
 def _predicted(
-    scaled: Array, n: int, square: Array, route: str, *, rest: Any = 0.0, doubt: Any = 0.0
+    scaled: Array, n: int, square: Array, how: str, *, rest: Any = 0.0, doubt: Any = 0.0
 ) -> Predicted:
     """Of n times the variance by each rule, (Q, channels), and ∫g²; the rest is not term by term."""
     rounding = _ROUNDING * square
@@ -327,4 +323,4 @@ def _predicted(
         )
     rest = np.broadcast_to(np.asarray(rest, float), value.shape)
     share = 1.0 - rest / np.maximum(square, 1e-300)
-    return Predicted(value / n, error / n, route, share, np.minimum(rest, value) / n)
+    return Predicted(value / n, error / n, how, share, np.minimum(rest, value) / n)

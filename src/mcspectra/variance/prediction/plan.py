@@ -19,7 +19,8 @@ from mcspectra.samplers import Sampler
 from mcspectra.samplers.base import Structure
 from mcspectra.spectra.bases import parts_of
 from mcspectra.variance.doors import VANISHES, answer
-from mcspectra.variance.prediction.predict import Cells, Prediction, Predictor
+from mcspectra.variance.prediction.known import Cells
+from mcspectra.variance.prediction.predict import Prediction, Predictor
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -80,7 +81,7 @@ class Plan(Counted, frozen=True, kw_only=True):
             scale = np.atleast_1d(np.abs(np.asarray(estimator.integral, float)))
         target = np.asarray(self.target_error * scale) ** 2
         predictor = Predictor(estimator, stream)
-        planned, ranges, errors, routes, notes = [], [], [], [], []
+        planned, ranges, errors, methods, notes = [], [], [], [], []
         curves = np.full((len(samplers), len(_CURVE), max(1, estimator.channels)), np.nan)
         bounds = np.full((*curves.shape, 2), np.nan)
         for place, sampler in enumerate(samplers):
@@ -94,14 +95,14 @@ class Plan(Counted, frozen=True, kw_only=True):
                 found.append(each)
                 if nearest == n:
                     curves[place, step] = each.variance[0]
-                    bounds[place, step] = np.stack(each.ends(), axis=-1)[0]
+                    bounds[place, step] = np.stack([each.low, each.high], axis=-1)[0]
                 if (each.variance[0] <= target / _MARGIN).all():
                     break
-            n, variance, how = self._least(predictor, sampler, counts, found, target)
+            n, variance, method = self._least(predictor, sampler, counts, found, target)
             planned.append(n)
             ranges.append(_range(sampler, n, counts, found, target))
             errors.append(np.sqrt(variance))
-            routes.append(how)
+            methods.append(method)
             said = dict.fromkeys(str(each.notes[0]) for each in found)
             notes += [f"{sampler.spec}: {note}" for note in said if note not in ("", VANISHES)]
 
@@ -118,7 +119,7 @@ class Plan(Counted, frozen=True, kw_only=True):
         if evaluations > 1 and sizes:
             told += f"; each is {evaluations} evaluations"
         alone = subject.sampler is samplers[0]
-        about = {"long_name": "how the variance was predicted"}
+        names, hows = map(list, zip(*methods, strict=True))
         return dataset(
             {
                 "planned_n": (("sampler",), np.array(planned, float)),
@@ -136,14 +137,20 @@ class Plan(Counted, frozen=True, kw_only=True):
                     if alone
                     else {
                         "sampler": [s.spec for s in samplers],
-                        "route": ("sampler", routes, about),
+                        "method": ("sampler", names, {"long_name": "method of the prediction"}),
+                        "how": (
+                            "sampler",
+                            hows,
+                            {"long_name": "how the method found the variance"},
+                        ),
                     }
                 ),
             },
             drop=["sampler"] * alone + ["channel"] * (not estimator.channels),
             estimator=estimator.spec,
             sampler=samplers[0].spec if alone else None,
-            route=routes[0] if alone else None,
+            method=names[0] if alone else None,
+            how=hows[0] if alone else None,
             target_error=self.target_error,
             relative=self.relative,
             recommendation=told,
@@ -157,13 +164,13 @@ class Plan(Counted, frozen=True, kw_only=True):
         counts: list[int],
         found: list[Cells],
         target: Array,
-    ) -> tuple[float, Array, str]:
-        """The least count at which all channels reach the target, its variance, and how it is known."""
+    ) -> tuple[float, Array, tuple[str, str]]:
+        """The least count at which all channels reach the target, its variance, method and details."""
         variances = [each.variance[0] for each in found]
         known = [k for k, v in enumerate(variances) if np.isfinite(v).all()]
         unknown = np.full(len(target), math.nan)
         if not known:
-            return math.nan, unknown, str(found[-1].routes[0]) if found else "none"
+            return math.nan, unknown, found[-1].named() if found else ("none", "")
         first = next((k for k in known if (variances[k] <= target).all()), None)
         if first is None:
             # By the slope of the last predictions, rounded to a count that the sampler can do
@@ -173,13 +180,14 @@ class Plan(Counted, frozen=True, kw_only=True):
                 rate = np.log(ends / variances[earlier]) / np.log(ratio)
                 wanted = counts[last] * float(np.exp(np.max(np.log(target / ends) / rate)))
             if not ((rate < 0.0).all() and wanted < min(_MOST, sampler.max_count)):
-                return math.nan, unknown, "out of reach"
+                return math.nan, unknown, ("none", "out of reach")
             n = sampler.nearest_count(math.ceil(wanted))
             if (ends * (n / counts[last]) ** rate > target * (1.0 + 1e-9)).any():
                 n = sampler.nearest_count(2 * n)  # the nearest is below
             variance = ends * (n / counts[last]) ** rate
-            return float(n), variance, f"extrapolated from n = {counts[last]}"
-        best = float(counts[first]), variances[first], str(found[first].routes[0])
+            how = f"extrapolated from n = {counts[last]}"
+            return float(n), variance, (found[last].named()[0], how)
+        best = float(counts[first]), variances[first], found[first].named()
         before = [k for k in known if k < first]
 
         # Between the last count that misses the target and the first that reaches it: about where a
@@ -206,7 +214,7 @@ class Plan(Counted, frozen=True, kw_only=True):
             found.append(each)
             place = between, np.maximum(each.variance[0], _TINY)
             if (each.variance[0] <= target).all():
-                high, best = place, (float(between), each.variance[0], str(each.routes[0]))
+                high, best = place, (float(between), each.variance[0], each.named())
             else:
                 low = place
         return best
@@ -227,7 +235,7 @@ def _range(
     slopes = np.diff(over[-4:]) / np.diff(x[-4:])
     ends = []
     for side, slope in ((0, slopes.min(initial=0.0)), (1, slopes.max(initial=-math.inf))):
-        limits = np.nan_to_num([found[k].ends()[side][0] for k in order])
+        limits = np.nan_to_num([(found[k].low, found[k].high)[side][0] for k in order])
         off = np.log(np.maximum(limits, _TINY) / target).max(axis=1)
         missed = np.flatnonzero(off > 0.0)
         if not len(missed):
@@ -304,8 +312,8 @@ def plan(
         where none is known. ``planned_n_ci(bound)``, this count if the variances were at the ends of their
         95 % intervals, or fell as fast and as slowly as they did last; ``planned_error``, the RMSE there; ``target_variance``, the
         square of the target; the curve ``predicted_variance(n)`` with ``predicted_variance_ci(n, bound)`` at powers of two that the
-        sampler can do, to a quarter of the wanted variance or 2^16. Beyond them n follows from the last slope, and ``route`` says so. A
-        list adds the dim sampler. The attribute ``recommendation`` says it in words.
+        sampler can do, to a quarter of the wanted variance or 2^16. Beyond them n follows from the last slope, and ``how`` says so. Coordinates ``method`` and ``how``,
+        attributes where there is one sampler, are those of `predict`. A list adds the dim sampler. The attribute ``recommendation`` says it in words.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""Predictions: the variance at every n, without measuring it, by the route that is trusted most.
+"""Predictions: the variance at every n by the most trusted method, by one method, or by all of them.
 
-Everything happens in primary space: each technique has its own integrand on the unit cube, and
-independent techniques add up. `ROUTES` are tried in their order; what comes last measures small sets of
-the sampler and goes on from there, and is named so.
+The first seven of `METHODS` work in primary space: each technique has its own integrand on the unit cube, and
+independent techniques add up. The method ``auto`` tries them in their order of trust; the last one measures
+small sets of the sampler and extrapolates, and its name says so. The others check a prediction.
 """
 
 from __future__ import annotations
@@ -10,18 +10,20 @@ from __future__ import annotations
 import contextlib
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeAlias, final
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 
-from mcspectra.core.analysis import Counted, Need, Reduction, Subject
+from mcspectra.core.analysis import Counted, Need, Reduction, Steps, Subject
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import CountError, NoClosedForm
+from mcspectra.core.errors import CountError, NoClosedForm, ParameterError
 from mcspectra.core.memory import memory_of
-from mcspectra.core.options import COUNTS, Counts
-from mcspectra.core.records import JOIN
+from mcspectra.core.options import COUNTS, HALF_WIDTH, Counts
+from mcspectra.core.parallel import MAX_REALIZATIONS
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, Estimator, Moments
@@ -41,23 +43,32 @@ from mcspectra.samplers.base import FixedSet, Structure
 from mcspectra.samplers.stratified import root
 from mcspectra.spectra.bases import parts_of, without_last
 from mcspectra.variance.doors import NO_VARIANCE, VANISHES, answer, counted
-from mcspectra.variance.exact import of_integrand
+from mcspectra.variance.exact import EXACT_TOLERANCE, estimated_variance, of_integrand
 from mcspectra.variance.measured import count_moments, count_stream
-from mcspectra.variance.prediction.known import Known, Predicted
+from mcspectra.variance.prediction.cross_checks import (
+    draws_power,
+    of_covariance,
+    of_homogenized,
+    of_pairs,
+    of_terms,
+    terms_for,
+)
+from mcspectra.variance.prediction.known import Cells, Known, Predicted
 from mcspectra.variance.prediction.levels import of_levels
 from mcspectra.variance.prediction.rates import Slowest, rates_of, slowest_of_jumps
 from mcspectra.variance.prediction.subsets import of_subsets
-from mcspectra.variance.prediction.torus import of_moves, of_torus
+from mcspectra.variance.prediction.torus import of_few_moves, of_moves, of_torus
 from mcspectra.variance.quadrature import Pointwise, in_closed_form, looked_at, mesh
+from mcspectra.variance.terms import Terms
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["ROUTES", "Cells", "Prediction", "Predictor", "predict"]
+__all__ = ["METHODS", "Prediction", "Predictor", "predict"]
 
-_TOLERANCE = 0.01  # relative error of a quadrature that is taken before all other routes
+_TOLERANCE = 0.01  # relative error of a quadrature that `auto` takes before all other methods
 _MOST_BREAKS = 8  # of an integrand, with each of which offsets of strata are cut
-_EVALUATIONS = 2.0**22  # of a quadrature, about a second; beyond, other routes come first
+_EVALUATIONS = 2.0**22  # of a quadrature, about a second; beyond, other methods come first
 _MEMORY = 2**29  # bytes: coefficients and transforms of all regions
 
 # Counts beyond the last one, that show the limit of rates
@@ -92,7 +103,7 @@ def of_quadrature(sampler: Sampler, n: int, known: Known, stream: Stream) -> Pre
     dear = not in_closed_form(g) or sum(map(len, g.breaks)) > _MOST_BREAKS
     if g.dims > 1 and any(isinstance(s, Shift) for s in steps) and dear:
         raise NoClosedForm("A quadrature for every offset of the strata would take long.")
-    return Predicted(*of_integrand(sampler, n, known.g, _TOLERANCE, _EVALUATIONS), "exact")
+    return Predicted(*of_integrand(sampler, n, known.g, _TOLERANCE, _EVALUATIONS), "quadrature")
 
 
 def of_limits(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
@@ -100,7 +111,11 @@ def of_limits(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predict
     if np.isinf(known.square[0]).any():
         raise NoClosedForm("∫g² diverges.")
     base, steps = parts_of(sampler)
-    if base.name == "random" or (base.fixed and len(steps) == 1 and steps[0].stationary):
+    alone = base.name == "random" or (base.fixed and len(steps) == 1 and steps[0].stationary)
+    if alone or not any(step.stationary for step in steps):
+        with contextlib.suppress(NoClosedForm):
+            return of_few_moves(sampler, n, known, stream)
+    if alone:
         return of_torus(sampler, n, known, stream)
     if isinstance(base, Jittered) and any(isinstance(step, Shift) for step in steps):
         sampler = base.then(StrataShift(offset=_OFFSET))
@@ -146,7 +161,7 @@ def of_table(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicte
     # Points may be as good within cells as they are beyond, or as bad as at random
     error = CONFIDENCE_Z * moments.relative_se * moments.variance + tail + miss / n
     share = 1.0 - np.minimum(missed / known.square[0], 1.0)
-    return Predicted(moments.variance + tail, error, f"{sets} sets on a table of g", share, tail)
+    return Predicted(moments.variance + tail, error, f"{sets} sets", share, tail)
 
 
 def of_measurements(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predicted:
@@ -185,7 +200,7 @@ def extrapolated(
                 found.append((count, moments))
     if len(found) < _FITTED - 1:
         raise NoClosedForm(
-            f"No route predicts {sampler.spec}, and its small sets show no variance or are too few."
+            f"No method predicts {sampler.spec}, and its small sets show no variance or are too few."
         )
 
     # The scatter about the line is at least that of the measurements
@@ -205,28 +220,60 @@ def extrapolated(
     variance = np.exp(y.mean(axis=0) + slope * away)
     error = variance * np.expm1(np.minimum(half, math.log(_MOST_FACTOR)))
     listed = ", ".join(str(count) for count in sorted(count for count, _ in found))
-    route = f"extrapolated from measurements at {listed}"
-    return Predicted(variance, error, route, 0.0, variance)
+    return Predicted(variance, error, f"from measurements at {listed}", 0.0, variance)
 
 
-Route: TypeAlias = Callable[[Sampler, int, Known, Stream], Predicted]
+Method: TypeAlias = Callable[[Sampler, int, Known, Stream], Predicted]
+Methods: TypeAlias = Sequence[tuple[str, Method]]
 
-ROUTES: tuple[Route, ...] = (
-    of_quadrature,
-    of_torus,
-    of_levels,
-    of_subsets,
-    of_moves,
-    of_table,
-    of_measurements,
+_AUTO: Methods = (
+    ("exact", of_quadrature),
+    ("moves", of_few_moves),
+    ("torus", of_torus),
+    ("levels", of_levels),
+    ("subsets", of_subsets),
+    ("moves", of_moves),
+    ("table", of_table),
+    ("extrapolated", of_measurements),
 )
-"""In the order of trust."""
+"""What `auto` tries, in the order of trust: `moves` first where it resolves a set better than the others."""
 
-_OF_COSTLY = (of_torus, of_levels, of_quadrature, of_subsets, of_measurements)
-"""A quadrature asks an integrand anew at every count; tables, as precise, serve all of them."""
+_OF_COSTLY: Methods = (*_AUTO[1:4], _AUTO[0], _AUTO[4], _AUTO[-1])
+"""A quadrature evaluates an integrand anew at every count; tables, as precise, serve all counts."""
 
-_WORTH: dict[Route, float] = {of_moves: 0.03, of_table: 0.2, of_measurements: 0.2}
-"""Half intervals of sums of products, relative to the variance, that a route may narrow."""
+_LIMITS: Methods = (("limits", of_limits),)
+
+_CHECKS = {
+    "pair-correlation": of_pairs,
+    "covariance": of_covariance,
+    "homogenized": of_homogenized,
+}
+_SAMPLED = ("homogenized", "terms", "measured")  # from the realizations of `variance_terms`
+
+METHODS: Mapping[str, str] = {
+    "exact": "closed form, or quadrature over strata or levels, as in `exact_variance`",
+    "torus": "sum of |g_m|² times the power, for points that are the same after any translation",
+    "levels": "means of g over cells, for strata and scrambled nets",
+    "subsets": "single axes and sums of products of functions of one axis",
+    "moves": "offsets or digital shifts of one set, by a quadrature of our own",
+    "table": "sets of the sampler on a table of g",
+    "extrapolated": "a line through variances measured at other counts",
+    "pair-correlation": "pairs of points, known or counted, without frequencies",
+    "covariance": "sum over pairs of frequencies, the covariance of coefficients in closed form",
+    "homogenized": "sum of |f_m|² times the power, in closed form or from realizations",
+    "terms": "dc, power and cross term of `variance_terms`",
+    "measured": "sample variance of the estimates at n",
+}
+"""Names of methods, the most trusted prediction first, and how each finds the variance."""
+
+_WORTH = {"moves": 0.03, "table": 0.2, "extrapolated": 0.2}
+"""Half intervals of sums of products, relative to the variance, that a method may narrow."""
+
+METHOD = Meta(
+    description="auto: the most trusted method that applies; all: every method, side by side; else one "
+    "by its name.",
+    extra={"choices": ("auto", "all", *METHODS)},
+)
 
 
 @final
@@ -241,117 +288,232 @@ class Prediction(Counted, frozen=True, kw_only=True):
         *("local_rate", "predicted_rate", "limit_rate", "bend_n"),
     )
 
+    provenance = ("method",)
+
     counts: Annotated[Counts, COUNTS]
+    method: Annotated[str, METHOD] = "auto"
+    tolerance: Annotated[
+        float,
+        Meta(
+            ge=1e-12,
+            le=1.0,
+            description="Largest relative error of a variance of the method exact.",
+        ),
+    ] = EXACT_TOLERANCE
+    half_width: Annotated[
+        Annotated[int, HALF_WIDTH] | None,
+        Meta(
+            description="Half width of the methods covariance, homogenized and terms; by default that of "
+            "variance.",
+        ),
+    ] = None
+    realizations: Annotated[
+        int,
+        Meta(
+            ge=4,
+            le=MAX_REALIZATIONS,
+            description="Realizations of the methods pair-correlation, homogenized, terms and measured.",
+            extra={"flag": "-m", "metavar": "R"},
+        ),
+    ] = 1000
+
+    @property
+    def _methods(self) -> tuple[str, ...]:
+        return tuple(METHODS) if self.method == "all" else (self.method,)
 
     def need(self, subject: Subject) -> Need:
-        """Every sampler can do every count."""
-        estimator, samplers = subject.estimator, subject.samplers
+        """Every sampler can do every count, and the spectra fit."""
+        estimator, samplers, methods = subject.estimator, subject.samplers, self._methods
+        each, sampled = sum(estimator.counts), 0
+        cost, memory = 1e6 * len(samplers) * len(self.counts) * each, 0
         for sampler in samplers:
             for n in self.counts:
                 estimator.check_sampler(sampler, n)
-        evaluations = sum(estimator.counts)
-        memory = _MEMORY + memory_of(self.counts[-1], estimator.dims, evaluations)
-        return Need(cost=1e6 * len(samplers) * len(self.counts) * evaluations, memory=memory)
+                if "pair-correlation" in methods:
+                    cost += 0.1 * self.realizations * each * n**2
+                if not set(_SAMPLED).isdisjoint(methods):
+                    _, need, _ = self._terms(Subject(estimator, sampler), n)
+                    cost, memory = cost + need.cost, max(memory, need.memory)
+                    sampled += 0 if self.method == "homogenized" else need.evaluations
+        memory += _MEMORY + memory_of(self.counts[-1], estimator.dims, each)
+        return Need(cost=cost, memory=memory, evaluations=sampled)
 
-    def reduction(self, subject: Subject, stream: Stream) -> Reduction[Cells]:
-        """One sampler after the other, one count after the other."""
-        estimator, samplers = subject.estimator, subject.samplers
+    def _terms(self, subject: Subject, n: int) -> tuple[Terms, Need, str]:
+        """The analysis behind the sampled methods, its need, and why it has no frequencies, or empty."""
+        asked = terms_for(subject.estimator, n, self.half_width, self.realizations)
+        without, refusal = msgspec.structs.replace(asked, half_width=0), ""
+        if self.method != "measured":
+            try:
+                return asked, asked.need(subject), ""
+            except ParameterError as error:  # too many frequencies, or too many for some memory
+                if self.method != "all":
+                    raise
+                refusal = str(error)
+        return without, without.need(subject), refusal
+
+    def reduction(self, subject: Subject, stream: Stream) -> Steps:
+        """A block for each sampler, method and count; the sampled methods share realizations."""
+        estimator, samplers, methods = subject.estimator, subject.samplers, self._methods
+        auto, channels = self.method == "auto", max(1, estimator.channels)
         predictor = Predictor(estimator, stream)
-        places = [(s, n) for s in samplers for n in _places(s, self.counts)]
+        own, other = (Stream.from_rng(np.random.SeedSequence([stream.key, k])) for k in (0, 1))
+
+        # Counts of a sampler: with auto others, too, which show rates and their limit; 0 is none
+        counts = [_places(s, self.counts) if auto else [0, *self.counts, 0, 0] for s in samplers]
+        wanted = [(s, m, n) for s, each in enumerate(counts) for m in methods for n in each]
+        places = [place for place in wanted if auto or (place[2] and place[1] not in _SAMPLED[1:])]
 
         def of_place(index: int) -> Cells:
-            sampler, n = places[index]
-            return predictor.at(sampler, n, ROUTES if n <= self.counts[-1] else (of_limits,))
+            place, method, n = places[index]
+            sampler = samplers[place]
+            if auto:
+                return predictor.at(sampler, n, _AUTO if n <= self.counts[-1] else _LIMITS)
+            try:
+                if method == "exact":
+                    value, error = estimated_variance(estimator, sampler, n, self.tolerance)
+                    low, high = np.maximum(value - error, 0.0), value + error
+                    return Cells.row(method, "quadrature", value, low, high, channels=channels)
+                if method in _CHECKS:
+                    asked = terms_for(estimator, n, self.half_width, self.realizations)
+                    return _CHECKS[method](estimator, sampler, n, asked, other)
+            except (NoClosedForm, ParameterError) as refusal:  # arguments were checked before
+                return Cells.unknown(str(refusal), channels)
+            return predictor.at(sampler, n, [each for each in _AUTO if each[0] == method][-1:])
 
-        def result(found: Cells) -> xr.Dataset:
-            shape = (len(samplers), -1, found.variance.shape[1])
-            n = np.array([_places(s, self.counts) for s in samplers], float)
+        # Spectra and estimates of realizations, for each sampler and count
+        sampled = {}
+        for s, sampler in enumerate(samplers):
+            for n in self.counts if not set(_SAMPLED).isdisjoint(methods) else ():
+                terms, _, refusal = self._terms(Subject(estimator, sampler), n)
+                if self.method != "homogenized" or draws_power(estimator, sampler, n, terms):
+                    reduction = terms.reduction(Subject(estimator, sampler), own)
+                    sampled[s, n] = replace(reduction, key=f"{s} {n}"), refusal
+        step: list[Reduction[Any]] = [reduction for reduction, _ in sampled.values()]
+        if places:
+            cost = 1e6 * len(places) * sum(estimator.counts)
+            step.append(
+                Reduction(kind=Cells, block=of_place, blocks=len(places), cost=cost, key="places")
+            )
+        states = yield step
 
-            # Rates from the count before, of the first one to the next; not of intervals that reach 0
-            known = np.where(found.ends()[0] > 0.0, found.variance, np.nan).reshape(shape)
-            loose = (found.error > _LOOSE * found.variance).reshape(shape)
-            known[:, 1 + len(self.counts) :][loose[:, 1 + len(self.counts) :]] = np.nan
-            with np.errstate(divide="ignore", invalid="ignore"):
-                slope = np.diff(np.log(known), axis=1) / np.diff(np.log(n), axis=1)[..., None]
-            slope[:, 0] = np.where(n[:, :1] > 0.0, slope[:, 0], slope[:, 1])
-            asked = slice(1, 1 + len(self.counts))
-            slowest = [predictor.slowest(each, self.counts) for each in samplers]
-            rates = [
-                rates_of(n[s], known[s, :, c], asked.stop, estimator.dims, slowest[s])
-                for s, c in np.ndindex(shape[0], shape[2])
+        rows: dict[tuple[int, str, int], Cells] = {}
+        if places:
+            rows = {place: states[-1].at(k) for k, place in enumerate(places)}
+        notes = []
+        for ((s, n), (reduction, refusal)), state in zip(sampled.items(), states, strict=False):
+            assert reduction.result is not None
+            found = reduction.result(state)
+            notes.append(str(found.attrs.get("note", "")))
+            made = of_terms(found, estimator, self.realizations, rows.get((s, "homogenized", n)))
+            for method, row in made.items():
+                there = method == "measured" or not refusal
+                rows[s, method, n] = row if there else Cells.unknown(refusal, channels)
+        none = Cells.unknown("there is no such count", channels)
+        cells = Cells.joined([rows.get(place, none) for place in wanted])
+        return self._result(subject, predictor, counts, cells, notes)
+
+    def _result(
+        self,
+        subject: Subject,
+        predictor: Predictor,
+        counts: list[list[int]],
+        cells: Cells,
+        notes: list[str],
+    ) -> xr.Dataset:
+        """The dataset of cells by sampler, method and count, with rates along the counts."""
+        estimator, samplers, methods = subject.estimator, subject.samplers, self._methods
+        auto, alone = self.method == "auto", subject.sampler is samplers[0]
+        channels = max(1, estimator.channels)
+        shape = (len(samplers) * len(methods), -1, channels)
+        full = (len(samplers), len(methods), -1, channels)
+        n = np.array([each for each in counts for _ in methods], float)
+
+        # Rates from the count before, of the first one to the next; not of intervals that reach 0
+        known = np.where(cells.low > 0.0, cells.variance, np.nan).reshape(shape)
+        with np.errstate(invalid="ignore"):  # both infinite
+            half = cells.high - cells.variance
+        loose = (half > _LOOSE * cells.variance).reshape(shape)
+        known[:, 1 + len(self.counts) :][loose[:, 1 + len(self.counts) :]] = np.nan
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope = np.diff(np.log(known), axis=1) / np.diff(np.log(n), axis=1)[..., None]
+        slope[:, 0] = np.where(n[:, :1] > 0.0, slope[:, 0], slope[:, 1])
+        asked = slice(1, 1 + len(self.counts))
+        slowest = [predictor.slowest(s, self.counts) if auto else Slowest() for s in samplers]
+        rates = [
+            rates_of(n[k], known[k, :, c], asked.stop, estimator.dims, slowest[k // len(methods)])
+            for k, c in np.ndindex(shape[0], shape[2])
+        ]
+        rate, limit, bend = np.reshape([r[:3] for r in rates], (*full[:2], channels, 3)).transpose(
+            3, 0, 1, 2
+        )
+        if not auto:  # no count beyond those asked for shows where rates tend to
+            limit, bend = np.full_like(limit, np.nan), np.full_like(bend, np.nan)
+
+        # Leave out the counts that were not asked for
+        variance, low, high, share, tail = (
+            values.reshape(full)[:, :, asked]
+            for values in (cells.variance, cells.low, cells.high, cells.share, cells.tail)
+        )
+        names, hows, why = (
+            texts.reshape(full[:3])[:, :, asked]
+            for texts in (cells.methods, cells.hows, cells.notes)
+        )
+
+        # What is to be said: with all methods their reasons stand in `how` alone
+        said = list(dict.fromkeys(filter(None, notes)))
+        if self.method not in ("auto", "all", "exact") and np.isnan(variance).all():
+            reasons = list(dict.fromkeys(map(str, why.ravel())))
+            if VANISHES not in reasons:
+                raise NoClosedForm(
+                    f"The method {self.method} does not apply to {estimator.spec} with "
+                    f"{samplers[0].spec}: {reasons[0]}; use another, or method='auto'."
+                )
+        if self.method != "all":
+            limits = [
+                [r[3] for r in rates[k : k + channels] if auto]
+                for k in range(0, len(rates), channels)
             ]
-            rate, limit, bend = np.reshape([r[:3] for r in rates], (shape[0], -1, 3)).transpose(
-                2, 0, 1
-            )
-
-            # Leave out the counts that were not asked for
-            variance, share, tail, low, high = (
-                values.reshape(shape)[:, asked]
-                for values in (found.variance, found.share, found.tail, *found.ends())
-            )
-            routes, notes = (
-                texts.reshape(shape[:2])[:, asked] for texts in (found.routes, found.notes)
-            )
-            alone = subject.sampler is samplers[0]
-            whys = [[r[3] for r in rates[k : k + shape[2]]] for k in range(0, len(rates), shape[2])]
-            said = [
+            said += [
                 note if alone else f"{s.spec}: {note}"
-                for s, each, why in zip(samplers, notes, whys, strict=True)
-                for note in dict.fromkeys(filter(None, [*map(str, each), *why]))
+                for s, each, more in zip(samplers, why, limits, strict=True)
+                for note in dict.fromkeys(filter(None, [*map(str, each.ravel()), *more]))
             ]
-            each = ("sampler", "n", "channel")
-            values = {
+        each = ("sampler", "method", "n", "channel")
+        by = tuple(dim for dim in each[:3] if dim != "sampler" or not alone)
+        drop = ["sampler"] * alone + ["channel"] * (not estimator.channels)
+        names, hows = (texts[0] if alone else texts for texts in (names, hows))
+        coords = {
+            "n": counted("n", list(self.counts), "number of points"),
+            "bound": ["low", "high"],
+            "sampler": [s.spec for s in samplers],
+            "method": list(methods),
+        }
+        if self.method != "all":
+            place = by.index("method")
+            by = tuple(dim for dim in by if dim != "method")
+            names, hows = (np.take(texts, 0, place) for texts in (names, hows))
+            coords["method"] = by, names, {"long_name": "method of the prediction"}
+            drop.append("method")
+        about = {"long_name": "how the method found the variance, or why it did not"}
+        coords["how"] = by, hows, about
+        rated = ("sampler", "method", "channel")
+        return dataset(
+            {
                 "predicted_variance": (each, variance),
                 "predicted_variance_ci": ((*each, "bound"), np.stack([low, high], axis=-1)),
                 "energy_share": (each, share),
                 "tail_variance": (each, tail),
-                "local_rate": (each, slope[:, : len(self.counts)]),
-                "predicted_rate": (("sampler", "channel"), rate),
-                "limit_rate": (("sampler", "channel"), limit),
-                "bend_n": (("sampler", "channel"), bend),
-            }
-            about = {"long_name": "how the variance was predicted"}
-            by = ("n",) if alone else ("sampler", "n")
-            return dataset(
-                values,
-                {
-                    "n": counted("n", list(self.counts), "number of points"),
-                    "bound": ["low", "high"],
-                    "route": (by, routes[0] if alone else routes, about),
-                    **({} if alone else {"sampler": [s.spec for s in samplers]}),
-                },
-                drop=["sampler"] * alone + ["channel"] * (not estimator.channels),
-                estimator=estimator.spec,
-                sampler=samplers[0].spec if alone else None,
-                note="; ".join(said) or None,
-            )
-
-        return Reduction(
-            kind=Cells,
-            block=of_place,
-            blocks=len(places),
-            cost=self.need(subject).cost,
-            result=result,
+                "local_rate": (each, slope.reshape(full)[:, :, : len(self.counts)]),
+                "predicted_rate": (rated, rate),
+                "limit_rate": (rated, limit),
+                "bend_n": (rated, bend),
+            },
+            {name: values for name, values in coords.items() if name != "sampler" or not alone},
+            drop=drop,
+            estimator=estimator.spec,
+            sampler=samplers[0].spec if alone else None,
+            note="; ".join(said) or None,
         )
-
-
-@final
-@dataclass(frozen=True)
-class Cells:
-    """Of samplers and counts, (N, channels or 1), with the route and what is to be said, (N,)."""
-
-    variance: JOIN
-    error: JOIN
-    share: JOIN
-    tail: JOIN
-    routes: JOIN
-    notes: JOIN
-
-    def ends(self) -> tuple[Array, Array]:
-        """Ends of the 95 % intervals."""
-        with np.errstate(invalid="ignore"):  # both infinite
-            low = np.maximum(self.variance - self.error, 0.0)
-        return np.where(np.isinf(self.variance), np.inf, low), self.variance + self.error
 
 
 def predict(
@@ -360,6 +522,10 @@ def predict(
     counts: Sequence[int],
     *,
     dims: int | None = None,
+    method: str = "auto",
+    tolerance: float = EXACT_TOLERANCE,
+    half_width: int | None = None,
+    realizations: int = 1000,
     rng: RngLike = 0,
     max_evaluations: int | None = None,
     workers: int | None = None,
@@ -378,8 +544,33 @@ def predict(
     dims
         Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
         that is not a spec.
+    method
+        ``"auto"``: the most trusted method that applies; ``"all"``: every method, side by side, on a dim
+        ``method``; or one of these names, from `METHODS`.
+
+        * ``"exact"``: a closed form, or quadrature over strata or levels, as in `exact_variance`
+        * ``"torus"``: Σ|g_m|² times the power, for points that are the same after any translation
+        * ``"levels"``: means of g over cells, for strata and scrambled nets
+        * ``"subsets"``: single axes and sums of products of functions of one axis
+        * ``"moves"``: offsets or digital shifts of one set, by a quadrature of our own
+        * ``"table"``: sets of the sampler on a table of g
+        * ``"extrapolated"``: a line through variances measured at other counts
+        * ``"pair-correlation"``: pairs of points, known or counted, without frequencies
+        * ``"covariance"``: Σ conj(f_m) f_l C_ml, with C_ml in closed form, of 625 frequencies at most
+        * ``"homogenized"``: Σ|f_m|² times the power, in closed form or from realizations
+        * ``"terms"``: the sum of the terms of `variance_terms`
+        * ``"measured"``: the sample variance of the estimates at n
+    tolerance
+        Largest relative error of a variance by the method exact.
+    half_width
+        Of the methods covariance, homogenized and terms, which sum over the frequencies m in
+        {−half_width … half_width}^d; by default as in `variance_terms`.
+    realizations
+        Of the methods pair-correlation, homogenized, terms and measured; at least 4, which standard
+        errors take.
     rng
-        Seed (SPEC 7), of routes that draw sets.
+        Seed (SPEC 7), of methods that draw sets. Pairs are counted in other sets than those that are
+        measured.
     workers
         Threads; all processors by default. Results do not depend on it.
     max_evaluations
@@ -389,33 +580,39 @@ def predict(
     -------
     xarray.Dataset
         ``predicted_variance(n)`` with its 95 % interval ``predicted_variance_ci(n, bound)``;
-        ``energy_share(n)``, the part of ∫g² that was counted term by term; ``tail_variance(n)``, the part
+        ``energy_share(n)``, the part of ∫g² (of ∫f² for sums over frequencies) that was counted term by
+        term, 1 for methods without one; ``tail_variance(n)``, the part
         of the variance that stands for the rest; ``local_rate(n)``, the slope from the count before (at
         the first, to the next); ``predicted_rate``, the slope over all counts, as `convergence` fits
         it; ``limit_rate``, the exponent that rates tend to, and ``bend_n``, where a line of this slope
-        meets that of smaller n, if the two differ by more than 0.3: both NaN where they are not known.
-        Counts whose interval reaches 0 have no rates. The
-        coordinate ``route`` names how each n was predicted: `ROUTES` in their order, quadratures of costly
-        integrands after tables. A list adds the dim sampler, several channels the dim channel. Where there is no variance, or no more than rounding,
-        it is NaN, and the attribute ``note`` says so.
+        meets that of smaller n, if the two differ by more than 0.3: both NaN where they are not known,
+        and where `method` is not ``"auto"``. Counts whose interval reaches 0 have no rates.
+
+        The coordinate ``method`` is the name of the method at each n, ``"none"`` where there is no value;
+        with ``"all"`` it is a dim. The coordinate ``how`` has details, such as the number of sets, or the
+        reason why there is no value. A list adds the dim sampler, several channels the dim channel.
+        Where there is no variance, or no more than rounding, it is NaN, and the attribute ``note`` says so;
+        the method exact gives 0 there.
 
     Raises
     ------
     CountError, ParameterError
         A sampler cannot do a count, dims disagree, counts are not ascending.
+    NoClosedForm
+        A single method, other than exact, applies to no sampler at any n.
 
     Notes
     -----
-    All routes cut f at jumps across an axis that lines see, and no interval is narrower than what a
+    Methods of predictions cut f at jumps across an axis that lines see, and no interval is narrower than what a
     probe of 2^17 points saw and the nodes did not; f that is the same at all of them has no prediction,
     unless its integral is known.
 
     f is evaluated at nodes and on grids of our own. Lattices with shift and nets with digital-shift, which one
-    offset moves as a whole, are moved by up to 8,192 offsets of our own (`offsets of a lattice`, `digital
-    shifts of the net`): in 1 to 3 dims, and in more where sums of products leave a half interval over 3 %. Of samplers of which nothing is known but their sets,
-    these measure a table of f in 1 to 3 dims (`n sets on a table of g`); in more, or where f is dear, the last
-    route evaluates f at their points, *extrapolated from measurements*: 2,000 realisations each of small
-    counts, or of those next to n where f is not dear, never of n. So it is, too, where jumps and kinks
+    offset moves as a whole, are moved by up to 8,192 offsets of our own (`moves`): in 1 to 3 dims, and in more
+    where sums of products leave a half interval over 3 %. Of samplers of which nothing is known but their sets,
+    these measure a `table` of f in 1 to 3 dims; in more, or where f is expensive, `auto` evaluates f at their
+    points (`extrapolated`): 2,000 realizations each of small
+    counts, or of those next to n where f is not expensive, never of n. So it is, too, where jumps and kinks
     across many axes leave sums of products an interval wider than a fifth, if it gives the narrower one.
 
     Limits are known in theory for random points, −1, and at jumps of g in up to 5 dims: −1 − 1/d for strata
@@ -432,6 +629,9 @@ def predict(
     >>> found = mcs.predict("disk", ["random", "jittered | shift"], [64, 256])
     >>> [round(float(rate), 1) for rate in found["predicted_rate"]]
     [-1.0, -1.5]
+    >>> by_method = mcs.predict("gaussian", "jittered", [64], method="all", realizations=100)
+    >>> [float(by_method["predicted_variance"].sel(method=m, n=64).round(7)) for m in ("exact", "levels")]
+    [6.28e-05, 6.28e-05]
     """
     return answer(Prediction, locals())
 
@@ -445,12 +645,12 @@ class Predictor:
         self._known = [Known(estimator.primary_integrand(t)) for t in range(len(estimator.counts))]
         self._stream = stream
 
-    def at(self, sampler: Sampler, n: int, routes: tuple[Route, ...] = ROUTES) -> Cells:
-        """The prediction of one count: the sum over the techniques; NaN where no route leads there."""
+    def at(self, sampler: Sampler, n: int, methods: Methods = _AUTO) -> Cells:
+        """The prediction of one count: the sum over the techniques; NaN where no method applies."""
         estimator = self.estimator
         source, width = estimator.randomized(sampler), max(1, estimator.channels)
         total = np.full((4, width), math.nan)
-        note, route = "", "none"
+        note, name, how = "", "none", ""
         try:
             if not n:
                 raise NoClosedForm("there is no such count")
@@ -464,20 +664,24 @@ class Predictor:
             try:
                 estimator.check_independent()
             except NoClosedForm:
-                if routes is not ROUTES:
+                if methods[-1][0] != "extrapolated":
                     raise
-                parts = [extrapolated(estimator, source, n, known[0], stream)]
+                found = extrapolated(estimator, source, n, known[0], stream)
+                parts = [replace(found, method="extrapolated")]
             else:
                 places = enumerate(zip(estimator.counts, known, strict=True))
                 parts = [
-                    _by_routes(source.as_chain(n * c), n * c, each, stream.child(t), routes)
+                    _by_methods(source.as_chain(n * c), n * c, each, stream.child(t), methods)
                     for t, (c, each) in places
                 ]
             # What their shares weigh
             squares = [np.ones(len(parts[0].variance))]
             if len(parts) > 1:
                 squares = [each.square[0] for each in known]
-            route = "; ".join(dict.fromkeys(part.route for part in parts))
+            name, how = (
+                "; ".join(dict.fromkeys(texts))
+                for texts in ([part.method for part in parts], [part.how for part in parts])
+            )
             weights = [square / len(parts) + np.where(square > 0.0, 0.0, 1.0) for square in squares]
             with np.errstate(invalid="ignore"):
                 variance, error, share, tail, weight = np.sum([
@@ -488,17 +692,22 @@ class Predictor:
             if np.isinf(variance).any():
                 note = "∫g² diverges: the variance is infinite"
         except (NoClosedForm, CountError) as reason:
-            note = str(reason).rstrip(".")
+            how = note = str(reason).rstrip(".")
 
-        # A variance of rounding size is none
+        # A variance at rounding level has no digits
         if np.isfinite(total[0]).any():
             size = np.atleast_1d(np.asarray(estimator.integral, float))
             vanishes = total[0] <= rounding_floor(size)
             if vanishes.any():
                 note = VANISHES
                 total[np.ix_([0, 1, 3], vanishes)] = math.nan
-        variance, error, share, tail = total[:, None]
-        return Cells(variance, error, share, tail, np.array([route]), np.array([note]))
+        variance, error, share, tail = total
+        with np.errstate(invalid="ignore"):  # both infinite
+            low = np.where(np.isinf(variance), np.inf, np.maximum(variance - error, 0.0))
+        high = variance + error
+        return Cells.row(
+            name, how, variance, low, high, share=share, tail=tail, note=note, channels=width
+        )
 
     def slowest(self, sampler: Sampler, counts: Sequence[int]) -> Slowest:
         """What theory knows of the rate at large n: of several techniques the slowest."""
@@ -516,58 +725,59 @@ class Predictor:
         return max(found, key=lambda each: each.exponent, default=Slowest())
 
 
-def _by_routes(
-    sampler: Sampler, n: int, known: Known, stream: Stream, routes: tuple[Route, ...]
+def _by_methods(
+    sampler: Sampler, n: int, known: Known, stream: Stream, methods: Methods
 ) -> Predicted:
-    """The first route that leads somewhere; points that are mirrored last see another integrand."""
+    """The first method that applies; points that are mirrored last see another integrand."""
     if n == 1 and sampler.unbiased:  # one point, which is as at random
         sampler = Random(dims=sampler.dims)
     if sets := _scrambled_sets(sampler, n):
-        parts = [_by_routes(one.then(Owen()), n, known, stream, routes) for one in sets]
+        parts = [_by_methods(one.then(Owen()), n, known, stream, methods) for one in sets]
         values = np.array([part.variance for part in parts])
         spread = _T_SETS * values.std(axis=0, ddof=len(sets) > 1) / math.sqrt(len(sets))
         error = np.hypot(np.mean([part.error for part in parts], axis=0), spread)
         return replace(parts[0], variance=values.mean(axis=0), error=error)
     base, steps = parts_of(sampler)
-    if routes is ROUTES and known.g.costly:
-        routes = _OF_COSTLY
+    if methods is _AUTO and known.g.costly:
+        methods = _OF_COSTLY
     if known.constant:  # a technique of several
         none = 0.0 * known.square[0]
-        return Predicted(none, none, "the same at all points")
+        return Predicted(none, none, "the same at all points", method=methods[0][0])
     best = None
     lattice = base.fixed and base.structure is Structure.TORUS
-    for route in routes:
+    for place, (name, method) in enumerate(methods):
         # Where products miss jumps and kinks across many axes the narrower interval counts; but of
         # lattices, a count tells nothing of those next to it
         if best is not None:
-            good = (best.error <= _WORTH.get(route, math.inf) * best.variance).all()
-            if good or (lattice and route is of_measurements):
+            good = (best.error <= _WORTH.get(name, math.inf) * best.variance).all()
+            if good or (lattice and name == "extrapolated"):
                 continue
         try:
-            found = route(sampler, n, known, stream)
-            # One route may see what others do not: none knows more than the probe
+            found = replace(method(sampler, n, known, stream), method=name)
+            # One method may see what others do not: none knows more than the probe
             if np.isfinite(found.variance).all():
                 found = replace(found, error=np.maximum(found.error, known.unseen / n))
             if best is None or found.error.sum() < best.error.sum():
                 best = found
-            if route is not of_subsets:
+            if name != "subsets":
                 return best
         except NoClosedForm as error:
             reason = error
-        if route is routes[0]:
-            if sampler.unbiased and np.isinf(known.square[0]).any():
+        if place == 0 and best is None:
+            chosen = len(methods) == 1 and methods is not _LIMITS  # by its name
+            if sampler.unbiased and not chosen and np.isinf(known.square[0]).any():
                 infinite = np.where(np.isinf(known.square[0]), math.inf, math.nan)
-                return Predicted(infinite, infinite, "∫g² = ∞", 0.0, infinite)
+                return Predicted(infinite, infinite, "∫g² = ∞", 0.0, infinite, "exact")
             if steps and isinstance(steps[-1], Mirror) and (steps[:-1] or not base.fixed):
                 # The prediction of the sampler inside with another integrand (`mcspectra.variance.exact`)
                 inner, mode = without_last(sampler), steps[-1].mode
                 if mode == "fold":
                     folded = known.once("folded", lambda: Known(FoldedIntegrand(known.g)))
-                    return _by_routes(inner, n, folded, stream, routes)
+                    return _by_methods(inner, n, folded, stream, methods)
                 average = known.once("symmetrized", lambda: Known(SymmetrizedIntegrand(known.g)))
                 if mode == "uniform":
-                    return _by_routes(inner, n >> known.g.dims, average, stream, routes)
-                found = _by_routes(inner, n, average, stream, routes)
+                    return _by_methods(inner, n >> known.g.dims, average, stream, methods)
+                found = _by_methods(inner, n, average, stream, methods)
                 coins = np.maximum(known.square[0] - average.square[0], 0.0) / n
                 rounding = np.hypot(found.error, (known.square[1] + average.square[1]) / n)
                 return replace(found, variance=found.variance + coins, error=rounding)

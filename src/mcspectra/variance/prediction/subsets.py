@@ -160,7 +160,7 @@ def of_subsets(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predic
         share = max(0.0, 1.0 - p.residual / p.variance) if p.variance > 0.0 else 0.0
         found.append((value, error, share, tail))
     variance, error, share, tail = np.array(found).T
-    return Predicted(variance, error, "subsets of axes", share, tail)
+    return Predicted(variance, error, "sums of products", share, tail)
 
 
 @final
