@@ -34,7 +34,7 @@ from typing import Any, final
 import numpy as np
 
 from mcspectra.core.checks import MAX_DIMS, Array, as_integer, as_real
-from mcspectra.core.errors import ParameterError, SpecError
+from mcspectra.core.errors import Parameter, ParameterError, SpecError
 from mcspectra.core.fields import checked, settle
 from mcspectra.core.spec import parse
 from mcspectra.rendering.backend import LARGEST_SAMPLE, LOCK, load_mitsuba
@@ -394,13 +394,16 @@ def find_integrator(scene: Scene, spec: object) -> Any:
     """Return the integrator of this spec, or of the scene, if it can be asked for one ray."""
     if not isinstance(spec, str) or not spec.strip():
         raise ParameterError(
-            f"integrator is {spec!r}; give 'scene', or a plugin of Mitsuba's such as 'path(max_depth=5)'."
+            Parameter("integrator"),
+            f" is {spec!r}; give 'scene', or a plugin of Mitsuba's such as 'path(max_depth=5)'.",
         )
     if spec == SCENE_INTEGRATOR:
         found, called = load_scene(scene).integrator(), f"The integrator of {scene_name(scene)}"
         if found is None:
             raise ParameterError(
-                f"The scene {scene_name(scene)} names no integrator; give one, e.g. integrator='path'."
+                f"The scene {scene_name(scene)} names no integrator; give one, e.g. ",
+                Parameter("integrator", "path"),
+                ".",
             )
     else:
         found, called = _made(spec), f"The integrator {spec!r}"

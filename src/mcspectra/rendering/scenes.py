@@ -299,7 +299,7 @@ def find_emitter(scene: Scene, light: int | str) -> Any:
     try:
         return emitters[as_integer("light", light, least=0, most=len(emitters) - 1)]
     except ParameterError as error:
-        raise ParameterError(f"{error} The lights are {', '.join(names)}.") from None
+        raise ParameterError(error, f" The lights are {', '.join(names)}.") from None
 
 
 def emitter_name(emitter: Any, scene: Any = None) -> str:

@@ -39,7 +39,7 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from mcspectra.core.checks import MAX_FREQUENCY, Array, as_choice, as_integer, as_real
-from mcspectra.core.errors import MissingDependency, ParameterError, reason_of
+from mcspectra.core.errors import MissingDependency, Parameter, ParameterError, reason_of
 from mcspectra.core.registry import optional_package
 from mcspectra.spectra._kernels import UNLABELLED, crop_scaled, pair_mean, power_sums, split_pair
 
@@ -178,9 +178,11 @@ class FrequencyGrid(IndexGrid):
         as_real("frequency_step", self.step, above=0.0, most=MAX_FREQUENCY / MAX_FREQUENCIES)
         if self.size > MAX_FREQUENCIES:
             raise ParameterError(
-                f"half_width {self.half_width} in {self.dims} dims is {self.size:.3g} frequencies, "
-                f"{16 * self.size / 2**30:.3g} GiB a spectrum; use at most {MAX_FREQUENCIES:.3g}: "
-                f"half_width ≤ {int((MAX_FREQUENCIES ** (1 / self.dims) - 1) // 2)} here."
+                Parameter("half_width"),
+                f" {self.half_width} in {self.dims} dims is {self.size:.3g} frequencies, "
+                f"{16 * self.size / 2**30:.3g} GiB a spectrum; use at most {MAX_FREQUENCIES:.3g}: ",
+                Parameter("half_width"),
+                f" ≤ {int((MAX_FREQUENCIES ** (1 / self.dims) - 1) // 2)} here.",
             )
 
     @property
@@ -231,7 +233,9 @@ class Transform:
         self.eps = as_real("eps", eps, least=1e-14, most=0.1)
         if engine == "nufft" and grid.dims > 4:
             raise ParameterError(
-                f"The nufft engine works in 1 to 4 dims, not {grid.dims}; use engine='direct'."
+                f"The nufft engine works in 1 to 4 dims, not {grid.dims}; use ",
+                Parameter("engine", "direct"),
+                ".",
             )
         if engine == "auto":  # by times measured on one core
             slab = float(grid.size // grid.shape[0])
@@ -500,7 +504,9 @@ class _GpuTransform:
     def __init__(self, shape: tuple[int, ...], step: float, eps: float) -> None:
         if len(shape) > 3:
             raise ParameterError(
-                f"The gpu engine works in 1 to 3 dims, not {len(shape)}; use engine='auto'."
+                f"The gpu engine works in 1 to 3 dims, not {len(shape)}; use ",
+                Parameter("engine", "auto"),
+                ".",
             )
         self.shape = shape
         self.step = step
@@ -575,10 +581,18 @@ def _gpu_modules() -> tuple[Any, Any]:
         devices = runtime.getDeviceCount()
     except runtime.CUDARuntimeError as error:
         raise MissingDependency(
-            f"engine='gpu' finds no CUDA device: {reason_of(error)}; use engine='nufft'."
+            Parameter("engine", "gpu"),
+            f" finds no CUDA device: {reason_of(error)}; use ",
+            Parameter("engine", "nufft"),
+            ".",
         ) from error
     if not devices:
-        raise MissingDependency("engine='gpu' finds no CUDA device; use engine='nufft'.")
+        raise MissingDependency(
+            Parameter("engine", "gpu"),
+            " finds no CUDA device; use ",
+            Parameter("engine", "nufft"),
+            ".",
+        )
     return cupy, cufinufft
 
 

@@ -22,7 +22,7 @@ from msgspec import Meta
 
 from mcspectra.core.analysis import Counted, MergeTree, Need, Reduction, Steps, Subject
 from mcspectra.core.checks import Array, as_integer
-from mcspectra.core.errors import NoClosedForm, ParameterError
+from mcspectra.core.errors import MEASURE_IT, Function, NoClosedForm, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNT, HALF_WIDTH
 from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers, map_in_order
@@ -76,7 +76,6 @@ class Routes(Counted, frozen=True, kw_only=True):
     """The variance by every route there is, side by side."""
 
     function = "variance_routes"
-    verb = "routes"
     variables = ("route_variance", "route_variance_ci", "energy_share")
 
     n: Annotated[int, COUNT]
@@ -373,7 +372,9 @@ def variance_from_pair_correlation(
         raise NoClosedForm(
             f"The variance of {source.spec} in {source.dims} dims is not found from pairs "
             "of points: give random or jittered, or in 1-D and 2-D a stationary set other than "
-            "a lattice, such as one with shift; else use exact_variance or variance_terms."
+            "a lattice, such as one with shift; else use exact_variance or ",
+            Function("variance_terms"),
+            ".",
         )
 
     variance: Any = 0.0
@@ -399,7 +400,9 @@ def variance_from_pair_correlation(
             if not np.all(error <= np.maximum(_TOLERANCE * np.abs(part), floor)):
                 raise NoClosedForm(
                     f"The quadrature over pairs of {g.spec} has an error of {np.max(error):.2g} in a "
-                    f"variance of {np.max(square / points - fine):.6g}; use convergence or variance_terms."
+                    f"variance of {np.max(square / points - fine):.6g}; use ",
+                    *MEASURE_IT,
+                    ".",
                 )
             variance = variance + np.maximum(part, 0.0)
             continue

@@ -28,6 +28,7 @@ from mcspectra.core.errors import (
     DomainError,
     McspectraError,
     NoClosedForm,
+    Parameter,
     ParameterError,
 )
 from mcspectra.core.memory import memory_of
@@ -420,7 +421,8 @@ def profile(
         # A function goes behind the door that counts its calls
         if dims is None:
             raise ParameterError(
-                "dims is missing; give dims=, the number of dims of the function's points."
+                Parameter("dims"),
+                " is missing; give the number of dims of the function's points.",
             )
         calls = Calls(
             given, dims=dims, budget=limit, vectorized=vectorized, workers=workers, cache=cache
