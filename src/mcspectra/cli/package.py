@@ -38,10 +38,10 @@ _ITSELF = f"""@software{{mcspectra,
 
 
 @verb(
-    option("FIGURE", "figures; all by default", dest="figures", nargs="*"),
-    option("--list", "name the figures and stop"),
-    option("--quick", "fewer realisations; 3 minutes at most"),
-    option("--out DIR", "output folder", default="out/reproduce"),
+    option("FIGURE", "figures (default: all)", dest="figures", nargs="*"),
+    option("--list", "list the figures and stop"),
+    option("--quick", "fewer realizations: 3 minutes at most"),
+    option("-o, --out DIR", "output folder (default out/reproduce)", repeated="once"),
 )
 def reproduce_(options: argparse.Namespace) -> Answer:
     """Make the figures and statements of the slides again, and say which of them agree.
@@ -78,7 +78,7 @@ def reproduce_(options: argparse.Namespace) -> Answer:
     seed = options.seed or 0
     words = ["mcspectra", "reproduce", *options.figures, *(["--quick"] if options.quick else [])]
     made = reproduce(
-        options.out,
+        options.out or "out/reproduce",
         options.figures,
         quick=options.quick,
         seed=seed,

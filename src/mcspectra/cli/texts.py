@@ -338,24 +338,6 @@ def anova(result: xr.Dataset) -> Answer:
     return _shown(*lines, _note(result), subset=labels)
 
 
-@_view("exact")
-def exact(result: xr.Dataset) -> Answer:
-    """Prints the variance at each n, and the exponent of variance in n from one to the next."""
-    rows, counts = [], result["n"].values
-    values = result["exact_variance"].values.reshape(len(counts), -1)
-    if np.isnan(values).all():
-        raise NoClosedForm(_note(result))
-    for k, n in enumerate(counts):
-        for channel, variance in enumerate(values[k]):
-            before, rate = (values[k - 1][channel] if k else 0.0), "–"
-            if before > 0.0 < variance and n != counts[k - 1] and np.isfinite(before + variance):
-                rate = f"{math.log(variance / before) / math.log(n / counts[k - 1]):+.4f}"
-            label = f"[{channel}]" if len(values[k]) > 1 else ""
-            rows.append([str(n), label, _number(variance, 9), rate])
-    table = text_table(["n", "", "variance", "local rate"], rows)
-    return _shown(f"exact variance of {_title(result)}", table, _note(result))
-
-
 @_view("profile")
 def profiled(result: xr.Dataset) -> Answer:
     """Prints what to do, the causes with their evidence, and what each sampler would leave."""
@@ -388,37 +370,48 @@ def planned(result: xr.Dataset) -> Answer:
 
 @_view("predict")
 def prediction(result: xr.Dataset) -> Answer:
-    """Prints the predicted variance at each n with its interval, its local rate and its route."""
+    """Prints the predicted variance at each n, its interval, its local rate and how it was found."""
     if np.isnan(result["predicted_variance"]).all():
         raise NoClosedForm(f"{_note(result)[:1].upper()}{_note(result)[1:]}.")
     parts = [f"predicted variance of {_title(result)}"]
     names = ("predicted_variance", "local_rate", "energy_share")
-    header = ["n", "", "variance", "95 %", "local rate", "share", "route"]
     for sampler, one in along(result, "sampler"):
-        counts, rows = one["n"].values, []
-        value, rate, share = (one[name].values.reshape(len(counts), -1) for name in names)
-        ends = one["predicted_variance_ci"].values.reshape(*value.shape, 2)
-        for k, channel in np.ndindex(value.shape):
-            slope = rate[k, channel]
-            numbers = (
-                _number(float(value[k, channel]), 4),
-                _interval(ends[k, channel]),
-                f"{slope:+.2f}" if np.isfinite(slope) else "–",
-                f"{share[k, channel]:.4f}" if np.isfinite(share[k, channel]) else "–",
-            )
-            label = f"[{channel}]" if value.shape[1] > 1 else ""
-            rows.append([str(counts[k]), label, *numbers, str(one["route"].values[k])])
-        rates = "; ".join(
-            f"rate: {rate:+.3f}"
-            + (f", tends to {limit:+.3f}" if np.isfinite(limit) else "")
-            + (f", bends at n = {bend:.3g}" if np.isfinite(bend) else "")
-            for rate, limit, bend in _columns(one, "predicted_rate", "limit_rate", "bend_n")
-            if np.isfinite(rate)
-        )
+        header, rows, rates = [], [], []
+        for method, each in along(one, "method"):
+            counts = each["n"].values
+            value, rate, share = (each[name].values.reshape(len(counts), -1) for name in names)
+            ends = each["predicted_variance_ci"].values.reshape(*value.shape, 2)
+            # Texts about a count: the method, and how it found the variance
+            words = {
+                str(name): np.broadcast_to(text.values, len(counts))
+                for name, text in each.coords.items()
+                if text.dtype.kind in "UO" and text.dims in ((), ("n",)) and name != "sampler"
+            }
+            header = ["n", "", "variance", "95 %", "local rate", "share", *words]
+            for k, channel in np.ndindex(value.shape):
+                slope = rate[k, channel]
+                numbers = (
+                    _number(float(value[k, channel]), 4),
+                    _interval(ends[k, channel]),
+                    f"{slope:+.2f}" if np.isfinite(slope) else "–",
+                    f"{share[k, channel]:.4f}" if np.isfinite(share[k, channel]) else "–",
+                )
+                label = f"[{channel}]" if value.shape[1] > 1 else ""
+                rows.append(
+                    [str(counts[k]), label, *numbers, *(str(text[k]) for text in words.values())]
+                )
+            rates += [
+                (f"{method}, " if "method" in result.dims else "")
+                + f"rate: {slope:+.3f}"
+                + (f", tends to {limit:+.3f}" if np.isfinite(limit) else "")
+                + (f", bends at n = {bend:.3g}" if np.isfinite(bend) else "")
+                for slope, limit, bend in _columns(each, "predicted_rate", "limit_rate", "bend_n")
+                if np.isfinite(slope)
+            ]
         parts += [
             f"\n{sampler}" if "sampler" in result.dims else "",
             text_table(header, rows),
-            rates,
+            "; ".join(rates),
         ]
     return _shown(*parts, _note(result))
 
