@@ -128,20 +128,20 @@ def test_status_names_who_did_not_end_in_good_order(folder, capsys):
 
 def test_export(folder, tmp_path, capsys):
     file = tmp_path / "out.csv"
-    assert main(["export", str(folder), "--to", str(file), "--select", "a/*", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {
-        "file": str(file),
-        "bytes": file.stat().st_size,
-    }
+    assert main(["export", str(folder), "-o", str(file), "--select", "a/*", "--json"]) == 0
+    size = file.stat().st_size
+    assert json.loads(capsys.readouterr().out) == [{"file": str(file), "bytes": size}]
     assert file.read_text().count("\n") == 2 + 2 * 3
-    assert main(["export", str(folder), "--to", str(tmp_path / "out.zarr.zip")]) == 0
+    assert main(["export", str(folder), "-o", str(tmp_path / "out.zarr.zip")]) == 0
     assert capsys.readouterr().out.startswith(f"{tmp_path / 'out.zarr.zip'}: ")
-    assert main(["export", str(folder), "--to", "x.txt"]) == 2
+    two = ["-o", str(tmp_path / "two.csv"), "-o", "x.txt"]
+    assert main(["export", str(folder), *two]) == 2
+    assert not (tmp_path / "two.csv").exists()
     assert "has none of the ends" in capsys.readouterr().err
     target, url = tmp_path / "x.zarr", "memory://status-test/x.zarr"
-    assert main(["export", str(folder), "--to", str(target), "--json"]) == 0
+    assert main(["export", str(folder), "-o", str(target), "--json"]) == 0
     sizes = [path.stat().st_size for path in target.rglob("*") if path.is_file()]
-    assert json.loads(capsys.readouterr().out) == {"file": str(target), "bytes": sum(sizes)}
-    assert main(["export", str(target), "--to", url]) == 0
+    assert json.loads(capsys.readouterr().out) == [{"file": str(target), "bytes": sum(sizes)}]
+    assert main(["export", str(target), "-o", url]) == 0
     assert capsys.readouterr().out == f"{url}\n"
     fsspec.filesystem("memory").rm("/status-test", recursive=True)

@@ -748,12 +748,12 @@ def test_only_a_studys_folder_has_a_status(folder, tmp_path):
 @pytest.mark.parametrize(
     ("out", "sentence"),
     [
-        ("memory://foo", "is a URL, .*mcspectra export DIR --to"),
+        ("memory://foo", "is a URL, .*mcspectra export DIR -o"),
         ("s3://bucket/x.zarr", "is a URL"),
         ("zip::file:///tmp/x", "is a URL"),
-        ("x.zarr", "export DIR --to x.zarr"),
-        ("x.zarr.zip", "export DIR --to x.zarr.zip"),
-        ("x.ZIP", "export DIR --to x.ZIP"),
+        ("x.zarr", "export DIR -o x.zarr"),
+        ("x.zarr.zip", "export DIR -o x.zarr.zip"),
+        ("x.ZIP", "export DIR -o x.ZIP"),
         (__file__, r"is a file; give another --out\."),
     ],
 )

@@ -137,12 +137,12 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
 
     # Declare the options of the analysis, of its views, and the files
     if len(splits) > 1:
-        about = []
+        shown: list[str] = []
         for split, (_, kind) in splits.items():
             text = kind.summary().rstrip(".")
-            usual = "" if about else " (default)"
-            about.append(f"{split}{usual}: {text[:1].lower()}{text[1:]}")
-        declarations.append(option("--split SPLIT", "; ".join(about), default=chosen))
+            usual = "" if shown else " (default)"
+            shown.append(f"{split}{usual}: {text[:1].lower()}{text[1:]}")
+        declarations.append(option("--split SPLIT", "; ".join(shown), default=chosen))
     if all_sets:
         notes = {"realizations": ", or all sets of points that are given"}
         declarations += [declared(each, notes.get(each.name, "")) for each in own]
@@ -150,8 +150,8 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
         of_splits = {split: options_of(kind) for split, (_, kind) in splits.items()}
         declarations += _of_splits(chosen, of_splits)
     if others:
-        shown = [f"{view}: {views[view].__doc__}" for view in others]
-        offer = f"{usual} (default); {'; '.join(shown)}"
+        further = [f"{view}: {views[view].__doc__}" for view in others]
+        offer = f"{usual} (default); {'; '.join(further)}"
         declarations.append(option("--show VIEW", offer, default=usual))
     declarations.append(
         out(

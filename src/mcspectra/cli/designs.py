@@ -6,7 +6,7 @@ import argparse
 import json
 import shutil
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import mcspectra as mcs
 from mcspectra.cli.common import Answer, given_of, option, out, real, text_table, verb, whole
@@ -17,7 +17,7 @@ from mcspectra.variance.learned import LEARNED
 
 __all__ = ["design_"]
 
-_DENSITY = "density"
+_DENSITY: Literal["density"] = "density"
 _OF_DENSITIES = ("family", "sampler", "budget", "defensive", "realizations")
 _OF_SAMPLERS = ("members",)
 

@@ -276,7 +276,7 @@ def _without_verb(given: list[str]) -> int:
         print(__version__)
         return 0
     groups = {group: dict.fromkeys(verbs) for group, verbs in GROUPS.items()}
-    texts, left_out = dict(VERBS), {}
+    texts, left_out = dict(VERBS), dict[str, str]()
     if entry_points(group="mcspectra.analyses"):
         from mcspectra.core.analysis import ANALYSES
 

@@ -46,9 +46,10 @@ def _profile(options: argparse.Namespace) -> Answer:
             f"{other!r} is not a file of draws; these end in {', '.join(_SUFFIXES[:-1])} or "
             f"{_SUFFIXES[-1]}. Give one integrand, or files of draws."
         )
+    profiling: Any = ANALYSES.load("profile")
     own = (
         *("dims", "density", "heuristic", "shares", "mirror", "plus", "sampler"),
-        *(each.name for each in options_of(ANALYSES.load("profile"))),
+        *(each.name for each in options_of(profiling)),
     )
     for name in own:
         if getattr(options, name) is not None:

@@ -310,8 +310,10 @@ def status_(options: argparse.Namespace) -> Answer:
 def export_(options: argparse.Namespace) -> Answer:
     """Write the results of a study as files; the extension of each chooses its format."""
     from mcspectra.core.memory import shown_bytes
-    from mcspectra.studies.results import export_results
+    from mcspectra.studies.results import check_export, export_results
 
+    for target in options.out:
+        check_export(target)
     written, lines = [], []
     for target in options.out:
         file = export_results(options.source, target, options.select)

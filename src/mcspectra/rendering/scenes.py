@@ -31,6 +31,7 @@ from mcspectra.core.registry import Registry
 from mcspectra.core.spec import parse
 from mcspectra.rendering.backend import LOCK, VARIANT, import_mitsuba, load_mitsuba
 from mcspectra.rendering.plugin import PLUGIN, register_samplers
+from mcspectra.samplers import as_sampler
 
 __all__ = [
     "SCENES",
@@ -202,6 +203,8 @@ def render_file(
         "a mapping of names to values",
     )
     plugin = None if integrator is None else integrator_plugin(integrator)
+    if sampler is not None:
+        as_sampler(sampler, 2)  # a sentence of ours, not one in Mitsuba's words
     with LOCK:
         (known,), mitsuba = register_samplers(variant)[:1], import_mitsuba()
         before, resolver = mitsuba.variant(), mitsuba.file_resolver()
@@ -225,7 +228,7 @@ def render_file(
                 state = parser.parse_file(config, str(path), **values)
             parser.transform_all(config, state)
             if sampler is not None:
-                _replace_samplers(mitsuba, state, sampler)
+                _replace_samplers(mitsuba, state, sampler, spp)
             loaded = parser.instantiate(config, state)
             if not isinstance(loaded, mitsuba.Scene):
                 raise FileFormatError(
@@ -253,8 +256,8 @@ def render_file(
                 mitsuba.set_variant(before)
 
 
-def _replace_samplers(mitsuba: Any, state: Any, spec: str) -> None:
-    """Make the sampler of every camera of a parsed scene ours, with as many samples as it had."""
+def _replace_samplers(mitsuba: Any, state: Any, spec: str, spp: int | None) -> None:
+    """Make the sampler of every camera of a parsed scene ours, of `spp` samples or as many as it had."""
     kinds, reference = mitsuba.ObjectType, mitsuba.Properties.ResolvedReference
     nodes = state.nodes
     samplers = {k for k in range(len(nodes)) if nodes[k].type == kinds.Sampler}
@@ -265,6 +268,8 @@ def _replace_samplers(mitsuba: Any, state: Any, spec: str) -> None:
                 properties.remove_property(name)
         properties.set_plugin_name(PLUGIN)
         properties["spec"] = spec
+        if spp is not None:
+            properties["sample_count"] = spp
     for k in range(len(nodes)):
         if nodes[k].type != kinds.Sensor:
             continue

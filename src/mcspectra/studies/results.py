@@ -63,6 +63,7 @@ __all__ = [
     "MOST_STORED",
     "AnalysisCount",
     "StudyStatus",
+    "check_export",
     "export_results",
     "open_results",
     "output_folder",
@@ -364,23 +365,12 @@ def export_results(source: str | Path, file: str | Path, select: str | None = No
     MissingDependency
         Parquet without pyarrow, URLs without fsspec.
     """
-    as_path("file", file)
-    name = str(file).lower()
-    end = next((end for end in FORMATS if name.endswith(end)), None)
-    if end is None:
-        raise ParameterError(
-            f"{str(file)!r} has none of the ends {', '.join(FORMATS)}; the end chooses the format."
-        )
-    if _is_url(file) and end != ".zarr":
-        raise ParameterError(
-            f"{str(file)!r} is a URL, where only a store can be written, with the end .zarr; export "
-            "to a file of this machine, and copy it."
-        )
+    end = check_export(file)
     if _is_url(file):
         tree = _opened(source, select)
         with _remote(str(file), writing=True) as (files, base):
             if files.exists(base):
-                raise StoreError(f"There is something at {str(file)!r} already; give another --to.")
+                raise StoreError(f"There is something at {str(file)!r} already; give another name.")
             try:
                 for name, content in _store_files(tree.attrs, _cells(tree)):
                     files.makedirs(f"{base}/{name}".rpartition("/")[0], exist_ok=True)
@@ -390,15 +380,39 @@ def export_results(source: str | Path, file: str | Path, select: str | None = No
                     files.rm(base, recursive=True)
                 raise
         return str(file)
-    target = Path(file)
-    if end == ".zarr" and target.exists():
+    tree = _opened(source, select)
+    return _replaced(Path(file), lambda partial: _WRITERS[end](tree, partial))
+
+
+def check_export(file: str | Path) -> str:
+    """Return the format of a file that `export_results` can write, before anything is read.
+
+    Raises
+    ------
+    ParameterError
+        The name has another end, a URL is given for something else than ``.zarr``, the file's folder
+        is not there, or a ``.zarr`` is.
+    """
+    as_path("file", file)
+    name, target = str(file).lower(), Path(file)
+    end = next((end for end in FORMATS if name.endswith(end)), None)
+    if end is None:
+        raise ParameterError(
+            f"{str(file)!r} has none of the ends {', '.join(FORMATS)}; the end chooses the format."
+        )
+    if _is_url(file):
+        if end != ".zarr":
+            raise ParameterError(
+                f"{str(file)!r} is a URL, where only a store can be written, with the end .zarr; export "
+                "to a file of this machine, and copy it."
+            )
+    elif end == ".zarr" and target.exists():
         raise ParameterError(f"{str(target)!r} exists already; give another name.")
-    if not target.parent.is_dir():
+    elif not target.parent.is_dir():
         raise ParameterError(
             f"{str(target)!r} cannot be written: there is no such folder; make it."
         )
-    tree = _opened(source, select)
-    return _replaced(target, lambda partial: _WRITERS[end](tree, partial))
+    return end
 
 
 def output_folder(out: str | Path) -> Path:
@@ -413,12 +427,12 @@ def output_folder(out: str | Path) -> Path:
     if _is_url(out):
         raise ParameterError(
             f"The output folder {str(out)!r} is a URL, and a study runs in a folder of this machine: "
-            "give --out DIR, then `mcspectra export DIR --to URL/results.zarr`."
+            "give --out DIR, then `mcspectra export DIR -o URL/results.zarr`."
         )
     if folder.suffix.lower() in (".zarr", ".zip"):
         raise ParameterError(
             f"The output folder {str(out)!r} is named as an exported store: give --out DIR, then "
-            f"`mcspectra export DIR --to {folder.name}`."
+            f"`mcspectra export DIR -o {folder.name}`."
         )
     if folder.exists() and not folder.is_dir():
         raise ParameterError(f"The output folder {str(out)!r} is a file; give another --out.")

@@ -51,7 +51,7 @@ _T95 = 2.0930240544082634  # 97.5 % quantile of Student's t, 19 degrees of freed
 
 
 @overload
-def design(  # type: ignore[overload-overlap]
+def design(
     kind: Literal["density"],
     objective: Any,
     n: int,
