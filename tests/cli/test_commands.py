@@ -282,7 +282,7 @@ def test_one_option_has_one_name_in_all_verbs(run, monkeypatch):
     short |= {"-h": {"--help"}, "-D": {"--define"}}
     for verb in VERBS:
         _, out, _ = run(verb, "--help")
-        found = dict(re.findall(r"^  (-\w)(?: \S+)?(?:, (--[\w-]+))?", out, re.MULTILINE))
+        found = dict(re.findall(r"^  (-\w)(?: \S+?)?(?:, (--[\w-]+)|\s)", out, re.MULTILINE))
         assert set(found) <= set(short), verb
         for flag, long in found.items():
             assert long in (short[flag] or {"", "--counts"}), (verb, flag, long)

@@ -78,7 +78,7 @@ def test_schema_prints_the_schema(run, tmp_path, monkeypatch):
 
 def test_whole_numbers_of_a_study_may_be_floats(run, file, tmp_path):
     """1e3 is a float in TOML; it was refused where an integer was asked."""
-    few = ("--dry-run", "--json", "--set", "convergence.counts=[1e1, 1e2]", "--set", "seed=1e0")
+    few = ("--dry-run", "--json", "--set", "convergence.counts=[1.6e1, 6.4e1]", "--set", "seed=1e0")
     assert run("run", file, *few)[0] == 0
     code, _, err = run("run", file, "--dry-run", "--set", "convergence.realizations=1.5e0")
     assert code == 2
