@@ -45,15 +45,19 @@ __all__ = ["analysis_verb", "declared"]
 _ESTIMATOR = (
     option("integrand", "integrand spec, e.g. 'gaussian(width=0.25)'"),
     option("-d, --dims D", "number of dims, where specs leave it open", whole()),
-    option("--density SPEC", "density; several mean MIS", repeated="all"),
+    option(
+        "--density SPEC",
+        "importance density; repeatable: several are combined by MIS",
+        repeated="all",
+    ),
     option(
         "--heuristic SPEC",
-        "MIS: balance (default), power(beta=2), cutoff, maximum, optimal or variance-aware",
+        "of MIS: balance (default), power(beta=2), cutoff, maximum, optimal or variance-aware",
         repeated="once",
     ),
     option(
         "--shares K,K,…",
-        "MIS: points of each technique, in units of n",
+        "of MIS: points of each technique, in units of n",
         wholes(),
         repeated="once",
     ),
@@ -64,7 +68,7 @@ _ESTIMATOR = (
     ),
     option(
         "--plus SPEC",
-        "further integrand, sampled on its own and added (techniques in primary space)",
+        "another integrand on its own points, whose estimate is added; repeatable",
         repeated="all",
     ),
 )
@@ -182,6 +186,8 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
         return Answer(shown.text, {**data_of(result), **shown.data})
 
     about = inspect.cleandoc(analysis.__doc__ or "").partition("\n\n")[0]
+    if len(splits) > 1:
+        about = f"With --split {chosen}: {about[:1].lower()}{about[1:]}"
     printed = inspect.cleandoc(views[usual].__doc__ or "")
     return Verb(f"{about}\n\n{printed}".strip(), tuple(declarations), run)
 

@@ -120,10 +120,11 @@ def option(
     return lambda parser: parser.add_argument(*names, **further)
 
 
-def out(help: str, form: str = "FILE", **further: Any) -> Declaration:
+def out(help: str, **further: Any) -> Declaration:
     """Declare ``-o, --out``, which lists files that are written from one run: none by default."""
-    text = f"{help}; repeatable, all from one run"
-    return option(f"-o, --out {form}", text, repeated="all", **{"default": [], **further})
+    return option(
+        "-o, --out FILE", f"{help}; repeatable", repeated="all", **{"default": [], **further}
+    )
 
 
 def group(make: Callable[[Any], Any], *options: Declaration) -> Declaration:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import mcspectra as mcs
-from mcspectra.cli.common import Answer, given_of, option, out, real, text_table, verb, whole
+from mcspectra.cli.common import Answer, given_of, group, option, out, real, text_table, verb, whole
 from mcspectra.core.decoding import path_to_write
 from mcspectra.core.errors import ParameterError, writing
 from mcspectra.variance.design.searches import KINDS
@@ -31,23 +31,19 @@ _OF_SAMPLERS = ("members",)
     ),
     option("-n N", "number of points", whole(1), required=True),
     option("-d, --dims D", "number of dims (default: those of the spec, or 2)", whole(1)),
-    option(
-        "--members M", "of samplers: fresh members of the certificate (default 2000)", whole(20)
+    group(
+        lambda parser: parser.add_argument_group("samplers"),
+        option("--members M", "fresh members of the certificate (default 2000)", whole(20)),
     ),
-    option("--family FAMILY", f"of a density: {', '.join(LEARNED)} (default mixture)"),
-    option("--sampler SPEC", "of a density: a random sampler (default 'sobol | owen')"),
-    option(
-        "--budget B",
-        "of a density: evaluations to learn from (default 8 n + 8192, 16384 at least)",
-        whole(1),
-    ),
-    option(
-        "--defensive SHARE",
-        "of a density: its least value (default 0.05)",
-        real(above=0.0, below=1.0),
-    ),
-    option(
-        "-m, --realizations R", "of a density: of the measured variances (default 1000)", whole(2)
+    group(
+        lambda parser: parser.add_argument_group("density"),
+        option("--family FAMILY", f"{', '.join(LEARNED)} (default mixture)"),
+        option("--sampler SPEC", "a random sampler (default 'sobol | owen')"),
+        option(
+            "--budget B", "evaluations to learn from (default 8 n + 8192, 16384 at least)", whole(1)
+        ),
+        option("--defensive SHARE", "least value (default 0.05)", real(above=0.0, below=1.0)),
+        option("-m, --realizations R", "of the measured variances (default 1000)", whole(2)),
     ),
     out(".json: the density, or the sampler with its certificate"),
 )

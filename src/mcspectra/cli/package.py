@@ -133,7 +133,7 @@ def app_(options: argparse.Namespace) -> Answer:
 
 @verb()
 def doctor_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
-    """Say what is installed and whether it works: versions, kernels, NUFFT, GPU, renderer, extras."""
+    """Show what is installed and whether it works: versions, kernels, NUFFT, GPU, renderer, extras."""
     import numpy as np
 
     from mcspectra.core.cache import cache_folder, cache_size
@@ -191,7 +191,7 @@ def doctor_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
 
 @verb()
 def cite_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
-    """How to cite the package, the paper it implements and the methods it uses (BibTeX)."""
+    """Print how to cite the package, the paper it implements and the methods it uses (BibTeX)."""
     cited = {"mcspectra": _ITSELF, **{what: bibtex(key) for what, key in _CITED.items()}}
     listed = [{"for": what, "bibtex": entry} for what, entry in cited.items()]
     return Answer("\n\n".join(f"% {what}\n{entry}" for what, entry in cited.items()), listed)

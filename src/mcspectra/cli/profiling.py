@@ -105,7 +105,9 @@ def _of_draws(options: argparse.Namespace, files: list[str]) -> Answer:
 
 
 profile_ = Verb(
-    f"""{_PROFILE.text}
+    f"""Find the causes of the noise of an integrand, and the best remedy at a budget.
+
+{_PROFILE.text.partition(chr(10) * 2)[2]}
 
 Files of draws of Markov chains get the standard error of each mean, its frequencies and what is wrong.
 A .npy file holds one chain (n,), or (chain, draw), or (chain, draw, quantity). A .csv file has a column

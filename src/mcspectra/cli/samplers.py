@@ -89,7 +89,7 @@ def list_(options: argparse.Namespace) -> Answer:
 
 
 @verb(
-    option("sampler", "sampler spec, e.g. 'jittered | shift'; - reads points"),
+    option("sampler", "sampler spec, e.g. 'jittered | shift'; - reads points from standard input"),
     option("-n N", "points in a set", whole(), required=True),
     option("-d, --dims D", "number of dims (default 2)", whole()),
     option("-m, --realizations R", "number of sets (default 1)", whole()),
@@ -98,7 +98,7 @@ def list_(options: argparse.Namespace) -> Answer:
     option("--quality", "print quality figures, not points"),
 )
 def points_(options: argparse.Namespace) -> Answer:
-    """Draw point sets; write, picture or judge them.
+    """Draw point sets, and print, write, plot or measure them.
 
     Without -o, points are printed as text in UTK's format: one point per line, '#' between sets.
     Files .dat, .bin, .npz, .npy, .csv and .parquet hold points; .svg, .png, .pdf and .pgf are pictures.
@@ -187,17 +187,24 @@ def points_(options: argparse.Namespace) -> Answer:
 
 @verb(
     option("integrand", "integrand spec, e.g. 'gaussian(width=0.25)'"),
-    option("--budget N", "most evaluations", whole(), required=True),
+    option("--budget B", "most evaluations of the integrand", whole(), required=True),
     option("-d, --dims D", "number of dims, where the spec leaves it open", whole()),
     option("--density SPEC", "importance density"),
     option(
-        "--sampler SPEC", "a randomised sampler (default sobol | owen, for the median sobol | lms)"
+        "--sampler SPEC",
+        "a randomized sampler (default 'sobol | owen', with --combine median 'sobol | lms')",
     ),
-    option("--combine HOW", "mean of the replicates (default), or median for linear scrambles"),
-    option("--cache FILE", "keep values by point, and go on where an earlier run stopped"),
+    option(
+        "--combine HOW",
+        "mean of the replicates (default), or median, which is for linear scrambles",
+    ),
+    option("--cache FILE", "file of values by point, from which a later run continues"),
 )
 def integrate_(options: argparse.Namespace) -> Answer:
-    """Integrate a function: value, 95 % interval, evaluations made, replicates and points of each."""
+    """Integrate a function within a budget of evaluations.
+
+    Prints the value, its 95 % interval, the evaluations made, and the replicates with their number of points.
+    """
     found = mcs.integrate(
         mcs.Estimator(options.integrand, options.density, dims=options.dims),
         budget=options.budget,

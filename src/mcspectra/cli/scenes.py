@@ -65,7 +65,7 @@ _WHOLE = ("variant", "sensor", "define")
     ),
     option(
         "--spp N",
-        f"samples a pixel (default {_SPP}, a --reference {_REFERENCE_SPP}, with --integrator the scene's)",
+        f"samples per pixel (default {_SPP}, with --reference {_REFERENCE_SPP}, with --integrator the scene's)",
         whole(),
     ),
     option("--width W", "width of a built-in scene's film", whole()),
@@ -107,7 +107,7 @@ def render_(options: argparse.Namespace) -> Answer:
     SCENE is the name of a built-in scene, e.g. 'veach' or "veach(lights=['light-3'])", or a Mitsuba XML
     file, which is never changed.
 
-    Without --integrator the image is direct light by one of our strategies. Printed are the mean radiance, the
+    Without --integrator the image is direct light by one of our strategies. This prints the mean radiance, the
     root mean square of the pixels' standard errors where there are several images (-m) or a --reference, and
     samples per second, including the time that kernels take to compile. --compare renders a reference, light,
     BSDF and multiple importance sampling at equal samples: a .png shows them side by side, an .exr holds a
@@ -310,10 +310,12 @@ def _whole_paths(options: argparse.Namespace, scene: str, files: list[Path]) -> 
         "whole paths by this integrator, e.g. 'path(max_depth=5)', or scene for the scene's own; "
         "without it the pixel's direct light",
     ),
-    option("--light NAME", "the one light that counts; all by default", index_or_name),
+    option("--light NAME", "the one light that counts (default: all)", index_or_name),
     option("--channel CHANNEL", "luminance (default), 0, 1 or 2", index_or_name),
     option(
-        "-d, --dims D", "2, or 3 to select lobes; of paths: coordinates with good points", whole()
+        "-d, --dims D",
+        "2, or 3 with a third coordinate that selects lobes; with --integrator: how many coordinates have good points",
+        whole(),
     ),
     option(
         "--sampler SPEC",
@@ -342,8 +344,8 @@ def pixel_(options: argparse.Namespace) -> Answer:
 
     The pixel is X Y, counted from the left and from the top, or its name (figure1 has P and Q).
 
-    Without --integrator the pixel's direct light is analyzed. With --integrator these are whole paths: rates of
-    samplers, the variance by bounce, decision and light, and how many coordinates deserve good points.
+    Without --integrator this is about direct light. With --integrator it is about whole paths: rates of samplers,
+    the variance by bounce, decision and light, and how many coordinates deserve good points.
     """
     x: int | str = options.x
     if options.y is not None:
@@ -443,8 +445,8 @@ def _map_options(parser: argparse.ArgumentParser) -> None:
 def map_(options: argparse.Namespace) -> Answer:
     """Map the variance, its rate and the bottleneck over an image of a scene.
 
-    Without --integrator the map compares strategies for direct light. With --integrator these are whole paths,
-    with the shares of bounces and decisions. Writes DIR/report.html, DIR/maps.exr (all layers), DIR/map.json
+    Without --integrator the map compares strategies for direct light. With --integrator it is about whole paths,
+    and has the shares of bounces and decisions. Writes DIR/report.html, DIR/maps.exr (all layers), DIR/map.json
     and pictures; DIR/study.sqlite keeps finished tiles, from which --resume continues.
     """
     from mcspectra.core.analysis import Subject

@@ -39,7 +39,7 @@ _LISTED = 10  # paths of cells that are not done
     option("study", "study file, .toml, or the name of a built-in study, such as tour"),
     option("-o, --out DIR", "output folder (default out/<name of the file>)", repeated="once"),
     option("--resume", "continue the study in the output folder"),
-    option("--retry", "continue it, and try failed cells again"),
+    option("--retry", "like --resume, and try failed cells again"),
     option("--workers N", "threads (default: all processors)", whole()),
     option(
         "--time-limit SECONDS",
@@ -223,8 +223,8 @@ def estimate_text(estimates: Sequence[CellEstimate], wall: float, workers: int) 
 def report_(options: argparse.Namespace) -> Answer:
     """Write the report of a finished (or interrupted) study again, or compare two studies.
 
-    Writes DIR/report.html and DIR/figures/; with --compare, DIR2/comparison.html: ratios of variances,
-    differences of rates, curves over each other. Nothing is measured.
+    Writes DIR/report.html and DIR/figures/. With --compare writes DIR2/comparison.html: ratios of variances,
+    differences of rates, curves of both. Nothing is measured again.
     """
     from mcspectra.report import write_comparison, write_report
     from mcspectra.report.result_files import check_result_file

@@ -123,7 +123,8 @@ class Map(Analysis, frozen=True, kw_only=True):
     size: Annotated[
         tuple[_Side, _Side] | None,
         Meta(
-            description="Width and height in pixels; those of the film.", extra={"metavar": "W,H"}
+            description="Width and height in pixels; by default those of the film.",
+            extra={"metavar": "W,H"},
         ),
     ] = None
     light: Annotated[
@@ -139,7 +140,8 @@ class Map(Analysis, frozen=True, kw_only=True):
     dims: Annotated[
         _Dims | None,
         Meta(
-            description="2, or 3: the third coordinate selects lights and lobes; of paths all they take.",
+            description="2, or 3 with a third coordinate that selects lights and lobes; of whole paths by "
+            "default all that they take.",
             extra={"flag": "-d", "metavar": "D"},
         ),
     ] = None
