@@ -142,7 +142,7 @@ DOORS = (
     (integrands.integral_accuracy, {"integrand": "linear"}),
     (integrands.Channel, {"integrand": "linear", "channel": 0}),
     (quality.summarize, {"figures": None}),
-    (rendering.render_file, {"file": "no.xml", "definitions": {}, "out": None}),
+    (rendering.render_file, {"scene": "no.xml", "definitions": {}, "out": None}),
     (report.explain, {"row": studies.SummaryRow(estimator="a", sampler="b"), "terms": None}),
     (report.summary_table, {"rows": [], "analyses": None, "links": None}),
     (report.terms_table, {"rows": []}),

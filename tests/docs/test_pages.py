@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.cli.main import _VERBS, main
+from mcspectra.cli.main import VERBS, main
 from mcspectra.core.references import works
 
 ROOT = Path(__file__).parents[2]
@@ -108,14 +108,14 @@ def test_every_public_package_has_a_page(package):
 
 def test_the_reference_has_the_help_of_every_verb():
     verbs = importlib.import_module("verbs")
-    assert verbs.VERBS is _VERBS
+    assert verbs.VERBS is VERBS
     section = verbs.help_of("points")
     assert section.startswith("usage: mcspectra points")
     assert "--seed S" in section
     assert "\x1b" not in section
 
 
-@pytest.mark.parametrize("verb", sorted(_VERBS))
+@pytest.mark.parametrize("verb", sorted(VERBS))
 def test_the_help_of_a_verb_can_be_had(verb):
     text = importlib.import_module("verbs").help_of(verb)
     assert text.startswith(f"usage: mcspectra {verb}")

@@ -171,7 +171,7 @@ def test_tables_of_analyses_are_the_registered_analyses():
 
 def test_the_page_has_all_keys():
     page = (ROOT / "docs" / "studies.md").read_text(encoding="utf-8")
-    assert key_tables().strip() in page, "run: mcspectra schema --markdown"
+    assert key_tables().strip() in page, "run: mcspectra init --schema --markdown"
 
 
 def test_the_studies_in_the_page_are_studies():

@@ -197,7 +197,7 @@ def test_what_is_alike_has_no_interval():
 @pytest.mark.parametrize(
     ("f", "options", "sentence"),
     [
-        (smooth, {"dims": None}, "give dims="),
+        (smooth, {"dims": None}, "dims is missing"),
         (smooth, {"budget": 7}, "too small for 8 replicates"),
         (smooth, {"budget": 0}, "budget is 0"),
         (smooth, {"sampler": "sobol"}, "is the same every time"),

@@ -250,12 +250,38 @@ def test_tables_that_do_not_fit_are_refused(tmp_path):
             Learned(path=path)
 
 
-def test_the_verb_measures_what_is_gained(tmp_path):
+def test_the_verb_measures_what_is_gained(tmp_path, capsys):
     from mcspectra.cli.main import main
 
     path = tmp_path / "density.json"
+    copy = tmp_path / "copy.json"
     words = (
-        f"learn gaussian(width=0.05) -k mixture -n 64 --evaluations 2048 -m 200 -o {path} --json"
+        f"design density gaussian(width=0.05) -n 64 --budget 4096 -m 200 -o {path} -o {copy} --json"
     )
     assert main(words.split()) == 0
-    assert mcs.density(f"learned(path={str(path)!r})").dims == 2
+    density = mcs.density(f"learned(path={str(path)!r})")
+    assert density.dims == 2
+    assert path.read_bytes() == copy.read_bytes()
+    for words, said in (
+        (
+            "density gaussian -n 64 --members 40",
+            "--members is for samplers; leave it out with density",
+        ),
+        ("owen gaussian -n 64 --budget 4096", "--budget is for densities; leave it out with owen"),
+        ("density gaussian -n 64 -o a.txt", "does not end in one of .json"),
+    ):
+        assert main(["design", *words.split()]) == 2
+        assert said in capsys.readouterr().err
+
+
+def test_a_density_is_a_design():
+    options = {"dims": 2, "rng": 3}
+    made = mcs.design(
+        "density", "gaussian(width=0.1)", 64, budget=4096, family="spline-flow", **options
+    )
+    f = mcs.integrand("gaussian(width=0.1)", 2)
+    expected = mcs.variance.learned_density(f, "spline-flow", OWEN, 64, evaluations=4096, rng=3)
+    x = np.random.default_rng(0).random((20, 2))
+    np.testing.assert_array_equal(made.pdf(x), expected.pdf(x))
+    with pytest.raises(ParameterError, match="family is for densities; leave it out with owen"):
+        mcs.design("owen", "gaussian", 64, family="mixture")

@@ -46,10 +46,10 @@ _ITSELF = f"""@software{{mcspectra,
 
 
 @verb(
-    option("FIGURE", "figures; all by default", dest="figures", nargs="*"),
-    option("--list", "name the figures and stop"),
-    option("--quick", "fewer realisations; 3 minutes at most"),
-    option("--out DIR", "output folder", default="out/reproduce"),
+    option("FIGURE", "figures (default: all)", dest="figures", nargs="*"),
+    option("--list", "list the figures and stop"),
+    option("--quick", "fewer realizations: 3 minutes at most"),
+    option("-o, --out DIR", "output folder (default out/reproduce)", repeated="once"),
 )
 def reproduce_(options: argparse.Namespace) -> Answer:
     """Make the figures and statements of the slides again, and say which of them agree.
@@ -86,7 +86,7 @@ def reproduce_(options: argparse.Namespace) -> Answer:
     seed = options.seed or 0
     words = ["mcspectra", "reproduce", *options.figures, *(["--quick"] if options.quick else [])]
     made = reproduce(
-        options.out,
+        options.out or "out/reproduce",
         options.figures,
         quick=options.quick,
         seed=seed,
@@ -142,7 +142,7 @@ def app_(options: argparse.Namespace) -> Answer:
 
 @verb()
 def doctor_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
-    """Say what is installed and whether it works: versions, kernels, NUFFT, renderer, extras."""
+    """Show what is installed and whether it works: versions, kernels, NUFFT, renderer, extras."""
     import numpy as np
 
     from mcspectra.core.cache import cache_folder, cache_size
@@ -201,7 +201,7 @@ def doctor_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
 
 @verb()
 def cite_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
-    """How to cite the package, the paper it implements and the methods it uses (BibTeX)."""
+    """Print how to cite the package, the paper it implements and the methods it uses (BibTeX)."""
     cited = {"mcspectra": _ITSELF, **{what: bibtex(key) for what, key in _CITED.items()}}
     listed = [{"for": what, "bibtex": entry} for what, entry in cited.items()]
     return Answer("\n\n".join(f"% {what}\n{entry}" for what, entry in cited.items()), listed)

@@ -186,8 +186,8 @@ def convergence(result: xr.Dataset) -> Answer:
 def terms(result: xr.Dataset) -> Answer:
     """Prints the terms, their sum, the measured variance, the share that was captured, and the rest.
 
-    Several samplers have a table each. The energy share is the part of ∫f² within the half width, the tail term the variance of what is
-    beyond if points are random to it.
+    Several samplers have a table each. The energy share is the part of ∫f² within the half width.
+    The tail term is the variance beyond it, as random points have it.
     """
     known = result.attrs
     about = (
@@ -348,7 +348,7 @@ def anova(result: xr.Dataset) -> Answer:
 
 @_view("profile")
 def profiled(result: xr.Dataset) -> Answer:
-    """Prints what to do, the causes with their evidence, and what each sampler would leave."""
+    """Prints what to do, the causes with their evidence, and the error and rate of each sampler."""
     return Answer(result.attrs["text"], {"causes": json.loads(result.attrs["causes"])})
 
 

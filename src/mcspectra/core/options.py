@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ import numpy as np
 from msgspec import Meta, inspect
 
 from mcspectra.core.checks import as_choice, as_integer, as_real
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.parallel import MAX_REALIZATIONS
 
 __all__ = [
@@ -42,6 +43,7 @@ __all__ = [
     "Window",
     "checked",
     "options_of",
+    "whole_number",
 ]
 
 _NO_LIMIT = 2**31  # a larger limit only keeps numbers within 64 bits: no news to a reader
@@ -72,7 +74,7 @@ COUNT = Meta(
 )
 COUNTS = Meta(
     description="Numbers of points n, ascending.",
-    extra={"metavar": "N,N,…", "ascending": True},
+    extra={"flag": "-n", "metavar": "N,N,…", "ascending": True},
 )
 REALIZATIONS = Meta(
     ge=2,
@@ -129,7 +131,8 @@ class Option:
     meaning
         One sentence.
     extra
-        What else the annotation says: ``flag``, ``metavar``, ``choices``, ``unit``.
+        What else the annotation says: ``flag``, ``metavar``, ``choices``, ``unit``, and ``help``, the
+        meaning of a flag that is not named as the option.
     """
 
     name: str
@@ -194,7 +197,9 @@ class Option:
         clean = _clean(label, self.kind, value)
         several = self.extra.get("ascending") and isinstance(clean, tuple)
         if several and any(b <= a for a, b in itertools.pairwise(clean)):
-            raise ParameterError(f"{label} is {list(clean)}; give ascending numbers of points.")
+            raise ParameterError(
+                Parameter(label), f" is {list(clean)}; give ascending numbers of points."
+            )
         return clean
 
     def read(self, text: str, label: str | None = None) -> Any:
@@ -206,6 +211,13 @@ class Option:
             As of `check`.
         """
         return self.check(_read(self.kind, text), label or self.flag)
+
+    def whole(self, value: Any) -> Any:
+        """Return a value of a file with whole floats, such as 1e3, as integers where these are meant."""
+        if isinstance(value, list):
+            kinds, items = self._items, value
+            return [_whole(each) for each in items] if _counts(kinds) else value
+        return _whole(value) if _counts(_kinds(self.kind)) else value
 
 
 @functools.cache
@@ -234,6 +246,28 @@ def checked(struct: Any) -> Any:
     options = options_of(type(struct))  # type: ignore[arg-type]
     clean = {each.name: each.check(getattr(struct, each.name)) for each in options}
     return msgspec.structs.replace(struct, **clean)
+
+
+def whole_number(text: str) -> int | float | str:
+    """Return the number that a text is, such as 64 or 1e3, or the text if it is no finite number.
+
+    Whether the number is whole is for `as_integer` to say, which takes 1000.0 and refuses 1.5.
+    """
+    for kind in (int, float):
+        with suppress(ValueError):
+            number: int | float = kind(text)
+            return number if math.isfinite(number) else text
+    return text
+
+
+def _counts(kinds: list[inspect.Type]) -> bool:
+    """Whether a number of these types must be whole."""
+    types = set(map(type, kinds))
+    return inspect.IntType in types and inspect.FloatType not in types
+
+
+def _whole(value: Any) -> Any:
+    return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
 def _annotation(kind: inspect.Type) -> tuple[str, dict[str, Any]]:
@@ -278,7 +312,7 @@ def _clean(label: str, kind: inspect.Type, value: Any) -> Any:
                 from_ = kinds[0].ge
                 wanted = "a whole number" + ("" if from_ is None else f" of at least {from_}")
             offer = " or ".join(map(repr, words))
-            raise ParameterError(f"{label} is {value!r}; give {wanted}, or {offer}.")
+            raise ParameterError(Parameter(label), f" is {value!r}; give {wanted}, or {offer}.")
 
     # Of several types, take the one that is of the value's sort, whatever its limits
     fits = [each for each in kinds if isinstance(value, _SORTS.get(type(each), ()))]
@@ -295,31 +329,37 @@ def _clean(label: str, kind: inspect.Type, value: Any) -> Any:
             return as_real(label, value, above=above, least=least, below=below, most=most)
         case inspect.BoolType():
             if not isinstance(value, bool | np.bool_):
-                raise ParameterError(f"{label} is {value!r}; give True or False.")
+                raise ParameterError(Parameter(label), f" is {value!r}; give True or False.")
             return bool(value)
         case inspect.LiteralType(values=allowed):
             return as_choice(label, value, tuple(map(str, allowed)))
         case inspect.StrType(max_length=most):
             if not isinstance(value, str) or not value:
-                raise ParameterError(f"{label} is {value!r}; give a text.")
+                raise ParameterError(Parameter(label), f" is {value!r}; give a text.")
             if most is not None and len(value) > most:
-                raise ParameterError(f"{label} has {len(value)} characters; {most} are the most.")
+                raise ParameterError(
+                    Parameter(label), f" has {len(value)} characters; {most} are the most."
+                )
             return value
         case inspect.VarTupleType() | inspect.TupleType():
             several = isinstance(value, Sequence) or (isinstance(value, np.ndarray) and value.ndim)
             if not several or isinstance(value, str | bytes):
-                raise ParameterError(f"{label} is {value!r}; give one flat list.")
+                raise ParameterError(Parameter(label), f" is {value!r}; give one flat list.")
             # The length first: a range may have any
             size = len(value)
             if isinstance(fitting, inspect.TupleType) and size != len(fitting.item_types):
-                raise ParameterError(f"{label} has {size} values; give {len(fitting.item_types)}.")
+                raise ParameterError(
+                    Parameter(label), f" has {size} values; give {len(fitting.item_types)}."
+                )
             longest = getattr(fitting, "max_length", None) or _NO_LIMIT
             if size > longest:
-                raise ParameterError(f"{label} has {size} values; {longest} are the most.")
+                raise ParameterError(
+                    Parameter(label), f" has {size} values; {longest} are the most."
+                )
             if any(np.ndim(each) > 0 for each in value if not isinstance(each, str)):
-                raise ParameterError(f"{label} is {value!r}; give one flat list.")
+                raise ParameterError(Parameter(label), f" is {value!r}; give one flat list.")
             if not size:
-                raise ParameterError(f"{label} has no values; give one or more.")
+                raise ParameterError(Parameter(label), " has no values; give one or more.")
             return tuple(_clean(label, _item(fitting), each) for each in value)
     return value
 
@@ -329,7 +369,11 @@ def _read(kind: inspect.Type, text: str) -> Any:
     for each in _kinds(kind):
         if isinstance(each, _LISTS):
             return tuple(_read(_item(each), part.strip()) for part in text.split(","))
-        if isinstance(each, inspect.IntType | inspect.FloatType):
+        if isinstance(each, inspect.IntType):
+            number = whole_number(text)
+            if not isinstance(number, str):
+                return number
+        if isinstance(each, inspect.FloatType):
             with suppress(ValueError):
-                return (int if isinstance(each, inspect.IntType) else float)(text)
+                return float(text)
     return text

@@ -37,7 +37,13 @@ from typing import Any, final
 import numpy as np
 
 from mcspectra.core.checks import Array, as_frequencies
-from mcspectra.core.errors import InfiniteWeightVarianceWarning, NoClosedForm, ParameterError, warn
+from mcspectra.core.errors import (
+    Function,
+    InfiniteWeightVarianceWarning,
+    NoClosedForm,
+    ParameterError,
+    warn,
+)
 from mcspectra.core.streams import Stream
 from mcspectra.densities import Density, Linear, TruncatedNormal, Uniform, as_warp
 from mcspectra.integrands import Integrand
@@ -399,7 +405,9 @@ def _check_terms(n: int, nu: Array) -> None:
     if float(n) * max(64, nu[..., 0].size) > _MAX_WORK:  # the points take memory, too
         raise NoClosedForm(
             f"The exact transform of {n} points at {nu[..., 0].size} frequencies would take more "
-            f"than {_MAX_WORK:.2g} terms; use power_spectrum, or ask for fewer frequencies."
+            f"than {_MAX_WORK:.2g} terms; use ",
+            Function("power_spectrum"),
+            ", or ask for fewer frequencies.",
         )
 
 
@@ -546,8 +554,9 @@ def _weighted_covariance(
     if base.name in ("regular", "uniform-jitter"):
         if base.name == "regular" and not shifted:
             raise NoClosedForm(
-                f"{base.spec} is the same every time, so that nothing varies; add shift, or use "
-                "power_spectrum."
+                f"{base.spec} is the same every time, so that nothing varies; add shift, or use ",
+                Function("power_spectrum"),
+                ".",
             )
         highest, power = _highest(m, other), np.ones(m.shape[:-1])
         for i, (p, s) in enumerate(zip(_factors(density), base.sides(n), strict=True)):
@@ -561,7 +570,9 @@ def _weighted_covariance(
     if base.name != "jittered" and not latin:
         raise NoClosedForm(
             f"No covariances are known for {base.spec} with the density {density.spec}; give random, "
-            "jittered, latin-hypercube, or a grid with shift, or use variance_terms."
+            "jittered, latin-hypercube, or a grid with shift, or use ",
+            Function("variance_terms"),
+            ".",
         )
     # Strata of each axis: where they are, or everywhere if a random shift follows
     sides = (n,) * base.dims if latin else base.sides(n)
@@ -683,7 +694,9 @@ def _factors(density: Density) -> list[Density]:
     if not factors or not monotone:
         raise NoClosedForm(
             f"Covariances of stratified points are known for densities that are products over the "
-            f"axes, of increasing warps, not for {density.spec}; use variance_terms."
+            f"axes, of increasing warps, not for {density.spec}; use ",
+            Function("variance_terms"),
+            ".",
         )
     return factors
 

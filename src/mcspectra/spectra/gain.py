@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
-from mcspectra.core.errors import NoClosedForm, ParameterError
+from mcspectra.core.errors import Function, NoClosedForm, Parameter, ParameterError
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import Stream
 from mcspectra.core.tally import counting
@@ -217,7 +217,11 @@ def closed_form_walsh_power(sampler: Sampler | str, n: int, indices: Any) -> Arr
     if "owen" not in steps:
         raise NoClosedForm(
             f"No power in the Walsh basis is known for {source.spec}; add digital-shift or owen, or "
-            "use variance_terms with basis='walsh'."
+            "use ",
+            Function("variance_terms"),
+            " with ",
+            Parameter("basis", "walsh"),
+            ".",
         )
     level = np.frexp(given)[1]
     levels = max(1, int(level.max()))

@@ -35,7 +35,7 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from mcspectra.core.checks import MAX_FREQUENCY, Array, as_choice, as_integer, as_real
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.spectra._kernels import UNLABELLED, crop_scaled, pair_mean, power_sums, split_pair
 
 __all__ = [
@@ -170,9 +170,11 @@ class FrequencyGrid(IndexGrid):
         as_real("frequency_step", self.step, above=0.0, most=MAX_FREQUENCY / MAX_FREQUENCIES)
         if self.size > MAX_FREQUENCIES:
             raise ParameterError(
-                f"half_width {self.half_width} in {self.dims} dims is {self.size:.3g} frequencies, "
-                f"{16 * self.size / 2**30:.3g} GiB a spectrum; use at most {MAX_FREQUENCIES:.3g}: "
-                f"half_width ≤ {int((MAX_FREQUENCIES ** (1 / self.dims) - 1) // 2)} here."
+                Parameter("half_width"),
+                f" {self.half_width} in {self.dims} dims is {self.size:.3g} frequencies, "
+                f"{16 * self.size / 2**30:.3g} GiB a spectrum; use at most {MAX_FREQUENCIES:.3g}: ",
+                Parameter("half_width"),
+                f" ≤ {int((MAX_FREQUENCIES ** (1 / self.dims) - 1) // 2)} here.",
             )
 
     @property
@@ -221,7 +223,9 @@ class Transform:
         self.eps = as_real("eps", eps, least=1e-14, most=0.1)
         if engine == "nufft" and grid.dims > 4:
             raise ParameterError(
-                f"The nufft engine works in 1 to 4 dims, not {grid.dims}; use engine='direct'."
+                f"The nufft engine works in 1 to 4 dims, not {grid.dims}; use ",
+                Parameter("engine", "direct"),
+                ".",
             )
         if engine == "auto":  # by times measured on one core
             slab = float(grid.size // grid.shape[0])

@@ -460,6 +460,9 @@ def _struct(table: Any, kind: type[Struct], place: str, beside: tuple[str, ...] 
         sentence = f"{where}there is no key {unknown[0]!r}; allowed here: {', '.join(allowed)}."
         raise ConfigError(sentence + (hint if close else ""))
     try:
+        if isinstance(table, dict):
+            known_options = {each.name: each for each in options_of(kind)}
+            table = {k: known_options[k].whole(value) for k, value in table.items()}
         return msgspec.convert(table, kind, strict=True)
     except msgspec.ValidationError as error:
         # "Expected `int`, got `str` - at `$.n`" becomes "n: expected a whole number, got 'few'."

@@ -25,7 +25,7 @@ import xarray as xr
 
 from mcspectra.core.analysis import Subject
 from mcspectra.core.checks import Array, as_choice, as_integer
-from mcspectra.core.errors import McspectraError, ParameterError
+from mcspectra.core.errors import McspectraError, Parameter, ParameterError
 from mcspectra.core.parallel import available_workers
 from mcspectra.core.progress import report
 from mcspectra.core.results import dataset
@@ -148,7 +148,9 @@ def analyse_path(
     # Check the plan before any work
     x, y = find_pixel(scene, x, y)
     if channel == "rgb":
-        raise ParameterError("channel is 'rgb'; give 'luminance', 0, 1 or 2, one at a time.")
+        raise ParameterError(
+            Parameter("channel"), " is 'rgb'; give 'luminance', 0, 1 or 2, one at a time."
+        )
     usual, repeats, pairs, paths, predicted = _EFFORTS[as_choice("effort", effort, tuple(_EFFORTS))]
     f = PathPixel(scene=scene, x=x, y=y, integrator=integrator, channel=channel, dims=dims)
     asked = usual if counts is None else counts

@@ -18,7 +18,7 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.core.checks import as_choice, as_integer
-from mcspectra.core.errors import ParameterError, close_match_hint
+from mcspectra.core.errors import Parameter, ParameterError, close_match_hint
 from mcspectra.core.parallel import available_workers
 from mcspectra.core.progress import report
 from mcspectra.core.streams import Stream
@@ -189,7 +189,9 @@ def analyse_pixel(
     request = as_scene(scene)
     as_integer("dims", dims, least=2, most=3)
     if channel == "rgb":
-        raise ParameterError("channel is 'rgb'; give 'luminance', 0, 1 or 2, one at a time.")
+        raise ParameterError(
+            Parameter("channel"), " is 'rgb'; give 'luminance', 0, 1 or 2, one at a time."
+        )
     view = check_view(View(request, x, y, light, channel, dims), bsdf=True)
     warn_integrator(request)
     chosen = EFFORTS[as_choice("effort", effort, tuple(EFFORTS))]
@@ -327,7 +329,9 @@ def check_compared(
     for source, n in itertools.product(sources, ns):
         source.check_count(n)
     if len(ns) < 2 or any(b <= a for a, b in itertools.pairwise(ns)):
-        raise ParameterError(f"counts is {ns}; give at least two, ascending, for a rate.")
+        raise ParameterError(
+            Parameter("counts"), f" is {ns}; give at least two, ascending, for a rate."
+        )
     return sources, ns
 
 

@@ -50,6 +50,7 @@ __all__ = [
     "MOST_STORED",
     "AnalysisCount",
     "StudyStatus",
+    "check_export",
     "export_results",
     "open_results",
     "output_folder",
@@ -341,6 +342,27 @@ def export_results(source: str | Path, file: str | Path, select: str | None = No
     StorageError
         The file cannot be written.
     """
+    target = check_export(file)
+    attributes, cells = _opened(source, select)
+    if target.suffix.lower() == ".zarr":
+        return _replaced(target, lambda part: _write_store(attributes, cells.items(), part))
+    rows = [row for cell in cells.values() for row in _scalar_rows(cell)]
+    if not rows:
+        raise StoreError(
+            f"The results of {str(source)!r} have no scalars for a table; export to a .zarr store, "
+            "which holds arrays too."
+        )
+    return _replaced(target, lambda part: _write_csv(rows, part))
+
+
+def check_export(file: str | Path) -> Path:
+    """Return a file that `export_results` can write, before anything is read.
+
+    Raises
+    ------
+    ParameterError
+        The name has another extension, its folder does not exist, or a ``.zarr`` exists.
+    """
     target = as_path("file", file)
     if target.suffix.lower() not in FORMATS:
         raise ParameterError(
@@ -351,19 +373,9 @@ def export_results(source: str | Path, file: str | Path, select: str | None = No
         raise ParameterError(
             f"{str(target)!r} cannot be written: there is no such folder; make it."
         )
-    table = target.suffix.lower() == ".csv"
-    if not table and target.exists():
+    if target.suffix.lower() == ".zarr" and target.exists():
         raise ParameterError(f"{str(target)!r} exists already; give another name.")
-    attributes, cells = _opened(source, select)
-    if not table:
-        return _replaced(target, lambda part: _write_store(attributes, cells.items(), part))
-    rows = [row for cell in cells.values() for row in _scalar_rows(cell)]
-    if not rows:
-        raise StoreError(
-            f"The results of {str(source)!r} have no scalars for a table; export to a .zarr store, "
-            "which holds arrays too."
-        )
-    return _replaced(target, lambda part: _write_csv(rows, part))
+    return target
 
 
 def output_folder(out: str | Path) -> Path:

@@ -23,7 +23,7 @@ from msgspec import Meta
 
 from mcspectra.core.analysis import Analysis, Counted, Need, Reduction, Subject
 from mcspectra.core.checks import Array, as_integer
-from mcspectra.core.errors import NoClosedForm, ParameterError
+from mcspectra.core.errors import Function, NoClosedForm, Parameter, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNT, REALIZATIONS
 from mcspectra.core.parallel import realization_blocks
@@ -62,7 +62,8 @@ class Anova(Counted, frozen=True, kw_only=True):
     """Which axes of primary space, and pairs of them, the variance comes from."""
 
     function = "anova_variances"
-    verb = "anova"
+    verb = "variance"
+    split = "axes"
     variables = (
         *("anova_variance", "anova_variance_se", "total_variance", "total_variance_se"),
         *("higher_order_variance", "higher_order_variance_se"),
@@ -94,7 +95,9 @@ class Anova(Counted, frozen=True, kw_only=True):
             raise ParameterError(
                 f"{self.realizations} realisations of {values // self.realizations} subsets take "
                 f"{8 * values / 2**30:.3g} GiB; ask for at most "
-                f"{_MAX_VALUES * self.realizations // values} realisations, or for order=1."
+                f"{_MAX_VALUES * self.realizations // values} realisations, or for ",
+                Parameter("order", 1),
+                ".",
             )
         evaluations = sum(estimator.counts)
         points = subsets * self.realizations * self.n * evaluations
@@ -151,8 +154,9 @@ class Anova(Counted, frozen=True, kw_only=True):
         given = tuple(range(dims)) if self.groups is None else self.groups
         if len(given) != dims or {*given} != {*range(max(given) + 1)}:
             raise ParameterError(
-                f"groups is {list(given)!r:.80}; give one for each of the {dims} axes, numbered from 0 "
-                "without gaps."
+                Parameter("groups"),
+                f" is {list(given)!r:.80}; give one for each of the {dims} axes, numbered from 0 "
+                "without gaps.",
             )
         as_integer(
             "dims" if self.groups is None else "groups", max(given) + 1, least=1, most=_MAX_DIMS
@@ -290,12 +294,15 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
         if not plain or estimator.integrand.fourier_source != "exact":
             raise NoClosedForm(
                 f"Sampled frequencies need exact Fourier coefficients and uniform points, which "
-                f"{estimator.spec} does not have; use anova_variances."
+                f"{estimator.spec} does not have; use ",
+                Function("anova_variances"),
+                ".",
             )
         if sampler.name != "random" and fitting_basis(sampler, 1) != "fourier":
             raise NoClosedForm(
-                f"The frequencies of {sampler.spec} are correlated; add shift, or use "
-                "anova_variances."
+                f"The frequencies of {sampler.spec} are correlated; add shift, or use ",
+                Function("anova_variances"),
+                ".",
             )
         dims = as_integer("dims", estimator.dims, least=1, most=_MAX_DIMS)
         subsets = len(_subsets(dims, self.order))

@@ -34,7 +34,7 @@ from typing import Any
 import numpy as np
 
 from mcspectra.core.checks import Array, as_real
-from mcspectra.core.errors import NoClosedForm, ParameterError
+from mcspectra.core.errors import MEASURE_IT, NoClosedForm, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.core.tally import counting
 from mcspectra.estimators import AbstractEstimator, as_subject
@@ -267,8 +267,9 @@ def of_integrand(
         larger = f", or tolerance={enough:.1e}" if enough < _MOST else ""
         raise NoClosedForm(
             f"The stratum quadrature of {g.spec} does not converge ({np.max(low):.6g} against "
-            f"{np.max(high):.6g}, error {np.max(error):.2g}) to a tolerance of {tolerance:.1g}; use "
-            f"convergence or variance_terms{larger}."
+            f"{np.max(high):.6g}, error {np.max(error):.2g}) to a tolerance of {tolerance:.1g}; use ",
+            *MEASURE_IT,
+            f"{larger}.",
         )
     vanishes = np.isfinite(high) & (np.maximum(low, high) <= rounding)
     return np.where(vanishes, 0.0, high), np.where(np.isinf(high), 0.0, error)
@@ -288,7 +289,9 @@ def _variance(sampler: Sampler, n: int, g: Integrand, rule: Rule) -> tuple[Array
         if not inner.unbiased:
             raise NoClosedForm(
                 f"No exact variance is known for random reflections of {inner.spec}, whose points are "
-                "not uniform; use convergence or variance_terms."
+                "not uniform; use ",
+                *MEASURE_IT,
+                ".",
             )
         one = Random(dims=g.dims)
         whole, missed = _variance(one, 1, g, rule)
@@ -319,8 +322,9 @@ def _variance(sampler: Sampler, n: int, g: Integrand, rule: Rule) -> tuple[Array
     known = isinstance(base, Random | Jittered | Regular | UniformJitter) or (latin and g.dims == 1)
     if not known or not all(isinstance(step, Shift | StrataShift) for step in steps):
         raise NoClosedForm(
-            f"No exact variance is known for {sampler.spec} in {g.dims} dims; "
-            "use convergence or variance_terms."
+            f"No exact variance is known for {sampler.spec} in {g.dims} dims; use ",
+            *MEASURE_IT,
+            ".",
         )
     offset = none
     for step in steps:
@@ -427,7 +431,7 @@ def _nested(net: Sampler, points: Array, g: Integrand, rule: Rule) -> tuple[Arra
     try:
         gains = gains_at(net, n, max(1, *digits))
     except ParameterError as error:
-        raise NoClosedForm(f"{error} Or use convergence or variance_terms.") from None
+        raise NoClosedForm(error, " Or use ", *MEASURE_IT, ".") from None
     gains = gains[tuple(slice(level + 1) for level in digits)]
     means, within, unseen = strata(g, sides, np.zeros(g.dims), rule)
     levels = level_variances(means.reshape(*sides, -1), bases)
@@ -447,8 +451,7 @@ def _digitally_shifted(
     cells = next(whole, None)
     if cells is None:
         raise NoClosedForm(
-            f"Coordinates of {net.spec} have more than {_MOST_BITS} bits; use convergence or "
-            "variance_terms."
+            f"Coordinates of {net.spec} have more than {_MOST_BITS} bits; use ", *MEASURE_IT, "."
         )
     sides = (cells,) * g.dims
     rule.check(f"The exact variance of {g.spec}", (float(cells) * rule.order) ** g.dims)

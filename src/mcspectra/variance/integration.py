@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mcspectra.core.checks import as_choice
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import Function, Parameter, ParameterError
 from mcspectra.core.memory import check_memory, memory_of
 from mcspectra.core.records import student_t
 from mcspectra.core.results import dataset
@@ -132,7 +132,9 @@ def integrate(
         estimator = as_estimator(f, known)
         if estimator.counts != (1,):
             raise ParameterError(
-                f"{estimator.spec} has several techniques; integrate one, or use convergence."
+                f"{estimator.spec} has several techniques; integrate one, or use ",
+                Function("convergence"),
+                ".",
             )
         inner, known = estimator.primary_integrand(0), estimator.dims
     median = as_choice("combine", combine, ("mean", "median")) == "median"
@@ -146,8 +148,9 @@ def integrate(
     linear = Lms in kinds and Owen not in kinds and source.unbiased
     if median and not linear:
         raise ParameterError(
-            f"combine is 'median', and {source.spec} is no linear scramble, few of whose sets make the "
-            "variance: take the mean, which is better, or a sampler such as sobol | lms."
+            Parameter("combine"),
+            f" is 'median', and {source.spec} is no linear scramble, few of whose sets make the "
+            "variance: take the mean, which is better, or a sampler such as sobol | lms.",
         )
     calls = Calls(
         inner,  # type: ignore[arg-type]
@@ -162,7 +165,8 @@ def integrate(
     most = affordable_count(setup, calls.budget // least)
     if most is None:
         raise ParameterError(
-            f"budget is {calls.budget}, too small for {least} replicates of {source.spec}; give more."
+            Parameter("budget"),
+            f" is {calls.budget}, too small for {least} replicates of {source.spec}; give more.",
         )
     check_memory(memory_of(calls.budget, known), "integrate")
     stream = Stream.from_rng(rng)

@@ -29,7 +29,7 @@ import numpy as np
 from mcspectra.core.cache import cache_folder
 from mcspectra.core.checks import Array, as_choice, as_integer, as_real
 from mcspectra.core.decoding import path_to_write
-from mcspectra.core.errors import ParameterError, writing
+from mcspectra.core.errors import Parameter, ParameterError, writing
 from mcspectra.core.progress import report
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.densities import Density, Uniform
@@ -340,7 +340,8 @@ def learned_density(
         )
     if given is None:
         raise ParameterError(
-            "dims is missing; give dims=, the number of dims of the function's points."
+            Parameter("dims"),
+            " is missing; give the number of dims of the function's points.",
         )
     d = as_integer("dims", given, least=1, most=_MOST_DIMS)
     source = as_sampler(sampler, d)

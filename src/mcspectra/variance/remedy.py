@@ -95,7 +95,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         Meta(
             ge=1,
             le=2**24,
-            description="Evaluations of the integrand an estimate.",
+            description="Evaluations of the integrand per estimate.",
             extra={"metavar": "B"},
         ),
     ]

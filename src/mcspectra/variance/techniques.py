@@ -20,7 +20,7 @@ import numpy as np
 from mcspectra.core import options
 from mcspectra.core.analysis import Counted, Need, Reduction, Steps, Subject
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.records import JOIN
@@ -60,7 +60,8 @@ class Techniques(Counted, frozen=True, kw_only=True):
     """What each technique of an estimator contributes, and which one decides the rate."""
 
     function = "technique_terms"
-    verb = "techniques"
+    verb = "variance"
+    split = "techniques"
     variables = (
         *_PARTS,
         *(f"{name}_se" for name in _PARTS),
@@ -99,7 +100,9 @@ class Techniques(Counted, frozen=True, kw_only=True):
         if techniques**2 * basis.stored > _MOST:
             raise ParameterError(
                 f"{techniques}² pairs of techniques at {basis.stored} frequencies are more than "
-                f"{_MOST} covariances; choose a smaller half_width."
+                f"{_MOST} covariances; choose a smaller ",
+                Parameter("half_width"),
+                ".",
             )
         squared = basis.size * techniques**2
         return Need(

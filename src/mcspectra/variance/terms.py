@@ -45,6 +45,7 @@ class Terms(Counted, frozen=True, kw_only=True):
     function = "variance_terms"
     verb = "variance"
     several = ("sampler",)
+    split = "terms"
     variables = (
         *(f"{name}{part}" for name in _TERMS for part in ("", "_se", "_ci")),
         *(f"{name}{part}" for name in _WITH_ERROR for part in ("", "_se")),

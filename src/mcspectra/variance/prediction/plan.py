@@ -11,7 +11,7 @@ from msgspec import Meta
 
 from mcspectra.core.analysis import Counted, Need, Reduction, Subject, whole
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import CountError, ParameterError
+from mcspectra.core.errors import CountError, Parameter, ParameterError
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator
@@ -66,7 +66,9 @@ class Plan(Counted, frozen=True, kw_only=True):
         if self.relative and not np.all(np.abs(estimator.integral) > 0):
             raise ParameterError(
                 f"The integral of {estimator.spec} is {estimator.integral}, so that no error is a "
-                "share of it; give target_error without relative."
+                "share of it; give ",
+                Parameter("target_error"),
+                " without relative.",
             )
         return Need(cost=need.cost * len(_CURVE) * len(samplers), memory=need.memory)
 

@@ -38,7 +38,7 @@ from typing import Any, final
 import numpy as np
 
 from mcspectra.core.checks import BELOW_ONE, Array
-from mcspectra.core.errors import NoClosedForm
+from mcspectra.core.errors import Function, NoClosedForm
 from mcspectra.core.jit import kernel
 from mcspectra.core.streams import Stream
 from mcspectra.integrands import Integrand
@@ -121,7 +121,9 @@ def of_subsets(sampler: Sampler, n: int, known: Known, stream: Stream) -> Predic
     work = float(len(rows)) * codes[..., 0].size * _RANK**2
     if work > _MOST_WORK:
         raise NoClosedForm(
-            f"The pairs of {n} points of {source.spec} in {g.dims} dims are too many; use convergence."
+            f"The pairs of {n} points of {source.spec} in {g.dims} dims are too many; use ",
+            Function("convergence"),
+            ".",
         )
     found = []
     for c, p in enumerate(parts):
@@ -591,7 +593,9 @@ def _law_of(source: Sampler, n: int, stream: Stream) -> tuple[_Law, Array, Array
         not names or not names <= _KEEP_LAW or not ("owen" in names or set(base.digit_bases) == {2})
     ):
         raise NoClosedForm(
-            f"No law of pairs of points is known for {source.spec} in {d} dims; use convergence."
+            f"No law of pairs of points is known for {source.spec} in {d} dims; use ",
+            Function("convergence"),
+            ".",
         )
     x = points.draw_stream(n, stream, 0, 1 if points.fixed else _DRAWS)
     if last == "shift":
