@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -143,15 +143,19 @@ def bench_table(bench: xr.Dataset) -> tuple[list[str], list[list[str]]]:
     return ["Sampler", *first[1:]], others
 
 
-def _sampler_table(bench: xr.Dataset) -> tuple[list[str], list[list[str]]]:
-    """What is known of each sampler alone: figures of quality at the largest n, and speed."""
+def _sampler_table(bench: xr.Dataset) -> tuple[list[str], list[list[tuple[str, float]]]]:
+    """What is known of each sampler alone: n, figures of quality at the largest n, and speed.
+
+    A row holds texts, each with the number that it is sorted by; the first column is that of the names.
+    """
     names = [name for name in BENCH_QUALITY if name in bench]
     last, rows = bench.isel(n=-1), []
-    for k, label in enumerate(_labels(bench)):
-        cells = [number(float(last[name][k])) for name in names]
+    for k in range(bench.sizes["sampler"]):
+        values = [float(last[name][k]) for name in names]
         speed = float(last["points_per_second"][k]) if "points_per_second" in bench else math.nan
         n = float(bench["pictured_n"][k]) if "pictured_n" in bench else math.nan
-        rows.append([label, f"{n:.0f}" if n > 0 else MISSING, *cells, number(speed, 2)])
+        count = (f"{n:.0f}" if n > 0 else MISSING, n)
+        rows.append([count, *((number(v), v) for v in values), (number(speed, 2), speed)])
     return ["Sampler", "n", *(_HEADS[name] for name in names), "Points/s"], rows
 
 
@@ -255,15 +259,33 @@ def _said(bench: xr.Dataset) -> list[str]:
 
 
 def _page(bench: xr.Dataset, cards: Sequence[Card]) -> html.Page:
-    columns, rows = _sampler_table(bench)
-    anchors = html.anchors((name for name, *_ in rows), "s-")
-    linked: list[list[str | html.Cell]] = [
-        [html.Cell(text=name, numeric=False, link=f"#{anchor}") if cards else name, *cells]
-        for (name, *cells), anchor in zip(rows, anchors, strict=True)
+    names = _labels(bench)
+    anchors = html.anchors(names, "s-")
+    linked = [
+        html.Cell(text=name, numeric=False, link=f"#{anchor}" if cards else "")
+        for name, anchor in zip(names, anchors, strict=True)
     ]
+
+    def cells(rows: Iterable[Iterable[tuple[str, float]]]) -> list[list[str | html.Cell]]:
+        """Rows of samplers, which can be sorted by their numbers."""
+        return [
+            [name, *(html.number_cell(text, value) for text, value in row)]
+            for name, row in zip(linked, rows, strict=True)
+        ]
+
+    heads, own = _sampler_table(bench)
+    columns, shown = bench_table(bench)
+    rates: Sequence[Sequence[str | html.Cell]] = shown
+    if by_sampler := columns[0] == "Sampler":
+        values = bench["rate"].transpose("sampler", "integrand").values.tolist()
+        rates = cells(
+            zip(row[1:], each, strict=True) for row, each in zip(shown, values, strict=True)
+        )
     tables = (
-        html.table_of("Samplers by themselves, at the largest n", columns, linked),
-        html.table_of("Rates on each integrand, in brackets the rank", *bench_table(bench)),
+        html.table_of("Samplers by themselves, at the largest n", heads, cells(own), sortable=True),
+        html.table_of(
+            "Rates on each integrand, in brackets the rank", columns, rates, sortable=by_sampler
+        ),
     )
     sections = [html.Section(title="Summary", anchor="summary", blocks=tables)]
     plots: dict[str, list[Plot]] = {}
@@ -284,7 +306,11 @@ def _sheets(bench: xr.Dataset) -> Iterator[Drawn]:
 
     lines: list[tuple[str, bool]] = [("Sampler bench", True), ("", False)]
     lines += [(line, False) for text in _said(bench) for line in textwrap.wrap(text, 108)]
-    for heads, rows in (_sampler_table(bench), bench_table(bench)):
+    alone, own = _sampler_table(bench)
+    texts = [
+        [name, *(text for text, _ in row)] for name, row in zip(_labels(bench), own, strict=True)
+    ]
+    for heads, rows in ((alone, texts), bench_table(bench)):
         # Long heads take several lines
         broken = [textwrap.wrap(head, 26 if k == 0 else 14) or [""] for k, head in enumerate(heads)]
         tall = max(map(len, broken))
