@@ -78,6 +78,22 @@ def test_every_analysis_has_plots_that_both_backends_draw(name):
             drawn_by_both(describe(kind, {"one": result, "another | of them": result}))
 
 
+def test_methods__side_by_side_at_the_largest_n():
+    """Those without a value there have no row; the dots are the values."""
+    samplers = ["jittered | shift", "sobol | owen"]
+    found = mcs.predict("gaussian", samplers, [16, 64], method="all", half_width=4, realizations=50)
+    assert kinds_of(found) == ("prediction",)
+    plot = describe("prediction", found)
+    for panel, sampler in zip(plot.panels, samplers, strict=True):
+        one = found.sel(sampler=sampler).isel(n=-1)
+        there = one["predicted_variance"].notnull().values
+        assert list(panel.y.ticks.values()) == one["method"].values[there].tolist()
+        (dots,) = panel.marks
+        np.testing.assert_array_equal(dots.x, one["predicted_variance"].values[there])
+    assert "n = 64" in plot.caption
+    drawn_by_both(plot)
+
+
 def test_chains__spectra_and_shares_of_one_and_of_many():
     draws = np.random.default_rng(1).standard_normal((2, 300, 8))
     one, many = mcs.variance.chain_error(draws[..., 0]), mcs.variance.chain_error(draws)

@@ -36,6 +36,16 @@ def test_predictions_stand_with_their_methods(shown):
     assert "sobol 16" not in words
 
 
+def test_all_methods_have_rows_by_n(shown):
+    found = mcs.predict("gaussian", "jittered", [16, 64], method="all", realizations=30)
+    words = shown(found)
+    assert "method n predicted variance" in words
+    for n in (16, 64):
+        assert re.search(rf"levels {n} [^a-z]* strata", words)
+        assert re.search(rf"measured {n} [^a-z]* 30 realizations", words)
+    assert "torus 16" not in words
+
+
 def test_a_plan_says_n_in_its_table_and_its_figure(shown):
     found = mcs.plan("gaussian", ["sobol | owen", "random"], target_error=1e-2)
     words = shown(found)

@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
+from mcspectra.plots.groups import labelled
+from mcspectra.plots.kinds import describe
 from mcspectra.report import write_report
+from mcspectra.report.tables import analysis_table
 from mcspectra.studies import make_plan, open_results, run_study, summarize
 from mcspectra.studies.files import decode_study
 
@@ -28,6 +31,11 @@ name = "sum"
 integrands = ["linear", "step(at=0.3)"]
 dims = 1
 techniques = { counts = [4, 16], half_width = 4, realizations = 30, fit_last = 2 }
+[[estimators]]
+name = "wave"
+integrand = "cosine(frequency=2)"
+dims = 1
+predict = { counts = [4, 16], method = "all", half_width = 4, realizations = 30 }
 [[estimators]]
 name = "none"
 integrand = "disk"
@@ -57,6 +65,15 @@ def _expected():
         ),
         "edge/jittered-shift/spectrum": mcs.power_spectrum(
             mcs.sampler(SAMPLER, 1), 8, half_width=3, realizations=6, frequency_step=0.5, rng=5
+        ),
+        "wave/jittered-shift/predict": mcs.predict(
+            mcs.Estimator("cosine(frequency=2)", dims=1),
+            SAMPLER,
+            [4, 16],
+            method="all",
+            half_width=4,
+            realizations=30,
+            rng=5,
         ),
         "sum/jittered-shift/techniques": mcs.technique_terms(
             both, SAMPLER, [4, 16], half_width=4, realizations=30, fit_last=2, rng=5
@@ -92,6 +109,21 @@ def test_no_closed_form_is_a_note_and_no_failure(finished):
         mcs.exact_variance(mcs.Estimator("disk"), "poisson-disk", 4)
     assert found.attrs["note"] == str(caught.value).rstrip(".")
     assert found.attrs["labels_method"] == ["none"]
+
+
+def test_methods_side_by_side_have_their_labels_again(finished):
+    """Texts along two dims are attributes of a store; plots and tables read them."""
+    stored = open_results(finished)["wave/jittered-shift/predict"].to_dataset()
+    again, expected = labelled(stored), _expected()["wave/jittered-shift/predict"]
+    assert again["how"].dims == ("method", "n")
+    for name in ("method", "how"):
+        assert (again[name].values == expected[name].values).all()
+    assert "homogenized" in describe("prediction", {SAMPLER: stored}).words
+    heading, table = analysis_table("predict", {SAMPLER: stored})
+    rows = [[cell.text for cell in row] for row in table.rows]
+    assert heading == "Predictions in numbers"
+    assert len(rows) == 2 * 12
+    assert [SAMPLER, "4", "homogenized (power in closed form)"] in [r[:2] + r[4:5] for r in rows]
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -239,6 +239,10 @@ def test_a_method_that_does_not_apply_is_refused(sampler, method, words):
         assert float(asked()["predicted_variance"][0]) == 0.0
 
 
+def test_the_docstring_lists_all_names():
+    assert all(f'``"{name}"``: ' in mcs.predict.__doc__ for name in METHODS)
+
+
 def test_names_and_frequencies_are_refused_in_a_sentence():
     with pytest.raises(ParameterError, match=r"method is 'toru'.*Did you mean 'torus'"):
         mcs.predict("gaussian", "random", [4], method="toru")

@@ -292,7 +292,7 @@ def of_pairs(
 def _of_counted_pairs(
     sampler: Sampler, n: int, g: Integrand, stream: Stream
 ) -> Callable[[int], MeanSums]:
-    """What a realisation says of the variance: the mean of A over its pairs."""
+    """Returns the estimate of one realization: the mean of A over its pairs."""
     if n > _MOST_POINTS:
         raise ParameterError(
             f"{n} points have too many pairs to count; give {_MOST_POINTS} at most."

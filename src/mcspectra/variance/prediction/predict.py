@@ -269,7 +269,7 @@ METHODS: Mapping[str, str] = {
 _WORTH = {"moves": 0.03, "table": 0.2, "extrapolated": 0.2}
 """Half intervals of sums of products, relative to the variance, that a method may narrow."""
 
-METHOD = Meta(
+_METHOD = Meta(
     description="auto: the most trusted method that applies; all: every method, side by side; else one "
     "by its name.",
     extra={"choices": ("auto", "all", *METHODS)},
@@ -287,11 +287,10 @@ class Prediction(Counted, frozen=True, kw_only=True):
         *("predicted_variance", "predicted_variance_ci", "energy_share", "tail_variance"),
         *("local_rate", "predicted_rate", "limit_rate", "bend_n"),
     )
-
     provenance = ("method",)
 
     counts: Annotated[Counts, COUNTS]
-    method: Annotated[str, METHOD] = "auto"
+    method: Annotated[str, _METHOD] = "auto"
     tolerance: Annotated[
         float,
         Meta(
