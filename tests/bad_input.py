@@ -330,7 +330,7 @@ COMMAND = _rows(
     ("points random -n 2000000 -o p.png", "too many to see"),
     ("points random -n 4 -s -3", "--seed"),
     ("points random -n 4 --quality -m 0", "--realizations"),
-    ("points points(path='no-such.parquet') -n 4", "no-such.parquet"),
+    ("points points(path='no-such.npz') -n 4", "no-such.npz"),
     ("points command('./mine{n}') -n 4", "--allow-code './mine{n}'"),
     ("points python('os') -n 4", "--allow-code os"),
     ("points command('./no-such{n}') -n 4 --allow-code ./no-such{n}", "cannot be run"),

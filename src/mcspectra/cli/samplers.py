@@ -99,7 +99,7 @@ def points_(options: argparse.Namespace) -> Answer:
     """Draw point sets; write, picture or judge them.
 
     Text goes to standard output in UTK's format (a point a line, '#' between sets), files by ending:
-    .dat, .bin, .npz, .npy, .csv, .parquet hold points; .svg, .png, .pdf are pictures. With --quality the
+    .dat, .bin, .npz, .npy, .csv hold points; .svg, .png, .pdf are pictures. With --quality the
     output is a table of distances, discrepancies and so on, over 16 sets unless -m says how many.
     """
     from mcspectra.core.pointfiles import EXTENSIONS, format_dat, write_points
