@@ -312,13 +312,13 @@ def export_(options: argparse.Namespace) -> Answer:
     from mcspectra.core.memory import shown_bytes
     from mcspectra.studies.results import export_results
 
-    written = []
+    lines, written = [], []
     for target in options.out:
         file = export_results(options.source, target, options.select)
         files = file.rglob("*") if file.is_dir() else [file]
         size = sum(each.stat().st_size for each in files if each.is_file())
+        lines.append(f"{file}: {shown_bytes(size)}")
         written.append({"file": file, "bytes": size})
-    lines = [f"{each['file']}: {shown_bytes(each['bytes'])}" for each in written]
     return Answer("\n".join(lines), written)
 
 
