@@ -101,7 +101,7 @@ def points_(options: argparse.Namespace) -> Answer:
     """Draw point sets, and print, write, plot or measure them.
 
     Without -o, points are printed as text in UTK's format: one point per line, '#' between sets.
-    Files .dat, .bin, .npz, .npy, .csv and .parquet hold points; .svg, .png, .pdf and .pgf are pictures.
+    Files .dat, .bin, .npz, .npy and .csv hold points; .svg, .png, .pdf and .pgf are pictures.
     With --quality a table of distances, discrepancies and so on is printed, by default over 16 sets.
     """
     from mcspectra.core.pointfiles import EXTENSIONS, format_dat, write_points

@@ -86,7 +86,7 @@ def as_integer(name: str, value: object, *, least: int, most: int | None = None)
     limit = f"a whole number of at least {least}"
     if most is not None:
         limit = f"a whole number from {least} to {most}" if least < most else str(most)
-    raise ParameterError(Parameter(name), f" is {value!r}; give {limit}.")
+    raise ParameterError(Parameter(name), f" is {value!r:.80}; give {limit}.")
 
 
 def as_real(
@@ -114,7 +114,7 @@ def as_real(
         if math.isfinite(x) and enough and few:
             return x
     wanted = f" {' and '.join(rules)}" if rules else ""
-    raise ParameterError(Parameter(name), f" is {value!r}; give a finite number{wanted}.")
+    raise ParameterError(Parameter(name), f" is {value!r:.80}; give a finite number{wanted}.")
 
 
 def as_reals(name: str, value: object, length: int, **limits: float | None) -> tuple[float, ...]:
@@ -136,7 +136,7 @@ def as_choice(name: str, value: object, allowed: Sequence[str]) -> str:
     hint, close = close_match_hint(str(value), allowed)
     raise ParameterError(
         Parameter(name),
-        f" is {value!r}; it must be one of {', '.join(allowed)}.{hint if close else ''}",
+        f" is {value!r:.80}; it must be one of {', '.join(allowed)}.{hint if close else ''}",
     )
 
 

@@ -178,23 +178,32 @@ class Option:
         lists = [each for each in _kinds(self.kind) if isinstance(each, _LISTS)]
         return [item for each in lists for item in _kinds(_item(each))]
 
-    def check(self, value: Any, label: str | None = None) -> Any:
+    def check(self, value: Any, label: str | None = None, *, from_file: bool = False) -> Any:
         """Return the clean value.
+
+        Parameters
+        ----------
+        value
+            What was given.
+        label
+            Beginning of the sentence of an error; the option's name by default.
+        from_file
+            Whether the value is one of a file: it cannot be an array, and errors give the places of
+            items in lists, from 0.
 
         Raises
         ------
         ParameterError
-            The type is wrong or a limit is broken; the sentence begins with `label`, by default
-            the option's name.
+            The type is wrong or a limit is broken.
         """
         label = label or self.name
-        if self.extra.get("python") and not isinstance(value, str):
+        if self.extra.get("python") and not (from_file or isinstance(value, str)):
             return value
         if value is None and any(isinstance(k, inspect.NoneType) for k in _kinds(self.kind)):
             return None
         if self.extra.get("choices"):
             return as_choice(label, value, self.choices)
-        clean = _clean(label, self.kind, value)
+        clean = _clean(label, self.kind, value, from_file)
         several = self.extra.get("ascending") and isinstance(clean, tuple)
         if several and any(b <= a for a, b in itertools.pairwise(clean)):
             raise ParameterError(
@@ -211,13 +220,6 @@ class Option:
             As of `check`.
         """
         return self.check(_read(self.kind, text), label or self.flag)
-
-    def whole(self, value: Any) -> Any:
-        """Return a value of a file with whole floats, such as 1e3, as integers where these are meant."""
-        if isinstance(value, list):
-            kinds, items = self._items, value
-            return [_whole(each) for each in items] if _counts(kinds) else value
-        return _whole(value) if _counts(_kinds(self.kind)) else value
 
 
 @functools.cache
@@ -260,16 +262,6 @@ def whole_number(text: str) -> int | float | str:
     return text
 
 
-def _counts(kinds: list[inspect.Type]) -> bool:
-    """Whether a number of these types must be whole."""
-    types = set(map(type, kinds))
-    return inspect.IntType in types and inspect.FloatType not in types
-
-
-def _whole(value: Any) -> Any:
-    return int(value) if isinstance(value, float) and value.is_integer() else value
-
-
 def _annotation(kind: inspect.Type) -> tuple[str, dict[str, Any]]:
     """Meaning and extra of the outermost annotation."""
     if not isinstance(kind, inspect.Metadata):
@@ -299,7 +291,7 @@ def _item(kind: inspect.VarTupleType | inspect.TupleType) -> inspect.Type:
     return kind.item_type if isinstance(kind, inspect.VarTupleType) else kind.item_types[0]
 
 
-def _clean(label: str, kind: inspect.Type, value: Any) -> Any:
+def _clean(label: str, kind: inspect.Type, value: Any, from_file: bool) -> Any:
     kinds = [each for each in _kinds(kind) if not isinstance(each, inspect.NoneType)]
     words = _words(kinds)
     if isinstance(value, str) and value in words:
@@ -312,7 +304,7 @@ def _clean(label: str, kind: inspect.Type, value: Any) -> Any:
                 from_ = kinds[0].ge
                 wanted = "a whole number" + ("" if from_ is None else f" of at least {from_}")
             offer = " or ".join(map(repr, words))
-            raise ParameterError(Parameter(label), f" is {value!r}; give {wanted}, or {offer}.")
+            raise ParameterError(Parameter(label), f" is {value!r:.80}; give {wanted}, or {offer}.")
 
     # Of several types, take the one that is of the value's sort, whatever its limits
     fits = [each for each in kinds if isinstance(value, _SORTS.get(type(each), ()))]
@@ -324,18 +316,18 @@ def _clean(label: str, kind: inspect.Type, value: Any) -> Any:
             limit = None if most is None or most >= _NO_LIMIT else most
             least = -(2**63) if least is None else least
             number = as_integer(label, value, least=least, most=limit)
-            return number if most is None else as_integer(label, number, least=least, most=most)
+            return number if most is None else as_integer(label, value, least=least, most=most)
         case inspect.FloatType(gt=above, ge=least, lt=below, le=most):
             return as_real(label, value, above=above, least=least, below=below, most=most)
         case inspect.BoolType():
             if not isinstance(value, bool | np.bool_):
-                raise ParameterError(Parameter(label), f" is {value!r}; give True or False.")
+                raise ParameterError(Parameter(label), f" is {value!r:.80}; give True or False.")
             return bool(value)
         case inspect.LiteralType(values=allowed):
             return as_choice(label, value, tuple(map(str, allowed)))
         case inspect.StrType(max_length=most):
             if not isinstance(value, str) or not value:
-                raise ParameterError(Parameter(label), f" is {value!r}; give a text.")
+                raise ParameterError(Parameter(label), f" is {value!r:.80}; give a text.")
             if most is not None and len(value) > most:
                 raise ParameterError(
                     Parameter(label), f" has {len(value)} characters; {most} are the most."
@@ -344,7 +336,7 @@ def _clean(label: str, kind: inspect.Type, value: Any) -> Any:
         case inspect.VarTupleType() | inspect.TupleType():
             several = isinstance(value, Sequence) or (isinstance(value, np.ndarray) and value.ndim)
             if not several or isinstance(value, str | bytes):
-                raise ParameterError(Parameter(label), f" is {value!r}; give one flat list.")
+                raise ParameterError(Parameter(label), f" is {value!r:.80}; give one flat list.")
             # The length first: a range may have any
             size = len(value)
             if isinstance(fitting, inspect.TupleType) and size != len(fitting.item_types):
@@ -357,10 +349,13 @@ def _clean(label: str, kind: inspect.Type, value: Any) -> Any:
                     Parameter(label), f" has {size} values; {longest} are the most."
                 )
             if any(np.ndim(each) > 0 for each in value if not isinstance(each, str)):
-                raise ParameterError(Parameter(label), f" is {value!r}; give one flat list.")
+                raise ParameterError(Parameter(label), f" is {value!r:.80}; give one flat list.")
             if not size:
                 raise ParameterError(Parameter(label), " has no values; give one or more.")
-            return tuple(_clean(label, _item(fitting), each) for each in value)
+            return tuple(
+                _clean(f"{label}[{i}]" if from_file else label, _item(fitting), each, from_file)
+                for i, each in enumerate(value)
+            )
     return value
 
 

@@ -474,7 +474,7 @@ def _write_store(
 ) -> None:
     """Write a Zarr v3 store, cell by cell; the root comes last, with the digest of all files.
 
-    The files are the bytes that xarray and zarr write, in a fifth of their time: decisions/0015.
+    The files are the bytes that xarray and zarr write, in a fifth of their time: decisions/0016.
     """
     from xarray.conventions import encode_dataset_coordinates
 
