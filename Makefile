@@ -11,11 +11,13 @@ PIP_INSTALL := $(if $(UV),$(UV) pip install --compile-bytecode --python $(BIN)/p
 
 PYTHONS := 3.11 3.12 3.13 3.14
 
-.PHONY: run test test-slow test-python test-lowest weekly setup check bench docs clean help
+.PHONY: run test test-room test-bare test-slow test-python test-lowest weekly setup check bench docs clean help
 
 help:
 	@echo "make run    set up, then measure, predict and explain the tour (report in out/tour)"
 	@echo "make test   set up, then run the tests"
+	@echo "make test-room ROOM=samplers  run the tests of one package, such as tests/samplers"
+	@echo "make test-bare  install the wheel without extras in a new environment, then use it"
 	@echo "make test-slow  set up, then run the tests that take minutes"
 	@echo "make test-python  install the wheel for each of Python $(PYTHONS), then run the tour and some tests"
 	@echo "make test-lowest  run the tests with the lowest versions that pyproject.toml allows"
@@ -36,7 +38,7 @@ else
 	@$(PYTHON) -m venv $(VENV)
 	@$(PIP_INSTALL) --upgrade pip
 endif
-	@$(PIP_INSTALL) -e '.[render,parquet,vegas,frames,docs,dev]'
+	@$(PIP_INSTALL) -e '.[all,docs,dev]'
 	@$(PIP_INSTALL) -e '.[qmcpy]' >$(VENV)/qmcpy.log 2>&1 || \
 		echo "QMCPy cannot be built, for want of a C compiler or Python's headers; its tests will be skipped."
 	@$(BIN)/python -m compileall -q src
@@ -64,25 +66,41 @@ run: setup
 test: $(BROWSER)
 	$(BIN)/python -m pytest -n auto $(PYTEST_ARGS)
 
+test-room: setup
+	@test -n "$(ROOM)" -a -d "tests/$(ROOM)" || { echo "ROOM is '$(ROOM)'; give a folder of tests, such as make test-room ROOM=samplers." >&2; false; }
+	$(BIN)/python -m pytest -n auto tests/$(ROOM) $(PYTEST_ARGS)
+
 # Minutes: hundreds of kills, and what is marked slow anyway.
 test-slow: $(BROWSER)
 	$(BIN)/python -m pytest -n auto -m "slow or endurance" $(PYTEST_ARGS)
 
+.PHONY: wheel
+wheel: setup
+	@rm -rf build/dist
+	@$(BIN)/python -m hatchling build -t wheel -d build/dist 2>/dev/null
+
+# The wheel with its required packages alone, in a new environment, away from the sources
+test-bare: wheel
+	@rm -rf build/bare
+ifdef UV
+	@$(UV) venv --quiet --python $(BIN)/python build/bare
+	@$(UV) pip install --quiet --python build/bare/bin/python build/dist/*.whl
+else
+	@$(BIN)/python -m venv build/bare
+	@build/bare/bin/python -m pip install --quiet build/dist/*.whl
+endif
+	cd build/bare && bin/python ../../tests/bare.py
+
 # The wheel without extras in a new environment of each Python: the tour from anywhere, then some tests.
 test-python: $(PYTHONS:%=test-python-%)
 
-.PHONY: wheel
-wheel: setup
-	@$(PIP_INSTALL) uv
-	@rm -rf build/dist
-	@$(BIN)/uv build --quiet --wheel --out-dir build/dist
-
 test-python-%: wheel
+	@$(PIP_INSTALL) uv
 	@rm -rf build/python-$*
 	@$(BIN)/uv venv --quiet --python $* build/python-$*
 	@$(BIN)/uv pip install --quiet --python build/python-$* build/dist/*.whl
 	cd build/python-$* && bin/mcspectra run tour
-	@$(BIN)/uv pip install --quiet --python build/python-$* "$$(echo build/dist/*.whl)[parquet,testing]" pytest pytest-xdist pytest-timeout
+	@$(BIN)/uv pip install --quiet --python build/python-$* "$$(echo build/dist/*.whl)[report,store,cluster,frames,testing]" pytest pytest-xdist pytest-timeout
 	build/python-$*/bin/python -m pytest -n auto $(QUICK)
 
 QUICK := tests/test_start.py tests/core tests/estimators tests/integrands tests/quality
@@ -93,9 +111,9 @@ test-lowest: setup
 	@rm -rf build/lowest
 	@$(BIN)/uv venv --quiet --python 3.11 build/lowest
 	@$(BIN)/uv pip install --quiet --python build/lowest --resolution lowest-direct \
-		-e '.[render,qmcpy,parquet,vegas,dev]'
+		-e '.[all,qmcpy,dev]'
 	NUMBA_CACHE_DIR=$(CURDIR)/build/lowest/numba build/lowest/bin/python -m pytest -n auto \
-		-m "not browser and not gpu and not endurance" -W default::DeprecationWarning
+		-m "not browser and not endurance" -W default::DeprecationWarning
 
 # MCSPECTRA_REQUIRE_ALL=1 turns what would skip into failures.
 weekly: test-slow test-python test-lowest

@@ -36,6 +36,7 @@ NAMES = (
     "app",
     "design",
     "learned",
+    "descent",
 )
 
 

@@ -36,7 +36,7 @@ WARPS = ("marginal", "hierarchical", "hilbert", "alias")
 def mis_slowest() -> Plots:
     """The toy of two techniques, and what heuristics do to a technique that jumps at a light's edge."""
     d = mcs.technique_terms(
-        mcs.TechniqueSum(["linear", "step(at=0.3)"], dims=1),
+        mcs.estimators.TechniqueSum(["linear", "step(at=0.3)"], dims=1),
         "jittered", COUNTS, half_width=4, realizations=1000, rng=1,
     )  # fmt: skip
     for t, (rate, theory) in enumerate(zip(d["technique_rate"], (-3, -2), strict=True)):
@@ -93,7 +93,7 @@ def toy_environment() -> tuple[Any, list[Any], Any]:
 
 def channels() -> Plots:
     """Each channel of a toy environment map sampled by luminance and by its own density."""
-    ways = mcs.channel_estimators(*toy_environment())
+    ways = mcs.estimators.channel_estimators(*toy_environment())
     curves: dict[str, dict[str, Curve]] = {color: {} for color in ("red", "green", "blue")}
     names = {"one": "luminance", "own": "own density", "mis": "MIS of the three"}
     for way, name in names.items():
@@ -174,7 +174,7 @@ def warps() -> Plots:
     disks = {f"disk, {w}": f"disk(warp={w!r})" for w in ("polar", "concentric")}
     maps = {}
     for name, spec in (specs | disks).items():
-        maps[name] = mcs.warp_quality(spec, resolution=128)
+        maps[name] = mcs.quality.warp_quality(spec, resolution=128)
         values = ", ".join(
             f"{what.replace('_', ' ')} {float(maps[name][what]):.2f}"
             for what in ("jump_length", "mean_jump", "mean_stretch", "neighbor_expansion")

@@ -1,4 +1,4 @@
-"""Variances with learned densities over those without, beside the map of the package vegas.
+"""Variances with learned densities over those without.
 
 Each density is learned for the sampler and n. The variances are of 200 realisations that it was not
 learned from. ``python -m benchmarks learned``.
@@ -13,7 +13,6 @@ import numpy as np
 from scipy.special import ndtri
 
 import mcspectra as mcs
-from mcspectra.densities import vegas_density
 from mcspectra.variance.learned import LEARNED
 
 REALIZATIONS = 200
@@ -55,16 +54,14 @@ def main():
         f"variance over that of uniform points; 95 %: ± {196 * math.sqrt(4 / REALIZATIONS):.0f} %"
     )
     for name, (dims, f) in INTEGRANDS.items():
-        grid = vegas_density(f, dims=dims, evaluations=2**14 // 10)
         for sampler, n in (("random", 1024), ("sobol | owen", 64), ("sobol | owen", 1024)):
             u = mcs.sampler(sampler, dims=dims).draw(n, realizations=REALIZATIONS, rng=7)
             before = variance(f, None, u)
             found = []
             for kind in LEARNED:
-                p = mcs.learned_density(f, kind, sampler, n, dims=dims)
+                p = mcs.variance.learned_density(f, kind, sampler, n, dims=dims)
                 ratio = variance(f, p, u) / before
                 found.append("uniform" if p.name == "uniform" else f"{ratio:.2g}")
-            found.append(f"{variance(f, grid, u) / before:.2g}")
             print(f"| {name} | `{sampler}` | {n} | {' | '.join(found)} |")
             sys.stdout.flush()
 

@@ -43,7 +43,9 @@ def main() -> None:
         engines: set[str] = set()
 
         def ours(nu: Array = frequencies, n: int = n, engines: set[str] = engines) -> None:
-            found = mcs.power_at("random", n, nu, realizations=REALIZATIONS, rng=1, workers=1)
+            found = mcs.spectra.power_at(
+                "random", n, nu, realizations=REALIZATIONS, rng=1, workers=1
+            )
             engines.add(found.attrs["engine"])
 
         def theirs(nu: Array = frequencies, points: Array = points) -> None:

@@ -14,13 +14,15 @@ def _fraction(x: float) -> float:
     return x - math.floor(x)
 
 
-def _rows() -> list[tuple[str, mcs.Estimator | mcs.TechniqueSum, str, int, float]]:
+def _rows() -> list[tuple[str, mcs.Estimator | mcs.estimators.TechniqueSum, str, int, float]]:
     x1, x2 = mcs.Estimator("linear", dims=1), mcs.Estimator("linear", dims=2)
     a, n = 0.371, 64
     part = _fraction(a * n) * (1 - _fraction(a * n))
     step = mcs.Estimator(f"step(at={a})", dims=1)
     half_step = mcs.Integrand.from_function(lambda x: 0.5 * (x[..., 0] < a), dims=1, integral=a / 2)
-    halves = mcs.TechniqueSum([mcs.integrand("linear(gradient=[0.5])", dims=1), half_step])
+    halves = mcs.estimators.TechniqueSum(
+        [mcs.integrand("linear(gradient=[0.5])", dims=1), half_step]
+    )
     square = mcs.Estimator("polynomial(coefficients=[0, 0, 1])", "linear(slope=2)", dims=1)
     part2 = _fraction(a * 10) * (1 - _fraction(a * 10))
     return [

@@ -11,7 +11,7 @@ import numpy as np
 
 import mcspectra as mcs
 from benchmarks.timing import compare
-from mcspectra.spectra.pair_correlation import count_pairs
+from mcspectra.spectra.pairs import count_pairs
 
 POINTS, BINS = 4096, 200
 DISTANCES = (0.49, 0.1)  # freud wants less than half the side

@@ -13,7 +13,7 @@ def main() -> None:
     estimators = {
         "light": mcs.Estimator(WALL.format("light")),
         "BSDF": mcs.Estimator(WALL.format("bsdf")),
-        "MIS": mcs.TechniqueSum([WALL.format("mis-light"), WALL.format("mis-bsdf")]),
+        "MIS": mcs.estimators.TechniqueSum([WALL.format("mis-light"), WALL.format("mis-bsdf")]),
     }
     for name, estimator in estimators.items():
         for sampler in ("jittered", "sobol | owen"):

@@ -87,12 +87,11 @@ def pytest_runtest_setup(item):
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item, call):
-    """Skip what asks for QMCPy where it could not be built; with MCSPECTRA_REQUIRE_ALL nothing may skip
-    but for want of a GPU."""
+    """Skip what asks for QMCPy where it could not be built; with MCSPECTRA_REQUIRE_ALL nothing may skip."""
     report = yield
     if report.failed and "mcspectra[qmcpy]" in report.longreprtext and not find_spec("qmcpy"):
         report.outcome, report.longrepr = "skipped", (*item.location[:2], NO_QMCPY)
-    if report.skipped and os.environ.get("MCSPECTRA_REQUIRE_ALL") and "gpu" not in item.keywords:
+    if report.skipped and os.environ.get("MCSPECTRA_REQUIRE_ALL"):
         report.outcome = "failed"
         report.longrepr = f"{item.nodeid}: {report.longrepr[2]}, and MCSPECTRA_REQUIRE_ALL is set"
     return report
@@ -115,10 +114,6 @@ def pytest_terminal_summary(terminalreporter):
     """Say loudly, below all else, what was not tested."""
     yield
     reports = terminalreporter.stats.get("skipped", [])
-    reasons = Counter(
-        report.longrepr[2].removeprefix("Skipped: ")
-        for report in reports
-        if "gpu" not in getattr(report, "keywords", ())
-    )
+    reasons = Counter(report.longrepr[2].removeprefix("Skipped: ") for report in reports)
     for reason, count in reasons.items():
         terminalreporter.write_line(f"{count} NOT TESTED: {reason}", red=True, bold=True)

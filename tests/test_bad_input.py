@@ -2,17 +2,17 @@
 
 import pytest
 
-from tests.bad_input import HEAD, PAGE, ROWS, answer, line
+from tests.bad_input import HEAD, ROWS, TABLE, answer, line
 from tests.processes import python
 
-LINES = PAGE.read_text(encoding="utf-8").splitlines()
+LINES = TABLE.read_text(encoding="utf-8").splitlines()
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: f"{row.door}: {row.given[-60:]!r}")
 def test_bad_input_is_answered_with_a_sentence(row, tmp_path):
     code, text = answer(row, tmp_path)
     assert row.words in text, text
-    assert line(row, code, text) in LINES, "the page is current"
+    assert line(row, code, text) in LINES, "the table is current"
     assert "Traceback" not in text
     assert "Unexpected" not in text
     if row.door != "python":
@@ -24,7 +24,7 @@ def test_bad_input_is_answered_with_a_sentence(row, tmp_path):
         assert len(text) < 400
 
 
-def test_the_page_has_a_line_for_each_row():
+def test_the_table_has_a_line_for_each_row():
     assert LINES[: len(HEAD)] == HEAD
     assert len(LINES) == len(HEAD) + len(ROWS) > 30
 

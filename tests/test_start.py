@@ -25,3 +25,16 @@ def test_every_public_name_loads():
 
     for name in mcs.__all__:
         assert getattr(mcs, name) is not None
+
+
+@pytest.mark.parametrize("package", ["spectra", "variance"])
+def test_no_module_hides_a_function_of_its_package(package):
+    # A module named like a function would replace it as soon as it is imported
+    code = f"""
+import inspect, pkgutil, mcspectra as mcs
+room = mcs.{package}
+modules = {{each.name for each in pkgutil.iter_modules(room.__path__)}}
+print(sorted(modules & set(room.__all__)))
+assert all(callable(getattr(room, name)) for name in room.__all__)
+"""
+    assert python("-c", code, check=True).stdout.strip() == "[]"

@@ -1,4 +1,4 @@
-"""The wheel, without extras and away from the sources: what it holds, and that a built-in study runs."""
+"""The wheel, away from the sources and without a renderer: what it holds, and that a built-in study runs."""
 
 import os
 import subprocess
@@ -10,7 +10,7 @@ import pytest
 
 from tests.processes import python
 
-EXTRAS = ("mitsuba", "drjit", "qmcpy", "pyarrow", "vegas", "hypothesis")
+EXTRAS = ("mitsuba", "drjit", "qmcpy", "hypothesis")
 BLOCK = f"""import sys
 sys.modules.update(dict.fromkeys({EXTRAS}))
 """

@@ -4,6 +4,7 @@ import inspect
 import signal
 import threading
 import warnings
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from mcspectra import densities, integrands, quality, rendering, report, studies
 from mcspectra.core import analysis
 from mcspectra.core.errors import McspectraError
 from mcspectra.studies import files, results
-from mcspectra.variance.convergence import Convergence
+from mcspectra.variance.measured import Convergence
 
 WRONG = [
     None,
@@ -55,13 +56,18 @@ RIGHT = {
     "spec": None,
     "subset": (0,),
 }
+ESTIMATORS = ("ChannelSampling", "OneSampleMIS", "TechniqueSum", "channel_estimators")
 ALWAYS = {"realizations", "half_width"}  # also where there is a default, which may take long
 SECONDS = 20  # of the processor, for a call; where kernels are compiled first, too
 
 
 def _functions():
-    for name in sorted(mcs.__all__):
-        found = getattr(mcs, name)
+    names = [*mcs.__all__, *(f"estimators.{name}" for name in ESTIMATORS), "quality.warp_quality"]
+    for package in ("spectra", "variance"):
+        own = getattr(mcs, package).__all__
+        names += [f"{package}.{name}" for name in own if name not in mcs.__all__]
+    for name in sorted(names):
+        found = attrgetter(name)(mcs)
         error = isinstance(found, type) and issubclass(found, Exception)
         if callable(found) and not error and not name.startswith("_"):
             yield name
@@ -136,7 +142,7 @@ DOORS = (
     (integrands.integral_accuracy, {"integrand": "linear"}),
     (integrands.Channel, {"integrand": "linear", "channel": 0}),
     (quality.summarize, {"figures": None}),
-    (rendering.render_file, {"file": "no.xml", "definitions": {}, "out": None}),
+    (rendering.render_file, {"scene": "no.xml", "definitions": {}, "out": None}),
     (report.explain, {"row": studies.SummaryRow(estimator="a", sampler="b"), "terms": None}),
     (report.summary_table, {"rows": [], "analyses": None, "links": None}),
     (report.terms_table, {"rows": []}),
@@ -164,7 +170,7 @@ def test_documented_functions_refuse_wrong_types_too(function, right):
 
 def test_a_study_is_asked_for_before_its_folder_is_made():
     config = studies.decode_study(
-        'title = "t"\nseed = 1\nsamplers = ["random"]\nexact = {counts = [4]}\n'
+        'title = "t"\nseed = 1\nsamplers = ["random"]\npredict = {counts = [4]}\n'
         '[[estimators]]\nname = "a"\nintegrand = "gaussian"\n'
     )
     for wrong in (None, 3, "\0", "\ud800"):
@@ -179,7 +185,7 @@ def test_a_study_is_asked_for_before_its_folder_is_made():
 )
 @pytest.mark.parametrize("name", list(_functions()))
 def test_wrong_types_are_refused_with_a_sentence(name):
-    function = getattr(mcs, name)
+    function = attrgetter(name)(mcs)
     parameters = _parameters(function)
     right = {
         p.name: RIGHT.get(p.name, 1) for p in parameters if p.default is p.empty or p.name in ALWAYS

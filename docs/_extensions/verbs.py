@@ -9,8 +9,7 @@ from docutils import nodes
 from docutils.parsers.rst import Directive
 from sphinx.application import Sphinx
 
-from mcspectra.cli.main import _VERBS as VERBS
-from mcspectra.cli.main import main
+from mcspectra.cli.main import VERBS, main
 
 __all__ = ["VERBS", "help_of", "setup"]
 
@@ -29,8 +28,9 @@ def help_of(*arguments: str) -> str:
 
 class _Verbs(Directive):
     def run(self) -> list[nodes.Node]:
-        """Return a section for each verb, in the order of ``mcspectra --help``."""
-        return [self._section(verb) for verb in VERBS]
+        """Return ``mcspectra --help``, then a section for each verb in its order."""
+        overview = nodes.literal_block("", help_of(), language="text")
+        return [overview, *map(self._section, VERBS)]
 
     def _section(self, verb: str) -> nodes.section:
         section = nodes.section(ids=[f"mcspectra-{verb}"], names=[f"mcspectra {verb}"])

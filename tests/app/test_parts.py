@@ -21,7 +21,7 @@ COLORS = "environment(values=[[[1, 2, 3], [0, 5, 1]]])"
 
 def test_a_sum_of_techniques_is_an_estimator_in_primary_space():
     parts = make_parts(replace(SMALL, integrand=SUM))
-    assert isinstance(parts.estimator, mcs.TechniqueSum)
+    assert isinstance(parts.estimator, mcs.estimators.TechniqueSum)
     assert parts.space == "primary"
     apart = [mcs.integrand(name, dims=2).integral for name in ("gaussian", "disk")]
     assert parts.estimator.integral == pytest.approx(sum(apart), rel=1e-12)

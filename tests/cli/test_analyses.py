@@ -1,6 +1,7 @@
-"""The verbs exact, anova and modes, and the views of spectrum, against the functions behind them."""
+"""The verbs predict and variance with its splits, and the views of spectrum, against their functions."""
 
 import io
+import re
 
 import numpy as np
 import pytest
@@ -11,25 +12,44 @@ from mcspectra.core.analysis import ANALYSES
 
 def test_exact_variance_of_a_line(run, run_json):
     """Jittered and linear: 1/(12 n³), so that the local rate is −3."""
-    arguments = ("exact", "linear", "-d", 1, "--sampler", "jittered", "-n", "4, 8")
+    arguments = (
+        "predict",
+        "linear",
+        "-d",
+        1,
+        "--sampler",
+        "jittered",
+        "--counts",
+        "4, 8",
+        "--method",
+        "exact",
+    )
     data = run_json(*arguments)
     assert data["n"] == [4, 8]
-    assert data["exact_variance"] == pytest.approx([1 / (12 * 4**3), 1 / (12 * 8**3)])
+    assert data["predicted_variance"] == pytest.approx([1 / (12 * 4**3), 1 / (12 * 8**3)])
     code, out, _ = run(*arguments)
     assert code == 0
-    rows = [line.split() for line in out.splitlines()[3:]]
-    assert [row[-1] for row in rows] == ["–", "-3.0000"]
-    assert run(*arguments, "--quiet")[1] == ""
+    rows = [line.split() for line in out.splitlines()[3:5]]
+    assert [row[1:3] for row in rows] == [["0.00130208333", "-3.00"], ["0.000162760417", "-3.00"]]
+    assert rows[0][-2:] == ["exact", "(quadrature)"]
 
 
 def test_exact_variance_of_zero_has_no_rate(run):
-    code, out, _ = run("exact", "linear", "-d", 1, "--sampler", "regular", "-n", "4,8,16")
+    given = ("--sampler", "regular", "--counts", "4,8,16", "--method", "exact")
+    code, out, _ = run("predict", "linear", "-d", 1, *given)
     assert code == 0
-    assert [line.split()[1:] for line in out.splitlines()[3:]] == [["0", "–"]] * 3
+    assert [line.split()[1:3] for line in out.splitlines()[3:]] == [["0", "–"]] * 3
+
+
+def test_quiet_keeps_the_result(run):
+    arguments = ("variance", "linear", "-d", 1, "--sampler", "jittered", "-n", 4, "-m", 20)
+    loud, quiet = run(*arguments), run(*arguments, "--quiet")
+    assert loud[1] == quiet[1] != ""
+    assert quiet[2] == ""
 
 
 def test_anova_is_that_of_the_function(run, run_json):
-    arguments = ("anova", "gaussian", "-d", 3, "-m", 300, "--seed", 2)
+    arguments = ("variance", "gaussian", "--split", "axes", "-d", 3, "-m", 300, "--seed", 2)
     data = run_json(*arguments)
     estimator = mcs.Estimator("gaussian", dims=3)
     expected = mcs.anova_variances(estimator, realizations=300, rng=2)
@@ -51,8 +71,8 @@ def test_anova_is_that_of_the_function(run, run_json):
 
 def test_anova_of_points_and_order(run_json):
     data = run_json(
-        *("anova", "linear", "-d", 2, "--sampler", "latin-hypercube", "-n", 8, "-m", 100),
-        *("--order", 1, "--density", "uniform"),
+        *("variance", "linear", "-d", 2, "--sampler", "latin-hypercube", "-n", 8, "-m", 100),
+        *("--split=axes", "--order", 1, "--density", "uniform"),
     )
     assert data["subset"] == ["x0", "x1"]
     assert (data["n"], data["order"]) == (8, 1)
@@ -61,8 +81,19 @@ def test_anova_of_points_and_order(run_json):
 
 def test_modes_are_those_of_the_function(run, run_json, tmp_path):
     file = tmp_path / "modes.npz"
-    arguments = ("modes", "gaussian", "-d", 2, "--sampler", "jittered", "-n", 16, "-m", 60)
-    options = ("--half-width", 4, "--modes", 3, "--bands", "anova", "--band", "x0")
+    arguments = ("variance", "gaussian", "-d", 2, "--sampler", "jittered", "-n", 16, "-m", 60)
+    options = (
+        "--split",
+        "modes",
+        "--half-width",
+        4,
+        "--modes",
+        3,
+        "--bands",
+        "anova",
+        "--band",
+        "x0",
+    )
     data = run_json(*arguments, *options, "-o", file)
     expected = mcs.covariance_modes(
         *(mcs.Estimator("gaussian", dims=2), "jittered", 16),
@@ -83,8 +114,18 @@ def test_modes_are_those_of_the_function(run, run_json, tmp_path):
 
 
 def test_modes_of_the_points_alone(run_json):
-    arguments = ("modes", "gaussian", "-d", 1, "--sampler", "random", "-n", 4, "-m", 50)
-    options = ("--half-width", 2, "--modes", 1, "--points-only", "--basis", "cosine")
+    arguments = ("variance", "gaussian", "-d", 1, "--sampler", "random", "-n", 4, "-m", 50)
+    options = (
+        "--split",
+        "modes",
+        "--half-width",
+        2,
+        "--modes",
+        1,
+        "--points-only",
+        "--basis",
+        "cosine",
+    )
     data = run_json(*arguments, *options)
     expected = mcs.covariance_modes(
         *(mcs.Estimator("gaussian", dims=1), "random", 4),
@@ -99,12 +140,12 @@ def test_modes_of_the_points_alone(run_json):
 
 
 def test_modes_without_variance_say_so(run):
-    arguments = ("modes", "constant", "-d", 1, "--sampler", "jittered", "-n", 4, "-m", 20)
-    code, out, _ = run(*arguments, "--half-width", 2, "--modes", 2)
+    arguments = ("variance", "constant", "-d", 1, "--sampler", "jittered", "-n", 4, "-m", 20)
+    code, out, _ = run(*arguments, "--split", "modes", "--half-width", 2, "--modes", 2)
     assert code == 0
     assert out.splitlines()[-1] == "no mode: the coefficients do not vary"
-    arguments = ("modes", "linear", "-d", 1, "--sampler", "regular | shift", "-n", 4, "-m", 50)
-    _, out, _ = run(*arguments, "--half-width", 4, "--modes", 4)
+    arguments = ("variance", "linear", "-d", 1, "--sampler", "regular | shift", "-n", 4, "-m", 50)
+    _, out, _ = run(*arguments, "--split", "modes", "--half-width", 4, "--modes", 4)
     assert "2 more of rounding size" in out  # S_4 has a phase: two modes
     assert "nan" not in out
 
@@ -120,10 +161,10 @@ def spectrum():
 @pytest.mark.parametrize(
     ("view", "function", "names"),
     [
-        ("radial", mcs.radial_statistics, ["radial_power", "anisotropy_db"]),
-        ("slices", mcs.slices, ["slice_power", "slice_radius"]),
-        ("wedges", mcs.wedge_means, ["angle", "wedge_power", "wedge_power_se"]),
-        ("exponent", mcs.low_frequency_exponent, ["low_frequency_exponent_ci"]),
+        ("radial", mcs.spectra.radial_statistics, ["radial_power", "anisotropy_db"]),
+        ("slices", mcs.spectra.slices, ["slice_power", "slice_radius"]),
+        ("wedges", mcs.spectra.wedge_means, ["angle", "wedge_power", "wedge_power_se"]),
+        ("exponent", mcs.spectra.low_frequency_exponent, ["low_frequency_exponent_ci"]),
     ],
 )
 def test_views_of_a_spectrum(run, run_json, spectrum, view, function, names):
@@ -160,15 +201,15 @@ def test_no_exponent_has_its_reason(run, run_json):
 
 
 def test_exact_says_infinite(run):
-    given = ("exact", "cosine", "-d", 1, "--density", "power", "--sampler", "random", "-n", "4,8")
-    code, out, _ = run(*given)
+    given = ("cosine", "-d", 1, "--density", "power", "--sampler", "random", "--counts", "4,8")
+    code, out, _ = run("predict", *given, "--method", "exact")
     assert code == 0
-    assert [line.split()[1:] for line in out.splitlines()[3:]] == [["infinite", "–"]] * 2
+    assert [line.split()[1] for line in out.splitlines()[3:]] == ["infinite"] * 2
 
 
 def test_a_warning_is_shown_once(run):
-    given = ("exact", "linear", "-d", 1, "--sampler", "sobol | digital-shift", "-n", "16,60")
-    code, _, err = run(*given)
+    given = ("converge", "linear", "-d", 1, "--sampler", "sobol | digital-shift", "-n", "16,60")
+    code, _, err = run(*given, "-m", 20)
     assert code == 0
     assert err.count("60 Sobol' points are not balanced") == 1
 
@@ -193,19 +234,22 @@ def test_asking_for_more_sets_than_given(run, monkeypatch):
     assert "holds 1 realisation, but" in err
 
 
+AXES = ("variance", "--split", "axes")
+
+
 def test_effective_dimensions_beyond_the_order(run):
     """Π(1 + 3(x − ½))-like in 3 dims: subsets of three axes have more than 1 %."""
-    code, out, _ = run("anova", "polynomial(coefficients=[0, 1])", "-d", 3, "-m", 20_000)
+    code, out, _ = run(*AXES, "polynomial(coefficients=[0, 1])", "-d", 3, "-m", "2e4")
     assert code == 0
     assert "effective dimension superposition: more than 2" in out
-    code, out, _ = run("anova", "constant", "-d", 2, "-m", 10)
+    code, out, _ = run(*AXES, "constant", "-d", 2, "-m", 10)
     assert code == 0
     assert out.count("undefined") == 4 + 3
     assert "nan" not in out
 
 
 def test_shares_of_rounding_are_0(run):
-    _, out, _ = run("anova", "linear", "-d", 3, "-m", 200)
+    _, out, _ = run(*AXES, "linear", "-d", 3, "-m", 200)
     shares = {line.split()[0]: line.split()[3] for line in out.splitlines()[3:9]}
     assert shares["x1"] == shares["x2"] == shares["x1x2"] == "0"
     assert shares["x0"] == "1"
@@ -215,6 +259,7 @@ SEVERAL = {
     "converge": ("--counts", "4,16", "-m", 20),
     "predict": ("--counts", "4,16"),
     "plan": ("--target-error", 0.1),
+    "variance": ("-n", 16, "--half-width", 4, "-m", 20),
 }
 
 
@@ -242,7 +287,7 @@ def test_several_samplers_wherever_the_analysis_takes_them(run, run_json):
         twice = run(verb, "linear", "-d", 1, *two, *two[:2], *options)
         assert twice[0] == 2
         assert "The sampler jittered is listed twice; list each once." in twice[2]
-    code, _, err = run("exact", "linear", "-d", 1, *two, "-n", 4)
+    code, _, err = run("variance", "linear", "-d", 1, *two, "-n", 4)
     assert code == 2
     assert "--sampler is given twice; give it once" in err
 
@@ -252,7 +297,24 @@ def test_several_predictions_are_those_of_each(run_json):
     data = run_json("predict", "gaussian", *two, "--counts", "16,64")
     expected = mcs.predict("gaussian", ["jittered", "random"], [16, 64])
     assert data["predicted_variance"] == expected["predicted_variance"].values.tolist()
-    assert data["route"] == expected["route"].values.tolist()
+    assert data["method"] == expected["method"].values.tolist()
+
+
+def test_all_methods_are_rows_and_those_without_a_value_say_why(run, run_json):
+    given = ("predict", "gaussian", "--sampler", "sobol | owen", "--counts", "16,64")
+    options = ("--method", "all", "-m", 50, "--half-width", 4)
+    code, out, _ = run(*given, *options)
+    assert code == 0
+    rows, reasons = out.split("no value by\n")
+    for n in (16, 64):
+        assert re.search(rf"^{n} .* exact \(quadrature\)$", rows, re.MULTILINE)
+        assert re.search(rf"^{n} .* measured \(50 realizations\)$", rows, re.MULTILINE)
+    assert reasons.count("  torus: sobol | owen is not known to be the same") == 1
+    data = run_json(*given, *options)
+    assert "measured" in data["method"]
+    code, _, err = run("predict", "gaussian", *given[2:], "--method", "torus")
+    assert code == 2
+    assert "The method torus does not apply to gaussian with sobol | owen" in err
 
 
 def test_a_plan_without_an_answer_says_why(run):
@@ -281,3 +343,120 @@ def test_variance_prints_what_is_beyond_its_half_width(run, run_json):
     _, out, _ = run("variance", "gaussian", "--sampler", "sobol", "-n", 16, "-m", 20)
     assert "e-3" not in out
     assert "sobol has no variance: add owen or shift, or look at |bias|" in out
+
+
+def test_variance_has_a_table_for_each_sampler(run, run_json):
+    rest = ("-n", 16, "--half-width", 4, "-m", 50)
+    samplers = ("random", "sobol | owen")
+    both = ("variance", "gaussian", *(part for s in samplers for part in ("--sampler", s)), *rest)
+    data = run_json(*both)
+    assert data["sampler"] == list(samplers)
+    _, out, _ = run(*both)
+    title, about, *tables = out.split("\n\n")[0].splitlines() + out.split("\n\n")[1:]
+    assert title == "gaussian,  n = 16"
+    assert "50 realisations; domain space" in about
+    for k, sampler in enumerate(samplers):
+        alone = run_json("variance", "gaussian", "--sampler", sampler, *rest)
+        assert data["cross_term"][k] == alone["cross_term"]
+        assert data["band_covariance"][k] == alone["band_covariance"]
+        _, text, _ = run("variance", "gaussian", "--sampler", sampler, *rest)
+        assert tables[k].splitlines() == [sampler, *text.splitlines()[2:]]
+
+
+OF_SPLITS = {
+    "terms": ("--cross-matrix", "--bands"),
+    "techniques": ("--counts", "--fit-last"),
+    "axes": ("--order", "--groups"),
+    "modes": ("--modes", "--points-only", "--bands"),
+}
+
+
+@pytest.mark.parametrize("split", OF_SPLITS)
+def test_a_split_has_its_options_and_refuses_those_of_others(run, split):
+    subject = ("linear", "-d", 1, "--sampler", "random", "-n", 4, "--split", split)
+    own = set(OF_SPLITS[split])
+    flags = ("--cross-matrix", "--points-only")
+    for owner, options in OF_SPLITS.items():
+        for option in set(options) - own:
+            code, out, err = run("variance", *subject, option, *([] if option in flags else ["1"]))
+            assert (code, out) == (2, "")
+            assert re.search(rf"{option} is for --split .*{owner}", err), err
+            assert err.count("\n") == 1
+
+
+def test_help_groups_options_by_the_splits_that_have_them(run):
+    code, out, _ = run("variance", "--help")
+    assert code == 0
+    common, *groups = re.split(r"^with --split (.*):$", out, flags=re.MULTILINE)
+    found = dict(zip(groups[::2], groups[1::2], strict=True))
+    assert list(found) == [
+        "terms, techniques or modes", "terms or modes", "terms", "techniques", "axes", "modes",
+    ]  # fmt: skip
+    assert "--half-width" in found["terms, techniques or modes"]
+    assert "--order" in found["axes"]
+    assert "--realizations" in common
+    assert "10000 with --split axes" in " ".join(common.split())
+    _, out, _ = run("variance", "--split", "axes", "--help")
+    assert out.index("--order") < out.index("with --split terms:")
+    code, _, err = run("variance", "linear", "--split", "term")
+    assert (code, "--split is 'term'; it must be one of terms, techniques, axes" in err) == (
+        2,
+        True,
+    )
+
+
+@pytest.mark.parametrize("counts", [("-n", 4), ("--counts", "4,8"), ("-n", "4,8e0")])
+def test_techniques_take_one_count_or_several(run_json, counts):
+    given = ("--density", "uniform", "--density", "tent", "--sampler", "random", "-m", 20)
+    found = run_json("variance", "linear", "-d", 1, "--split", "techniques", *given, *counts)
+    expected = mcs.technique_terms(
+        mcs.MultipleImportance("linear", ["uniform", "tent"], dims=1),
+        "random",
+        [4, 8] if "," in str(counts[1]) else 4,
+        realizations=20,
+    )
+    np.testing.assert_array_equal(found["technique_variance"], expected["technique_variance"])
+
+
+def test_all_files_come_from_one_run_and_are_checked_first(run, tmp_path, monkeypatch):
+    from mcspectra.cli import analysis
+
+    calls = []
+    compute = analysis.compute
+    monkeypatch.setattr(analysis, "compute", lambda *a: calls.append(a) or compute(*a))
+    files = [tmp_path / f"v.{end}" for end in ("npz", "csv", "html")]
+    arguments = ("variance", "linear", "-d", 1, "--sampler", "random", "-n", 4, "-m", 20)
+    code, _, err = run(*arguments, *(part for file in files for part in ("-o", file)))
+    assert (code, err, len(calls)) == (0, "", 1)
+    value = float(np.load(files[0])["measured_variance"])
+    assert f"{value:.6g}"[:5] in files[1].read_text()
+    assert all(file.stat().st_size > 100 for file in files)
+    for bad in ("v.gif", "no/v.csv"):
+        code, _, err = run(*arguments, "-o", tmp_path / "w.csv", "-o", tmp_path / bad)
+        assert (code, len(calls)) == (2, 1)
+        assert bad in err
+        assert not (tmp_path / "w.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"), [("1.5e0", "-n is 1.5; give a whole"), ("1e999", "-n is '1e999'")]
+)
+def test_counts_are_whole_numbers_in_any_notation(run, run_json, text, words):
+    arguments = ("variance", "linear", "-d", 1, "--sampler", "random")
+    assert run_json(*arguments, "-n", "1.6e1", "-m", "2e1")["n"] == 16
+    code, _, err = run(*arguments, "-n", text)
+    assert code == 2
+    assert words in err
+
+
+def test_errors_name_options_and_verbs_as_they_are_typed(run):
+    subject = ("gaussian", "--sampler", "random", "-n", 64)
+    _, _, err = run("variance", *subject, "--max-evaluations", 100)
+    assert err.startswith("mcspectra: 'mcspectra variance' takes at least 64000 evaluations")
+    assert "--max-evaluations is 100" in err
+    _, _, err = run("variance", *subject, "--split", "axes", "--max-evaluations", 100)
+    assert err.startswith("mcspectra: 'mcspectra variance --split axes' takes at least")
+    with pytest.raises(
+        mcs.core.errors.BudgetError, match=r"^variance_terms takes .*max_evaluations is"
+    ):
+        mcs.variance_terms("gaussian", "random", 64, max_evaluations=100)

@@ -1,16 +1,16 @@
 """Each verb as a user types it: text, JSON, seeds, pipes, exit codes."""
 
 import io
+import re
 import subprocess
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from tests.processes import python
 
 import mcspectra as mcs
-from mcspectra.report import sampler_gallery
+from mcspectra.cli.main import _NOW, GROUPS, VERBS
 
 
 @pytest.mark.parametrize(
@@ -94,8 +94,7 @@ def test_doctor_and_cite(run_json):
     found = run_json("doctor")
     assert found["works"] is True
     assert "largest difference" in found["transforms"]
-    assert "cufinufft" in found["gpu"] or "engine='gpu'" in found["gpu"]
-    assert set(found["optional packages"]) == {"qmcpy", "pyarrow", "vegas"}
+    assert "bokeh" in found["extras"]["report"]
     entries = run_json("cite")
     assert any("10.1111/cgf.13613" in entry["bibtex"] for entry in entries)
 
@@ -209,7 +208,9 @@ def test_converge_prints_an_infinite_upper_end(run, run_json):
 
 def test_techniques_print_no_rate_that_is_no_finding(run):
     given = ("-d", 1, "--density", "uniform", "--density", "tent", "--sampler", "random")
-    _, out, _ = run("techniques", "gaussian", *given, "--counts", "4,8", "-m", 20)
+    _, out, _ = run(
+        "variance", "--split", "techniques", "gaussian", *given, "--counts", "4,8", "-m", 20
+    )
     rows = [line.split() for line in out.splitlines() if line[:2] in ("0 ", "1 ")]
     assert [row[1] for row in rows] == ["unresolved"] * 2
 
@@ -252,13 +253,48 @@ def test_converge_says_which_counts_missed_the_precision(run, run_json):
     assert "reached" not in run(*arguments)[1]
 
 
-def test_gallery(run, run_json, tmp_path, monkeypatch):
-    little = replace(sampler_gallery.QUICK, n=16, spectra=6, rates=40, counts=(4, 16))
-    monkeypatch.setattr(sampler_gallery, "QUICK", little)
-    arguments = ("gallery", "random", "--quick", "--out", tmp_path / "g")
-    assert run_json(*arguments)["gallery"] == str(tmp_path / "g" / "index.html")
-    assert run("gallery", "nothing", "--out", tmp_path / "h")[0] == 2
-    assert not (tmp_path / "h").exists()
+def test_help_fits_a_screen_and_has_every_verb(run):
+    code, out, err = run("--help")
+    assert (code, err) == (0, "")
+    lines = out.splitlines()
+    assert len(lines) < 40
+    assert max(map(len, lines)) <= 80
+    assert [line for line in lines if line in GROUPS] == list(GROUPS)
+    for verb, text in VERBS.items():
+        assert [line.split(maxsplit=1) for line in lines].count([verb, text]) == 1
+    assert run()[:2] == (0, out)
+
+
+@pytest.mark.parametrize("old", sorted(_NOW))
+def test_an_old_verb_names_the_new_one(run, old):
+    assert old not in VERBS
+    assert _NOW[old].split()[0] in VERBS
+    for more in ((), ("--help",), ("gaussian", "-n", 4)):
+        code, out, err = run(old, *more)
+        assert (code, out) == (2, "")
+        assert err == f"mcspectra: The verb '{old}' is now 'mcspectra {_NOW[old]}'.\n"
+
+
+def test_one_option_has_one_name_in_all_verbs(run, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "300")
+    short = {"-n": set(), "-m": {"--realizations"}, "-d": {"--dims"}, "-o": {"--out"}}
+    short |= {"-h": {"--help"}, "-D": {"--define"}}
+    for verb in VERBS:
+        _, out, _ = run(verb, "--help")
+        found = dict(re.findall(r"^  (-\w)(?: \S+?)?(?:, (--[\w-]+)|\s)", out, re.MULTILINE))
+        assert set(found) <= set(short), verb
+        for flag, long in found.items():
+            assert long in (short[flag] or {"", "--counts"}), (verb, flag, long)
+        assert not re.search(r"--(samplers|evaluations|to|mode)\b", out), verb
+        assert all(flag in out for flag in ("--json", "--seed", "--quiet")), verb
+
+
+def test_an_option_before_the_verb_is_a_sentence(run):
+    code, out, err = run("--json", "doctor")
+    assert (code, out) == (2, "")
+    assert (
+        err == "mcspectra: There is no option '--json' before the verb; see 'mcspectra --help'.\n"
+    )
 
 
 @pytest.mark.parametrize(

@@ -43,5 +43,4 @@ def test_remedies_as_table_and_as_json(run, run_json):
     lines = out.splitlines()
     assert [line.split("  ")[0] for line in lines[3 : 3 + len(names)]] == names
     assert found["recommendation"].split()[-1] in out
-    code, out, _ = run(*given, "--quiet")
-    assert (code, out) == (0, "")
+    assert run(*given, "--quiet") == (0, out, "")

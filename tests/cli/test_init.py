@@ -1,4 +1,4 @@
-"""The verbs init and schema, and what run does with --set, --dry-run and its allowances."""
+"""The verb init, and what run does with --set, --dry-run and its allowances."""
 
 import json
 import re
@@ -60,12 +60,29 @@ def test_init_where_no_file_can_be(run, tmp_path, name, words):
 def test_init_says_what_it_wrote(run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert json.loads(run("init", "--json")[1]) == {"file": "study.toml"}
-    assert run("init", "b.toml", "--quiet")[1] == ""
+    assert run("init", "b.toml", "--quiet") == (
+        0,
+        "b.toml: run it with 'mcspectra run b.toml'.\n",
+        "",
+    )
 
 
-def test_schema_prints_the_schema(run):
-    assert json.loads(run("schema")[1]) == study_schema()
-    assert "| `counts` |" in run("schema", "--markdown")[1]
+def test_schema_prints_the_schema(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert json.loads(run("init", "--schema")[1]) == study_schema()
+    assert "| `counts` |" in run("init", "--schema", "--markdown")[1]
+    assert list(tmp_path.iterdir()) == []
+    assert "--markdown is for --schema; give that too." in run("init", "--markdown")[2]
+    assert "--schema writes no file; leave s.toml out." in run("init", "s.toml", "--schema")[2]
+
+
+def test_whole_numbers_of_a_study_may_be_floats(run, file, tmp_path):
+    """1e3 is a float in TOML; it was refused where an integer was asked."""
+    few = ("--dry-run", "--json", "--set", "convergence.counts=[1.6e1, 6.4e1]", "--set", "seed=1e0")
+    assert run("run", file, *few)[0] == 0
+    code, _, err = run("run", file, "--dry-run", "--set", "convergence.realizations=1.5e0")
+    assert code == 2
+    assert "convergence.realizations: expected a whole number, got 1.5." in err
 
 
 def test_dry_run_writes_nothing(run, file, tmp_path):

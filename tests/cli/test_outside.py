@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from mcspectra.cli.analysis import analysis_verb
-from mcspectra.cli.main import _ANALYSES, _VERBS, main
+from mcspectra.cli.main import _ANALYSES, VERBS, main
 from mcspectra.core.analysis import _TAKEN, _TAKEN_BY_SUBJECTS, ANALYSES
 
 MODULE = '''
@@ -198,7 +198,7 @@ def test_a_verb_of_the_package_itself_is_refused(run, tmp_path):
     assert f"left out: gap-widths: {sentence}" in out
     code, _, err = run("gap-widths")
     assert (code, sentence in err) == (2, True)
-    assert "run a study file" in run("--help")[1]
+    assert "all that a study file asks for" in run("--help")[1]
     assert run("run", "--help")[0] == 0
 
 
@@ -221,9 +221,9 @@ def test_an_option_with_a_name_of_its_verb_is_refused(run, tmp_path, option, abo
 
 
 def test_what_verbs_declare_is_taken():
-    for name in ("terms", "convergence", "spectrum", "pcf", "modes"):
+    for name in ("convergence", "spectrum", "pcf", "remedies"):
         analysis, parser = ANALYSES.load(name), argparse.ArgumentParser()
-        for declare in analysis_verb(name).options:
+        for declare in analysis_verb([name]).options:
             declare(parser)
         declared = {action.dest for action in parser._actions}
         declared -= set(analysis.__struct_fields__)
@@ -232,6 +232,34 @@ def test_what_verbs_declare_is_taken():
 
 def test_our_table_of_verbs_is_that_of_the_analyses():
     own = {name for name, target in ANALYSES.items() if target.startswith("mcspectra.")}
-    verbs = {ANALYSES.load(name).verb: name for name in own}
-    assert {verb: name for verb, name in verbs.items() if verb not in ("", "map")} == _ANALYSES
-    assert set(verbs) - {""} <= set(_VERBS)
+    verbs: dict[str, set[str]] = {}
+    for name in own:
+        verbs.setdefault(ANALYSES.load(name).verb, set()).add(name)
+    verbs.pop("")
+    assert verbs == {verb: set(names) for verb, names in _ANALYSES.items()}
+    assert set(verbs) <= set(VERBS)
+    for names in _ANALYSES.values():
+        splits = [ANALYSES.load(name).split for name in names]
+        assert len(set(splits)) == len(names)
+        assert all(splits) == (len(names) > 1)
+
+
+def test_an_analysis_of_another_package_is_a_split_of_ours(run, tmp_path):
+    module = tmp_path / "their_gaps.py"
+    ours = MODULE.replace('verb = "gaps"', 'verb = "variance"\n    split = "gaps"')
+    module.write_text(ours.replace('    about = "sampler"\n', ""), encoding="utf-8")
+    code, out, _ = run("variance", "--help")
+    assert code == 0
+    assert "gaps: gaps between neighbours of one-dimensional sets" in " ".join(out.split())
+    assert "with --split gaps:" in out
+    subject = ("variance", "linear", "-d", 1, "--sampler", "random", "-n", 4)
+    code, out, err = run(*subject, "--split", "gaps", "--ends", "wrap")
+    assert (code, err) == (0, "")
+    assert "largest gap" in out
+    assert "--ends is for --split gaps; give that" in run(*subject, "--ends", "wrap")[2]
+    assert "mcspectra variance --split gaps" in run("list", "analyses")[1]
+    # Of two that are called alike ours stays
+    module.write_text(ours.replace('split = "gaps"', 'split = "modes"'), encoding="utf-8")
+    sys.modules.pop("their_gaps", None)
+    assert "have the same verb 'variance --split modes'" in run("gap-widths")[2]
+    assert run("variance", "--split", "modes", "--help")[0] == 0

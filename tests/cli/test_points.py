@@ -1,4 +1,4 @@
-"""The verb `points`: files, pictures, UTK's short options, quality figures."""
+"""The verb `points`: files, pictures, quality figures."""
 
 import json
 
@@ -13,15 +13,26 @@ from mcspectra.quality import summarize
 @pytest.mark.parametrize("extension", EXTENSIONS)
 def test_every_format_holds_the_points_of_the_library(run, tmp_path, extension):
     file = tmp_path / f"p{extension}"
-    assert run("points", "jittered", "-n", 16, "-m", 3, "-s", 5, "-o", file) == (0, "", "")
+    assert run("points", "jittered", "-n", 16, "-m", 3, "--seed", 5, "-o", file) == (0, "", "")
     expected = mcs.sampler("jittered", 2).draw(16, realizations=3, rng=5)
     np.testing.assert_array_equal(read_points(file), expected)
 
 
-def test_short_seed_is_the_seed(run):
-    short = run("points", "random", "-n", 4, "-s", 3)
-    assert short == run("points", "random", "-n", 4, "--seed", 3)
-    assert short != run("points", "random", "-n", 4)
+def test_several_files_hold_one_draw(run, tmp_path):
+    files = [tmp_path / name for name in ("p.dat", "p.npz", "p.svg")]
+    outs = [part for file in files for part in ("-o", file)]
+    code, out, err = run("points", "random", "-n", 16, *outs, "-o", "-")
+    assert (code, err) == (0, "")
+    assert out == run("points", "random", "-n", 16)[1]
+    np.testing.assert_array_equal(read_points(files[0]), read_points(files[1]))
+    assert json.loads(run("points", "random", "-n", 4, *outs, "--json")[1])["files"] == [
+        *map(str, files)
+    ]
+    code, _, err = run(
+        "points", "random", "-n", 4, "-o", tmp_path / "q.dat", "-o", tmp_path / "q.x"
+    )
+    assert (code, "extension '.x'" in err) == (2, True)
+    assert not (tmp_path / "q.dat").exists()
 
 
 @pytest.mark.parametrize(("extension", "start"), [(".png", b"\x89PNG"), (".pdf", b"%PDF")])
@@ -34,9 +45,9 @@ def test_pictures_by_extension(run, tmp_path, extension, start):
 def test_pictures_say_sampler_count_seed_and_density(run, tmp_path):
     file = tmp_path / "p.svg"
     density = ("--density", "linear(slope=0.5)")
-    code, out, _ = run("points", "random", "-n", 9, "-s", 7, *density, "-o", file, "--json")
+    code, out, _ = run("points", "random", "-n", 9, "--seed", 7, *density, "-o", file, "--json")
     assert code == 0
-    assert json.loads(out)["file"] == str(file)
+    assert json.loads(out)["files"] == [str(file)]
     assert "<!-- random, n = 9, seed 7, density linear(slope=0.5) -->" in file.read_text()
 
 
@@ -63,7 +74,7 @@ def test_quality_as_a_table_with_reasons_for_what_is_missing(run, tmp_path):
     assert row.endswith(" -")  # one set has no standard error
     assert "no t_value: 10 is not a power of 2." in out
     assert len(read_points(file)) == 1
-    assert "no t_value" not in run(*arguments, "--quiet")[1]
+    assert run(*arguments, "--quiet") == (0, out, "")
 
 
 def test_quality_of_given_and_of_warped_points(run, tmp_path):

@@ -8,6 +8,7 @@ import pytest
 
 from mcspectra.cli.main import main
 from mcspectra.core.images import read_image
+from mcspectra.rendering import render_file
 from mcspectra.rendering.image import reference, render
 
 pytestmark = pytest.mark.render
@@ -63,11 +64,26 @@ def test_reference_counts_the_samples_of_all_images(command):
     np.testing.assert_allclose(found["mean"], expected, rtol=1e-12)
 
 
-def test_quiet_prints_nothing(command, tmp_path):
+def test_quiet_prints_the_result(command, tmp_path):
     file = tmp_path / "image.png"
     arguments = (*SMALL, "--spp", 1, "--strategy", "light", "--quiet", "-o", file)
-    assert command(*arguments) == (0, "", "")
+    code, out, err = command(*arguments)
+    assert (code, err) == (0, "")
+    assert out.endswith(f"wrote {file}\n")
     assert file.exists()
+
+
+def test_whole_paths_of_a_built_in_scene(command, tmp_path):
+    files = [tmp_path / name for name in ("a.exr", "b.exr", "c.png")]
+    outs = [part for file in files for part in ("-o", file)]
+    options = ("--integrator", "path(max_depth=3)", "--sampler", "sobol | owen", "--spp", "1.6e1")
+    code, out, err = command(*SMALL, *options, *outs, "--json")
+    assert (code, err) == (0, "")
+    image = render_file(SCENE, integrator="path(max_depth=3)", sampler="sobol | owen", spp=16)
+    np.testing.assert_allclose(json.loads(out)["mean"], image.mean((0, 1)), rtol=1e-12)
+    np.testing.assert_allclose(read_image(files[0]), image, rtol=1e-3)  # half floats
+    assert files[0].read_bytes() == files[1].read_bytes()
+    assert read_image(files[2]).shape == (16, 24, 3)
 
 
 def test_light_by_number_or_name(command):
@@ -103,6 +119,12 @@ def test_exposure_brightens_the_png(command, tmp_path):
         ((*SMALL, "-o", "nowhere/image.exr"), "folder that does not exist"),
         ((*SMALL, "--seed", "-1"), "--seed"),
         (("veach", "--width", "0"), "--width"),
+        ((*SMALL, "--sensor", "1"), "--sensor is for whole paths; give --integrator."),
+        ((*SMALL, "--integrator", "path", "--crop", "0,0,1,1"), "--crop is for direct light"),
+        ((*SMALL, "--integrator", "path", "--compare"), "--compare is for direct light; leave"),
+        ((*SMALL, "--integrator", "path", "--sampler", "nosuch"), "no sampler called 'nosuch'"),
+        ((*SMALL, "--integrator", "pth"), "Mitsuba cannot render"),
+        (("veech", "--integrator", "path"), "no scene called 'veech'"),
         ((), "required"),
     ],
 )

@@ -3,7 +3,6 @@
 import json
 import os
 
-import fsspec
 import numpy as np
 import pytest
 import xarray as xr
@@ -126,22 +125,22 @@ def test_status_names_who_did_not_end_in_good_order(folder, capsys):
     assert "which has ended" in shown
 
 
-def test_export(folder, tmp_path, capsys):
-    file = tmp_path / "out.csv"
-    assert main(["export", str(folder), "--to", str(file), "--select", "a/*", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {
-        "file": str(file),
-        "bytes": file.stat().st_size,
-    }
-    assert file.read_text().count("\n") == 2 + 2 * 3
-    assert main(["export", str(folder), "--to", str(tmp_path / "out.zarr.zip")]) == 0
-    assert capsys.readouterr().out.startswith(f"{tmp_path / 'out.zarr.zip'}: ")
-    assert main(["export", str(folder), "--to", "x.txt"]) == 2
-    assert "has none of the ends" in capsys.readouterr().err
-    target, url = tmp_path / "x.zarr", "memory://status-test/x.zarr"
-    assert main(["export", str(folder), "--to", str(target), "--json"]) == 0
-    sizes = [path.stat().st_size for path in target.rglob("*") if path.is_file()]
-    assert json.loads(capsys.readouterr().out) == {"file": str(target), "bytes": sum(sizes)}
-    assert main(["export", str(target), "--to", url]) == 0
-    assert capsys.readouterr().out == f"{url}\n"
-    fsspec.filesystem("memory").rm("/status-test", recursive=True)
+def test_export(tmp_path, capsys):
+    scalars = pack(xr.Dataset({"x": ("n", np.arange(3.0)), "y": ((), 2.0)}, {"n": [4, 16, 64]}))
+    out, table, store = tmp_path / "out", tmp_path / "x.csv", tmp_path / "x.zarr"
+    with Ledger.create(out, NOTE, PATHS) as ledger:
+        for path in PATHS:
+            ledger.finish(path, scalars)
+    files = ["-o", str(table), "--out", str(store)]
+    assert main(["export", str(out), *files, "--select", "a/*", "--json"]) == 0
+    sizes = [path.stat().st_size for path in store.rglob("*") if path.is_file()]
+    assert json.loads(capsys.readouterr().out) == [
+        {"file": str(table), "bytes": table.stat().st_size},
+        {"file": str(store), "bytes": sum(sizes)},
+    ]
+    assert table.read_text().count("\n") == 1 + 2 * 4
+    assert main(["export", str(store), "-o", str(tmp_path / "again.csv")]) == 0
+    assert capsys.readouterr().out.startswith(f"{tmp_path / 'again.csv'}: ")
+    assert (tmp_path / "again.csv").read_bytes() == table.read_bytes()
+    assert main(["export", str(out), "-o", "x.nc"]) == 2
+    assert "has none of the extensions" in capsys.readouterr().err

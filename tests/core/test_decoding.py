@@ -11,10 +11,8 @@ import zlib
 
 import numpy as np
 import OpenEXR
-import pyarrow as pa
 import pytest
 from PIL import Image
-from pyarrow import parquet
 
 from mcspectra.core import decoding
 from mcspectra.core.errors import FileFormatError
@@ -24,7 +22,7 @@ from mcspectra.core.pointfiles import read_points, write_points
 MEMORY = 3 * 2**30  # bytes of address space that a reader gets
 
 READ = """
-import sys, mcspectra.core.images as i, mcspectra.core.pointfiles as p, OpenEXR, pyarrow.parquet
+import sys, mcspectra.core.images as i, mcspectra.core.pointfiles as p, OpenEXR
 for path in sys.argv[1:]:
     try:
         (i.read_image if "image" in path else p.read_points)(path)
@@ -87,15 +85,6 @@ def exr_window(path, *window):
     return path
 
 
-def table(path, blocks, block, **options):
-    """A table of the same block many times."""
-    block = pa.table(block)
-    with parquet.ParquetWriter(path, block.schema, compression="zstd", **options) as writer:
-        for _ in range(blocks):
-            writer.write_table(block)
-    return path
-
-
 def sparse_npy(path, shape, dtype):
     with path.open("wb") as stream:
         head = {"descr": np.dtype(dtype).str, "fortran_order": False, "shape": shape}
@@ -104,7 +93,6 @@ def sparse_npy(path, shape, dtype):
     return path
 
 
-LONG = pa.array(["a" * 2**16] * 2**11)
 BOMBS = {
     "zip of points": lambda d: zeros_npz(d / "p.npz", "points.npy", (2**25, 2), "<f2"),
     "zip of an image": lambda d: zeros_npz(d / "image.npz", "image.npy", (2**12, 2**14), "<f8"),
@@ -114,24 +102,12 @@ BOMBS = {
     "color PNG": lambda d: png(d / "image.png", 9_400, 9_400, bytes(2**24), color=2),
     "zeros in EXR": lambda d: exr(d / "image.exr", np.zeros((2**12, 2**12, 3), np.float16)),
     "wide EXR": lambda d: exr_window(d / "image.exr", 0, 0, 2**20, 2**20),
-    "one value": lambda d: table(d / "p.parquet", 16, {"x": np.zeros(2**21)}),
-    "long labels": lambda d: table(
-        d / "p.parquet", 4, {"set": LONG, "x": np.zeros(2**11)}, use_dictionary=False
-    ),
 }
 DAMAGED = {
-    "a long text": lambda d: table(d / "p.parquet", 4, {"s": LONG, "x": np.zeros(2**11)}),
     "tall EXR": lambda d: exr_window(d / "image.exr", 0, 0, 0, 2**31 - 2),
     "endless EXR": lambda d: exr_window(d / "image.exr", -(2**31), -(2**31), 2**31 - 1, 2**31 - 1),
     "bzip2": lambda d: zeros_npz(
         d / "p.npz", "points.npy", (2**22, 2), "<f8", method=zipfile.ZIP_BZIP2
-    ),
-    "deltas": lambda d: table(
-        d / "p.parquet",
-        1,
-        {"set": LONG, "x": np.zeros(2**11)},
-        use_dictionary=False,
-        column_encoding={"set": "DELTA_BYTE_ARRAY"},
     ),
 }
 
@@ -177,9 +153,8 @@ def test_points_and_sets_count(tmp_path, monkeypatch, name, content):
         read_points(path)
 
 
-@pytest.mark.parametrize("extension", [".npz", ".parquet"])
-def test_sets_count_in_tables_too(tmp_path, monkeypatch, extension):
-    path = tmp_path / f"p{extension}"
+def test_sets_count_in_tables_too(tmp_path, monkeypatch):
+    path = tmp_path / "p.npz"
     write_points(path, [np.full((1, 1), 0.5)] * 200)
     assert len(read_points(path)) == 200
     monkeypatch.setattr(decoding, "_MOST_BYTES", 30_000)

@@ -1,6 +1,7 @@
 """Errors: one root, built-in parents, data beside the message; hints name what is close."""
 
 import builtins
+import pickle
 from pathlib import Path
 
 import pytest
@@ -8,13 +9,17 @@ import pytest
 from mcspectra.core import errors
 from mcspectra.core.errors import (
     CountError,
+    Function,
     McspectraError,
     NotPowerOfTwoWarning,
+    Parameter,
+    ParameterError,
     UnknownName,
     close_match_hint,
 )
 
-CLASSES = [getattr(errors, name) for name in errors.__all__ if name[0].isupper()]
+PUBLIC = [getattr(errors, name) for name in errors.__all__]
+CLASSES = [each for each in PUBLIC if isinstance(each, type) and issubclass(each, Exception)]
 ERRORS = [cls for cls in CLASSES if not issubclass(cls, Warning)]
 
 
@@ -45,6 +50,16 @@ def test_errors_carry_data():
     assert CountError("No.").nearest == ()
     assert UnknownName("No.", ("jittered",)).close == ("jittered",)
     assert UnknownName("No.").close == ()
+
+
+def test_a_front_end_writes_options_and_functions_its_own_way():
+    inner = ParameterError(Parameter("half_width"), " is 3; use ", Function("convergence"), ".")
+    error = CountError(inner)
+    wrapped = ParameterError(error, " Or ", Parameter("engine", "direct"), ".")
+    for each in (wrapped, pickle.loads(pickle.dumps(wrapped))):
+        assert str(each) == "half_width is 3; use convergence. Or engine='direct'."
+        words = each.sentence(lambda part: f"<{part.name}>")
+        assert words == "<half_width> is 3; use <convergence>. Or <engine>."
 
 
 def test_everything_is_documented():

@@ -50,7 +50,7 @@ def test_what_is_written_is_read_back_to_the_bit(tmp_path, extension, count, n, 
     assert len(read_points(str(path))) == count
 
 
-@pytest.mark.parametrize("extension", [".dat", ".csv", ".parquet"])
+@pytest.mark.parametrize("extension", [".dat", ".csv"])
 def test_text_and_tables_keep_sets_of_different_sizes(tmp_path, extension):
     sets = [np.full((n, 2), 0.1 * n) for n in (1, 3, 2)]
     write_points(tmp_path / f"p{extension}", sets)
@@ -193,7 +193,7 @@ BAD_FILES = [
     ("p.npz", npz_of(HUGE), "announces an array of shape"),
     ("p.npz", npz_of(PICKLED, b"cos\nsystem\n" * 8), "allow_pickle"),
     ("p.npz", npz_of("{'descr': 'no type'}"), "cannot be read as a point set"),
-    ("p.xyz", "0.1 0.2\n", "does not end in one of .dat, .bin, .npz, .npy, .csv, .parquet"),
+    ("p.xyz", "0.1 0.2\n", "does not end in one of .dat, .bin, .npz, .npy, .csv"),
     ("points", "0.1 0.2\n", "does not end in one of"),
     ("p.dat", "0 " * 2**21 + "\n", "line 1, is longer than 4194304 bytes"),
     ("p.csv", "x,set,y\n0.1,1,0.2\n0.3,1\n", "line 3, has 1 numbers"),

@@ -4,9 +4,11 @@ import re
 from pathlib import Path
 
 import pytest
+import yaml
 
 import mcspectra
 from mcspectra.core.references import ADDRESS, FILE, address, entries, works, written_out
+from mcspectra.version import __version__
 
 PLACES = {"journal", "booktitle", "publisher", "school", "note", "eprint", "url"}
 
@@ -64,3 +66,15 @@ def test_texts_show_works():
         "Singh et al. (2019), Fourier Analysis of Correlated Monte Carlo Importance Sampling, "
         "https://doi.org/10.1111/cgf.13613, section 4. [Nosuch1900]"
     )
+
+
+def test_the_citation_file_names_this_version_and_the_paper():
+    root = Path(__file__).parents[2]
+    cited = yaml.safe_load((root / "CITATION.cff").read_text("utf-8"))
+    assert cited["version"] == __version__
+    (paper,) = cited["references"]
+    fields = works()["Singh2019"]
+    assert paper["doi"] == fields["doi"] == "10.1111/cgf.13613"
+    assert (paper["title"], str(paper["year"])) == (fields["title"], fields["year"])
+    names = [f"{a['family-names']}, {a['given-names']}" for a in paper["authors"]]
+    assert " and ".join(names) == fields["author"]

@@ -95,8 +95,6 @@ SPECS = [
     ("sphere", 2),
     ('sphere(warp="polar")', 2),
     ("grid(nodes=[[0, 0.01, 0.3, 1], [0, 0.5, 1]])", 2),
-    ("vegas(integrand='gaussian(width=0.1)', increments=16)", 1),
-    ("vegas(integrand='linear', increments=7, iterations=3, seed=5)", 3),
     ("spherical-rectangle", 2),
     ("spherical-rectangle(corner=[3, -1, 0.4], edge0=[0, 0, 2], edge1=[0.5, 3, 0])", 2),
     ("spherical-triangle", 2),

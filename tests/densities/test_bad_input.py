@@ -160,7 +160,6 @@ def test_what_does_not_go_together_is_said(name, options, error, says):
         ("piecewise-linear(values=[1, 2])", 2, "1 dims, but 2"),
         ("piecewise-constant(values=[1, 2])", 2, "for 1 dims, but 2"),
         ("piecewise-constant", 2, "needs values"),
-        ("vegas", 2, "needs integrand"),
         ("uniform | uniform", 1, "chains"),
         ("", 1, "name"),
     ],

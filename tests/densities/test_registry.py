@@ -63,11 +63,8 @@ def test_an_unknown_name_says_which_list_to_ask_for():
         "uniform(dims={})",
         "mixture(dims={}, parts=['tent', 'linear'])",
         "defensive(dims={}, density='tent')",
-        "vegas(dims={}, integrand='linear', increments=4, iterations=1, evaluations=64)",
         "mixture(parts=['tent', 'linear'], axis={}, dims=3)",
         "defensive(density='tent', axis={}, dims=3)",
-        "vegas(integrand='linear', increments={}, iterations=1, evaluations=64)",
-        "vegas(integrand='linear', seed={}, increments=4, iterations=1, evaluations=64)",
     ],
 )
 def test_whole_floats_are_read_as_integers(template):

@@ -118,7 +118,7 @@ def test_the_command_line_lists_runs_and_explains_it(mcspectra):
 def test_a_study_runs_it_and_the_report_shows_it(mcspectra, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("study.toml").write_text(STUDY)
-    schema = json.loads(mcspectra("schema")[1])
+    schema = json.loads(mcspectra("init", "--schema")[1])
     assert "quantiles" in schema["$defs"]["StudyConfig"]["properties"]
     code, _, err = mcspectra("run", "study.toml", "--out", "out", "--quiet")
     assert code == 0, err

@@ -20,7 +20,7 @@ COUNTS = [8, 16, 32, 64, 128]
 
 def test_shared_points_give_each_channel_the_estimates_of_its_own_estimator():
     together = mcs.convergence(
-        mcs.ChannelSampling(F, OWN, sets="shared"), "jittered", COUNTS[:2], rng=3
+        mcs.estimators.ChannelSampling(F, OWN, sets="shared"), "jittered", COUNTS[:2], rng=3
     )
     for c, density in enumerate(OWN):
         alone = mcs.convergence(
@@ -35,7 +35,7 @@ def test_shared_points_give_each_channel_the_estimates_of_its_own_estimator():
 def test_own_points_have_the_exact_variances_and_are_independent():
     n, realizations = 16, 4000
     own = mcs.convergence(
-        mcs.ChannelSampling(F, OWN), "jittered", [n], realizations=realizations, rng=8
+        mcs.estimators.ChannelSampling(F, OWN), "jittered", [n], realizations=realizations, rng=8
     )
     for c, density in enumerate(OWN):
         scalar = mcs.Estimator(Channel(integrand=F, channel=c), density)
@@ -47,7 +47,7 @@ def test_own_points_have_the_exact_variances_and_are_independent():
 
 @pytest.mark.parametrize(("sets", "expected"), [("independent", 0.0), ("shared", None)])
 def test_only_shared_points_tie_the_channels_together(sets, expected):
-    estimator = mcs.ChannelSampling(F, OWN, sets=sets)
+    estimator = mcs.estimators.ChannelSampling(F, OWN, sets=sets)
     stream = mcs.sampler("random", dims=1)
     from mcspectra.core.streams import Stream
 
@@ -63,7 +63,7 @@ def test_only_shared_points_tie_the_channels_together(sets, expected):
 
 
 def test_a_density_with_jumps_costs_the_rate_and_a_density_for_each_channel_does_not():
-    ways = mcs.channel_estimators(F, OWN, "piecewise-constant(values=[2, 3, 4, 4.5, 5])")
+    ways = mcs.estimators.channel_estimators(F, OWN, "piecewise-constant(values=[2, 3, 4, 4.5, 5])")
     # Many counts: where a jump lies in its stratum changes with n, and the variance with it
     counts = [16, 23, 32, 45, 64, 91, 128, 181, 256, 362, 512]
     curve = mcs.convergence(list(ways.values()), "jittered", counts, realizations=500, rng=6)
@@ -79,14 +79,19 @@ def test_a_density_with_jumps_costs_the_rate_and_a_density_for_each_channel_does
 
 
 def test_every_way_is_unbiased():
-    ways = mcs.channel_estimators(F, OWN, "uniform")
+    ways = mcs.estimators.channel_estimators(F, OWN, "uniform")
     found = mcs.convergence(list(ways.values()), "random", [16], realizations=4000, rng=9)
     assert (np.abs(found["bias"]) < 4.5 * found["mean_se"]).all()
 
 
 def test_the_terms_sum_to_the_measured_variance_in_primary_space():
     terms = mcs.variance_terms(
-        mcs.ChannelSampling(F, OWN), "jittered", 8, space="primary", realizations=200, rng=2
+        mcs.estimators.ChannelSampling(F, OWN),
+        "jittered",
+        8,
+        space="primary",
+        realizations=200,
+        rng=2,
     )
     total = terms["dc_term"] + terms["power_term"] + terms["cross_term"]
     np.testing.assert_allclose(total, terms["predicted_variance"], rtol=1e-12)
@@ -105,14 +110,32 @@ def test_luminance_is_the_weighted_sum():
 @pytest.mark.parametrize(
     ("make", "error", "words"),
     [
-        (lambda: mcs.ChannelSampling("linear", ["uniform"], dims=1), ParameterError, "scalar"),
-        (lambda: mcs.ChannelSampling(F, ["uniform"]), ParameterError, "one for each channel"),
-        (lambda: mcs.ChannelSampling(F, []), ParameterError, "one for each channel"),
-        (lambda: mcs.ChannelSampling(F, "uniform"), ParameterError, "one for each channel"),
-        (lambda: mcs.ChannelSampling(F, [None, None]), ParameterError, "holds None"),
-        (lambda: mcs.ChannelSampling(F, OWN, sets="joint"), ParameterError, "independent"),
         (
-            lambda: mcs.ChannelSampling(F, ["uniform", "piecewise-constant(values=[1, 0])"]),
+            lambda: mcs.estimators.ChannelSampling("linear", ["uniform"], dims=1),
+            ParameterError,
+            "scalar",
+        ),
+        (
+            lambda: mcs.estimators.ChannelSampling(F, ["uniform"]),
+            ParameterError,
+            "one for each channel",
+        ),
+        (lambda: mcs.estimators.ChannelSampling(F, []), ParameterError, "one for each channel"),
+        (
+            lambda: mcs.estimators.ChannelSampling(F, "uniform"),
+            ParameterError,
+            "one for each channel",
+        ),
+        (lambda: mcs.estimators.ChannelSampling(F, [None, None]), ParameterError, "holds None"),
+        (
+            lambda: mcs.estimators.ChannelSampling(F, OWN, sets="joint"),
+            ParameterError,
+            "independent",
+        ),
+        (
+            lambda: mcs.estimators.ChannelSampling(
+                F, ["uniform", "piecewise-constant(values=[1, 0])"]
+            ),
             DensityError,
             r"\[1\]",
         ),
@@ -135,6 +158,6 @@ def test_a_density_needs_to_cover_its_own_channel_only():
         lambda x: np.stack([(x[..., 0] < 0.5) * 1.0, 1 + 0 * x[..., 0]], axis=-1), dims=1
     )
     half = "piecewise-constant(values=[1, 0])"
-    assert mcs.ChannelSampling(f, [half, "uniform"]).channels == 2
+    assert mcs.estimators.ChannelSampling(f, [half, "uniform"]).channels == 2
     with pytest.raises(DensityError):
-        mcs.ChannelSampling(f, ["uniform", half])
+        mcs.estimators.ChannelSampling(f, ["uniform", half])

@@ -26,7 +26,7 @@ def _mean_and_se(estimator, sampler="random", n=16, realizations=4000):
         mcs.MultipleImportance(
             SQUARE, ["uniform", "linear(slope=2)"], heuristic="power", counts=(3, 1)
         ),
-        mcs.TechniqueSum([SQUARE, "constant(value=0)"]),
+        mcs.estimators.TechniqueSum([SQUARE, "constant(value=0)"]),
     ],
     ids=lambda e: e.spec,
 )
@@ -106,8 +106,8 @@ def test_functions_cannot_change_their_points():
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: mcs.TechniqueSum(["linear(dims=1)", "linear(dims=2)"]), "dims"),
-        (lambda: mcs.TechniqueSum(5), "one or more"),
+        (lambda: mcs.estimators.TechniqueSum(["linear(dims=1)", "linear(dims=2)"]), "dims"),
+        (lambda: mcs.estimators.TechniqueSum(5), "one or more"),
         (lambda: mcs.Estimator(SQUARE, 3), "density"),
         (lambda: mcs.Estimator(SQUARE, mcs.density("uniform", dims=2)), "dims"),
         (lambda: mcs.MultipleImportance(SQUARE, []), "one or more"),
@@ -115,7 +115,7 @@ def test_functions_cannot_change_their_points():
         (lambda: mcs.MultipleImportance(SQUARE, [None]), "None"),
         (lambda: mcs.MultipleImportance(SQUARE, ["uniform"], counts=(1, 1)), "technique, 1 in all"),
         (lambda: mcs.MultipleImportance(SQUARE, ["uniform"], counts=(0,)), "at least 1"),
-        (lambda: mcs.TechniqueSum([]), "one or more"),
+        (lambda: mcs.estimators.TechniqueSum([]), "one or more"),
     ],
 )
 def test_bad_input(make, words):

@@ -343,15 +343,16 @@ def test_shared_sets_are_the_same_points_and_joint_ones_split_one_set():
 def test_shared_points_of_opposite_techniques_cancel():
     """x and 1 − x with the same points: the sum is constant; with sets of their own it is not."""
     g = ["linear", "linear(gradient=[-1], offset=1)"]
-    shared = mcs.TechniqueSum(g, sets="shared", dims=1)
+    shared = mcs.estimators.TechniqueSum(g, sets="shared", dims=1)
     d = mcs.convergence(shared, "random", [4], realizations=100)
     assert float(d["variance"][0]) < 1e-30
-    own = mcs.convergence(mcs.TechniqueSum(g, dims=1), "random", [4], realizations=100)
+    own = mcs.convergence(mcs.estimators.TechniqueSum(g, dims=1), "random", [4], realizations=100)
     assert float(own["variance"][0]) > 0.01
     assert "shared" in shared.spec
-    for call in (mcs.exact_variance, mcs.variance_from_pair_correlation):
-        with pytest.raises(mcs.NoClosedForm, match="correlated"):
-            call(shared, "random", 4)
+    with pytest.raises(mcs.NoClosedForm, match="correlated"):
+        mcs.exact_variance(shared, "random", 4)
+    with pytest.raises(mcs.NoClosedForm, match="correlated"):
+        mcs.predict(shared, "random", [4], method="pair-correlation")
 
 
 def test_registry_knows_all_and_objects_are_taken():
@@ -407,6 +408,6 @@ def test_joint_sets_need_a_count_that_the_sampler_can_make():
         (["linear(slope=2)", "uniform"], 1, False),
     ],
 )
-@pytest.mark.parametrize("make", [mcs.MultipleImportance, mcs.OneSampleMIS])
+@pytest.mark.parametrize("make", [mcs.MultipleImportance, mcs.estimators.OneSampleMIS])
 def test_weights_are_infinite_only_where_no_density_covers(densities, dims, infinite, make):
     assert make("gaussian(center=0.4)", densities, dims=dims).infinite_weights is infinite

@@ -35,5 +35,5 @@ def test_bias_is_as_uncertain_as_mean_and_integral():
 
 
 def test_sums_and_channels():
-    parts = mcs.TechniqueSum([CORNER, CORNER])
+    parts = mcs.estimators.TechniqueSum([CORNER, CORNER])
     assert parts.integral_error == pytest.approx(2 * integral_accuracy(CORNER)[1])

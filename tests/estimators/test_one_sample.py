@@ -25,7 +25,7 @@ def _variance(weights):
 @pytest.mark.parametrize("selection", ["extra", "coordinate"])
 @pytest.mark.parametrize("beta", [0.0, 0.5, 1.0, 2.0, 5.0])
 def test_exact_variance_is_the_quadrature_of_the_definition(selection, beta):
-    e = mcs.OneSampleMIS(
+    e = mcs.estimators.OneSampleMIS(
         CUBIC, PAIR, CHANCE, heuristic=f"power(beta={beta})", selection=selection, dims=1
     )
     q = (np.array(CHANCE)[:, None] * P) ** beta
@@ -35,14 +35,16 @@ def test_exact_variance_is_the_quadrature_of_the_definition(selection, beta):
 
 def test_balance_is_the_mixture_and_the_best():
     """Var of mixture sampling, ∫f²/Σ P p − I², exactly; all other weights have more."""
-    balance = mcs.OneSampleMIS(CUBIC, PAIR, CHANCE, dims=1)
+    balance = mcs.estimators.OneSampleMIS(CUBIC, PAIR, CHANCE, dims=1)
     mixture = ((F**2 / (np.array(CHANCE) @ P)) * DX).sum() - (F * DX).sum() ** 2
     exact = mcs.exact_variance(balance, "random", 1)
     assert exact == pytest.approx(mixture, rel=1e-6)
     for heuristic in ("power", "power(beta=0)", "cutoff(alpha=0.45)", "maximum", "variance-aware"):
-        other = mcs.OneSampleMIS(CUBIC, PAIR, CHANCE, heuristic=heuristic, dims=1)
+        other = mcs.estimators.OneSampleMIS(CUBIC, PAIR, CHANCE, heuristic=heuristic, dims=1)
         assert mcs.exact_variance(other, "random", 1) >= exact * (1 - 1e-6)
-    optimal = mcs.OneSampleMIS(CUBIC, PAIR, CHANCE, heuristic="optimal(pilot='quadrature')", dims=1)
+    optimal = mcs.estimators.OneSampleMIS(
+        CUBIC, PAIR, CHANCE, heuristic="optimal(pilot='quadrature')", dims=1
+    )
     root = np.sqrt(np.array(CHANCE) @ P)
     alpha, *_ = np.linalg.lstsq((P * np.sqrt(DX) / root).T, F * np.sqrt(DX) / root, rcond=None)
     left = (((F - alpha @ P) / root) ** 2 * DX).sum()
@@ -54,7 +56,7 @@ def test_balance_is_the_mixture_and_the_best():
 def test_balance_is_the_mixture_density_point_by_point(selection):
     parts = f"parts={PAIR}, weights={list(CHANCE)}, selection={selection!r}"
     mixed = mcs.Estimator(CUBIC, mcs.density(f"mixture({parts})", dims=1))
-    e = mcs.OneSampleMIS(CUBIC, PAIR, CHANCE, selection=selection, dims=1)
+    e = mcs.estimators.OneSampleMIS(CUBIC, PAIR, CHANCE, selection=selection, dims=1)
     u = np.random.default_rng(1).random((3, 200, e.dims))
     np.testing.assert_allclose(e.warp(0, u), mixed.warp(0, u), atol=1e-14)
     np.testing.assert_allclose(e.primary_values(0, u), mixed.primary_values(0, u), rtol=1e-12)
@@ -63,7 +65,7 @@ def test_balance_is_the_mixture_density_point_by_point(selection):
 @pytest.mark.parametrize("heuristic", ["balance", "maximum", "optimal", "variance-aware"])
 @pytest.mark.parametrize("sampler", ["random", "jittered", "sobol | owen"])
 def test_estimates_are_unbiased(heuristic, sampler):
-    e = mcs.OneSampleMIS(CUBIC, PAIR, CHANCE, heuristic=heuristic, dims=1)
+    e = mcs.estimators.OneSampleMIS(CUBIC, PAIR, CHANCE, heuristic=heuristic, dims=1)
     d = mcs.convergence(e, sampler, [16], realizations=3000, rng=4)
     assert abs(float(d["bias"][0])) < 4.5 * float(d["mean_se"][0])
 
@@ -71,7 +73,7 @@ def test_estimates_are_unbiased(heuristic, sampler):
 @pytest.mark.parametrize("heuristic", ["balance", "power", "optimal"])
 @pytest.mark.parametrize("space", ["domain", "primary"])
 def test_terms_keep_the_identity_in_both_views(heuristic, space):
-    e = mcs.OneSampleMIS(CUBIC, PAIR, CHANCE, heuristic=heuristic, dims=1)
+    e = mcs.estimators.OneSampleMIS(CUBIC, PAIR, CHANCE, heuristic=heuristic, dims=1)
     d = mcs.variance_terms(
         e, "jittered", 16, half_width=6, realizations=40, space=space, engine="direct"
     )
@@ -87,7 +89,7 @@ def test_channels_and_2d():
     f = mcs.Integrand.from_function(lambda x: x * x[..., :1], dims=2)
     densities = ["uniform", "linear(slope=1)"]
     for heuristic in ("balance", "optimal"):
-        e = mcs.OneSampleMIS(f, densities, heuristic=heuristic)
+        e = mcs.estimators.OneSampleMIS(f, densities, heuristic=heuristic)
         assert (e.dims, e.domain_dims, e.channels) == (3, 2, 2)
         d = mcs.convergence(e, "random", [16], realizations=2000)
         z = np.abs(d["mean"][0] - [1 / 3, 1 / 4]) / d["mean_se"][0]
@@ -106,14 +108,14 @@ def test_channels_and_2d():
 )
 def test_bad_input(options, words):
     with pytest.raises(ParameterError, match=words):
-        mcs.OneSampleMIS(CUBIC, PAIR, dims=1, **options)
+        mcs.estimators.OneSampleMIS(CUBIC, PAIR, dims=1, **options)
 
 
 def test_bad_parts():
     with pytest.raises(ParameterError, match="one or more"):
-        mcs.OneSampleMIS(CUBIC, [])
+        mcs.estimators.OneSampleMIS(CUBIC, [])
     with pytest.raises(DensityError, match="would miss"):
-        mcs.OneSampleMIS(CUBIC, ["piecewise-constant(values=[0, 1])"] * 2)
-    e = mcs.OneSampleMIS(CUBIC, PAIR, dims=1)
+        mcs.estimators.OneSampleMIS(CUBIC, ["piecewise-constant(values=[0, 1])"] * 2)
+    e = mcs.estimators.OneSampleMIS(CUBIC, PAIR, dims=1)
     with pytest.raises(ParameterError, match="2 dims"):
         mcs.convergence(e, mcs.sampler("jittered", dims=1), [4])

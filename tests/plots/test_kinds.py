@@ -39,10 +39,8 @@ PLOTS = {
     "predict": ["prediction"],
     "plan": ["prediction"],
     "profile": ["profile"],
-    "exact": ["exact"],
     "remedies": ["remedies"],
     "modes": ["modes"],
-    "routes": ["routes"],
     "map": [kind for kind in KINDS if kind.startswith("map-") and kind not in PATHS],
 }
 TERMS = ("terms", "captured", "contributions", "bands")
@@ -80,9 +78,25 @@ def test_every_analysis_has_plots_that_both_backends_draw(name):
             drawn_by_both(describe(kind, {"one": result, "another | of them": result}))
 
 
+def test_methods__side_by_side_at_the_largest_n():
+    """Those without a value there have no row; the dots are the values."""
+    samplers = ["jittered | shift", "sobol | owen"]
+    found = mcs.predict("gaussian", samplers, [16, 64], method="all", half_width=4, realizations=50)
+    assert kinds_of(found) == ("prediction",)
+    plot = describe("prediction", found)
+    for panel, sampler in zip(plot.panels, samplers, strict=True):
+        one = found.sel(sampler=sampler).isel(n=-1)
+        there = one["predicted_variance"].notnull().values
+        assert list(panel.y.ticks.values()) == one["method"].values[there].tolist()
+        (dots,) = panel.marks
+        np.testing.assert_array_equal(dots.x, one["predicted_variance"].values[there])
+    assert "n = 64" in plot.caption
+    drawn_by_both(plot)
+
+
 def test_chains__spectra_and_shares_of_one_and_of_many():
     draws = np.random.default_rng(1).standard_normal((2, 300, 8))
-    one, many = mcs.chain_error(draws[..., 0]), mcs.chain_error(draws)
+    one, many = mcs.variance.chain_error(draws[..., 0]), mcs.variance.chain_error(draws)
     assert kinds_of(one) == kinds_of(many) == ("chains",)
     plot = describe("chains", one)
     draw, error = (line.y for line in marks(plot, Line)[-2:])
@@ -93,8 +107,8 @@ def test_chains__spectra_and_shares_of_one_and_of_many():
     assert "2 quantities of more effective draws are left out" in plot.caption
     assert len(plot.labels) == 6
     drawn_by_both(plot)
-    drawn_by_both(describe("chains", {"a": one, "still": mcs.chain_error(np.ones(300))}))
-    drawn_by_both(describe("chains", mcs.chain_error(np.ones(300))))
+    drawn_by_both(describe("chains", {"a": one, "still": mcs.variance.chain_error(np.ones(300))}))
+    drawn_by_both(describe("chains", mcs.variance.chain_error(np.ones(300))))
 
 
 @pytest.mark.parametrize("kind", TERMS)

@@ -15,11 +15,13 @@ SIDE = 16
 
 
 def warp(spec, dims=2):
-    return mcs.warp_quality(mcs.density(spec, dims=dims), resolution=SIDE)
+    return mcs.quality.warp_quality(mcs.density(spec, dims=dims), resolution=SIDE)
 
 
 def picture(integrand, density=None, dims=2):
-    return mcs.primary_picture(mcs.Estimator(integrand, density, dims=dims), resolution=SIDE)
+    return mcs.variance.primary_picture(
+        mcs.Estimator(integrand, density, dims=dims), resolution=SIDE
+    )
 
 
 def test_jumps_lie_where_they_are():
@@ -90,7 +92,10 @@ def test_primary__one_dim_and_poles():
 def test_primary__constant_and_channels():
     assert "inside none, sides none" in describe("primary", picture("constant")).words
     colors = mcs.Integrand.from_function(lambda x: x[..., [0, 1, 0]], dims=2)
-    assert "sides 2 ×" in describe("primary", mcs.primary_picture(colors, resolution=SIDE)).words
+    assert (
+        "sides 2 ×"
+        in describe("primary", mcs.variance.primary_picture(colors, resolution=SIDE)).words
+    )
 
 
 @pytest.mark.parametrize("kind", ["warp", "primary"])

@@ -12,11 +12,11 @@ TABLE = [[1.0, 2.0], [3.0, 1.0]]
 
 
 def test_uniform_and_products():
-    data = mcs.warp_quality("uniform", resolution=16)
+    data = mcs.quality.warp_quality("uniform", resolution=16)
     for name in ("stretch", "mean_stretch", "max_stretch", "distortion", "neighbor_expansion"):
         np.testing.assert_allclose(data[name], 1.0, rtol=1e-9)
     assert float(data["jump_length"]) == 0
-    data = mcs.warp_quality("grid(nodes=[[0, 0.2, 1], [0, 1]])", resolution=16)
+    data = mcs.quality.warp_quality("grid(nodes=[[0, 0.2, 1], [0, 1]])", resolution=16)
     expected = np.where(data["u0"] < 0.5, 1 / 0.4, 1.6)[:, None] * np.ones(16)
     np.testing.assert_allclose(data["stretch"], expected, rtol=1e-8)
     assert not data["jump"].any()
@@ -25,7 +25,7 @@ def test_uniform_and_products():
 def test_the_polar_disk():
     """|∂T/∂u_0| = 2π r √u_1 and |∂T/∂u_1| = r/(2√u_1), at right angles: their ratio is 4π u_1."""
     side = 64
-    data = mcs.warp_quality('disk(warp="polar")', resolution=side)
+    data = mcs.quality.warp_quality('disk(warp="polar")', resolution=side)
     u = (np.arange(side) + 0.5 + 0.17) / side
     ratio = 4 * np.pi * u
     expected = np.maximum(ratio, 1 / ratio)
@@ -39,7 +39,7 @@ def test_the_polar_disk():
 
 def test_the_concentric_disk_distorts_less():
     """In the sector φ = (π/4) b/a: σ from the closed form of ∂(x, y)/∂(a, b)."""
-    data = mcs.warp_quality("disk", resolution=64)
+    data = mcs.quality.warp_quality("disk", resolution=64)
     i, j = 60, 40
     a, b = (2 * (np.array([i, j]) + 0.5 + [0.31, 0.17]) / 64 - 1).tolist()
     phi = math.pi / 4 * b / a
@@ -51,7 +51,7 @@ def test_the_concentric_disk_distorts_less():
     # Largest on the diagonals, b = a
     corner = np.linalg.svd([[1, 0], [-math.pi / 4, math.pi / 4]], compute_uv=False)
     assert float(data["max_stretch"]) == pytest.approx(corner[0] / corner[1], rel=0.05)
-    polar = mcs.warp_quality('disk(warp="polar")', resolution=64)
+    polar = mcs.quality.warp_quality('disk(warp="polar")', resolution=64)
     for name in ("mean_stretch", "max_stretch", "distortion"):
         assert float(data[name]) < float(polar[name])
 
@@ -59,19 +59,22 @@ def test_the_concentric_disk_distorts_less():
 def test_directions_are_torn_at_the_seam():
     """Of the concentric maps x_0 jumps by 1 along u_1 = ½, u_0 > ½; of the polar ones nothing."""
     for kind in ("sphere", "hemisphere"):
-        data = mcs.warp_quality(kind, resolution=64)
+        data = mcs.quality.warp_quality(kind, resolution=64)
         torn = np.argwhere(data["jump"].values > 0)
         assert (torn[:, 0] == 1).all()
         assert (torn[:, 1] >= 32).all()
         assert set(torn[:, 2]) == {31}
         assert float(data["jump_length"]) == 0.5
         assert float(data["mean_jump"]) == pytest.approx(1.0, abs=1e-6)
-        assert float(mcs.warp_quality(f'{kind}(warp="polar")', resolution=32)["jump_length"]) == 0
+        assert (
+            float(mcs.quality.warp_quality(f'{kind}(warp="polar")', resolution=32)["jump_length"])
+            == 0
+        )
 
 
 def test_a_table_is_torn_between_rows():
     """x_0 at both sides of u_1 = 3/7; by hand for each column of cells."""
-    data = mcs.warp_quality(f"piecewise-constant(values={TABLE})", resolution=64)
+    data = mcs.quality.warp_quality(f"piecewise-constant(values={TABLE})", resolution=64)
     u = data["u0"].values
 
     def inverse(first):
@@ -92,17 +95,21 @@ def test_a_table_is_torn_between_rows():
 def test_warps_of_one_pdf_by_how_they_tear():
     table = [[1, 0.5, 2], [0.1, 0.2, 0.5], [4, 1, 0.1]]
     data = {
-        warp: mcs.warp_quality(f"piecewise-constant(values={table}, warp={warp!r})", resolution=64)
+        warp: mcs.quality.warp_quality(
+            f"piecewise-constant(values={table}, warp={warp!r})", resolution=64
+        )
         for warp in ("marginal", "alias")
     }
-    smooth = mcs.warp_quality(f"bilinear(values={table})", resolution=32)
+    smooth = mcs.quality.warp_quality(f"bilinear(values={table})", resolution=32)
     assert float(smooth["jump_length"]) == 0
     for name in ("jump_length", "neighbor_expansion", "mean_jump"):
         assert float(data["alias"][name]) > float(data["marginal"][name])
 
 
 def test_one_dim():
-    data = mcs.warp_quality(mcs.density("piecewise-constant(values=[1, 0, 1])"), resolution=32)
+    data = mcs.quality.warp_quality(
+        mcs.density("piecewise-constant(values=[1, 0, 1])"), resolution=32
+    )
     assert data["jump"].dims == ("axis", "u0")
     assert float(data["jump"].max()) == pytest.approx(1 / 3)
     assert float(data["jump_length"]) == 1
@@ -124,7 +131,7 @@ def test_one_dim():
 )
 def test_bad_input(density, options, message):
     with pytest.raises(ParameterError, match=message):
-        mcs.warp_quality(density, **options)
+        mcs.quality.warp_quality(density, **options)
 
 
 def test_distortion_of_the_concentric_disk():
@@ -135,5 +142,5 @@ def test_distortion_of_the_concentric_disk():
     q = np.minimum(np.abs(a), np.abs(b)) / np.maximum(np.abs(a), np.abs(b))
     diameter = np.hypot(1, np.pi / 4 * (1 + q))  # the longer of both diagonals
     expected = np.exp(np.log(diameter / np.sqrt(2 * np.pi / 4)).mean())
-    data = mcs.warp_quality("disk", resolution=side)
+    data = mcs.quality.warp_quality("disk", resolution=side)
     assert float(data["distortion"]) == pytest.approx(expected, rel=1e-4)

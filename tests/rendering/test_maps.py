@@ -55,7 +55,7 @@ def identical(a, b):
 def test_a_pixel_is_what_convergence_measures(small, strategy):
     # The same points: the only difference is float32, in which Mitsuba computes values.
     if strategy == "mis":
-        estimator: Any = mcs.TechniqueSum([pixel("mis-light"), pixel("mis-bsdf")])
+        estimator: Any = mcs.estimators.TechniqueSum([pixel("mis-light"), pixel("mis-bsdf")])
     else:
         estimator = pixel(strategy)
     one = mcs.convergence(estimator, "jittered", COUNTS, realizations=32, rng=7)
@@ -201,7 +201,9 @@ def test_channels_and_heuristics():
     options = {**SMALL, "crop": (*PLATE, 1, 1), "predict_every": 0}
     red = variance_map("veach", channel=0, heuristic="power", **options)
     estimator = [pixel(s, channel=0, heuristic="power") for s in ("mis-light", "mis-bsdf")]
-    one = mcs.convergence(mcs.TechniqueSum(estimator), "jittered", COUNTS, realizations=32, rng=7)
+    one = mcs.convergence(
+        mcs.estimators.TechniqueSum(estimator), "jittered", COUNTS, realizations=32, rng=7
+    )
     own = red["variance"].sel(strategy="mis").squeeze().values
     assert own == pytest.approx(one["variance"].values, rel=1e-4)
     assert "predicted_ratio" not in red

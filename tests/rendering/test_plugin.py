@@ -1,5 +1,6 @@
 """Our samplers as Mitsuba's: sets, requests, images, passes, and one sentence an error."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -274,12 +275,37 @@ def test_split_passes_give_the_image_of_one_pass(files):
 @pytest.mark.parametrize("variant", PLUGIN_VARIANTS)
 def test_command_writes_the_image(files, tmp_path, variant):
     out = tmp_path / "image.exr"
-    command = ["mitsuba", files["ours"], "-m", variant, "-o", str(out), "--seed", "3"]
+    command = ["render", files["ours"], "--integrator", "scene", "--variant", variant]
+    command += ["-o", str(out), "--seed", "3"]
     run = python("-c", PROGRAM, *command, timeout=120, check=True)
     assert "8 × 6 pixels" in run.stdout
     written = np.array(load_mitsuba().Bitmap(str(out)), dtype=np.float64)
     # The film writes half floats.
     np.testing.assert_allclose(written, render_file(files["ours"], variant, seed=3), rtol=1e-3)
+
+
+@pytest.mark.parametrize("variant", PLUGIN_VARIANTS)
+def test_a_sampler_takes_the_place_of_the_scenes_own(files, tmp_path, variant):
+    """The image is that of a file that names our sampler, and the file stays as it is."""
+    before = Path(files["stock"]).read_bytes()
+    replaced = render_file(files["stock"], variant, sampler="jittered", seed=3)
+    named = render_file(files["ours"], variant, definitions={"spec": "jittered"}, seed=3)
+    np.testing.assert_array_equal(replaced, named)
+    assert not np.array_equal(replaced, render_file(files["stock"], variant, seed=3))
+    assert Path(files["stock"]).read_bytes() == before
+    # A scene whose camera names no sampler has one all the same
+    bare = tmp_path / "bare.xml"
+    bare.write_text(re.sub(r"<sampler.*</sampler>", "", before.decode()), encoding="utf-8")
+    one = render_file(bare, variant, sampler="jittered", spp=16, seed=3)
+    np.testing.assert_array_equal(one, named)
+
+
+def test_an_integrator_takes_the_place_of_the_scenes_own(files):
+    ours = {"definitions": {"integrator": "path"}}
+    expected = render_file(files["ours"], seed=2, **ours)
+    np.testing.assert_array_equal(render_file(files["ours"], integrator="path", seed=2), expected)
+    with pytest.raises(ParameterError, match="cannot be read"):
+        render_file(files["ours"], integrator="path(")
 
 
 def test_counts_that_cannot_be_made_name_the_nearest(files):
@@ -316,16 +342,16 @@ def test_bad_properties(properties, words):
         (["-D", "spec=nosuch"], "no sampler called 'nosuch'"),
         (["-D", "spec"], "give KEY=VALUE"),
         (["-D", "a=b"], "a=b"),
-        (["-m", "nosuch"], "variant is 'nosuch'"),
-        (["-s", "3"], "sensor is 3"),
+        (["--variant", "nosuch"], "--variant is 'nosuch'"),
+        (["--sensor", "3"], "--sensor is 3"),
         (["--spp", "0"], "--spp is 0"),
         (["--seed", "4294967296"], "seed is 4294967296"),
-        (["-o", "image.png"], "give an .exr file"),
-        (["-o", "nowhere/image.exr"], "in a folder that exists"),
+        (["-o", "image.jpg"], "must end in .exr or .png"),
+        (["-o", "nowhere/image.exr"], "in a folder that does not exist"),
     ],
 )
 def test_bad_commands_are_one_sentence(files, capsys, options, words):
-    assert main(["mitsuba", files["ours"], *options]) == 2
+    assert main(["render", files["ours"], "--integrator", "scene", *options]) == 2
     printed = capsys.readouterr().err
     assert words in printed
     assert printed.count("\n") == 1

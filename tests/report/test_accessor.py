@@ -28,8 +28,8 @@ RESULTS = {
         realizations=100,
         kinds=["unshifted"],
     ),
-    "warp": lambda: mcs.warp_quality("linear"),
-    "primary": lambda: mcs.primary_picture(mcs.Estimator("disk", "linear")),
+    "warp": lambda: mcs.quality.warp_quality("linear"),
+    "primary": lambda: mcs.variance.primary_picture(mcs.Estimator("disk", "linear")),
 }
 PANELS = {"warp": 2}
 
@@ -123,7 +123,7 @@ def test_several_estimators_are_drawn_by_name():
 
 
 def test_variants_of_a_sampler_have_a_curve_and_a_sentence_each():
-    data = mcs.mirror_study("disk", "jittered", [16, 64], realizations=40)
+    data = mcs.variance.mirror_study("disk", "jittered", [16, 64], realizations=40)
     shown = [t.get_text() for t in data.mcspectra.plot().figure.legends[0].get_texts()]
     said = data.mcspectra.summary()
     for mirroring in ("original", "integrand", "random", "uniform"):
@@ -199,11 +199,14 @@ def test_importing_the_module_registers_the_accessor():
     assert accessor.Result(xr.Dataset()).kinds == ()
 
 
-def test_summaries_of_predictions_have_values_routes_and_rates():
+def test_summaries_of_predictions_have_values_methods_and_rates():
     found = mcs.predict("disk", ["random", "jittered | shift"], [64, 256])
     random, jittered = found["predicted_variance"].isel(n=-1).values
     text = found.mcspectra.summary()
-    assert f"random: variance {number(random)} at n = 256 (exact), rate −1.00 now" in text
+    assert (
+        f"random: variance {number(random)} at n = 256 by exact (quadrature), rate −1.00 now"
+        in text
+    )
     assert f"jittered | shift: variance {number(jittered)} at n = 256" in text
     assert "and −1.50 at large n." in text
     alone = mcs.predict("gaussian", "jittered", [16]).mcspectra.summary()

@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.cli.main import main
@@ -28,6 +29,20 @@ def test_the_table_has_rates_and_ranks(bench):
                 assert text == "–"
             else:
                 assert text.endswith(f"({low:.0f})" if low == high else f"({low:.0f}–{high:.0f})")
+
+
+def test_many_samplers_have_rows_and_pictures_of_ten_at_a_time(bench, tmp_path):
+    many = xr.concat([bench.isel(sampler=[k % 3]) for k in range(12)], "sampler")
+    many = many.assign_coords(label=("sampler", [f"s{k}" for k in range(12)]))
+    columns, rows = bench_table(many)
+    assert columns == ["Sampler", *bench["integrand"].values]
+    assert [row[0] for row in rows] == [f"s{k}" for k in range(12)]
+    page = write_bench(many.isel(integrand=slice(2)), str(tmp_path / "many.html")).read_text(
+        "utf-8"
+    )
+    assert page.count('<table class="sortable"') == 2  # both tables can be sorted
+    quality = [plot for title, plot in bench_plots(many) if title == "Quality"]
+    assert len(quality) == 2
 
 
 def test_every_part_is_pictured(bench):
@@ -85,5 +100,15 @@ def test_the_verb(capsys, tmp_path):
     assert main([*arguments, "-o", "r.docx"]) == 2
     said = capsys.readouterr().err
     assert "it must end in .html, .pdf, .csv, .tex or .pgf" in said
+    folder = tmp_path / "page"
+    assert main([*arguments, "-o", str(folder), "-o", str(tmp_path / "s.tex")]) == 0
+    page = (folder / "index.html").read_text("utf-8")
+    assert page.count('href="#s-jittered"') == 2  # in the contents and in the table
+    assert "uniform point in each" in page
+    assert {file.name for file in folder.iterdir()} == {"index.html", "bench.csv"}
+    capsys.readouterr()
+    (tmp_path / "file").touch()
+    assert main([*arguments, "-o", str(tmp_path / "file" / "page")]) == 2
+    assert "give a folder inside one that can be written" in capsys.readouterr().err
     assert main(["bench", "command('./none {n}')"]) == 2
     assert "--allow-code './none {n}'" in capsys.readouterr().err

@@ -8,8 +8,10 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page
 
+import mcspectra as mcs
 from mcspectra.report import write_comparison, write_report
-from mcspectra.report.sampler_gallery import QUICK, write_gallery
+from mcspectra.report.bench_page import write_bench
+from mcspectra.report.sampler_cards import QUICK, measure_card
 
 pytestmark = pytest.mark.browser
 Make = dict[str, Callable[..., Any]]
@@ -27,8 +29,11 @@ def _folder(make, tmp_path_factory):
     write_report(make["study"](root / "a", cells))
     make["study"](root / "b", {("1-D", "random"): {"convergence": make["curve"](rate=-1.3)}})
     write_comparison(root / "a", root / "b", root / "comparison.html")
-    tiny = replace(QUICK, n=16, spectra=6, rates=40, counts=(4, 16))
-    write_gallery(root / "gallery", ["random", "jittered"], effort=tiny)
+    tiny = replace(QUICK, n=16, spectra=6, counts=())
+    bench = mcs.sampler_bench(["random", "jittered"], counts=[4, 16], realizations=20)
+    write_bench(
+        bench, str(root / "bench"), [measure_card(s, effort=tiny) for s in bench["sampler"].values]
+    )
     return root
 
 
@@ -139,7 +144,7 @@ def test_the_overview_sorts(browser, folder):
     visit.leave()
 
 
-@pytest.mark.parametrize("name", ["a/report.html", "comparison.html", "gallery/index.html"])
+@pytest.mark.parametrize("name", ["a/report.html", "comparison.html", "bench/index.html"])
 def test_every_plot_draws_nothing_spills_and_axe_finds_nothing_serious(browser, folder, name):
     """On a phone and on a desk, in both schemes: the page is the same, its styles differ."""
     visit = Visit(browser, folder / name, viewport={"width": 390, "height": 800})

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from markupsafe import Markup
 from tests.report.parsed import Parsed
 
 from mcspectra.core.errors import StoreError
@@ -20,6 +19,7 @@ from mcspectra.report.page import (
     Figure,
     Figures,
     Folded,
+    Markup,
     Page,
     Section,
     Sentences,
@@ -183,3 +183,9 @@ def test_columns_are_chosen_by_name():
     chosen = columns_of(table, ("c", "a"))
     assert chosen.columns == ("c", "a")
     assert [cell.text for cell in chosen.rows[0]] == ["3", "1"]
+
+
+def test_what_is_inserted_in_html_is_escaped_once():
+    inner = Markup("<b>{}</b>").format(EVIL)
+    assert inner == "<b>&lt;/script&gt;&lt;u&gt;&amp;&quot;&#x27;</b>"
+    assert Markup("<p>{}{}</p>").format(inner, 2) == f"<p>{inner}2</p>"

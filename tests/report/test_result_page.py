@@ -1,4 +1,4 @@
-"""The page of one result: what it says, its values with their intervals and routes."""
+"""The page of one result: what it says, its values with their intervals and methods."""
 
 import html
 import re
@@ -23,16 +23,27 @@ def shown(tmp_path):
     return write
 
 
-def test_predictions_stand_with_their_routes(shown):
+def test_predictions_stand_with_their_methods(shown):
     found = mcs.predict("disk", ["random", "rank1-lattice | shift", "sobol"], [16, 64])
     words = shown(found)
     assert "sobol: a deterministic sampler has no variance" in words
     assert "sampler predicted rate limit rate bend n random −1.00 −1.00 –" in words
     for sampler in ("random", "rank1-lattice | shift"):
         for n in (16, 64):
-            route = found["route"].sel(sampler=sampler, n=n).item()
-            assert re.search(rf"{re.escape(sampler)} {n} [^a-z]* {re.escape(route)}", words)
+            one = found.sel(sampler=sampler, n=n)
+            method = f"{one['method'].item()} {one['how'].item()}"
+            assert re.search(rf"{re.escape(sampler)} {n} [^a-z]* {re.escape(method)}", words)
     assert "sobol 16" not in words
+
+
+def test_all_methods_have_rows_by_n(shown):
+    found = mcs.predict("gaussian", "jittered", [16, 64], method="all", realizations=30)
+    words = shown(found)
+    assert "method n predicted variance" in words
+    for n in (16, 64):
+        assert re.search(rf"levels {n} [^a-z]* strata", words)
+        assert re.search(rf"measured {n} [^a-z]* 30 realizations", words)
+    assert "torus 16" not in words
 
 
 def test_a_plan_says_n_in_its_table_and_its_figure(shown):

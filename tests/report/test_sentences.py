@@ -256,10 +256,10 @@ def test_one_sentence_without_terms():
             "g jumps. Use owen.",
         ),
         (
-            {"exact": xr.Dataset(attrs={"note": "No form."})},
+            {"predict": xr.Dataset(attrs={"note": "No form", "method": "exact"})},
             "No exact variance at every n: No form.",
         ),
-        ({"exact": xr.Dataset()}, ""),
+        ({"predict": xr.Dataset(attrs={"note": "no variance", "method": "auto"})}, ""),
         (
             {"convergence": xr.Dataset(attrs={"note": "sobol has no variance"})},
             "Sobol has no variance.",

@@ -285,12 +285,12 @@ def test_analyses_of_one_reason_share_a_row(monkeypatch):
         "e/random/terms": "It raised.",
         "e/random/spectrum": "It raised.",
         "e/jittered-shift/terms": "It raised.",
-        "a/b/exact": "NaN.",
+        "a/b/predict": "NaN.",
     }
     monkeypatch.setattr(module, "study_status", lambda _: lacking(failed, ("e/shift/terms",)))
     sentence, table = gaps()
     assert [tuple(cell.text for cell in row) for row in table.rows] == [
-        ("a", "b", "exact", "NaN."),
+        ("a", "b", "predict", "NaN."),
         ("E!", "jittered | shift", "terms", "It raised."),
         ("E!", "random", "spectrum, terms", "It raised."),
         ("E!", "shift", "terms", "not computed yet"),

@@ -26,7 +26,7 @@ FULL = SummaryRow(
     measured_high=1.3e-6,
     captured=0.96,
     ratio=0.96,
-    route="fourier",
+    method="fourier",
     largest_term="power",
 )
 
@@ -142,8 +142,8 @@ def test_summary__other_counts_are_named():
     assert [row[3].text for row in table.rows] == ["1.23×10⁻⁶", "1.23×10⁻⁶", "1.23×10⁻⁶ (n = 256)"]
 
 
-def test_summary__says_by_which_route_it_was_predicted():
-    row = msgspec.structs.replace(FULL, ratio=1.02, ratio_low=0.97, ratio_high=1.07, route="exact")
+def test_summary__says_by_which_method_it_was_predicted():
+    row = msgspec.structs.replace(FULL, ratio=1.02, ratio_low=0.97, ratio_high=1.07, method="exact")
     table = summary_table([row])
     assert table.rows[0][4].text == "1.020 ± 0.050 (exact)"
     assert table.rows[0][4].order == 1.02

@@ -14,14 +14,14 @@ from mcspectra.reproduction import pair_correlation as pairs
 def test_pairs_and_powers_of_another_sampler_disagree(
     disagreeing: Disagreeing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    power, count_pairs, routes = mcs.closed_form_power, pairs.count_pairs, pairs.routes
+    power, count_pairs, by_pairs = mcs.closed_form_power, pairs.count_pairs, pairs.by_pairs
     others = {"random": "jittered", "jittered": "random", "poisson-disk": "jittered"}
 
     def twice(*_: Any) -> Any:
-        counted, measured = routes("jittered | shift", 200, 1)
+        counted, measured = by_pairs("jittered | shift", 200, 1)
         return counted / 0.5, measured
 
     monkeypatch.setattr(mcs, "closed_form_power", lambda name, *rest: power(others[name], *rest))
     assert disagreeing(
-        pairs, count_pairs=lambda name, *_: count_pairs(others[name], 200, 3), routes=twice
+        pairs, count_pairs=lambda name, *_: count_pairs(others[name], 200, 3), by_pairs=twice
     ) == [0, 1, 2, 3, 4, 8, 9, 10]

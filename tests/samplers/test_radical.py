@@ -180,7 +180,7 @@ def test_what_is_known_of_the_chain_is_known_of_its_short_form(alias, chain, dim
     estimator = mcs.Estimator("gaussian", dims=dims)
     for known in (
         lambda s: mcs.exact_variance(estimator, s, 16),
-        lambda s: mcs.gain_coefficients(s, 16)["gain"].values.tolist(),
+        lambda s: mcs.spectra.gain_coefficients(s, 16)["gain"].values.tolist(),
     ):
         try:
             expected = known(long)

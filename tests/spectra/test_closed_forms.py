@@ -108,7 +108,7 @@ def check(sampler, n, nu):
     mean = moments_of(sampler.law(n), sampler.spec, nu).mean(nu)
     assert_pulls(s, mean)
     centered = s - mean
-    exact = mcs.closed_form_covariance(sampler, n, nu[:, None], nu)
+    exact = mcs.spectra.closed_form_covariance(sampler, n, nu[:, None], nu)
     assert_pulls(centered[:, :, None] * np.conj(centered[:, None, :]), exact)
     assert_pulls(np.abs(s) ** 2 + 0j, mcs.closed_form_power(sampler, n, nu))
 
@@ -135,7 +135,7 @@ def test_random_points_of_a_density(dims):
     weights = 1 / density.pdf(x)
     s = np.stack([(weights * np.exp(-2j * np.pi * (x @ one))).mean(axis=1) for one in m], axis=1)
     s -= (m == 0).all(axis=1)
-    exact = mcs.closed_form_covariance("random", n, m[:, None], m, density=density)
+    exact = mcs.spectra.closed_form_covariance("random", n, m[:, None], m, density=density)
     assert_pulls(s[:, :, None] * np.conj(s[:, None, :]), exact)
     power = mcs.closed_form_power("random", n, m, density=density)
     np.testing.assert_allclose(np.diag(exact), power - (m == 0).all(axis=1), atol=1e-12)
@@ -152,7 +152,7 @@ def test_jittered_at_integers_is_the_formula_of_the_design(dims):
     product = np.prod(sign * np.sinc(row / s) * np.sinc(column / s), axis=-1)
     divides = (steps == np.rint(steps)).all(axis=-1)
     expected = np.where(divides, (row == column).all(axis=-1) - product, 0) / n
-    found = mcs.closed_form_covariance(mcs.sampler("jittered", dims=dims), n, row, column)
+    found = mcs.spectra.closed_form_covariance(mcs.sampler("jittered", dims=dims), n, row, column)
     np.testing.assert_allclose(found, expected, atol=1e-15)
 
 

@@ -49,7 +49,7 @@ def test_simulation_agrees_for_all_pairs(spec, p, dims, n):
     """All C_ml, real and imaginary parts, within the errors; the family is all of all cases."""
     sampler, density = mcs.sampler(spec, dims=dims), mcs.density(p, dims=dims)
     m = FREQUENCIES[dims]
-    exact = mcs.closed_form_covariance(sampler, n, m[:, None], m, density=density)
+    exact = mcs.spectra.closed_form_covariance(sampler, n, m[:, None], m, density=density)
     s = _sums(sampler, density, n, m)
     products = s[:, :, None] * np.conj(s[:, None, :])
     difference = products.mean(axis=0) - exact
@@ -79,17 +79,17 @@ def test_strata_by_quadrature_in_primary_space(m, l):
         return n * integrate.quad(value, *ends, epsabs=1e-12, complex_func=True)[0]
 
     total = sum(mean(j, m - l, 2) - mean(j, m, 1) * np.conj(mean(j, l, 1)) for j in range(n))
-    found = mcs.closed_form_covariance("jittered", n, [m], [l], density=density)
+    found = mcs.spectra.closed_form_covariance("jittered", n, [m], [l], density=density)
     assert abs(found - total / n**2) < 1e-10
 
 
 def test_without_slope_it_is_the_unweighted_form():
     m = FREQUENCIES[2]
     for spec, n in (("jittered", 9), ("latin-hypercube", 4), ("uniform-jitter", 9)):
-        flat = mcs.closed_form_covariance(
+        flat = mcs.spectra.closed_form_covariance(
             mcs.sampler(spec, dims=2), n, m[:, None], m, density="linear(slope=0)"
         )
-        known = mcs.closed_form_covariance(mcs.sampler(spec, dims=2), n, m[:, None], m)
+        known = mcs.spectra.closed_form_covariance(mcs.sampler(spec, dims=2), n, m[:, None], m)
         np.testing.assert_allclose(flat, known, atol=1e-12)
     shifted = mcs.closed_form_power(
         mcs.sampler("jittered | shift", dims=2), 9, [[40, 100]], density="linear(slope=0)"
@@ -115,7 +115,9 @@ def test_power_spectra_of_importance_samples_agree():
 def test_importance_samples_are_not_white():
     """Power at m is (1/n) ∫1/p for random points, but C_ml of neighbours is not 0: Toeplitz."""
     density = mcs.density("linear(slope=1)", dims=1)
-    c = mcs.closed_form_covariance("random", 10, [[5], [5], [5]], [[5], [4], [0]], density=density)
+    c = mcs.spectra.closed_form_covariance(
+        "random", 10, [[5], [5], [5]], [[5], [4], [0]], density=density
+    )
     assert 10 * c[0] == pytest.approx(np.log(3), rel=1e-12)
     k = np.arange(2)
     by_quad = [

@@ -47,7 +47,7 @@ def test_gains_are_those_of_the_definition(spec, dims, n):
     levels = 3
     sampler = mcs.sampler(spec, dims=dims)
     base = getattr(sampler, "base", sampler) if "|" in spec else sampler
-    d = mcs.gain_coefficients(sampler, n, levels=levels)
+    d = mcs.spectra.gain_coefficients(sampler, n, levels=levels)
     assert d["gain"].dims == tuple(f"level{i}" for i in range(dims))
     points = base.draw(n)[0]
     for level in itertools.product(range(levels + 1), repeat=dims):
@@ -61,7 +61,7 @@ def test_gains_count_the_dual_net(spec, dims, n):
     levels = 4
     sampler = mcs.sampler(spec, dims=dims)
     axes = np.meshgrid(*[np.arange(2**levels)] * dims, indexing="ij")
-    dual = mcs.closed_form_walsh_power(
+    dual = mcs.spectra.closed_form_walsh_power(
         sampler.then(mcs.sampler("sobol | digital-shift", dims=dims).steps[0]),
         n,
         np.stack(axes, axis=-1),
@@ -73,7 +73,7 @@ def test_gains_count_the_dual_net(spec, dims, n):
         sizes = np.add.reduceat(sizes, starts, axis=axis)
     expected = shares / sizes
     expected[(0,) * dims] = 0.0
-    found = mcs.gain_coefficients(sampler, n, levels=levels)["gain"].values
+    found = mcs.spectra.gain_coefficients(sampler, n, levels=levels)["gain"].values
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
@@ -82,7 +82,7 @@ def test_a_net_of_quality_0_has_no_coarse_part_and_bounded_gains(base):
     """(0, m, 2)-nets: Γ = 0 for l_1 + l_2 ≤ m; 1 on an axis beyond; never above (b/(b − 1))."""
     m = 4
     spec = "sobol" if base == 2 else "faure(base=3)"
-    gain = mcs.gain_coefficients(spec, base**m, dims=2, levels=m + 2)["gain"].values
+    gain = mcs.spectra.gain_coefficients(spec, base**m, dims=2, levels=m + 2)["gain"].values
     level = np.arange(m + 3)
     assert (gain[level[:, None] + level <= m] == 0).all()
     np.testing.assert_allclose(gain[0, m + 1 :], 1.0)
@@ -101,7 +101,7 @@ def test_walsh_power_against_simulation(spec, dims, n, step):
     for i, m in enumerate(indices):
         s = np.prod([walsh(int(k), x[..., j]) for j, k in enumerate(m)], axis=0).mean(axis=1)
         power[:, i] = s**2
-    exact = mcs.closed_form_walsh_power(sampler, n, indices)
+    exact = mcs.spectra.closed_form_walsh_power(sampler, n, indices)
     if step == "digital-shift":
         np.testing.assert_allclose(power, np.broadcast_to(exact, power.shape), atol=1e-12)
         return
@@ -118,8 +118,8 @@ def test_given_matrices_have_the_dual_net_of_their_sequence():
     net = mcs.samplers.DigitalNet(matrices=matrices.tolist())
     shift = mcs.sampler("sobol | digital-shift", dims=2).steps[0]
     np.testing.assert_array_equal(
-        mcs.closed_form_walsh_power(net.then(shift), 8, indices % 8),
-        mcs.closed_form_walsh_power("sobol | digital-shift", 8, indices % 8),
+        mcs.spectra.closed_form_walsh_power(net.then(shift), 8, indices % 8),
+        mcs.spectra.closed_form_walsh_power("sobol | digital-shift", 8, indices % 8),
     )
 
 
@@ -127,7 +127,7 @@ def test_given_matrices_have_the_dual_net_of_their_sequence():
 def test_nested_variances_add_up_to_the_variance(spec):
     f = mcs.integrand(spec, dims=2)
     levels = 8
-    parts = mcs.nested_variances(f, levels)
+    parts = mcs.spectra.nested_variances(f, levels)
     assert parts.shape == (levels + 1, levels + 1)
     assert parts[0, 0] == 0.0
     whole = mcs.exact_variance(mcs.Estimator(f), "random", 1) if spec != "disk" else None
@@ -140,7 +140,7 @@ def test_nested_variances_add_up_to_the_variance(spec):
 def test_nested_variances_of_a_linear_function_are_powers_of_four():
     """x = ½ + Σ digits: level l of one axis has ∫ (2^-(l+1))² = 4^-(l+1)."""
     f = mcs.Integrand.from_function(lambda x: x[..., 0] + 2 * x[..., 1], dims=2)
-    parts = mcs.nested_variances(f, 5)
+    parts = mcs.spectra.nested_variances(f, 5)
     expected = np.zeros((6, 6))
     expected[1:, 0] = 0.25 ** (np.arange(1, 6) + 1)
     expected[0, 1:] = 4 * 0.25 ** (np.arange(1, 6) + 1)

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra import (
+from mcspectra.core.errors import ConfigError
+from mcspectra.spectra import (
     axis_frequencies,
     diagonal_frequencies,
     plane_frequencies,
     subset_frequencies,
+    transforms,
 )
-from mcspectra.core.errors import ConfigError
-from mcspectra.spectra import transforms
 from mcspectra.spectra._listed_kernels import unit_phases
 from mcspectra.spectra.listed import listed_transform
 from mcspectra.spectra.transforms import FrequencyGrid, Transform, direct_sum
@@ -94,7 +94,7 @@ def test_same_as_the_grid(dims, n, engine):
         **given,
     )
     nu = plane_frequencies(dims, range(dims), 3)
-    listed = mcs.power_at(sampler, n, nu, realizations=13, rng=3, **given)
+    listed = mcs.spectra.power_at(sampler, n, nu, realizations=13, rng=3, **given)
     for name in ("power", "power_se", "mean_coefficient", "mean_coefficient_se"):
         # √ of rounding where nothing varies
         floor = 1e-7 if name.endswith("_se") else 1e-9
@@ -126,14 +126,14 @@ def test_closed_forms_in_any_dims(name, dims, n):
         ]
     )
     sampler = mcs.sampler(name, dims=dims)
-    found = mcs.power_at(sampler, n, nu, realizations=2000, rng=4)
+    found = mcs.spectra.power_at(sampler, n, nu, realizations=2000, rng=4)
     _agrees(found, mcs.closed_form_power(sampler, n, nu))
 
 
 def test_mean_is_zero_at_integers_and_the_bias_of_a_cell_elsewhere():
     """Unbiased: ⟨S_ν⟩ = ∫ exp(−2πiνx) = exp(−πiν) sinc(πν) at every real ν, 0 at integers."""
     nu = np.concatenate([np.arange(1, 20), np.arange(0.25, 8, 0.5)])[:, None]
-    found = mcs.power_at("random", 9, nu, realizations=3000, rng=5)
+    found = mcs.spectra.power_at("random", 9, nu, realizations=3000, rng=5)
     expected = (np.exp(-1j * np.pi * nu) * np.sinc(nu))[:, 0]
     error = np.abs(found["mean_coefficient"].values - expected)
     assert (error <= SIGMAS * found["mean_coefficient_se"].values).all()
@@ -144,7 +144,7 @@ def test_mean_is_zero_at_integers_and_the_bias_of_a_cell_elsewhere():
 
 def test_mean_shows_the_bias_of_a_plain_grid():
     """The regular grid has S_m = ±1 at multiples of n in every realisation: error 0, no spread."""
-    found = mcs.power_at(mcs.sampler("regular", dims=1), 8, [[8.0], [3.0]], realizations=5)
+    found = mcs.spectra.power_at(mcs.sampler("regular", dims=1), 8, [[8.0], [3.0]], realizations=5)
     assert np.allclose(np.abs(found["mean_coefficient"]), [1, 0], atol=1e-14)
     assert found["mean_coefficient_se"].values.max() < 1e-7  # √ of rounding in ⟨|S|²⟩ − |⟨S⟩|²
 
@@ -152,7 +152,9 @@ def test_mean_shows_the_bias_of_a_plain_grid():
 def test_weighted_points_of_a_density():
     """⟨|S_m|²⟩ = (1/n)∫1/p at m ≠ 0, and ⟨S_m⟩ = 0: ORACLES, p = ½ + x has ∫1/p = ln 3."""
     nu = np.arange(1, 30)[:, None]
-    found = mcs.power_at("random", 12, nu, density="linear(slope=1)", realizations=4000, rng=6)
+    found = mcs.spectra.power_at(
+        "random", 12, nu, density="linear(slope=1)", realizations=4000, rng=6
+    )
     _agrees(found, np.log(3) / 12)
     error = np.abs(found["mean_coefficient"].values)
     assert (error <= SIGMAS * found["mean_coefficient_se"].values).all()
@@ -160,8 +162,8 @@ def test_weighted_points_of_a_density():
 
 def test_workers_do_not_change_results():
     nu = axis_frequencies(6, 40)
-    one = mcs.power_at("latin-hypercube", 64, nu, realizations=101, rng=2, workers=1)
-    two = mcs.power_at("latin-hypercube", 64, nu, realizations=101, rng=2, workers=2)
+    one = mcs.spectra.power_at("latin-hypercube", 64, nu, realizations=101, rng=2, workers=1)
+    two = mcs.spectra.power_at("latin-hypercube", 64, nu, realizations=101, rng=2, workers=2)
     assert np.array_equal(one["power"], two["power"])
     assert np.array_equal(one["mean_coefficient"], two["mean_coefficient"])
 
@@ -171,14 +173,14 @@ def test_memory_is_flat_in_realizations():
     peaks = []
     for realizations in (2048, 6144):
         tracemalloc.start()
-        mcs.power_at("random", 4096, [[1.0]], realizations=realizations, workers=1)
+        mcs.spectra.power_at("random", 4096, [[1.0]], realizations=realizations, workers=1)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] < 1.1 * peaks[0]
 
 
 def test_labels():
-    found = mcs.power_at("jittered", 16, [[1, 0.5], [2, 0]], realizations=1, rng=3)
+    found = mcs.spectra.power_at("jittered", 16, [[1, 0.5], [2, 0]], realizations=1, rng=3)
     assert found["power"].dims == ("frequency",)
     assert found["m_1"].values.tolist() == [0.5, 0.0]
     assert found["m_0"].attrs["units"] == "cycles per unit"
@@ -204,6 +206,6 @@ def test_lists_of_frequencies():
 def test_points_that_fit_no_memory_are_refused_at_once(monkeypatch):
     monkeypatch.setattr("mcspectra.core.memory.available_memory", lambda: 2**30)
     with pytest.raises(ConfigError, match="power_at would take about"):
-        mcs.power_at("random", 2**30, [[1, 0]], realizations=2)
+        mcs.spectra.power_at("random", 2**30, [[1, 0]], realizations=2)
     with pytest.raises(ConfigError, match="power_spectrum would take about"):
         mcs.power_spectrum("random", 4, half_width=2000, realizations=2)

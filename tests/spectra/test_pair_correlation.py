@@ -6,7 +6,7 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.analysis import Subject
-from mcspectra.spectra.pair_correlation import PairCorrelation, count_pairs
+from mcspectra.spectra.pairs import PairCorrelation, count_pairs
 from mcspectra.testing import check_analysis
 
 
@@ -106,7 +106,7 @@ def test_jittered_against_the_exact_form(spec, n):
     dims = mcs.sampler(spec).dims
     r = (np.arange(bins * 64) + 0.5) / (bins * 128)
     weight = r ** (dims - 1)
-    exact = mcs.closed_form_pair_correlation(spec, n, r)
+    exact = mcs.spectra.closed_form_pair_correlation(spec, n, r)
     mean = (exact * weight).reshape(bins, 64).sum(axis=1) / weight.reshape(bins, 64).sum(axis=1)
     pull = np.abs(d["pair_correlation"] - mean) / d["pair_correlation_se"]
     assert pull.max() < 5
@@ -117,7 +117,7 @@ def test_exact_form_of_jittered_is_the_mean_over_directions():
     for r in (0.05, 0.2, 0.3, 0.45):
         a, b = 2 * r * np.cos(angle), 6 * r * np.sin(angle)
         shared = (np.maximum(0, 1 - a) * np.maximum(0, 1 - b)).mean()
-        found = mcs.closed_form_pair_correlation("jittered(sides=[2, 6])", 12, r)
+        found = mcs.spectra.closed_form_pair_correlation("jittered(sides=[2, 6])", 12, r)
         np.testing.assert_allclose(found, 12 / 11 * (1 - shared), rtol=1e-8)
 
 
@@ -125,7 +125,7 @@ def test_exact_form_of_jittered_is_the_mean_over_directions():
 def test_an_axis_of_one_cell_is_always_shared(sides, n):
     """(2/π) ∫ max(0, 1 − n r sin θ) dθ over a quarter turn: all of it up to r = 1/n."""
     r = np.array([0.0, 0.3 / n, 0.9 / n])
-    found = mcs.closed_form_pair_correlation(f"jittered(sides={sides})", n, r)
+    found = mcs.spectra.closed_form_pair_correlation(f"jittered(sides={sides})", n, r)
     np.testing.assert_allclose(found, n / (n - 1) * n * r * 2 / np.pi, atol=1e-12)
 
 

@@ -78,12 +78,12 @@ def test_simulated_spectra_in_2d_diverge_too(f):
         between = mcs.power_spectrum(
             "jittered", n, half_width=2 * half_width, frequency_step=0.5, **options
         )
-        found = mcs.variance_from_spectrum(at_integers, integers)
+        found = mcs.spectra.variance_from_spectrum(at_integers, integers)
         # What is cut off: at most the power of random points, (1/n) of the rest of ∫f² − I²
         rest = (1 - share) * (square - integrand.integral**2) / n
         noise = 4 * (ci[1] - ci[0]) / 3.92
         assert -noise - rest < found - truth < noise
-        real = mcs.variance_from_spectrum(between, wide)
+        real = mcs.spectra.variance_from_spectrum(between, wide)
         m = np.arange(-2 * half_width, 2 * half_width + 1) / 2
         nu = np.stack(np.meshgrid(m, m, indexing="ij"), axis=-1)
         power = mcs.closed_form_power("jittered", n, nu) * (nu != 0).any(axis=-1)

@@ -28,7 +28,7 @@ def _length(nu):
 def test_rings_by_hand(dims):
     """Power cos² of the angle to the m0 axis: mean and variance of the ring's own frequencies."""
     made = _made(lambda nu: nu[..., 0] ** 2 / np.maximum(_length(nu), 1) ** 2, dims, 5)
-    rings = mcs.radial_statistics(made)
+    rings = mcs.spectra.radial_statistics(made)
     index = np.stack(np.meshgrid(*[np.arange(-5, 6)] * dims, indexing="ij"), axis=-1)
     for ring in range(1, 6):
         members = np.rint(_length(index)) == ring
@@ -51,7 +51,7 @@ def test_anisotropy_of_random_points_is_noise():
     |S|² of a random set is exponential; means over R = 100 have kurtosis 3 + 6/100.
     """
     spectrum = mcs.power_spectrum("random", 256, half_width=24, realizations=100, rng=1)
-    rings = mcs.radial_statistics(spectrum)
+    rings = mcs.spectra.radial_statistics(spectrum)
     independent = np.pi * rings["radius"].values
     allowed = 6 * np.sqrt(2.2 / independent)
     outer = independent > 60
@@ -62,7 +62,7 @@ def test_anisotropy_of_random_points_is_noise():
 def test_radial_error_covers_the_known_power():
     """Random points have power 1/n everywhere: the mean of z² over rings is 1 within 6 √(2/24)."""
     spectrum = mcs.power_spectrum("random", 256, half_width=24, realizations=200, rng=2)
-    rings = mcs.radial_statistics(spectrum)
+    rings = mcs.spectra.radial_statistics(spectrum)
     z = (rings["radial_power"].values - 1 / 256) / rings["radial_power_se"].values
     assert abs(np.mean(z**2) - 1) < 6 * np.sqrt(2 / 24)
 
@@ -79,7 +79,11 @@ def test_streamed_errors_are_those_of_ring_means(dims):
         for x in points
     ]
     for name in ("radial_power", "wedge_power")[: 1 + (dims == 2)]:
-        of_grid = mcs.radial_statistics(many) if name == "radial_power" else mcs.wedge_means(many)
+        of_grid = (
+            mcs.spectra.radial_statistics(many)
+            if name == "radial_power"
+            else mcs.spectra.wedge_means(many)
+        )
         np.testing.assert_allclose(many[name], of_grid[name], rtol=1e-9)
         means = np.stack([one[name].values for one in alone])
         np.testing.assert_allclose(many[name], means.mean(axis=0), rtol=1e-9)
@@ -90,18 +94,18 @@ def test_streamed_errors_are_those_of_ring_means(dims):
 
 def test_other_wedges_have_no_errors_under_a_density():
     spectrum = mcs.power_spectrum("random", 9, density="linear", half_width=8, realizations=4)
-    assert np.isnan(mcs.wedge_means(spectrum, 8)["wedge_power_se"]).all()
-    assert np.isfinite(mcs.wedge_means(spectrum, 12)["wedge_power_se"]).all()
+    assert np.isnan(mcs.spectra.wedge_means(spectrum, 8)["wedge_power_se"]).all()
+    assert np.isfinite(mcs.spectra.wedge_means(spectrum, 12)["wedge_power_se"]).all()
     eight = mcs.power_spectrum(
         "random", 9, density="linear", half_width=8, realizations=4, wedges=8
     )
-    assert np.isfinite(mcs.wedge_means(eight, 8)["wedge_power_se"]).all()
+    assert np.isfinite(mcs.spectra.wedge_means(eight, 8)["wedge_power_se"]).all()
 
 
 @pytest.mark.parametrize(("dims", "count"), [(1, 1), (2, 4), (3, 13), (4, 40)])
 def test_slices_hold_the_power_at_their_frequencies(dims, count):
     made = _made(lambda nu: np.cos(nu @ np.arange(1, dims + 1)), dims, 3, step=0.5)
-    cut = mcs.slices(made)
+    cut = mcs.spectra.slices(made)
     assert cut["slice_power"].shape == (count, 3)
     for label, values in zip(cut["slice"].values, cut["slice_power"].values, strict=True):
         direction = np.array([int(part) for part in label.strip("(),").split(",")])
@@ -116,26 +120,26 @@ def test_wedges_by_hand():
     made = _made(
         lambda nu: np.mod(np.degrees(np.arctan2(nu[..., 1], nu[..., 0])) + 7.5, 180), 2, 40
     )
-    found = mcs.wedge_means(made)
+    found = mcs.spectra.wedge_means(made)
     assert found["angle"].values.tolist() == list(range(0, 180, 15))
     assert np.abs(found["wedge_power"].values - 7.5 - found["angle"].values).max() < 7.5
     # frequencies are symmetric about the centre of a wedge at multiples of 45 degrees
     assert np.allclose(found["wedge_power"].values[[0, 3, 6, 9]], [7.5, 52.5, 97.5, 142.5])
     on_axis = _made(lambda nu: (nu[..., 1] == 0) * 1.0, 2, 16)
-    assert np.flatnonzero(mcs.wedge_means(on_axis, 4)["wedge_power"].values).tolist() == [0]
-    assert np.isnan(mcs.wedge_means(_made(_length, 2, 1), 12)["wedge_power"].values[1])
+    assert np.flatnonzero(mcs.spectra.wedge_means(on_axis, 4)["wedge_power"].values).tolist() == [0]
+    assert np.isnan(mcs.spectra.wedge_means(_made(_length, 2, 1), 12)["wedge_power"].values[1])
 
 
 def test_wedges_see_nothing_beyond_the_circle():
     made = _made(lambda nu: (_length(nu) > 8) * 1.0)
-    assert not mcs.wedge_means(made)["wedge_power"].values.any()
+    assert not mcs.spectra.wedge_means(made)["wedge_power"].values.any()
 
 
 @pytest.mark.parametrize("b", [-1.0, 0.0, 2.0, 4.0])
 @pytest.mark.parametrize(("dims", "step"), [(1, 1.0), (2, 0.5), (3, 1.0)])
 def test_exponent_of_a_power_law_is_exact(b, dims, step):
     made = _made(lambda nu: 0.3 * np.maximum(_length(nu), 0.1) ** b, dims, 8, step)
-    found = mcs.low_frequency_exponent(made)
+    found = mcs.spectra.low_frequency_exponent(made)
     assert float(found["low_frequency_exponent"]) == pytest.approx(b, abs=1e-10)
     low, high = found["low_frequency_exponent_ci"].values
     assert low < b < high
@@ -151,7 +155,9 @@ def test_exponent_interval_has_its_level():
         noisy = made["power"].values * (1 + 0.05 * rng.standard_normal(41))
         made["power"].values[:20] = noisy[:20]
         made["power"].values[21:] = noisy[:20][::-1]
-        low, high = mcs.low_frequency_exponent(made, up_to=20)["low_frequency_exponent_ci"].values
+        low, high = mcs.spectra.low_frequency_exponent(made, up_to=20)[
+            "low_frequency_exponent_ci"
+        ].values
         inside += low < 2 < high
     # widened where χ² is above 1, so on the safe side
     assert inside / 400 > 0.95 - 6 * np.sqrt(0.95 * 0.05 / 400)
@@ -162,12 +168,13 @@ def test_misfit_widens_the_interval_and_a_large_one_refuses():
         return 1 + np.abs(nu[..., 0]) ** 3
 
     bent, more = (
-        mcs.low_frequency_exponent(_made(power, 1, 20, se=se), up_to=20) for se in (0.05, 0.07)
+        mcs.spectra.low_frequency_exponent(_made(power, 1, 20, se=se), up_to=20)
+        for se in (0.05, 0.07)
     )
     assert 1 < float(more["exponent_fit_chi2"]) < float(bent["exponent_fit_chi2"]) < 10
     # The scatter about the line makes the interval, not the errors
     assert np.allclose(bent["low_frequency_exponent_ci"], more["low_frequency_exponent_ci"])
-    found = mcs.low_frequency_exponent(_made(power, 1, 20, se=1e-4), up_to=20)
+    found = mcs.spectra.low_frequency_exponent(_made(power, 1, 20, se=1e-4), up_to=20)
     assert float(found["exponent_fit_chi2"]) > 100
     assert "no power law" in found.attrs["reason"]
     assert np.isnan(float(found["low_frequency_exponent"]))
@@ -189,7 +196,7 @@ def test_no_exponent_of_one_set_or_of_peaks(spec, realizations, reason):
     spectrum = mcs.power_spectrum(
         mcs.sampler(spec, dims=2), 256, half_width=12, realizations=realizations
     )
-    found = mcs.low_frequency_exponent(spectrum)
+    found = mcs.spectra.low_frequency_exponent(spectrum)
     assert (reason is None) == ("reason" not in found.attrs)
     assert reason is None or reason in found.attrs["reason"]
     assert found.attrs.get("reason", "").count(". ") == 0
@@ -200,7 +207,7 @@ def _exponent(spec, dims, n, *, half_width, up_to, axis=None, realizations=1000)
     spectrum = mcs.power_spectrum(
         mcs.sampler(spec, dims=dims), n, half_width=half_width, realizations=realizations, rng=7
     )
-    found = mcs.low_frequency_exponent(spectrum, up_to=up_to, axis=axis)
+    found = mcs.spectra.low_frequency_exponent(spectrum, up_to=up_to, axis=axis)
     low, high = found["low_frequency_exponent_ci"].values
     return float(found["low_frequency_exponent"]), 1.5 * (high - low)
 
@@ -250,14 +257,14 @@ def test_the_directions_with_the_largest_power_decide(spec, n, b):
     1.9: between 2 and the slope of 1 − sinc² at the end of the window, n^(1/2)/4: 1.8.
     """
     spectrum = mcs.power_spectrum(spec, n, half_width=16, realizations=200, rng=7)
-    found = mcs.low_frequency_exponent(spectrum)
+    found = mcs.spectra.low_frequency_exponent(spectrum)
     low, high = found["low_frequency_exponent_ci"].values
     half = (high - low) / 2
     assert abs(float(found["low_frequency_exponent"]) - b) < 2 * half + 0.1 * (b > 0)
     assert half < 0.5  # tells 0 from 2
     assert found.attrs["directions"].startswith("m0 and m1")
     assert "reason" not in found.attrs
-    axis = mcs.low_frequency_exponent(spectrum, axis=0)
+    axis = mcs.spectra.low_frequency_exponent(spectrum, axis=0)
     assert float(axis["low_frequency_exponent"]) > 1.7
     assert axis.attrs["directions"] == "axis 0"
 
@@ -268,7 +275,7 @@ def test_two_exponents_by_hand():
         made = _made(
             lambda nu, k=factor: np.where((nu == 0).any(-1), k * _length(nu) ** 2, _length(nu)), 2
         )
-        found = mcs.low_frequency_exponent(made, up_to=8)
+        found = mcs.spectra.low_frequency_exponent(made, up_to=8)
         assert float(found["low_frequency_exponent"]) == pytest.approx(b, abs=1e-9)
 
 
@@ -277,28 +284,34 @@ def test_between_integers_the_power_of_the_mean_is_taken_off():
     sampler = mcs.sampler("jittered", dims=1)
     given = {"half_width": 32, "frequency_step": 0.25, "realizations": 500, "rng": 2}
     spectrum = mcs.power_spectrum(sampler, 64, mean=True, eps=1e-12, **given)
-    found = mcs.low_frequency_exponent(spectrum)
+    found = mcs.spectra.low_frequency_exponent(spectrum)
     low, high = found["low_frequency_exponent_ci"].values
     assert abs(float(found["low_frequency_exponent"]) - 1.95) < 1.5 * (high - low) + 0.05
     assert high - low < 0.3
     with pytest.raises(ParameterError, match="frequency step of 0.25"):
-        mcs.low_frequency_exponent(mcs.power_spectrum(sampler, 64, **given))
+        mcs.spectra.low_frequency_exponent(mcs.power_spectrum(sampler, 64, **given))
 
 
 def test_lattices_have_no_exponent_and_say_why():
     spectrum = mcs.power_spectrum("fibonacci | shift", 89, half_width=6, realizations=20)
-    found = mcs.low_frequency_exponent(spectrum, up_to=4)
+    found = mcs.spectra.low_frequency_exponent(spectrum, up_to=4)
     assert np.isnan(found["low_frequency_exponent"])
     assert np.isnan(found["low_frequency_exponent_ci"]).all()
     assert "no power" in found.attrs["reason"]
 
 
 @pytest.mark.parametrize(
-    "function", [mcs.radial_statistics, mcs.slices, mcs.wedge_means, mcs.low_frequency_exponent]
+    "function",
+    [
+        mcs.spectra.radial_statistics,
+        mcs.spectra.slices,
+        mcs.spectra.wedge_means,
+        mcs.spectra.low_frequency_exponent,
+    ],
 )
 def test_other_things_than_a_grid_spectrum_are_refused(function):
     made = _made(_length)
-    listed = mcs.power_at("random", 4, [[1.0, 0.0]], realizations=3)
+    listed = mcs.spectra.power_at("random", 4, [[1.0, 0.0]], realizations=3)
     for given in (None, "jittered", np.ones((3, 3)), made.drop_vars("power_se"), listed):
         with pytest.raises(ParameterError, match="power_spectrum"):
             function(given)
@@ -310,14 +323,14 @@ def test_other_things_than_a_grid_spectrum_are_refused(function):
 @pytest.mark.parametrize("wedges", [0, 2.5, 10**9])
 def test_bad_wedges(wedges):
     with pytest.raises(ParameterError, match="wedges"):
-        mcs.wedge_means(_made(_length), wedges)
+        mcs.spectra.wedge_means(_made(_length), wedges)
 
 
 def test_wrong_dims():
     with pytest.raises(ParameterError, match="wedges are of two"):
-        mcs.wedge_means(_made(_length, 3, 2))
+        mcs.spectra.wedge_means(_made(_length, 3, 2))
     with pytest.raises(ParameterError, match="up to 4 dims, not 5"):
-        mcs.slices(_made(_length, 5, 1))
+        mcs.spectra.slices(_made(_length, 5, 1))
 
 
 @pytest.mark.parametrize(
@@ -331,15 +344,15 @@ def test_wrong_dims():
 )
 def test_bad_windows(given):
     with pytest.raises(ParameterError, match=next(iter(given))):
-        mcs.low_frequency_exponent(_made(_length), **given)
+        mcs.spectra.low_frequency_exponent(_made(_length), **given)
 
 
 def test_exponents_need_lengths_and_errors():
     with pytest.raises(ParameterError, match="three"):
-        mcs.low_frequency_exponent(_made(_length, 1, 2))
+        mcs.spectra.low_frequency_exponent(_made(_length, 1, 2))
     single = mcs.power_spectrum("random", 16, half_width=4, realizations=1)
     with pytest.raises(ParameterError, match="two or more realisations"):
-        mcs.low_frequency_exponent(single)
+        mcs.spectra.low_frequency_exponent(single)
 
 
 @pytest.mark.parametrize(
@@ -347,19 +360,23 @@ def test_exponents_need_lengths_and_errors():
 )
 def test_bad_coefficients(f):
     with pytest.raises(ParameterError, match="coefficients"):
-        mcs.variance_from_spectrum(_made(_length), f)
+        mcs.spectra.variance_from_spectrum(_made(_length), f)
 
 
 def test_predictions_of_other_than_homogeneous_sets():
     f = mcs.integrand("gaussian", dims=2).fourier_grid(3)
     weighted = mcs.power_spectrum("random", 9, density="linear", half_width=3, realizations=2)
     with pytest.raises(ParameterError, match="density linear"):
-        mcs.variance_from_spectrum(weighted, f)
+        mcs.spectra.variance_from_spectrum(weighted, f)
     jittered = mcs.power_spectrum("jittered", 9, half_width=3, realizations=2)
     with pytest.warns(CorrelatedFrequenciesWarning, match="add shift"):
-        mcs.variance_from_spectrum(jittered, f)
+        mcs.spectra.variance_from_spectrum(jittered, f)
     for spec in ("jittered | shift", "random", "poisson-disk"):
-        mcs.variance_from_spectrum(mcs.power_spectrum(spec, 9, half_width=3, realizations=2), f)
+        mcs.spectra.variance_from_spectrum(
+            mcs.power_spectrum(spec, 9, half_width=3, realizations=2), f
+        )
     points = mcs.Sampler.from_points(np.random.default_rng(1).random((2, 9, 2)))
     with np.testing.assert_no_warnings():
-        mcs.variance_from_spectrum(mcs.power_spectrum(points, 9, half_width=3, realizations=2), f)
+        mcs.spectra.variance_from_spectrum(
+            mcs.power_spectrum(points, 9, half_width=3, realizations=2), f
+        )

@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
+from mcspectra.plots.groups import labelled
+from mcspectra.plots.kinds import describe
 from mcspectra.report import write_report
+from mcspectra.report.tables import analysis_table
 from mcspectra.studies import make_plan, open_results, run_study, summarize
 from mcspectra.studies.files import decode_study
 
@@ -12,8 +15,9 @@ STUDY = """
 title = "further"
 seed = 5
 samplers = ["jittered | shift"]
-[exact]
+[predict]
 counts = [4, 16]
+method = "exact"
 [[estimators]]
 name = "edge"
 integrand = "linear"
@@ -28,9 +32,14 @@ integrands = ["linear", "step(at=0.3)"]
 dims = 1
 techniques = { counts = [4, 16], half_width = 4, realizations = 30, fit_last = 2 }
 [[estimators]]
+name = "wave"
+integrand = "cosine(frequency=2)"
+dims = 1
+predict = { counts = [4, 16], method = "all", half_width = 4, realizations = 30 }
+[[estimators]]
 name = "none"
 integrand = "disk"
-exact = { counts = [4] }
+predict = { counts = [4], method = "exact" }
 samplers = ["poisson-disk"]
 """
 SAMPLER = "jittered | shift"
@@ -45,7 +54,7 @@ def finished(tmp_path_factory):
 
 def _expected():
     edge = mcs.Estimator("linear", dims=1)
-    both = mcs.TechniqueSum(["linear", "step(at=0.3)"], dims=1)
+    both = mcs.estimators.TechniqueSum(["linear", "step(at=0.3)"], dims=1)
     return {
         "edge/jittered-shift/anova": mcs.anova_variances(edge, SAMPLER, realizations=40, rng=5),
         "edge/jittered-shift/pcf": mcs.pair_correlation(
@@ -56,6 +65,15 @@ def _expected():
         ),
         "edge/jittered-shift/spectrum": mcs.power_spectrum(
             mcs.sampler(SAMPLER, 1), 8, half_width=3, realizations=6, frequency_step=0.5, rng=5
+        ),
+        "wave/jittered-shift/predict": mcs.predict(
+            mcs.Estimator("cosine(frequency=2)", dims=1),
+            SAMPLER,
+            [4, 16],
+            method="all",
+            half_width=4,
+            realizations=30,
+            rng=5,
         ),
         "sum/jittered-shift/techniques": mcs.technique_terms(
             both, SAMPLER, [4, 16], half_width=4, realizations=30, fit_last=2, rng=5
@@ -77,19 +95,35 @@ def test_cells_are_what_the_functions_return(finished):
 
 
 def test_exact_variances(finished):
-    found = open_results(finished)["edge/jittered-shift/exact"]
+    found = open_results(finished)["edge/jittered-shift/predict"]
     estimator = mcs.Estimator("linear", dims=1)
     wanted = [mcs.exact_variance(estimator, SAMPLER, n) for n in (4, 16)]
-    assert found["exact_variance"].values.tolist() == wanted
+    assert found["predicted_variance"].values.tolist() == wanted
     assert "note" not in found.attrs
 
 
 def test_no_closed_form_is_a_note_and_no_failure(finished):
-    found = open_results(finished)["none/poisson-disk/exact"]
-    assert np.isnan(found["exact_variance"].values).all()
+    found = open_results(finished)["none/poisson-disk/predict"]
+    assert np.isnan(found["predicted_variance"].values).all()
     with pytest.raises(mcs.NoClosedForm) as caught:
         mcs.exact_variance(mcs.Estimator("disk"), "poisson-disk", 4)
-    assert found.attrs["note"] == str(caught.value)
+    assert found.attrs["note"] == str(caught.value).rstrip(".")
+    assert found.attrs["labels_method"] == ["none"]
+
+
+def test_methods_side_by_side_have_their_labels_again(finished):
+    """Texts along two dims are attributes of a store; plots and tables read them."""
+    stored = open_results(finished)["wave/jittered-shift/predict"].to_dataset()
+    again, expected = labelled(stored), _expected()["wave/jittered-shift/predict"]
+    assert again["how"].dims == ("method", "n")
+    for name in ("method", "how"):
+        assert (again[name].values == expected[name].values).all()
+    assert "homogenized" in describe("prediction", {SAMPLER: stored}).words
+    heading, table = analysis_table("predict", {SAMPLER: stored})
+    rows = [[cell.text for cell in row] for row in table.rows]
+    assert heading == "Predictions in numbers"
+    assert len(rows) == 2 * 12
+    assert [SAMPLER, "4", "homogenized (power in closed form)"] in [r[:2] + r[4:5] for r in rows]
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -97,11 +131,12 @@ def test_the_report_has_their_tables(finished):
     text = write_report(finished).read_text(encoding="utf-8")
     tree = open_results(finished)
     remedies = tree["edge/jittered-shift/remedies"]
-    for heading in ("Remedies", "Techniques", "Axes", "Exact variance"):
+    for heading in ("Remedies", "Techniques", "Axes"):
         assert f"<h3>{heading}</h3>" in text
+    assert "Predictions in numbers" in text
     assert remedies.attrs["labels_remedy"][0] in text
     assert tree["sum/jittered-shift/techniques"].attrs["bottleneck"] in text
-    assert tree["none/poisson-disk/exact"].attrs["note"][:30] in text
+    assert tree["none/poisson-disk/predict"].attrs["note"][:30] in text
     assert summarize(tree) == []
 
 

@@ -43,12 +43,12 @@ def _estimator(keys, tmp_path):
              "linear", TWO_DENSITIES, dims=1, heuristic="power(beta=3)", counts=[1, 2])),
         (TWO + 'sets = "shared"',
          lambda: mcs.MultipleImportance("linear", TWO_DENSITIES, dims=1, sets="shared")),
-        (TWO + "one_sample = true", lambda: mcs.OneSampleMIS("linear", TWO_DENSITIES, dims=1)),
+        (TWO + "one_sample = true", lambda: mcs.estimators.OneSampleMIS("linear", TWO_DENSITIES, dims=1)),
         (TWO + 'one_sample = true\nprobabilities = [0.25, 0.75]\nselection = "coordinate"',
-         lambda: mcs.OneSampleMIS(
+         lambda: mcs.estimators.OneSampleMIS(
              "linear", TWO_DENSITIES, [0.25, 0.75], dims=1, selection="coordinate")),
         (SUM + 'sets = "joint"\ntechnique_counts = [1, 2]',
-         lambda: mcs.TechniqueSum(["linear", "step(at=0.3)"], dims=1, sets="joint", counts=[1, 2])),
+         lambda: mcs.estimators.TechniqueSum(["linear", "step(at=0.3)"], dims=1, sets="joint", counts=[1, 2])),
     ],
 )  # fmt: skip
 def test_keys_make_the_estimators_of_the_library(tmp_path, keys, expected):
@@ -75,7 +75,7 @@ def test_channels_are_those_of_channel_estimators(colour, way):
     listed = ", ".join(f'"{s.format(folder="")}"' for s in specs)
     keys = f'integrand = "image(path=\'c.png\')"\ndensities = [{listed}]\nchannels = "{way}"\n'
     built = _estimator(keys, colour)
-    made = mcs.channel_estimators(
+    made = mcs.estimators.channel_estimators(
         f"image(path='{colour}/c.png')", [s.format(folder=f"{colour}/") for s in specs]
     )
     wanted = made["mis" if way == "combined" else way]
@@ -103,19 +103,25 @@ def test_channels_are_those_of_channel_estimators(colour, way):
         (TWO + 'channels = "own"\nheuristic = "power"', "takes no heuristic"),
         (TWO + 'channels = "combined"\none_sample = true', "channels and one_sample"),
         (TWO + "one_sample = true\nprobabilities = [0.5]", "probabilities"),
-        (TWO + 'sets = "sharde"', "sets"),
+        (TWO + 'sets = "sharde"', "sets is 'sharde'.*Did you mean 'shared'"),
+        (TWO + "one_sample = 1", r"\[0\].one_sample is 1; give True or False"),
+        (STEP + 'samplers = ["random", ""]', r"\[0\].samplers\[1\] is ''; give a text"),
+        (STEP + "exact = { counts = [4, 16.5] }", r"exact.counts\[1\] is 16.5; give a whole number"),
+        (STEP + "exact = 3", r"estimators\[0\].exact is 3; give a table"),
+        (STEP + "exact = {}", r"estimators\[0\].exact: the key 'counts' is missing"),
+        (STEP + "terms = { n = 4, bands = 3 }", "terms.bands is 3; it must be one of radial"),
         (STEP + 'mirror = "both"', "mirror"),
-        (STEP + "smoothed = 0", "> 0"),
+        (STEP + "smoothed = 0", r"\[0\].smoothed is 0; give a finite number greater than 0"),
         (STEP + "smoothed = nan", "smoothed|width"),
-        (STEP + "anova = { order = 3 }", "order: expected a whole number <= 2"),
+        (STEP + "anova = { order = 3 }", "anova.order is 3; give a whole number from 1 to 2"),
         (STEP + 'remedies = { budget = 64, kinds = ["mirorred"] }', "Did you mean 'mirrored'"),
         (STEP + "remedies = { budget = 64, kinds = [] }", "kinds"),
-        (STEP + "remedies = { budget = 64, realizations = 99 }", ">= 100"),
+        (STEP + "remedies = { budget = 64, realizations = 99 }", "99; give a whole number from 100"),
         (TWO + "remedies = { budget = 1 }", "remedies: budget is 1; give a whole number of at least"),
-        (STEP + "exact = { counts = [16, 4] }", "give ascending numbers"),
+        (STEP + "predict = { counts = [16, 4] }", "give ascending numbers"),
         (STEP + "techniques = { counts = [] }", "counts"),
         (STEP + "pcf = { n = 1 }", "pcf: pair_correlation needs n of at least 2"),
-        (STEP + "pcf = { n = 4, max_distance = 0.6 }", "<= 0.5"),
+        (STEP + "pcf = { n = 4, max_distance = 0.6 }", "0.6; .* at most 0.5"),
         (STEP + "spectrum = { n = 4, frequency_step = 0 }", "frequency_step"),
         (STEP + "spectrum = { m = 4 }", "there is no key 'm'; allowed here: n"),
         ('integrand = "linear"\ndims = 65\nanova = {}\nsamplers = ["random"]', "from 1 to 64"),
@@ -132,13 +138,37 @@ def test_keys_that_contradict_or_are_wrong(tmp_path, keys, words):
         ("title = 't'", "nothing to study"),
         ("title = 't'\n[[maps]]\nname = 'm'\nscene = 'veach'", "has no samplers"),
         (HEAD + STEP + "[[maps]]\nname = 'a'\nscene = 'veach'", "names must differ"),
-        ("title = 't'\nsamplers = []\n[[maps]]\nname = 'm'\nscene = 'x'\nspam = 1", "'spam'"),
+        ("title = 't'\n[[maps]]\nname = 'm'\nscene = 'x'\nspam = 1", "'spam'"),
         ("title = 't'\nseed = " + "9" * 5000, "number that is too long"),
+        (
+            "title = 't'\nestimators = 3",
+            r"estimators is 3; give a list of tables, \[\[estimators\]\]",
+        ),
+        ("title = 't'\nestimators = [3]", r"estimators\[0\] is 3; give a table"),
+        ("title = 't'\nmaps = [3]", r"maps\[0\] is 3; give a table"),
+        ("title = 't'\nsamplers = 'random'", "samplers is 'random'; give one flat list"),
     ],
 )
 def test_studies_that_are_none(text, words):
     with pytest.raises(ConfigError, match=words):
         decode_study(text)
+
+
+def test_whole_numbers_may_be_written_as_floats():
+    text = HEAD.replace("[4, 16]", "[1e1, 1e3]") + 'integrand = "gaussian"\ndims = 2.0\n'
+    study = decode_study("seed = 7e0\n" + text)
+    found = (study.seed, study.estimators[0].dims, *study.analyses["convergence"].counts)
+    assert found == (7, 2, 10, 1000)
+    assert {type(each) for each in found} == {int}
+
+
+@pytest.mark.parametrize("value", ["'LONG'", "['LONG']", "{ a = 'LONG' }"])
+@pytest.mark.parametrize("key", ["n", "half_width", "eps", "basis", "cross_matrix"])
+def test_long_values_are_shown_in_part(key, value):
+    text = f"{HEAD}{STEP}terms = {{ {'' if key == 'n' else 'n = 4, '}{key} = {value} }}"
+    with pytest.raises(ConfigError, match=f"terms.{key}") as caught:
+        decode_study(text.replace("LONG", "x" * 10_000))
+    assert len(str(caught.value)) < 300
 
 
 @pytest.mark.parametrize(

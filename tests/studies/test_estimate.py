@@ -21,8 +21,9 @@ realizations = 2000
 n = 64
 half_width = 8
 realizations = 2000
-[exact]
+[predict]
 counts = [16]
+method = "exact"
 [[estimators]]
 name = "a"
 integrand = "gaussian"
@@ -81,7 +82,7 @@ def test_what_will_fail_is_said_and_not_tried(misbehaving, tmp_path):
     text = "\"python(function='misbehaving:nan_at_once')\""
     config = decode_study(STUDY.replace('"gaussian"', text) + "[spectrum]\nn = 4\n")
     estimates = estimate_study(make_plan(config, tmp_path, Trust(("misbehaving:nan_at_once",))))
-    names = ["convergence", "terms", "exact", "spectrum", "points"]
+    names = ["convergence", "terms", "predict", "spectrum", "points"]
     assert [each.analysis for each in estimates] == 2 * names
     assert all("NaN" in each.error and not each.tried for each in estimates)
     text = estimate_text(estimates, 0.0, 1)
@@ -97,7 +98,7 @@ def test_tasks_are_about_a_second_each_where_they_can_be_cut(tmp_path):
         estimates = estimate_study(_plan(tmp_path, limit + text), probe_seconds=0.2)
         target = 0.2 if limit else 1.0
         for each in estimates:
-            expected = 1 if each.analysis == "exact" else math.ceil(each.seconds / target)
+            expected = 1 if each.analysis == "predict" else math.ceil(each.seconds / target)
             assert each.tasks == expected, each
         counted[limit] = sum(each.tasks for each in estimates)
     assert min(counted.values()) > 1000
@@ -120,11 +121,11 @@ def test_wall_time():
         ("counts = [16, 256]", "counts = [16, 2000000000]"),
         ("n = 64", "n = 2000000000"),
         ("counts = [16]\n", "counts = [2000000000]\n"),
-        ("[exact]\ncounts = [16]", "[pcf]\nn = 2000000000"),
-        ("[exact]\ncounts = [16]", "[anova]\nn = 2000000000"),
-        ("[exact]\ncounts = [16]", "[spectrum]\nn = 2000000000"),
-        ("[exact]\ncounts = [16]", "[techniques]\ncounts = [2000000000]"),
-        ("[exact]\ncounts = [16]", "[remedies]\nbudget = 2000000000"),
+        ('[predict]\ncounts = [16]\nmethod = "exact"', "[pcf]\nn = 2000000000"),
+        ('[predict]\ncounts = [16]\nmethod = "exact"', "[anova]\nn = 2000000000"),
+        ('[predict]\ncounts = [16]\nmethod = "exact"', "[spectrum]\nn = 2000000000"),
+        ('[predict]\ncounts = [16]\nmethod = "exact"', "[techniques]\ncounts = [2000000000]"),
+        ('[predict]\ncounts = [16]\nmethod = "exact"', "[remedies]\nbudget = 2000000000"),
     ],
 )
 def test_too_many_points_are_refused_with_an_estimate_before_allocation(tmp_path, old, new):

@@ -33,8 +33,9 @@ samplers = ["random", "jittered"]
 [convergence]
 counts = [16, 64]
 realizations = 100000
-[exact]
+[predict]
 counts = [4]
+method = "exact"
 [[estimators]]
 name = "smooth"
 integrand = "gaussian"

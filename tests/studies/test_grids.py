@@ -45,7 +45,7 @@ def test_a_placeholder_alone_is_the_value_itself():
 def test_tables_at_the_top_are_repeated_in_the_estimators_that_take_them():
     table = _study(integrand="f")
     table["estimators"].append({"name": "b {n}", "terms": {"n": 3}, "integrand": "g(n={n})"})
-    table |= {"terms": {"n": "{n}", "bands": "radial"}, "exact": {"counts": [4]}}
+    table |= {"terms": {"n": "{n}", "bands": "radial"}, "predict": {"counts": [4]}}
     made = expand_grids({**table, "grid": {"n": [4, 8]}})
     assert made["estimators"] == [
         {"name": "a (n=4)", "integrand": "f", "terms": {"n": 4, "bands": "radial"}},
@@ -54,7 +54,7 @@ def test_tables_at_the_top_are_repeated_in_the_estimators_that_take_them():
         {"name": "b 8", "integrand": "g(n=8)", "terms": {"n": 3}},
     ]
     assert "terms" not in made
-    assert made["exact"] == {"counts": [4]}
+    assert made["predict"] == {"counts": [4]}
     own = _study(integrand="f", grid={"n": [1]}) | {"terms": {"n": "{n}"}}
     assert [each["terms"] for each in expand_grids(own)["estimators"]] == [{"n": 1}]
 
@@ -94,7 +94,7 @@ grid = { n = [4, 8], c = [[4, 8], [16]] }
 [terms]
 n = "{n}"
 half_width = 2
-[exact]
+[predict]
 counts = "{c}"
 [[estimators]]
 name = "a"

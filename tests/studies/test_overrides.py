@@ -77,8 +77,8 @@ def test_the_given_table_is_left_alone():
         ("seed=1\ntitle='two'", "not a value"),
         ("seed=1\n[terms]\nn=3", "not a value"),
         ("seed=" + "[" * 5000, "not a value"),
-        ("seed='x'", "expected a whole number"),
-        ("seed=nan", "expected a whole number"),
+        ("seed='x'", "seed is 'x'; give a whole number"),
+        ("seed=nan", "seed is nan; give a whole number"),
         ("convergence.realizations=" + "9" * 5000, "not a value"),
     ],
 )

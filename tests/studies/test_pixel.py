@@ -111,7 +111,7 @@ def test_predictions_are_those_of_predict_and_stand_in_rows_and_sentences(tree, 
         assert (counts, options["rng"]) == (list(COUNTS), 3)
         found, direct = tree[f"predict/{name}"].to_dataset(), said[spec]
         same(found, direct)
-        assert np.array_equal(found["route"], direct["route"])
+        assert np.array_equal(found["method"], direct["method"])
     direct = said[estimators()["balance"].spec]
     rows = [row for row in pixel_rows(tree) if row.estimator == STRATEGY_NAMES["balance"]]
     measured = tree["convergence"]["variance"].sel(strategy="balance")
@@ -119,9 +119,9 @@ def test_predictions_are_those_of_predict_and_stand_in_rows_and_sentences(tree, 
         at = {"sampler": row.sampler, "n": COUNTS[-1]}
         ratio = float(direct["predicted_variance"].sel(at) / measured.sel(at))
         assert row.ratio == pytest.approx(ratio, rel=1e-12)
-        assert row.route == str(direct["route"].sel(at).values)
+        assert row.method == str(direct["method"].sel(at).values)
     said = dict(pixel_sentences(tree))["MIS, balance"]
-    assert f"({rows[SAMPLERS.index(tree.attrs['sampler'])].route})" in said
+    assert f"({rows[SAMPLERS.index(tree.attrs['sampler'])].method})" in said
     listed = next(r for r in pixel_summary(tree)["rates"] if r["strategy"] == "balance")
     assert np.array_equal(listed["predicted_variance"], direct["predicted_variance"][0])
 
@@ -146,7 +146,7 @@ def test_techniques_pictures_and_light_are_direct_calls(tree):
         balance, SAMPLERS[1], COUNTS, half_width=6, space="primary", basis="auto", **OPTIONS
     )
     same(tree["techniques"].to_dataset(), direct)
-    picture = mcs.primary_picture(balance, technique=1, resolution=32)
+    picture = mcs.variance.primary_picture(balance, technique=1, resolution=32)
     same(tree["pictures/balance-bsdf"].to_dataset(), picture, "primary_value")
     same(tree["incident"].to_dataset(), incident_light("figure1", *Q, resolution=64))
 
@@ -165,7 +165,7 @@ def test_steps_of_float32_are_no_jumps(tree):
     assert float(tree["pictures/light"]["primary_jump_length"].sel(kind="interior")) > 0
     x, y = named_pixels("veach")["wall"]
     smooth = mcs.Estimator(Pixel(scene="veach", x=x, y=y, light="light-3"))
-    raw = mcs.primary_picture(smooth, resolution=32)
+    raw = mcs.variance.primary_picture(smooth, resolution=32)
     cleaned = module._without_rounding(raw)
     floor = 1e-5 * float(raw["primary_value"].max())
     assert cleaned.attrs["smallest_jump"] == pytest.approx(floor)
@@ -176,7 +176,9 @@ def test_steps_of_float32_are_no_jumps(tree):
 
 
 def test_a_picture_without_rounding_is_left_as_it_is(tree):
-    raw = mcs.primary_picture(mcs.Estimator(mcs.integrand("step(at=0.3)", dims=2)), resolution=32)
+    raw = mcs.variance.primary_picture(
+        mcs.Estimator(mcs.integrand("step(at=0.3)", dims=2)), resolution=32
+    )
     same(module._without_rounding(raw), raw)
 
 

@@ -87,7 +87,7 @@ def test_what_takes_too_long_or_too_much_is_refused_with_an_estimate(tmp_path, t
     "text",
     [
         f'title = "t"\nsamplers = [{_jitters(200)}]\n{POINTS}{_estimators(200)}',
-        f"{HEAD}[exact]\ncounts = [4]\n{ESTIMATOR}densities = {['linear(slope=1)'] * 1000}",
+        f"{HEAD}[predict]\ncounts = [4]\n{ESTIMATOR}densities = {['linear(slope=1)'] * 1000}",
         f"{HEAD}{ESTIMATOR}convergence = {{ counts = [4], realizations = 1000000000 }}",
     ],
     ids=["pairs", "densities", "realizations"],

@@ -48,7 +48,7 @@ realizations = 3000
 name = "smooth"
 integrand = "gaussian"
 dims = 2
-exact = { counts = [1] }
+predict = { counts = [1], method = "exact" }
 terms = { n = 64, half_width = 4, realizations = 3000 }
 [[estimators]]
 name = "mis"
@@ -80,10 +80,29 @@ def _path(name):
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory, stored_values):
+def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("study")
     run_study(decode_study(STUDY), folder, workers=1)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def finished(folder, stored_values):
     return stored_values(folder)
+
+
+def test_the_same_study_and_seed_give_the_same_store(folder, tmp_path):
+    """Values, attributes and the order of everything, for another number of workers too."""
+    run_study(decode_study(STUDY), tmp_path, workers=2)
+    trees = [folder / "results.zarr", tmp_path / "results.zarr"]
+    one, two = (
+        {file.relative_to(tree): file.read_bytes() for file in tree.rglob("*") if file.is_file()}
+        for tree in trees
+    )
+    assert one == two
+    run_study(decode_study(STUDY.replace("seed = 3", "seed = 4")), tmp_path / "4", workers=2)
+    other = open_results(tmp_path / "4")["smooth/random/convergence"]
+    assert not other["variance"].equals(open_results(folder)[other.path]["variance"])
 
 
 def test_a_seed_of_128_bits_comes_back(tmp_path):
@@ -95,7 +114,7 @@ def test_a_seed_of_128_bits_comes_back(tmp_path):
     run_study(config, tmp_path, workers=1)
     cells = [node for node in open_results(tmp_path).subtree if "seed" in node.attrs]
     assert {int(cell.attrs["seed"]) for cell in cells} == {seed}
-    assert export_results(tmp_path, tmp_path / "x.nc").is_file()
+    assert export_results(tmp_path, tmp_path / "x.zarr").is_dir()
 
 
 def test_stored_is_what_the_functions_return(finished):

@@ -128,7 +128,7 @@ def test_placeholders_may_stand_for_numbers():
 
 
 def test_placeholders_may_stand_for_lists_and_not_for_what_a_study_has_once():
-    text = STUDY.replace("n = 4", 'n = "{n}"\n[exact]\ncounts = "{c}"')
+    text = STUDY.replace("n = 4", 'n = "{n}"\n[predict]\ncounts = "{c}"')
     text = text.replace('["random"]', '"{s}"')
     text += 'grid = { n = [4, 8], c = [[4, 8], [16]], s = [["random"], ["jittered"]] }\n'
     assert _complaints(text) == []
@@ -171,7 +171,7 @@ def test_tables_of_analyses_are_the_registered_analyses():
 
 def test_the_page_has_all_keys():
     page = (ROOT / "docs" / "studies.md").read_text(encoding="utf-8")
-    assert key_tables().strip() in page, "run: mcspectra schema --markdown"
+    assert key_tables().strip() in page, "run: mcspectra init --schema --markdown"
 
 
 def test_the_studies_in_the_page_are_studies():

@@ -100,7 +100,7 @@ def test_the_report_shows_basis_window_precision_and_errors(finished):
     ("old", "new", "words"),
     [
         ('basis = "auto"', 'basis = "fuorier"', "fuorier"),
-        ('basis = "auto"', "basis = 3", "terms.basis: expected text"),
+        ('basis = "auto"', "basis = 3", "terms.basis is 3; it must be one of"),
         (
             'basis = "auto"',
             'basis = "haar"\nspace = "time"',
@@ -112,9 +112,13 @@ def test_the_report_shows_basis_window_precision_and_errors(finished):
             "power of",
         ),
         ('bands = "dyadic"', 'bands = "wedge"', "for 2 dims"),
-        ('fit_last = "auto"', "fit_last = 1", ">= 2"),
-        ("relative_error = 0.1", "relative_error = 1.5", "<= 1"),
-        ("relative_error = 0.1", 'relative_error = "5 %"', "expected a number"),
+        ('fit_last = "auto"', "fit_last = 1", "fit_last is 1; give a whole number of at least 2"),
+        (
+            "relative_error = 0.1",
+            "relative_error = 1.5",
+            "is 1.5; give a finite number at least 0.0001",
+        ),
+        ("relative_error = 0.1", 'relative_error = "5 %"', "is '5 %'; give a finite number"),
     ],
 )
 def test_settings_are_refused_before_anything_runs(tmp_path, old, new, words):

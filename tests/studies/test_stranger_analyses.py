@@ -118,7 +118,7 @@ def test_its_table_is_planned_and_computed(tmp_path):
 
 def test_its_options_are_checked_and_its_refusals_name_the_place(tmp_path):
     for table, words in (
-        ("{ n = 0 }", r"estimators\[0\].centre.n: expected a whole number >= 1"),
+        ("{ n = 0 }", r"estimators\[0\].centre.n is 0; give a whole number of at least 1"),
         (
             "{ n = 4, axes = 1 }",
             r"no key 'axes'; allowed here: n, realizations, axis.* Did you mean",

@@ -1,4 +1,4 @@
-"""The row of a pair: predicted over measured by the best route that was computed."""
+"""The row of a pair: predicted over measured, and by which method."""
 
 import numpy as np
 import pytest
@@ -30,13 +30,19 @@ TERMS = xr.Dataset(
     },
     attrs={"n": 16, "basis": "walsh"},
 )
-EXACT = xr.Dataset({"exact_variance": ("n", [1.0, 0.11, np.nan])}, {"n": COUNTS})
+EXACT = xr.Dataset(
+    {
+        "predicted_variance": ("n", [1.0, 0.11, np.nan]),
+        "predicted_variance_ci": (("n", "bound"), [[1.0, 1.0], [0.11, 0.11], [np.nan, np.nan]]),
+    },
+    {"n": COUNTS, "method": ("n", ["exact", "exact", "none"])},
+)
 PREDICTED = xr.Dataset(
     {
         "predicted_variance": ("n", [0.2, 0.012]),
         "predicted_variance_ci": (("n", "bound"), [[0.1, 0.3], [0.010, 0.015]]),
     },
-    {"n": [16, 64], "route": ("n", ["exact", "torus"])},
+    {"n": [16, 64], "method": ("n", ["exact", "torus"])},
 )
 
 
@@ -50,31 +56,49 @@ def row(**found):
 def test_a_basis_where_nothing_better_is_known():
     found = row(convergence=CURVE, terms=TERMS)
     assert (found.ratio, found.ratio_low, found.ratio_high) == (0.8, 0.7, 0.9)
-    assert found.route == "walsh"
+    assert found.method == "walsh"
 
 
 def test_exact_variances_at_the_last_count_that_has_one():
-    found = row(convergence=CURVE, terms=TERMS, exact=EXACT)
+    found = row(convergence=CURVE, terms=TERMS, predict=EXACT)
     assert found.ratio == pytest.approx(1.1)
     assert (found.ratio_low, found.ratio_high) == pytest.approx((0.11 / 0.12, 0.11 / 0.09))
-    assert found.route == "exact"
+    assert found.method == "exact"
     assert found.captured == 0.8
 
 
 def test_predictions_before_all_with_both_errors():
-    found = row(convergence=CURVE, terms=TERMS, exact=EXACT, predict=PREDICTED)
+    found = row(convergence=CURVE, terms=TERMS, predict=PREDICTED)
     assert found.ratio == pytest.approx(1.2)
     low = np.hypot(np.log(12.5 / 10), np.log(12 / 10))
     high = np.hypot(np.log(10 / 8), np.log(15 / 12))
     assert found.ratio_low == pytest.approx(1.2 * np.exp(-low))
     assert found.ratio_high == pytest.approx(1.2 * np.exp(high))
-    assert found.route == "torus"
+    assert found.method == "torus"
+
+
+def test_of_all_methods_the_most_trusted_one_that_predicts_counts():
+    """Their names are a coordinate, or the labels of a store; the measurement is no prediction."""
+    names = ["exact", "torus", "measured"]
+    value = [[np.nan, np.nan], [0.2, 0.012], [0.1, 0.01]]
+    found = xr.Dataset(
+        {
+            "predicted_variance": (("method", "n"), value),
+            "predicted_variance_ci": (("method", "n", "bound"), np.stack([value, value], -1)),
+        },
+        {"n": [16, 64], "method": names},
+    )
+    stored = found.drop_vars("method").assign_attrs(labels_method=names)
+    for each in (found, stored):
+        assert row(convergence=CURVE, predict=each).ratio == pytest.approx(1.2)
+        assert row(convergence=CURVE, predict=each).method == "torus"
+    assert row(convergence=CURVE, predict=found.isel(method=[0, 2])).ratio is None
 
 
 def test_nothing_measured_is_divided_by():
     silent = CURVE.assign(variance=0.0 * CURVE["variance"])
     assert row(convergence=silent, predict=PREDICTED).ratio is None
-    tree = xr.DataTree.from_dict({"/e/s/predict": PREDICTED, "/e/s/exact": EXACT})
+    tree = xr.DataTree.from_dict({"/e/s/predict": PREDICTED})
     assert summarize(tree) == []
 
 

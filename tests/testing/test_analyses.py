@@ -34,14 +34,12 @@ QUICK = {
     "predict": ({"counts": (4, 16)}, "gaussian", "jittered"),
     "plan": ({"target_error": 0.02}, "gaussian", "jittered"),
     "profile": ({"budget": 1024}, "gaussian", "random"),
-    "exact": ({"counts": (4, 16)}, "gaussian", "jittered"),
     "remedies": (
         {"budget": 64, "realizations": 100, "kinds": ("sampler",)},
         "gaussian(center=0.3, width=0.3, dims=1)",
         "jittered",
     ),
     "modes": ({"n": 16, "half_width": 2, "modes": 2, **MANY}, "gaussian", "jittered"),
-    "routes": ({"n": 16, "half_width": 2, **MANY}, "gaussian", "jittered | shift"),
     "map": (
         {
             "scene": "penumbra",

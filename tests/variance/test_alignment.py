@@ -14,7 +14,7 @@ WITHIN = 4.5  # standard errors
 
 def test_the_scan_of_a_step_in_closed_form():
     """One stratum of n is cut by the step, another by the seam, each with s(1 − s)/n²."""
-    d = mcs.strata_shift_scan(STEP, JITTERED[1], [8, 16], offsets=10)
+    d = mcs.variance.strata_shift_scan(STEP, JITTERED[1], [8, 16], offsets=10)
     assert d.attrs["method"] == "exact"
     for n in (8, 16):
         for o in d["offset0"].values:
@@ -28,7 +28,7 @@ def test_the_scan_of_a_step_in_closed_form():
 def test_the_scan_in_two_dims_and_its_rates():
     """x_0 < 0.3, √n strata an axis: n^-1.5 Σ s(1 − s) over both edges, whatever the second offset."""
     step = mcs.integrand("step(at=0.3)", dims=2)
-    d = mcs.strata_shift_scan(step, JITTERED[2], [100, 400, 1600], offsets=4)
+    d = mcs.variance.strata_shift_scan(step, JITTERED[2], [100, 400, 1600], offsets=4)
     assert d["variance"].dims == ("offset0", "offset1", "n")
     assert d["rate_ci"].dims == ("offset0", "offset1", "bound")
     for o in d["offset0"].values:
@@ -41,8 +41,8 @@ def test_the_scan_in_two_dims_and_its_rates():
 
 
 def test_a_measured_scan_agrees_with_the_exact_one_and_shares_random_numbers():
-    exact = mcs.strata_shift_scan(STEP, JITTERED[1], 8, offsets=[0.1, 0.4, 0.75])
-    measured = mcs.strata_shift_scan(
+    exact = mcs.variance.strata_shift_scan(STEP, JITTERED[1], 8, offsets=[0.1, 0.4, 0.75])
+    measured = mcs.variance.strata_shift_scan(
         STEP, JITTERED[1], 8, offsets=[0.1, 0.4, 0.75], method="measured", realizations=3000, rng=7
     )
     assert measured.attrs["method"] == "measured"
@@ -56,12 +56,12 @@ def test_a_measured_scan_agrees_with_the_exact_one_and_shares_random_numbers():
 
 
 def test_auto_measures_where_nothing_exact_is_known():
-    d = mcs.strata_shift_scan(
+    d = mcs.variance.strata_shift_scan(
         STEP, mcs.sampler("gaussian-jitter", dims=1), 8, offsets=2, realizations=20
     )
     assert d.attrs["method"] == "measured"
     with pytest.raises(NoClosedForm):
-        mcs.strata_shift_scan(
+        mcs.variance.strata_shift_scan(
             STEP, mcs.sampler("gaussian-jitter", dims=1), 8, offsets=2, method="exact"
         )
 
@@ -72,7 +72,7 @@ def test_channels_and_three_dims():
         dims=3,
         integral=[0.3, 0.7],
     )
-    d = mcs.strata_shift_scan(
+    d = mcs.variance.strata_shift_scan(
         both, JITTERED[3], [8, 27], offsets=2, method="measured", realizations=20
     )
     assert d["variance"].dims == ("offset0", "offset1", "offset2", "n", "channel")
@@ -127,7 +127,7 @@ def test_the_best_offset_of_a_step_is_found_between_those_of_the_scan():
         dims=1,
         integral=0.5,
     )
-    found = mcs.best_alignment(
+    found = mcs.variance.best_alignment(
         wave, JITTERED[1], 8, method="measured", offsets=4, realizations=600, rng=2
     )
     best = found.sel(candidate="offset")
@@ -144,7 +144,7 @@ def test_the_best_offset_of_a_step_is_found_between_those_of_the_scan():
 
 def test_aligned_strata_beat_every_offset_where_edges_do_not_line_up():
     """Edges at 2.4 strata and at the seam, which strata that move are cut by."""
-    found = mcs.best_alignment(STEP, JITTERED[1], 8, edges=[0.3], realizations=300)
+    found = mcs.variance.best_alignment(STEP, JITTERED[1], 8, edges=[0.3], realizations=300)
     assert list(found["candidate"].values) == ["unshifted", "offset", "aligned"]
     assert found.attrs["method"] == "exact"
     np.testing.assert_allclose(found["predicted_variance"][[0, 2]], [0.24 / 64, 0], atol=1e-15)
@@ -155,13 +155,13 @@ def test_aligned_strata_beat_every_offset_where_edges_do_not_line_up():
 def test_smooth_integrands_are_left_undecided_or_better_alone():
     """The seam cuts what was whole: any offset is worse, the best is none, the verdict undecided."""
     x = mcs.integrand("linear", dims=1)
-    found = mcs.best_alignment(x, JITTERED[1], 16, offsets=4, realizations=300, rng=4)
+    found = mcs.variance.best_alignment(x, JITTERED[1], 16, offsets=4, realizations=300, rng=4)
     assert float(found["strata_offset"].sel(candidate="offset")[0]) == 0.0
     assert found.attrs["improved"] == "undecided"
 
 
 def test_a_constant_gives_no_verdict():
-    found = mcs.best_alignment(
+    found = mcs.variance.best_alignment(
         mcs.integrand("constant", dims=1), JITTERED[1], 4, offsets=2, realizations=20
     )
     assert np.isnan(found["variance_ratio"][1])
@@ -170,7 +170,7 @@ def test_a_constant_gives_no_verdict():
 
 def test_two_dims_by_prediction():
     corner = mcs.integrand("step(at=0.45, axis=1)", dims=2)
-    found = mcs.best_alignment(
+    found = mcs.variance.best_alignment(
         corner, JITTERED[2], 64, edges=[[], [0.45]], offsets=2, realizations=200
     )
     predicted = found["predicted_variance"].values

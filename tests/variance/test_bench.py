@@ -20,7 +20,7 @@ def result():
 
 def test_variances_are_those_of_convergence(result):
     seed = np.random.SeedSequence([0, zlib.crc32(b"jittered")])
-    for k in (0, 6, 8):
+    for k in (0, 6, 7):
         estimator = mcs.Estimator(str(result["integrand_spec"].values[k]), dims=2)
         alone = mcs.convergence(estimator, "jittered", (16, 64), realizations=40, rng=seed)
         one = result.sel(sampler="jittered").isel(integrand=k)

@@ -32,11 +32,11 @@ def exact_variance(rho, n):
 
 def quantities(x):
     """One result for each (chain, draw) of x (seed, chain, draw)."""
-    return mcs.chain_error(np.moveaxis(x, 0, -1))
+    return mcs.variance.chain_error(np.moveaxis(x, 0, -1))
 
 
 def cause(draws, **options):
-    result = mcs.chain_error(draws, **options)
+    result = mcs.variance.chain_error(draws, **options)
     return str(result["cause"].values), str(result["evidence"].values), result
 
 
@@ -97,13 +97,13 @@ def test_antithetic_chains_are_worth_more_than_their_draws():
     assert (result["ess"].values > 50 * n).all()
     assert (result["cause"].values == "none").all()
     # High frequencies, of which the kernel lets little through, are where these chains vary
-    white = mcs.chain_error(noise[:, 0, 1:])
+    white = mcs.variance.chain_error(noise[:, 0, 1:])
     assert float(result["error_share"][0, -1]) > 10 * float(white["error_share"][-1])
 
 
 def test_shares_are_those_of_the_fejer_kernel():
     n = 1000
-    result = mcs.chain_error(np.random.default_rng(1).standard_normal((8, n)))
+    result = mcs.variance.chain_error(np.random.default_rng(1).standard_normal((8, n)))
     assert np.ptp(result["fitted_spectrum"].values) < 1e-9  # white noise was chosen
     low, high = result["band_low"].values, result["band_high"].values
     fine = (np.arange(2**20) + 0.5) / 2**21
@@ -117,7 +117,7 @@ def test_shares_are_those_of_the_fejer_kernel():
 
 def test_measured_bands_are_about_the_spectrum():
     rho, n = 0.9, 4096
-    result = mcs.chain_error(ar1(rho, (16, n)))
+    result = mcs.variance.chain_error(ar1(rho, (16, n)))
     nu = (np.arange(1, n // 2) / n)[:, None]
     inside = (nu >= result["band_low"].values) & (nu < result["band_high"].values)
     spectrum = 1 / np.abs(1 - rho * np.exp(-2j * np.pi * nu)) ** 2
@@ -134,7 +134,7 @@ def test_measured_bands_are_about_the_spectrum():
 def test_variables_are_as_registered():
     for shape in ((2, 100), (2, 100, 3)):
         draws = np.random.default_rng(1).standard_normal(shape)
-        check_variables(mcs.chain_error(draws), list(VARIABLES), "chains")
+        check_variables(mcs.variance.chain_error(draws), list(VARIABLES), "chains")
 
 
 def test_chains_that_drift_are_named():
@@ -206,7 +206,7 @@ def test_chains_that_move_together_are_named():
     name, text, result = cause(np.repeat(x, 4, axis=0))
     assert name == "correlated-replicates"
     assert "4 times as much" in text
-    alone = mcs.chain_error(x)
+    alone = mcs.variance.chain_error(x)
     assert float(result["mcse"]) == pytest.approx(float(alone["mcse"]))
     np.testing.assert_allclose(result["chain_spectrum"], alone["chain_spectrum"])
     partly = ar1(0.5, (4, 1000))
@@ -229,7 +229,7 @@ def test_an_antithetic_pair_is_worth_more():
     ids=["ramp", "sine", "alternating", "spike"],
 )
 def test_chains_that_are_no_chance_do_not_break_it(draws):
-    result = mcs.chain_error(draws)
+    result = mcs.variance.chain_error(draws)
     assert float(result["mcse"]) > 0
     assert np.isfinite(result["error_share"]).all()
     assert (result["cause"].item() == "stuck-chain") == (draws[-1] == 999)
@@ -243,7 +243,7 @@ def test_few_draws_are_named():
 def test_weights():
     rng = np.random.default_rng(6)
     x, w = rng.standard_normal((200, 1, 1000)), np.exp(0.5 * rng.standard_normal((200, 1, 1000)))
-    found = [mcs.chain_error(a, weights=b) for a, b in zip(x, w, strict=True)]
+    found = [mcs.variance.chain_error(a, weights=b) for a, b in zip(x, w, strict=True)]
     mean = np.array([float(each["mean"]) for each in found])
     np.testing.assert_allclose(mean, (w * x).sum(axis=(1, 2)) / w.sum(axis=(1, 2)))
     # The mean of w² over that of w, squared, is e^{1/4}: so many times the variance of equal weights
@@ -252,25 +252,27 @@ def test_weights():
     assert mcse.mean() == pytest.approx(exact, rel=0.05)
     inside = [low <= 0 <= high for low, high in (each["mean_ci"].values for each in found)]
     assert np.mean(inside) >= 0.95 - 5 * np.sqrt(0.95 * 0.05 / 200)
-    same = mcs.chain_error(x[0], weights=np.full((1, 1000), 3.0))
-    assert same["mcse"].item() == pytest.approx(mcs.chain_error(x[0])["mcse"].item(), rel=1e-12)
+    same = mcs.variance.chain_error(x[0], weights=np.full((1, 1000), 3.0))
+    assert same["mcse"].item() == pytest.approx(
+        mcs.variance.chain_error(x[0])["mcse"].item(), rel=1e-12
+    )
 
 
 def test_structures_of_arviz():
     x = ar1(0.5, (2, 100, 3)).transpose(0, 2, 1)  # (chain, 3, draw)
     theta = xr.DataArray(x, dims=("chain", "school", "draw"))
     posterior = xr.Dataset({"mu": theta.isel(school=0), "theta": theta})
-    whole = mcs.chain_error(xr.DataTree.from_dict({"/posterior": posterior}))
+    whole = mcs.variance.chain_error(xr.DataTree.from_dict({"/posterior": posterior}))
     assert list(whole["quantity"].values) == ["mu", "theta[0]", "theta[1]", "theta[2]"]
-    named = mcs.chain_error(posterior.assign_coords(school=["north", "south", "west"]))
+    named = mcs.variance.chain_error(posterior.assign_coords(school=["north", "south", "west"]))
     assert list(named["quantity"].values) == ["mu", "theta[north]", "theta[south]", "theta[west]"]
     np.testing.assert_allclose(whole["mean"], [x[:, 0].mean(), *x.mean(axis=(0, 2))], rtol=1e-12)
     for other in (posterior, SimpleNamespace(posterior=posterior)):
-        xr.testing.assert_identical(mcs.chain_error(other), whole)
-    alone = mcs.chain_error(theta.isel(school=1))
+        xr.testing.assert_identical(mcs.variance.chain_error(other), whole)
+    alone = mcs.variance.chain_error(theta.isel(school=1))
     assert alone["mcse"].dims == ()
     assert alone["mcse"].item() == whole["mcse"].values[2]
-    one = mcs.chain_error(theta.isel(school=1, chain=0), weights=np.ones(100))
+    one = mcs.variance.chain_error(theta.isel(school=1, chain=0), weights=np.ones(100))
     assert one.attrs["chains"] == 1
 
 
@@ -291,4 +293,4 @@ def test_structures_of_arviz():
 )  # fmt: skip
 def test_bad_input_has_a_sentence(draws, options, error, words):
     with pytest.raises(error, match=words):
-        mcs.chain_error(draws, **options)
+        mcs.variance.chain_error(draws, **options)

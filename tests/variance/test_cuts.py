@@ -17,11 +17,10 @@ from mcspectra.core.streams import Stream
 from mcspectra.estimators import Moments, as_subject
 from mcspectra.testing import check_analysis
 from mcspectra.variance.anova import Anova, AnovaSpectrum
-from mcspectra.variance.convergence import Convergence, RealizationsNeeded, count_stream
-from mcspectra.variance.exact import Exact
+from mcspectra.variance.measured import Convergence, RealizationsNeeded, count_stream
 from mcspectra.variance.modes import Modes
-from mcspectra.variance.remedies import Remedies
-from mcspectra.variance.routes import Routes
+from mcspectra.variance.prediction.predict import Prediction
+from mcspectra.variance.remedy import Remedies
 from mcspectra.variance.sums import TermSums, spread
 from mcspectra.variance.techniques import Techniques
 from mcspectra.variance.terms import Terms
@@ -76,11 +75,16 @@ CASES = {
     "anova": (Anova(n=8, order=1, realizations=45), SOLID, "random", 4 * 8 * 3 * 5),
     "anova-pairs": (Anova(n=8, realizations=45), SOLID, "jittered | shift", 4 * 8 * 3 * 5),
     "anova-spectrum": (AnovaSpectrum(n=8, frequencies=32), SOLID, "random", 2**21),
-    "exact": (Exact(counts=(4, 9, 16, 25, 36)), PLAIN, "jittered", 2**21),
+    "exact": (Prediction(counts=(4, 9, 16, 25, 36), method="exact"), PLAIN, "jittered", 2**21),
     "modes": (Modes(n=16, half_width=3, modes=2, realizations=45), MIS, "jittered", 2**21),
     "modes-groups": (Modes(n=16, half_width=2, modes=2, realizations=99), PLAIN, "random", 64),
     "remedies": (Remedies(budget=64, realizations=100), LINE, "jittered | shift", 2**21),
-    "routes": (Routes(n=16, half_width=2, realizations=45), PLAIN, "jittered | shift", 2**21),
+    "methods": (
+        Prediction(counts=(16,), method="all", half_width=2, realizations=45),
+        PLAIN,
+        "jittered | shift",
+        2**21,
+    ),
 }
 
 
@@ -177,12 +181,12 @@ def _line():
     """The reduction of the terms along a line, and its states block by block."""
     found = LINE_TERMS.reduction(as_subject(LINE, "jittered"), Stream.from_rng(0))
     assert isinstance(found, Reduction)
-    return found, [found.block(i) for i in range(found.blocks)]
+    return found, [found.block(i)[0] for i in range(found.blocks)]
 
 
 def _total():
     found, _ = _line()
-    return compute_chunk(found, (0, found.blocks))
+    return compute_chunk(found, (0, found.blocks))[0]
 
 
 def test_errors_are_those_of_all_blocks_kept():
@@ -206,8 +210,8 @@ def test_errors_are_those_of_all_blocks_kept():
 
 
 def test_a_block_of_one_says_nothing():
-    found, blocks = _line()
-    first, last = blocks[0], found.block(found.blocks - 1)
+    _, blocks = _line()
+    first, last = blocks[0], blocks[-1]
     assert last.sums.count == 1
     assert last.batches is None
     assert unpack(TermSums, pack(last)).batches is None
@@ -253,7 +257,7 @@ def test_states_of_anova_are_the_estimates_of_realizations_in_order(monkeypatch)
 RANDOM = as_subject(PLAIN, "random")
 MANY = as_subject(mcs.Estimator("gaussian", dims=64), "random")
 JITTERED = as_subject(PLAIN, "jittered")
-TECHNIQUES = as_subject(mcs.TechniqueSum(["linear", "step(at=0.3)"], dims=1), "jittered")
+TECHNIQUES = as_subject(mcs.estimators.TechniqueSum(["linear", "step(at=0.3)"], dims=1), "jittered")
 NAN = float("nan")
 
 
@@ -292,9 +296,9 @@ NAN = float("nan")
         (AnovaSpectrum(n=8), JITTERED),
         (AnovaSpectrum(n=17), as_subject(PLAIN, "jittered | shift")),
         (Modes(n=16, channel=1), JITTERED),
-        (Routes(n=16, half_width=10**9), JITTERED),
-        (Routes(n=7), JITTERED),
-        (Routes(n=16, realizations=3), JITTERED),
+        (Prediction(counts=(16,), method="terms", half_width=10**9), JITTERED),
+        (Prediction(counts=(7,), method="all"), JITTERED),
+        (Prediction(counts=(16,), method="all", realizations=3), JITTERED),
         (Remedies(budget=3), JITTERED),
         (Remedies(budget=2**25), JITTERED),
         (Remedies(budget=64, kinds=()), JITTERED),

@@ -17,10 +17,10 @@ from mcspectra.core.errors import (
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import SharedCells
 from mcspectra.samplers.stratified import write_cells
-from mcspectra.variance.design import design as doors
-from mcspectra.variance.design import searches
-from mcspectra.variance.design._kernels import improve_code
-from mcspectra.variance.design.objectives import as_objective
+from mcspectra.variance.designs import design as doors
+from mcspectra.variance.designs import searches
+from mcspectra.variance.designs._kernels import improve_code
+from mcspectra.variance.designs.objectives import as_objective
 
 GAUSSIANS = "gaussian(center=uniform(0, 1), width=uniform(0.15, 0.4))"
 KINDS = tuple(searches.KINDS)
@@ -356,7 +356,18 @@ def test_the_verb_prints_and_writes_spec_and_certificate(tmp_path, capsys):
     from mcspectra.cli.main import main
 
     out = tmp_path / "mine.json"
-    arguments = ["design", "strata", GAUSSIANS, "8", "-o", str(out), "--members", "40", "--json"]
+    arguments = [
+        "design",
+        "strata",
+        GAUSSIANS,
+        "-n",
+        "8",
+        "-o",
+        str(out),
+        "--members",
+        "40",
+        "--json",
+    ]
     assert main(arguments) == 0
     said = json.loads(capsys.readouterr().out)
     assert said == json.loads(out.read_text())
@@ -364,7 +375,7 @@ def test_the_verb_prints_and_writes_spec_and_certificate(tmp_path, capsys):
     low, high = said["certificate"]["design_ratio_ci"]
     assert 0 <= low < high
     nowhere = str(tmp_path / "no" / "mine.json")
-    assert main(["design", "lattice", "gaussians", "5", "-o", nowhere]) == 2
+    assert main(["design", "lattice", "gaussians", "-n", "5", "-o", nowhere]) == 2
     assert "cannot be written" in capsys.readouterr().err
-    assert main(["design", "owen", "gaussians", "9"]) == 2
+    assert main(["design", "owen", "gaussians", "-n", "9"]) == 2
     assert "power of two" in capsys.readouterr().err

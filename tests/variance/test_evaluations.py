@@ -39,17 +39,17 @@ ESTIMATORS = {
 MEASURED = {
     "convergence": (lambda e: mcs.convergence(e, JITTERED, [N, 64], realizations=R), R * (N + 64)),
     "realizations_needed": (
-        lambda e: mcs.realizations_needed(e, JITTERED, N, relative_error=1e-3, max_realizations=R),
+        lambda e: mcs.variance.realizations_needed(e, JITTERED, N, relative_error=1e-3, max_realizations=R),
         R * N,
     ),
     "mirror_study": (
-        lambda e: mcs.mirror_study(
+        lambda e: mcs.variance.mirror_study(
             e, JITTERED, [N, 64], mirrorings=["original"], realizations=R
         ),
         2 * R * (N + 64),
     ),
     "strata_shift_scan": (
-        lambda e: mcs.strata_shift_scan(e, JITTERED, [N, 64], offsets=[0, 0.5], realizations=R),
+        lambda e: mcs.variance.strata_shift_scan(e, JITTERED, [N, 64], offsets=[0, 0.5], realizations=R),
         {1: 2 * R * (N + 64), 2: 4 * R * (N + 64)},
     ),
     "anova_variances": (
@@ -69,21 +69,23 @@ NAMED = {
     "covariance_modes": lambda e, m=None: mcs.covariance_modes(
         e, JITTERED, N, half_width=2, modes=2, realizations=R, max_evaluations=m
     ),
-    "variance_routes": lambda e, m=None: mcs.variance_routes(
-        e, SHIFTED, N, half_width=2, realizations=R, max_evaluations=m
+    "predict by all methods": lambda e, m=None: mcs.predict(
+        e, SHIFTED, [N], method="all", half_width=2, realizations=R, max_evaluations=m
     ),
     "predict": lambda e, m=None: mcs.predict(e, JITTERED, [N], max_evaluations=m),
-    "image_error_spectrum": lambda e, m=None: mcs.image_error_spectrum(
+    "image_error_spectrum": lambda e, m=None: mcs.variance.image_error_spectrum(
         e, "random | decorrelate(width=8)", 4, half_width=2, images=2, max_evaluations=m
     ),
-    "nested_variances": lambda e, m=None: mcs.nested_variances(e, 6, max_evaluations=m),
-    "integrand_decay": lambda e, m=None: mcs.integrand_decay(e, half_width=32, max_evaluations=m),
+    "nested_variances": lambda e, m=None: mcs.spectra.nested_variances(e, 6, max_evaluations=m),
+    "integrand_decay": lambda e, m=None: mcs.variance.integrand_decay(
+        e, half_width=32, max_evaluations=m
+    ),
     "plan": lambda e, m=None: mcs.plan(e, JITTERED, target_error=0.1, max_evaluations=m),
     "exact_variance": lambda e, m=None: mcs.exact_variance(e, JITTERED, N, max_evaluations=m),
 }
 
 # Asked for by name too, without a count: what they call is their subject
-PICTURES = {"primary_picture", "variance_from_pair_correlation", "design", "certificate"}
+PICTURES = {"primary_picture", "design", "certificate"}
 
 # Tested by itself below, or in tests of its own; or they make something that calls nothing
 ELSEWHERE = {
@@ -122,7 +124,10 @@ def made(kind):
 
 
 def test_every_public_function_is_here():
-    functions = {n for n in mcs.__all__ if n.islower() and callable(getattr(mcs, n))}
+    names = {name: getattr(mcs, name) for name in mcs.__all__}
+    for package in (mcs.spectra, mcs.variance):
+        names |= {name: getattr(package, name) for name in package.__all__}
+    functions = {name for name, found in names.items() if name.islower() and callable(found)}
     assert functions <= {*MEASURED, *NAMED, *PICTURES, *ELSEWHERE, *CALL_NOTHING}
 
 
@@ -152,7 +157,9 @@ def test_what_is_named_says_what_it_called(name):
 @pytest.mark.parametrize("name", NAMED)
 def test_no_call_is_made_beyond_the_most(name, most):
     f = Function(2)
-    with pytest.raises(BudgetError, match=f"{name} takes at least .* max_evaluations is {most};"):
+    with pytest.raises(
+        BudgetError, match=f"{name.split()[0]} takes at least .* max_evaluations is {most};"
+    ):
         NAMED[name](f.integrand, most)
     assert f.calls <= most
 
@@ -167,7 +174,7 @@ def test_what_is_known_before_is_refused_before():
         lambda: mcs.anova_variances(
             f.integrand, JITTERED, N, realizations=R, max_evaluations=R * N
         ),
-        lambda: mcs.mirror_study(
+        lambda: mcs.variance.mirror_study(
             f.integrand, JITTERED, [N], realizations=R, max_evaluations=8 * R * N - 1
         ),
     ):
@@ -234,11 +241,11 @@ def test_remedies_refuse_before_or_stay_within(kind):
 
 def test_searches_are_charged():
     f = Function(1)
-    mcs.smoothing_scan(f.integrand, JITTERED, N, [0.1, 0.2], realizations=R)
+    mcs.variance.smoothing_scan(f.integrand, JITTERED, N, [0.1, 0.2], realizations=R)
     boxes = [mcs.smoothed(f.integrand, w).evaluations_per_point for w in (0.1, 0.2)]
     assert f.calls == R * N * sum(boxes)
     f.calls = 0
-    found = mcs.best_alignment(f.integrand, JITTERED, N, realizations=R)
+    found = mcs.variance.best_alignment(f.integrand, JITTERED, N, realizations=R)
     assert found.attrs["method"] == "measured"
     assert f.calls % (R * N) == 0
 

@@ -7,8 +7,8 @@ from scipy import stats
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.options import checked
 from mcspectra.estimators import as_subject
-from mcspectra.variance.convergence import Convergence
 from mcspectra.variance.fit import CURVATURE, LACK_OF_FIT, check_window, fit_rate
+from mcspectra.variance.measured import Convergence
 
 NS = np.array([4, 16, 64, 256, 1024, 4096])
 SE = np.array([0.05, 0.1, 0.05, 0.2, 0.05, 0.05])

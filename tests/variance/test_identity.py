@@ -240,7 +240,7 @@ def test_channels_and_techniques_get_dims_of_their_own():
 
 
 def test_technique_sums_are_analysed_in_primary_space():
-    estimator = mcs.TechniqueSum(["linear", "step(at=0.3)"], dims=1)
+    estimator = mcs.estimators.TechniqueSum(["linear", "step(at=0.3)"], dims=1)
     found = mcs.variance_terms(estimator, "jittered", 16, half_width=2, realizations=4)
     assert found.attrs["space"] == "primary"
 

@@ -25,7 +25,7 @@ def bands(found, count=4):
     ],
 )
 def test_predictions_are_what_is_measured(integrand, chain):
-    found = mcs.image_error_spectrum(integrand, chain, 4, dims=2, half_width=24)
+    found = mcs.variance.image_error_spectrum(integrand, chain, 4, dims=2, half_width=24)
     # Smooth: the same to what is left of ∫f². The disk: 2.5 % of ∫f² beyond the half width are taken as
     # white; within a band of 16 images that is known to about 1 %.
     assert np.abs(bands(found) - 1.0).max() < (0.1 if integrand == "disk" else 0.005)
@@ -33,7 +33,7 @@ def test_predictions_are_what_is_measured(integrand, chain):
 
 def test_white_masks_make_white_noise_of_the_variance_of_a_pixel():
     chain = "sobol | decorrelate(mask='white', width=32)"
-    found = mcs.image_error_spectrum("cosine(frequency=1)", chain, 1, dims=1, images=16)
+    found = mcs.variance.image_error_spectrum("cosine(frequency=1)", chain, 1, dims=1, images=16)
     # One frequency of one point: 2 |f_1|²
     variance = 2 * abs(mcs.integrand("cosine(frequency=1)", dims=1).fourier([[1]]).item()) ** 2
     values = found["predicted_power"].values
@@ -44,7 +44,7 @@ def test_white_masks_make_white_noise_of_the_variance_of_a_pixel():
 
 def test_a_mask_of_blue_noise_has_less_at_low_frequencies():
     low = {
-        mask: mcs.image_error_spectrum(
+        mask: mcs.variance.image_error_spectrum(
             "gaussian(width=0.3)", f"jittered | decorrelate(mask={mask!r}, width=32)", 4, dims=2
         )["low_share"].item()
         for mask in ("white", "blue-noise")
@@ -55,7 +55,7 @@ def test_a_mask_of_blue_noise_has_less_at_low_frequencies():
 
 def test_the_low_share_is_that_of_frequencies_below_an_eighth():
     chain = "sobol | decorrelate(mask='blue-noise', width=32)"
-    found = mcs.image_error_spectrum(
+    found = mcs.variance.image_error_spectrum(
         "gaussian(width=0.3)", chain, 4, dims=2, half_width=8, images=2
     )
     distance = np.hypot(*np.meshgrid(*2 * [np.fft.fftfreq(32)]))
@@ -69,7 +69,7 @@ def test_the_low_share_is_that_of_frequencies_below_an_eighth():
 def test_the_tail_is_the_energy_that_the_half_width_leaves():
     f = mcs.integrand("disk")
     chain = "sobol | shift | decorrelate(mask='blue-noise', width=16)"
-    found = mcs.image_error_spectrum(f, chain, 4, half_width=12)
+    found = mcs.variance.image_error_spectrum(f, chain, 4, half_width=12)
     energy = (np.abs(f.fourier_grid(12)) ** 2).sum()  # of ∫f² = ∫f
     assert float(found["tail_term"]) == pytest.approx((f.integral - energy) / 4)
 
@@ -81,11 +81,11 @@ def test_pixels_of_different_integrands():
         mcs.integrand(f"gaussian(center={p!r}, width=0.2)", dims=2) for p in places.tolist()
     ]
     chain = "random | decorrelate(mask='blue-noise', width=16)"
-    found = mcs.image_error_spectrum(functions, chain, 4, half_width=12)
+    found = mcs.variance.image_error_spectrum(functions, chain, 4, half_width=12)
     # Jumps at the border leave up to 2 % of ∫f² beyond the half width, which are taken as white
     assert np.abs(bands(found) - 1.0).max() < 0.1
-    one = mcs.image_error_spectrum(functions[0], chain, 4, half_width=12)
-    same = mcs.image_error_spectrum([functions[0]] * 16**2, chain, 4, half_width=12)
+    one = mcs.variance.image_error_spectrum(functions[0], chain, 4, half_width=12)
+    same = mcs.variance.image_error_spectrum([functions[0]] * 16**2, chain, 4, half_width=12)
     np.testing.assert_allclose(same["predicted_power"], one["predicted_power"], rtol=1e-6)
 
 
@@ -111,18 +111,18 @@ def test_what_cannot_be_is_refused(changes, error, match):
         "dims": 2,
     }
     with pytest.raises(error, match=match):
-        mcs.image_error_spectrum(**(given | changes))
+        mcs.variance.image_error_spectrum(**(given | changes))
 
 
 def test_a_tail_that_may_not_be_white_is_named_and_met_by_default():
     """Of the bands of r2 with a lattice, what lies beyond was a sixth of the truth without a word."""
     given = {"dims": 2, "images": 4, "half_width": 4}
     chain = "rank1-lattice | decorrelate(mask='r2', width=16)"
-    few = mcs.image_error_spectrum("disk", chain, 16, **given)
+    few = mcs.variance.image_error_spectrum("disk", chain, 16, **given)
     assert "raise half_width" in few.attrs["note"]
     assert np.abs(bands(few) - 1.0).max() > 0.3
-    smooth = mcs.image_error_spectrum("cosine(frequency=[1, 2])", chain, 16, **given)
+    smooth = mcs.variance.image_error_spectrum("cosine(frequency=[1, 2])", chain, 16, **given)
     assert "note" not in smooth.attrs
-    many = mcs.image_error_spectrum("disk", chain, 16, **(given | {"half_width": None}))
+    many = mcs.variance.image_error_spectrum("disk", chain, 16, **(given | {"half_width": None}))
     assert many.attrs["half_width"] > 24
     assert np.abs(bands(many) - 1.0).max() < 0.1

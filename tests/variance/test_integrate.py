@@ -197,13 +197,13 @@ def test_what_is_alike_has_no_interval():
 @pytest.mark.parametrize(
     ("f", "options", "sentence"),
     [
-        (smooth, {"dims": None}, "give dims="),
+        (smooth, {"dims": None}, "dims is missing"),
         (smooth, {"budget": 7}, "too small for 8 replicates"),
         (smooth, {"budget": 0}, "budget is 0"),
         (smooth, {"sampler": "sobol"}, "is the same every time"),
         (smooth, {"dims": 3, "sampler": mcs.sampler("sobol | owen", dims=2)}, "dims"),
-        (7, {}, "not a callable"),
-        (mcs.TechniqueSum(["disk", "linear"]), {}, "has several techniques"),
+        (7, {}, "a function with dims="),
+        (mcs.estimators.TechniqueSum(["disk", "linear"]), {}, "has several techniques"),
         (mcs.Integrand.from_function(lambda x: x, dims=2), {}, "2 channels"),
     ],
 )

@@ -7,7 +7,7 @@ import mcspectra as mcs
 from mcspectra.core import parallel
 from mcspectra.core.analysis import compute_chunk
 from mcspectra.core.streams import Stream
-from mcspectra.variance.convergence import MomentsCell, count_moments
+from mcspectra.variance.measured import MomentsCell, count_moments
 
 ESTIMATORS = [
     mcs.Estimator("gaussian", dims=2),

@@ -15,7 +15,7 @@ from mcspectra.densities.learned import SplineDensity
 from mcspectra.variance.learned import LEARNED, _Seen, fit_splines
 
 OWEN = "sobol | owen"
-KINDS = [k for k in LEARNED if k != "vegas"]  # that package may be missing
+KINDS = list(LEARNED)
 REALIZATIONS = 200
 # F of two estimated variances of REALIZATIONS each: quantile of log F at 4 sigma, Var(log s²) = 2/(R − 1)
 NOISE = math.exp(4.0 * math.sqrt(2.0 * 2.0 / (REALIZATIONS - 1)))
@@ -74,7 +74,7 @@ def test_the_variance_under_the_sampler_is_smaller(kind):
         calls += x[..., 0].size
         return peaks(x)
 
-    p = mcs.learned_density(f, kind, OWEN, 256, dims=2, evaluations=6000)
+    p = mcs.variance.learned_density(f, kind, OWEN, 256, dims=2, evaluations=6000)
     assert 5000 < calls <= 6000
     assert variance(p, 256) * NOISE < variance(None, 256)
     # Bounded weights, and unbiased: the integral is within 4 standard errors
@@ -98,14 +98,14 @@ def test_the_variance_under_the_sampler_is_smaller(kind):
 def test_warps_keep_the_rate_of_nets(kind):
     """T is continuous: from n to 16 n the variance falls faster than by 16^1.5, which is what a jump
     across a curve would leave. Smooth ones leave 16^3: far beyond the noise of 50 nets, a factor of 3."""
-    p = mcs.learned_density(peaks, kind, OWEN, 1024, dims=2)
+    p = mcs.variance.learned_density(peaks, kind, OWEN, 1024, dims=2)
     noise = math.exp(4.0 * math.sqrt(2.0 * 2.0 / 49))
     assert variance(p, 2**14, 50) * noise < variance(p, 2**10, 50) * 16.0**-1.5
 
 
 def test_the_same_seed_gives_the_same_density_and_its_spec_makes_it_again(tmp_path):
     def made(seed, **more):
-        return mcs.learned_density(
+        return mcs.variance.learned_density(
             peaks, "mixture", OWEN, 64, dims=2, evaluations=1024, rng=seed, **more
         )
 
@@ -127,7 +127,7 @@ def test_the_size_and_the_sign_of_f_do_not_matter():
     """Powers of two, which round nothing: the same bits."""
 
     def spec(factor, kind="mixture"):
-        return mcs.learned_density(
+        return mcs.variance.learned_density(
             lambda x: factor * peaks(x), kind, OWEN, 64, dims=2, evaluations=1024
         ).spec
 
@@ -139,14 +139,14 @@ def test_the_size_and_the_sign_of_f_do_not_matter():
 def test_threads_and_blocks_do_not_matter():
     """Neither those of BLAS to the fit, nor how points are shared out to what uses it."""
     specs = [
-        mcs.learned_density(
+        mcs.variance.learned_density(
             "gaussian(width=0.1, center=0.3)", kind, OWEN, 256, dims=3, evaluations=8192
         ).spec
         for kind in KINDS
     ]
     code = (
         "import mcspectra as mcs\n"
-        f"for kind in {KINDS}: print(mcs.learned_density('gaussian(width=0.1, center=0.3)', "
+        f"for kind in {KINDS}: print(mcs.variance.learned_density('gaussian(width=0.1, center=0.3)', "
         f"kind, {OWEN!r}, 256, dims=3, evaluations=8192).spec)"
     )
     threads = "1" if os.environ["OPENBLAS_NUM_THREADS"] != "1" else "2"
@@ -164,10 +164,10 @@ def test_threads_and_blocks_do_not_matter():
 def test_where_nothing_is_gained_it_is_uniform(tmp_path):
     """A constant has no variance."""
     path = tmp_path / "uniform.json"
-    p = mcs.learned_density("constant", "piecewise", OWEN, 64, dims=2, evaluations=2048)
+    p = mcs.variance.learned_density("constant", "mixture", OWEN, 64, dims=2, evaluations=2048)
     assert p.spec == "uniform"
-    kept = mcs.learned_density(
-        "constant", "piecewise", OWEN, 64, dims=2, evaluations=2048, path=path
+    kept = mcs.variance.learned_density(
+        "constant", "mixture", OWEN, 64, dims=2, evaluations=2048, path=path
     )
     x = np.random.default_rng(0).random((100, 2))
     np.testing.assert_array_equal(kept.pdf(x), 1.0)
@@ -177,7 +177,9 @@ def test_where_nothing_is_gained_it_is_uniform(tmp_path):
 def test_exact_variances_are_those_measured():
     """Of 2-D, where knots lie along curves of primary space."""
     f = mcs.Integrand.from_function(peaks, dims=2)
-    estimator = mcs.Estimator(f, mcs.learned_density(f, "piecewise", OWEN, 64, evaluations=4096))
+    estimator = mcs.Estimator(
+        f, mcs.variance.learned_density(f, "mixture", OWEN, 64, evaluations=4096)
+    )
     for sampler in ("jittered", OWEN):
         exact = mcs.exact_variance(estimator, sampler, 16, tolerance=0.01)
         found = mcs.convergence(estimator, sampler, [16], realizations=4 * REALIZATIONS)
@@ -189,7 +191,7 @@ def test_exact_variances_are_those_measured():
 
 def test_errors_say_what_to_do(tmp_path):
     def learn(f=peaks, kind="mixture", sampler=OWEN, n=64, **options):
-        return mcs.learned_density(
+        return mcs.variance.learned_density(
             f, kind, sampler, n, **{"dims": 2, "evaluations": 512, **options}
         )
 
@@ -231,7 +233,7 @@ def test_other_files_are_refused(tmp_path, text):
 
 def test_tables_that_do_not_fit_are_refused(tmp_path):
     path = tmp_path / "density.json"
-    mcs.learned_density("constant", "mixture", OWEN, 4, dims=1, evaluations=512, path=path)
+    mcs.variance.learned_density("constant", "mixture", OWEN, 4, dims=1, evaluations=512, path=path)
     good = json.loads(path.read_text())
     for name, value in [
         ("defensive", 0.0),
@@ -248,12 +250,38 @@ def test_tables_that_do_not_fit_are_refused(tmp_path):
             Learned(path=path)
 
 
-def test_the_verb_measures_what_is_gained(tmp_path):
+def test_the_verb_measures_what_is_gained(tmp_path, capsys):
     from mcspectra.cli.main import main
 
     path = tmp_path / "density.json"
+    copy = tmp_path / "copy.json"
     words = (
-        f"learn gaussian(width=0.05) -k piecewise -n 64 --evaluations 2048 -m 200 -o {path} --json"
+        f"design density gaussian(width=0.05) -n 64 --budget 4096 -m 200 -o {path} -o {copy} --json"
     )
     assert main(words.split()) == 0
-    assert mcs.density(f"learned(path={str(path)!r})").dims == 2
+    density = mcs.density(f"learned(path={str(path)!r})")
+    assert density.dims == 2
+    assert path.read_bytes() == copy.read_bytes()
+    for words, said in (
+        (
+            "density gaussian -n 64 --members 40",
+            "--members is for samplers; leave it out with density",
+        ),
+        ("owen gaussian -n 64 --budget 4096", "--budget is for densities; leave it out with owen"),
+        ("density gaussian -n 64 -o a.txt", "does not end in one of .json"),
+    ):
+        assert main(["design", *words.split()]) == 2
+        assert said in capsys.readouterr().err
+
+
+def test_a_density_is_a_design():
+    options = {"dims": 2, "rng": 3}
+    made = mcs.design(
+        "density", "gaussian(width=0.1)", 64, budget=4096, family="spline-flow", **options
+    )
+    f = mcs.integrand("gaussian(width=0.1)", 2)
+    expected = mcs.variance.learned_density(f, "spline-flow", OWEN, 64, evaluations=4096, rng=3)
+    x = np.random.default_rng(0).random((20, 2))
+    np.testing.assert_array_equal(made.pdf(x), expected.pdf(x))
+    with pytest.raises(ParameterError, match="family is for densities; leave it out with owen"):
+        mcs.design("owen", "gaussian", 64, family="mixture")

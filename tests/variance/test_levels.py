@@ -1,4 +1,4 @@
-"""Variances of nets and strata from means over cells, against exact values and measurements."""
+"""Variances of nets and strata from cells and moved sets, against exact values and measurements."""
 
 import numpy as np
 import pytest
@@ -8,13 +8,15 @@ from mcspectra.core.errors import NoClosedForm
 from mcspectra.core.streams import Stream
 from mcspectra.variance.prediction.known import Known
 from mcspectra.variance.prediction.levels import of_levels
+from mcspectra.variance.prediction.torus import of_few_moves
 
 
 def predicted(f, sampler, n):
     """The prediction for a sampler given as text, or as one."""
     f = f if isinstance(f, Known) else Known(f)
     source = mcs.sampler(sampler, f.g.dims)
-    return of_levels(source, source.check_count(n), f, Stream.from_rng(0))
+    method = of_few_moves if "digital-shift" in source.spec else of_levels
+    return method(source, source.check_count(n), f, Stream.from_rng(0))
 
 
 def function(name, dims):

@@ -84,7 +84,7 @@ def test_two_techniques_the_slowest_wins(n):
     a = 0.371
     half_ramp = mcs.integrand("linear(gradient=[0.5])", dims=1)
     half_step = mcs.Integrand.from_function(lambda x: 0.5 * (x[..., 0] < a), dims=1, integral=a / 2)
-    estimator = mcs.TechniqueSum([half_ramp, half_step])
+    estimator = mcs.estimators.TechniqueSum([half_ramp, half_step])
     expected = 1 / (48 * n**3) + _fraction(a * n) * (1 - _fraction(a * n)) / (4 * n**2)
     _measured(estimator, "jittered", n, expected)
 

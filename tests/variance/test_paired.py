@@ -7,7 +7,7 @@ import pytest
 
 import mcspectra as mcs
 from mcspectra.core.streams import Stream
-from mcspectra.variance.remedies import Errors, compare, estimates_of, simultaneous_z
+from mcspectra.variance.remedy import Errors, compare, estimates_of, simultaneous_z
 
 COUNTS = (16, 64, 256)
 X = mcs.Estimator("linear", dims=1)

@@ -18,8 +18,8 @@ def test_random_points_need_the_variance_over_the_squared_error():
         exact = 1 / (12 * target**2)
         assert exact * (1 - 1e-9) <= float(found["planned_n"]) <= 1.05 * exact + 1
         assert float(found["planned_error"]) <= target
-    assert found.attrs["route"] == "extrapolated from n = 65536"
-    assert mcs.plan(f, "random", target_error=0.02).attrs["route"] == "exact"
+    assert found.attrs["how"] == "extrapolated from n = 65536"
+    assert mcs.plan(f, "random", target_error=0.02).attrs["method"] == "exact"
 
 
 def test_strata_reach_it_at_the_first_count_that_they_can_do():

@@ -8,16 +8,16 @@ import pytest
 
 import mcspectra as mcs
 from mcspectra.core.errors import CountError, NotPowerOfTwoWarning, ParameterError
-from mcspectra.variance.prediction import predict as routes
+from mcspectra.variance.prediction import predict as methods
 
 DISK = "disk(center=(0.4,0.55),radius=0.3)"
 
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch):
-    """A quarter of the sets that measure f or a table of it: intervals twice as wide, which routes know."""
-    monkeypatch.setattr(routes, "_POINTS", 2**20)
-    monkeypatch.setattr(routes, "_NEAR_POINTS", 2**18)
+    """A quarter of the sets that measure f or a table of it: intervals twice as wide, which methods know."""
+    monkeypatch.setattr(methods, "_POINTS", 2**20)
+    monkeypatch.setattr(methods, "_NEAR_POINTS", 2**18)
 
 
 def _measured(f, sampler, n, realizations):
@@ -46,7 +46,7 @@ def test_torus_invariant_sets_are_predicted_within_their_interval(f, sampler, n)
         *found["predicted_variance_ci"].values[0],
     )
     measured, error = _measured(f, sampler, n, 3200)  # 4 √(2/3200) = 0.1
-    assert str(found["route"].values[0]).startswith(("torus", "exact"))
+    assert str(found["method"].values[0]) in ("torus", "moves", "exact")
     # four standard errors of the reference, beyond the interval of the prediction
     assert low - 4 * error < measured < high + 4 * error
     assert abs(value - measured) < max(0.05 * measured, 4 * error)
@@ -117,7 +117,7 @@ def test_mirrored_points_see_another_integrand():
     f = mcs.integrand(DISK, dims=2)
     found = mcs.predict(f, "halton | shift | mirror(mode='fold')", [256])
     measured, error = _measured(f, "halton | shift | mirror(mode='fold')", 256, 3200)
-    assert "torus" in str(found["route"].values[0])
+    assert str(found["method"].values[0]) == "torus"
     value, half = float(found["predicted_variance"][0]), found["predicted_variance_ci"].values[0]
     assert abs(value - measured) < 4 * error + 0.5 * float(np.diff(half)[0])
 
@@ -138,7 +138,8 @@ def test_jumps_across_many_axes_are_measured_at_counts_next_to_n():
         warnings.simplefilter("always")
         found = mcs.predict(f, sampler, [n])
     assert all(str(each.message).startswith("300 Sobol'") for each in said)
-    assert str(found["route"].values[0]).startswith("extrapolated from measurements at 2")
+    assert str(found["method"].values[0]) == "extrapolated"
+    assert str(found["how"].values[0]).startswith("from measurements at 2")
     with warnings.catch_warnings(action="ignore"):
         # 0.1 + 3 √(2/1500) = 0.21 is less than what was missed
         measured, error = _measured(f, sampler, n, 1500)
@@ -161,8 +162,9 @@ def test_sets_that_one_offset_moves_are_moved_where_products_miss_what_f_has(f, 
     """Of the simplex on 16 points of a lattice 0.64 ± 0.26 of the variance; the worst were 6 times off."""
     f = mcs.Integrand.from_function(f, dims=4)
     found = mcs.predict(f, sampler, [n])
-    route = "digital shifts" if "sobol" in sampler else "offsets of a lattice"
-    assert route in str(found["route"].values[0])
+    how = "digital shifts" if "sobol" in sampler else "offsets of a lattice"
+    assert str(found["method"].values[0]) == "moves"
+    assert how in str(found["how"].values[0])
     measured, error = _measured(f, sampler, n, 4000)
     low, high = found["predicted_variance_ci"].values[0]
     assert low - 4 * error < measured < high + 4 * error
@@ -180,7 +182,7 @@ def test_what_no_theory_predicts_is_extrapolated_and_named():
     sampler = mcs.Sampler.from_function(strata, dims=4)
     f = "half-space(normal=[1.0, 0.5, 0.7, 0.3], offset=1.2)"
     found = mcs.predict(f, sampler, [128])
-    assert str(found["route"].values[0]) == "extrapolated from measurements at 32, 64, 256, 512"
+    assert str(found["how"].values[0]) == "from measurements at 32, 64, 256, 512"
     measured, error = _measured(mcs.integrand(f, dims=4), sampler, 128, 4000)
     low, high = found["predicted_variance_ci"].values[0]
     assert low - 4 * error < measured < high + 4 * error
@@ -199,7 +201,7 @@ def test_what_no_theory_predicts_is_extrapolated_and_named():
 def test_sets_of_any_sampler_measure_a_table(f, sampler, n):
     """Extrapolation was off by 11 times for the narrow one; a pole that the table cuts widens the interval."""
     found = mcs.predict(mcs.integrand(f, dims=2), sampler, [n])
-    assert "sets on a table of g" in str(found["route"].values[0])
+    assert str(found["method"].values[0]) == "table"
     measured, error = _measured(f, sampler, n, 2000)
     low, high = found["predicted_variance_ci"].values[0]
     assert low - 4 * error < measured < high + 4 * error
@@ -208,8 +210,8 @@ def test_sets_of_any_sampler_measure_a_table(f, sampler, n):
 
 
 def test_a_table_keeps_its_channels(monkeypatch):
-    monkeypatch.setattr(routes, "_TABLE", {2: 128})
-    monkeypatch.setattr(routes, "_POINTS", 2**14)
+    monkeypatch.setattr(methods, "_TABLE", {2: 128})
+    monkeypatch.setattr(methods, "_POINTS", 2**14)
     f = mcs.Integrand.from_function(
         lambda x: np.stack([x[..., 0], np.exp(x[..., 1]) * x[..., 0]], axis=-1), dims=2
     )
@@ -232,7 +234,7 @@ def test_a_table_keeps_its_channels(monkeypatch):
 )
 def test_sets_that_are_scrambles_of_one_set_have_the_variance_of_a_scrambled_net(f, sampler, n):
     found = mcs.predict(f, sampler, [n])
-    assert "extrapolated" not in str(found["route"].values[0])
+    assert str(found["method"].values[0]) != "extrapolated"
     measured, error = _measured(f, sampler, n, 2000)
     low, high = found["predicted_variance_ci"].values[0]
     assert low - 4 * error < measured < high + 4 * error

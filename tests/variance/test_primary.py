@@ -10,7 +10,7 @@ import mcspectra as mcs
 
 def picture(integrand, density=None, **options):
     dims = options.pop("dims", 2)
-    return mcs.primary_picture(mcs.Estimator(integrand, density, dims=dims), **options)
+    return mcs.variance.primary_picture(mcs.Estimator(integrand, density, dims=dims), **options)
 
 
 def by_kind(data, name):
@@ -89,7 +89,7 @@ def test_zeros_that_f_shares():
 
 def test_techniques_and_channels():
     mis = mcs.MultipleImportance("constant", ["linear(slope=1)", "uniform"], dims=1)
-    first, second = (mcs.primary_picture(mis, technique=t, resolution=16) for t in (0, 1))
+    first, second = (mcs.variance.primary_picture(mis, technique=t, resolution=16) for t in (0, 1))
     # Balance: w f/p_t = 1/(p_0 + p_1), at the ends 1/1.5 and 1/2.5
     for data in (first, second):
         height = by_kind(data, "primary_jump_height")[1]
@@ -98,7 +98,7 @@ def test_techniques_and_channels():
     colors = mcs.Integrand.from_function(
         lambda x: np.stack([3.0 * (x[..., 0] > 0.5), 4.0 * (x[..., 0] > 0.5)], axis=-1), dims=1
     )
-    data = mcs.primary_picture(colors, resolution=16)
+    data = mcs.variance.primary_picture(colors, resolution=16)
     assert data["primary_value"].dims == ("u0", "channel")
     assert by_kind(data, "primary_jump_height") == pytest.approx([5, 5])
 

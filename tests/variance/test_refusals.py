@@ -12,18 +12,18 @@ from mcspectra.variance.bands import make_bands
 LINE = mcs.sampler("jittered", dims=1)
 STEP = mcs.integrand("step(at=0.3)", dims=1)
 F1 = mcs.Estimator("linear", dims=1)
-PARTS = mcs.TechniqueSum(["linear", "step(at=0.3)"], dims=1)
+PARTS = mcs.estimators.TechniqueSum(["linear", "step(at=0.3)"], dims=1)
 POLE = mcs.Estimator("cosine", "power(exponent=1)", dims=1)
 INFINITE = mcs.Estimator("polynomial(coefficients=[0, 0, 1])", "linear(slope=2)")
 CORNER = mcs.Integrand.from_function(lambda x: (x.sum(axis=-1) < 0.913).astype(float), dims=2)
 
 
 def _scan(**given):
-    mcs.strata_shift_scan(**{"estimator": STEP, "sampler": LINE, "counts": 8, **given})
+    mcs.variance.strata_shift_scan(**{"estimator": STEP, "sampler": LINE, "counts": 8, **given})
 
 
 def _best(**given):
-    mcs.best_alignment(**{"estimator": STEP, "sampler": LINE, "n": 8, **given})
+    mcs.variance.best_alignment(**{"estimator": STEP, "sampler": LINE, "n": 8, **given})
 
 
 def _bands(bands):
@@ -31,7 +31,9 @@ def _bands(bands):
 
 
 def _smooth(**given):
-    mcs.smoothing_scan("disk", **{"sampler": "jittered", "counts": 16, "widths": [0.1], **given})
+    mcs.variance.smoothing_scan(
+        "disk", **{"sampler": "jittered", "counts": 16, "widths": [0.1], **given}
+    )
 
 
 def _modes(**given):
@@ -39,15 +41,15 @@ def _modes(**given):
 
 
 def _needed(**given):
-    mcs.realizations_needed(**{"estimator": F1, "sampler": LINE, "n": 4, **given})
+    mcs.variance.realizations_needed(**{"estimator": F1, "sampler": LINE, "n": 4, **given})
 
 
 def _picture(**given):
-    mcs.primary_picture("gaussian", **given)
+    mcs.variance.primary_picture("gaussian", **given)
 
 
 def _spectrum(estimator="gaussian", sampler="random", n=16, **given):
-    mcs.anova_spectrum(estimator, sampler, n, **given)
+    mcs.variance.anova_spectrum(estimator, sampler, n, **given)
 
 
 def _exact(sampler, n=16, dims=2, integrand="gaussian"):
@@ -56,7 +58,7 @@ def _exact(sampler, n=16, dims=2, integrand="gaussian"):
 
 def _pairs(sampler, n, dims=2, estimator="gaussian", **given):
     sampler = mcs.sampler(sampler, dims=dims)
-    mcs.variance_from_pair_correlation(estimator, sampler, n, **given)
+    mcs.predict(estimator, sampler, [n], method="pair-correlation", **given)
 
 
 ROWS = [
@@ -94,9 +96,9 @@ ROWS = [
     (lambda: _modes(band=1), "band is 1; give labels of bands as text, such as '4'"),
     (lambda: _modes(band=["1", 2]), "as text"),
     (lambda: mcs.covariance_modes(INFINITE, "jittered", 9, realizations=4), "primary"),
-    (lambda: mcs.predicted_rate(-2, "jump", 2), "greater than -2"),
-    (lambda: mcs.predicted_rate(True, "jump", 2), "b is True"),
-    (lambda: mcs.predicted_rate(2, float("nan"), 2), "decay is nan"),
+    (lambda: mcs.variance.predicted_rate(-2, "jump", 2), "greater than -2"),
+    (lambda: mcs.variance.predicted_rate(True, "jump", 2), "b is True"),
+    (lambda: mcs.variance.predicted_rate(2, float("nan"), 2), "decay is nan"),
     (lambda: _picture(technique=-1), "technique"),
     (lambda: _picture(resolution=2), "resolution"),
     (lambda: _picture(resolution=10**7), "resolution"),
@@ -142,13 +144,13 @@ UNKNOWN = [
     (lambda: _exact("sobol | digital-shift", 64, 12), "evaluations"),
     (lambda: _exact("jittered", integrand=CORNER), "does not converge"),
     (lambda: _exact("sobol | digital-shift", integrand="disk"), "does not converge"),
-    (lambda: _pairs("sobol", 16), "use exact_variance or variance_terms"),
-    (lambda: _pairs("jittered | strata-shift", 16), "use exact_variance or variance_terms"),
-    (lambda: _pairs("regular | shift", 16), "use exact_variance or variance_terms"),
-    (lambda: _pairs("uniform-jitter", 4, 1), "use exact_variance or variance_terms"),
-    (lambda: _pairs("jittered | shift", 27, 3), "use exact_variance or variance_terms"),
-    (lambda: _pairs("latin-hypercube", 16), "use exact_variance or variance_terms"),
-    (lambda: _pairs("jittered | shift", 4, 1, POLE, realizations=2), "diverges"),
+    (lambda: _pairs("sobol", 16), "or use another method"),
+    (lambda: _pairs("jittered | strata-shift", 16), "or use another method"),
+    (lambda: _pairs("regular | shift", 16), "or use another method"),
+    (lambda: _pairs("uniform-jitter", 4, 1), "or use another method"),
+    (lambda: _pairs("jittered | shift", 27, 3), "or use another method"),
+    (lambda: _pairs("latin-hypercube", 16), "or use another method"),
+    (lambda: _pairs("jittered | shift", 4, 1, POLE, realizations=4), "diverges"),
 ]
 
 
@@ -169,4 +171,4 @@ def test_counts_and_densities_have_errors_of_their_own():
     with pytest.raises(CountError, match="16 and 25"):
         mcs.convergence("gaussian", "jittered", [16, 20])
     with pytest.raises(DensityError, match="would miss"):
-        mcs.primary_picture(mcs.Estimator("constant", "disk", dims=2))
+        mcs.variance.primary_picture(mcs.Estimator("constant", "disk", dims=2))

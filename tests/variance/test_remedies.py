@@ -16,7 +16,7 @@ from mcspectra.variance.counterfactuals import (
     other_setups,
 )
 from mcspectra.variance.diagnosis import diagnose
-from mcspectra.variance.remedies import simultaneous_z
+from mcspectra.variance.remedy import simultaneous_z
 
 SMOOTH = "christensen-gaussian"
 

@@ -10,7 +10,9 @@ WITHIN = 4.0
 
 
 def test_the_measured_variance_of_a_ramp():
-    d = mcs.smoothing_scan("step(at=0.437)", mcs.sampler("jittered", dims=1), 512, [0.125], rng=2)
+    d = mcs.variance.smoothing_scan(
+        "step(at=0.437)", mcs.sampler("jittered", dims=1), 512, [0.125], rng=2
+    )
     relative = float(d["variance"].squeeze()) * 12 * 0.125 * 512**3
     assert relative == pytest.approx(1.0, abs=WITHIN * np.sqrt(2 / 1000) + 2 / 64)
     assert d["rate"].isnull().all()
@@ -19,7 +21,9 @@ def test_the_measured_variance_of_a_ramp():
 @pytest.fixture(scope="module")
 def scan():
     widths = [0, 0.02, 0.1, 0.3]
-    return mcs.smoothing_scan(DISK, "jittered", [64, 256, 1024], widths, realizations=400, rng=3)
+    return mcs.variance.smoothing_scan(
+        DISK, "jittered", [64, 256, 1024], widths, realizations=400, rng=3
+    )
 
 
 def test_the_rate_goes_from_that_of_an_edge_to_that_of_smooth_integrands(scan):
@@ -67,7 +71,7 @@ def test_channels_and_densities():
         dims=2,
         integral=[0.4, 0.7],
     )
-    d = mcs.smoothing_scan(
+    d = mcs.variance.smoothing_scan(
         rgb, "jittered", [16, 64], [0, 0.2], density="linear(slope=0.5)", realizations=30
     )
     assert d["variance"].dims == ("width", "n", "channel")

@@ -14,7 +14,7 @@ def _step(share):
 
 def test_reaches_the_wanted_error():
     """Kurtosis of one uniform value is 9/5: about 0.8/ε² realisations."""
-    d = mcs.realizations_needed(LINEAR, "random", 1, relative_error=0.02, rng=1)
+    d = mcs.variance.realizations_needed(LINEAR, "random", 1, relative_error=0.02, rng=1)
     assert float(d["reached"]) == 1
     assert float(d["variance_relative_se"]) <= 0.02
     assert abs(float(d["kurtosis"]) - 1.8) < 0.1
@@ -25,7 +25,7 @@ def test_reaches_the_wanted_error():
 def test_error_is_the_spread_over_seeds():
     """60 runs: the spread of the variances about the truth is the error they state, by χ²."""
     runs = [
-        mcs.realizations_needed(LINEAR, "jittered", 4, relative_error=0.1, rng=seed)
+        mcs.variance.realizations_needed(LINEAR, "jittered", 4, relative_error=0.1, rng=seed)
         for seed in range(60)
     ]
     exact = mcs.exact_variance(LINEAR, "jittered", 4)
@@ -37,7 +37,7 @@ def test_error_is_the_spread_over_seeds():
 @pytest.mark.parametrize("share", [0.1, 0.01])
 def test_skewed_values_take_as_many_more(share):
     """One value of 1[x < p] has the kurtosis (1 − 3pq)/pq: R ≥ (κ − 1)/ε² within its own error."""
-    d = mcs.realizations_needed(_step(share), "random", 1, relative_error=0.1, rng=1)
+    d = mcs.variance.realizations_needed(_step(share), "random", 1, relative_error=0.1, rng=1)
     q = share * (1 - share)
     expected = ((1 - 3 * q) / q - 1) / 0.1**2
     # κ is known to about ε (rare values are Poisson), the stop is confirmed a quarter later
@@ -50,7 +50,7 @@ def test_skewed_values_do_not_stop_early():
     """The sample that has seen no rare value yet, or too few, must not be believed."""
     used, low = [], []
     for seed in range(60):
-        d = mcs.realizations_needed(_step(0.02), "random", 1, relative_error=0.2, rng=seed)
+        d = mcs.variance.realizations_needed(_step(0.02), "random", 1, relative_error=0.2, rng=seed)
         used.append(int(d["realizations_used"]))
         low.append(float(d["variance_ci"][1]) < 0.02 * 0.98)
     # 2.5 % of intervals may lie below the truth; 5 σ of 60 draws above that
@@ -59,17 +59,19 @@ def test_skewed_values_do_not_stop_early():
 
 
 def test_no_spread_is_no_evidence():
-    d = mcs.realizations_needed(_step(1e-9), "random", 1, rng=1)
+    d = mcs.variance.realizations_needed(_step(1e-9), "random", 1, rng=1)
     assert float(d["reached"]) == 0
     assert np.isnan(float(d["variance_relative_se"]))
     assert np.isnan(float(d["kurtosis"]))
     assert int(d["realizations_used"]) >= 10_000
-    short = mcs.realizations_needed(_step(1e-9), "random", 1, max_realizations=500, rng=1)
+    short = mcs.variance.realizations_needed(_step(1e-9), "random", 1, max_realizations=500, rng=1)
     assert int(short["realizations_used"]) == 500
 
 
 def test_maximum_is_kept():
-    d = mcs.realizations_needed(LINEAR, "random", 1, relative_error=0.01, max_realizations=150)
+    d = mcs.variance.realizations_needed(
+        LINEAR, "random", 1, relative_error=0.01, max_realizations=150
+    )
     assert (int(d["realizations_used"]), float(d["reached"])) == (150, 0)
 
 
@@ -79,7 +81,7 @@ def test_every_channel_counts():
             lambda x: np.stack([x[..., 0], 1.0 * (x[..., 0] < 0.01)], axis=-1), dims=1
         )
     )
-    d = mcs.realizations_needed(two, "random", 1, relative_error=0.1, rng=1)
+    d = mcs.variance.realizations_needed(two, "random", 1, relative_error=0.1, rng=1)
     assert d["variance_ci"].dims == ("channel", "bound")
     assert (d["variance_relative_se"] <= 0.1).all()
     assert int(d["realizations_used"]) > 5000  # as the rare one needs
@@ -88,10 +90,10 @@ def test_every_channel_counts():
 def test_no_precision_rests_on_an_infinite_upper_end():
     """u^-0.8 has no variance: 2000 values have one of no meaning."""
     f = mcs.Integrand.from_function(lambda x: x[..., 0] ** -0.8, dims=1)
-    d = mcs.realizations_needed(
+    d = mcs.variance.realizations_needed(
         mcs.Estimator(f), "random", 1, relative_error=0.2, max_realizations=2000, rng=1
     )
     assert (int(d["realizations_used"]), int(d["reached"])) == (2000, 0)
     assert float(d["variance_relative_se"]) == float(d["variance_ci"][1]) == np.inf
     assert d.attrs["note"].startswith("tails not resolved (one or a few of 2000 estimates")
-    assert "note" not in mcs.realizations_needed(LINEAR, "random", 1).attrs
+    assert "note" not in mcs.variance.realizations_needed(LINEAR, "random", 1).attrs

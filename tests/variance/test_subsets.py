@@ -6,15 +6,16 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.signal import fftconvolve
+from tests import oracles
 
 import mcspectra as mcs
 from mcspectra.core.errors import NoClosedForm
 from mcspectra.core.streams import Stream
-from mcspectra.variance.prediction import predict as routes
+from mcspectra.variance.prediction import predict as methods
 from mcspectra.variance.prediction.known import Known
 from mcspectra.variance.prediction.subsets import of_subsets
 
-RESOLVED = 0.01  # relative error of curves with jumps that the route itself allows for
+RESOLVED = 0.01  # relative error of curves with jumps that the method itself allows for
 STREAM = Stream.from_rng(3)
 
 
@@ -229,9 +230,9 @@ def test_channels():
 
 
 def test_a_fit_that_runs_away_where_no_point_is_does_not_predict(monkeypatch):
-    monkeypatch.setattr(routes, "_NEAR_POINTS", 2**16)
+    monkeypatch.setattr(methods, "_NEAR_POINTS", 2**16)
     # Products of twelve axes had a tenth of their energy at the border, and nets six times the variance
-    f = mcs.integrand("asian-option(construction='incremental')", dims=12)
+    f = oracles.asian_option(12)
     found = mcs.predict(f, "sobol | owen", [256])
     points = mcs.sampler("sobol | owen", dims=12).draw(256, realizations=400, rng=1)
     measured = f(points).mean(axis=1).var(ddof=1)

@@ -34,7 +34,9 @@ class _HalfStep(mcs.Integrand):
 
 def _toy():
     """½x + ½·1[x<a], each half its own technique."""
-    return mcs.TechniqueSum([mcs.integrand("linear(gradient=[0.5])", dims=1), _HalfStep()])
+    return mcs.estimators.TechniqueSum(
+        [mcs.integrand("linear(gradient=[0.5])", dims=1), _HalfStep()]
+    )
 
 
 def _toy_variance(n):
@@ -47,7 +49,7 @@ def _cases():
     for sets, heuristic in pairs.items():
         yield mcs.MultipleImportance(CUBIC, PAIR, heuristic=heuristic, sets=sets, dims=1)
     yield mcs.MultipleImportance(CUBIC, [*PAIR, "uniform"], counts=(1, 3, 2), dims=1)
-    yield mcs.TechniqueSum([CUBIC, "linear"], sets="shared", dims=1)
+    yield mcs.estimators.TechniqueSum([CUBIC, "linear"], sets="shared", dims=1)
     yield mcs.MultipleImportance("gaussian", ["uniform", "linear(slope=1)"], dims=2)
     yield mcs.Estimator(CUBIC, "linear(slope=1)")
 
@@ -137,7 +139,11 @@ def test_shared_sets_show_between_techniques():
     """x and −x with the same points: Cov = −Var, and the whole is 0."""
     g = ["linear", "linear(gradient=[-1])"]
     d = mcs.technique_terms(
-        mcs.TechniqueSum(g, sets="shared", dims=1), "random", 4, half_width=4, realizations=50
+        mcs.estimators.TechniqueSum(g, sets="shared", dims=1),
+        "random",
+        4,
+        half_width=4,
+        realizations=50,
     )
     c = d["technique_covariance"].values
     assert c[0, 1] == pytest.approx(-c[0, 0], rel=1e-12)
@@ -180,11 +186,11 @@ def test_mis_of_a_smooth_and_a_discontinuous_warp():
 
 
 def test_techniques_without_variance_take_no_part():
-    parts = mcs.TechniqueSum(["constant(value=3)", "linear"], dims=1)
+    parts = mcs.estimators.TechniqueSum(["constant(value=3)", "linear"], dims=1)
     d = mcs.technique_terms(parts, "jittered", [8, 32, 128], half_width=2, realizations=100)
     assert d.attrs["bottleneck"] == "technique 1"
     assert np.isnan(d["technique_rate"][0])
-    still = mcs.TechniqueSum(["constant(value=3)"] * 2, dims=1)
+    still = mcs.estimators.TechniqueSum(["constant(value=3)"] * 2, dims=1)
     quiet = mcs.technique_terms(still, "random", [8, 32], half_width=2, realizations=20)
     assert quiet.attrs["bottleneck"] == "undecided"
     one = mcs.technique_terms(parts, "jittered", [8], half_width=2, realizations=20)
@@ -233,4 +239,4 @@ def test_deterministic_sets_have_no_variance_and_say_so():
     assert np.isnan(found["captured_ci"].values).all()
     said = "sobol has no variance: add owen or shift, or look at |bias|"
     assert found.attrs["note"] == said
-    assert mcs.variance_routes("disk", "sobol", 16, realizations=8).attrs["note"] == said
+    assert mcs.predict("disk", "sobol", [16], method="all", realizations=8).attrs["note"] == said

@@ -6,7 +6,7 @@ import pytest
 import mcspectra as mcs
 from mcspectra.core.streams import Stream
 from mcspectra.variance.prediction.known import Known
-from mcspectra.variance.prediction.torus import of_torus
+from mcspectra.variance.prediction.torus import of_few_moves, of_torus
 
 DISK = "disk(center=(0.45, 0.52), radius=0.27)"
 HALF = "half-space(normal=(0.8, 0.6), offset=0.63)"
@@ -15,6 +15,11 @@ HALF = "half-space(normal=(0.8, 0.6), offset=0.63)"
 def predicted(f, sampler, n):
     source = mcs.sampler(sampler, f.dims).as_chain(n)
     return of_torus(source, n, Known(f), Stream.from_rng(0))
+
+
+def moved(f, sampler, n):
+    source = mcs.sampler(sampler, f.dims).as_chain(n)
+    return of_few_moves(source, n, Known(f), Stream.from_rng(0))
 
 
 def unknown(f):
@@ -49,9 +54,9 @@ def test_additive_functions_on_lattices(sampler, dims, n):
 )
 def test_dual_lattices_and_offsets_agree(spec, sampler, n):
     f = mcs.integrand(spec, dims=2)
-    dual, offsets = predicted(f, sampler, n), predicted(unknown(f), sampler, n)
-    assert "dual" in dual.route
-    assert "offsets" in offsets.route
+    dual, offsets = predicted(f, sampler, n), moved(unknown(f), sampler, n)
+    assert "dual" in dual.how
+    assert "offsets" in offsets.how
     both = np.hypot(dual.error[0], offsets.error[0])
     assert abs(dual.variance[0] - offsets.variance[0]) <= both
     assert both < 0.05 * dual.variance[0]  # the aim of predictions
@@ -68,4 +73,4 @@ def test_what_no_dual_vector_meets_has_no_variance():
 def test_sets_that_are_no_lattices_go_another_way():
     f = mcs.integrand("linear", dims=2)
     for sampler in ("kronecker | shift", "halton | shift", "sobol | shift"):
-        assert predicted(f, sampler, 64).route == "torus (one transform)"
+        assert predicted(f, sampler, 64).how == "one transform"

@@ -146,7 +146,7 @@ def test_predictions_see_a_thin_slab(axis, center, width, sampler):
     ("sampler", "seed"),
     [("random", 0), ("jittered", 1), ("latin-hypercube", 1), ("sobol | owen", 0)],
 )
-def test_no_route_is_sure_of_a_ridge_that_points_hardly_hit(sampler, seed):
+def test_no_method_is_sure_of_a_ridge_that_points_hardly_hit(sampler, seed):
     """Scrambled points see a ridge much narrower than their cells as random ones do."""
     case = make("ridge", 2, seed)
     assert case.volume < 1e-4

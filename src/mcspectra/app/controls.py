@@ -29,7 +29,7 @@ _STEPS = ["shift", "owen", "digital-shift", "random-rotation", "mirror", "shuffl
 _NEEDS_MORE = {
     # Components that mean nothing without parameters, or with files
     "command", "python", "points", "digital-net", "aligned-strata", "bilinear", "defensive", "environment", "formula", "grid",
-    "image", "mixture", "piecewise-constant", "piecewise-linear", "pixel", "product", "vegas",
+    "image", "mixture", "piecewise-constant", "piecewise-linear", "pixel", "product",
 }  # fmt: skip
 _OTHER = "as written below"
 _EXPONENTS = range(2, 13)  # of 2: the counts on the slider

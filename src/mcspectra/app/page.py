@@ -310,7 +310,11 @@ def as_python(state: State) -> str:
             lines.append("estimator = mcs.Estimator(integrand, density)")
         else:
             inside = [f"    {spec!r}," for spec in specs]
-            lines += ["estimator = mcs.TechniqueSum([", *inside, f"], dims={setup.dims})"]
+            lines += [
+                "estimator = mcs.estimators.TechniqueSum([",
+                *inside,
+                f"], dims={setup.dims})",
+            ]
         if setup.mirror != "none":
             lines.append(f"estimator = mcs.Mirrored(estimator, {setup.mirror!r})")
         lines.append(f"sampler = mcs.sampler({setup.displaced_sampler!r}, dims={setup.dims})")

@@ -38,7 +38,7 @@ FORMULA = "formula"
 """Name of the integrand that is a formula."""
 
 TECHNIQUES = "technique-sum"
-"""Name of ``technique-sum(integrands=['…', '…'])``: a `mcspectra.TechniqueSum` of these specs."""
+"""Name of ``technique-sum(integrands=['…', '…'])``: a `mcspectra.estimators.TechniqueSum` of these specs."""
 
 _MOST_TECHNIQUES = 8
 _MOST_TEXT = 2000  # characters of a spec: browsers and servers cut URLs off at about 8000

@@ -19,7 +19,7 @@ from mcspectra.core.errors import ParameterError, close_match_hint
 from mcspectra.core.fields import check_fields, checked, choice, real, whole
 from mcspectra.core.options import options_of
 from mcspectra.spectra.power import Points, Spectrum
-from mcspectra.variance.convergence import Convergence
+from mcspectra.variance.measured import Convergence
 from mcspectra.variance.prediction.predict import Prediction
 from mcspectra.variance.terms import Terms
 

@@ -3,21 +3,29 @@
 An analysis of `mcspectra.core.analysis.ANALYSES` that has a verb is one, those of other packages too.
 What is analysed comes first (an integrand with densities and a sampler, or a sampler alone), then the
 options of `mcspectra.core.options.options_of`. `mcspectra.cli.texts` shows the result.
+
+Several analyses may share a verb: ``--split`` chooses one. The parser then has the options of that one,
+and refuses those of the others by name.
 """
 
 from __future__ import annotations
 
 import argparse
 import inspect
+import itertools
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import mcspectra as mcs
 from mcspectra.cli.common import (
     Answer,
     Declaration,
+    Read,
     Verb,
     given_of,
+    group,
     option,
+    out,
     read_sampler,
     whole,
     wholes,
@@ -37,15 +45,19 @@ __all__ = ["analysis_verb", "declared"]
 _ESTIMATOR = (
     option("integrand", "integrand spec, e.g. 'gaussian(width=0.25)'"),
     option("-d, --dims D", "number of dims, where specs leave it open", whole()),
-    option("--density SPEC", "density; several mean MIS", repeated="all"),
+    option(
+        "--density SPEC",
+        "importance density; repeatable: several are combined by MIS",
+        repeated="all",
+    ),
     option(
         "--heuristic SPEC",
-        "MIS: balance (default), power(beta=2), cutoff, maximum, optimal or variance-aware",
+        "of MIS: balance (default), power(beta=2), cutoff, maximum, optimal or variance-aware",
         repeated="once",
     ),
     option(
         "--shares K,K,…",
-        "MIS: points of each technique, in units of n",
+        "of MIS: points of each technique, in units of n",
         wholes(),
         repeated="once",
     ),
@@ -56,29 +68,52 @@ _ESTIMATOR = (
     ),
     option(
         "--plus SPEC",
-        "further integrand, sampled on its own and added (techniques in primary space)",
+        "another integrand on its own points, whose estimate is added; repeatable",
         repeated="all",
     ),
 )
 """Options of what is estimated; the sampler's depends on the analysis."""
 
 
-def analysis_verb(name: str) -> Verb:
-    """Make the verb of an analysis of the registry.
+def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
+    """Make the verb of the analyses of these names in the registry, for these arguments.
+
+    Parameters
+    ----------
+    names
+        One analysis, or several, of which the arguments choose one by ``--split``; else it is the first.
+    given
+        What was typed behind the verb.
 
     Raises
     ------
     AnalysisError
-        As of `mcspectra.core.analysis.check_names`.
+        An option has a name that is taken (`mcspectra.core.analysis.check_names`).
+    ParameterError
+        No analysis has this split.
     """
-    analysis: type[Analysis] = ANALYSES.load(name)
-    check_names(analysis)
+    splits: dict[str, tuple[str, type[Analysis]]] = {}
+    for each in names:
+        kind = ANALYSES.load(each)
+        check_names(kind)
+        splits[kind.split] = each, kind
+    chosen = next(iter(splits))
+    if len(splits) > 1:
+        for word, following in itertools.zip_longest(given, given[1:]):
+            if word == "--split" and following is not None:
+                chosen = following
+            elif word.startswith("--split="):
+                chosen = word.partition("=")[2]
+        as_choice("--split", chosen, tuple(splits))
+    name, analysis = splits[chosen]
     own = options_of(analysis)
     views = VIEWS.get(name, {"": table_of_anything})
     usual, *others = views
 
     # What the public function takes says what its verb does
-    door = getattr(mcs, analysis.function, None)
+    door: Any = mcs
+    for part in analysis.function.split("."):
+        door = getattr(door, part, None)
     takes = {} if door is None else inspect.signature(door).parameters
     default_sampler = takes["sampler"].default if "sampler" in takes else None
     if not isinstance(default_sampler, str):
@@ -106,28 +141,39 @@ def analysis_verb(name: str) -> Verb:
         if not takes or "density" in takes:
             declarations.append(option("--density SPEC", "importance density"))
 
-    # Declare the options of the analysis, of its views, and the file
-    for each in own:
-        more = ", or all sets of points that are given" if all_sets else ""
-        declarations.append(declared(each, more if each.name == "realizations" else ""))
+    # Declare the options of the analysis, of its views, and the files
+    if len(splits) > 1:
+        shown: list[str] = []
+        for split, (_, kind) in splits.items():
+            text = kind.summary().rstrip(".")
+            usual = "" if shown else " (default)"
+            shown.append(f"{split}{usual}: {text[:1].lower()}{text[1:]}")
+        declarations.append(option("--split SPLIT", "; ".join(shown), default=chosen))
+    if all_sets:
+        notes = {"realizations": ", or all sets of points that are given"}
+        declarations += [declared(each, notes.get(each.name, "")) for each in own]
+    else:
+        of_splits = {split: options_of(kind) for split, (_, kind) in splits.items()}
+        declarations += _of_splits(chosen, of_splits)
     if others:
-        shown = [f"{view}: {views[view].__doc__}" for view in others]
-        offer = f"{usual} (default); {'; '.join(shown)}"
+        further = [f"{view}: {views[view].__doc__}" for view in others]
+        offer = f"{usual} (default); {'; '.join(further)}"
         declarations.append(option("--show VIEW", offer, default=usual))
-    files = (
-        ".npz: all values; .csv, .tex: the curve; .png, .svg, .pdf, .pgf: a picture; .html: a page"
+    declarations.append(
+        out(
+            ".npz: all values; .csv, .tex: the curve; .png, .svg, .pdf, .pgf: a picture; .html: a page"
+        )
     )
-    declarations.append(option("-o, --out FILE", files))
 
     def run(options: argparse.Namespace) -> Answer:
         view = as_choice("--show", getattr(options, "show", usual), tuple(views))
 
         # Refuse files that cannot be made before anything is computed
-        file = options.out
-        if file is not None:
+        if options.out:
             from mcspectra.report.result_files import check_result_file, write_result_file
 
-            check_result_file(file)
+            for file in options.out:
+                check_result_file(file)
 
         # Compute, write and show
         given = given_of(options, *(each.name for each in own))
@@ -136,12 +182,14 @@ def analysis_verb(name: str) -> Verb:
             sets = subject.sampler.sets.get(given.get("n", 0), subject.sampler.points)
             given = {"realizations": len(sets), **given}
         result = compute(analysis(**given), subject, options.seed or 0)
-        if file is not None:
-            write_result_file(result, file, f"mcspectra {analysis.verb}")
+        for file in options.out:
+            write_result_file(result, file, f"mcspectra {analysis.command()}")
         shown = views[view](result)
         return Answer(shown.text, {**data_of(result), **shown.data})
 
     about = inspect.cleandoc(analysis.__doc__ or "").partition("\n\n")[0]
+    if len(splits) > 1:
+        about = f"With --split {chosen}: {about[:1].lower()}{about[1:]}"
     printed = inspect.cleandoc(views[usual].__doc__ or "")
     return Verb(f"{about}\n\n{printed}".strip(), tuple(declarations), run)
 
@@ -201,29 +249,105 @@ def _subject(
     return as_subject(estimator, samplers if len(samplers) > 1 else samplers[0], lists=True)
 
 
-def declared(given: Option, default_note: str = "") -> Declaration:
-    """Declare an option of an analysis, which has its default; the note stands behind that in the help."""
+def _of_splits(chosen: str, options: dict[str, tuple[Option, ...]]) -> list[Declaration]:
+    """Declare the options of all splits: those of the chosen one are read, others are refused.
+
+    Options that all have come first, then a group for each set of splits that have the others.
+    """
+    owners: dict[str, list[str]] = {}
+    for split, its in options.items():
+        for each in its:
+            for flag in _flags(each):
+                owners.setdefault(flag, []).append(split)
+    common: list[Declaration] = []
+    groups: dict[str, list[Declaration]] = {}
+    taken: set[str] = set()
+    for split in (chosen, *(each for each in options if each != chosen)):
+        for each in options[split]:
+            flags = [flag for flag in _flags(each) if flag not in taken]
+            taken |= {*flags}
+            if not flags:
+                continue
+            having = max((owners[flag] for flag in flags), key=len)
+            *head, last = having
+            where = f"--split {' or '.join([', '.join(head), last] if head else [last])}"
+
+            def refuse(label: str, _: Any, where: str = where) -> Any:
+                raise ParameterError(f"{label} is for {where}; give that, or leave {label} out.")
+
+            if split == chosen:
+                notes = [
+                    f", {_default(one)} with --split {other}"
+                    for other, its in options.items()
+                    for one in its
+                    if one.name == each.name and _default(one) not in ("", _default(each))
+                ]
+                declaration = declared(each, "".join(notes))
+            else:
+                declaration = declared(each, flags=flags, refuse=refuse)
+            if len(having) == len(options):
+                common.append(declaration)
+            else:
+                groups.setdefault(f"with {where}", []).append(declaration)
+
+    def make(title: str) -> Callable[[Any], Any]:
+        return lambda parser: parser.add_argument_group(title)
+
+    return [*common, *(group(make(title), *each) for title, each in groups.items())]
+
+
+def _flags(given: Option) -> list[str]:
+    """What an option is typed as: one letter may stand for the name, and -n is all of n."""
     own = given.extra.get("flag", given.flag)
-    text = given.meaning.rstrip(".")
+    if given.is_flag:
+        return [own if "flag" in given.extra or not given.default else f"--no-{own[2:]}"]
+    alone = own == given.flag or f"-{given.name}" == own or given.lists_texts
+    return [own] if alone else [own, given.flag]
+
+
+def _default(given: Option) -> str:
+    """The default as the help shows it; empty where there is none to show."""
+    if given.required or given.default is None or given.is_flag:
+        return ""
+    values = given.default if isinstance(given.default, tuple) else (given.default,)
+    return ",".join(f"{each:g}" if isinstance(each, float) else str(each) for each in values)
+
+
+def declared(
+    given: Option,
+    default_note: str = "",
+    *,
+    flags: Sequence[str] | None = None,
+    refuse: Callable[[str, Any], Any] | None = None,
+) -> Declaration:
+    """Declare an option of an analysis, which has its default.
+
+    Parameters
+    ----------
+    given
+        The option.
+    default_note
+        What stands behind the default in the help.
+    flags
+        What it is typed as; by default all that it has.
+    refuse
+        Raises the error of an option that belongs to another split.
+    """
+    flags = _flags(given) if flags is None else flags
+    text = given.extra.get("help", given.meaning).rstrip(".")
     text = text[:1].lower() + text[1:] if text[1:2].islower() else text
     choices = (*given.choices, *given.item_choices)
     if any(choice not in text for choice in choices):
         text += f": {', '.join(choices)}"
     if given.is_flag:
-        switch = own if "flag" in given.extra or not given.default else f"--no-{own[2:]}"
-        help = f"{text}; on by default" if given.default else text
+        help = f"{text}; on by default" if given.default and "help" not in given.extra else text
+        how: dict[str, Any] = {"action": "store_const", "const": not given.default}
+        if refuse is not None:
+            how = {"action": Read, "read": refuse, "nargs": 0}
         return lambda parser: parser.add_argument(
-            switch,
-            dest=given.name,
-            default=None,
-            action="store_const",
-            const=not given.default,
-            help=help.replace("%", "%%"),
+            *flags, dest=given.name, default=None, help=help.replace("%", "%%"), **how
         )
-    default = given.default
-    values = default if isinstance(default, tuple) else (default,)
-    shown = ",".join(f"{each:g}" if isinstance(each, float) else str(each) for each in values)
-    said = "" if given.required or default is None else f"default {shown}{default_note}"
+    said = f"default {_default(given)}{default_note}" if _default(given) else ""
     listed = given.lists_texts
 
     def read(name: str, text: str) -> Any:
@@ -236,13 +360,11 @@ def declared(given: Option, default_note: str = "") -> Declaration:
     parts = [part for part in (text, "repeatable" if listed else "", said) if part]
     word = given.name.rpartition("_")[2].upper()
     letter = word if given.choices or listed else word[0]
-    # One letter may stand for the whole name: -m for --realizations, and -n is all of n
-    flags = [own] if own == given.flag or f"-{given.name}" == own or listed else [own, given.flag]
     return option(
         f"{', '.join(flags)} {given.extra.get('metavar', letter)}",
         "; ".join(parts).replace("%", "%%"),
-        read,
+        refuse or read,
         repeated="all" if listed else "last",
         dest=given.name,
-        required=given.required,
+        required=given.required and refuse is None,
     )

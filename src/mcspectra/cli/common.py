@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, final
 
 from mcspectra.core.checks import as_integer, as_real
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.options import whole_number
 
 if TYPE_CHECKING:
     from mcspectra.report.page import Table
@@ -28,6 +29,7 @@ __all__ = [
     "index_or_name",
     "one_sentence_warnings",
     "option",
+    "out",
     "page_table",
     "read_sampler",
     "real",
@@ -118,6 +120,13 @@ def option(
     return lambda parser: parser.add_argument(*names, **further)
 
 
+def out(help: str, **further: Any) -> Declaration:
+    """Declare ``-o, --out``, which lists files that are written from one run: none by default."""
+    return option(
+        "-o, --out FILE", f"{help}; repeatable", repeated="all", **{"default": [], **further}
+    )
+
+
 def group(make: Callable[[Any], Any], *options: Declaration) -> Declaration:
     """Declare options in a group that `make` adds to the parser."""
 
@@ -146,7 +155,7 @@ def verb(*options: Declaration) -> Callable[[Callable[[argparse.Namespace], Answ
 def whole(least: int = 1, most: int | None = None) -> Callable[[str, str], int]:
     """Return what reads a whole number within limits."""
 
-    return lambda name, text: as_integer(name, _number(int, text), least=least, most=most)
+    return lambda name, text: as_integer(name, whole_number(text), least=least, most=most)
 
 
 def wholes(form: str = "", least: int = 1) -> Callable[[str, str], list[int]]:
@@ -164,15 +173,14 @@ def wholes(form: str = "", least: int = 1) -> Callable[[str, str], list[int]]:
 def real(**limits: float) -> Callable[[str, str], float]:
     """Return what reads a number within the limits of `as_real`."""
 
-    return lambda name, text: as_real(name, _number(float, text), **limits)
+    def read(name: str, text: str) -> float:
+        try:
+            number: float | str = float(text)
+        except ValueError:
+            number = text
+        return as_real(name, number, **limits)
 
-
-def _number(kind: Callable[[str], int | float], text: str) -> int | float | str:
-    """The number that a text is, if it is one."""
-    try:
-        return kind(text)
-    except ValueError:
-        return text
+    return read
 
 
 def _folder(name: str, text: str) -> str:

@@ -13,87 +13,110 @@ import importlib
 import io
 import json
 import os
-import re
 import sys
 import threading
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from importlib.metadata import entry_points
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
-__all__ = ["main"]
+if TYPE_CHECKING:
+    from mcspectra.core.errors import Function, Parameter
 
-_MODULES = {
-    "studies": {
-        "run": "run a study file: results, figures and report.html",
-        "report": "write the report of a study again, or compare two studies",
-        "status": "what the folder of a study holds: done, failed, missing, damaged",
-        "export": "write results as .csv, .parquet, .nc, .json or .zarr.zip",
-        "init": "write a study file to begin with",
-        "schema": "print the JSON Schema of study files",
+__all__ = ["GROUPS", "VERBS", "main"]
+
+GROUPS: dict[str, dict[str, tuple[str, str]]] = {
+    "study": {
+        "run": ("studies", "measure, predict and explain all that a study file asks for"),
+        "init": ("studies", "write a study file to start from, or print the schema of such files"),
+        "status": ("studies", "count the done, failed, missing and damaged cells of a study"),
+        "report": ("studies", "write the report of a study again, or compare two studies"),
+        "export": ("studies", "write the results of a study as files"),
     },
-    "samplers": {
-        "list": "list samplers, randomizations, densities, integrands, scenes or analyses",
-        "points": "draw point sets and write them as text or files",
-        "integrate": "integrate a function with a budget of evaluations: value and interval",
-        "gallery": "measure samplers and show them side by side",
-        "bench": "compare samplers: rates, ranks, spectra, quality, speed; a page, PDF or LaTeX",
+    "measure": {
+        "points": ("samplers", "draw point sets: text, files, pictures, figures of quality"),
+        "spectrum": ("analysis", "expected power spectrum of a sampler"),
+        "pcf": ("analysis", "pair correlation of a sampler"),
+        "converge": ("analysis", "variance against n, and the rate that is fitted to it"),
+        "variance": ("analysis", "split a variance: into terms, techniques, axes or modes"),
+        "bench": ("samplers", "measure samplers side by side: rates, spectra, quality, speed"),
     },
-    "analysis": {
-        "spectrum": "expected power spectrum of a sampler",
-        "pcf": "pair correlation of a sampler",
-        "variance": "the three terms of an estimator's variance against its measurement",
-        "converge": "variance against n and the fitted rate",
-        "techniques": "variance, terms and rate of each technique by itself, and the bottleneck",
-        "remedies": "what would lower the noise at a budget, measured, ranked and explained",
-        "predict": "variance and rate at every n, predicted by the best method, by one, or by all",
-        "plan": "the least number of points for an error, predicted",
-        "profile": "what the noise is, why, and what to do, within a budget",
-        "anova": "which axes the variance comes from, effective dimension",
-        "modes": "which patterns of frequencies vary together",
+    "predict": {
+        "predict": ("analysis", "variance and rate at every n, before anything is measured"),
+        "plan": ("analysis", "the smallest n that reaches an error"),
     },
-    "learn": {
-        "design": "search a sampler of small variance over a class of integrands, and certify it",
-        "learn": "learn an importance density for an integrand and a sampler, and measure what it gains",
+    "explain and improve": {
+        "profile": ("profiling", "find the causes of the noise, and the best remedy at a budget"),
+        "remedies": ("analysis", "measure changes that would lower the noise, and rank them"),
+        "design": ("designs", "search a sampler or a density for a class of integrands"),
+        "integrate": ("samplers", "integrate a function: value and 95 % interval"),
     },
-    "chains": {
-        "chains": "error of the means of Markov chains, its frequencies, and what is wrong",
+    "render": {
+        "pixel": ("scenes", "rates, terms, bottleneck and remedies of one pixel of a scene"),
+        "map": ("scenes", "variance, rate and bottleneck at every pixel of a scene"),
+        "render": ("scenes", "render a scene with one of our samplers"),
+        "frames": ("scenes", "noise of frames of any renderer: variance, rate, bias, spectrum"),
     },
-    "scenes": {
-        "frames": "noise of frames of any renderer: variance, rate, fireflies, bias, error spectrum",
-        "render": "render a scene's direct illumination: image, variance, EXR and PNG",
-        "pixel": "what one pixel sees, its rates, terms and bottleneck, and what would help",
-        "map": "variance, rate and bottleneck at every pixel of a scene",
-        "mitsuba": "render a Mitsuba scene file, with our samplers known to its integrators",
-    },
-    "package": {
-        "reproduce": "the slides' figures and statements made again, with what agrees",
-        "app": "explore samplers, densities and integrands in the browser",
-        "doctor": "what is installed and whether it works",
-        "cite": "how to cite the package and its methods",
+    "more": {
+        "app": ("package", "explore samplers, densities and integrands in the browser"),
+        "reproduce": ("package", "make the figures and statements of the slides again"),
+        "list": ("samplers", "list samplers, densities, integrands, scenes or analyses"),
+        "doctor": ("package", "show what is installed and whether it works"),
+        "cite": ("package", "print how to cite the package and its methods"),
     },
 }
-"""Modules of the command line, to their verbs and what these do."""
+"""Verbs by group, in the order of the help: the module of each, and what it does."""
 
-_VERBS = {verb: text for verbs in _MODULES.values() for verb, text in verbs.items()}
+VERBS = {verb: text for verbs in GROUPS.values() for verb, (_, text) in verbs.items()}
+"""What each verb does."""
 
-_ANALYSES = {
-    verb: {"variance": "terms", "converge": "convergence"}.get(verb, verb)
-    for verb in _MODULES["analysis"]
+_MODULES = {verb: module for verbs in GROUPS.values() for verb, (module, _) in verbs.items()}
+
+_ANALYSES: dict[str, tuple[str, ...]] = {
+    "spectrum": ("spectrum",),
+    "pcf": ("pcf",),
+    "converge": ("convergence",),
+    "variance": ("terms", "techniques", "anova", "modes"),
+    "predict": ("predict",),
+    "plan": ("plan",),
+    "profile": ("profile",),
+    "remedies": ("remedies",),
+    "map": ("map",),
 }
-"""Verbs of our analyses, which are not loaded to know them: to their names in the registry."""
+"""Verbs of our analyses, which are not loaded to know them: to their names in the registry.
+
+Where several share a verb, ``--split`` chooses one, the first by default.
+"""
+
+_NOW = {
+    "exact": "predict --method exact",
+    "routes": "predict --method all",
+    "techniques": "variance --split techniques",
+    "anova": "variance --split axes",
+    "modes": "variance --split modes",
+    "gallery": "bench",
+    "learn": "design density",
+    "chains": "profile draws.npy",
+    "mitsuba": "render scene.xml --integrator scene",
+    "schema": "init --schema",
+}
+"""Verbs of earlier versions, and what is typed instead."""
 
 _FAILED_RUNS = ("CellFailed", "ClusterLost", "StorageError")
 """Errors that are nobody's input."""
 
 _LONGEST = 1000  # characters of an unexpected error's own text
 
-_EPILOG = """\
-Specs name samplers, densities and integrands: name(key=value, ...); samplers chain randomizations:
-  mcspectra converge 'christensen-gaussian' --sampler jittered --sampler 'jittered | shift' \\
-      --counts 16,64,256,1024
-Each verb has its own --help, and takes --json, --seed and --quiet.
+_HELP = """\
+usage: mcspectra VERB ...     mcspectra VERB --help     mcspectra --version
+
+Measure, predict and explain the variance of Monte Carlo estimators.
+
+{groups}
+
+All verbs take --json, --seed and --quiet. Specs chain names by bars:
+mcspectra points 'jittered | shift' -n 16
 """
 
 
@@ -160,21 +183,23 @@ def _dispatch(given: list[str]) -> int:
     from mcspectra.core.progress import progress_bars
     from mcspectra.core.results import strict_json
 
-    name = given[0]
+    # The verb: of its module, or made of the analyses that share it
+    name, module = given[0], _MODULES.get(given[0], "analysis")
     verb: Verb
-    analysis = _ANALYSES.get(name)
-    if name not in _VERBS:
-        analysis = _outside_verb(name)
-        if analysis is None:
-            hint, close = close_match_hint(name, _VERBS, "mcspectra --help")
+    if module == "analysis":
+        analyses = _ANALYSES.get(name, ())
+        if len(analyses) != 1:  # other packages have verbs, and splits of ours
+            analyses = (*analyses, *_outside_analyses(name))
+        if not analyses and name in _NOW:
+            raise UnknownName(f"The verb {name!r} is now 'mcspectra {_NOW[name]}'.")
+        if not analyses:
+            hint, close = close_match_hint(name, VERBS, "mcspectra --help")
             raise UnknownName(f"There is no verb {name!r}.{hint}", close)
-    if analysis is None:
-        module = next(module for module, verbs in _MODULES.items() if name in verbs)
-        verb = getattr(importlib.import_module(f"mcspectra.cli.{module}"), f"{name}_")
-    else:
         from mcspectra.cli.analysis import analysis_verb
 
-        verb = analysis_verb(analysis)
+        verb = analysis_verb(analyses, given[1:])
+    else:
+        verb = getattr(importlib.import_module(f"mcspectra.cli.{module}"), f"{name}_")
 
     # Its own options, and those that all verbs have
     parser = _Parser(
@@ -188,7 +213,7 @@ def _dispatch(given: list[str]) -> int:
         *verb.options,
         option("--json", "print JSON instead of text"),
         option("--seed S", "seed, a whole number from 0", whole(0)),
-        option("--quiet", "print errors only"),
+        option("--quiet", "print the result only: no progress, warnings or notes"),
         option("--allow-code CODE", allowed, repeated="all", default=[]),
         option("--debug", "show the traceback of an error"),
     ):
@@ -203,80 +228,89 @@ def _dispatch(given: list[str]) -> int:
         with one_sentence_warnings(options.quiet), progress_bars(not options.quiet):
             text, data, code = verb.run(options)
     except McspectraError as error:
-        error.args = (_as_typed(str(error), parser, analyses=analysis is not None),)
+        error.args = (error.sentence(_writer(parser)),)
         raise
     if options.json and data is not None:
         print(json.dumps(strict_json(data), indent=2, allow_nan=False))
-    elif text and (data is None or not options.quiet):
+    elif text:
         print(text)
     return code
 
 
-def _as_typed(sentence: str, parser: argparse.ArgumentParser, *, analyses: bool) -> str:
-    """Say an error with options as they are typed, and with verbs for the functions of analyses.
+def _writer(parser: argparse.ArgumentParser) -> Callable[[Parameter | Function], str]:
+    """Return what writes options in a sentence as they are typed, and functions as their verbs."""
+    import shlex
 
-    Words within a sentence are options where an analysis is asked for; files have keys of their own.
-    """
-    for action in parser._actions:
-        flag, name = max(action.option_strings, key=len, default=""), action.dest
-        if flag:
-            sentence = re.sub(rf"^{name}(?= (?:is|has)\b)", flag, sentence)
-        if flag and analyses:
-            outside = r"(?<![\w(])(?<!, )(?<!says )"  # of the brackets of a spec
-            sentence = re.sub(rf"{outside}{name}=(['\"]?)([\w.-]+)\1", rf"{flag} \2", sentence)
-            sentence = re.sub(rf"(?<![\w-]){name}\b", flag, sentence) if "_" in name else sentence
-    if not (analyses and re.search(r"[a-z]_[a-z]|use convergence", sentence)):
-        return sentence
     from mcspectra.core.analysis import ANALYSES
+    from mcspectra.core.errors import Parameter
 
-    for verb, name in _ANALYSES.items():
-        if function := ANALYSES.load(name).function:
-            place = r"\b" if "_" in function else r"(?<=use )"
-            sentence = re.sub(rf"{place}{function}\b", f"'mcspectra {verb}'", sentence)
-    return sentence
+    flags = {
+        action.dest: max(action.option_strings, key=len)
+        for action in parser._actions
+        if action.option_strings
+    }
+
+    def write(part: Parameter | Function) -> str:
+        if isinstance(part, Parameter):
+            flag = flags.get(part.name)
+            if flag is None or part.value is None:
+                return flag or str(part)
+            return f"{flag} {shlex.quote(str(part.value))}"
+        for names in _ANALYSES.values():
+            for name in names:
+                analysis = ANALYSES.load(name)
+                if analysis.function == part.name:
+                    # The first of a verb needs no --split
+                    word = analysis.verb if name == names[0] else analysis.command()
+                    return f"'mcspectra {word}'"
+        return str(part)
+
+    return write
 
 
 def _without_verb(given: list[str]) -> int:
     """Print the help, or the version."""
-    verbs = dict(_VERBS)
-    outside, left_out = _outside_verbs()
-    for verb, name in outside.items():
-        from mcspectra.core.analysis import ANALYSES
-
-        verbs[verb] = ANALYSES.load(name).summary()
-    width = max(map(len, verbs))
-    table = "\n".join(f"  {name.ljust(width)}  {text}" for name, text in verbs.items())
-    table += "".join(f"\nleft out: {name}: {text}" for name, text in left_out.items())
-    parser = _Parser(
-        prog="mcspectra",
-        description="Measure, predict and explain the variance of Monte Carlo estimators.",
-        epilog=f"verbs:\n{table}\n\n{_EPILOG}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--version", action="store_true", help="print the version and stop")
-    parser.add_argument("verb", nargs="?", metavar="VERB", help="what to do, see below")
-    if parser.parse_args(given[:1]).version:
+    if given[:1] == ["--version"]:
         from mcspectra.version import __version__
 
         print(__version__)
         return 0
-    parser.print_help()
-    return 2 if given else 0
+    groups = {group: dict.fromkeys(verbs) for group, verbs in GROUPS.items()}
+    texts, left_out = dict(VERBS), dict[str, str]()
+    if entry_points(group="mcspectra.analyses"):
+        from mcspectra.core.analysis import ANALYSES
+
+        outside, left_out = _outside_verbs()
+        for verb, names in outside.items():
+            if verb not in VERBS:
+                groups.setdefault("other packages", {})[verb] = None
+                texts[verb] = ANALYSES.load(names[0]).summary()
+    width = max(map(len, texts))
+    lines = []
+    for group, verbs in groups.items():
+        lines += [group, *(f"  {verb.ljust(width)}  {texts[verb]}" for verb in verbs)]
+    lines += [f"left out: {name}: {text}" for name, text in left_out.items()]
+    if given[:1] not in ([], ["-h"], ["--help"]):
+        sentence = f"There is no option {given[0]!r} before the verb; see 'mcspectra --help'."
+        print(f"mcspectra: {sentence}", file=sys.stderr)
+        return 2
+    print(_HELP.format(groups="\n".join(lines)), end="")
+    return 0
 
 
-def _outside_verb(word: str) -> str | None:
-    """The analysis of another package that has a verb.
+def _outside_analyses(word: str) -> list[str]:
+    """The analyses of other packages that have a verb.
 
     Raises
     ------
     SpecError
-        It is left out, as of `_outside_verbs`.
+        One is left out, for the reason of `_outside_verbs`.
     MissingDependency
         This is an analysis's name, which cannot be loaded.
     """
     outside, left_out = _outside_verbs()
-    if word in outside:
-        return outside[word]
+    if word in outside or word in VERBS:
+        return outside.get(word, [])
     from mcspectra.core.analysis import ANALYSES
     from mcspectra.core.errors import SpecError
 
@@ -285,14 +319,14 @@ def _outside_verb(word: str) -> str | None:
             raise SpecError(sentence)
     if word in ANALYSES:
         ANALYSES.load(word)
-    return None
+    return []
 
 
-def _outside_verbs() -> tuple[dict[str, str], dict[str, str]]:
+def _outside_verbs() -> tuple[dict[str, list[str]], dict[str, str]]:
     """Verbs of other packages' analyses, to the names of these; names of those left out, to the reason.
 
-    One is left out if its verb, or its function, is that of another: ours keep theirs. Those that cannot
-    be loaded are in neither: `mcspectra list analyses` says why.
+    One is left out if its verb and split, or its function, are those of another: ours keep theirs.
+    Those that cannot be loaded are in neither: `mcspectra list analyses` says why.
     """
     if not entry_points(group="mcspectra.analyses"):
         return {}, {}
@@ -302,28 +336,30 @@ def _outside_verbs() -> tuple[dict[str, str], dict[str, str]]:
     owners: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
     for name in ANALYSES:
         with suppress(MissingDependency):
-            for door in ("verb", "function"):
-                owners[door, getattr(ANALYSES.load(name), door)].append(name)
+            analysis = ANALYSES.load(name)
+            owners["verb", analysis.command()].append(name)
+            owners["function", analysis.function].append(name)
     outside = {name for name, target in ANALYSES.items() if not target.startswith("mcspectra.")}
     left_out: dict[str, str] = {}
     for (door, word), names in owners.items():
+        verb = ANALYSES.load(names[0]).verb
+        shared = bool(ANALYSES.load(names[0]).split) and len(_ANALYSES.get(verb, ())) > 1
         if word and len(names) > 1:
             sentence = (
                 f"The analyses {' and '.join(map(repr, names))} have the same {door} {word!r}; "
                 "uninstall the package of one, or have its author rename it."
             )
-        elif door == "verb" and word in _VERBS:
+        elif door == "verb" and verb in VERBS and not shared:
             sentence = (
-                f"The analysis {names[0]!r} has the verb {word!r}, which is one of mcspectra itself; "
+                f"The analysis {names[0]!r} has the verb {verb!r}, which is one of mcspectra itself; "
                 "uninstall its package, or have its author rename the verb."
             )
         else:
             continue
         left_out |= {name: sentence for name in names if name in outside}
-    found = {
-        word: name
-        for (door, word), names in owners.items()
-        for name in names
-        if door == "verb" and word and name in outside and name not in left_out
-    }
+    found: dict[str, list[str]] = {}
+    for (door, word), names in owners.items():
+        for name in names:
+            if door == "verb" and word and name in outside and name not in left_out:
+                found.setdefault(ANALYSES.load(name).verb, []).append(name)
     return found, left_out

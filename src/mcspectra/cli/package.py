@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from mcspectra.cli.common import Answer, option, verb, whole
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.references import bibtex
+from mcspectra.core.registry import optional_package
 from mcspectra.version import __version__
 
 if TYPE_CHECKING:
@@ -21,8 +22,15 @@ if TYPE_CHECKING:
 
 __all__ = ["app_", "cite_", "doctor_", "reproduce_"]
 
-_OPTIONAL = {"qmcpy": "qmcpy", "pyarrow": "parquet", "vegas": "vegas"}
-"""Packages that are not always there, with the extra that installs them."""
+_EXTRAS = {
+    "report": ("bokeh", "jinja2", "latex2mathml"),
+    "store": ("zarr",),
+    "cluster": ("distributed", "cloudpickle"),
+    "render": ("mitsuba", "OpenEXR"),
+    "frames": ("flip-evaluator", "tevclient"),
+    "qmcpy": ("qmcpy",),
+}
+"""Optional packages by the extra that installs them."""
 
 _CITED = {
     "the three terms under importance sampling": "Singh2019",
@@ -38,10 +46,10 @@ _ITSELF = f"""@software{{mcspectra,
 
 
 @verb(
-    option("FIGURE", "figures; all by default", dest="figures", nargs="*"),
-    option("--list", "name the figures and stop"),
-    option("--quick", "fewer realisations; 3 minutes at most"),
-    option("--out DIR", "output folder", default="out/reproduce"),
+    option("FIGURE", "figures (default: all)", dest="figures", nargs="*"),
+    option("--list", "list the figures and stop"),
+    option("--quick", "fewer realizations: 3 minutes at most"),
+    option("-o, --out DIR", "output folder (default out/reproduce)", repeated="once"),
 )
 def reproduce_(options: argparse.Namespace) -> Answer:
     """Make the figures and statements of the slides again, and say which of them agree.
@@ -78,7 +86,7 @@ def reproduce_(options: argparse.Namespace) -> Answer:
     seed = options.seed or 0
     words = ["mcspectra", "reproduce", *options.figures, *(["--quick"] if options.quick else [])]
     made = reproduce(
-        options.out,
+        options.out or "out/reproduce",
         options.figures,
         quick=options.quick,
         seed=seed,
@@ -123,6 +131,7 @@ def app_(options: argparse.Namespace) -> Answer:
     """
     if options.json or options.seed is not None:
         raise ParameterError("app takes neither --json nor --seed; choose the seed on the page.")
+    optional_package("bokeh", "report", "The explorer needs")
     from mcspectra.app.server import serve
     from mcspectra.app.specs import allow_folders
 
@@ -133,19 +142,14 @@ def app_(options: argparse.Namespace) -> Answer:
 
 @verb()
 def doctor_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
-    """Say what is installed and whether it works: versions, kernels, NUFFT, GPU, renderer, extras."""
+    """Show what is installed and whether it works: versions, kernels, NUFFT, renderer, extras."""
     import numpy as np
 
     from mcspectra.core.cache import cache_folder, cache_size
     from mcspectra.core.parallel import available_workers
     from mcspectra.core.results import package_versions
     from mcspectra.rendering.backend import describe
-    from mcspectra.spectra.transforms import (
-        FrequencyGrid,
-        Transform,
-        direct_sum,
-        gpu_description,
-    )
+    from mcspectra.spectra.transforms import FrequencyGrid, Transform, direct_sum
 
     # Compare one NUFFT with the direct sum: the part that is always needed
     grid = FrequencyGrid(2, 8)
@@ -159,13 +163,18 @@ def doctor_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
         works = off < 1e-8
         transforms = f"NUFFT against the direct sum: largest difference {off:.1e}"
 
-    # Find the version of each optional package, or what installs it
+    # Find the versions of the packages of each extra, or the command that installs it
     optional = {}
-    for name, extra in _OPTIONAL.items():
-        try:
-            optional[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            optional[name] = f"not installed (pip install 'mcspectra[{extra}]')"
+    for extra, names in _EXTRAS.items():
+        versions = []
+        for name in names:
+            try:
+                versions.append(f"{name} {metadata.version(name)}")
+            except metadata.PackageNotFoundError:
+                versions.append(f"{name} not installed")
+        optional[extra] = ", ".join(versions)
+        if "not installed" in optional[extra]:
+            optional[extra] += f" (pip install 'mcspectra[{extra}]')"
 
     entries, size = cache_size()
     found: dict[str, Any] = {
@@ -176,22 +185,23 @@ def doctor_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
         "cache of point sets": f"{entries} sets, {size / 2**20:.1f} MiB in {cache_folder()}",
         "numba cache": os.environ.get("NUMBA_CACHE_DIR", "beside the package"),
         "transforms": transforms,
-        "gpu": gpu_description()[1],
         "renderer": describe(),
-        "optional packages": optional,
     }
-    width, lines = max(map(len, found)), []
-    for name, value in found.items():
+    shown = found | {f"extra {extra}": text for extra, text in optional.items()}
+    width, lines = max(map(len, shown)), []
+    for name, value in shown.items():
         if isinstance(value, dict):
             texts = {k: ", ".join(v) if isinstance(v, list) else v for k, v in value.items()}
             value = "; ".join(f"{key} {text}" for key, text in texts.items() if text)
         lines.append(f"{name.replace('_', ' ').ljust(width)}  {value}")
-    return Answer("\n".join(lines), {**found, "works": works}, 0 if works else 1)
+    return Answer(
+        "\n".join(lines), {**found, "extras": optional, "works": works}, 0 if works else 1
+    )
 
 
 @verb()
 def cite_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
-    """How to cite the package, the paper it implements and the methods it uses (BibTeX)."""
+    """Print how to cite the package, the paper it implements and the methods it uses (BibTeX)."""
     cited = {"mcspectra": _ITSELF, **{what: bibtex(key) for what, key in _CITED.items()}}
     listed = [{"for": what, "bibtex": entry} for what, entry in cited.items()]
     return Answer("\n\n".join(f"% {what}\n{entry}" for what, entry in cited.items()), listed)

@@ -15,6 +15,7 @@ from mcspectra.cli.common import (
     given_of,
     one_sentence_warnings,
     option,
+    out,
     read_sampler,
     text_table,
     verb,
@@ -23,9 +24,11 @@ from mcspectra.cli.common import (
 )
 from mcspectra.cli.texts import data_of
 from mcspectra.core.checks import as_choice
+from mcspectra.core.decoding import path_to_write
 from mcspectra.core.errors import FileFormatError, MissingDependency
+from mcspectra.core.progress import report
 
-__all__ = ["bench_", "gallery_", "integrate_", "list_", "points_"]
+__all__ = ["bench_", "integrate_", "list_", "points_"]
 
 _NO_VERB = "no verb: for study files"
 _REGISTRIES = {
@@ -64,7 +67,7 @@ def list_(options: argparse.Namespace) -> Answer:
                 facts = sampler_facts(name)
                 row |= {"dims": facts.dims, "counts": facts.counts, "sources": facts.sources}
             if kind == "analyses":
-                row |= {"verb": cls.verb, "function": cls.function, "about": cls.about}
+                row |= {"verb": cls.command(), "function": cls.function, "about": cls.about}
         except Exception as error:  # noqa: BLE001 - components from elsewhere may raise anything
             reason = f"{registry[name]} is no {registry.kind} ({type(error).__name__})"
             if isinstance(error, MissingDependency):
@@ -86,21 +89,20 @@ def list_(options: argparse.Namespace) -> Answer:
 
 
 @verb(
-    option("sampler", "sampler spec, e.g. 'jittered | shift'; - reads points"),
+    option("sampler", "sampler spec, e.g. 'jittered | shift'; - reads points from standard input"),
     option("-n N", "points in a set", whole(), required=True),
     option("-d, --dims D", "number of dims (default 2)", whole()),
     option("-m, --realizations R", "number of sets (default 1)", whole()),
-    option("-s S", "short for --seed", lambda _, text: whole(0)("--seed", text), dest="seed"),
     option("--density SPEC", "warp the points to this density"),
-    option("-o, --out FILE", "file; - is stdout", default="-"),
+    out("points or a picture, see above; - is standard output"),
     option("--quality", "print quality figures, not points"),
 )
 def points_(options: argparse.Namespace) -> Answer:
-    """Draw point sets; write, picture or judge them.
+    """Draw point sets, and print, write, plot or measure them.
 
-    Text goes to standard output in UTK's format (a point a line, '#' between sets), files by ending:
-    .dat, .bin, .npz, .npy, .csv, .parquet hold points; .svg, .png, .pdf are pictures. With --quality the
-    output is a table of distances, discrepancies and so on, over 16 sets unless -m says how many.
+    Without -o, points are printed as text in UTK's format: one point per line, '#' between sets.
+    Files .dat, .bin, .npz, .npy and .csv hold points; .svg, .png, .pdf and .pgf are pictures.
+    With --quality a table of distances, discrepancies and so on is printed, by default over 16 sets.
     """
     from mcspectra.core.pointfiles import EXTENSIONS, format_dat, write_points
     from mcspectra.densities import as_density
@@ -110,14 +112,18 @@ def points_(options: argparse.Namespace) -> Answer:
     # Refuse files that cannot be written
     sampler = read_sampler(options.sampler, options.dims)
     density = as_density(options.density, sampler.dims)
-    seed, n, file = options.seed or 0, options.n, options.out
-    extension = Path(file).suffix.lower()
-    if file != "-" and extension not in (*EXTENSIONS, *FORMATS):
-        given = f"the extension {Path(file).suffix!r}" if extension else "no extension"
-        raise FileFormatError(
-            f"{file} has {given}; points are {', '.join(EXTENSIONS)} files, pictures "
-            f"{', '.join(FORMATS)}."
-        )
+    seed, n = options.seed or 0, options.n
+    files = [file for file in options.out if file != "-"]
+    printed = len(files) < len(options.out) or not (files or options.quality)
+    for file in files:
+        extension = Path(file).suffix.lower()
+        if extension not in (*EXTENSIONS, *FORMATS):
+            given = f"the extension {Path(file).suffix!r}" if extension else "no extension"
+            raise FileFormatError(
+                f"{file} has {given}; points are {', '.join(EXTENSIONS)} files, pictures "
+                f"{', '.join(FORMATS)}."
+            )
+        path_to_write(file, "a file", (extension,))
 
     # Draw as many sets as are asked for, or as quality figures need
     count = options.realizations
@@ -132,14 +138,15 @@ def points_(options: argparse.Namespace) -> Answer:
         points, meta["density"] = density.sample(points), density.spec
 
     # Write them
-    if extension in EXTENSIONS and file != "-":
-        write_points(file, list(points), meta=meta)
-    elif file != "-":
-        title = ", ".join([sampler.spec, f"n = {meta['n']}", f"seed {seed}"])
-        title += f", density {density.spec}" if density is not None else ""
-        write(point_sets(points, title), file, captioned=True)
+    for file in files:
+        if Path(file).suffix.lower() in EXTENSIONS:
+            write_points(file, list(points), meta=meta)
+        else:
+            title = ", ".join([sampler.spec, f"n = {meta['n']}", f"seed {seed}"])
+            title += f", density {density.spec}" if density is not None else ""
+            write(point_sets(points, title), file, captioned=True)
 
-    # Measure them; the table is the result, --quiet silences remarks only
+    # Measure them
     if options.quality:
         from mcspectra.quality import quality_figures, summarize
 
@@ -149,40 +156,55 @@ def points_(options: argparse.Namespace) -> Answer:
             figures = summarize(quality_figures(source, n, realizations=count, rng=seed))
         rows: list[list[str]] = []
         missing: list[str] = []
-        data: dict[str, dict[str, Any]] = {}
+        figures_of: dict[str, dict[str, Any]] = {}
         for each in figures:
             if each.missing:
                 missing.append(f"no {each.name}: {each.missing}")
-                data[each.name] = {"mean": None, "standard_error": None, "missing": each.missing}
+                figures_of[each.name] = {
+                    "mean": None,
+                    "standard_error": None,
+                    "missing": each.missing,
+                }
             else:
                 error = "-" if math.isnan(each.standard_error) else f"{each.standard_error:.2g}"
                 rows.append([each.name, each.long_name, f"{each.mean:.5g}", error])
-                data[each.name] = {"mean": each.mean, "standard_error": each.standard_error}
+                figures_of[each.name] = {"mean": each.mean, "standard_error": each.standard_error}
         title = f"{sampler.spec}, n = {n}, {count} set{'s' if count > 1 else ''}"
         table = text_table(["figure", "what it is", "mean", "± standard error"], rows)
-        lines = [title, table, *([] if options.quiet else missing)]
-        about = {**meta, "realizations": count, "quality": data}
-        return Answer("\n".join(lines), about if options.json else None)
-    if options.json:
-        written = {"shape": points.shape, "file": file}
-        return Answer(data={**meta, **({"points": points} if file == "-" else written)})
-    # The points are the result: --quiet silences warnings only
-    return Answer(format_dat(list(points)).rstrip("\n") if file == "-" else "")
+        parts, data = (
+            [title, table, *missing],
+            {**meta, "realizations": count, "quality": figures_of},
+        )
+    else:
+        parts, data = [], {**meta, "shape": points.shape}
+    data |= {"files": files} if files else {}
+    if printed and options.json:
+        data["points"] = points
+    elif printed:
+        parts.insert(0, format_dat(list(points)).rstrip("\n"))
+    return Answer("\n".join(parts), data)
 
 
 @verb(
     option("integrand", "integrand spec, e.g. 'gaussian(width=0.25)'"),
-    option("--budget N", "most evaluations", whole(), required=True),
+    option("--budget B", "most evaluations of the integrand", whole(), required=True),
     option("-d, --dims D", "number of dims, where the spec leaves it open", whole()),
     option("--density SPEC", "importance density"),
     option(
-        "--sampler SPEC", "a randomised sampler (default sobol | owen, for the median sobol | lms)"
+        "--sampler SPEC",
+        "a randomized sampler (default 'sobol | owen', with --combine median 'sobol | lms')",
     ),
-    option("--combine HOW", "mean of the replicates (default), or median for linear scrambles"),
-    option("--cache FILE", "keep values by point, and go on where an earlier run stopped"),
+    option(
+        "--combine HOW",
+        "mean of the replicates (default), or median, which is for linear scrambles",
+    ),
+    option("--cache FILE", "file of values by point, from which a later run continues"),
 )
 def integrate_(options: argparse.Namespace) -> Answer:
-    """Integrate a function: value, 95 % interval, evaluations made, replicates and points of each."""
+    """Integrate a function within a budget of evaluations.
+
+    Prints the value, its 95 % interval, the evaluations made, and the replicates with their number of points.
+    """
     found = mcs.integrate(
         mcs.Estimator(options.integrand, options.density, dims=options.dims),
         budget=options.budget,
@@ -204,56 +226,47 @@ def integrate_(options: argparse.Namespace) -> Answer:
 @verb(
     option(
         "SPEC",
-        "samplers, e.g. pmj02 \"points(path='mine.dat') | shift\"",
+        "samplers, e.g. jittered \"points(path='mine.dat') | shift\"; by default all that need no file",
         dest="specs",
         nargs="*",
-    ),
-    option("--out DIR", "output folder", default="out/gallery"),
-    option("--quick", "fewer points and realisations"),
-    option("--markdown", "write Markdown and PNG files"),
-)
-def gallery_(options: argparse.Namespace) -> Answer:
-    """Measure samplers and show them side by side: points, spectrum, projections, rates, quality, cost.
-
-    Writes DIR/index.html (one page that stands alone) or, with --markdown, DIR/index.md and pictures;
-    DIR/gallery.json holds the numbers. Without a SPEC, all samplers that can be named.
-    """
-    from mcspectra.report.sampler_gallery import FULL, QUICK, write_gallery
-
-    page = write_gallery(
-        options.out,
-        options.specs or None,
-        effort=QUICK if options.quick else FULL,
-        format="markdown" if options.markdown else "html",
-        rng=options.seed or 0,
-    )
-    return Answer(f"gallery: {page}", {"gallery": page})
-
-
-@verb(
-    option(
-        "SAMPLER", "samplers, e.g. jittered \"points(path='mine.dat')\"", dest="specs", nargs="+"
     ),
     option("-n, --counts N,N,…", "numbers of points (default 16,64,256,1024)", wholes()),
     option("-d, --dims D,D,…", "numbers of dims of the integrands (default 2)", wholes()),
     option("-m, --realizations R", "sets of each variance (default 400)", whole(2)),
-    option("-o, --out FILE", ".html or .pdf: all of it; .csv, .tex: tables; .pgf: convergence"),
+    out(
+        ".html, or a folder: the page; .pdf: its tables and pictures; .csv, .tex: rates; .pgf: convergence"
+    ),
 )
 def bench_(options: argparse.Namespace) -> Answer:
-    """Compare samplers on standard integrands: rates, ranks, spectra, quality, projections, speed.
+    """Measure samplers side by side: rates, ranks, points, spectra, projections, quality, speed.
 
-    Prints a table of rates, in brackets the ranks with simultaneous 95 % intervals. FILE.html is one page
-    that stands alone, FILE.pdf has a sheet for each picture. A sampler that cannot do some of the dims is
-    left out there.
+    Prints a table of rates on standard integrands, in brackets the ranks with simultaneous 95 % intervals.
+    A sampler that cannot do some of the dims is left out there.
+
+    The page, FILE.html or DIR/index.html, stands alone and has a section for each sampler: its points and
+    spectrum in 2-D, its dims, counts and sources. DIR/bench.csv has the numbers.
     """
-    from mcspectra.report.bench_page import BENCH_FILES, bench_table, write_bench
-    from mcspectra.report.result_files import check_result_file
+    from mcspectra.report.bench_page import bench_table, check_bench_file, is_folder, write_bench
+    from mcspectra.report.sampler_cards import Effort, all_samplers, measure_card
 
-    check_result_file(options.out, BENCH_FILES)
+    for file in options.out:
+        check_bench_file(file)
+    specs, seed = options.specs or all_samplers(options.dims or (2,)), options.seed or 0
     given = given_of(options, "counts", "dims", "realizations")
-    bench = mcs.sampler_bench(options.specs, **given, rng=options.seed or 0)
+    bench = mcs.sampler_bench(specs, **given, rng=seed)
+
+    # Cards are for pages alone, of the largest count and without rates, which the bench has
+    cards = []
+    if any(is_folder(file) or file.endswith(".html") for file in options.out):
+        spectra = min(200, options.realizations or 200)
+        effort = Effort(n=min(int(bench["n"][-1]), 1024), spectra=spectra, counts=())
+        for k, spec in enumerate(specs):
+            report("cards", k / len(specs))
+            cards.append(measure_card(spec, effort=effort, rng=seed))
+        report("cards", 1.0)
     columns, rows = bench_table(bench)
     lines = [text_table(["", *columns[1:]], rows), bench.attrs.get("note", "")]
-    if options.out:
-        lines.append(f"bench: {write_bench(bench, options.out)}")
-    return Answer("\n".join(filter(None, lines)), data_of(bench))
+    written = [write_bench(bench, file, cards) for file in options.out]
+    lines += [f"bench: {path}" for path in written]
+    data = data_of(bench) | ({"files": written} if written else {})
+    return Answer("\n".join(filter(None, lines)), data)

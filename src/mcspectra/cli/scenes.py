@@ -1,9 +1,10 @@
-"""The verbs of scenes: an image, a pixel, a map of all pixels, Mitsuba's own files, frames of any renderer."""
+"""The verbs of scenes: an image, a pixel, a map of all pixels, frames of any renderer."""
 
 from __future__ import annotations
 
 import argparse
 import math
+import shutil
 import textwrap
 import time
 from collections.abc import Mapping
@@ -16,6 +17,7 @@ from mcspectra.cli.common import (
     group,
     index_or_name,
     option,
+    out,
     page_table,
     read_sampler,
     real,
@@ -25,62 +27,115 @@ from mcspectra.cli.common import (
     wholes,
 )
 from mcspectra.cli.texts import remedies_table
-from mcspectra.core.errors import MissingDependency, ParameterError, writing
+from mcspectra.core.errors import ParameterError, writing
+from mcspectra.core.registry import optional_package
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["frames_", "map_", "mitsuba_", "pixel_", "render_"]
+__all__ = ["frames_", "map_", "pixel_", "render_"]
 
 _WIDTH = 100  # of sentences
 _SPP, _COMPARED_SPP, _REFERENCE_SPP = 16, 4, 1024
 
 
+_DIRECT = (
+    "strategy",
+    "realizations",
+    "reference",
+    "compare",
+    "reference_spp",
+    "crop",
+    "film",
+    "light",
+    "heuristic",
+)
+_WHOLE = ("variant", "sensor", "define")
+
+
 @verb(
     option("SCENE", "name of a scene, or a Mitsuba XML file"),
-    option("--strategy STRATEGY", "light, bsdf, mis (default), mis-light or mis-bsdf"),
-    option("--sampler SPEC", "default 'sobol | owen'", default="sobol | owen"),
-    option("--spp N", f"samples a pixel (default {_SPP}; reference {_REFERENCE_SPP})", whole()),
-    option("-m, --realizations R", "independent images (default 1; reference 16)", whole()),
-    option("--reference", "--spp counts the samples of all images together"),
-    option("--compare", f"a reference and all strategies, --spp {_COMPARED_SPP} each"),
-    option("--reference-spp N", "samples of the reference of --compare (default 1024)", whole()),
-    option("--crop X,Y,W,H", "part of the film, in pixels", wholes("X,Y,W,H", least=0)),
+    option(
+        "--integrator SPEC",
+        "whole paths by an integrator of Mitsuba, e.g. 'path(max_depth=5)', or scene for the scene's own; "
+        "without it direct light",
+    ),
+    option(
+        "--sampler SPEC",
+        "sampler of all pixels (default 'sobol | owen', with --integrator the scene's own)",
+    ),
+    option(
+        "--spp N",
+        f"samples per pixel (default {_SPP}, with --reference {_REFERENCE_SPP}, with --integrator the scene's)",
+        whole(),
+    ),
     option("--width W", "width of a built-in scene's film", whole()),
     option("--height H", "height of a built-in scene's film", whole()),
-    option("--film FILM", "sampled (default) or center", default="sampled"),
-    option("--light NAME", "name or number of one light that counts", index_or_name),
-    option("--heuristic HEURISTIC", "balance (default) or power", default="balance"),
     option(
         "--exposure STOPS",
         "makes a .png brighter (default 0)",
         real(least=-64.0, most=64.0),
         default=0.0,
     ),
-    option("-o, --out FILE", ".exr or .png; may be given twice", repeated="all"),
+    out(".exr: radiance as it is; .png: the image in sRGB"),
+    group(
+        lambda parser: parser.add_argument_group("direct light"),
+        option("--strategy STRATEGY", "light, bsdf, mis (default), mis-light or mis-bsdf"),
+        option("-m, --realizations R", "independent images (default 1; reference 16)", whole()),
+        option("--reference", "--spp counts the samples of all images together"),
+        option("--compare", f"a reference and all strategies, --spp {_COMPARED_SPP} each"),
+        option(
+            "--reference-spp N", "samples of the reference of --compare (default 1024)", whole()
+        ),
+        option("--crop X,Y,W,H", "part of the film, in pixels", wholes("X,Y,W,H", least=0)),
+        option("--film FILM", "sampled (default) or center"),
+        option("--light NAME", "name or number of one light that counts", index_or_name),
+        option("--heuristic HEURISTIC", "balance (default) or power"),
+    ),
+    group(
+        lambda parser: parser.add_argument_group("with --integrator"),
+        option(
+            "--variant VARIANT",
+            "of Mitsuba, e.g. scalar_rgb (default llvm_ad_rgb where there is LLVM)",
+        ),
+        option("--sensor I", "index of the camera (default 0)", whole(0)),
+        option("-D, --define KEY=VALUE", "value of $KEY in the file; repeatable", repeated="all"),
+    ),
 )
 def render_(options: argparse.Namespace) -> Answer:
-    """Render a scene's direct illumination by one of our samplers.
+    """Render a scene with one of our samplers.
 
     SCENE is the name of a built-in scene, e.g. 'veach' or "veach(lights=['light-3'])", or a Mitsuba XML
-    file. Prints the mean radiance, the root mean square of the pixels' standard errors where there are
-    several images (-m) or a --reference, and samples a second, with the time that kernels take to
-    compile. An .exr holds image, variance and standard error, a .png the image in sRGB.
+    file, which is never changed.
 
-    --compare renders a reference, light, BSDF and multiple importance sampling at equal samples: a .png
-    shows them side by side, an .exr holds a layer of each, and their distance to the reference is printed.
+    Without --integrator the image is direct light by one of our strategies. This prints the mean radiance, the
+    root mean square of the pixels' standard errors where there are several images (-m) or a --reference, and
+    samples per second, including the time that kernels take to compile. --compare renders a reference, light,
+    BSDF and multiple importance sampling at equal samples: a .png shows them side by side, an .exr holds a
+    layer of each, and their distance to the reference is printed.
+
+    With --integrator Mitsuba renders whole paths, and --sampler replaces the scene's own sampler. A file may
+    also name ours itself: <sampler type="mcspectra"> with <string name="spec" value="sobol | owen"/>.
     """
     from mcspectra.rendering.files import check_image_path, write_render
     from mcspectra.rendering.image import reference, render
     from mcspectra.rendering.scenes import SCENES, sized
 
-    files = [check_image_path(file) for file in options.out or []]
+    whole_paths = options.integrator is not None
+    for name in _DIRECT if whole_paths else _WHOLE:
+        if getattr(options, name) not in (None, False):
+            flag, way = f"--{name.replace('_', '-')}", "leave it out with --integrator"
+            text = (
+                f"for direct light; {way}" if whole_paths else "for whole paths; give --integrator"
+            )
+            raise ParameterError(f"{flag} is {text}.")
+    files = [check_image_path(file) for file in options.out]
     settings = {
-        "sampler": options.sampler,
+        "sampler": options.sampler or "sobol | owen",
         "crop": options.crop,
-        "film": options.film,
+        "film": options.film or "sampled",
         "light": options.light,
-        "heuristic": options.heuristic,
+        "heuristic": options.heuristic or "balance",
         "rng": options.seed or 0,
     }
 
@@ -94,6 +149,8 @@ def render_(options: argparse.Namespace) -> Answer:
                 f"the film of {scene!r} is set in the file."
             )
         scene = sized(scene, **sizes)
+    if whole_paths:
+        return _whole_paths(options, scene, files)
     if options.compare:
         return _compare(options, scene, settings, files)
 
@@ -191,6 +248,60 @@ def _compare(
     return Answer("\n".join(lines), {"scene": scene, "spp": spp, "images": data, "files": files})
 
 
+def _whole_paths(options: argparse.Namespace, scene: str, files: list[Path]) -> Answer:
+    """Render a scene by one of Mitsuba's integrators, and write the film."""
+    from mcspectra.rendering.files import write_png
+    from mcspectra.rendering.scenes import render_file
+
+    definitions = {}
+    for text in options.define or []:
+        key, equals, value = text.partition("=")
+        if not (key and equals):
+            raise ParameterError(f"--define is {text!r}; give KEY=VALUE.")
+        definitions[key] = value
+    films = [file for file in files if file.suffix.lower() == ".exr"]
+    start = time.perf_counter()
+    image = render_file(
+        scene,
+        options.variant,
+        integrator=None if options.integrator == "scene" else options.integrator,
+        sampler=options.sampler,
+        spp=options.spp,
+        seed=options.seed or 0,
+        sensor=options.sensor or 0,
+        definitions=definitions,
+        out=next(iter(films), None),
+    )
+    seconds = time.perf_counter() - start
+    for file in files:
+        if file in films[1:]:
+            with writing(file):
+                shutil.copyfile(films[0], file)
+        elif file not in films:
+            write_png(file, image[..., :3], exposure=options.exposure)
+    height, width, channels = image.shape
+    means = image.mean(axis=(0, 1))
+    sampler = options.sampler or "scene's own"
+    whose = "scene's own" if options.integrator == "scene" else options.integrator
+    size = f"{width} × {height} pixels, {channels} channels"
+    lines = [
+        f"{scene}, integrator: {whose}, sampler: {sampler}: {size}, {seconds:.1f} s",
+        f"mean radiance  {_colour(means)}",
+        *(f"wrote {file}" for file in files),
+    ]
+    data = {
+        "scene": scene,
+        "integrator": options.integrator,
+        "sampler": options.sampler,
+        "width": width,
+        "height": height,
+        "mean": means,
+        "seconds": seconds,
+        "files": files,
+    }
+    return Answer("\n".join(lines), data)
+
+
 @verb(
     option("scene", "scene, e.g. veach, or a Mitsuba XML file"),
     option("X", "column of the pixel, or the name of a pixel"),
@@ -200,40 +311,53 @@ def _compare(
         "whole paths by this integrator, e.g. 'path(max_depth=5)', or scene for the scene's own; "
         "without it the pixel's direct light",
     ),
-    option("--light NAME", "the one light that counts; all by default", index_or_name),
+    option("--light NAME", "the one light that counts (default: all)", index_or_name),
     option("--channel CHANNEL", "luminance (default), 0, 1 or 2", index_or_name),
     option(
-        "-d, --dims D", "2, or 3 to select lobes; of paths: coordinates with good points", whole()
+        "-d, --dims D",
+        "2, or 3 with a third coordinate that selects lobes; with --integrator: how many coordinates have good points",
+        whole(),
     ),
     option(
-        "--samplers SPEC",
-        "samplers to compare; random, jittered, 'jittered | shift' and 'sobol | owen'. The first "
-        "that is not random is that of terms, bottleneck and remedies",
-        nargs="+",
+        "--sampler SPEC",
+        "sampler to compare; repeatable (default random, jittered, 'jittered | shift' and 'sobol | owen'). "
+        "Terms, bottleneck and remedies are of the first one that is not random",
+        repeated="all",
+        dest="samplers",
     ),
-    option("--counts N,N,…", "samples n of each technique", wholes()),
+    option("-n, --counts N,N,…", "numbers of samples of each technique", wholes()),
     option("-m, --realizations R", "estimates for each n", whole(4)),
-    option("--budget B", "evaluations at which remedies are ranked; twice the largest n", whole()),
+    option(
+        "--budget B",
+        "evaluations at which remedies are ranked (default twice the largest n)",
+        whole(),
+    ),
     option("--no-remedies", "leave remedies out"),
     group(
         lambda parser: parser.add_mutually_exclusive_group(),
         option("--quick", "about a minute (default)"),
         option("--full", "some minutes: more of everything"),
     ),
-    option("--out DIR", "write the report into this folder"),
+    option("-o, --out DIR", "folder for report.html, pixel.json and figures", repeated="once"),
 )
 def pixel_(options: argparse.Namespace) -> Answer:
-    """Everything about one pixel of a scene: what it sees, rates, terms, bottleneck, remedies.
+    """Measure and explain the noise of one pixel of a scene: rates, terms, bottleneck, remedies.
 
-    This is about direct light; with --integrator, about whole paths: rates of samplers, the parts of the
-    variance by bounce, decision and light, how many coordinates deserve good points, and remedies. The pixel is X Y, counted from the left and from the top, or the name of one (figure1 has P and Q). With
-    --out DIR, DIR/report.html, DIR/pixel.json and DIR/figures/ are written.
+    The pixel is X Y, counted from the left and from the top, or its name (figure1 has P and Q).
+
+    Without --integrator this is about direct light. With --integrator it is about whole paths: rates of samplers,
+    the variance by bounce, decision and light, and how many coordinates deserve good points.
     """
     x: int | str = options.x
     if options.y is not None:
         x = whole(0)("X", options.x)
     elif options.x.lstrip("-").isdecimal():
         raise ParameterError(f"The pixel has a column, {x}, and no row; give X and Y.")
+
+    if options.out is not None:
+        from mcspectra.report.page import check_page_packages
+
+        check_page_packages("render,report")
 
     # Options that are not given are left to the function
     passed = ("light", "channel", "dims", "samplers", "counts", "realizations", "budget")
@@ -314,33 +438,34 @@ def _map_options(parser: argparse.ArgumentParser) -> None:
 
 @verb(
     option("scene", "scene, e.g. veach, or a Mitsuba XML file"),
-    option("--out DIR", "output folder", default="out/map"),
-    option("--resume", "go on with the tiles of DIR"),
+    option("-o, --out DIR", "output folder (default out/map)", repeated="once"),
+    option("--resume", "continue the map in the output folder"),
     option(
         "--sampler SPEC",
-        "default jittered; with --integrator 'sobol | owen'. May be given several times: the best of them "
-        "at each pixel",
+        "default jittered, with --integrator 'sobol | owen'; repeatable: several are compared at each pixel",
         repeated="all",
     ),
-    option("--workers N", "threads; all processors by default", whole()),
+    option("--workers N", "threads (default: all processors)", whole()),
     _map_options,
 )
 def map_(options: argparse.Namespace) -> Answer:
-    """Map variance, its rate and what decides it over an image of a scene.
+    """Map the variance, its rate and the bottleneck over an image of a scene.
 
-    This is about direct light by several strategies; with --integrator, about whole paths, with the shares of
-    bounces and decisions. Writes DIR/maps.exr (all layers), DIR/*.png, *.pdf, DIR/map.json and DIR/report.html;
-    DIR/study.sqlite keeps what is finished, and --resume goes on from there.
+    Without --integrator the map compares strategies for direct light. With --integrator it is about whole paths,
+    and has the shares of bounces and decisions. Writes DIR/report.html, DIR/maps.exr (all layers), DIR/map.json
+    and pictures; DIR/study.sqlite keeps finished tiles, from which --resume continues.
     """
     from mcspectra.core.analysis import Subject
     from mcspectra.core.options import checked, options_of
     from mcspectra.plots.groups import labelled
     from mcspectra.rendering.maps import Map, compared
     from mcspectra.report.map_page import map_summary, map_table, write_map
+    from mcspectra.report.page import check_page_packages
     from mcspectra.studies import StudyConfig, Trust, open_results, run_study
     from mcspectra.studies.files import SceneConfig
 
     # Refuse what cannot be before there is a folder
+    check_page_packages("render,report")
     analysis = checked(Map(**given_of(options, *(each.name for each in options_of(Map)))))
     samplers = options.sampler or [analysis.default_sampler]
     subjects = [Subject(None, read_sampler(each, analysis.points_dims)) for each in samplers]
@@ -353,91 +478,47 @@ def map_(options: argparse.Namespace) -> Answer:
     )
     study = StudyConfig(title=f"Map of {options.scene}", seed=options.seed or 0, scenes=entries)
     trust = Trust((), (Path(options.scene).parent,))
-    run_study(study, options.out, resume=options.resume, workers=options.workers, trust=trust)
-    tree = open_results(options.out)
+    folder = options.out or "out/map"
+    run_study(study, folder, resume=options.resume, workers=options.workers, trust=trust)
+    tree = open_results(folder)
     found = [node.to_dataset() for node in tree.subtree if node.name == "map" and node.data_vars]
     maps = [labelled(each).assign_coords(bound=["low", "high"]) for each in found]
     result = maps[0] if len(maps) == 1 else compared(maps)
-    page, summary = write_map(result, options.out), map_summary(result)
+    page, summary = write_map(result, folder), map_summary(result)
     table = map_table(summary)
     text = f"{page_table(table)}\n{table.caption}\nmap: {page}"
     return Answer(text, {**summary, "report": page})
 
 
 @verb(
-    option("scene", "Mitsuba XML file"),
+    option("FILES", "a folder, a pattern in quotes, or files: .exr, .pfm, .npy", nargs="+"),
+    option("--spp N", "samples per pixel (default: from names and headers)", whole()),
+    option("--against PATH", "frames of another renderer or setting of the same view"),
+    option("--target E", "relative error, σ / mean, that pixels should reach", real(above=0.0)),
+    option("--seconds S", "time of a frame (default: from headers)", real(above=0.0)),
+    option("--seconds-against S", "time of a frame of --against", real(above=0.0)),
+    option("--layer NAME", "layer or channel of EXR files"),
+    option("--tone-mapped", "also take PNG and JPEG"),
+    option("--no-flip", "leave out FLIP, which takes most of the time"),
+    option("--tev HOST:PORT", "show the layers in the viewer tev, e.g. at localhost:14158"),
     option(
-        "-m, --mode VARIANT",
-        "e.g. llvm_ad_rgb (default, if there is LLVM for it) or scalar_rgb",
+        "-o, --out DIR",
+        "folder for report.html, frames.exr, frames.json and pictures",
         repeated="once",
     ),
-    option("-o, --out FILE", "EXR file; by default beside the scene"),
-    option("--spp N", "samples a pixel; by default the file's", whole()),
-    option("-s, --sensor I", "index of the camera", whole(0), default=0),
-    option(
-        "-D, --define KEY=VALUE",
-        "value of $KEY in the file; may be given several times",
-        repeated="all",
-        default=[],
-    ),
-)
-def mitsuba_(options: argparse.Namespace) -> Answer:
-    """Render a scene file as the command `mitsuba` does, with our samplers known to it.
-
-    The file's sampler may be <sampler type="mcspectra"> with <string name="spec" value="sobol | owen"/>;
-    its integrator is any of Mitsuba's. Writes an EXR file, by default beside the scene.
-    """
-    from mcspectra.rendering.scenes import render_file
-
-    definitions = {}
-    for text in options.define:
-        key, equals, value = text.partition("=")
-        if not (key and equals):
-            raise ParameterError(f"--define is {text!r}; give KEY=VALUE.")
-        definitions[key] = value
-    out = Path(options.out) if options.out else Path(options.scene).with_suffix(".exr")
-    start = time.perf_counter()
-    image = render_file(
-        options.scene,
-        options.mode,
-        spp=options.spp,
-        seed=options.seed or 0,
-        sensor=options.sensor,
-        definitions=definitions,
-        out=out,
-    )
-    height, width, channels = image.shape
-    means = [float(value) for value in image.mean(axis=(0, 1))]
-    seconds = time.perf_counter() - start
-    return Answer(
-        f"{out}: {width} × {height} pixels, {channels} channels, {seconds:.1f} s",
-        {"image": out, "width": width, "height": height, "mean": means},
-    )
-
-
-@verb(
-    option("FILES", "a folder, a pattern in quotes, or files: .exr, .pfm, .npy", nargs="+"),
-    option("--spp N", "samples a pixel; by default from names and headers", whole()),
-    option("--against PATH", "frames of another renderer or setting of the same view"),
-    option("--target E", "σ / mean that pixels should reach", real(above=0.0)),
-    option("--seconds S", "time of a frame; by default from headers", real(above=0.0)),
-    option("--seconds-against S", "time of a frame of the others", real(above=0.0)),
-    option("--layer NAME", "layer or channel of EXR files"),
-    option("--tone-mapped", "take PNG and JPEG, too"),
-    option("--no-flip", "leave FLIP out, which takes longer than all else together"),
-    option("--tev HOST:PORT", "show the layers in a tev that listens there, e.g. localhost:14158"),
-    option("--out DIR", "write frames.exr, pictures, frames.json and report.html"),
 )
 def frames_(options: argparse.Namespace) -> Answer:
-    """Variance, rate and error spectrum of independent renders of one view, by any renderer.
+    """Measure the noise of independent renders of one view, by any renderer: variance, bias, error spectrum.
 
-    Frames of several numbers of samples give rates; --against holds two sets against each other: bias,
-    variance and equal time.
+    Frames of several numbers of samples give rates. --against compares two sets of frames: bias, variance,
+    and variance at equal time.
     """
     from mcspectra.rendering.frame_statistics import frames
     from mcspectra.report import frames_page
 
     files = options.files
+    if options.out:
+        frames_page.check_frames_packages()
     result = frames(
         files[0] if len(files) == 1 else files,
         spp=options.spp,
@@ -456,7 +537,7 @@ def frames_(options: argparse.Namespace) -> Answer:
         _show(result, options.tev)
     if options.out:
         data["report"] = frames_page.write_frames(result, options.out)
-        lines.append(f"frames: {data['report']}")
+        lines.append(f"report: {data['report']}")
     return Answer("\n".join(lines), data)
 
 
@@ -469,13 +550,7 @@ def _show(result: xr.Dataset, address: str) -> None:
     host, _, port = address.rpartition(":")
     if not port.isdecimal():
         raise ParameterError(f"--tev is {address!r}; give HOST:PORT, as tev --hostname takes it.")
-    try:
-        from tevclient import Ipc
-    except ImportError:
-        raise MissingDependency(
-            "--tev needs the package tevclient; install it with: pip install 'mcspectra[frames]'"
-        ) from None
-    tev = Ipc(host or "localhost", int(port))
+    tev = optional_package("tevclient", "frames", "--tev needs").Ipc(host or "localhost", int(port))
     try:
         with tev:
             for name, plane in frame_layers(result).items():

@@ -14,6 +14,7 @@ from mcspectra.cli.common import (
     group,
     one_sentence_warnings,
     option,
+    out,
     page_table,
     real,
     text_table,
@@ -21,6 +22,7 @@ from mcspectra.cli.common import (
     whole,
 )
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.registry import optional_package
 from mcspectra.variance.fit import UNRESOLVED
 
 if TYPE_CHECKING:
@@ -29,33 +31,33 @@ if TYPE_CHECKING:
     from mcspectra.studies.run import MakeExecutor
     from mcspectra.studies.tasks import StudyText
 
-__all__ = ["estimate_text", "export_", "init_", "report_", "run_", "schema_", "status_"]
+__all__ = ["estimate_text", "export_", "init_", "report_", "run_", "status_"]
 
 _LISTED = 10  # paths of cells that are not done
 
 
 @verb(
     option("study", "study file, .toml, or the name of a built-in study, such as tour"),
-    option("--out DIR", "output folder (default: out/<name of the file>)"),
-    option("--resume", "continue what is in the folder"),
-    option("--retry", "continue, and try what failed again"),
+    option("-o, --out DIR", "output folder (default out/<name of the file>)", repeated="once"),
+    option("--resume", "continue the study in the output folder"),
+    option("--retry", "like --resume, and try failed cells again"),
     option("--workers N", "threads (default: all processors)", whole()),
     option(
         "--time-limit SECONDS",
-        "stop tasks that take longer, which fails their analysis; workers are processes then",
+        "stop tasks that take longer, whose analyses fail; workers are processes then",
         real(above=0.0),
     ),
     option(
         "--set KEY=VALUE",
-        "change the study, e.g. convergence.realizations=100; values as in TOML",
+        "change the study, e.g. convergence.realizations=100; values as in TOML; repeatable",
         repeated="all",
         default=[],
     ),
     option("--dry-run", "estimate time, memory and storage, and stop"),
-    option("--force", "run however much it is"),
+    option("--force", "run however large the study is"),
     option(
         "--allow-path DIR",
-        "a folder, beside the study's own, that it may read files from",
+        "a folder, besides the study's own, that it may read files from; repeatable",
         repeated="all",
         default=[],
     ),
@@ -80,13 +82,15 @@ _LISTED = 10  # paths of cells that are not done
 def run_(options: argparse.Namespace) -> Answer:
     """Run a study file: measure, predict and explain every estimator with every sampler.
 
-    Writes DIR/results.zarr (opened by xarray.open_datatree), DIR/report.html and DIR/figures/.
+    Writes DIR/study.sqlite, DIR/results.zarr (opened by xarray.open_datatree), DIR/report.html and
+    DIR/figures/. Without the extra report it leaves out the page and its figures.
     """
     import msgspec
 
+    from mcspectra.core.errors import MissingDependency, MissingPackageWarning, warn
     from mcspectra.core.parallel import available_workers
     from mcspectra.report import write_report
-    from mcspectra.report.page import columns_of
+    from mcspectra.report.page import check_page_packages, columns_of
     from mcspectra.report.tables import summary_table
     from mcspectra.studies import (
         Trust,
@@ -103,7 +107,7 @@ def run_(options: argparse.Namespace) -> Answer:
     from mcspectra.studies.run import CellFailed
 
     study = study_file(options.study)
-    out = results.output_folder(options.out or Path("out") / study.stem)
+    target = results.output_folder(options.out or Path("out") / study.stem)
     config = read_study(study, options.set)
     if options.seed is not None:
         config = msgspec.structs.replace(config, seed=options.seed)
@@ -122,12 +126,23 @@ def run_(options: argparse.Namespace) -> Answer:
         data = {"seconds": wall, "workers": count, "cells": cells}
         return Answer(estimate_text(estimates, wall, count), data)
 
+    # Say before the run that it cannot write the report
+    reported = True
+    try:
+        check_page_packages()
+    except MissingDependency as missing:
+        reported = False
+        warn(
+            f"{missing}, then 'mcspectra report {out}' writes the report; this run leaves it out.",
+            MissingPackageWarning,
+        )
+
     # Run the cells; the report is written of what is there, even if some fail
     code = 0
     try:
         run_study(
             config,
-            out,
+            target,
             folder=study.parent,
             resume=options.resume or options.retry,
             retry=options.retry,
@@ -140,26 +155,29 @@ def run_(options: argparse.Namespace) -> Answer:
     except CellFailed as error:
         code = 1
         print(f"mcspectra: {error}", file=sys.stderr)
-    stored = len(results.result_paths(out))
+    stored = len(results.result_paths(target))
     if stored > results.MOST_STORED:
         text = (
-            f"{stored:,} results are in {out}; a report is for {results.MOST_STORED:,} at most: "
-            f"'mcspectra export {out} --select PATTERN' writes a part of them"
+            f"{stored:,} results are in {target}; a report is for {results.MOST_STORED:,} at most: "
+            f"'mcspectra export {target} --select PATTERN -o FILE' writes a part of them"
         )
         return Answer(text, {"report": None, "rows": []}, code)
-    rows = summarize(open_results(out))
-    page = write_report(out)
+    rows = summarize(open_results(target))
+    page = write_report(target) if reported else None
     data = {"report": page, "rows": [msgspec.to_builtins(row) for row in rows]}
     # Show the first columns of its first table: rates, variances, predictions
     summary = summary_table(rows)
     shown = page_table(columns_of(summary, summary.columns[:5]))
     if "unresolved" in shown:
         shown += f"\nunresolved: the rate is {UNRESOLVED}"
-    return Answer(f"{shown}\n\nreport: {page}" if rows else f"report: {page}", data, code)
+    place = f"report: {page}" if page else f"results: {out}"
+    return Answer(f"{shown}\n\n{place}" if rows else place, data, code)
 
 
 def _cluster_engine(options: argparse.Namespace, time_limit: float | None) -> MakeExecutor | None:
     """What makes the engine that the options ask for; None without --cluster."""
+    if options.cluster is not None or time_limit is not None:
+        optional_package("distributed", "cluster", "Processes and clusters of dask need")
     if options.cluster is None:
         for name in ("listen", "dashboard"):
             if getattr(options, name) is not None:
@@ -217,27 +235,31 @@ def estimate_text(estimates: Sequence[CellEstimate], wall: float, workers: int) 
 @verb(
     option("DIR", "output folder of a study", dest="folder"),
     option("--compare DIR2", "output folder of another study"),
-    option("--out FILE", "the page, .html (default: in the folder)"),
+    out(".html: the page (default: in the folder)"),
 )
 def report_(options: argparse.Namespace) -> Answer:
     """Write the report of a finished (or interrupted) study again, or compare two studies.
 
-    Writes DIR/report.html and DIR/figures/; with --compare, DIR2/comparison.html: ratios of variances,
-    differences of rates, curves over each other. Nothing is measured.
+    Writes DIR/report.html and DIR/figures/. With --compare writes DIR2/comparison.html: ratios of variances,
+    differences of rates, curves of both. Nothing is measured again.
     """
     from mcspectra.report import write_comparison, write_report
+    from mcspectra.report.result_files import check_result_file
 
-    if options.out is None and str(options.folder).endswith((".zarr", ".zip")):
+    if not options.out and str(options.folder).endswith(".zarr"):
         raise ParameterError(
             f"{str(options.folder)!r} is a store, in which no page is written; give --out FILE.html."
         )
-    if options.out is not None and not options.out.lower().endswith(".html"):
-        raise ParameterError(f"--out is {options.out!r}; the page is a file .html.")
-    if options.compare is None:
-        page = write_report(options.folder, options.out)
-    else:
-        page = write_comparison(options.folder, options.compare, options.out)
-    return Answer(f"report: {page}", {"report": page})
+    for file in options.out:
+        check_result_file(file, (".html",))
+    pages = [
+        write_report(options.folder, file)
+        if options.compare is None
+        else write_comparison(options.folder, options.compare, file)
+        for file in options.out or [None]
+    ]
+    data = {"report": pages[0]} | ({"files": pages} if len(pages) > 1 else {})
+    return Answer("\n".join(f"report: {page}" for page in pages), data)
 
 
 @verb(
@@ -294,39 +316,51 @@ def status_(options: argparse.Namespace) -> Answer:
 
 
 @verb(
-    option("DIR", "output folder, .zarr.zip file or URL", dest="source"),
-    option(
-        "--to FILE", "its end chooses the format; a store, .zarr, may go to a URL", required=True
+    option("DIR", "output folder of a study, or a .zarr store", dest="source"),
+    out(
+        ".csv: a table of all scalars; .zarr: a store of all results",
+        required=True,
+        default=None,
     ),
     option("--select PATTERN", "cells to export, e.g. 'estimator/*' (default: all)"),
 )
 def export_(options: argparse.Namespace) -> Answer:
-    """Write the results of a study to one file (.csv, .parquet, .nc, .json, .zarr.zip) or as a .zarr store."""
+    """Write the results of a study as files; the extension of each chooses its format.
+
+    A table has a row for each number: estimator, sampler, analysis, n, variable, value, 95 % interval
+    (low, high), standard error (se) and unit. pandas.read_csv reads it, xarray.open_datatree a store.
+    """
     from mcspectra.core.memory import shown_bytes
-    from mcspectra.studies.results import export_results
+    from mcspectra.studies.results import check_export, export_results
 
-    file = export_results(options.source, options.to, options.select)
-    if not isinstance(file, Path):
-        return Answer(str(file), {"file": file, "bytes": None})
-    files = file.rglob("*") if file.is_dir() else [file]
-    size = sum(each.stat().st_size for each in files if each.is_file())
-    return Answer(f"{file}: {shown_bytes(size)}", {"file": file, "bytes": size})
+    for target in options.out:
+        check_export(target)
+    written, lines = [], []
+    for target in options.out:
+        file = export_results(options.source, target, options.select)
+        files = file.rglob("*") if file.is_dir() else [file]
+        size = sum(each.stat().st_size for each in files if each.is_file())
+        written.append({"file": file, "bytes": size})
+        lines.append(f"{file}: {shown_bytes(size)}")
+    return Answer("\n".join(lines), written)
 
 
-@verb(option("FILE", "default study.toml", nargs="?", default="study.toml"))
+@verb(
+    option("FILE", "the study file (default study.toml)", nargs="?"),
+    option("--schema", "print the JSON Schema of study files, for editors, and write no file"),
+    option("--markdown", "with --schema: print the keys as the tables of docs/studies.md"),
+)
 def init_(options: argparse.Namespace) -> Answer:
-    """Write a study file to begin with: commented, and it runs as it is."""
-    from mcspectra.studies.schema import write_template
+    """Write a study file to start from: it is commented, and runs as it is."""
+    from mcspectra.studies.schema import key_tables, study_schema, write_template
 
-    file = write_template(options.file)
+    if options.markdown and not options.schema:
+        raise ParameterError("--markdown is for --schema; give that too.")
+    if options.schema:
+        if options.file is not None:
+            raise ParameterError(f"--schema writes no file; leave {options.file} out.")
+        if options.markdown:
+            return Answer(key_tables())
+        return Answer(json.dumps(study_schema(), indent=2, ensure_ascii=False))
+    file = write_template(options.file or "study.toml")
     return Answer(f"{file}: run it with 'mcspectra run {file}'.", {"file": file})
-
-
-@verb(option("--markdown", "print all keys as tables of docs/studies.md"))
-def schema_(options: argparse.Namespace) -> Answer:
-    """Print the JSON Schema of study files, for editors and checkers."""
-    from mcspectra.studies.schema import key_tables, study_schema
-
-    if options.markdown:
-        return Answer(key_tables())
-    return Answer(json.dumps(study_schema(), indent=2, ensure_ascii=False))

@@ -186,25 +186,31 @@ def convergence(result: xr.Dataset) -> Answer:
 def terms(result: xr.Dataset) -> Answer:
     """Prints the terms, their sum, the measured variance, the share that was captured, and the rest.
 
-    The energy share is the part of ∫f² within the half width, the tail term the variance of what is
-    beyond if points are random to it.
+    Several samplers have a table each. The energy share is the part of ∫f² within the half width.
+    The tail term is the variance beyond it, as random points have it.
     """
     known = result.attrs
     about = (
         f"coefficients: {known['coefficients']}; {known['realizations']} realisations; "
         f"{known['space']} space, {known['basis']} basis"
     )
-    rows = []
+    parts = []
     sums = ("predicted_variance", "measured_variance", "captured")
-    for name in ("dc_term", "power_term", "cross_term", *sums, "energy_share", "tail_term"):
-        values = np.atleast_1d(result[name].values)
-        shown = ", ".join(_number(v, 6, "undefined") for v in values)
-        ends = np.atleast_2d(result[f"{name}_ci"].values)[0] if f"{name}_ci" in result else None
-        interval = "" if ends is None else _interval(ends)
-        rows.append([name.replace("_", " "), "", shown, interval])
-    table = text_table(["", "", "value", "95 % interval"], rows)
+    for sampler, one in along(result, "sampler"):
+        rows = []
+        for name in ("dc_term", "power_term", "cross_term", *sums, "energy_share", "tail_term"):
+            values = np.atleast_1d(one[name].values)
+            shown = ", ".join(_number(v, 6, "undefined") for v in values)
+            ends = np.atleast_2d(one[f"{name}_ci"].values)[0] if f"{name}_ci" in one else None
+            interval = "" if ends is None else _interval(ends)
+            rows.append([name.replace("_", " "), "", shown, interval])
+        parts += [
+            f"\n{sampler}" if "sampler" in result.dims else "",
+            text_table(["", "", "value", "95 % interval"], rows),
+        ]
+    note = f"\n{_note(result)}" if "sampler" in result.dims and _note(result) else _note(result)
     labels = result["band"].attrs["labels"].split(", ")
-    return _shown(_title(result), about, table, _note(result), band_labels=labels)
+    return _shown(_title(result), about, *parts, note, band_labels=labels)
 
 
 @_view("spectrum", "power")
@@ -342,7 +348,7 @@ def anova(result: xr.Dataset) -> Answer:
 
 @_view("profile")
 def profiled(result: xr.Dataset) -> Answer:
-    """Prints what to do, the causes with their evidence, and what each sampler would leave."""
+    """Prints what to do, the causes with their evidence, and the error and rate of each sampler."""
     return Answer(result.attrs["text"], {"causes": json.loads(result.attrs["causes"])})
 
 

@@ -32,7 +32,7 @@ from typing import (
 
 import msgspec
 
-from mcspectra.core.errors import AnalysisError, ParameterError
+from mcspectra.core.errors import AnalysisError, Function, ParameterError
 from mcspectra.core.memory import check_memory
 from mcspectra.core.options import Evaluations, checked, options_of
 from mcspectra.core.parallel import available_workers, map_in_order
@@ -156,9 +156,12 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     Attributes
     ----------
     function
-        Public function that is its door in Python, as a name of `mcspectra`; empty if it has none.
+        Its public function in Python, as a name of `mcspectra`, dotted if the function is in a package;
+        empty if it has none.
     verb
         Its verb on the command line; empty if it has none.
+    split
+        What ``--split`` chooses it by, where several analyses share the verb.
     about
         What it takes: an estimator with a sampler, a sampler with a density at most, or a scene.
     several
@@ -174,6 +177,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     function: ClassVar[str] = ""
     verb: ClassVar[str] = ""
+    split: ClassVar[str] = ""
     about: ClassVar[Literal["estimator", "sampler", "scene"]] = "estimator"
     several: ClassVar[tuple[Literal["estimator", "sampler"], ...]] = ()
     variables: ClassVar[tuple[str | Variable, ...]] = ()
@@ -232,6 +236,11 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         return cls(**{name: arguments[name] for name in cls.__struct_fields__})
 
     @classmethod
+    def command(cls) -> str:
+        """Return what is typed behind ``mcspectra`` to ask for it; empty if it has no verb."""
+        return f"{cls.verb} --split {cls.split}" if cls.split else cls.verb
+
+    @classmethod
     def summary(cls) -> str:
         """Return the first line of the docstring."""
         return (cls.__doc__ or "").strip().partition("\n")[0]
@@ -252,15 +261,15 @@ ANALYSES = Registry(
     classes_of(
         {
             "rendering.maps": "Map",
-            "spectra.pair_correlation": "pcf=PairCorrelation",
+            "spectra.pairs": "pcf=PairCorrelation",
             "spectra.power": "Points Spectrum",
             "variance.anova": "Anova AnovaSpectrum",
-            "variance.convergence": "Convergence",
+            "variance.measured": "Convergence",
             "variance.modes": "Modes",
             "variance.prediction.plan": "Plan",
             "variance.prediction.predict": "predict=Prediction",
             "variance.profiling.profile": "profile=Profiling",
-            "variance.remedies": "Remedies",
+            "variance.remedy": "Remedies",
             "variance.techniques": "Techniques",
             "variance.terms": "Terms",
         }
@@ -353,7 +362,7 @@ def needed(analysis: Analysis, subject: Subject) -> Need:
     for what in ("estimator", "sampler"):
         if isinstance(getattr(subject, what), list | tuple) and what not in analysis.several:
             raise ParameterError(
-                f"{_name(analysis)} takes one {what} at a time; ask it for each of the list."
+                _said(analysis), f" takes one {what} at a time; ask it for each of the list."
             )
     listed = subject.sampler if isinstance(subject.sampler, list | tuple) else ()
     names = [getattr(each, "spec", None) for each in listed]
@@ -367,7 +376,7 @@ def needed(analysis: Analysis, subject: Subject) -> Need:
         )
     most = _most(analysis)
     if most is not None and need.evaluations > most:
-        Tally(_name(analysis), most, refused=need.evaluations).check()
+        Tally(_said(analysis), most, refused=need.evaluations).check()
     return need
 
 
@@ -379,8 +388,9 @@ def _most(analysis: Analysis) -> int | None:
     return analysis.max_evaluations if isinstance(analysis, Counted) else None
 
 
-def _name(analysis: Analysis) -> str:
-    return analysis.function or type(analysis).__name__
+def _said(analysis: Analysis) -> str | Function:
+    """The analysis in a sentence: its public function, or its class."""
+    return Function(analysis.function) if analysis.function else type(analysis).__name__
 
 
 def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
@@ -480,9 +490,9 @@ def compute(
         raise ParameterError(f"{given!r:.160} are not an Analysis and a Subject; give these.")
     threads = available_workers(workers)
     clean = checked(analysis)
-    name = _name(clean)
-    with counting(name, _most(clean)) as tally:
-        check_memory(needed(clean, subject).memory, name)
+    name = clean.function or type(clean).__name__
+    with counting(_said(clean), _most(clean)) as tally:
+        check_memory(needed(clean, subject).memory, _said(clean))
 
         def states_of(step: list[Reduction[Any]]) -> Iterator[Any]:
             # Merge the states of all blocks; tell how much of the step's cost is done

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from mcspectra.core.errors import DomainError, ParameterError, close_match_hint
+from mcspectra.core.errors import DomainError, Parameter, ParameterError, close_match_hint
 
 __all__ = [
     "BELOW_ONE",
@@ -59,7 +59,7 @@ def is_path(value: object) -> bool:
 def as_path(name: str, value: object) -> Path:
     """Return `value` as a path."""
     if not is_path(value):
-        raise ParameterError(f"{name} is {value!r:.80}; give a path.")
+        raise ParameterError(Parameter(name), f" is {value!r:.80}; give a path.")
     return Path(value)  # type: ignore[arg-type]
 
 
@@ -67,7 +67,7 @@ def as_instance(name: str, value: Any, kind: Any, what: str) -> Any:
     """Return `value` if it is an instance of a type, or of one of several, which `what` describes."""
     if isinstance(value, kind):
         return value
-    raise ParameterError(f"{name} is {value!r:.80}; give {what}.")
+    raise ParameterError(Parameter(name), f" is {value!r:.80}; give {what}.")
 
 
 def as_instances(name: str, value: Any, kind: Any, what: str) -> list[Any]:
@@ -86,7 +86,7 @@ def as_integer(name: str, value: object, *, least: int, most: int | None = None)
     limit = f"a whole number of at least {least}"
     if most is not None:
         limit = f"a whole number from {least} to {most}" if least < most else str(most)
-    raise ParameterError(f"{name} is {value!r}; give {limit}.")
+    raise ParameterError(Parameter(name), f" is {value!r:.80}; give {limit}.")
 
 
 def as_real(
@@ -114,7 +114,7 @@ def as_real(
         if math.isfinite(x) and enough and few:
             return x
     wanted = f" {' and '.join(rules)}" if rules else ""
-    raise ParameterError(f"{name} is {value!r}; give a finite number{wanted}.")
+    raise ParameterError(Parameter(name), f" is {value!r:.80}; give a finite number{wanted}.")
 
 
 def as_reals(name: str, value: object, length: int, **limits: float | None) -> tuple[float, ...]:
@@ -122,8 +122,8 @@ def as_reals(name: str, value: object, length: int, **limits: float | None) -> t
     if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str):
         if len(value) != length:
             raise ParameterError(
-                f"{name} has {len(value)} values; give one number or one for each of the "
-                f"{length} dims."
+                Parameter(name),
+                f" has {len(value)} values; give one number or one for each of the {length} dims.",
             )
         return tuple(as_real(f"{name}[{i}]", v, **limits) for i, v in enumerate(value))
     return (as_real(name, value, **limits),) * length
@@ -135,7 +135,8 @@ def as_choice(name: str, value: object, allowed: Sequence[str]) -> str:
         return value
     hint, close = close_match_hint(str(value), allowed)
     raise ParameterError(
-        f"{name} is {value!r}; it must be one of {', '.join(allowed)}.{hint if close else ''}"
+        Parameter(name),
+        f" is {value!r:.80}; it must be one of {', '.join(allowed)}.{hint if close else ''}",
     )
 
 
@@ -153,10 +154,12 @@ def as_real_array(name: str, value: object) -> Array:
     except (TypeError, ValueError):
         array = np.asarray("ragged")
     if np.ma.is_masked(value):
-        raise DomainError(f"{name} has masked values; fill them in or leave those points out.")
+        raise DomainError(
+            Parameter(name), " has masked values; fill them in or leave those points out."
+        )
     if array.dtype.kind not in "iuf" and array.size:
         raise DomainError(
-            f"{name} is not an array of real numbers (type {array.dtype}); give floats."
+            Parameter(name), f" is not an array of real numbers (type {array.dtype}); give floats."
         )
     return array.astype(np.float64, copy=False)
 

@@ -60,7 +60,7 @@ def path_to_write(path: object, what: str, extensions: Sequence[str]) -> Path | 
     file = known_path(path, what, extensions)
     if file.is_dir() or not os.access(file if file.exists() else file.parent, os.W_OK):
         raise FileFormatError(
-            f"{str(file)!r} cannot be written; give {what}, in a folder that exists and can be written."
+            f"{str(file)!r} cannot be written; give {what} in a folder that exists and can be written."
         )
     return file
 

@@ -3,6 +3,10 @@
 Every error a user can cause derives from `McspectraError`; the command line turns those into one
 sentence and exit code 2. Errors about values are also `ValueError` (or the built-in that fits), so
 that code which knows nothing of this package can catch them.
+
+A sentence that names an option or a public function has it as a part, a `Parameter` or a `Function`:
+``ParameterError(Parameter("bins"), " is 0; give more.")``. Python writes ``bins is 0; give more.``,
+the command line ``--bins is 0; give more.``
 """
 
 from __future__ import annotations
@@ -12,12 +16,15 @@ import errno
 import os
 import sys
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
+from typing import Any, TypeAlias, final
 
 __all__ = [
+    "MEASURE_IT",
     "AnalysisError",
     "BudgetError",
     "CacheWarning",
@@ -29,14 +36,18 @@ __all__ = [
     "DependentRealizationsWarning",
     "DomainError",
     "FileFormatError",
+    "Function",
     "IncompleteImageWarning",
     "InfiniteWeightVarianceWarning",
     "McspectraError",
     "MissingDependency",
+    "MissingPackageWarning",
     "NoClosedForm",
     "NotPowerOfTwoWarning",
     "OtherVersionsWarning",
+    "Parameter",
     "ParameterError",
+    "Part",
     "PreasymptoticWarning",
     "SpecError",
     "StorageError",
@@ -55,8 +66,54 @@ _FAILING = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
 _COORDINATES = 6  # of a point in a message
 
 
+@final
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """An option in a sentence: ``bins``, or with a value ``bins=100``."""
+
+    name: str
+    value: Any = None
+
+    def __str__(self) -> str:
+        """As Python's callers write it."""
+        return self.name if self.value is None else f"{self.name}={self.value!r}"
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Function:
+    """A public function in a sentence, by its name in `mcspectra`."""
+
+    name: str
+
+    def __str__(self) -> str:
+        """As Python's callers write it."""
+        return self.name
+
+
 class McspectraError(Exception):
-    """Root of all errors raised on purpose by this package."""
+    """Root of all errors raised on purpose by this package.
+
+    `args` are the parts of its sentence: texts, options, functions, and sentences of other errors.
+    """
+
+    def __str__(self) -> str:
+        """Return the sentence for Python."""
+        return self.sentence(str)
+
+    def sentence(self, write: Callable[[Parameter | Function], str]) -> str:
+        """Return the sentence with options and functions as `write` writes them."""
+        parts = []
+        for part in self.args:
+            if isinstance(part, McspectraError):
+                parts.append(part.sentence(write))
+            else:
+                parts.append(write(part) if isinstance(part, Parameter | Function) else str(part))
+        return "".join(parts)
+
+
+Part: TypeAlias = str | Parameter | Function | McspectraError
+"""A part of the sentence of an error."""
 
 
 class ParameterError(McspectraError, ValueError):
@@ -70,7 +127,7 @@ class DomainError(ParameterError):
 class CountError(ParameterError):
     """A sampler cannot make this many points; `nearest` holds the counts it can make next to it."""
 
-    def __init__(self, message: str, nearest: tuple[int, ...] = ()) -> None:
+    def __init__(self, message: Part, nearest: tuple[int, ...] = ()) -> None:
         super().__init__(message)
         self.nearest = nearest
 
@@ -123,6 +180,10 @@ class MissingDependency(McspectraError, ImportError):
     """An optional package is needed; the message names the extra to install."""
 
 
+MEASURE_IT: tuple[Part, ...] = (Function("convergence"), " or ", Function("variance_terms"))
+"""What measures a variance that cannot be computed, as parts of a sentence."""
+
+
 class CorrelatedFrequenciesWarning(UserWarning):
     """A sum over powers alone is not the variance: the frequencies of this set are correlated."""
 
@@ -133,6 +194,10 @@ class CacheWarning(UserWarning):
 
 class DependentRealizationsWarning(UserWarning):
     """The realisations of a seed are not independent: variances and errors over them mislead."""
+
+
+class MissingPackageWarning(UserWarning):
+    """A file is left out because an optional package is not installed; the results are complete."""
 
 
 class NotPowerOfTwoWarning(UserWarning):

@@ -15,13 +15,14 @@ from __future__ import annotations
 
 import math
 from os import PathLike
-from typing import IO, final
+from typing import IO, Any, final
 
 import numpy as np
 
 from mcspectra.core.checks import Array, as_real_array
 from mcspectra.core.decoding import check_decoded_size, opened, read_npy, read_npz
 from mcspectra.core.errors import FileFormatError, ParameterError
+from mcspectra.core.registry import optional_package
 
 __all__ = [
     "IMAGE_EXTENSIONS",
@@ -29,6 +30,7 @@ __all__ = [
     "Rings",
     "exr_attributes",
     "exr_layer",
+    "load_openexr",
     "luminance",
     "read_image",
 ]
@@ -75,6 +77,8 @@ def read_image(
     FileFormatError
         No such file, a folder, an unknown name, broken or truncated, no pixels or layer, pixels that are
         NaN or infinite, or more of them than `mcspectra.core.decoding` lets a file of its size have.
+    MissingDependency
+        It is an EXR file, and OpenEXR is not installed.
 
     Notes
     -----
@@ -172,6 +176,17 @@ def _read_pfm(stream: IO[bytes], size: int, name: str) -> Array:
     return values.reshape(shape)[::-1].astype(np.float64)
 
 
+def load_openexr() -> Any:
+    """Return the package OpenEXR.
+
+    Raises
+    ------
+    MissingDependency
+        It is not installed.
+    """
+    return optional_package("OpenEXR", "frames", "EXR files need")
+
+
 def exr_attributes(path: str | PathLike[str]) -> dict[str, object]:
     """Return what an EXR file's headers say, by name; the first part's word counts.
 
@@ -180,8 +195,7 @@ def exr_attributes(path: str | PathLike[str]) -> dict[str, object]:
     FileFormatError
         No such file, or broken.
     """
-    import OpenEXR
-
+    OpenEXR = load_openexr()
     with opened(path, "an image", (".exr",)) as (_, _, file, _):
         parts = OpenEXR.File(file, separate_channels=True, header_only=True).parts
         return {key: part.header[key] for part in reversed(parts) for key in part.header}
@@ -195,8 +209,7 @@ def exr_layer(path: str | PathLike[str]) -> str:
     FileFormatError
         No such file, or broken, or without a picture.
     """
-    import OpenEXR
-
+    OpenEXR = load_openexr()
     with opened(path, "an image", (".exr",)) as (_, _, file, _):
         parts = OpenEXR.File(file, separate_channels=True, header_only=True).parts
         listed = {channel.name for part in parts for channel in part.header["channels"]}
@@ -204,8 +217,7 @@ def exr_layer(path: str | PathLike[str]) -> str:
 
 
 def _read_exr(name: str, size: int, layer: str | None) -> Array:
-    import OpenEXR
-
+    OpenEXR = load_openexr()
     head = OpenEXR.File(name, separate_channels=True, header_only=True)
     listed: set[str] = set()
     stored = largest = 0

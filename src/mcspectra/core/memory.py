@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-from mcspectra.core.errors import ConfigError
+from mcspectra.core.errors import ConfigError, Function
 
 __all__ = ["available_memory", "check_memory", "memory_of", "shown_bytes"]
 
@@ -36,7 +36,7 @@ def available_memory() -> int:
         return 2**62
 
 
-def check_memory(needed: int, what: str) -> None:
+def check_memory(needed: int, what: str | Function) -> None:
     """Refuse what needs more bytes than this machine has.
 
     Parameters
@@ -44,7 +44,7 @@ def check_memory(needed: int, what: str) -> None:
     needed
         Bytes.
     what
-        Beginning of the sentence, such as ``"Estimator 'a', convergence with n = 10"``.
+        Beginning of the sentence, a function or a text such as ``"Estimator 'a', convergence with n = 10"``.
 
     Raises
     ------
@@ -54,8 +54,9 @@ def check_memory(needed: int, what: str) -> None:
     most = available_memory()
     if needed > most:
         raise ConfigError(
-            f"{what} would take about {shown_bytes(needed)} of memory, and this machine has "
-            f"{shown_bytes(most)}; ask for fewer points, dims or frequencies."
+            what,
+            f" would take about {shown_bytes(needed)} of memory, and this machine has "
+            f"{shown_bytes(most)}; ask for fewer points, dims or frequencies.",
         )
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ import numpy as np
 from msgspec import Meta, inspect
 
 from mcspectra.core.checks import as_choice, as_integer, as_real
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.parallel import MAX_REALIZATIONS
 
 __all__ = [
@@ -42,6 +43,7 @@ __all__ = [
     "Window",
     "checked",
     "options_of",
+    "whole_number",
 ]
 
 _NO_LIMIT = 2**31  # a larger limit only keeps numbers within 64 bits: no news to a reader
@@ -72,7 +74,7 @@ COUNT = Meta(
 )
 COUNTS = Meta(
     description="Numbers of points n, ascending.",
-    extra={"metavar": "N,N,…", "ascending": True},
+    extra={"flag": "-n", "metavar": "N,N,…", "ascending": True},
 )
 REALIZATIONS = Meta(
     ge=2,
@@ -107,8 +109,8 @@ FIT_LAST = Meta(
     extra={"metavar": "K"},
 )
 ENGINE = Meta(
-    description="How transforms are computed: auto, nufft, direct, or gpu (extra gpu).",
-    extra={"choices": ("auto", "nufft", "direct", "gpu")},
+    description="How transforms are computed: auto, nufft or direct.",
+    extra={"choices": ("auto", "nufft", "direct")},
 )
 EPS = Meta(ge=1e-14, le=0.1, description="Wanted relative accuracy of the transforms.")
 
@@ -129,7 +131,8 @@ class Option:
     meaning
         One sentence.
     extra
-        What else the annotation says: ``flag``, ``metavar``, ``choices``, ``unit``.
+        What else the annotation says: ``flag``, ``metavar``, ``choices``, ``unit``, and ``help``, the
+        meaning of a flag that is not named as the option.
     """
 
     name: str
@@ -175,26 +178,37 @@ class Option:
         lists = [each for each in _kinds(self.kind) if isinstance(each, _LISTS)]
         return [item for each in lists for item in _kinds(_item(each))]
 
-    def check(self, value: Any, label: str | None = None) -> Any:
+    def check(self, value: Any, label: str | None = None, *, from_file: bool = False) -> Any:
         """Return the clean value.
+
+        Parameters
+        ----------
+        value
+            What was given.
+        label
+            Beginning of the sentence of an error; the option's name by default.
+        from_file
+            Whether the value is one of a file: it cannot be an array, and errors give the places of
+            items in lists, from 0.
 
         Raises
         ------
         ParameterError
-            The type is wrong or a limit is broken; the sentence begins with `label`, by default
-            the option's name.
+            The type is wrong or a limit is broken.
         """
         label = label or self.name
-        if self.extra.get("python") and not isinstance(value, str):
+        if self.extra.get("python") and not (from_file or isinstance(value, str)):
             return value
         if value is None and any(isinstance(k, inspect.NoneType) for k in _kinds(self.kind)):
             return None
         if self.extra.get("choices"):
             return as_choice(label, value, self.choices)
-        clean = _clean(label, self.kind, value)
+        clean = _clean(label, self.kind, value, from_file)
         several = self.extra.get("ascending") and isinstance(clean, tuple)
         if several and any(b <= a for a, b in itertools.pairwise(clean)):
-            raise ParameterError(f"{label} is {list(clean)}; give ascending numbers of points.")
+            raise ParameterError(
+                Parameter(label), f" is {list(clean)}; give ascending numbers of points."
+            )
         return clean
 
     def read(self, text: str, label: str | None = None) -> Any:
@@ -236,6 +250,18 @@ def checked(struct: Any) -> Any:
     return msgspec.structs.replace(struct, **clean)
 
 
+def whole_number(text: str) -> int | float | str:
+    """Return the number that a text is, such as 64 or 1e3, or the text if it is no finite number.
+
+    Whether the number is whole is for `as_integer` to say, which takes 1000.0 and refuses 1.5.
+    """
+    for kind in (int, float):
+        with suppress(ValueError):
+            number: int | float = kind(text)
+            return number if math.isfinite(number) else text
+    return text
+
+
 def _annotation(kind: inspect.Type) -> tuple[str, dict[str, Any]]:
     """Meaning and extra of the outermost annotation."""
     if not isinstance(kind, inspect.Metadata):
@@ -265,7 +291,7 @@ def _item(kind: inspect.VarTupleType | inspect.TupleType) -> inspect.Type:
     return kind.item_type if isinstance(kind, inspect.VarTupleType) else kind.item_types[0]
 
 
-def _clean(label: str, kind: inspect.Type, value: Any) -> Any:
+def _clean(label: str, kind: inspect.Type, value: Any, from_file: bool) -> Any:
     kinds = [each for each in _kinds(kind) if not isinstance(each, inspect.NoneType)]
     words = _words(kinds)
     if isinstance(value, str) and value in words:
@@ -278,7 +304,7 @@ def _clean(label: str, kind: inspect.Type, value: Any) -> Any:
                 from_ = kinds[0].ge
                 wanted = "a whole number" + ("" if from_ is None else f" of at least {from_}")
             offer = " or ".join(map(repr, words))
-            raise ParameterError(f"{label} is {value!r}; give {wanted}, or {offer}.")
+            raise ParameterError(Parameter(label), f" is {value!r:.80}; give {wanted}, or {offer}.")
 
     # Of several types, take the one that is of the value's sort, whatever its limits
     fits = [each for each in kinds if isinstance(value, _SORTS.get(type(each), ()))]
@@ -290,37 +316,46 @@ def _clean(label: str, kind: inspect.Type, value: Any) -> Any:
             limit = None if most is None or most >= _NO_LIMIT else most
             least = -(2**63) if least is None else least
             number = as_integer(label, value, least=least, most=limit)
-            return number if most is None else as_integer(label, number, least=least, most=most)
+            return number if most is None else as_integer(label, value, least=least, most=most)
         case inspect.FloatType(gt=above, ge=least, lt=below, le=most):
             return as_real(label, value, above=above, least=least, below=below, most=most)
         case inspect.BoolType():
             if not isinstance(value, bool | np.bool_):
-                raise ParameterError(f"{label} is {value!r}; give True or False.")
+                raise ParameterError(Parameter(label), f" is {value!r:.80}; give True or False.")
             return bool(value)
         case inspect.LiteralType(values=allowed):
             return as_choice(label, value, tuple(map(str, allowed)))
         case inspect.StrType(max_length=most):
             if not isinstance(value, str) or not value:
-                raise ParameterError(f"{label} is {value!r}; give a text.")
+                raise ParameterError(Parameter(label), f" is {value!r:.80}; give a text.")
             if most is not None and len(value) > most:
-                raise ParameterError(f"{label} has {len(value)} characters; {most} are the most.")
+                raise ParameterError(
+                    Parameter(label), f" has {len(value)} characters; {most} are the most."
+                )
             return value
         case inspect.VarTupleType() | inspect.TupleType():
             several = isinstance(value, Sequence) or (isinstance(value, np.ndarray) and value.ndim)
             if not several or isinstance(value, str | bytes):
-                raise ParameterError(f"{label} is {value!r}; give one flat list.")
+                raise ParameterError(Parameter(label), f" is {value!r:.80}; give one flat list.")
             # The length first: a range may have any
             size = len(value)
             if isinstance(fitting, inspect.TupleType) and size != len(fitting.item_types):
-                raise ParameterError(f"{label} has {size} values; give {len(fitting.item_types)}.")
+                raise ParameterError(
+                    Parameter(label), f" has {size} values; give {len(fitting.item_types)}."
+                )
             longest = getattr(fitting, "max_length", None) or _NO_LIMIT
             if size > longest:
-                raise ParameterError(f"{label} has {size} values; {longest} are the most.")
+                raise ParameterError(
+                    Parameter(label), f" has {size} values; {longest} are the most."
+                )
             if any(np.ndim(each) > 0 for each in value if not isinstance(each, str)):
-                raise ParameterError(f"{label} is {value!r}; give one flat list.")
+                raise ParameterError(Parameter(label), f" is {value!r:.80}; give one flat list.")
             if not size:
-                raise ParameterError(f"{label} has no values; give one or more.")
-            return tuple(_clean(label, _item(fitting), each) for each in value)
+                raise ParameterError(Parameter(label), " has no values; give one or more.")
+            return tuple(
+                _clean(f"{label}[{i}]" if from_file else label, _item(fitting), each, from_file)
+                for i, each in enumerate(value)
+            )
     return value
 
 
@@ -329,7 +364,11 @@ def _read(kind: inspect.Type, text: str) -> Any:
     for each in _kinds(kind):
         if isinstance(each, _LISTS):
             return tuple(_read(_item(each), part.strip()) for part in text.split(","))
-        if isinstance(each, inspect.IntType | inspect.FloatType):
+        if isinstance(each, inspect.IntType):
+            number = whole_number(text)
+            if not isinstance(number, str):
+                return number
+        if isinstance(each, inspect.FloatType):
             with suppress(ValueError):
-                return (int if isinstance(each, inspect.IntType) else float)(text)
+                return float(text)
     return text

@@ -1,4 +1,4 @@
-"""Point-set files: UTK text and binary, npz, npy, csv, parquet, each a list of sets of points.
+"""Point-set files: UTK text and binary, npz, npy and csv, each a list of sets of points.
 
 ============  ====================================================================================
 ``.dat``      UTK text: a point a line, coordinates between blanks; a line that begins
@@ -9,8 +9,6 @@
 ``.npy``      one array of shape (n, d) or (R, n, d)
 ``.csv``      commas or semicolons, optional line of names; sets in a column ``set``, else
               between blank lines
-``.parquet``  columns of numbers, one for each axis; sets in a column ``set``; written
-              with ``x0``, ``x1``, …; needs pyarrow
 ============  ====================================================================================
 
 UTK is the Uni{corn|form} toolkit, https://github.com/utk-team/utk, whose
@@ -41,7 +39,6 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.decoding import check_decoded_size, known_path, opened, read_npy, read_npz
 from mcspectra.core.errors import FileFormatError, writing
-from mcspectra.core.registry import optional_package
 
 __all__ = [
     "EXTENSIONS",
@@ -52,7 +49,7 @@ __all__ = [
     "write_points",
 ]
 
-EXTENSIONS = (".dat", ".bin", ".npz", ".npy", ".csv", ".parquet")
+EXTENSIONS = (".dat", ".bin", ".npz", ".npy", ".csv")
 """The file name extensions that `read_points` and `write_points` know."""
 
 _SET_BYTES = 4096  # that count for a set besides its coordinates: many tiny ones take long, too
@@ -61,8 +58,6 @@ _SET_BYTES = 4096  # that count for a set besides its coordinates: many tiny one
 _LONGEST_LINE = 2**22  # bytes
 _BLOCK = 2**20
 _VALUE_BYTES = 24  # of a number in text: as it is read, in its set, and in the order of sets
-
-_PARQUET = ("pyarrow.parquet", "parquet", "Files .parquet need")
 
 # UTK binary
 _MAGIC = 0x214B5455
@@ -86,8 +81,6 @@ def read_points(path: str | PathLike[str]) -> list[Array]:
                 return _read_dat(stream, size, name)
             case ".csv":
                 return _read_csv(stream, size, name)
-            case ".parquet":
-                return _read_parquet(stream, size, name)
             case ".bin":
                 points = _read_bin(stream, size, name)
             case _:
@@ -172,8 +165,8 @@ def write_points(
     sets
         One array (n, d) for each set; ``.bin``, ``.npz`` and ``.npy`` need sets of equal shape.
     meta
-        What to say about the points, as JSON: kept by ``.npz``, ``.parquet`` and, as a comment, by
-        ``.dat``; the other formats have no place for it.
+        What to say about the points, as JSON: kept by ``.npz`` and, as a comment, by ``.dat``; the
+        other formats have no place for it.
 
     Raises
     ------
@@ -231,7 +224,7 @@ def _content(
         raise FileFormatError(
             f"{name} needs sets of equal shape; write sets of different sizes as .dat or .csv."
         )
-    if extension in (".csv", ".parquet") and len({points.shape[1] for points in clean}) > 1:
+    if extension == ".csv" and len({points.shape[1] for points in clean}) > 1:
         raise FileFormatError(f"{name} needs sets of the same dims; write them to several files.")
 
     axes = [f"x{i}" for i in range(clean[0].shape[1])]
@@ -253,12 +246,6 @@ def _content(
             starts = [f"{k}," if several else "" for k in range(len(clean))]
             rows = map(_lines_of, clean, itertools.repeat(","), starts)
             return f"{header}\n{''.join(rows)}".encode()
-        case ".parquet":
-            pyarrow = optional_package(*_PARQUET)
-            numbers = {"set": np.repeat(np.arange(len(clean)), [len(x) for x in clean])}
-            columns = dict(zip(axes, np.concatenate(clean).T, strict=True))
-            table = pyarrow.table({**(numbers if several else {}), **columns})
-            pyarrow.parquet.write_table(table.replace_schema_metadata({"mcspectra": text}), buffer)
     return buffer.getvalue()
 
 
@@ -459,71 +446,3 @@ def _read_bin(stream: IO[bytes], size: int, name: str) -> Array:
         shifted = values.astype(dtype.newbyteorder("=")) >> spare
         values = np.ldexp(shifted.astype(np.float64), spare - bits)
     return values
-
-
-# ---- Tables: Parquet, through pyarrow
-
-
-def _read_parquet(stream: IO[bytes], size: int, file: str) -> list[Array]:
-    """Read all columns but ``set`` as coordinates, one array (n, d) for each value of that one."""
-    pyarrow = optional_package(*_PARQUET)
-    types, table = pyarrow.types, pyarrow.parquet.ParquetFile(stream)
-    schema, rows = table.schema_arrow, table.metadata.num_rows
-
-    # Tell coordinates and sets by the schema; pandas keeps an index in columns of its own
-    names = [name for name in schema.names if not name.startswith("__index_level_")]
-    tells = [name for name in names if name.lower() == "set"]
-    if len(set(names)) < len(names) or len(tells) > 1:
-        raise FileFormatError(f"{file} has two columns of one name; name each differently.")
-    names = [name for name in names if name not in tells]
-    if not names or not rows:
-        raise FileFormatError(f"{file} holds no points; give a column of numbers for each axis.")
-    for name in names:
-        kind = schema.field(name).type
-        if not (types.is_integer(kind) or types.is_floating(kind)):
-            raise FileFormatError(
-                f"{file}: column {name!r} holds {kind}; all columns but 'set' must be numbers."
-            )
-
-    # Coordinates in a batch, in their array, and in the order of sets; pages, and text of sets once
-    groups = [table.metadata.row_group(k) for k in range(table.metadata.num_row_groups)]
-    chunks = [group.column(i) for group in groups for i in range(group.num_columns)]
-    pages = sum(chunk.total_uncompressed_size for chunk in chunks)
-    check_decoded_size(file, size, rows * (24 * len(names) + 40) + pages * (3 if tells else 1))
-    for name in tells:
-        kind, texts = schema.field(name).type, [c for c in chunks if c.path_in_schema == name]
-        if any("DELTA_BYTE_ARRAY" in chunk.encodings for chunk in texts):
-            kind = "texts as differences, of unknown length"
-        elif not (types.is_nested(kind) or types.is_binary(kind) or types.is_large_binary(kind)):
-            continue
-        raise FileFormatError(f"{file}: column {name!r} holds {kind}; give text or numbers.")
-
-    points, at = np.empty((rows, len(names))), 0
-    for batch in table.iter_batches(columns=names, use_threads=False):
-        for i, name in enumerate(names):
-            numbers = batch.column(name).to_numpy(zero_copy_only=False)
-            points[at : at + len(numbers), i] = numbers
-            bad = np.flatnonzero(~np.isfinite(points[at : at + len(numbers), i]))
-            if bad.size:
-                raise FileFormatError(
-                    f"{file}: column {name!r}, row {at + bad[0]} (from 0) is empty or not finite; "
-                    "give finite numbers."
-                )
-        at += len(batch)
-    if at != rows:
-        raise ValueError(f"it has {at} of {rows} rows")
-    if not tells:
-        return [points]
-
-    # Number the sets in the order of their first rows
-    table = pyarrow.parquet.ParquetFile(stream, read_dictionary=tells)
-    labels = table.read(columns=tells, use_threads=False).column(0)
-    if labels.null_count:
-        raise FileFormatError(
-            f"{file}: column {tells[0]!r} is empty in a row; give the set of each."
-        )
-    labels = labels.dictionary_encode().unify_dictionaries().combine_chunks()
-    texts = labels.dictionary.dictionary_encode()  # may name one twice
-    numbers = texts.indices.take(labels.indices).dictionary_encode()
-    check_decoded_size(file, size, _SET_BYTES * len(numbers.dictionary))
-    return _split(points, numbers.indices.to_numpy())

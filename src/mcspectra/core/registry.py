@@ -159,9 +159,9 @@ def optional_package(name: str, extra: str, need: str) -> Any:
     Parameters
     ----------
     name, extra
-        Such as ``"pyarrow.parquet"``, and the extra of mcspectra that installs it.
+        Such as ``"zarr.storage"``, and the extra of mcspectra that installs it.
     need
-        Beginning of the sentence, such as ``"Files .parquet need"``.
+        Beginning of the sentence, such as ``"Stores .zarr need"``.
 
     Raises
     ------

@@ -2,7 +2,7 @@
 
 `counting` opens a tally, which sees all that is spent inside of it, in this thread and in those of
 `mcspectra.core.parallel`; tallies may stand within each other. A limit holds before the function is
-called. Work that goes on without what was refused, as another route of a prediction, is made in vain:
+called. Work that goes on without what was refused, as another method of a prediction, is made in vain:
 `Tally.check` says at the end that a limit was met.
 """
 
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import final
 
 from mcspectra.core.checks import as_integer
-from mcspectra.core.errors import BudgetError
+from mcspectra.core.errors import BudgetError, Function, Parameter
 
 __all__ = ["Tally", "counting", "spend"]
 
@@ -28,7 +28,7 @@ _lock = threading.Lock()
 class Tally:
     """Evaluations that something made, and the most that it may, None for any number."""
 
-    what: str
+    what: str | Function
     most: int | None = None
     outer: Tally | None = None
     made: int = 0
@@ -44,8 +44,10 @@ class Tally:
         """Raise BudgetError where evaluations were refused."""
         if self.refused:
             raise BudgetError(
-                f"{self.what} takes at least {self.refused} evaluations of the integrand, and max_evaluations "
-                f"is {self.most}; allow more, or ask for less."
+                self.what,
+                f" takes at least {self.refused} evaluations of the integrand, and ",
+                Parameter("max_evaluations"),
+                f" is {self.most}; allow more, or ask for less.",
             )
 
 
@@ -53,7 +55,7 @@ _innermost: ContextVar[Tally | None] = ContextVar("tally", default=None)
 
 
 @contextmanager
-def counting(what: str, most: int | None = None) -> Iterator[Tally]:
+def counting(what: str | Function, most: int | None = None) -> Iterator[Tally]:
     """Count the evaluations that `what` makes inside, `most` of them at most, an integer from 1 or None."""
     most = None if most is None else as_integer("max_evaluations", most, least=1)
     tally = Tally(what, most, _innermost.get())

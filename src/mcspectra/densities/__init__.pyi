@@ -26,7 +26,6 @@ from .lights import SphericalTriangle as SphericalTriangle
 from .pieces import AlignedStrata as AlignedStrata
 from .pieces import GridDensity as GridDensity
 from .pieces import PiecewiseLinear as PiecewiseLinear
-from .pieces import vegas_density as vegas_density
 from .registry import DENSITIES as DENSITIES
 from .registry import as_density as as_density
 from .registry import as_warp as as_warp
@@ -67,5 +66,4 @@ __all__ = [
     "compensated",
     "density",
     "reciprocal_integral",
-    "vegas_density",
 ]

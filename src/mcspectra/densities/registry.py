@@ -24,7 +24,6 @@ DENSITIES = Registry(
             "densities.lights": "SphericalRectangle SphericalTriangle",
             "densities.pieces": "AlignedStrata grid=GridDensity PiecewiseLinear",
             "densities.tabulated": "PiecewiseConstant",
-            "estimators.vegas_": "vegas=VegasDensity",
         }
     ),
     base=Density,

@@ -8,6 +8,8 @@ from .heuristics import as_heuristic as as_heuristic
 from .importance import Estimator as Estimator
 from .importance import as_estimator as as_estimator
 from .importance import as_subject as as_subject
+from .importance import function_dims as function_dims
+from .importance import is_function as is_function
 from .mirrored import MIRRORINGS as MIRRORINGS
 from .mirrored import Mirrored as Mirrored
 from .mis import MultipleImportance as MultipleImportance
@@ -15,4 +17,3 @@ from .mis import OneSampleMIS as OneSampleMIS
 from .mis import TechniqueSum as TechniqueSum
 from .mis import split_mixture as split_mixture
 from .moments import Moments as Moments
-from .vegas_ import VegasDensity as VegasDensity

@@ -24,7 +24,9 @@ from mcspectra.core.display import html_of
 from mcspectra.core.errors import (
     CountError,
     DependentRealizationsWarning,
+    Function,
     NoClosedForm,
+    Parameter,
     ParameterError,
     warn,
 )
@@ -212,7 +214,11 @@ class AbstractEstimator(ABC):
         if self.sets != "independent" and len(self.counts) > 1:
             raise NoClosedForm(
                 f"The techniques of {self.spec} are correlated; the variance is known for "
-                "independent ones only; use convergence or technique_terms."
+                "independent ones only; use ",
+                Function("convergence"),
+                " or ",
+                Function("technique_terms"),
+                ".",
             )
 
     def draw(self, sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> list[Array]:
@@ -357,6 +363,7 @@ def check_counts(counts: Any, techniques: int) -> tuple[int, ...]:
     values = tuple(counts) if isinstance(counts, list | tuple | np.ndarray) else (counts,)
     if len(values) != techniques:
         raise ParameterError(
-            f"counts is {counts!r:.60}; give one number for each technique, {techniques} in all."
+            Parameter("counts"),
+            f" is {counts!r:.60}; give one number for each technique, {techniques} in all.",
         )
     return tuple(as_integer(f"counts[{i}]", c, least=1) for i, c in enumerate(values))

@@ -150,7 +150,7 @@ def channel_estimators(
     >>> f = mcs.Integrand.from_function(
     ...     lambda x: np.concatenate([1 + x, 2 - x], axis=-1), dims=1, integral=[1.5, 1.5]
     ... )
-    >>> ways = mcs.channel_estimators(f, ["linear(slope=0.5)", "linear(slope=-0.5)"], "uniform")
+    >>> ways = mcs.estimators.channel_estimators(f, ["linear(slope=0.5)", "linear(slope=-0.5)"], "uniform")
     >>> list(ways)
     ['one', 'own', 'shared', 'mis']
     """

@@ -7,7 +7,7 @@ from typing import Any, final
 import numpy as np
 
 from mcspectra.core.analysis import Subject
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import MAX_DIMS, Array, as_integer
 from mcspectra.core.errors import ParameterError
 from mcspectra.densities import Density, as_density
 from mcspectra.densities.base import divide_by_density
@@ -20,7 +20,7 @@ from mcspectra.estimators.base import (
 from mcspectra.estimators.support import check_support
 from mcspectra.integrands import Integrand, as_integrand
 from mcspectra.integrands.base import Breaks
-from mcspectra.samplers import as_sampler
+from mcspectra.samplers import Sampler, as_sampler
 
 __all__ = [
     "Estimator",
@@ -29,6 +29,8 @@ __all__ = [
     "as_subject",
     "check_same_dims",
     "check_support",
+    "function_dims",
+    "is_function",
     "known_dims",
     "scale",
 ]
@@ -114,32 +116,72 @@ class Estimator(DomainEstimator):
         return divide_by_density(ones, self.density.pdf(x), x, self.spec, constant=True)
 
 
-def as_estimator(given: Any, dims: int | None = None) -> AbstractEstimator:
-    """Return an estimator as it is; an integrand or its spec string becomes a plain `Estimator`.
+def is_function(given: Any) -> bool:
+    """Return whether this is a plain function: a callable that is not an integrand."""
+    return callable(given) and not isinstance(given, Integrand | AbstractEstimator)
+
+
+def function_dims(function: Any, dims: int | None) -> int:
+    """Return the number of dims of a plain function's points, which must be given.
 
     Raises
     ------
     ParameterError
-        `given` has another type.
+        `dims` is missing or out of range, or the function is a class.
+    """
+    if isinstance(function, type):
+        raise ParameterError(
+            f"{function.__name__} is a class; give an instance of it, or a function of points."
+        )
+    if dims is None:
+        raise ParameterError(
+            "dims is missing; give dims=, the number of dims of the function's points."
+        )
+    return as_integer("dims", dims, least=1, most=MAX_DIMS)
+
+
+def as_estimator(given: Any, dims: int | None = None) -> AbstractEstimator:
+    """Return an estimator; an integrand, its spec string or a plain function is sampled uniformly.
+
+    Parameters
+    ----------
+    given
+        An estimator, an integrand or its spec string, or a vectorised function of points (…, d) to
+        values (…) or (…, channels), as for `mcspectra.Integrand.from_function`.
+    dims
+        Number of dims: a function needs it, a spec string may leave it open, all others must agree.
+
+    Raises
+    ------
+    ParameterError
+        `given` has another type or other dims, or the function does not do as it should.
     """
     if isinstance(given, AbstractEstimator):
+        if dims is not None and given.dims != dims:
+            raise ParameterError(f"{given.spec} has {given.dims} dims, but dims is {dims}.")
         return given
+    if is_function(given):
+        given = Integrand.from_function(given, dims=function_dims(given, dims))
     if isinstance(given, Integrand | str):
         return Estimator(given, dims=dims)
-    made = ", or make one with Integrand.from_function" if callable(given) else ""
     raise ParameterError(
-        f"{given!r:.80} is not an estimator; give Estimator(integrand, density), an integrand, or "
-        f"an integrand's spec{made}."
+        f"{given!r:.80} is not an estimator; give Estimator(integrand, density), an integrand or "
+        "its spec, or a function with dims=."
     )
 
 
-def as_subject(estimator: Any, sampler: Any, *, lists: bool = False) -> Subject:
+def as_subject(
+    estimator: Any, sampler: Any, *, dims: int | None = None, lists: bool = False
+) -> Subject:
     """Return an estimator with a sampler, of equal dims, as the subject of an analysis.
 
     Parameters
     ----------
     estimator, sampler
         As for `as_estimator` and `mcspectra.samplers.as_sampler`; with `lists` one or a list of each.
+    dims
+        Number of dims of functions and of spec strings that leave it open; by default those of the
+        first sampler that is not a spec string. What has dims of its own must agree.
 
     Raises
     ------
@@ -149,12 +191,16 @@ def as_subject(estimator: Any, sampler: Any, *, lists: bool = False) -> Subject:
     several, many = (lists and isinstance(given, list | tuple) for given in (estimator, sampler))
     if (several and not estimator) or (many and not sampler):
         raise ParameterError("A list is empty; give at least one estimator and one sampler.")
-    dims = getattr(sampler, "dims", None)  # of specs that leave them open
+    if dims is not None:
+        dims = as_integer("dims", dims, least=1, most=MAX_DIMS)
+    given_samplers = sampler if many else [sampler]
+    known = [each.dims for each in given_samplers if isinstance(each, Sampler)]
+    open_dims = known[0] if dims is None and known else dims
     estimators = [
-        as_estimator(e, dims if isinstance(e, str) else None)
+        as_estimator(e, open_dims if isinstance(e, str) or is_function(e) else dims)
         for e in (estimator if several else [estimator])
     ]
-    samplers = [as_sampler(s, estimators[0].dims) for s in (sampler if many else [sampler])]
+    samplers = [as_sampler(s, estimators[0].dims) for s in given_samplers]
     return Subject(estimators if several else estimators[0], samplers if many else samplers[0])
 
 

@@ -232,7 +232,7 @@ class OneSampleMIS(Combined):
     Examples
     --------
     >>> import mcspectra as mcs
-    >>> e = mcs.OneSampleMIS("gaussian", ["uniform", "linear(slope=1)"], [0.25, 0.75], dims=1)
+    >>> e = mcs.estimators.OneSampleMIS("gaussian", ["uniform", "linear(slope=1)"], [0.25, 0.75], dims=1)
     >>> e.dims, e.spec
     (2, 'gaussian / one-sample balance[0.25×uniform, 0.75×linear(slope=1)]')
     """

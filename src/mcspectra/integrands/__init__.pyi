@@ -15,11 +15,6 @@ from .christensen import ChristensenDisk as ChristensenDisk
 from .christensen import ChristensenGaussian as ChristensenGaussian
 from .christensen import ChristensenStep as ChristensenStep
 from .christensen import ChristensenTriangle as ChristensenTriangle
-from .finance import AsianOption as AsianOption
-from .finance import BarrierOption as BarrierOption
-from .finance import DigitalOption as DigitalOption
-from .finance import Option as Option
-from .finance import brownian_factor as brownian_factor
 from .formula import Formula as Formula
 from .genz import Genz as Genz
 from .genz import GenzContinuous as GenzContinuous
@@ -37,15 +32,9 @@ from .indicators import HalfSpace as HalfSpace
 from .indicators import SmoothedStep as SmoothedStep
 from .indicators import Step as Step
 from .lights import RectangleLight as RectangleLight
-from .physics import GaussianPeaks as GaussianPeaks
-from .physics import GaussianRidge as GaussianRidge
-from .physics import Keister as Keister
-from .physics import RatioTracking as RatioTracking
 from .registry import INTEGRANDS as INTEGRANDS
 from .registry import as_integrand as as_integrand
 from .registry import integrand as integrand
-from .sensitivity import Ishigami as Ishigami
-from .sensitivity import SobolG as SobolG
 from .smoothing import BoxSmoothed as BoxSmoothed
 from .smoothing import EdgeSmoothed as EdgeSmoothed
 from .smoothing import smoothed as smoothed

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.streams import Stream, golden_vector
 
 if TYPE_CHECKING:
@@ -589,7 +589,9 @@ def axis_rules(f: Integrand, half_width: int) -> list[AxisRule]:
             return [AxisRule.make(count, min(_ORDER, count), breaks) for breaks in f.breaks]
     raise ParameterError(
         f"The coefficients of {f.spec} up to half width {half_width} in {f.dims} dims take "
-        f"{float(count) ** f.dims:.2g} evaluations, more than {_LIMIT:.2g}; lower half_width."
+        f"{float(count) ** f.dims:.2g} evaluations, more than {_LIMIT:.2g}; lower ",
+        Parameter("half_width"),
+        ".",
     )
 
 
@@ -634,8 +636,9 @@ def cell_integrals(f: Integrand, size: int) -> tuple[Array, str]:
     cells = float(size) ** f.dims
     if cells > _LIMIT:
         raise ParameterError(
-            f"{cells:.2g} cells in {f.dims} dims are more than {_LIMIT:.2g}; lower "
-            "half_width or levels."
+            f"{cells:.2g} cells in {f.dims} dims are more than {_LIMIT:.2g}; lower ",
+            Parameter("half_width"),
+            " or levels.",
         )
     # Take means over boxes, where the integrand knows them
     low = np.stack(np.meshgrid(*[np.arange(size) / size] * f.dims, indexing="ij"), axis=-1)

@@ -30,6 +30,7 @@ from mcspectra.core.checks import (
 from mcspectra.core.errors import (
     DomainError,
     McspectraError,
+    Parameter,
     ParameterError,
     point_in_words,
     reason_of,
@@ -550,7 +551,9 @@ def _check_size(integrand: Integrand, sizes: list[int]) -> None:
     if count > _MOST_COEFFICIENTS:
         raise ParameterError(
             f"{count:.3g} Fourier coefficients of {integrand.spec} are more than "
-            f"{_MOST_COEFFICIENTS:.3g}, 1 GiB; choose a smaller half_width or fewer frequencies."
+            f"{_MOST_COEFFICIENTS:.3g}, 1 GiB; choose a smaller ",
+            Parameter("half_width"),
+            " or fewer frequencies.",
         )
 
 

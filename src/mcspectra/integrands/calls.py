@@ -33,6 +33,7 @@ from mcspectra.core.errors import (
     reason_of,
 )
 from mcspectra.core.progress import report
+from mcspectra.core.registry import optional_package
 from mcspectra.integrands.base import FunctionIntegrand, Integrand
 
 __all__ = ["Calls"]
@@ -259,8 +260,7 @@ def _pool(f: Integrand, workers: int) -> ProcessPoolExecutor:
     """Processes that know f: new ones, as forks of a process with threads may hang."""
     from multiprocessing import get_context
 
-    import cloudpickle
-
+    cloudpickle = optional_package("cloudpickle", "cluster", "Calls in other processes need")
     try:
         sent = cloudpickle.dumps(f)
     except Exception as error:  # noqa: BLE001 - whatever f holds

@@ -18,15 +18,12 @@ INTEGRANDS = Registry(
             "integrands.analytic": "Constant Cosine Gaussian Linear Polynomial",
             "integrands.christensen": "ChristensenBilinear ChristensenDisk ChristensenGaussian ChristensenStep "
             "ChristensenTriangle",
-            "integrands.finance": "AsianOption BarrierOption DigitalOption",
             "integrands.formula": "Formula",
             "integrands.genz": "GenzContinuous GenzCornerPeak GenzDiscontinuous GenzGaussian GenzOscillatory "
             "GenzProductPeak",
             "integrands.image": "Environment Image",
             "integrands.indicators": "Disk HalfSpace SmoothedStep Step",
             "integrands.lights": "RectangleLight",
-            "integrands.physics": "GaussianPeaks GaussianRidge Keister RatioTracking",
-            "integrands.sensitivity": "Ishigami SobolG",
             "rendering.paths": "PathPixel",
             "rendering.pixel": "Pixel",
         }

@@ -229,7 +229,9 @@ def labelled(stored: xr.Dataset) -> xr.Dataset:
     # Labels of a dim bear its name; further ones, such as verdicts, run along the same dim, of two
     # counts too, not along the ends of intervals
     dims = sorted(map(str, stored.dims), key=lambda dim: dim != "bound")
-    own = {texts[dim].shape: dim for dim in dims if dim in texts and dim != "bound"}
+    own: dict[tuple[int, ...], Any] = {
+        texts[dim].shape: dim for dim in dims if dim in texts and dim != "bound"
+    }
     own |= {(stored.sizes[dim],): dim for dim in dims if (stored.sizes[dim],) not in own}
     # Labels along two dims, such as details by method and n, run along those of some variable
     for values in stored.data_vars.values():

@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.core.checks import Array, as_instance, as_integer
-from mcspectra.core.errors import McspectraError, ParameterError, close_match_hint
+from mcspectra.core.errors import McspectraError, Parameter, ParameterError, close_match_hint
 from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers, map_in_order
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
@@ -90,7 +90,8 @@ def quality_figures(
     if n is None:
         if not isinstance(sampler, GivenPoints):
             raise ParameterError(
-                f"n is missing; give the number of points to draw from {sampler.spec}."
+                Parameter("n"),
+                f" is missing; give the number of points to draw from {sampler.spec}.",
             )
         n = int(sampler.points.shape[1])
     n = sampler.check_count(n)

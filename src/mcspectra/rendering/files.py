@@ -12,6 +12,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_real
 from mcspectra.core.errors import FileFormatError, ParameterError, writing
+from mcspectra.core.images import load_openexr
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -125,8 +126,7 @@ def write_exr(path: str | PathLike[str], layers: Mapping[str, Array], *, comment
     ParameterError
         No layers, or layers of other or different shapes.
     """
-    import OpenEXR
-
+    OpenEXR = load_openexr()
     file = check_image_path(path, (".exr",))
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     channels = {}

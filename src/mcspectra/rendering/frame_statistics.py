@@ -22,7 +22,7 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.core.checks import Array, as_integer, as_real, is_path
-from mcspectra.core.errors import FileFormatError, ParameterError
+from mcspectra.core.errors import FileFormatError, Parameter, ParameterError
 from mcspectra.core.images import Rings, exr_attributes, exr_layer, luminance, read_image
 from mcspectra.core.progress import report
 from mcspectra.core.records import student_t
@@ -262,17 +262,24 @@ class _Reader:
                     seconds = sum(float(part) * 60.0**k for k, part in enumerate(parts))
         except ValueError:
             raise FileFormatError(
-                f"{file} says {key} = {value!r}; give spp= and seconds=."
+                f"{file} says {key} = {value!r}; give ",
+                Parameter("spp"),
+                " and ",
+                Parameter("seconds"),
+                ".",
             ) from None
         spp = told if own is None else own
         if self.spp is None and None not in (own, told) and own != told:
             raise ParameterError(
-                f"{file} has {own} samples a pixel by its name and {told} by its header; give spp=, or "
-                "mend the name."
+                f"{file} has {own} samples a pixel by its name and {told} by its header; give ",
+                Parameter("spp"),
+                ", or change the name.",
             )
         if self.spp is None and spp is not None and not 1 <= spp <= _MOST_SPP:
             raise ParameterError(
-                f"{file} has {spp} samples a pixel by its name or header; give spp=."
+                f"{file} has {spp} samples a pixel by its name or header; give ",
+                Parameter("spp"),
+                ".",
             )
         return spp, seconds if seconds and seconds > 0 else None
 
@@ -342,14 +349,19 @@ def _measured(paths: Frames, read: _Reader) -> list[_Group]:
         told = sorted(spp for spp in groups if spp is not None)
         if len(told) > 1:
             raise ParameterError(
-                f"spp is {read.spp}, and the frames are of {' and '.join(map(str, told))} samples a pixel "
-                "by their names or headers; give frames of one number, or leave spp out."
+                Parameter("spp"),
+                f" is {read.spp}, and the frames are of {' and '.join(map(str, told))} samples a pixel "
+                "by their names or headers; give frames of one number, or leave ",
+                Parameter("spp"),
+                " out.",
             )
         groups = {read.spp: [each for members in groups.values() for each in members]}
     if None in groups and len(groups) > 1:
         raise ParameterError(
             f"{groups[None][0][0]} does not tell its samples a pixel, others do; name it such as "
-            "x_64spp.exr, or give spp=."
+            "x_64spp.exr, or give ",
+            Parameter("spp"),
+            ".",
         )
     for spp, members in groups.items():
         if len(members) < 2:

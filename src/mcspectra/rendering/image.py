@@ -17,7 +17,7 @@ import xarray as xr
 
 from mcspectra.core import progress
 from mcspectra.core.checks import Array, as_integer
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers, map_in_order
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
@@ -209,7 +209,7 @@ def reference(scene: Scene, spp: int = 1024, *, batches: int = 16, **options: An
     count = as_integer("batches", batches, least=2, most=_MOST_SAMPLES)
     each, rest = divmod(as_integer("spp", spp, least=count), count)
     if rest:
-        raise ParameterError(f"spp is {spp}; give a multiple of batches, {count}.")
+        raise ParameterError(Parameter("spp"), f" is {spp}; give a multiple of batches, {count}.")
     return render(scene, spp=each, realizations=count, **options)
 
 
@@ -235,7 +235,9 @@ def compare_strategies(
     """
     count = as_integer("spp", spp, least=2, most=_MOST_SAMPLES)
     if count % 2:
-        raise ParameterError(f"spp is {count}; give an even number, half for each technique.")
+        raise ParameterError(
+            Parameter("spp"), f" is {count}; give an even number, half for each technique."
+        )
     images = {"reference": reference(scene, reference_spp, **options)}
     for strategy, samples in (("light", count), ("bsdf", count), ("mis", count // 2)):
         images[strategy] = render(scene, strategy, spp=samples, **options)
@@ -246,7 +248,9 @@ def _as_crop(crop: object, waves: Wavefront) -> tuple[int, int, int, int]:
     """Return x, y, width and height of a window inside the film."""
     given = (0, 0, waves.width, waves.height) if crop is None else crop
     if not isinstance(given, Sequence | np.ndarray) or isinstance(given, str) or len(given) != 4:
-        raise ParameterError(f"crop is {crop!r}; give four whole numbers: x, y, width, height.")
+        raise ParameterError(
+            Parameter("crop"), f" is {crop!r}; give four whole numbers: x, y, width, height."
+        )
     film = f"the film has {waves.width} × {waves.height} pixels"
     try:
         x = as_integer("x of the crop", given[0], least=0, most=waves.width - 1)

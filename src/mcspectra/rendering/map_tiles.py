@@ -40,7 +40,7 @@ from typing import Annotated, Any, Final, TypeAlias, final
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import NoClosedForm, ParameterError
+from mcspectra.core.errors import NoClosedForm, Parameter, ParameterError
 from mcspectra.core.parallel import Block
 from mcspectra.core.records import Join
 from mcspectra.core.streams import Stream
@@ -207,7 +207,9 @@ class Measurement:
         ):
             raise ParameterError(
                 f"A visible BSDF of {scene_name(self.lighting.scene)} selects a lobe by an extra random "
-                "number; give dims=3, the third coordinate is that number."
+                "number; give ",
+                Parameter("dims", 3),
+                ", the third coordinate is that number.",
             )
 
         # Moments over realisations of each strategy

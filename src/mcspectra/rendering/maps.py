@@ -18,7 +18,7 @@ from msgspec import Meta, structs
 
 from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute
 from mcspectra.core.checks import MAX_DIMS, Array, as_integer
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNTS, REALIZATIONS, Counts, Text, checked
 from mcspectra.core.registry import DEFAULT_DIMS
@@ -123,7 +123,8 @@ class Map(Analysis, frozen=True, kw_only=True):
     size: Annotated[
         tuple[_Side, _Side] | None,
         Meta(
-            description="Width and height in pixels; those of the film.", extra={"metavar": "W,H"}
+            description="Width and height in pixels; by default those of the film.",
+            extra={"metavar": "W,H"},
         ),
     ] = None
     light: Annotated[
@@ -139,7 +140,8 @@ class Map(Analysis, frozen=True, kw_only=True):
     dims: Annotated[
         _Dims | None,
         Meta(
-            description="2, or 3: the third coordinate selects lights and lobes; of paths all they take.",
+            description="2, or 3 with a third coordinate that selects lights and lobes; of whole paths by "
+            "default all that they take.",
             extra={"flag": "-d", "metavar": "D"},
         ),
     ] = None
@@ -178,14 +180,17 @@ class Map(Analysis, frozen=True, kw_only=True):
             refused, way = {"chains": None}, "is for whole paths; give an integrator too"
         for name, usual in refused.items():
             if getattr(self, name) != usual:
-                raise ParameterError(f"{name} {way}.")
+                raise ParameterError(Parameter(name), f" {way}.")
         if self.chains and self.chains < _LEAST_CHAINS:
             raise ParameterError(
-                f"chains is {self.chains}; give 0, for no shares, or {_LEAST_CHAINS} at least."
+                Parameter("chains"),
+                f" is {self.chains}; give 0, for no shares, or {_LEAST_CHAINS} at least.",
             )
         counts = self._counts(subject.sampler)
         if self.smoothing % 2 == 0:
-            raise ParameterError(f"smoothing is {self.smoothing}; give an odd number of pixels.")
+            raise ParameterError(
+                Parameter("smoothing"), f" is {self.smoothing}; give an odd number of pixels."
+            )
         grid = self.size or _FILM
         width, height = grid if self.crop is None else self.crop[2:]
         if self.size is not None:
@@ -278,7 +283,9 @@ class Map(Analysis, frozen=True, kw_only=True):
             counts[subject.sampler.spec] = self.measurement(subject, Stream.from_rng(0))[0].counts
         if len(counts) < len(subjects) or not subjects:
             given = [subject.sampler.spec for subject in subjects]
-            raise ParameterError(f"sampler is {given!r:.200}; give one, or several that differ.")
+            raise ParameterError(
+                Parameter("sampler"), f" is {given!r:.200}; give one, or several that differ."
+            )
         if not set.intersection(*map(set, counts.values())):
             each = "; ".join(f"{spec} {list(ns)}" for spec, ns in counts.items())
             raise ParameterError(f"No count is that of all samplers ({each}); give counts.")
@@ -302,8 +309,9 @@ class Map(Analysis, frozen=True, kw_only=True):
         counts = near if self.counts is None else self.counts
         if len(counts) < 2:
             raise ParameterError(
-                f"counts is {list(counts)}; give two or more ascending numbers of samples that "
-                f"{sampler.spec} can make."
+                Parameter("counts"),
+                f" is {list(counts)}; give two or more ascending numbers of samples that "
+                f"{sampler.spec} can make.",
             )
         for n in counts:
             sampler.check_count(n)
@@ -329,8 +337,9 @@ class Map(Analysis, frozen=True, kw_only=True):
         x0, y0, width, height = window
         if x0 + width > grid[0] or y0 + height > grid[1]:
             raise ParameterError(
-                f"crop is {[*window]}, which reaches outside the grid of {grid[0]} × {grid[1]} "
-                "pixels; give x0, y0, width and height within it."
+                Parameter("crop"),
+                f" is {[*window]}, which reaches outside the grid of {grid[0]} × {grid[1]} "
+                "pixels; give x0, y0, width and height within it.",
             )
         strategies, counts = len(self._strategies), len(self.counts or _DIRECT_COUNTS)
         numbers = 3 * width * height * strategies * counts

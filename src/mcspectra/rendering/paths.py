@@ -34,9 +34,8 @@ from typing import Any, final
 import numpy as np
 
 from mcspectra.core.checks import MAX_DIMS, Array, as_integer, as_real
-from mcspectra.core.errors import ParameterError, SpecError
+from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.fields import checked, settle
-from mcspectra.core.spec import parse
 from mcspectra.rendering.backend import LARGEST_SAMPLE, LOCK, load_mitsuba
 from mcspectra.rendering.pixel import MitsubaIntegrand, check_channel
 from mcspectra.rendering.scenes import (
@@ -45,6 +44,7 @@ from mcspectra.rendering.scenes import (
     emitter_name,
     emitter_names,
     film_size,
+    integrator_plugin,
     load_scene,
     mitsuba_reason,
     scene_name,
@@ -394,13 +394,16 @@ def find_integrator(scene: Scene, spec: object) -> Any:
     """Return the integrator of this spec, or of the scene, if it can be asked for one ray."""
     if not isinstance(spec, str) or not spec.strip():
         raise ParameterError(
-            f"integrator is {spec!r}; give 'scene', or a plugin of Mitsuba's such as 'path(max_depth=5)'."
+            Parameter("integrator"),
+            f" is {spec!r}; give 'scene', or a plugin of Mitsuba's such as 'path(max_depth=5)'.",
         )
     if spec == SCENE_INTEGRATOR:
         found, called = load_scene(scene).integrator(), f"The integrator of {scene_name(scene)}"
         if found is None:
             raise ParameterError(
-                f"The scene {scene_name(scene)} names no integrator; give one, e.g. integrator='path'."
+                f"The scene {scene_name(scene)} names no integrator; give one, e.g. ",
+                Parameter("integrator", "path"),
+                ".",
             )
     else:
         found, called = _made(spec), f"The integrator {spec!r}"
@@ -415,13 +418,9 @@ def find_integrator(scene: Scene, spec: object) -> Any:
 @functools.lru_cache(maxsize=8)
 def _made(spec: str) -> Any:
     """The integrator of a plugin's name with its properties."""
-    # Names of Mitsuba's plugins may have underscores, which those of specs have not
-    plugin, bracket, rest = spec.strip().partition("(")
+    plugin = integrator_plugin(spec)
     try:
-        properties = parse(f"integrator{bracket}{rest}").arguments
-        return load_mitsuba().load_dict({"type": plugin, **properties})
-    except SpecError as error:
-        raise ParameterError(f"The integrator {spec!r} cannot be read: {error}") from None
+        return load_mitsuba().load_dict(plugin)
     except (RuntimeError, TypeError, KeyError) as error:
         raise ParameterError(
             f"The integrator {spec!r} cannot be made: {mitsuba_reason(error)}; give 'scene', or a plugin "

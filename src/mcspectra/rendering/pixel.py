@@ -47,7 +47,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, final
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.fields import checked, choice, settle
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import Stream
@@ -398,7 +398,9 @@ def check_channel(channel: object, names: Sequence[str] = ("luminance", "rgb")) 
         return as_integer("channel", channel, least=0, most=2)
     except ParameterError:
         allowed = ", ".join(map(repr, names))
-        raise ParameterError(f"channel is {channel!r}; give {allowed}, 0, 1 or 2.") from None
+        raise ParameterError(
+            Parameter("channel"), f" is {channel!r}; give {allowed}, 0, 1 or 2."
+        ) from None
 
 
 def _numbers(color: Any, channel: str | int, count: int) -> Array:
@@ -450,7 +452,9 @@ def incident_light(
     rows = as_integer("resolution", resolution, least=4, most=1024)
     chosen = check_channel(channel)
     if chosen == "rgb":
-        raise ParameterError("channel is 'rgb'; give 'luminance', 0, 1 or 2, one at a time.")
+        raise ParameterError(
+            Parameter("channel"), " is 'rgb'; give 'luminance', 0, 1 or 2, one at a time."
+        )
     elevation = (np.arange(rows) + 0.5) * (90.0 / rows)
     azimuth = (np.arange(4 * rows) + 0.5) * (90.0 / rows)
     with LOCK:

@@ -1,7 +1,7 @@
 """Our samplers as plugins of Mitsuba: ``<sampler type="mcspectra">`` in any scene.
 
 Mitsuba's own executable runs no Python and so cannot know the plugin: `render_file` and the verb
-``mitsuba`` take its place.
+``render`` take its place.
 
 Method
 ------

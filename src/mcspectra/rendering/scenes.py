@@ -1,6 +1,6 @@
 """Scenes by name, file or dictionary, loaded once a process; their pixels, cameras and lights.
 
-`render_file` renders a scene file as Mitsuba's own command does, with our samplers known to it.
+`render_file` renders a scene by Mitsuba's own integrators, with our samplers known to it.
 """
 
 from __future__ import annotations
@@ -19,11 +19,19 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from mcspectra.core.checks import Array, as_instance, as_integer, as_path, as_reals
-from mcspectra.core.errors import FileFormatError, McspectraError, ParameterError, close_match_hint
+from mcspectra.core.errors import (
+    FileFormatError,
+    McspectraError,
+    Parameter,
+    ParameterError,
+    SpecError,
+    close_match_hint,
+)
 from mcspectra.core.registry import Registry
 from mcspectra.core.spec import parse
 from mcspectra.rendering.backend import LOCK, VARIANT, import_mitsuba, load_mitsuba
-from mcspectra.rendering.plugin import register_samplers
+from mcspectra.rendering.plugin import PLUGIN, register_samplers
+from mcspectra.samplers import as_sampler
 
 __all__ = [
     "SCENES",
@@ -34,6 +42,7 @@ __all__ = [
     "emitter_names",
     "film_size",
     "find_emitter",
+    "integrator_plugin",
     "load_scene",
     "mitsuba_reason",
     "named_pixels",
@@ -127,23 +136,29 @@ def load_scene(scene: Scene) -> Any:
 
 
 def render_file(
-    file: str | Path,
+    scene: str | Path,
     variant: str | None = None,
     *,
+    integrator: str | None = None,
+    sampler: str | None = None,
     spp: int | None = None,
     seed: int = 0,
     sensor: int = 0,
     definitions: Mapping[str, object] | None = None,
     out: str | Path | None = None,
 ) -> Array:
-    """Render a scene file by the integrator and the sampler it names, which may be ours.
+    """Render a scene by one of Mitsuba's integrators, with our samplers known to it.
 
     Parameters
     ----------
-    file
-        A Mitsuba XML file; its sampler may be ``<sampler type="mcspectra">``.
+    scene
+        A Mitsuba XML file, whose sampler may be ``<sampler type="mcspectra">``, or a name in `SCENES`.
     variant
         One of Mitsuba's variants; by default ``llvm_ad_rgb``, or ``scalar_rgb`` without LLVM.
+    integrator
+        A plugin of Mitsuba's, such as ``"path(max_depth=5)"``; by default the scene's own.
+    sampler
+        Spec of one of our samplers, which takes the place of the scene's own; the file is not changed.
     spp
         Samples a pixel instead of the file's.
     seed
@@ -165,7 +180,9 @@ def render_file(
     FileFormatError
         The file is missing, or Mitsuba cannot read or render it; its reason is quoted.
     ParameterError
-        A parameter is out of range, or the sampler in the file is not possible.
+        A parameter is out of range, or the integrator or the sampler is not possible.
+    UnknownName
+        There is no scene of this name.
     MissingDependency
         Mitsuba is missing, or LLVM for the variant.
     """
@@ -174,33 +191,57 @@ def render_file(
         options["spp"] = as_integer("spp", spp, least=1, most=_MOST_SAMPLES)
     target = None if out is None else as_path("out", out).expanduser()
     if target is not None and (target.suffix.lower() != ".exr" or not target.parent.is_dir()):
-        raise ParameterError(f"out is {str(out)!r}; give an .exr file in a folder that exists.")
-    path = as_path("file", file).expanduser()
+        raise ParameterError(
+            Parameter("out"), f" is {str(out)!r}; give an .exr file in a folder that exists."
+        )
+    named = str(as_path("scene", scene))
+    path = _as_file(scene)
     given = as_instance(
         "definitions",
         {} if definitions is None else definitions,
         Mapping,
         "a mapping of names to values",
     )
+    plugin = None if integrator is None else integrator_plugin(integrator)
+    if sampler is not None:
+        as_sampler(sampler, 2)  # a sentence of ours, not one in Mitsuba's words
     with LOCK:
         (known,), mitsuba = register_samplers(variant)[:1], import_mitsuba()
-        before = mitsuba.variant()
+        before, resolver = mitsuba.variant(), mitsuba.file_resolver()
         mitsuba.set_variant(known)
         try:
-            if not path.is_file():
+            # Read the scene, and give its cameras our sampler
+            parser = mitsuba.parser
+            config = parser.ParserConfig(known)
+            if path is None:
+                state = parser.parse_dict(config, SCENES.build(parse(named.strip())))
+            elif not path.is_file():
                 raise FileFormatError(
-                    f"There is no scene file {str(file)!r}; give a Mitsuba XML file."
+                    f"There is no scene file {named!r}; give a Mitsuba XML file or one of the names "
+                    f"{', '.join(SCENES)}."
                 )
-            named = {str(name): str(value) for name, value in given.items()}
-            scene = mitsuba.load_file(str(path), **named)
-            if not isinstance(scene, mitsuba.Scene):
+            else:
+                beside = mitsuba.FileResolver(resolver)
+                beside.prepend(str(path.parent))
+                mitsuba.set_file_resolver(beside)
+                values = {str(name): str(value) for name, value in given.items()}
+                state = parser.parse_file(config, str(path), **values)
+            parser.transform_all(config, state)
+            if sampler is not None:
+                _replace_samplers(mitsuba, state, sampler, spp)
+            loaded = parser.instantiate(config, state)
+            if not isinstance(loaded, mitsuba.Scene):
                 raise FileFormatError(
-                    f"{str(file)!r} holds no scene; its root element must be <scene>."
+                    f"{named!r} holds no scene; its root element must be <scene>."
                 )
-            if not (cameras := scene.sensors()):
+
+            # Render it
+            if not (cameras := loaded.sensors()):
                 raise ParameterError("The scene has no camera; add a <sensor> to it.")
             camera = cameras[as_integer("sensor", sensor, least=0, most=len(cameras) - 1)]
-            image = mitsuba.render(scene, sensor=camera, **options)
+            if plugin is not None:
+                options["integrator"] = mitsuba.load_dict(plugin)
+            image = mitsuba.render(loaded, sensor=camera, **options)
             if target is not None:
                 camera.film().write(str(target))
             return np.array(image, dtype=np.float64)
@@ -208,10 +249,54 @@ def render_file(
             if isinstance(error.__cause__, McspectraError):  # raised by our sampler
                 raise error.__cause__ from None
             reason = mitsuba_reason(error)
-            raise FileFormatError(f"Mitsuba cannot render {str(file)!r}: {reason}.") from None
+            raise FileFormatError(f"Mitsuba cannot render {named!r}: {reason}.") from None
         finally:
+            mitsuba.set_file_resolver(resolver)
             if before is not None:
                 mitsuba.set_variant(before)
+
+
+def _replace_samplers(mitsuba: Any, state: Any, spec: str, spp: int | None) -> None:
+    """Make the sampler of every camera of a parsed scene ours, of `spp` samples or as many as it had."""
+    kinds, reference = mitsuba.ObjectType, mitsuba.Properties.ResolvedReference
+    nodes = state.nodes
+    samplers = {k for k in range(len(nodes)) if nodes[k].type == kinds.Sampler}
+    for k in samplers:
+        properties = nodes[k].props
+        for name in list(properties.keys()):
+            if name != "sample_count":
+                properties.remove_property(name)
+        properties.set_plugin_name(PLUGIN)
+        properties["spec"] = spec
+        if spp is not None:
+            properties["sample_count"] = spp
+    for k in range(len(nodes)):
+        if nodes[k].type != kinds.Sensor:
+            continue
+        values = (nodes[k].props[name] for name in nodes[k].props.keys())  # noqa: SIM118
+        if any(isinstance(each, reference) and each.index() in samplers for each in values):
+            continue
+        own = mitsuba.parser.SceneNode()
+        own.type, own.props = kinds.Sampler, mitsuba.Properties(PLUGIN)
+        own.props["spec"] = spec
+        nodes.append(own)
+        nodes[k].props["sampler"] = reference(len(nodes) - 1)
+
+
+def integrator_plugin(spec: str) -> dict[str, Any]:
+    """Return the dictionary of an integrator for `mitsuba.load_dict`: its name and properties.
+
+    Raises
+    ------
+    ParameterError
+        The spec cannot be read.
+    """
+    # Names of Mitsuba's plugins may have underscores, which those of specs have not
+    plugin, bracket, rest = spec.strip().partition("(")
+    try:
+        return {"type": plugin, **parse(f"integrator{bracket}{rest}").arguments}
+    except SpecError as error:
+        raise ParameterError(f"The integrator {spec!r} cannot be read: {error}") from None
 
 
 def named_pixels(scene: Scene) -> dict[str, tuple[int, int]]:
@@ -299,7 +384,7 @@ def find_emitter(scene: Scene, light: int | str) -> Any:
     try:
         return emitters[as_integer("light", light, least=0, most=len(emitters) - 1)]
     except ParameterError as error:
-        raise ParameterError(f"{error} The lights are {', '.join(names)}.") from None
+        raise ParameterError(error, f" The lights are {', '.join(names)}.") from None
 
 
 def emitter_name(emitter: Any, scene: Any = None) -> str:

@@ -14,7 +14,7 @@ from typing import Any, final
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.spec import parse
 from mcspectra.densities import Density, EnvironmentDensity, as_density
 from mcspectra.rendering.backend import LOCK, load_mitsuba
@@ -71,8 +71,9 @@ def environment_of(scene: Scene, light: int | str | None = None) -> Any:
     alone = len(loaded.emitters()) == 1
     if not (alone if light is None else find_emitter(scene, light).is_environment()):
         raise ParameterError(
-            f"Directions are sampled towards the environment of {scene_name(scene)} only; give "
-            f"light={emitter_name(found)!r}, so that no other light counts."
+            f"Directions are sampled towards the environment of {scene_name(scene)} only; give ",
+            Parameter("light", emitter_name(found)),
+            ", so that no other light counts.",
         )
     return found
 

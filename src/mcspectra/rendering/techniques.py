@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.rendering.backend import LARGEST_SAMPLE, load_mitsuba
 from mcspectra.rendering.scenes import Scene, emitter_name, film_size, load_scene, scene_name
 
@@ -209,7 +209,9 @@ def check_single_lobe(hit: Hit, dims: int) -> None:
     if chooses_lobe(hit, u):
         raise ParameterError(
             f"The BSDF of the shape {hit.shape!r} ({hit.bsdf.class_name()}) selects a lobe by "
-            f"an extra random number; give dims={dims + 1}, the last coordinate is that number."
+            "an extra random number; give ",
+            Parameter("dims", dims + 1),
+            ", the last coordinate is that number.",
         )
 
 

@@ -156,7 +156,7 @@ def _predictions(data: xr.Dataset) -> Iterator[str]:
                     if math.isfinite(slope)
                 ]
                 yield (
-                    f"{name}: variance {number(value)} at n = {int(one['n'])} ({method_of(one)})"
+                    f"{name}: variance {number(value)} at n = {int(one['n'])} by {method_of(one)}"
                     + (f", rate {' and '.join(rates)}" if rates else "")
                     + "."
                 )

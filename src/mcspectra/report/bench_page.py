@@ -1,19 +1,19 @@
-"""The pages of a bench: one table of all samplers, overlays, projections; HTML, PDF, LaTeX, PGF, CSV."""
+"""The pages of a bench: tables of all samplers, overlays, projections, cards; HTML, PDF, LaTeX, PGF, CSV."""
 
 from __future__ import annotations
 
-import itertools
 import math
+import os
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 
-from mcspectra.core.errors import writing
+from mcspectra.core.errors import FileFormatError, writing
 from mcspectra.plots import backend_matplotlib
 from mcspectra.plots.description import Plot
 from mcspectra.plots.groups import Group
@@ -25,33 +25,67 @@ from mcspectra.plots.text import MISSING, number, rate
 from mcspectra.plots.variance import task_curves
 from mcspectra.report import page as html
 from mcspectra.report.result_files import check_result_file, csv_text, latex_table, result_table
-from mcspectra.report.sampler_gallery import QUALITY_HEADS
+from mcspectra.report.sampler_cards import QUALITY_HEADS, Card, card_sections
 from mcspectra.variance.bench import BENCH_QUALITY
 from mcspectra.version import __version__
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawn
 
-__all__ = ["BENCH_FILES", "bench_plots", "bench_table", "write_bench"]
+__all__ = [
+    "BENCH_FILES",
+    "bench_plots",
+    "bench_table",
+    "check_bench_file",
+    "is_folder",
+    "write_bench",
+]
 
 BENCH_FILES = (".html", ".pdf", ".csv", ".tex", ".pgf")
-"""Extensions that `write_bench` knows."""
+"""Extensions that `write_bench` knows; any other name is a folder."""
 
 _HEADS = QUALITY_HEADS | {"generalized_l2_discrepancy": "Generalised L2 discrepancy"}
 _ROWS = 44  # on a sheet
+_ABREAST = 6  # samplers that have columns in a table of integrands
+_IN_OVERLAY = 10  # samplers whose lines are told apart
 _MOST_AXES = 10
 _CURVES = ["points_made", "variance", "variance_ci", "rate", "rate_ci", "rank", "rank_ci"]
 
 
-def write_bench(bench: xr.Dataset, file: str) -> Path:
+def is_folder(file: str) -> bool:
+    """Whether a name is that of a folder for the page of a bench: it ends in /, or has no extension."""
+    return file.endswith("/") or Path(file).is_dir() or not Path(file).suffix
+
+
+def check_bench_file(file: str) -> None:
+    """Refuse a name that `write_bench` cannot write to, before anything is measured.
+
+    Raises
+    ------
+    ParameterError, FileFormatError
+        It ends in something else, or cannot be written.
+    """
+    if not is_folder(file):
+        check_result_file(file, BENCH_FILES)
+        return
+    known = next(each for each in (Path(file), *Path(file).absolute().parents) if each.exists())
+    if not known.is_dir() or not os.access(known, os.W_OK):
+        raise FileFormatError(
+            f"{file!r} cannot be written; give a folder inside one that can be written."
+        )
+
+
+def write_bench(bench: xr.Dataset, file: str, cards: Sequence[Card] = ()) -> Path:
     """Write a bench in the format of the file's extension.
 
     Parameters
     ----------
     bench
         What `mcspectra.sampler_bench` returned.
+    cards
+        Of its samplers, in their order: a section of the page for each.
     file
-        ``.html``: one page that stands alone; ``.pdf``: the table and all pictures, a sheet each, with
+        A folder: ``index.html`` and ``bench.csv`` in it. ``.html``: one page that stands alone; ``.pdf``: the table and all pictures, a sheet each, with
         fonts of Type 42; ``.csv``: variances, rates and ranks, a row for each sampler, integrand and
         n; ``.tex``: the table as a tabular; ``.pgf``: the convergence for LaTeX.
 
@@ -62,7 +96,13 @@ def write_bench(bench: xr.Dataset, file: str) -> Path:
     FileFormatError, StoreError, StorageError
         It cannot be written.
     """
-    check_result_file(file, BENCH_FILES)
+    check_bench_file(file)
+    if is_folder(file):
+        folder = Path(file)
+        with writing(file):
+            folder.mkdir(parents=True, exist_ok=True)
+        write_bench(bench, str(folder / "bench.csv"))
+        return write_bench(bench, str(folder / "index.html"), cards)
     path = Path(file)
     with writing(file):
         match path.suffix:
@@ -77,16 +117,16 @@ def write_bench(bench: xr.Dataset, file: str) -> Path:
             case ".pdf":
                 backend_matplotlib.write_pages([*_sheets(bench), *bench_plots(bench)], file)
             case _:
-                html.write_page(_page(bench), path)
+                html.write_page(_page(bench, cards), path)
     return path
 
 
 def bench_table(bench: xr.Dataset) -> tuple[list[str], list[list[str]]]:
-    """Return the columns and rows of the summary, a row for each integrand.
+    """Return the columns and rows of the summary: rates, in brackets the intervals of the ranks.
 
-    For each sampler its rate, and in brackets the interval of its rank.
+    There is a row for each integrand or, of more than six samplers, for each sampler.
     """
-    rows = []
+    rows = list[list[str]]()
     for title in bench["integrand"].values:
         of_task, cells = bench.sel(integrand=title), [str(title)]
         for k in range(bench.sizes["sampler"]):
@@ -96,18 +136,26 @@ def bench_table(bench: xr.Dataset) -> tuple[list[str], list[list[str]]]:
             shown = rate(float(slope), *map(float, of_task["rate_ci"].values[k]))
             cells.append(f"{shown} ({place})" if math.isfinite(low) else MISSING)
         rows.append(cells)
-    return ["Integrand", *_labels(bench)], rows
+    columns = ["Integrand", *_labels(bench)]
+    if bench.sizes["sampler"] <= _ABREAST:
+        return columns, rows
+    first, *others = map(list, zip(columns, *rows, strict=True))
+    return ["Sampler", *first[1:]], others
 
 
-def _sampler_table(bench: xr.Dataset) -> tuple[list[str], list[list[str]]]:
-    """What is known of each sampler alone: figures of quality at the largest n, and speed."""
+def _sampler_table(bench: xr.Dataset) -> tuple[list[str], list[list[tuple[str, float]]]]:
+    """What is known of each sampler alone: n, figures of quality at the largest n, and speed.
+
+    A row holds texts, each with the number that it is sorted by; the first column is that of the names.
+    """
     names = [name for name in BENCH_QUALITY if name in bench]
     last, rows = bench.isel(n=-1), []
-    for k, label in enumerate(_labels(bench)):
-        cells = [number(float(last[name][k])) for name in names]
+    for k in range(bench.sizes["sampler"]):
+        values = [float(last[name][k]) for name in names]
         speed = float(last["points_per_second"][k]) if "points_per_second" in bench else math.nan
         n = float(bench["pictured_n"][k]) if "pictured_n" in bench else math.nan
-        rows.append([label, f"{n:.0f}" if n > 0 else MISSING, *cells, number(speed, 2)])
+        count = (f"{n:.0f}" if n > 0 else MISSING, n)
+        rows.append([count, *((number(v), v) for v in values), (number(speed, 2), speed)])
     return ["Sampler", "n", *(_HEADS[name] for name in names), "Points/s"], rows
 
 
@@ -116,9 +164,18 @@ def _labels(bench: xr.Dataset) -> list[str]:
 
 
 def bench_plots(bench: xr.Dataset) -> Iterator[tuple[str, Plot]]:
-    """Yield the pictures by the titles of their sections."""
-    ones = {name: bench.isel(sampler=k) for k, name in enumerate(_labels(bench))}
-    styles = sampler_styles(list(ones))
+    """Yield the pictures by the titles of their sections, of ten samplers at a time."""
+    whole = {name: bench.isel(sampler=k) for k, name in enumerate(_labels(bench))}
+    styles, names = sampler_styles(list(whole)), list(whole)
+    for start in range(0, len(names), _IN_OVERLAY):
+        ones = {name: whole[name] for name in names[start : start + _IN_OVERLAY]}
+        yield from _plots_of(bench, ones, styles)
+
+
+def _plots_of(
+    bench: xr.Dataset, ones: dict[str, xr.Dataset], styles: Any
+) -> Iterator[tuple[str, Plot]]:
+    """Yield the pictures of a few samplers of a bench."""
 
     # Convergence, a sheet for each number of dims; each sampler at its own counts
     for d in dict.fromkeys(bench["integrand_dims"].values.tolist()):
@@ -162,7 +219,7 @@ def bench_plots(bench: xr.Dataset) -> Iterator[tuple[str, Plot]]:
             [],
         )
         for name, panel in zip(known, plot.panels, strict=True):
-            values = bench[name].values
+            values = np.array([each[name].values for each in ones.values()])
             low, high = np.nanmin(values), np.nanmax(values)
             y = log_axis("", low, high, 5) if low > 0 else replace(panel.y, label="")
             x = count_axis("number of points n", bench["n"].values.tolist(), 4)
@@ -201,16 +258,44 @@ def _said(bench: xr.Dataset) -> list[str]:
     return [how, f"Note: {note}."] if note else [how]
 
 
-def _page(bench: xr.Dataset) -> html.Page:
+def _page(bench: xr.Dataset, cards: Sequence[Card]) -> html.Page:
+    names = _labels(bench)
+    anchors = html.anchors(names, "s-")
+    linked = [
+        html.Cell(text=name, numeric=False, link=f"#{anchor}" if cards else "")
+        for name, anchor in zip(names, anchors, strict=True)
+    ]
+
+    def cells(rows: Iterable[Iterable[tuple[str, float]]]) -> list[list[str | html.Cell]]:
+        """Rows of samplers, which can be sorted by their numbers."""
+        return [
+            [name, *(html.number_cell(text, value) for text, value in row)]
+            for name, row in zip(linked, rows, strict=True)
+        ]
+
+    heads, own = _sampler_table(bench)
+    columns, shown = bench_table(bench)
+    rates: Sequence[Sequence[str | html.Cell]] = shown
+    if by_sampler := columns[0] == "Sampler":
+        values = bench["rate"].transpose("sampler", "integrand").values.tolist()
+        rates = cells(
+            zip(row[1:], each, strict=True) for row, each in zip(shown, values, strict=True)
+        )
     tables = (
-        html.table_of("Samplers by themselves, at the largest n", *_sampler_table(bench)),
-        html.table_of("Rates on each integrand, in brackets the rank", *bench_table(bench)),
+        html.table_of("Samplers by themselves, at the largest n", heads, cells(own), sortable=True),
+        html.table_of(
+            "Rates on each integrand, in brackets the rank", columns, rates, sortable=by_sampler
+        ),
     )
     sections = [html.Section(title="Summary", anchor="summary", blocks=tables)]
-    plots = itertools.groupby(bench_plots(bench), key=lambda each: each[0].partition(":")[0])
-    for k, (title, found) in enumerate(plots):
-        blocks = html.figures_of((plot for _, plot in found), live=title != "Projections")
+    plots: dict[str, list[Plot]] = {}
+    for title, plot in bench_plots(bench):
+        plots.setdefault(title.partition(":")[0], []).append(plot)
+    for k, (title, found) in enumerate(plots.items()):
+        blocks = html.figures_of(found, live=title != "Projections")
         sections.append(html.Section(title=title, anchor=f"part-{k}", blocks=blocks))
+    if cards:
+        sections += card_sections(cards, anchors)
     lead = tuple(html.Text(text=sentence) for sentence in _said(bench))
     return html.Page(title="Sampler bench", what="bench", lead=lead, sections=tuple(sections))
 
@@ -221,7 +306,11 @@ def _sheets(bench: xr.Dataset) -> Iterator[Drawn]:
 
     lines: list[tuple[str, bool]] = [("Sampler bench", True), ("", False)]
     lines += [(line, False) for text in _said(bench) for line in textwrap.wrap(text, 108)]
-    for heads, rows in (_sampler_table(bench), bench_table(bench)):
+    alone, own = _sampler_table(bench)
+    texts = [
+        [name, *(text for text, _ in row)] for name, row in zip(_labels(bench), own, strict=True)
+    ]
+    for heads, rows in ((alone, texts), bench_table(bench)):
         # Long heads take several lines
         broken = [textwrap.wrap(head, 26 if k == 0 else 14) or [""] for k, head in enumerate(heads)]
         tall = max(map(len, broken))

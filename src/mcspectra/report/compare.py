@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from markupsafe import Markup
 
 from mcspectra.core.checks import as_path
 from mcspectra.core.errors import ParameterError
@@ -82,7 +81,10 @@ def write_comparison(first: str | Path, second: str | Path, out: str | Path | No
         There are no results in a folder, or the page cannot be written.
     ParameterError
         Both folders are the same, or one of the three is no path.
+    MissingDependency
+        The extra ``report`` is not installed.
     """
+    html.check_page_packages()
     folders = [as_path("first", first), as_path("second", second)]
     file = folders[1] / COMPARISON_NAME if out is None else as_path("out", out)
     if folders[0].resolve() == folders[1].resolve():
@@ -106,7 +108,7 @@ def write_comparison(first: str | Path, second: str | Path, out: str | Path | No
             html.Facts(rows=provenance(tree, folder)),
         ]
     titles = [str((tree.attrs.get("study") or {}).get("title", "Results")) for tree in trees]
-    named = Markup("{} (<code>{}</code>)")
+    named = html.Markup("{} (<code>{}</code>)")
     facts = zip("AB", map(named.format, titles, folders), strict=True)
     page = html.Page(
         title="Comparison",

@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.core.checks import Array
+from mcspectra.core.images import load_openexr
 from mcspectra.core.results import strict_json
 from mcspectra.plots import kinds
 from mcspectra.plots.text import interval, number, percent, rate
@@ -20,7 +21,14 @@ from mcspectra.report import page as html
 from mcspectra.report.map_page import map_layers
 from mcspectra.variance.fit import is_resolved
 
-__all__ = ["frame_findings", "frame_layers", "frame_summary", "frame_table", "write_frames"]
+__all__ = [
+    "check_frames_packages",
+    "frame_findings",
+    "frame_layers",
+    "frame_summary",
+    "frame_table",
+    "write_frames",
+]
 
 _COLUMNS = ("Samples a pixel", "Frames", "Variance", "95 %", "σ / mean", "FLIP")
 _LOW = 0.125  # cycles a pixel
@@ -221,6 +229,18 @@ def frame_layers(result: xr.Dataset) -> dict[str, Array]:
     return {"": image if image.shape[2] == 3 else image[..., 0], **map_layers(maps)}
 
 
+def check_frames_packages() -> None:
+    """Refuse `write_frames` before frames are read.
+
+    Raises
+    ------
+    MissingDependency
+        The extra ``report`` is not installed, or OpenEXR is not.
+    """
+    html.check_page_packages("frames,report")
+    load_openexr()
+
+
 def write_frames(result: xr.Dataset, folder: str | Path) -> Path:
     """Write ``frames.exr``, pictures, ``frames.json`` and ``report.html``; older ones are replaced.
 
@@ -242,7 +262,10 @@ def write_frames(result: xr.Dataset, folder: str | Path) -> Path:
         The folder cannot be written.
     FileFormatError
         The layers cannot be written.
+    MissingDependency
+        The extra ``report`` is not installed, or OpenEXR is not.
     """
+    check_frames_packages()
     root = Path(folder)
     found, said = frame_summary(result), frame_findings(result)
     html.write_json(root / "frames.json", {**found, "findings": said})

@@ -95,7 +95,10 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
         The folder cannot be written.
     FileFormatError
         The layers cannot be written.
+    MissingDependency
+        The extra ``report`` is not installed.
     """
+    html.check_page_packages()
     root = Path(folder)
     summary = map_summary(result)
     html.write_json(root / "map.json", summary)

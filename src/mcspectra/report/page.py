@@ -3,28 +3,28 @@
 Every report is a `Page`, which is plain data; `write_page` draws its figures and makes the HTML.
 Styles, scripts and pictures are inside, nothing is loaded. A figure is a picture and, where it is
 `live`, an interactive plot that takes the picture's place once scripts run; on paper the picture
-stands. All text is escaped, except `markupsafe.Markup` that our own code makes. The same page gives
-the same bytes.
+stands. All text is escaped, except `Markup` that our own code makes. The same page gives the same
+bytes. Templates and interactive plots need the extra ``report``, all other modules of this package do
+not: `check_page_packages`.
 """
 
 from __future__ import annotations
 
 import base64
+import html
 import json
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, final
+from typing import Any, Literal, TypeAlias, final
 
 from mcspectra.core.errors import StoreError, writing
+from mcspectra.core.registry import optional_package
 from mcspectra.core.results import strict_json
 from mcspectra.plots.description import Plot
 from mcspectra.plots.text import MISSING, slug
-
-if TYPE_CHECKING:
-    from markupsafe import Markup
 
 __all__ = [
     "Block",
@@ -33,12 +33,14 @@ __all__ = [
     "Figure",
     "Figures",
     "Folded",
+    "Markup",
     "Page",
     "Section",
     "Sentences",
     "Table",
     "Text",
     "anchors",
+    "check_page_packages",
     "columns_of",
     "figures_of",
     "number_cell",
@@ -49,6 +51,21 @@ __all__ = [
     "write_json",
     "write_page",
 ]
+
+
+@final
+class Markup(str):
+    """HTML that our own code makes, which the template inserts as it is."""
+
+    __slots__ = ()
+
+    def __html__(self) -> str:
+        return str(self)
+
+    def format(self, *values: object) -> Markup:  # type: ignore[override]
+        """Insert values, escaped unless they are HTML themselves."""
+        texts = (v if isinstance(v, Markup) else html.escape(str(v)) for v in values)
+        return Markup(str(self).format(*texts))
 
 
 @final
@@ -286,6 +303,23 @@ def versions_of(attributes: Mapping[Any, Any]) -> str:
     return ", ".join(f"{key.removeprefix(head)} {found[key]}" for key in sorted(found))
 
 
+def check_page_packages(extras: str = "report") -> None:
+    """Refuse a page before anything is computed for it.
+
+    Parameters
+    ----------
+    extras
+        Extras that the error names: those of the page, and others that its caller needs.
+
+    Raises
+    ------
+    MissingDependency
+        The extra ``report`` is not installed.
+    """
+    for name in ("bokeh", "jinja2"):
+        optional_package(name, extras, "An HTML page needs")
+
+
 def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:
     """Draw the figures of a page and write it.
 
@@ -304,7 +338,10 @@ def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:
         It is no place for a file: the folder is not there, or not open to the user.
     StorageError
         The disk is full, or fails.
+    MissingDependency
+        The extra ``report`` is not installed.
     """
+    check_page_packages()
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     page = replace(page, sections=tuple(section for section in page.sections if section.blocks))

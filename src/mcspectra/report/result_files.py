@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from mcspectra.core.errors import ParameterError, writing
+from mcspectra.core.decoding import path_to_write
+from mcspectra.core.errors import Parameter, ParameterError, writing
 from mcspectra.core.spec import short_spec
 from mcspectra.plots import backend_matplotlib
 from mcspectra.plots.kinds import describe, kinds_of
@@ -48,11 +49,24 @@ _TEX = str.maketrans({
 })  # fmt: skip
 
 
-def check_result_file(file: str | None, known: tuple[str, ...] = RESULT_FILES) -> None:
-    """Refuse a file of another extension than those known, before anything is computed."""
-    if file is not None and Path(file).suffix not in known:
+def check_result_file(file: str, known: tuple[str, ...] = RESULT_FILES) -> None:
+    """Refuse a file that has another extension than those known or cannot be written.
+
+    This is before anything is computed.
+
+    Raises
+    ------
+    ParameterError
+        Its extension is not one of those known.
+    MissingDependency
+        It is a page, and the extra ``report`` is not installed.
+    """
+    if Path(file).suffix not in known:
         allowed = f"{', '.join(known[:-1])} or {known[-1]}"
-        raise ParameterError(f"--out is {file!r}; it must end in {allowed}.")
+        raise ParameterError(Parameter("out"), f" is {file!r}; it must end in {allowed}.")
+    path_to_write(file, "a file", known)
+    if Path(file).suffix == ".html":
+        html.check_page_packages()
 
 
 def write_result_file(result: xr.Dataset, file: str, title: str) -> None:
@@ -95,7 +109,8 @@ def write_result_file(result: xr.Dataset, file: str, title: str) -> None:
                 kinds = kinds_of(result)
                 if not kinds:
                     raise ParameterError(
-                        f"--out is {file!r}; no picture shows this result, give a .npz file."
+                        Parameter("out"),
+                        f" is {file!r}; no picture shows this result, give a .npz file.",
                     )
                 backend_matplotlib.write(describe(kinds[0], result), file)
 

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, final
 
 import xarray as xr
-from markupsafe import Markup
 
 from mcspectra.core.checks import as_path
 from mcspectra.core.errors import StoreError
@@ -18,6 +17,7 @@ from mcspectra.plots import kinds
 from mcspectra.plots.style import LineStyle, sampler_styles
 from mcspectra.plots.text import percent
 from mcspectra.report import page as html
+from mcspectra.report.page import Markup
 from mcspectra.report.sentences import answer, basis_name, explain, further_sentences
 from mcspectra.report.tables import analysis_table, summary_of, summary_table, terms_table
 from mcspectra.studies import SummaryRow, open_results, study_status
@@ -138,7 +138,10 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
         `folder` or `out` is no path.
     StoreError
         There are no results in `folder`, or it cannot be written.
+    MissingDependency
+        The extra ``report`` is not installed.
     """
+    html.check_page_packages()
     root = as_path("folder", folder)
     file = root / REPORT_NAME if out is None else as_path("out", out)
     check_links(root)

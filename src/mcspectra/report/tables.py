@@ -238,11 +238,11 @@ def _predict(sampler: str, data: xr.Dataset) -> Rows:
         rates = [number(float(each[name])) for name in ("predicted_rate", "limit_rate", "bend_n")]
         for k, n in enumerate(each["n"].values):
             one = each.isel(n=k)
-            value, low, high = (
+            value, (low, high) = (
                 float(one["predicted_variance"]),
-                *_ends(one["predicted_variance_ci"]),
+                _ends(one["predicted_variance_ci"]),
             )
-            certain = low is not None and high is not None and high - low <= _CERTAIN * value
+            certain = high - low <= _CERTAIN * value
             why = str(one["how"].item()) if math.isnan(value) else ""
             yield (
                 sampler,

@@ -41,8 +41,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     # Simulate at integers of the plane, and with importance sampling
     modes = np.array([[i, j] for i in range(9) for j in range(-8, 9) if (i, j) > (0, 0)], float)
     few = realizations // 4
-    plane = mcs.power_at(mcs.sampler("jittered", 2), 64, modes, realizations=few, rng=seed)
-    weighted = mcs.power_at(
+    plane = mcs.spectra.power_at(mcs.sampler("jittered", 2), 64, modes, realizations=few, rng=seed)
+    weighted = mcs.spectra.power_at(
         mcs.sampler("random", 1),
         N,
         [[5.0]],
@@ -131,4 +131,6 @@ def printed(name: str, m: Array) -> Array:
 
 def simulate(name: str, nu: Array, realizations: int, seed: int) -> xr.Dataset:
     """Power at the frequencies, of points in one dim."""
-    return mcs.power_at(mcs.sampler(name, 1), N, nu[:, None], realizations=realizations, rng=seed)
+    return mcs.spectra.power_at(
+        mcs.sampler(name, 1), N, nu[:, None], realizations=realizations, rng=seed
+    )

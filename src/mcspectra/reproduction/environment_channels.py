@@ -103,7 +103,7 @@ def ways() -> dict[str, Any]:
     own = [constant(values=PIXELS[:, c]) for c in range(3)]
     parts = np.diff(np.sin(np.pi * (np.arange(9) / 8 - 0.5)) / np.pi)
     f = mcs.Integrand.from_function(radiance, dims=1, integral=PIXELS.T @ parts)
-    return mcs.channel_estimators(f, own, constant(values=PIXELS @ LUMINANCE))
+    return mcs.estimators.channel_estimators(f, own, constant(values=PIXELS @ LUMINANCE))
 
 
 def radiance(x: Array) -> Array:

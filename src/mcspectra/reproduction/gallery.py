@@ -16,8 +16,6 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast, final
 
-from markupsafe import Markup
-
 from mcspectra.core.checks import as_integer
 from mcspectra.core.errors import (
     McspectraError,
@@ -28,6 +26,7 @@ from mcspectra.core.errors import (
     writing,
 )
 from mcspectra.core.progress import report
+from mcspectra.core.registry import optional_package
 from mcspectra.plots.description import Plot
 from mcspectra.plots.text import number, slug
 from mcspectra.report import page as html
@@ -223,7 +222,11 @@ def reproduce(
         The folder has no name, or the seed is out of range.
     StoreError
         The folder cannot be written.
+    MissingDependency
+        The extra ``report`` is not installed.
     """
+    html.check_page_packages()
+    optional_package("latex2mathml", "report", "The formulas of the slides need")
     chosen = exhibit_names(names)
     seed = as_integer("seed", seed, least=0)
     if not str(folder).strip():
@@ -336,7 +339,7 @@ def _section(entry: Entry) -> html.Section:
         if slide.formula:
             from latex2mathml.converter import convert
 
-            formula = Markup(convert(" ".join(slide.formula.split()), display="block"))
+            formula = html.Markup(convert(" ".join(slide.formula.split()), display="block"))
             blocks.append(html.Text(text=formula, kind="formula"))
         blocks.append(html.Text(text=entry.exhibit.caption))
         plots = {slug(plot.kind): plot for plot in entry.exhibit.plots}

@@ -181,7 +181,7 @@ def terms(
 def _exact_matrix(f: mcs.Integrand, sampler: str, density: str | None, half_width: int) -> Array:
     """conj(f_m) f_l C_ml in closed form."""
     m = np.arange(-half_width, half_width + 1)[:, None]
-    c = mcs.closed_form_covariance(sampler, N, m[:, None], m[None], density)
+    c = mcs.spectra.closed_form_covariance(sampler, N, m[:, None], m[None], density)
     coefficient = f.fourier(m)
     return np.asarray(coefficient.conj()[:, None] * coefficient[None] * c)
 

@@ -111,7 +111,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 "Before the shift, coefficients of jittered points one stratum's frequency apart are correlated: "
                 f"N·Cov(S_m, S_l) at {_PAIR} is its closed form.",
                 Measured.normal(before.covariance[0].real, se) / (1 / N),
-                expected=N * float(mcs.closed_form_covariance("jittered", N, *PAIRS[0]).real),
+                expected=N
+                * float(mcs.spectra.closed_form_covariance("jittered", N, *PAIRS[0]).real),
                 digits=4,
             ),
             *(

@@ -53,7 +53,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         Claim(
             f"The component at m = 0 of {name} importance samples varies: N Var(S₀) is that of the closed form.",
             Measured.mean(N * (sums(name, many, seed, weighted=True)[:, 0].real - 1.0) ** 2),
-            expected=N * float(mcs.closed_form_covariance(name, N, zero, zero, DENSITY).real[0]),
+            expected=N
+            * float(mcs.spectra.closed_form_covariance(name, N, zero, zero, DENSITY).real[0]),
             digits=4,
         )
         for name in ("random", "jittered")
@@ -150,7 +151,7 @@ def sums(name: str, realizations: int, seed: int, *, weighted: bool) -> Array:
 def _rate(m: int) -> Claim:
     """In 1-D: strata of the length 1/N, in which the weighted wave changes by as much."""
     low, high = (
-        float(mcs.closed_form_covariance("jittered", n, [[m]], [[m]], DENSITY).real[0])
+        float(mcs.spectra.closed_form_covariance("jittered", n, [[m]], [[m]], DENSITY).real[0])
         for n in (512, 1024)
     )
     return Claim(

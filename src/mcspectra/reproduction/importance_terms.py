@@ -205,7 +205,7 @@ def exact_bar(half_width: int) -> float:
     """The third term of the bar up to a half width, by the closed form of C_ml; 1/(6N²) in all."""
     m = np.arange(-half_width, half_width + 1)[:, None]
     f = BAR.integrand.fourier(m)
-    c = mcs.closed_form_covariance("jittered", N, m[:, None], m[None])
+    c = mcs.spectra.closed_form_covariance("jittered", N, m[:, None], m[None])
     matrix = f.conj()[:, None] * f * c
     return float((matrix.sum() - np.trace(matrix)).real)
 

@@ -53,7 +53,9 @@ RATES = {
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Draw integrand and samples, and measure the six curves of convergence."""
     options: dict[str, Any] = {"realizations": 250 if quick else 2500, "rng": seed}
-    study = mcs.mirror_study(INTEGRAND, "jittered", _COUNTS, mirrorings=list(_TITLES), **options)
+    study = mcs.variance.mirror_study(
+        INTEGRAND, "jittered", _COUNTS, mirrorings=list(_TITLES), **options
+    )
     cells = {(m, h): study.sel(mirroring=m, homogenized=h) for m, h in RATES}
     exact = {
         (m, h): np.array([exact_mirrored(m, n, homogenized=h) for n in _COUNTS]) for m, h in RATES

@@ -111,7 +111,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def _toy() -> Any:
-    return mcs.TechniqueSum(["linear", f"step(at={_AT})"], dims=1)
+    return mcs.estimators.TechniqueSum(["linear", f"step(at={_AT})"], dims=1)
 
 
 def toy_curves(realizations: int, seed: int) -> dict[str, xr.Dataset]:

@@ -43,7 +43,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     for k, (name, data) in enumerate(pairs.items()):
         r, g = data["r"].values, data["pair_correlation"].values
         half = CONFIDENCE_Z * data["pair_correlation_se"].values
-        line = g if name == "poisson-disk" else mcs.closed_form_pair_correlation(name, N, r)
+        line = g if name == "poisson-disk" else mcs.spectra.closed_form_pair_correlation(name, N, r)
         marks.append(Line(x=r, y=line, color=PALETTE[k], width=1.2, label=name))
         marks.append(whiskers(r, g, np.stack([g - half, g + half], axis=-1), k, name, 3.0))
     x = Axis(label="distance r (sides of the domain)", low=0.0, high=0.4)
@@ -119,7 +119,9 @@ def _as_closed(name: str, data: xr.Dataset) -> Claim:
     # A bin counts pairs in proportion to r: Simpson's rule with that weight
     nodes = [(-0.5, 1), (0.0, 4), (0.5, 1)]
     weights = [w * (r + t * width) for t, w in nodes]
-    values = [mcs.closed_form_pair_correlation(name, N, np.abs(r + t * width)) for t, _ in nodes]
+    values = [
+        mcs.spectra.closed_form_pair_correlation(name, N, np.abs(r + t * width)) for t, _ in nodes
+    ]
     expected = sum(w * v for w, v in zip(weights, values, strict=True)) / sum(weights)
     return largest_distance(
         f"Counted pairs of {N} {name} points in the plane have the closed form of g(r), {r.size} distances",
@@ -134,7 +136,7 @@ def _transformed(name: str) -> Claim:
     # g is linear up to 1/n and constant beyond: Gauss-Legendre nodes in pieces of 1/n
     nodes, weights = np.polynomial.legendre.leggauss(16)
     h = ((np.arange(n // 2)[:, None] + (nodes + 1) / 2) / n).ravel()
-    g = mcs.closed_form_pair_correlation(mcs.sampler(name, 1), n, h)
+    g = mcs.spectra.closed_form_pair_correlation(mcs.sampler(name, 1), n, h)
     g = g * np.tile(weights, n // 2) / (2 * n)
     found = 1 + (n - 1) * 2 * (g * np.cos(2 * np.pi * m[:, None] * h)).sum(axis=1)
     return Claim(

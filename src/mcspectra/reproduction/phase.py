@@ -205,7 +205,7 @@ def exact_curve(offset: float) -> Array:
 def _matrix(sampler: str, half_width: int = HALF_WIDTH) -> tuple[Array, Array]:
     """Frequencies (M, 1) and C_ml in closed form."""
     m = np.arange(-half_width, half_width + 1)[:, None]
-    return m, mcs.closed_form_covariance(sampler, N, m[:, None], m[None])
+    return m, mcs.spectra.closed_form_covariance(sampler, N, m[:, None], m[None])
 
 
 def _third(f: Array, c: Array) -> float:

@@ -116,7 +116,9 @@ def _ring_level(name: str, spectrum: xr.Dataset, ring: int, expected: float) -> 
 def _exponent(name: str, spectrum: xr.Dataset, expected: float) -> Claim:
     return Claim(
         f"The power of {name} points starts as |ν|^{expected:.0f}.",
-        Measured.of(mcs.low_frequency_exponent(spectrum, up_to=3.0), "low_frequency_exponent"),
+        Measured.of(
+            mcs.spectra.low_frequency_exponent(spectrum, up_to=3.0), "low_frequency_exponent"
+        ),
         expected=expected,
         # d log(1 − sinc²(πν/s)) / d log ν = 2 − 4/15 (πν/s)² …, s = 16, ν ≤ 3
         tolerance=0.1 if expected else 0.0,

@@ -42,7 +42,9 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     )
     levels = " and ".join(f"{number(real_limit(name))} for {name}" for name in NAMES)
     pairs = [(name, sampler) for name in NAMES for sampler in SAMPLERS]
-    found = mcs.power_at("jittered", 64, [[0.5]], realizations=200 if quick else 2000, rng=seed)
+    found = mcs.spectra.power_at(
+        "jittered", 64, [[0.5]], realizations=200 if quick else 2000, rng=seed
+    )
 
     # Draw sums over real and integer frequencies, and the variance
     panels = []

@@ -196,7 +196,7 @@ class Sampler(Component, ABC):
         try:
             count = as_integer("n", n, least=1, most=MAX_COUNT)
         except ParameterError as error:
-            raise CountError(str(error)) from None
+            raise CountError(error) from None
         if count > self.max_count:
             raise CountError(
                 f"{self.spec} makes at most {self.max_count} points, not {count}; ask for fewer, or "

@@ -85,7 +85,7 @@ class GivenPoints(Sampler):
     Attributes
     ----------
     path
-        File, files or folder (.dat, .bin, .npz, .npy, .csv, .parquet) that hold the sets; ``*`` and
+        File, files or folder (.dat, .bin, .npz, .npy, .csv) that hold the sets; ``*`` and
         ``?`` stand for any characters of a file name and ``{n}`` for the number of points, which is
         then checked, as in ``sets/n{n}_*.dat``. In the order of names, their numbers by value;
         beside `points`, only their name.

@@ -40,7 +40,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal, Self, TypeAlias, final
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import NoClosedForm, ParameterError
+from mcspectra.core.errors import Function, NoClosedForm, ParameterError
 from mcspectra.core.streams import Stream
 
 if TYPE_CHECKING:
@@ -731,7 +731,9 @@ def mean_of_terms(n: int, nu: Array, terms: Callable[[Array], Array]) -> Array:
     if float(n) * max(64, nu[..., 0].size) > _MOST_TERMS:  # the points take memory, too
         raise NoClosedForm(
             f"The exact transform of {n} points at {nu[..., 0].size} frequencies would take more "
-            f"than {_MOST_TERMS:.2g} terms; use power_spectrum, or ask for fewer frequencies."
+            f"than {_MOST_TERMS:.2g} terms; use ",
+            Function("power_spectrum"),
+            ", or ask for fewer frequencies.",
         )
     rows = nu.reshape(-1, nu.shape[-1])
     block = max(1, _TERMS_AT_ONCE // n)

@@ -1,8 +1,8 @@
 """What samplers with optimised sets share: a cache, progress reports, reuse of sets; descent.
 
 `minimize` is limited-memory BFGS with bits that never vary [Nocedal1980]_. Libraries of linear algebra
-may sum in another order with another number of threads; here every sum is NumPy's own, so that a set
-depends on its random numbers only.
+may sum in another order with another number of threads or on another processor; here every sum is
+NumPy's own, so that a set depends on its random numbers only (docs/decisions/0015).
 """
 
 from __future__ import annotations

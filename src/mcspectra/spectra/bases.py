@@ -30,7 +30,7 @@ from typing import ClassVar, final
 import numpy as np
 
 from mcspectra.core.checks import Array, as_choice
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.integrands import Integrand
 from mcspectra.integrands._quadrature import axis_rules, cell_integrals, product_coefficients
 from mcspectra.samplers import Randomized, Sampler
@@ -158,8 +158,9 @@ class _Dyadic(Basis):
         if self.half_width & (self.half_width - 1):
             below = 1 << (self.half_width.bit_length() - 1)
             raise ParameterError(
-                f"half_width is {self.half_width}; the {self.name} basis needs a power of two, "
-                f"such as {below} or {2 * below}."
+                Parameter("half_width"),
+                f" is {self.half_width}; the {self.name} basis needs a power of two, "
+                f"such as {below} or {2 * below}.",
             )
 
     @property

@@ -39,7 +39,13 @@ from typing import Any, final
 import numpy as np
 
 from mcspectra.core.checks import Array, as_frequencies
-from mcspectra.core.errors import InfiniteWeightVarianceWarning, NoClosedForm, ParameterError, warn
+from mcspectra.core.errors import (
+    Function,
+    InfiniteWeightVarianceWarning,
+    NoClosedForm,
+    ParameterError,
+    warn,
+)
 from mcspectra.densities import Density, Linear, TruncatedNormal, Uniform, as_warp
 from mcspectra.integrands import Integrand
 from mcspectra.integrands._quadrature import AxisRule
@@ -410,7 +416,9 @@ def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> A
     if float(shares.size) * len(flat) > _MOST_PAIR_TERMS:
         raise NoClosedForm(
             f"The covariances of {n} scrambled points at {len(flat)} pairs of frequencies take more than "
-            f"{_MOST_PAIR_TERMS:.2g} terms; use power_spectrum, or ask for fewer."
+            f"{_MOST_PAIR_TERMS:.2g} terms; use ",
+            Function("power_spectrum"),
+            ", or ask for fewer.",
         )
     for axis in range(law.dims - 1, -1, -1):
         b, row, column = bases[axis], flat[:, axis : axis + 1], far[:, axis : axis + 1]
@@ -449,7 +457,9 @@ def _xor_pairs(points: Array, m: Array, other: Array) -> Array:
     if float(n) * len(flat) * dims * _SCRAMBLED_BITS > _MOST_PAIR_TERMS:
         raise NoClosedForm(
             f"The covariances of {n} shifted points at {len(flat)} pairs of frequencies take more than "
-            f"{_MOST_PAIR_TERMS:.2g} terms; use power_spectrum, or ask for fewer."
+            f"{_MOST_PAIR_TERMS:.2g} terms; use ",
+            Function("power_spectrum"),
+            ", or ask for fewer.",
         )
     total = np.ones((len(words), len(flat)), complex)
     for axis in range(dims):
@@ -515,8 +525,9 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
     if isinstance(law, Fixed) and law.sides is not None:
         if not shifted:
             raise NoClosedForm(
-                f"{name} is the same every time, so that nothing varies; add shift, or use "
-                "power_spectrum."
+                f"{name} is the same every time, so that nothing varies; add shift, or use ",
+                Function("power_spectrum"),
+                ".",
             )
         highest, power = _highest(m, other), np.ones(m.shape[:-1])
         for i, (p, s) in enumerate(zip(_factors(density), law.sides, strict=True)):
@@ -534,7 +545,9 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
     else:
         raise NoClosedForm(
             f"No covariances are known for {name} with the density {density.spec}; give random, "
-            "jittered, latin-hypercube, or a grid with shift, or use variance_terms."
+            "jittered, latin-hypercube, or a grid with shift, or use ",
+            Function("variance_terms"),
+            ".",
         )
     # Strata of each axis: where they are, or everywhere if a random shift follows
     highest, pairs = _highest(m, other), np.ones(m.shape[:-1])
@@ -651,7 +664,9 @@ def _factors(density: Density) -> list[Density]:
     if not factors or not monotone:
         raise NoClosedForm(
             f"Covariances of stratified points are known for densities that are products over the "
-            f"axes, of increasing warps, not for {density.spec}; use variance_terms."
+            f"axes, of increasing warps, not for {density.spec}; use ",
+            Function("variance_terms"),
+            ".",
         )
     return factors
 

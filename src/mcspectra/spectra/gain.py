@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
-from mcspectra.core.errors import NoClosedForm, ParameterError
+from mcspectra.core.errors import Function, NoClosedForm, Parameter, ParameterError
 from mcspectra.core.results import dataset
 from mcspectra.core.tally import counting
 from mcspectra.integrands import Integrand, as_integrand
@@ -193,7 +193,11 @@ def closed_form_walsh_power(sampler: Sampler | str, n: int, indices: Any) -> Arr
     if not (isinstance(law, Scrambled) and law.nested_pairs):
         raise NoClosedForm(
             f"No power in the Walsh basis is known for {source.spec}; add digital-shift or owen, or "
-            "use variance_terms with basis='walsh'."
+            "use ",
+            Function("variance_terms"),
+            " with ",
+            Parameter("basis", "walsh"),
+            ".",
         )
     level = np.frexp(given)[1]
     levels = max(1, int(level.max()))

@@ -34,7 +34,7 @@ from mcspectra.core.checks import (
     as_integer,
     as_real,
 )
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.memory import check_memory, memory_of
 from mcspectra.core.parallel import (
     MAX_REALIZATIONS,
@@ -129,7 +129,7 @@ def power_at(
     Examples
     --------
     >>> import mcspectra as mcs
-    >>> found = mcs.power_at("latin-hypercube", 64, [[1, 0], [1, 1]], realizations=200)
+    >>> found = mcs.spectra.power_at("latin-hypercube", 64, [[1, 0], [1, 1]], realizations=200)
     >>> (64 * found["power"] > 0.5).values
     array([False,  True])
     """
@@ -178,7 +178,9 @@ def listed_transform(
     dims = frequencies.shape[1]
     if engine == "nufft" and dims > 3:
         raise ParameterError(
-            f"The nufft engine works in 1 to 3 dims, not {dims}; use engine='direct'."
+            f"The nufft engine works in 1 to 3 dims, not {dims}; use ",
+            Parameter("engine", "direct"),
+            ".",
         )
     if engine == "auto":
         engine = "direct"
@@ -332,6 +334,7 @@ def _check_size(count: float, dims: int) -> None:
     if count * dims > MAX_LISTED:
         raise ParameterError(
             f"These are {count:.3g} frequencies in {dims} dims, "
-            f"{8 * count * dims / 2**30:.3g} GiB; list at most {MAX_LISTED // dims}: use a smaller "
-            "half_width or fewer axes."
+            f"{8 * count * dims / 2**30:.3g} GiB; list at most {MAX_LISTED // dims}: use a smaller ",
+            Parameter("half_width"),
+            " or fewer axes.",
         )

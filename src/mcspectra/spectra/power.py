@@ -199,8 +199,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
                 f"a spectrum takes at most {_MOST_COORDINATES // dims} of them."
             )
         grid = self._grid(source, p)
-        if self.engine != "gpu":  # a device is looked for where the work is done
-            Transform(grid, self.n, engine=self.engine, eps=self.eps or _EPS)
+        Transform(grid, self.n, engine=self.engine, eps=self.eps or _EPS)
         return Need(cost=self._cost(grid), memory=memory_of(self.n, dims, 1, grid.size))
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[_SpectrumSums]:
@@ -213,7 +212,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
         @functools.cache
         def chosen() -> tuple[Transform, float | None]:
             """The cheapest transform that is accurate enough, and its error over the statistical one."""
-            if self.eps is not None or double.engine == "gpu" or self.realizations < _TRIED_FROM:
+            if self.eps is not None or self.realizations < _TRIED_FROM:
                 return double, None
             singles = [
                 Transform(grid, self.n, engine=double.engine, eps=eps, single=True)

@@ -21,6 +21,8 @@ from mcspectra.core.checks import Array, as_integer, as_real
 from mcspectra.core.errors import (
     CorrelatedFrequenciesWarning,
     FileFormatError,
+    Function,
+    Parameter,
     ParameterError,
     warn,
 )
@@ -71,15 +73,22 @@ class _HalfSpectrum:
         if not isinstance(spectrum, xr.Dataset) or not {"power", "power_se"} <= set(spectrum):
             raise ParameterError(
                 f"The spectrum is {type(spectrum).__name__} without power and power_se; give the "
-                "dataset that power_spectrum returns."
+                "dataset that ",
+                Function("power_spectrum"),
+                " returns.",
             )
         power = spectrum["power"]
         names = tuple(f"m{i}" for i in range(power.ndim))
         sides = set(power.shape)
         if power.dims != names or len(sides) > 1 or not power.shape[0] % 2 or power.shape[0] < 3:
             raise ParameterError(
-                f"The power has dims {power.dims} of sizes {power.shape}; give the whole grid of "
-                "power_spectrum, with m0, m1, … from −half_width to half_width, at least 1."
+                f"The power has dims {power.dims} of sizes {power.shape}; give the whole grid of ",
+                Function("power_spectrum"),
+                ", with m0, m1, … from −",
+                Parameter("half_width"),
+                " to ",
+                Parameter("half_width"),
+                ", at least 1.",
             )
         axis = power["m0"].to_numpy()
         half_width = len(axis) // 2
@@ -311,7 +320,9 @@ def low_frequency_exponent(
     if len(lengths) < 3:
         raise ParameterError(
             f"A fit needs three lengths of frequency, of which the spectrum has {len(lengths)}; use a "
-            "larger half_width."
+            "larger ",
+            Parameter("half_width"),
+            ".",
         )
     if up_to is None:
         quarter = float(half.attrs.get("n", 1)) ** (1 / grid.dims) / 4 / grid.step
@@ -328,8 +339,8 @@ def low_frequency_exponent(
         raise ParameterError(
             "The spectrum has no standard errors to weight the fit by; use two or more realisations."
         )
-    exact = spectrum.attrs.get("engine") not in ("nufft", "gpu")
-    least = 0.0 if exact else 10 * spectrum.attrs.get("eps", 0.0)
+    approximate = spectrum.attrs.get("engine") == "nufft"
+    least = 10 * spectrum.attrs.get("eps", 0.0) if approximate else 0.0
     if "transform_error" in spectrum.attrs:
         least = _SINGLE_ROUNDING  # single precision was chosen because its errors are small where power is
     empty = int(np.count_nonzero(power <= max(least, 1e-14) ** 2))
@@ -473,7 +484,9 @@ def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
     if density is not None:
         raise ParameterError(
             f"The spectrum is of points with the density {density}, whose frequencies are correlated; "
-            "use variance_terms, or closed_form_covariance."
+            "use ",
+            Function("variance_terms"),
+            ", or closed_form_covariance.",
         )
     f = np.asarray(coefficients)
     if f.shape != grid.shape or f.dtype.kind not in "iufc" or not np.isfinite(f).all():

@@ -12,10 +12,6 @@ Engines
     the coordinates s·x. Two realisations share a transform: weights w of the first plus i times w
     of the second, separated by Hermitian symmetry. Cost O(n log^d(1/eps) + M log M) for a pair.
     Four dims are 3-D transforms for each frequency of the first axis, of one realisation at a time.
-``gpu``
-    The same transforms by cuFINUFFT [Shih2021]_ with arrays of CuPy, in one to three dims, only on
-    request. Spreading adds with atomic operations in no fixed order, so that two runs agree to
-    rounding, about 1e-15 of the peak, and not bit for bit.
 ``direct``
     Separable direct summation by matrix products, exact to rounding: the oracle, and the faster
     one for a handful of points. Cost O(n M).
@@ -39,8 +35,7 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from mcspectra.core.checks import MAX_FREQUENCY, Array, as_choice, as_integer, as_real
-from mcspectra.core.errors import MissingDependency, ParameterError, reason_of
-from mcspectra.core.registry import optional_package
+from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.spectra._kernels import UNLABELLED, crop_scaled, pair_mean, power_sums, split_pair
 
 __all__ = [
@@ -51,18 +46,15 @@ __all__ = [
     "Transform",
     "direct_sum",
     "given_or_equal",
-    "gpu_description",
 ]
 
-ENGINES = ("auto", "nufft", "direct", "gpu")
+ENGINES = ("auto", "nufft", "direct")
 _DIRECT_BELOW = 4000
 _DIRECT_NUMBERS = 2**22  # 64 MiB of phases
 _SPARSE = 1 / 16  # points for each frequency below which spreading in parts is faster
 _SPREAD_POINTS = 1024
 _CELL_COST = 50.0  # of a transform in cells that one point is spread on, measured on one core
 _LEAST_FINE = 32  # cells of the fine grid along an axis: more than kernels are wide
-_DEVICE = 0  # CUDA_VISIBLE_DEVICES decides which one that is
-_BLOCK_BYTES = 2**26  # results that wait on the device to be copied back together, if several fit
 
 MAX_FREQUENCIES = 2**27
 """Most frequencies of one grid: 2 GiB of complex128."""
@@ -178,9 +170,11 @@ class FrequencyGrid(IndexGrid):
         as_real("frequency_step", self.step, above=0.0, most=MAX_FREQUENCY / MAX_FREQUENCIES)
         if self.size > MAX_FREQUENCIES:
             raise ParameterError(
-                f"half_width {self.half_width} in {self.dims} dims is {self.size:.3g} frequencies, "
-                f"{16 * self.size / 2**30:.3g} GiB a spectrum; use at most {MAX_FREQUENCIES:.3g}: "
-                f"half_width ≤ {int((MAX_FREQUENCIES ** (1 / self.dims) - 1) // 2)} here."
+                Parameter("half_width"),
+                f" {self.half_width} in {self.dims} dims is {self.size:.3g} frequencies, "
+                f"{16 * self.size / 2**30:.3g} GiB a spectrum; use at most {MAX_FREQUENCIES:.3g}: ",
+                Parameter("half_width"),
+                f" ≤ {int((MAX_FREQUENCIES ** (1 / self.dims) - 1) // 2)} here.",
             )
 
     @property
@@ -200,7 +194,7 @@ class Transform:
     n
         Points in a set: decides between the engines for ``engine="auto"``.
     engine
-        One of `ENGINES`; ``"auto"`` never means ``"gpu"``.
+        One of `ENGINES`.
     eps
         Relative l2 accuracy of the NUFFT, from 1e-14 to 1e-1.
     single
@@ -210,8 +204,6 @@ class Transform:
     ------
     ParameterError
         A value is out of range, or the engine does not work in these dims.
-    MissingDependency
-        The engine is ``"gpu"`` and its packages or a device are missing.
 
     Notes
     -----
@@ -231,7 +223,9 @@ class Transform:
         self.eps = as_real("eps", eps, least=1e-14, most=0.1)
         if engine == "nufft" and grid.dims > 4:
             raise ParameterError(
-                f"The nufft engine works in 1 to 4 dims, not {grid.dims}; use engine='direct'."
+                f"The nufft engine works in 1 to 4 dims, not {grid.dims}; use ",
+                Parameter("engine", "direct"),
+                ".",
             )
         if engine == "auto":  # by times measured on one core
             slab = float(grid.size // grid.shape[0])
@@ -244,9 +238,8 @@ class Transform:
         dims = min(grid.dims, 3)
         density = (2 if grid.dims <= 3 else 1) * n / np.prod(grid.shape[-3:])
         self._sparse = density < _SPARSE
-        self._packs = engine == "gpu" or (engine == "nufft" and grid.dims <= 3)
-        self._gpu = _GpuTransform(grid.shape, grid.step, self.eps) if engine == "gpu" else None
-        self.single = single and self._packs and self._gpu is None
+        self._packs = engine == "nufft" and grid.dims <= 3
+        self.single = single and self._packs
         # Finer grids reach more, and take more to transform and less to spread on: in double precision
         # kernels of 11 cells a side instead of 15
         spreading = 0.0 if self.single else density * (15.0**dims - 11.0**dims)
@@ -322,20 +315,14 @@ class Transform:
         strengths = weights[:paired].reshape(paired // 2, 2 * n).astype(self._number)
         strengths[:, n:] *= 1j
         both = points[:paired].reshape(paired // 2, 2 * n, dims)
-        yield from ((packed, True) for packed in self._transforms(both, strengths))
+        yield from ((self._nufft(*pair), True) for pair in zip(both, strengths, strict=True))
         for x, w in zip(points[paired:], weights[paired:], strict=True):
             if self.engine == "direct":
                 yield self._direct(x, w), False
             elif self._packs:
-                yield next(self._transforms(x[None], w.astype(self._number)[None])), False
+                yield self._nufft(x, w.astype(self._number)), False
             else:
                 yield self._slabs(x, w.astype(np.complex128)), False
-
-    def _transforms(self, points: Array, strengths: Array) -> Iterator[Array]:
-        """Transforms of sets (T, n, d), full grid, flat."""
-        if self._gpu is not None:
-            return self._gpu.transforms(points, strengths)
-        return map(self._nufft, points, strengths)
 
     def _nufft(self, points: Array, strengths: Array) -> Array:
         """The transform of a set (n, d), full grid, flat: valid until the next."""
@@ -488,103 +475,3 @@ def direct_sum(points: Array, frequencies: Array, weights: Array | None = None) 
     if weights is None:
         return np.asarray(phase.mean(axis=-2))
     return np.asarray((weights[..., None] * phase).sum(axis=-2))
-
-
-@final
-class _GpuTransform:
-    """Transforms on one grid of up to three axes, with one plan and one set of device arrays.
-
-    Threads take turns: one transform keeps the device busy.
-    """
-
-    def __init__(self, shape: tuple[int, ...], step: float, eps: float) -> None:
-        if len(shape) > 3:
-            raise ParameterError(
-                f"The gpu engine works in 1 to 3 dims, not {len(shape)}; use engine='auto'."
-            )
-        self.shape = shape
-        self.step = step
-        self._cupy, cufinufft = _gpu_modules()
-        self._lock = threading.Lock()
-        self._inputs: tuple[tuple[Any, ...], Any] | None = None
-        try:
-            with self._cupy.cuda.Device(_DEVICE):
-                self._plan = cufinufft.Plan(
-                    1, shape, 1, eps, -1, "complex128", gpu_device_id=_DEVICE
-                )
-        except RuntimeError as error:
-            raise ParameterError(_no_room(shape, error)) from error
-
-    def transforms(self, points: Array, strengths: Array) -> Iterator[Array]:
-        """Transform sets (T, n, d) of strengths (T, n) to full grids in C order, (M,), on the host.
-
-        They are computed one by one and copied back in blocks.
-        """
-        block = max(1, _BLOCK_BYTES // (16 * int(np.prod(self.shape))))
-        for low in range(0, len(points), block):
-            with self._lock:
-                found = self._block(points[low : low + block], strengths[low : low + block])
-            yield from found
-
-    def _block(self, points: Array, strengths: Array) -> Array:
-        """Transforms of a few sets, copied back in one piece: (T, M)."""
-        cupy, (sets, count, dims) = self._cupy, points.shape
-        with cupy.cuda.Device(_DEVICE):
-            try:
-                # Always the same device arrays, as plans keep what they are given
-                if self._inputs is None or self._inputs[1].size != count:
-                    coordinates = tuple(cupy.empty(count, np.float64) for _ in range(dims))
-                    self._inputs = coordinates, cupy.empty(count, np.complex128)
-                coordinates, device_strengths = self._inputs
-                out = cupy.empty((sets, *self.shape), np.complex128)
-                for k in range(sets):
-                    for target, axis in zip(coordinates, points[k].T, strict=True):
-                        target.set(2.0 * np.pi * self.step * axis)
-                    device_strengths.set(strengths[k])
-                    self._plan.setpts(*coordinates)
-                    self._plan.execute(device_strengths, out=out[k])
-            except (RuntimeError, MemoryError) as error:  # of cufinufft, and of CuPy's allocator
-                raise ParameterError(_no_room(self.shape, error)) from error
-            return np.asarray(cupy.asnumpy(out)).reshape(sets, -1)
-
-
-def gpu_description() -> tuple[bool, str]:
-    """Whether the engine can be used, and the device's name or why not."""
-    try:
-        cupy, cufinufft = _gpu_modules()
-    except MissingDependency as error:
-        return False, str(error)
-    name = cupy.cuda.runtime.getDeviceProperties(_DEVICE)["name"].decode()
-    return True, f"{name}; cupy {cupy.__version__}, cufinufft {cufinufft.__version__}"
-
-
-def _gpu_modules() -> tuple[Any, Any]:
-    """CuPy and cufinufft, once they and a device are known to work."""
-    cupy = optional_package("cupy", "gpu", "engine='gpu' needs")
-    # Load the CUDA libraries that pip installs, where cufinufft does not look for them
-    try:
-        from cuda.pathfinder import load_nvidia_dynamic_lib
-
-        for library in ("cudart", "cufft"):
-            load_nvidia_dynamic_lib(library)
-    except (ImportError, RuntimeError):
-        pass  # no such package, or no such library: cufinufft may find them all the same
-    cufinufft = optional_package("cufinufft", "gpu", "engine='gpu' needs")
-    runtime = cupy.cuda.runtime
-    try:
-        devices = runtime.getDeviceCount()
-    except runtime.CUDARuntimeError as error:
-        raise MissingDependency(
-            f"engine='gpu' finds no CUDA device: {reason_of(error)}; use engine='nufft'."
-        ) from error
-    if not devices:
-        raise MissingDependency("engine='gpu' finds no CUDA device; use engine='nufft'.")
-    return cupy, cufinufft
-
-
-def _no_room(shape: tuple[int, ...], error: Exception) -> str:
-    size = " × ".join(map(str, shape))
-    return (
-        f"The GPU cannot transform to {size} frequencies: {reason_of(error)}; "
-        "use a smaller half_width or engine='nufft'."
-    )

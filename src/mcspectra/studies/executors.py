@@ -36,6 +36,7 @@ import msgspec
 from mcspectra.core.checks import as_integer, as_real
 from mcspectra.core.errors import McspectraError, ParameterError
 from mcspectra.core.parallel import available_workers
+from mcspectra.core.registry import optional_package
 from mcspectra.studies.foreign_code import explain
 from mcspectra.studies.tasks import (
     WARM,
@@ -266,8 +267,8 @@ class Dask:
         self._finished: queue.SimpleQueue[int] = queue.SimpleQueue()
         self._threads = (0, -_FRESH)
         self._deserted = 0.0
-        import distributed  # noqa: F401 - before its log is muted
-
+        # Before its log is muted
+        optional_package("distributed", "cluster", "Processes and clusters of dask need")
         with contextlib.ExitStack() as opened:
             self._levels = _muted(opened)
             self._client = _connected(cluster, opened)

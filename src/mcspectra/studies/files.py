@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import functools
 import itertools
 import math
 import re
@@ -28,7 +29,7 @@ from msgspec import Meta
 from mcspectra.core.analysis import ANALYSES, Analysis
 from mcspectra.core.checks import is_path
 from mcspectra.core.errors import ConfigError, McspectraError, MissingDependency, close_match_hint
-from mcspectra.core.options import Positive, Text, options_of
+from mcspectra.core.options import Option, Positive, Text, options_of
 
 __all__ = [
     "BUILT_IN",
@@ -66,14 +67,6 @@ _PLACE = re.compile(rf"{_STEP}(?:\.{_STEP})*")
 _PLACEHOLDER = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
 _OWN, _HAS_OWN = ("n", "seed", "dims"), re.compile(r"\b(?:command|points)\(")
 _KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-_WORDS = {
-    "int": "a whole number",
-    "float": "a number",
-    "str": "text",
-    "bool": "true or false",
-    "array": "a list",
-    "object": "a table",
-}
 
 Struct = TypeVar("Struct", bound=msgspec.Struct)
 Grid = dict[str, list[str | int | float | bool | list[Any]]]
@@ -375,11 +368,10 @@ def plain_study(config: StudyConfig) -> dict[str, Any]:
 
 @final
 class _Reader:
-    """Makes structs of the tables of one study; equal options of analyses are checked once."""
+    """Makes structs of the tables of one study."""
 
     def __init__(self) -> None:
         self._names = _names()
-        self._clean: set[tuple[str, str, str]] = set()
 
     def study(self, table: Mapping[str, Any]) -> StudyConfig:
         """A whole study."""
@@ -396,45 +388,39 @@ class _Reader:
         own = ("name", "samplers")
         for key, name in lists.items():
             for entry, place in _entries(key, table[key]):
-                if not isinstance(entry, dict):
-                    _struct(entry, SceneConfig, place)  # raises: it is no table
-                made = _struct({k: entry[k] for k in own if k in entry}, SceneConfig, place)
-                options = {k: v for k, v in entry.items() if k not in own}
-                analysis = self._analysis(name, options, place, own)
+                given = _table(entry, place)
+                made = _struct({k: given[k] for k in own if k in given}, SceneConfig, place)
+                options = {k: v for k, v in given.items() if k not in own}
+                analysis: Analysis = _struct(options, ANALYSES.load(name), place, own)
                 scenes.append(msgspec.structs.replace(made, kind=name, analysis=analysis))
         return msgspec.structs.replace(config, estimators=estimators, scenes=tuple(scenes))
 
     def _with_analyses(self, table: Any, kind: type[Struct], place: str) -> Struct:
         """A table that may have tables of analyses in it."""
-        asked = [key for key in table if key in self._names] if isinstance(table, dict) else ()
-        rest = {k: v for k, v in table.items() if k not in self._names} if asked else table
-        made, analyses = _struct(rest, kind, place), {}
-        for key in asked:
+        given = _table(table, place)
+        made = _struct({k: v for k, v in given.items() if k not in self._names}, kind, place)
+        analyses = {}
+        for key in (key for key in given if key in self._names):
             inside = f"{place}.{key}" if place else key
-            if ANALYSES.load(key).about == "scene":
+            analysis = ANALYSES.load(key)
+            if analysis.about == "scene":
                 raise ConfigError(f"{inside} is an analysis of scenes; list tables [[{key}s]].")
-            analyses[key] = self._analysis(key, table[key], inside)
+            analyses[key] = _struct(given[key], analysis, inside)
         return msgspec.structs.replace(made, analyses=analyses)
-
-    def _analysis(
-        self, name: str, table: Any, place: str, beside: tuple[str, ...] = ()
-    ) -> Analysis:
-        kind: Any = ANALYSES.load(name)
-        made: Analysis = _struct(table, kind, place, beside)
-        for option in options_of(kind):  # what types cannot say
-            value = getattr(made, option.name)
-            key = name, option.name, repr(value)
-            if key not in self._clean:
-                option.check(value, f"{place}.{option.name}")
-                self._clean.add(key)
-        return made
 
 
 def _entries(key: str, entries: Any) -> Iterator[tuple[Any, str]]:
     """Entries of a list of tables, with their places."""
     if not isinstance(entries, list | tuple):
-        raise ConfigError(f"{key}: expected a list of tables, got {_shown(entries)}.")
+        raise ConfigError(f"{key} is {_shown(entries)}; give a list of tables, [[{key}]].")
     return ((entry, f"{key}[{i}]") for i, entry in enumerate(entries))
+
+
+def _table(table: Any, place: str) -> dict[str, Any]:
+    """A value of a study that must be a table."""
+    if not isinstance(table, dict):
+        raise ConfigError(f"{place} is {_shown(table)}; give a table.")
+    return table
 
 
 def _struct(table: Any, kind: type[Struct], place: str, beside: tuple[str, ...] = ()) -> Struct:
@@ -443,11 +429,11 @@ def _struct(table: Any, kind: type[Struct], place: str, beside: tuple[str, ...] 
     Raises
     ------
     ConfigError
-        A key is unknown, or a value has the wrong type or breaks its limits.
+        A key is unknown or missing, or a value has the wrong type or breaks its limits.
     """
-    known = [k for k in kind.__struct_fields__ if not issubclass(kind, _Table) or k not in RESERVED]
-    unknown = [key for key in table if key not in known] if isinstance(table, dict) else []
-    where = f"{place}: " if place else ""
+    given, where = _table(table, place), f"{place}: " if place else ""
+    known = _keys_of(kind)
+    unknown = [key for key in given if key not in known]
     if unknown:
         tables = analysis_tables() if "analyses" in kind.__struct_fields__ else {}
         top = kind is StudyConfig
@@ -459,39 +445,29 @@ def _struct(table: Any, kind: type[Struct], place: str, beside: tuple[str, ...] 
         hint, close = close_match_hint(unknown[0], allowed)
         sentence = f"{where}there is no key {unknown[0]!r}; allowed here: {', '.join(allowed)}."
         raise ConfigError(sentence + (hint if close else ""))
+    clean = {}
+    for name, option in known.items():
+        if name in given:
+            label = f"{place}.{name}" if place else name
+            clean[name] = option.check(given[name], label, from_file=True)
+        elif option.required:
+            raise ConfigError(f"{where}the key {name!r} is missing.")
     try:
-        return msgspec.convert(table, kind, strict=True)
-    except msgspec.ValidationError as error:
-        # "Expected `int`, got `str` - at `$.n`" becomes "n: expected a whole number, got 'few'."
-        what, _, inner = str(error).partition(" - at `$")
-        path = inner.rstrip("`").lstrip(".")
-        where = f"{place}{'.' if place and path else ''}{path}"
-        name = re.split(r"[.\[]", path)[0]
-        if "enum value" in what:  # say what there is to choose from
-            (option,) = (each for each in options_of(kind) if each.name == name)
-            with contextlib.suppress(TypeError):
-                option.check(table[name], f"{place}.{name}" if place else name)
-        lacking = re.fullmatch("Object missing required field `(.*)`", what)
-        if lacking:
-            words = f"the key {lacking[1]!r} is missing."
-        else:
-            given: Any = table
-            for key, index in re.findall(r"([\w-]+)|\[(\d+)\]", path):
-                given = given[key or int(index)]
-            wanted = re.sub(
-                "`(.*)`",  # types as msgspec names them, which become the words of the docs
-                lambda m: " or ".join(_WORDS.get(t, t) for t in m[1].split(" | ") if t != "null"),
-                what.partition(", got ")[0],
-            )
-            words = f"{wanted[:1].lower()}{wanted[1:]}, got {_shown(given)}."
-        raise ConfigError(f"{where}: {words}" if where else words) from None
+        return msgspec.convert(clean, kind)
+    except msgspec.ValidationError as error:  # of types that options of other packages have
+        raise ConfigError(f"{where}{error}.") from None
+
+
+@functools.cache
+def _keys_of(kind: type[msgspec.Struct]) -> dict[str, Option]:
+    """Options of a table by their keys."""
+    hidden = RESERVED if issubclass(kind, _Table) else ()
+    return {each.name: each for each in options_of(kind) if each.name not in hidden}
 
 
 def _shown(value: Any) -> str:
     """What was given, for messages."""
-    if isinstance(value, dict):
-        return "a table"
-    return str(value).lower() if isinstance(value, bool) else f"{value!r:.60}"
+    return "a table" if isinstance(value, dict) else f"{value!r:.60}"
 
 
 def _complaints(e: EstimatorConfig) -> Iterator[str]:

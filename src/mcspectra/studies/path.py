@@ -3,7 +3,7 @@
 Method
 ------
 All changes are measured at the same counts on the same random numbers as the path as given, and compared at
-its largest count by `mcspectra.variance.remedies.ranked`. A path of another roulette costs as many more or
+its largest count by `mcspectra.variance.remedy.ranked`. A path of another roulette costs as many more or
 fewer as it asks for numbers, that is by the turns of the integrator's loop, each a ray and at most one
 shadow ray. What is chosen by a pilot is compared with a path as given that has the pilot's paths, too.
 
@@ -25,7 +25,7 @@ import xarray as xr
 
 from mcspectra.core.analysis import Subject
 from mcspectra.core.checks import Array, as_choice, as_integer
-from mcspectra.core.errors import McspectraError, ParameterError
+from mcspectra.core.errors import McspectraError, Parameter, ParameterError
 from mcspectra.core.parallel import available_workers
 from mcspectra.core.progress import report
 from mcspectra.core.results import dataset
@@ -45,10 +45,10 @@ from mcspectra.rendering.scenes import Scene, emitter_names, scene_name
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.studies.pixel import check_compared, find_pixel
 from mcspectra.variance.anova import Anova, anova_variances
-from mcspectra.variance.convergence import convergence, count_stream
 from mcspectra.variance.diagnosis import Diagnosis
+from mcspectra.variance.measured import convergence, count_stream
 from mcspectra.variance.prediction.predict import predict
-from mcspectra.variance.remedies import (
+from mcspectra.variance.remedy import (
     Errors,
     Trial,
     compare,
@@ -148,7 +148,9 @@ def analyse_path(
     # Check the plan before any work
     x, y = find_pixel(scene, x, y)
     if channel == "rgb":
-        raise ParameterError("channel is 'rgb'; give 'luminance', 0, 1 or 2, one at a time.")
+        raise ParameterError(
+            Parameter("channel"), " is 'rgb'; give 'luminance', 0, 1 or 2, one at a time."
+        )
     usual, repeats, pairs, paths, predicted = _EFFORTS[as_choice("effort", effort, tuple(_EFFORTS))]
     f = PathPixel(scene=scene, x=x, y=y, integrator=integrator, channel=channel, dims=dims)
     asked = usual if counts is None else counts

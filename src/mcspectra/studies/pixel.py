@@ -18,7 +18,7 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.core.checks import as_choice, as_integer
-from mcspectra.core.errors import ParameterError, close_match_hint
+from mcspectra.core.errors import Parameter, ParameterError, close_match_hint
 from mcspectra.core.parallel import available_workers
 from mcspectra.core.progress import report
 from mcspectra.core.streams import Stream
@@ -42,11 +42,11 @@ from mcspectra.rendering.scenes import (
     scene_name,
 )
 from mcspectra.samplers import Sampler, as_sampler
-from mcspectra.variance.convergence import convergence
 from mcspectra.variance.diagnosis import diagnose
+from mcspectra.variance.measured import convergence
 from mcspectra.variance.prediction.predict import predict
 from mcspectra.variance.primary import primary_picture
-from mcspectra.variance.remedies import remedies as find_remedies
+from mcspectra.variance.remedy import remedies as find_remedies
 from mcspectra.variance.techniques import technique_terms
 from mcspectra.variance.terms import variance_terms
 
@@ -174,7 +174,7 @@ def analyse_pixel(
         ``predict/STRATEGY``: `mcspectra.predict` on (sampler, n), with its method.
         ``terms/STRATEGY/VIEW``: `mcspectra.variance_terms` in primary space, where VIEW is ``auto`` (the
         basis that fits the sampler) or ``fourier``. ``techniques``: `mcspectra.technique_terms` of the
-        balance heuristic. ``pictures/NAME``: `mcspectra.primary_picture` of ``light``, ``bsdf`` and each
+        balance heuristic. ``pictures/NAME``: `mcspectra.variance.primary_picture` of ``light``, ``bsdf`` and each
         technique's share, as ``balance-light``, without the steps of float32 (2 dims only). ``incident``: `incident_light`.
         ``remedies``: `mcspectra.remedies` of the balance heuristic. Attributes of the root: what the
         pixel is and sees, the sampler of the terms, and ``diagnosis_STRATEGY``, sentences on that sampler.
@@ -189,7 +189,9 @@ def analyse_pixel(
     request = as_scene(scene)
     as_integer("dims", dims, least=2, most=3)
     if channel == "rgb":
-        raise ParameterError("channel is 'rgb'; give 'luminance', 0, 1 or 2, one at a time.")
+        raise ParameterError(
+            Parameter("channel"), " is 'rgb'; give 'luminance', 0, 1 or 2, one at a time."
+        )
     view = check_view(View(request, x, y, light, channel, dims), bsdf=True)
     warn_integrator(request)
     chosen = EFFORTS[as_choice("effort", effort, tuple(EFFORTS))]
@@ -327,7 +329,9 @@ def check_compared(
     for source, n in itertools.product(sources, ns):
         source.check_count(n)
     if len(ns) < 2 or any(b <= a for a, b in itertools.pairwise(ns)):
-        raise ParameterError(f"counts is {ns}; give at least two, ascending, for a rate.")
+        raise ParameterError(
+            Parameter("counts"), f" is {ns}; give at least two, ascending, for a rate."
+        )
     return sources, ns
 
 

@@ -101,6 +101,8 @@ def run_study(
         Workers cannot be started or reached, cannot build the study, or are gone.
     CellFailed
         After everything else has run.
+    MissingDependency
+        A time limit, or an engine, needs the extra ``cluster``.
     KeyboardInterrupt
         Passed on, with a text; finished cells and finished tasks are kept, and the run can be resumed.
 

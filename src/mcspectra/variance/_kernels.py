@@ -1,4 +1,4 @@
-"""Numba kernels of the variance terms and of the pair route: arrays only, no checks.
+"""Numba kernels of the variance terms and of pairs of points: arrays only, no checks.
 
 Legend: r realisations of a block, h coefficients (half spectra of all techniques, one after the
 other), c channels, a bands, k half widths, j the real numbers of the coefficients (2 each where they
@@ -93,7 +93,7 @@ def term_sums(f: Array, m2: Array, cov: Array, double: Array, dc: Array, out: Ar
             out[c, 2] += (a.real * cov[c, h].real + a.imag * cov[c, h].imag) * double[h]
 
 
-# ---- The pair route: sums over pairs of points of a tabulated function on the torus
+# ---- Pair correlation: sums over pairs of points of a tabulated function on the torus
 
 
 @kernel

@@ -26,10 +26,10 @@ from mcspectra.estimators.moments import rounding_floor, variance_interval
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler, StrataShift
 from mcspectra.samplers.law import Shifted
-from mcspectra.variance.convergence import count_moments, count_stream
 from mcspectra.variance.doors import counted
 from mcspectra.variance.exact import exact_variance
 from mcspectra.variance.fit import fit_rates
+from mcspectra.variance.measured import count_moments, count_stream
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -45,10 +45,11 @@ _HALVINGS = 8  # of the step of the scan: a part of 256
 
 
 def strata_shift_scan(
-    estimator: AbstractEstimator | Integrand | str,
+    estimator: Any,
     sampler: Sampler | str,
     counts: int | Sequence[int],
     *,
+    dims: int | None = None,
     offsets: int | Sequence[float] | None = None,
     method: str = "auto",
     realizations: int = 1000,
@@ -63,6 +64,9 @@ def strata_shift_scan(
         An estimator, and a sampler without a shift, which would average over all offsets.
     counts
         One number of points n, or ascending ones, in whose number a rate needs two.
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
     offsets
         Parts of the side n^(-1/d) of a stratum: ascending in [0, 1), the same along each axis, or how
         many equally spaced ones from 0; by default 16 in 1-D, 8 in 2-D and 4 in more dims, and 4096
@@ -96,11 +100,11 @@ def strata_shift_scan(
     --------
     >>> import mcspectra as mcs
     >>> light = mcs.integrand("disk(center=0.5125, radius=0.25)", dims=1)  # 2.1 to 6.1 strata
-    >>> d = mcs.strata_shift_scan(light, "jittered", 8, offsets=[0, 0.1, 0.6])
+    >>> d = mcs.variance.strata_shift_scan(light, "jittered", 8, offsets=[0, 0.1, 0.6])
     >>> [round(float(v) * 64, 2) for v in d["variance"].squeeze()]
     [0.18, 0.0, 0.5]
     """
-    subject = as_subject(estimator, sampler)
+    subject = as_subject(estimator, sampler, dims=dims)
     given, source = subject.estimator, subject.sampler
     several = isinstance(counts, Sequence | np.ndarray) and not isinstance(counts, str)
     ns = [as_integer("counts", n, least=1) for n in (counts if several else [counts])]  # type: ignore[union-attr]
@@ -147,10 +151,11 @@ def strata_shift_scan(
 
 
 def best_alignment(
-    estimator: AbstractEstimator | Integrand | str,
+    estimator: Any,
     sampler: Sampler | str,
     n: int,
     *,
+    dims: int | None = None,
     edges: Any = None,
     offsets: Any = None,
     method: str = "auto",
@@ -164,11 +169,14 @@ def best_alignment(
     ----------
     estimator, sampler, n
         What is to be improved; the sampler without a shift, which would average over all offsets.
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
     edges
         Places of known edges, as for `aligned`: strata with borders there are tried
         as well. Needs an estimator without a density and n = s^d.
     offsets, method
-        As for `mcspectra.strata_shift_scan`; the best of the scan is refined by a pattern search,
+        As for `mcspectra.variance.strata_shift_scan`; the best of the scan is refined by a pattern search,
         whose step is halved 8 times.
     realizations, rng, workers
         As for `mcspectra.convergence`; the measurement of each candidate has a stream of its own.
@@ -187,7 +195,7 @@ def best_alignment(
     Raises
     ------
     CountError, ParameterError, NoClosedForm
-        As for `mcspectra.strata_shift_scan` and `aligned`.
+        As for `mcspectra.variance.strata_shift_scan` and `aligned`.
 
     Notes
     -----
@@ -197,13 +205,13 @@ def best_alignment(
     --------
     >>> import mcspectra as mcs
     >>> light = mcs.integrand("disk(center=0.5125, radius=0.25)", dims=1)  # 2.1 to 6.1 strata
-    >>> found = mcs.best_alignment(light, "jittered", 8)
+    >>> found = mcs.variance.best_alignment(light, "jittered", 8)
     >>> found.attrs["improved"], round(float(found["strata_offset"].sel(candidate="offset")[0]), 2)
     ('yes', 0.1)
     """
     from scipy.special import ndtri
 
-    subject = as_subject(estimator, sampler)
+    subject = as_subject(estimator, sampler, dims=dims)
     plain, source = subject.estimator, subject.sampler
     plain.check_sampler(source, as_integer("n", n, least=1))
     count = as_integer("realizations", realizations, least=2, most=MAX_REALIZATIONS)

@@ -23,17 +23,16 @@ from msgspec import Meta
 
 from mcspectra.core.analysis import Analysis, Counted, Need, Reduction, Subject
 from mcspectra.core.checks import Array, as_integer
-from mcspectra.core.errors import NoClosedForm, ParameterError
+from mcspectra.core.errors import Function, NoClosedForm, Parameter, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNT, REALIZATIONS
 from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.records import JOIN, Join, student_t
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Estimator, Moments
+from mcspectra.estimators import Estimator, Moments
 from mcspectra.estimators.moments import rounding_floor
 from mcspectra.estimators.tails import tail_note
-from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.spectra.closed_forms import closed_form_power
 from mcspectra.spectra.listed import power_at
@@ -62,7 +61,8 @@ class Anova(Counted, frozen=True, kw_only=True):
     """Which axes of primary space, and pairs of them, the variance comes from."""
 
     function = "anova_variances"
-    verb = "anova"
+    verb = "variance"
+    split = "axes"
     variables = (
         *("anova_variance", "anova_variance_se", "total_variance", "total_variance_se"),
         *("higher_order_variance", "higher_order_variance_se"),
@@ -94,7 +94,9 @@ class Anova(Counted, frozen=True, kw_only=True):
             raise ParameterError(
                 f"{self.realizations} realisations of {values // self.realizations} subsets take "
                 f"{8 * values / 2**30:.3g} GiB; ask for at most "
-                f"{_MAX_VALUES * self.realizations // values} realisations, or for order=1."
+                f"{_MAX_VALUES * self.realizations // values} realisations, or for ",
+                Parameter("order", 1),
+                ".",
             )
         evaluations = sum(estimator.counts)
         points = subsets * self.realizations * self.n * evaluations
@@ -151,8 +153,9 @@ class Anova(Counted, frozen=True, kw_only=True):
         given = tuple(range(dims)) if self.groups is None else self.groups
         if len(given) != dims or {*given} != {*range(max(given) + 1)}:
             raise ParameterError(
-                f"groups is {list(given)!r:.80}; give one for each of the {dims} axes, numbered from 0 "
-                "without gaps."
+                Parameter("groups"),
+                f" is {list(given)!r:.80}; give one for each of the {dims} axes, numbered from 0 "
+                "without gaps.",
             )
         as_integer(
             "dims" if self.groups is None else "groups", max(given) + 1, least=1, most=_MAX_DIMS
@@ -257,7 +260,7 @@ class Anova(Counted, frozen=True, kw_only=True):
 class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
     """Which subsets of the axes the variance comes from, by sampled frequencies."""
 
-    function = "anova_spectrum"
+    function = "variance.anova_spectrum"
     variables = ("anova_variance", "anova_variance_se")
     provenance = ("estimator", "sampler", "n", "half_width", "frequencies", "stream_key")
 
@@ -290,12 +293,15 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
         if not plain or estimator.integrand.fourier_source != "exact":
             raise NoClosedForm(
                 f"Sampled frequencies need exact Fourier coefficients and uniform points, which "
-                f"{estimator.spec} does not have; use anova_variances."
+                f"{estimator.spec} does not have; use ",
+                Function("anova_variances"),
+                ".",
             )
         if not sampler.law(self.n).stationary:
             raise NoClosedForm(
-                f"The frequencies of {sampler.spec} are correlated; add shift, or use "
-                "anova_variances."
+                f"The frequencies of {sampler.spec} are correlated; add shift, or use ",
+                Function("anova_variances"),
+                ".",
             )
         dims = as_integer("dims", estimator.dims, least=1, most=_MAX_DIMS)
         subsets = len(_subsets(dims, self.order))
@@ -366,6 +372,7 @@ def anova_variances(
     sampler: Sampler | str = "random",
     n: int = 1,
     *,
+    dims: int | None = None,
     order: int = 2,
     realizations: int = 10_000,
     groups: Sequence[int] | None = None,
@@ -380,6 +387,9 @@ def anova_variances(
     estimator, sampler, n
         What is analysed, in up to 64 dims or groups. Random sampling with n = 1, the default, gives the ANOVA
         variances σ²_u of the integrand itself.
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
     order
         1 or 2: list subsets of up to so many axes.
     realizations
@@ -432,10 +442,11 @@ def anova_variances(
 
 
 def anova_spectrum(
-    estimator: AbstractEstimator | Integrand | str,
+    estimator: Any,
     sampler: Sampler | str,
     n: int,
     *,
+    dims: int | None = None,
     order: int = 2,
     frequencies: int = 1024,
     half_width: int = 4096,
@@ -450,6 +461,9 @@ def anova_spectrum(
         Of one integrand with exact Fourier coefficients and uniform points, in up to 64 dims.
     sampler, n
         Points that are the same after any translation: random, or with shift.
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
     order
         Subsets of up to so many axes, 1 to 3.
     frequencies

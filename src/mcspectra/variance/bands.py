@@ -12,7 +12,7 @@ from typing import final
 import numpy as np
 
 from mcspectra.core.checks import Array, as_choice
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.spectra.bases import Basis
 
 __all__ = ["PARTITIONS", "Bands", "check_bands", "make_bands"]
@@ -89,9 +89,10 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
             integer = given.shape == basis.shape and given.dtype.kind in "iu"
             if not integer or given.min() < 0 or given.max() >= _MAX_BANDS:
                 raise ParameterError(
-                    f"bands has shape {given.shape} and type {given.dtype}; give "
+                    Parameter("bands"),
+                    f" has shape {given.shape} and type {given.dtype}; give "
                     f"{', '.join(map(repr, PARTITIONS))} or integer labels from 0 to {_MAX_BANDS - 1} of "
-                    f"shape {basis.shape}."
+                    f"shape {basis.shape}.",
                 )
             of, meaning = basis.pick(given).astype(np.int64), "given"
             if not np.array_equal(basis.full(of), given):
@@ -109,5 +110,6 @@ def check_bands(bands: str | Array, basis: Basis) -> None:
         as_choice("bands", bands, PARTITIONS)
         if bands == "wedge" and basis.dims != 2:
             raise ParameterError(
-                f"bands='wedge' is for 2 dims, not {basis.dims}; use 'radial' or 'anova'."
+                Parameter("bands", "wedge"),
+                f" is for 2 dims, not {basis.dims}; use 'radial' or 'anova'.",
             )

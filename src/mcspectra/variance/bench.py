@@ -29,10 +29,10 @@ from mcspectra.samplers import GivenPoints, Owen, Sampler, Shift, as_sampler
 from mcspectra.samplers.base import Randomized, Structure
 from mcspectra.samplers.optimised import OptimisedSampler
 from mcspectra.spectra.bases import parts_of
-from mcspectra.spectra.pair_correlation import pair_correlation
+from mcspectra.spectra.pairs import pair_correlation
 from mcspectra.spectra.power import power_spectrum
 from mcspectra.spectra.shapes import radial_statistics
-from mcspectra.variance.convergence import convergence
+from mcspectra.variance.measured import convergence
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -304,7 +304,6 @@ def standard_tasks(dims: int) -> Iterator[Task]:
         if family != "discontinuous" or dims > 1:
             spec = f"genz-{family}(a={difficulty / dims:.4g})"
             yield Task(_KINDS.get(family, "smooth"), spec, dims)
-    yield Task("kink", "sobol-g", dims)
     normal = [round(1.0 / (1.0 + 0.3 * i), 4) for i in range(dims)]
     yield Task("jump", f"half-space(normal={normal}, offset={0.5 * sum(normal):.5g})", dims)
     if dims in (2, 3):

@@ -93,7 +93,7 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
     --------
     >>> import mcspectra as mcs, numpy as np
     >>> x = np.random.default_rng(1).normal(size=(4, 1001))
-    >>> result = mcs.chain_error(x[:, 1:] - 0.9 * x[:, :-1])  # antithetic
+    >>> result = mcs.variance.chain_error(x[:, 1:] - 0.9 * x[:, :-1])  # antithetic
     >>> float(result["ess"]) > 50 * 4000, str(result["cause"].values)
     (True, 'none')
     """

@@ -28,11 +28,16 @@ def answer(analysis: type[Analysis], arguments: Mapping[str, Any]) -> xr.Dataset
     analysis
         Its class.
     arguments
-        ``estimator``, ``sampler`` or ``samplers``, ``rng``, ``workers`` if it has threads, and every
-        option.
+        ``estimator``, ``sampler`` or ``samplers``, ``dims``, ``rng``, ``workers`` if it has threads, and
+        every option.
     """
     sampler = arguments.get("sampler", arguments.get("samplers"))
-    subject = as_subject(arguments["estimator"], sampler, lists=bool(analysis.several))
+    subject = as_subject(
+        arguments["estimator"],
+        sampler,
+        dims=arguments.get("dims"),
+        lists=bool(analysis.several),
+    )
     return compute(analysis.of(arguments), subject, arguments["rng"], arguments.get("workers"))
 
 

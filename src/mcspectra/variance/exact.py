@@ -33,7 +33,7 @@ from typing import Any
 import numpy as np
 
 from mcspectra.core.checks import Array, as_real
-from mcspectra.core.errors import NoClosedForm, ParameterError
+from mcspectra.core.errors import MEASURE_IT, NoClosedForm, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.core.tally import counting
 from mcspectra.estimators import AbstractEstimator, as_subject
@@ -97,10 +97,11 @@ _MOST_BITS = 24
 
 
 def exact_variance(
-    estimator: AbstractEstimator | Integrand | str,
+    estimator: Any,
     sampler: Sampler | str,
     n: int,
     *,
+    dims: int | None = None,
     tolerance: float = EXACT_TOLERANCE,
     max_evaluations: int | None = None,
 ) -> Any:
@@ -113,6 +114,9 @@ def exact_variance(
         shift or strata-shift, and with mirror; antithetic-jittered; latin-hypercube, alone or with
         shift; nets and sequences such as sobol or halton with owen, and those in base 2 with digital-shift. Latin hypercubes and nets take cells,
         about n to a side: some thousands of points in 2-D, some tens in 3-D.
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
     tolerance
         Relative error up to which a variance is given, 1e-12 to 1. Jumps that f does not declare
         and no axis follows take 1e-3 for random points, some 0.1 for strata; a refusal says how much.
@@ -155,11 +159,11 @@ def exact_variance(
     1.0
     """
     tolerance = as_real("tolerance", tolerance, least=1e-12, most=1.0)
+    subject = as_subject(estimator, sampler, dims=dims)
     with counting("exact_variance", max_evaluations) as tally:
-        value, _ = estimated_variance(estimator, sampler, n, tolerance)
+        value, _ = estimated_variance(subject.estimator, subject.sampler, n, tolerance)
     tally.check()
-    several = as_subject(estimator, sampler).estimator.channels
-    return value if several else float(np.squeeze(value))
+    return value if subject.estimator.channels else float(np.squeeze(value))
 
 
 def estimated_variance(
@@ -265,8 +269,9 @@ def of_integrand(
         larger = f", or tolerance={enough:.1e}" if enough < _MOST else ""
         raise NoClosedForm(
             f"The stratum quadrature of {g.spec} does not converge ({np.max(low):.6g} against "
-            f"{np.max(high):.6g}, error {np.max(error):.2g}) to a tolerance of {tolerance:.1g}; use "
-            f"convergence or variance_terms{larger}."
+            f"{np.max(high):.6g}, error {np.max(error):.2g}) to a tolerance of {tolerance:.1g}; use ",
+            *MEASURE_IT,
+            f"{larger}.",
         )
     vanishes = np.isfinite(high) & (np.maximum(low, high) <= rounding)
     return np.where(vanishes, 0.0, high), np.where(np.isinf(high), 0.0, error)
@@ -285,7 +290,9 @@ def _variance(law: Law, g: Integrand, rule: Rule) -> tuple[Array, Array]:
             if not inner.uniform:
                 raise NoClosedForm(
                     f"No exact variance is known for random reflections of {inner.name}, whose points "
-                    "are not uniform; use convergence or variance_terms."
+                    "are not uniform; use ",
+                    *MEASURE_IT,
+                    ".",
                 )
             one, average = Independent(n=1, dims=g.dims), SymmetrizedIntegrand(g)
             whole, missed = _variance(one, g, rule)
@@ -314,8 +321,9 @@ def _variance(law: Law, g: Integrand, rule: Rule) -> tuple[Array, Array]:
     grid = isinstance(set_, Fixed) and set_.sides is not None
     if not (jittered or latin or grid):
         raise NoClosedForm(
-            f"No exact variance is known for {law.name} in {g.dims} dims; "
-            "use convergence or variance_terms."
+            f"No exact variance is known for {law.name} in {g.dims} dims; use ",
+            *MEASURE_IT,
+            ".",
         )
     sides = set_.strata if isinstance(set_, PairedAxes) else set_.sides  # type: ignore[attr-defined]
     if not (grid or shifted):
@@ -412,7 +420,7 @@ def _nested(net: Fixed, bases: tuple[int, ...], g: Integrand, rule: Rule) -> tup
     try:
         gains = gains_at(net, bases, max(1, *digits))
     except ParameterError as error:
-        raise NoClosedForm(f"{error} Or use convergence or variance_terms.") from None
+        raise NoClosedForm(error, " Or use ", *MEASURE_IT, ".") from None
     gains = gains[tuple(slice(level + 1) for level in digits)]
     means, within, unseen = strata(g, sides, np.zeros(g.dims), rule)
     levels = level_variances(means.reshape(*sides, -1), bases)

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.fits import line_fit
 from mcspectra.estimators.moments import CONFIDENCE_Z
 
@@ -84,7 +84,7 @@ def check_window(fit_last: int | str | None, counts: int) -> None:
     """Refuse a window of more counts than there are."""
     if isinstance(fit_last, int) and fit_last > counts:
         raise ParameterError(
-            f"fit_last is {fit_last}; give at most {counts}, the number of counts."
+            Parameter("fit_last"), f" is {fit_last}; give at most {counts}, the number of counts."
         )
 
 

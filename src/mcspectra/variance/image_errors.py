@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
-from mcspectra.core.errors import NoClosedForm, ParameterError
+from mcspectra.core.errors import NoClosedForm, Parameter, ParameterError
 from mcspectra.core.images import Rings
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
@@ -97,7 +97,7 @@ def image_error_spectrum(
     >>> import mcspectra as mcs
     >>> for mask in ("white", "blue-noise"):
     ...     chain = f"jittered | decorrelate(mask={mask!r}, width=32)"
-    ...     found = mcs.image_error_spectrum("gaussian(width=0.3)", chain, 4, dims=2)
+    ...     found = mcs.variance.image_error_spectrum("gaussian(width=0.3)", chain, 4, dims=2)
     ...     print(mask, round(float(found["low_share"]), 1))
     white 0.9
     blue-noise 0.1
@@ -129,7 +129,9 @@ def image_error_spectrum(
     if d > _MOST_DIMS or max(sizes) > _MOST_VALUES:
         raise ParameterError(
             f"{sizes[0]:,} coefficients in {d} dims and {sizes[1]:,} points are too many: 1 to {_MOST_DIMS} "
-            f"dims and {_MOST_VALUES:,} of each are possible; lower half_width, n or the mask's width."
+            f"dims and {_MOST_VALUES:,} of each are possible; lower ",
+            Parameter("half_width"),
+            ", n or the mask's width.",
         )
 
     stream = Stream.from_rng(rng)

@@ -29,10 +29,10 @@ import numpy as np
 from mcspectra.core.cache import cache_folder
 from mcspectra.core.checks import Array, as_choice, as_integer, as_real
 from mcspectra.core.decoding import path_to_write
-from mcspectra.core.errors import ParameterError, writing
+from mcspectra.core.errors import Parameter, ParameterError, writing
 from mcspectra.core.progress import report
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.densities import Density, Uniform, vegas_density
+from mcspectra.densities import Density, Uniform
 from mcspectra.densities.learned import (
     DEGREE,
     Learned,
@@ -62,8 +62,6 @@ _GAIN = 2e-9  # of the function, below which fits end
 # Dims up to which flows take them; with more, longer fits cost more and are no better
 _ALL_STEPS = 4
 _REPLICATES = 6  # at least, of each candidate
-_ITERATIONS = 5  # of VEGAS
-_GRID = 64
 _LEAST_WEIGHT = 1e-6  # of a spline to start from
 _WORTH = 0.5  # of the variance of uniform points: six sets tell no better, and these are safe
 _EACH_GATE = 4  # evaluations of each weight of a flow
@@ -71,8 +69,6 @@ _PARTS = 2**16  # stream label of where parts start
 
 # (cells, parts, smoothness) of the candidates of each kind, the one for the first rounds first; 0 parts: a flow
 LEARNED: dict[str, tuple[tuple[int, int, float], ...]] = {
-    "piecewise": ((12, 1, 1e-3), (8, 1, 1e-1), (12, 1, 1e-2), (24, 1, 1e-4)),
-    "vegas": ((16, 1, 0.0), (4, 1, 0.0), (8, 1, 0.0), (32, 1, 0.0)),
     "mixture": ((12, 4, 1e-3), (8, 4, 1e-1), (12, 4, 1e-2), (12, 8, 1e-3)),
     "spline-flow": ((12, 0, 1e-3), (8, 0, 1e-1), (8, 0, 1e-2), (16, 0, 1e-4)),
 }
@@ -285,8 +281,7 @@ def learned_density(
     f
         An integrand, also of several channels, its spec, or a function of points (k, d) to (k,).
     kind
-        ``"piecewise"`` (a product of splines), ``"vegas"`` (that of the map of VEGAS, smoothed; needs the
-        package vegas), ``"mixture"`` (of products) or ``"spline-flow"`` (splines of each coordinate whose
+        ``"mixture"`` (of products of splines) or ``"spline-flow"`` (splines of each coordinate whose
         weights depend on those before).
     sampler, n
         The points that will be used. The sampler is random.
@@ -317,8 +312,6 @@ def learned_density(
         The sampler has no sets of n points.
     FileFormatError
         The density cannot be written.
-    MissingDependency
-        The package vegas is not installed.
 
     Notes
     -----
@@ -330,7 +323,7 @@ def learned_density(
     --------
     >>> import mcspectra as mcs
     >>> f = mcs.integrand("gaussian(width=0.1)", dims=2)
-    >>> p = mcs.learned_density(f, "piecewise", "sobol | owen", 64, evaluations=4096)
+    >>> p = mcs.variance.learned_density(f, "mixture", "sobol | owen", 64, evaluations=4096)
     >>> float(p.pdf([[0.5, 0.5]])[0]) > 4.0
     True
     """
@@ -347,7 +340,8 @@ def learned_density(
         )
     if given is None:
         raise ParameterError(
-            "dims is missing; give dims=, the number of dims of the function's points."
+            Parameter("dims"),
+            " is missing; give the number of dims of the function's points.",
         )
     d = as_integer("dims", given, least=1, most=_MOST_DIMS)
     source = as_sampler(sampler, d)
@@ -383,46 +377,23 @@ def learned_density(
 
     # Fit the candidates to their part, from densities that follow f better and better
     made = list[Density]()
-    if kind == "vegas":
-        each, seed = half // _ITERATIONS, int(stream.child(0).key) >> 1
-        grid = vegas_density(
-            values_at, dims=d, increments=_GRID, iterations=_ITERATIONS, evaluations=each, seed=seed
+    first = LEARNED[kind][0]
+
+    def follow(points: Array, values: Array, pdf: Array) -> Density | None:
+        if not values.any():
+            return None
+        return fit_splines(points, values, pdf, first, defensive, stream.generator(_PARTS))
+
+    sizes = [half // 4, half // 4, half - 2 * (half // 4)]
+    seen = in_rounds(values_at, d, sizes, follow, stream)
+    if not seen[1].any():
+        raise ParameterError(
+            f"f is 0 at all {half} points that were tried; give more evaluations, or an integrand "
+            "that says where it is not."
         )
-        # Follow the histograms of VEGAS, on every so many of their borders
-        nodes = np.array(grid.nodes)
-        for cells, *_ in LEARNED[kind]:
-            knots = nodes[:, :: (nodes.shape[1] - 1) // cells]
-            tables = np.empty((1, len(knots), cells + 2))
-            for table, line in zip(tables[0], knots, strict=True):
-                # Weights are densities where the splines lie, times their lengths
-                ends = np.concatenate([[0.0, 0.0], line, [1.0, 1.0]])
-                middle = 0.5 * (line[1:] + line[:-1])
-                density = np.exp(
-                    np.interp(0.5 * (ends[1:-2] + ends[2:-1]), middle, -np.log(np.diff(line)))
-                )
-                table[:] = density * spline_lengths(line)
-            tables /= tables.sum(axis=-1, keepdims=True)
-            made.append(
-                SplineDensity(knots=knots, defensive=defensive, shares=np.ones(1), tables=tables)
-            )
-    else:
-        first = LEARNED[kind][0]
-
-        def follow(points: Array, values: Array, pdf: Array) -> Density | None:
-            if not values.any():
-                return None
-            return fit_splines(points, values, pdf, first, defensive, stream.generator(_PARTS))
-
-        sizes = [half // 4, half // 4, half - 2 * (half // 4)]
-        seen = in_rounds(values_at, d, sizes, follow, stream)
-        if not seen[1].any():
-            raise ParameterError(
-                f"f is 0 at all {half} points that were tried; give more evaluations, or an integrand "
-                "that says where it is not."
-            )
-        for place, setting in enumerate(LEARNED[kind]):
-            report(f"density of {integrand.spec}", 0.3 + 0.1 * place)
-            made.append(fit_splines(*seen, setting, defensive, stream.generator(_PARTS)))
+    for place, setting in enumerate(LEARNED[kind]):
+        report(f"density of {integrand.spec}", 0.3 + 0.1 * place)
+        made.append(fit_splines(*seen, setting, defensive, stream.generator(_PARTS)))
 
     # Choose by the rest
     left = [Uniform(dims=d), *made]

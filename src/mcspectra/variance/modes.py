@@ -34,7 +34,7 @@ from mcspectra.core.analysis import (
     compute_chunk,
 )
 from mcspectra.core.checks import Array, as_choice, as_integer
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.results import dataset
@@ -62,7 +62,8 @@ class Modes(Counted, frozen=True, kw_only=True):
     """Leading eigenvectors of the covariance of the coefficients: what varies together."""
 
     function = "covariance_modes"
-    verb = "modes"
+    verb = "variance"
+    split = "modes"
     variables = (
         *("eigenvalue", "eigenvalue_se", "eigenvalue_residual", "eigenvalue_share"),
         *("mode_contribution", "mode_vector", "band_trace", "noise_edge"),
@@ -76,7 +77,10 @@ class Modes(Counted, frozen=True, kw_only=True):
         bool,
         Meta(
             description="Of conj(f_m) S_m; without it of S_m, the points' own.",
-            extra={"flag": "--points-only"},
+            extra={
+                "flag": "--points-only",
+                "help": "modes of S_m, the points alone, instead of conj(f_m) S_m",
+            },
         ),
     ] = True
     bands: Annotated[str, options.BANDS] = "radial"
@@ -112,7 +116,9 @@ class Modes(Counted, frozen=True, kw_only=True):
         if numbers > _MAX_NUMBERS:
             raise ParameterError(
                 f"{self.modes} modes of {size} coefficients take {8 * size * self.modes / 2**30:.3g} "
-                "GiB; ask for fewer, or for a smaller half_width."
+                "GiB; ask for fewer, or for a smaller ",
+                Parameter("half_width"),
+                ".",
             )
         as_integer("modes", self.modes, least=1, most=max(1, size))
         each = evaluations * self.n + numbers
@@ -127,8 +133,9 @@ class Modes(Counted, frozen=True, kw_only=True):
         frequencies = Frequencies.of(subject, self)
         if frequencies.diverge:
             raise ParameterError(
-                f"∫1/p diverges for {estimator.spec}: its covariances are infinite; use "
-                "space='primary'."
+                f"∫1/p diverges for {estimator.spec}: its covariances are infinite; use ",
+                Parameter("space", "primary"),
+                ".",
             )
 
         # Which stored coefficients belong to the bands of these labels
@@ -139,8 +146,9 @@ class Modes(Counted, frozen=True, kw_only=True):
             listed = isinstance(given, list | tuple) and all(isinstance(b, str) for b in given)
             if not listed or not given:
                 raise ParameterError(
-                    f"band is {self.band!r}; give labels of bands as text, such as "
-                    f"{partition.labels[-1]!r}, or None for all."
+                    Parameter("band"),
+                    f" is {self.band!r}; give labels of bands as text, such as "
+                    f"{partition.labels[-1]!r}, or None for all.",
                 )
             wanted = [partition.labels.index(as_choice("band", b, partition.labels)) for b in given]
             inside = np.isin(partition.of, wanted)
@@ -249,6 +257,7 @@ def covariance_modes(
     sampler: Any,
     n: int,
     *,
+    dims: int | None = None,
     half_width: int = 32,
     modes: int = 8,
     weighted: bool = True,
@@ -271,7 +280,7 @@ def covariance_modes(
     ----------
     estimator, sampler, n
         What is analysed, as in `variance_terms`.
-    half_width, realizations, rng, basis, space, engine, eps, workers
+    dims, half_width, realizations, rng, basis, space, engine, eps, workers
         As in `variance_terms`.
     modes
         How many, at most as many as coefficients.

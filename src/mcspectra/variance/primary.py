@@ -36,14 +36,20 @@ _ZERO = 1e-9  # of the largest p
 
 
 def primary_picture(
-    estimator: AbstractEstimator | Any, *, technique: int = 0, resolution: int = 256
+    estimator: AbstractEstimator | Any,
+    *,
+    dims: int | None = None,
+    technique: int = 0,
+    resolution: int = 256,
 ) -> xr.Dataset:
     """Draw up g(u) of an estimator in one or two dims with its jumps.
 
     Parameters
     ----------
     estimator
-        Estimator, integrand, or an integrand's spec string.
+        Estimator, integrand, an integrand's spec string, or a function.
+    dims
+        Number of dims of a function, and of a spec that leaves it open.
     technique
         Which technique's g.
     resolution
@@ -69,7 +75,7 @@ def primary_picture(
     DensityError
         p is 0 where f is not.
     """
-    found = as_estimator(estimator)
+    found = as_estimator(estimator, dims)
     if found.dims > 2:
         raise ParameterError(
             f"{found.spec} has {found.dims} dims; primary-space pictures are made in 1 and 2 dims."

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import NoClosedForm
+from mcspectra.core.errors import MEASURE_IT, NoClosedForm
 from mcspectra.densities import Learned
 from mcspectra.densities.adaptive import positive_integral
 from mcspectra.estimators import Estimator
@@ -228,8 +228,9 @@ class Rule:
         """Refuse what would take too long; `what` begins the sentence."""
         if evaluations > self.most:
             raise NoClosedForm(
-                f"{what} would take {evaluations:.2g} evaluations, more than {self.most:.2g}; use "
-                "convergence or variance_terms."
+                f"{what} would take {evaluations:.2g} evaluations, more than {self.most:.2g}; use ",
+                *MEASURE_IT,
+                ".",
             )
 
 

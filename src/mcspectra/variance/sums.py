@@ -259,4 +259,5 @@ def ratio_factors(above: Array, below: Array, share: Array) -> Array:
     skewness, kurtosis = (unit**3).mean(axis=0), (unit**4).mean(axis=0)
     wider = 1.0 + np.sqrt(np.maximum(kurtosis - 3.0, 0.0) / blocks)
     low, high = (error * (wider + np.maximum(sign * skewness, 0.0)) for sign in (-1, 1))
-    return np.asarray(np.exp(np.stack([-low, high], axis=-1)))
+    with np.errstate(over="ignore"):  # no upper end where nothing is captured but rounding
+        return np.asarray(np.exp(np.stack([-low, high], axis=-1)))

@@ -20,7 +20,7 @@ import numpy as np
 from mcspectra.core import options
 from mcspectra.core.analysis import Counted, Need, Reduction, Steps, Subject
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.records import JOIN
@@ -28,12 +28,11 @@ from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, Moments
 from mcspectra.estimators.moments import rounding_floor
-from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler
 from mcspectra.variance.blindness import is_fixed
-from mcspectra.variance.convergence import count_stream
 from mcspectra.variance.doors import NO_VARIANCE, answer, counted
 from mcspectra.variance.fit import check_window, fit_rates
+from mcspectra.variance.measured import count_stream
 from mcspectra.variance.ordered import product, weighted_sum
 from mcspectra.variance.sums import BATCHES, Variables, ratio_factors, spread
 from mcspectra.variance.views import Frequencies, View
@@ -61,7 +60,8 @@ class Techniques(Counted, frozen=True, kw_only=True):
     """What each technique of an estimator contributes, and which one decides the rate."""
 
     function = "technique_terms"
-    verb = "techniques"
+    verb = "variance"
+    split = "techniques"
     variables = (
         *_PARTS,
         *(f"{name}_se" for name in _PARTS),
@@ -100,7 +100,9 @@ class Techniques(Counted, frozen=True, kw_only=True):
         if techniques**2 * basis.stored > _MOST:
             raise ParameterError(
                 f"{techniques}² pairs of techniques at {basis.stored} frequencies are more than "
-                f"{_MOST} covariances; choose a smaller half_width."
+                f"{_MOST} covariances; choose a smaller ",
+                Parameter("half_width"),
+                ".",
             )
         squared = basis.size * techniques**2
         return Need(
@@ -193,10 +195,11 @@ class Techniques(Counted, frozen=True, kw_only=True):
 
 
 def technique_terms(
-    estimator: AbstractEstimator | Integrand | str,
+    estimator: Any,
     sampler: Sampler | str,
     counts: int | Sequence[int],
     *,
+    dims: int | None = None,
     half_width: int = 64,
     realizations: int = 1000,
     rng: RngLike = 0,
@@ -217,7 +220,7 @@ def technique_terms(
     counts
         Points n of each technique in units of its ``counts``; a list of ascending numbers adds the dim
         n, rates and the bottleneck.
-    half_width, basis, engine, eps, workers
+    dims, half_width, basis, engine, eps, workers
         As for `variance_terms`.
     realizations
         Independent realisations for each n, at least 2.
@@ -264,7 +267,7 @@ def technique_terms(
     Examples
     --------
     >>> import mcspectra as mcs
-    >>> parts = mcs.TechniqueSum(["linear", "step(at=0.3)"], dims=1)
+    >>> parts = mcs.estimators.TechniqueSum(["linear", "step(at=0.3)"], dims=1)
     >>> d = mcs.technique_terms(parts, "jittered", [16, 64, 256], half_width=8, realizations=200)
     >>> d.attrs["bottleneck"]
     'technique 1'

@@ -19,10 +19,7 @@ from mcspectra.core.memory import memory_of
 from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator
 from mcspectra.estimators.moments import rounding_floor
-from mcspectra.integrands import Integrand
-from mcspectra.samplers import Sampler
 from mcspectra.variance.bands import check_bands, make_bands
 from mcspectra.variance.blindness import blindness_of, is_fixed
 from mcspectra.variance.doors import answer
@@ -47,6 +44,8 @@ class Terms(Counted, frozen=True, kw_only=True):
 
     function = "variance_terms"
     verb = "variance"
+    several = ("sampler",)
+    split = "terms"
     variables = (
         *(f"{name}{part}" for name in _TERMS for part in ("", "_se", "_ci")),
         *(f"{name}{part}" for name in _WITH_ERROR for part in ("", "_se")),
@@ -77,9 +76,10 @@ class Terms(Counted, frozen=True, kw_only=True):
 
     def need(self, subject: Subject) -> Need:
         """The spectra fit, and there are such bands."""
-        estimator = subject.estimator
-        estimator.check_sampler(subject.sampler, self.n)
-        frequencies = Frequencies.of(subject, self, self.n)
+        estimator, several = subject.estimator, len(subject.samplers)
+        for sampler in subject.samplers:
+            estimator.check_sampler(sampler, self.n)
+        frequencies = self._frequencies(subject)
         check_bands(self.bands, frequencies.basis)
         size, evaluations = frequencies.size, sum(estimator.counts)
         if self.cross_matrix and size > MAX_MATRIX:
@@ -87,17 +87,18 @@ class Terms(Counted, frozen=True, kw_only=True):
                 f"The cross matrix of {size} frequencies takes {32 * size**2 / 2**30:.3g} GiB; ask "
                 f"for at most {MAX_MATRIX} frequencies, or use contribution and band_covariance."
             )
-        kept = size + (2 * size * size if self.cross_matrix else 0)
+        kept = several * (size + (2 * size * size if self.cross_matrix else 0))
+        each = self.realizations * evaluations * self.n * estimator.evaluations_per_point
         return Need(
-            cost=float(self.realizations * (evaluations * self.n + size)),
+            cost=float(several * self.realizations * (evaluations * self.n + size)),
             memory=memory_of(self.n, estimator.dims, evaluations, kept),
-            evaluations=self.realizations * evaluations * self.n * estimator.evaluations_per_point,
+            evaluations=several * each,
         )
 
-    def reduction(self, subject: Subject, stream: Stream) -> Reduction[TermSums]:
-        """Sums over all realisations; a block is a batch too."""
-        estimator, n = subject.estimator, self.n
-        frequencies = Frequencies.of(subject, self, self.n)
+    def reduction(self, subject: Subject, stream: Stream) -> Reduction[list[TermSums]]:
+        """Sums over all realisations of each sampler; a block is a batch too."""
+        estimator, samplers, n = subject.estimator, subject.samplers, self.n
+        frequencies = self._frequencies(subject)
         view = frequencies.view(n, self)
         bands = make_bands(self.bands, view.basis)
         partition = view.partition(bands.of, self.cross_matrix)
@@ -105,27 +106,42 @@ class Terms(Counted, frozen=True, kw_only=True):
         numbers = max(n * estimator.dims * sum(estimator.counts), 2 * partition.double.size)
         blocks = realization_blocks(self.realizations, numbers, multiple=2, least=BATCHES)
 
-        def block(index: int) -> TermSums:
-            points = estimator.draw(subject.sampler, n, stream, *blocks[index])
+        def block(index: int) -> list[TermSums]:
+            return [sums_of(estimator.draw(s, n, stream, *blocks[index])) for s in samplers]
+
+        def sums_of(points: list[Array]) -> TermSums:
             estimates = estimator.estimate(points).reshape(len(points[0]), -1)
             return TermSums.of(view.coefficients(points), estimates, partition)
 
-        def result(total: TermSums) -> xr.Dataset:
-            variables = _variables(total, view, partition)
+        def result(totals: list[TermSums]) -> xr.Dataset:
+            # The variables of every sampler, then all of them on a dim sampler
             share, tail = view.energy(n)
-            variables |= {"energy_share": (("channel",), share), "tail_term": (("channel",), tail)}
-            blind, notes = blindness_of(estimator, subject.sampler, n, total.measured)
-            variables["measured_variance_ci"][1][blind, 1] = np.inf
-            captured = variables["captured_ci"][1]
-            captured[blind, 0] = np.minimum(captured[blind, 0], 0.0)
-            if is_fixed(estimator, subject.sampler):  # what is left is rounding
-                known = ("mean", "energy_share", "captured")
-                variables = {
-                    name: (dims, v if name.startswith(known) else np.zeros_like(v))
-                    for name, (dims, v) in variables.items()
-                }
+            found: list[Variables] = []
+            notes: dict[str, None] = {}
             if frequencies.diverge:
-                notes.insert(0, "spectral terms are infinite: ∫1/p diverges")
+                notes["spectral terms are infinite: ∫1/p diverges"] = None
+            for sampler, total in zip(samplers, totals, strict=True):
+                own = _variables(total, view, partition)
+                own |= {"energy_share": (("channel",), share), "tail_term": (("channel",), tail)}
+                blind, said = blindness_of(estimator, sampler, n, total.measured)
+                notes |= dict.fromkeys(said)
+                own["measured_variance_ci"][1][blind, 1] = np.inf
+                captured = own["captured_ci"][1]
+                captured[blind, 0] = np.minimum(captured[blind, 0], 0.0)
+                if is_fixed(estimator, sampler):  # what is left is rounding
+                    known = ("mean", "energy_share", "captured")
+                    own = {
+                        name: (dims, v if name.startswith(known) else np.zeros_like(v))
+                        for name, (dims, v) in own.items()
+                    }
+                found.append(own)
+            single = subject.sampler is samplers[0]
+            variables: Variables = {}
+            for name, (dims, value) in found[0].items():
+                values = [own[name][1] for own in found]
+                stacked = np.asarray(value)[None] if len(values) == 1 else np.stack(values)
+                variables[name] = ("sampler", *dims), stacked
+            if frequencies.diverge:
                 variables = frequencies.undefined(
                     variables,
                     ("measured_variance", "mean", "energy_share"),
@@ -149,20 +165,26 @@ class Terms(Counted, frozen=True, kw_only=True):
 
             # Labels as an attribute: arrays of strings have no place in zarr's specification yet.
             about = {"long_name": bands.meaning, "units": "1", "labels": ", ".join(bands.labels)}
-            numbers = np.arange(len(bands.labels))
+            places = np.arange(len(bands.labels))
             widths = np.arange(basis.half_width + 1)
+            alone = {
+                "sampler": single,
+                "channel": not estimator.channels,
+                "technique": techniques == 1,
+            }
             return dataset(
                 variables,
                 {
                     **basis.coords,
                     "bound": ["low", "high"],
-                    "band": ("band", numbers, about),
-                    "band_other": ("band_other", numbers, about),
+                    "band": ("band", places, about),
+                    "band_other": ("band_other", places, about),
                     "half_width": ("half_width", widths, {"units": "cycles per unit"}),
                     **matrix,
+                    **({} if single else {"sampler": [each.spec for each in samplers]}),
                 },
-                drop=["channel"] * (not estimator.channels) + ["technique"] * (techniques == 1),
-                batches=total.batches.count if total.batches else 0,
+                drop=[dim for dim, dropped in alone.items() if dropped],
+                batches=totals[0].batches.count if totals[0].batches else 0,
                 basis=basis.name,
                 space=view.space,
                 coefficients=view.source,
@@ -171,19 +193,32 @@ class Terms(Counted, frozen=True, kw_only=True):
             )
 
         return Reduction(
-            kind=TermSums,
+            kind=list[TermSums],
             block=block,
             blocks=len(blocks),
             cost=self.need(subject).cost,
             result=result,
         )
 
+    def _frequencies(self, subject: Subject) -> Frequencies:
+        """The basis functions, which are the same for all samplers."""
+        samplers = subject.samplers if self.basis == "auto" else subject.samplers[:1]
+        found = [Frequencies.of(Subject(subject.estimator, s), self, self.n) for s in samplers]
+        names = {s.spec: each.basis.name for s, each in zip(samplers, found, strict=True)}
+        if len(set(names.values())) > 1:
+            chosen = ", ".join(f"{basis} for {sampler}" for sampler, basis in names.items())
+            raise ParameterError(
+                f"basis is 'auto', which is {chosen}; name one basis, or analyze the samplers one by one."
+            )
+        return found[0]
+
 
 def variance_terms(
-    estimator: AbstractEstimator | Integrand | str,
-    sampler: Sampler | str,
+    estimator: Any,
+    sampler: Any,
     n: int,
     *,
+    dims: int | None = None,
     half_width: int | None = None,
     realizations: int = 1000,
     rng: RngLike = 0,
@@ -201,7 +236,11 @@ def variance_terms(
     Parameters
     ----------
     estimator, sampler, n
-        What is analysed; `n` counts each technique's points in units of its ``counts``.
+        What is analysed: an estimator with one sampler or a list of different ones, which share
+        realisations' random numbers; `n` counts each technique's points in units of its ``counts``.
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
     half_width
         Frequencies m run over {−half_width … half_width}^d. By default 64, or twice n^(1/d) as a power
         of two where that is more; fewer where f has none beyond, or there would be more than 2^17.
@@ -211,7 +250,8 @@ def variance_terms(
         Seed (SPEC 7). Realisation r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
     basis
         ``"fourier"``, ``"cosine"``, ``"walsh"`` or ``"haar"`` (`mcspectra.spectra.bases`), or ``"auto"``:
-        the one that fits the sampler's randomisation, which the attribute ``basis`` then names.
+        the one that fits the sampler's randomisation, which the attribute ``basis`` then names; a
+        list of samplers needs one that fits them all.
     space
         ``"domain"``: f with the warped, weighted points (the paper's view); ``"primary"``: g(u) with
         the sampler's own points, where discontinuities made by the warp are visible. By default the
@@ -236,8 +276,8 @@ def variance_terms(
         measured variance is rounding noise), ``energy_share``, the part of ∫f² within the half width, and
         ``tail_term``, the variance of the rest if points were random to it, ``contribution`` and ``power_contribution`` on m0, m1,
         …, ``band_covariance(band, band_other)``, ``truncated_variance(half_width)`` and
-        ``captured_by_half_width(half_width)``; a dim channel where f has several, a dim technique on
-        maps of a primary space with several. With `cross_matrix`, ``coefficient_covariance(m, l)``
+        ``captured_by_half_width(half_width)``; a dim sampler for a list, a dim channel where f has
+        several, a dim technique on maps of a primary space with several. With `cross_matrix`, ``coefficient_covariance(m, l)``
         and ``cross_matrix(m, l)``. Standard errors ``_se`` of the terms, ``contribution``,
         ``band_covariance`` and both matrices, and ``_ci`` of the terms, by batch means (from 4
         realisations on): their number is the attribute ``batches``, and 95 % is Student's t with one
@@ -303,12 +343,11 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
 
     # What part of the variance the frequencies hold; one of rounding noise captures nothing
     real = np.where(measured.variance > rounding_floor(measured.mean), measured.variance, np.nan)
+    with np.errstate(invalid="ignore"):  # 0 times infinity where nothing is captured
+        captured_ci = (predicted / real)[:, None] * batches.captured_factors()
     variables |= {
         "captured": (("channel",), predicted / real),
-        "captured_ci": (
-            ("channel", "bound"),
-            (predicted / real)[:, None] * batches.captured_factors(),
-        ),
+        "captured_ci": (("channel", "bound"), captured_ci),
         "truncated_variance": (by_width, sums.truncated.variance),
         "captured_by_half_width": (by_width, sums.truncated.variance / real[:, None]),
     }

@@ -21,9 +21,9 @@ from mcspectra.estimators import MIRRORINGS, AbstractEstimator, Estimator, Mirro
 from mcspectra.integrands import Integrand, as_integrand, integral_accuracy
 from mcspectra.integrands.smoothing import BoxSmoothed, smoothed
 from mcspectra.samplers import Sampler, Shift
-from mcspectra.variance.convergence import convergence
 from mcspectra.variance.doors import counted
 from mcspectra.variance.exact import exact_variance
+from mcspectra.variance.measured import convergence
 from mcspectra.variance.sums import Variables
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def smoothing_scan(
     Examples
     --------
     >>> import mcspectra as mcs
-    >>> d = mcs.smoothing_scan("disk(center=0.47)", "jittered", 256, [0, 0.05, 0.2], rng=1)
+    >>> d = mcs.variance.smoothing_scan("disk(center=0.47)", "jittered", 256, [0, 0.05, 0.2], rng=1)
     >>> float(d["best_width"][0])
     0.05
     """
@@ -152,10 +152,11 @@ def smoothing_scan(
 
 
 def mirror_study(
-    estimator: AbstractEstimator | Integrand | str,
+    estimator: Any,
     sampler: Sampler | str,
     counts: Sequence[int],
     *,
+    dims: int | None = None,
     mirrorings: Sequence[str] = (_ORIGINAL, *MIRRORINGS),
     exact: bool = False,
     realizations: int = 1000,
@@ -170,6 +171,9 @@ def mirror_study(
     estimator, sampler, counts
         As for `mcspectra.convergence`; the sampler without a shift at its end. n counts evaluations
         of the integrand, so that variances at one n are at equal cost.
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
     mirrorings
         Which of ``"original"``, ``"integrand"``, ``"random"``, ``"uniform"``
         (`mcspectra.Mirrored`); the slides' six plots leave out ``"integrand"``.
@@ -194,7 +198,7 @@ def mirror_study(
     Examples
     --------
     >>> import mcspectra as mcs
-    >>> study = mcs.mirror_study("linear", mcs.sampler("jittered", dims=1), [16, 512], rng=1)
+    >>> study = mcs.variance.mirror_study("linear", mcs.sampler("jittered", dims=1), [16, 512], rng=1)
     >>> [round(float(r), 1) for r in study["rate"].sel(mirroring="original")]
     [-3.0, -2.0]
     >>> [round(float(r), 1) for r in study["rate"].sel(mirroring="integrand")]
@@ -202,7 +206,7 @@ def mirror_study(
     """
     if not isinstance(exact, bool):
         raise ParameterError(f"exact is {exact!r}; give True or False.")
-    subject = as_subject(estimator, sampler)
+    subject = as_subject(estimator, sampler, dims=dims)
     plain, source = subject.estimator, subject.sampler
     allowed = (_ORIGINAL, *MIRRORINGS)
     names = list(mirrorings) if isinstance(mirrorings, list | tuple) else []

@@ -15,7 +15,7 @@ import numpy as np
 
 from mcspectra.core.analysis import Subject
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import InfiniteWeightVarianceWarning, ParameterError, warn
+from mcspectra.core.errors import InfiniteWeightVarianceWarning, Parameter, ParameterError, warn
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import AbstractEstimator, Mirrored
 from mcspectra.samplers import Random, sampler
@@ -52,7 +52,9 @@ class Frequencies:
         if space == "domain" and domain is None:
             raise ParameterError(
                 f"{estimator.spec} has no common domain: its techniques are given on their own "
-                "unit cubes; use space='primary'."
+                "unit cubes; use ",
+                Parameter("space", "primary"),
+                ".",
             )
         chosen = space or ("primary" if domain is None else "domain")
         dims = estimator.dims if chosen == "primary" else estimator.domain_dims

@@ -30,6 +30,7 @@ from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler
 from mcspectra.samplers.law import Independent, Shifted, Strata
 from mcspectra.spectra.closed_forms import closed_form_covariance, closed_form_power
+from mcspectra.spectra.transforms import FrequencyGrid
 from mcspectra.variance._kernels import pair_sum_1d, pair_sum_2d
 from mcspectra.variance.ordered import weighted_sum
 from mcspectra.variance.prediction.known import Cells
@@ -96,6 +97,7 @@ def of_homogenized(
             "The homogenized formula holds for uniform points that are the same after any "
             f"translation, not for {given.spec} with {sampler.spec}; add shift."
         )
+    FrequencyGrid(estimator.domain_dims, width)  # refuses too many frequencies
     m, f = _coefficients(given, width)
     try:
         known = closed_form_power(sampler, n, m)
@@ -195,6 +197,7 @@ def _share(estimator: AbstractEstimator, f: Array) -> Any:
     """Part of ∫f² that the coefficients hold; NaN where ∫f² is not known."""
     within = (np.abs(f) ** 2).reshape(-1, max(1, estimator.channels)).sum(axis=0)
     try:
+        assert estimator.domain_integrand is not None
         whole, _ = square_integral(estimator.domain_integrand)
     except ParameterError:  # too many dims for a quadrature
         return np.nan
@@ -283,7 +286,7 @@ def of_pairs(
 def _of_counted_pairs(
     sampler: Sampler, n: int, g: Integrand, stream: Stream
 ) -> Callable[[int], MeanSums]:
-    """What a realisation says of the variance: the mean of A over its pairs."""
+    """Returns the estimate of one realization: the mean of A over its pairs."""
     if n > _MOST_POINTS:
         raise ParameterError(
             f"{n} points have too many pairs to count; give {_MOST_POINTS} at most."

@@ -92,10 +92,8 @@ class Cells:
         channels: int = 1,
     ) -> Cells:
         """A single row, whose numbers are (channels,) or the same for all channels."""
-        numbers = np.empty((5, 1, channels))
-        for place, number in enumerate((variance, low, high, share, tail)):
-            numbers[place, 0] = number
-        return Cells(*numbers, np.array([method]), np.array([how]), np.array([note]))
+        numbers = [np.full((1, channels), each) for each in (variance, low, high, share, tail)]
+        return Cells(*numbers, *(np.array([text]) for text in (method, how, note)))
 
     @staticmethod
     def unknown(reason: str, channels: int) -> Cells:

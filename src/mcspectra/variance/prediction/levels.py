@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import NoClosedForm, ParameterError
+from mcspectra.core.errors import MEASURE_IT, Function, NoClosedForm, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.integrands import Integrand
 from mcspectra.integrands._quadrature import gauss_rule
@@ -108,7 +108,7 @@ def _scrambled(net: Fixed, bases: tuple[int, ...], known: Known) -> Predicted:
     try:
         gains = gains_at(net, bases, levels)
     except ParameterError as error:
-        raise NoClosedForm(f"{error} Or use convergence or variance_terms.") from None
+        raise NoClosedForm(error, " Or use ", *MEASURE_IT, ".") from None
     wanted = np.abs(gains - 1.0) > 1e-9
     wanted[origin] = False
 
@@ -219,7 +219,7 @@ def _cell_moments(
     means = np.stack([m for m, _ in by_order]).reshape(2, *sides, -1)
     squares = np.stack([s for _, s in by_order]).reshape(2, *sides, -1)
     if not (np.isfinite(means).all() and np.isfinite(squares).all()):
-        raise NoClosedForm(f"{g.spec} is not finite everywhere; use convergence or variance_terms.")
+        raise NoClosedForm(f"{g.spec} is not finite everywhere; use ", *MEASURE_IT, ".")
     if not refined:
         return means, squares
 
@@ -310,7 +310,9 @@ def _predicted(
     if ((error > _MOST_ERROR * value) & (error > _NOISE * square)).any():
         raise NoClosedForm(
             f"Cells do not resolve the variance: {np.max(value) / n:.3g} may be off by "
-            f"{np.max(error) / n:.2g}; use convergence."
+            f"{np.max(error) / n:.2g}; use ",
+            Function("convergence"),
+            ".",
         )
     rest = np.broadcast_to(np.asarray(rest, float), value.shape)
     share = 1.0 - rest / np.maximum(square, 1e-300)

@@ -11,7 +11,7 @@ from msgspec import Meta
 
 from mcspectra.core.analysis import Counted, Need, Reduction, Subject, whole
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import CountError, ParameterError
+from mcspectra.core.errors import CountError, Parameter, ParameterError
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator
@@ -65,7 +65,9 @@ class Plan(Counted, frozen=True, kw_only=True):
         if self.relative and not np.all(np.abs(estimator.integral) > 0):
             raise ParameterError(
                 f"The integral of {estimator.spec} is {estimator.integral}, so that no error is a "
-                "share of it; give target_error without relative."
+                "share of it; give ",
+                Parameter("target_error"),
+                " without relative.",
             )
         return Need(cost=need.cost * len(_CURVE) * len(samplers), memory=need.memory)
 
@@ -191,7 +193,7 @@ class Plan(Counted, frozen=True, kw_only=True):
 
         # Between the last count that misses the target and the first that reaches it: about where a
         # line through both does, for curves go up and down; nets in base 2 are balanced at powers of two
-        if not before or _doubles(sampler):
+        if not before or _doubles(sampler.law(counts[first])):
             return best
         low, high = ((counts[k], np.maximum(variances[k], _TINY)) for k in (before[-1], first))
 
@@ -276,6 +278,7 @@ def plan(
     estimator: Any,
     samplers: Any,
     *,
+    dims: int | None = None,
     target_error: float,
     relative: bool = False,
     rng: RngLike = 0,
@@ -288,6 +291,9 @@ def plan(
     ----------
     estimator, samplers
         As in `predict`: an estimator, one sampler or a list.
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
     target_error
         Wanted root mean square error; of several channels of each.
     relative

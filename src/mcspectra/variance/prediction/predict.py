@@ -46,9 +46,9 @@ from mcspectra.samplers.law import (
     leaf_of,
     moved,
 )
-from mcspectra.variance.convergence import count_moments, count_stream
 from mcspectra.variance.doors import NO_VARIANCE, VANISHES, answer, counted
 from mcspectra.variance.exact import EXACT_TOLERANCE, estimated_variance, of_integrand
+from mcspectra.variance.measured import count_moments, count_stream
 from mcspectra.variance.prediction.cross_checks import (
     draws_power,
     of_covariance,
@@ -274,9 +274,9 @@ METHODS: Mapping[str, str] = {
 _WORTH = {"moves": 0.03, "table": 0.2, "extrapolated": 0.2}
 """Half intervals of sums of products, relative to the variance, that a method may narrow."""
 
-METHOD = Meta(
-    description="auto: the most trusted method that applies; all: every method, side by side; or one "
-    f"of {', '.join(METHODS)}.",
+_METHOD = Meta(
+    description="auto: the most trusted method that applies; all: every method, side by side; else one "
+    "by its name.",
     extra={"choices": ("auto", "all", *METHODS)},
 )
 
@@ -292,9 +292,10 @@ class Prediction(Counted, frozen=True, kw_only=True):
         *("predicted_variance", "predicted_variance_ci", "energy_share", "tail_variance"),
         *("local_rate", "predicted_rate", "limit_rate", "bend_n"),
     )
+    provenance = ("method",)
 
     counts: Annotated[Counts, COUNTS]
-    method: Annotated[str, METHOD] = "auto"
+    method: Annotated[str, _METHOD] = "auto"
     tolerance: Annotated[
         float,
         Meta(
@@ -524,6 +525,7 @@ def predict(
     samplers: Any,
     counts: Sequence[int],
     *,
+    dims: int | None = None,
     method: str = "auto",
     tolerance: float = EXACT_TOLERANCE,
     half_width: int | None = None,
@@ -537,11 +539,15 @@ def predict(
     Parameters
     ----------
     estimator
-        An estimator, or an integrand or its spec string, for plain sampling.
+        An estimator or, for plain sampling, an integrand, its spec string, or a vectorised function of
+        points (…, d).
     samplers
         One or a list, no sampler twice.
     counts
         Numbers of points n, ascending; each must be one that every sampler can do.
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
     method
         ``"auto"``: the most trusted method that applies; ``"all"``: every method, side by side, on a dim
         ``method``; or one of these names, from `METHODS`.

@@ -99,7 +99,7 @@ def predicted_rate(b: float, decay: float | str, dims: int) -> float:
     Examples
     --------
     >>> import mcspectra as mcs
-    >>> mcs.predicted_rate(2, "smooth", 2), mcs.predicted_rate(2, "jump", 2)
+    >>> mcs.variance.predicted_rate(2, "smooth", 2), mcs.variance.predicted_rate(2, "jump", 2)
     (-2.0, -1.5)
     """
     d = as_integer("dims", dims, least=1, most=MAX_DIMS)
@@ -355,7 +355,7 @@ def integrand_decay(
     Examples
     --------
     >>> import mcspectra as mcs
-    >>> round(mcs.integrand_decay("disk", half_width=64), 1)
+    >>> round(mcs.variance.integrand_decay("disk", half_width=64), 1)
     3.0
     """
     found = fitted_decay(integrand, half_width=half_width, max_evaluations=max_evaluations)
@@ -390,7 +390,7 @@ def fitted_decay(
     Examples
     --------
     >>> import mcspectra as mcs
-    >>> found = mcs.fitted_decay(mcs.integrand("step(at=0.3)", dims=1))
+    >>> found = mcs.variance.fitted_decay(mcs.integrand("step(at=0.3)", dims=1))
     >>> found.interval[0] < 2.0 < found.interval[1], found.settled
     (True, True)
     """

@@ -38,7 +38,7 @@ from typing import Any, final
 import numpy as np
 
 from mcspectra.core.checks import BELOW_ONE, Array
-from mcspectra.core.errors import NoClosedForm
+from mcspectra.core.errors import Function, NoClosedForm
 from mcspectra.core.jit import kernel
 from mcspectra.core.streams import Stream
 from mcspectra.integrands import Integrand
@@ -126,7 +126,9 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
     work = float(len(rows)) * codes[..., 0].size * _RANK**2
     if work > _MOST_WORK:
         raise NoClosedForm(
-            f"The pairs of {n} points of {law.name} in {g.dims} dims are too many; use convergence."
+            f"The pairs of {n} points of {law.name} in {g.dims} dims are too many; use ",
+            Function("convergence"),
+            ".",
         )
     found = []
     for c, p in enumerate(parts):
@@ -591,7 +593,9 @@ def _pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
     unknown = isinstance(law, Scrambled) and not (law.nested_pairs or law.xor)
     if unknown or not isinstance(law, Shifted | Scrambled | Stationary):
         raise NoClosedForm(
-            f"No law of pairs of points is known for {law.name} in {d} dims; use convergence."
+            f"No law of pairs of points is known for {law.name} in {d} dims; use ",
+            Function("convergence"),
+            ".",
         )
     digital = isinstance(set_, Fixed) and set_.digital
     x = set_.draw(stream, 0, 1 if set_.fixed else _DRAWS)

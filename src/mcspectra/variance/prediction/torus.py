@@ -433,11 +433,11 @@ def of_few_moves(law: Law, known: Known, stream: Stream) -> Predicted:
     These are shifted lattices, where the coefficients of g are not exact, and nets in base 2 with a
     digital shift, whose weights depend on g.
     """
-    few = law.dims <= 3 and law.n <= _MOST_EVALUATIONS // _LEAST_OFFSETS
-    if few and _moves_at_once(law):
+    if law.dims <= 3 and _moves_at_once(law):
         if isinstance(law, Scrambled):
             return of_moves(law, known, stream)
-        if isinstance(law, Shifted) and known.g.fourier_source != "exact":
+        few = law.n <= _MOST_EVALUATIONS // _LEAST_OFFSETS and known.g.fourier_source != "exact"
+        if isinstance(law, Shifted) and few:
             points = law.inner.draw(Stream.from_rng(0), 0, 1)[0]
             if lattice_basis(points) is not None and np.isfinite(known.square[0]).all():
                 return of_moves(law, known, stream)

@@ -261,7 +261,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
 class RealizationsNeeded(Counted, frozen=True, kw_only=True):
     """How many realisations a wanted precision of the variance takes."""
 
-    function = "realizations_needed"
+    function = "variance.realizations_needed"
     variables = (
         *("realizations_used", "reached", "variance", "variance_ci", "variance_relative_se"),
         *("skewness", "kurtosis", "mean", "mean_se"),
@@ -323,6 +323,7 @@ def convergence(
     sampler: Any,
     counts: Sequence[int],
     *,
+    dims: int | None = None,
     realizations: int = 1000,
     rng: RngLike = 0,
     relative_error: float | None = None,
@@ -335,8 +336,11 @@ def convergence(
     Parameters
     ----------
     estimator, sampler
-        One or a list of each, no sampler twice. Samplers may be spec strings, estimators may be
-        integrands or their spec strings, for plain sampling.
+        One or a list of each, no sampler twice. Samplers may be spec strings. For plain sampling an
+        estimator may be an integrand, its spec string, or a vectorised function of points (…, d).
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
     counts
         Numbers of points n, ascending; each must be one that every sampler can do.
     realizations
@@ -395,6 +399,7 @@ def realizations_needed(
     sampler: Sampler | str,
     n: int,
     *,
+    dims: int | None = None,
     relative_error: float = 0.05,
     max_realizations: int = 1_000_000,
     rng: RngLike = 0,
@@ -407,6 +412,9 @@ def realizations_needed(
     ----------
     estimator, sampler, n
         What is measured.
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
     relative_error
         Wanted standard error of the variance, relative to it, of every channel.
     max_realizations
@@ -441,7 +449,7 @@ def realizations_needed(
     --------
     >>> import mcspectra as mcs
     >>> f = mcs.Estimator("linear", dims=1)
-    >>> found = mcs.realizations_needed(f, "jittered", 16, relative_error=0.1, rng=1)
+    >>> found = mcs.variance.realizations_needed(f, "jittered", 16, relative_error=0.1, rng=1)
     >>> bool(found["reached"]), bool(found["variance_relative_se"] <= 0.1)
     (True, True)
     """

@@ -1,4 +1,4 @@
-"""The gallery in the documentation names every sampler, with its present summary, dims and counts."""
+"""The page of samplers in the documentation names each, with its present summary, dims and counts."""
 
 import json
 import re
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from mcspectra.report.sampler_gallery import gallery_specs
+from mcspectra.report.sampler_cards import all_samplers
 from mcspectra.samplers.facts import sampler_facts
 
 FOLDER = Path(__file__).parents[2] / "docs" / "samplers"
@@ -15,7 +15,7 @@ SECTIONS = dict(re.findall(r"^## `(.+?)`\n(.*?)(?=^## |\Z)", PAGE, re.MULTILINE 
 
 
 def test_every_sampler_has_a_section_and_a_picture():
-    assert sorted(SECTIONS) == gallery_specs()
+    assert sorted(SECTIONS) == all_samplers()
     for section in SECTIONS.values():
         (picture,) = re.findall(r"\]\((.+?\.png)\)", section)
         assert (FOLDER / picture).is_file()

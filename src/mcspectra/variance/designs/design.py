@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, overload
 from uuid import uuid4
 
 import numpy as np
@@ -18,15 +18,17 @@ import numpy as np
 from mcspectra.core.cache import cache_folder
 from mcspectra.core.checks import as_choice, as_integer
 from mcspectra.core.decoding import path_to_write
-from mcspectra.core.errors import FileFormatError, McspectraError, ParameterError
+from mcspectra.core.errors import FileFormatError, McspectraError, Parameter, ParameterError
 from mcspectra.core.progress import report
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
+from mcspectra.densities import Density
 from mcspectra.samplers import Sampler
 from mcspectra.samplers import sampler as sampler_of
 from mcspectra.samplers.registry import as_sampler
-from mcspectra.variance.design.objectives import as_objective
-from mcspectra.variance.design.searches import KINDS, Candidate, mean_variances
+from mcspectra.variance.designs.objectives import as_objective
+from mcspectra.variance.designs.searches import KINDS, Candidate, mean_variances
+from mcspectra.variance.learned import learned_density
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -48,6 +50,23 @@ _GROUPS = 20  # of members, each with realisations of its own
 _T95 = 2.0930240544082634  # 97.5 % quantile of Student's t, 19 degrees of freedom
 
 
+@overload
+def design(
+    kind: Literal["density"],
+    objective: Any,
+    n: int,
+    *,
+    dims: int | None = None,
+    rng: RngLike = 0,
+    path: str | PathLike[str] | None = None,
+    family: str | None = None,
+    sampler: Sampler | str | None = None,
+    budget: int | None = None,
+    defensive: float | None = None,
+) -> Density: ...
+
+
+@overload
 def design(
     kind: str,
     objective: Any,
@@ -56,8 +75,23 @@ def design(
     dims: int | None = None,
     rng: RngLike = 0,
     path: str | PathLike[str] | None = None,
-) -> Sampler:
-    """Search a sampler of small expected variance over a class of integrands.
+) -> Sampler: ...
+
+
+def design(
+    kind: str,
+    objective: Any,
+    n: int,
+    *,
+    dims: int | None = None,
+    rng: RngLike = 0,
+    path: str | PathLike[str] | None = None,
+    family: str | None = None,
+    sampler: Sampler | str | None = None,
+    budget: int | None = None,
+    defensive: float | None = None,
+) -> Sampler | Density:
+    """Search a sampler of small expected variance over a class of integrands, or learn a density for one.
 
     Parameters
     ----------
@@ -65,9 +99,9 @@ def design(
         ``"lattice"`` (generating vectors: all in 2-D, else axis after axis), ``"polynomial-lattice"``,
         ``"digital-net"`` (generator matrices), ``"owen"`` (64 trees of Sobol' points, flipped; t stays),
         ``"strata"`` (shape, and how points of different strata go together) or ``"points"`` (free sets: sets that share
-        out a grid, or one on the torus by its gradient).
+        out a grid, or one on the torus by its gradient); or ``"density"``: `learned_density`.
     objective
-        The class. A spec, parameters of which may be ``uniform(a, b)`` or ``normal(mean, sd)``, drawn for
+        Of a density the integrand. Of a sampler the class. A spec, parameters of which may be ``uniform(a, b)`` or ``normal(mean, sd)``, drawn for
         each axis where they can be: ``"gaussian(center=uniform(0, 1), width=uniform(0.1, 0.4))"``;
         ``"gaussians"`` (that one), ``"disks"`` or ``"half-spaces"`` (a uniform direction through a uniform
         point); a function ``generator -> integrand``; a list of all these, in equal shares, such as the
@@ -81,12 +115,15 @@ def design(
     rng
         Seed. The same seed gives the same sampler.
     path
-        File to keep the sampler in, .json; sets, where there are any, go into a .npz file of the same name. By default the
-        cache folder.
+        File to keep the sampler or the density in, .json; sets, where there are any, go into a .npz file of the
+        same name. By default the cache folder.
+    family, sampler, budget, defensive
+        Of a density alone: `kind` (by default ``"mixture"``), `sampler` (``"sobol | owen"``), `evaluations` and
+        `defensive` of `learned_density`.
 
     Returns
     -------
-    Sampler
+    Sampler or Density
         Unbiased for every integrand. Its `spec` makes it again; kinds with sets name their file.
 
     Raises
@@ -94,7 +131,7 @@ def design(
     CountError
         The kind has no sets of n points.
     ParameterError
-        Unknown kind; an objective that is empty, constant or cannot be read; dims out of range.
+        Unknown kind; an option of densities with a sampler; an objective that is empty, constant or cannot be read; dims out of range.
     DomainError
         Values of an integrand are not finite.
     FileFormatError
@@ -102,7 +139,7 @@ def design(
 
     Notes
     -----
-    The objective is the expected variance tr(C_f C_S), by `variance.design.searches`. Variances for
+    The objective is the expected variance tr(C_f C_S), by `variance.designs.searches`. Variances for
     other classes may be larger than those of usual samplers: see `certificate`. Interrupting the search
     (Ctrl-C) keeps the best sampler so far, and leaves it out of the cache.
 
@@ -112,7 +149,23 @@ def design(
     >>> mcs.design("lattice", "gaussian(width=0.3)", 21).spec
     'rank1-lattice(vector=[1, 8]) | shift'
     """
-    kind = as_choice("kind", kind, tuple(KINDS))
+    kind = as_choice("kind", kind, (*KINDS, "density"))
+    of_densities = {"family": family, "sampler": sampler, "budget": budget, "defensive": defensive}
+    if kind == "density":
+        return learned_density(
+            objective,
+            family or "mixture",
+            sampler or "sobol | owen",
+            n,
+            dims=dims,
+            evaluations=budget,
+            defensive=0.05 if defensive is None else defensive,
+            rng=rng,
+            path=path,
+        )
+    for name, value in of_densities.items():
+        if value is not None:
+            raise ParameterError(Parameter(name), f" is for densities; leave it out with {kind}.")
     n = as_integer("n", n, least=1, most=2**16)
     goal = as_objective(objective, dims)
     stream = Stream.from_rng(rng)

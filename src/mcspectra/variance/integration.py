@@ -30,12 +30,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mcspectra.core.checks import as_choice
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import Function, Parameter, ParameterError
 from mcspectra.core.memory import check_memory, memory_of
 from mcspectra.core.records import student_t
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Estimator, Moments, as_estimator
+from mcspectra.estimators import (
+    AbstractEstimator,
+    Estimator,
+    Moments,
+    as_estimator,
+    function_dims,
+    is_function,
+)
 from mcspectra.estimators.moments import mean_interval, rounding_floor
 from mcspectra.estimators.tails import tail_note
 from mcspectra.integrands import Calls, FunctionIntegrand, Integrand
@@ -74,7 +81,7 @@ def integrate(
     Parameters
     ----------
     f
-        A callable of points (k, d), which gives (k,); an integrand or its spec string, without channels;
+        A vectorised function of points (…, d) to values (…); an integrand or its spec string, without channels;
         or an estimator of one technique, such as ``Estimator(f, density)``.
     budget
         Most calls of f, each of one point: none is made beyond it, and no other but these.
@@ -112,7 +119,7 @@ def integrate(
     Examples
     --------
     >>> import mcspectra as mcs
-    >>> found = mcs.integrate(lambda x: x[:, 0] * x[:, 1], dims=2, budget=2000)
+    >>> found = mcs.integrate(lambda x: x[..., 0] * x[..., 1], dims=2, budget=2000)
     >>> bool(found["interval"][0] < 0.25 < found["interval"][1])
     True
     >>> int(found["calls"]), int(found["n"])
@@ -120,17 +127,17 @@ def integrate(
     """
     # What is called, and what draws its points
     inner, known = f, dims if dims is not None else getattr(sampler, "dims", None)
-    if isinstance(f, AbstractEstimator | Integrand | str):
+    if is_function(f):
+        known = function_dims(f, known)
+    else:
         estimator = as_estimator(f, known)
         if estimator.counts != (1,):
             raise ParameterError(
-                f"{estimator.spec} has several techniques; integrate one, or use convergence."
+                f"{estimator.spec} has several techniques; integrate one, or use ",
+                Function("convergence"),
+                ".",
             )
         inner, known = estimator.primary_integrand(0), estimator.dims
-    if known is None:
-        raise ParameterError(
-            "dims is missing; give dims=, the number of dims of the function's points."
-        )
     median = as_choice("combine", combine, ("mean", "median")) == "median"
     usual = "sobol | lms" if median else "sobol | owen"
     source = as_sampler(usual if sampler is None else sampler, known)
@@ -142,8 +149,9 @@ def integrate(
     linear = isinstance(law, Scrambled) and law.kind == "linear" and law.uniform
     if median and not linear:
         raise ParameterError(
-            f"combine is 'median', and {source.spec} is no linear scramble, few of whose sets make the "
-            "variance: take the mean, which is better, or a sampler such as sobol | lms."
+            Parameter("combine"),
+            f" is 'median', and {source.spec} is no linear scramble, few of whose sets make the "
+            "variance: take the mean, which is better, or a sampler such as sobol | lms.",
         )
     calls = Calls(
         inner,  # type: ignore[arg-type]
@@ -158,7 +166,8 @@ def integrate(
     most = affordable_count(setup, calls.budget // least)
     if most is None:
         raise ParameterError(
-            f"budget is {calls.budget}, too small for {least} replicates of {source.spec}; give more."
+            Parameter("budget"),
+            f" is {calls.budget}, too small for {least} replicates of {source.spec}; give more.",
         )
     check_memory(memory_of(calls.budget, known), "integrate")
     stream = Stream.from_rng(rng)

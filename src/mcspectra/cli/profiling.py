@@ -1,4 +1,4 @@
-"""The verb of Markov chains: files of draws, what their means are worth, and why."""
+"""The verb `profile`: the noise of an integrand, or of draws of Markov chains, and its causes."""
 
 from __future__ import annotations
 
@@ -8,36 +8,68 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mcspectra.cli.common import Answer, option, verb
+from mcspectra.cli.analysis import analysis_verb
+from mcspectra.cli.common import Answer, Verb, option
 from mcspectra.cli.texts import data_of, table_of_anything
-from mcspectra.core.errors import FileFormatError, UnknownName, close_match_hint, reason_of
+from mcspectra.core.analysis import ANALYSES
+from mcspectra.core.errors import (
+    FileFormatError,
+    MissingDependency,
+    ParameterError,
+    UnknownName,
+    close_match_hint,
+    reason_of,
+)
+from mcspectra.core.options import options_of
+from mcspectra.core.registry import optional_package
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["chains_"]
+__all__ = ["profile_"]
 
 
-@verb(
-    option("FILE", "draws: .npy, .csv, .nc or .zarr", dest="files", nargs="+"),
-    option("--weights NAME", "column or variable of the weights, or a .npy file of them"),
-    option("-o, --out FILE", "figure: .png, .svg, .pdf, .pgf; .csv, .tex: its curve; .npz; .html"),
-)
-def chains_(options: argparse.Namespace) -> Answer:
-    """Error of the means of Markov chains, the frequencies that it comes from, and what is wrong.
+_SUFFIXES = (".npy", ".csv", ".nc", ".zarr")
+_PROFILE = analysis_verb(["profile"])
 
-    A .npy file holds one chain (n,), or (chain, draw), or (chain, draw, quantity). A .csv file has a
-    column for each quantity, a row for each draw, and names in the first line; chains are files of
-    their own, as Stan writes them, or told apart by a column 'chain'. A .nc or .zarr store has the
-    dims chain and draw, itself or in its group posterior, as ArviZ writes it.
-    """
+
+def _profile(options: argparse.Namespace) -> Answer:
+    """Profile an integrand, or draws of Markov chains."""
+    subjects: list[str] = options.integrand
+    files = [text for text in subjects if Path(text).suffix.lower() in _SUFFIXES]
+    if not files and len(subjects) == 1 and not Path(subjects[0]).is_file():
+        if options.weights is not None:
+            raise ParameterError("--weights is for files of draws; leave it out.")
+        options.integrand = subjects[0]
+        return _PROFILE.run(options)
+    if len(files) < len(subjects):
+        (other, *_) = (text for text in subjects if text not in files)
+        raise FileFormatError(
+            f"{other!r} is not a file of draws; these end in {', '.join(_SUFFIXES[:-1])} or "
+            f"{_SUFFIXES[-1]}. Give one integrand, or files of draws."
+        )
+    profiling: Any = ANALYSES.load("profile")
+    own = (
+        *("dims", "density", "heuristic", "shares", "mirror", "plus", "sampler"),
+        *(each.name for each in options_of(profiling)),
+    )
+    for name in own:
+        if getattr(options, name) is not None:
+            flag = f"--{name.replace('_', '-')}"
+            raise ParameterError(f"{flag} is for integrands; leave it out with files of draws.")
+    return _of_draws(options, files)
+
+
+def _of_draws(options: argparse.Namespace, files: list[str]) -> Answer:
+    """Error of the means of Markov chains, the frequencies that it comes from, and what is wrong."""
     from mcspectra.report.result_files import check_result_file, write_result_file
     from mcspectra.variance.chains import chain_error
 
-    check_result_file(options.out)
+    for file in options.out:
+        check_result_file(file)
 
     # Read the draws, files of one chain each side by side, and take the weights out of them
-    found = [_draws(file) for file in options.files]
+    found = [_draws(file) for file in files]
     draws, weights, named = found[0], None, options.weights
     if len(found) > 1:
         import xarray as xr
@@ -61,8 +93,8 @@ def chains_(options: argparse.Namespace) -> Answer:
         weights, draws = draws[named].values, draws.drop_vars(named)
 
     result = chain_error(draws, weights=weights)
-    if options.out:
-        write_result_file(result, options.out, "mcspectra chains")
+    for file in options.out:
+        write_result_file(result, file, "mcspectra profile")
     several = "quantity" in result.dims
     shown = result.drop_dims("band") if several else result
     names, said = (np.atleast_1d(result[key].values) for key in ("cause", "evidence"))
@@ -72,6 +104,30 @@ def chains_(options: argparse.Namespace) -> Answer:
         start = f"{result['quantity'].values[k]}: " if several else ""
         lines.append(f"{start}{said[k] or f'cause: {name}'}.")
     return Answer("\n".join(lines), data_of(result))
+
+
+profile_ = Verb(
+    f"""Find the causes of the noise of an integrand, and the best remedy at a budget.
+
+{_PROFILE.text.partition(chr(10) * 2)[2]}
+
+Files of draws of Markov chains get the standard error of each mean, its frequencies and what is wrong.
+A .npy file holds one chain (n,), or (chain, draw), or (chain, draw, quantity). A .csv file has a column
+for each quantity, a row for each draw, and names in the first line; chains are files of their own, as
+Stan writes them, or labeled by a column 'chain'. A .nc or .zarr store has the dims chain and draw, itself
+or in its group posterior, as ArviZ writes it.""",
+    (
+        option(
+            "SUBJECT",
+            "integrand spec, e.g. 'gaussian(width=0.25)', or files of draws: .npy, .csv, .nc or .zarr",
+            dest="integrand",
+            nargs="+",
+        ),
+        *_PROFILE.options[1:],
+        option("--weights NAME", "of draws: column or variable of the weights, or a .npy file"),
+    ),
+    _profile,
+)
 
 
 def _draws(name: str) -> Any:
@@ -85,15 +141,16 @@ def _draws(name: str) -> Any:
                 return np.load(file, allow_pickle=False)
             case ".csv":
                 return _table(file)
-            case ".nc" | ".zarr":
+            case _:
+                if file.suffix.lower() == ".zarr":
+                    optional_package("zarr", "store", "Files .zarr need")
                 tree = xr.open_datatree(file)
                 return getattr(tree, "posterior", tree).to_dataset()
+    except MissingDependency:
+        raise
     except Exception as error:  # noqa: BLE001 - readers of formats raise anything
         reason = getattr(error, "strerror", None) or reason_of(error)
         raise FileFormatError(f"{file} cannot be read as {file.suffix}: {reason}.") from None
-    raise FileFormatError(
-        f"{file} has the extension {file.suffix!r}; draws are .npy, .csv, .nc or .zarr files."
-    )
 
 
 def _table(file: Path) -> xr.Dataset:

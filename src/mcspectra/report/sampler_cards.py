@@ -1,20 +1,21 @@
-"""A gallery of samplers side by side: one table, overlays, a card each; a page or Markdown.
+"""Cards of samplers: what is measured of each alone, and shown in the page of a bench or as Markdown.
 
-A card is what is measured of a sampler: points, spectrum, projections, rates, quality, cost.
+A card has points, spectrum, projections, rates, quality, cost and sources.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
+from html import escape
 from pathlib import Path
 from typing import final
 
 import xarray as xr
-from markupsafe import Markup, escape
 
-from mcspectra.core.checks import Array, as_choice
+from mcspectra.core.checks import Array
 from mcspectra.core.errors import (
     McspectraError,
     MissingDependency,
@@ -30,9 +31,7 @@ from mcspectra.core.streams import Stream
 from mcspectra.estimators import Estimator
 from mcspectra.plots import backend_matplotlib
 from mcspectra.plots.description import Plot
-from mcspectra.plots.kinds import describe
 from mcspectra.plots.points import sampler_card
-from mcspectra.plots.style import sampler_styles
 from mcspectra.plots.text import NEGLIGIBLE, number, rate, with_error
 from mcspectra.quality import quality_figures, summarize
 from mcspectra.quality.figures import different_realizations
@@ -42,22 +41,19 @@ from mcspectra.samplers.facts import Facts as SamplerFacts
 from mcspectra.samplers.facts import sampler_facts
 from mcspectra.spectra.power import power_spectrum
 from mcspectra.variance.bench import SHARED_SETS, making_seconds, randomized, shared_sets
-from mcspectra.variance.convergence import convergence
-from mcspectra.version import __version__
+from mcspectra.variance.measured import convergence
 
 __all__ = [
-    "FORMATS",
     "FULL",
     "QUALITY_HEADS",
     "QUICK",
     "Card",
     "Effort",
-    "gallery_specs",
+    "all_samplers",
+    "card_sections",
     "measure_card",
-    "write_gallery",
+    "write_cards",
 ]
-
-FORMATS = ("html", "markdown")
 
 _ALSO = (
     "sobol | owen",
@@ -69,7 +65,7 @@ _ALSO = (
     "latin-hypercube(strength=2)",
     "poisson-disk(boundary='bounded')",
 )
-"""In the gallery besides every registered sampler."""
+"""Among `all_samplers` besides every registered one."""
 
 
 _PROJECTED_DIMS = 4
@@ -82,7 +78,6 @@ QUALITY_HEADS = {
     "t_value": "t",
 }
 """Figures of quality by name, and the heads of their columns."""
-_IN_OVERLAY = 10  # samplers whose lines are told apart
 _INTEGRANDS = {1: ("gaussian", "step(at=0.3)"), 2: ("gaussian", "disk")}
 
 
@@ -96,7 +91,8 @@ class Effort:
     n
         Points of the pictures, the spectrum and the quality figures; the nearest possible count.
     spectra, rates
-        Realisations of the spectrum, and of the variance at each of `counts`.
+        Realisations of the spectrum, and of the variance at each of `counts`; without counts there are
+        no rates.
     """
 
     n: int = 1024
@@ -123,7 +119,8 @@ class Card:
     spec
         What the pictures and the spectrum show.
     randomized
-        What the rates are of: a set that is the same every time is randomised first.
+        What the rates are of: a set that is the same every time is randomised first. Empty where no
+        rates were measured.
     points
         One realisation, (n, dims).
     projected
@@ -159,32 +156,29 @@ class Card:
         }
 
 
-def gallery_specs() -> list[str]:
-    """Return the specs of the whole gallery: registered samplers that need no parameters, and more."""
-    return sorted([*filter(_makeable, SAMPLERS), *_ALSO])
+def all_samplers(dims: Sequence[int] = (2, 1, 3)) -> list[str]:
+    """Return the specs of all samplers that need no parameters and can do one of these numbers of dims."""
+    return sorted(spec for spec in (*SAMPLERS, *_ALSO) if _makeable(spec, dims))
 
 
-def write_gallery(
+def write_cards(
     folder: str | Path,
     specs: Sequence[str] | None = None,
     *,
     effort: Effort = FULL,
-    format: str = "html",
     rng: int = 0,
 ) -> Path:
-    """Measure samplers and write their cards.
+    """Measure samplers and write their cards as Markdown: the page of samplers in the documentation.
 
     Parameters
     ----------
     folder
-        Where ``index.html``, or ``index.md`` and ``*.png``, and ``gallery.json`` go; what is there
-        under these names is replaced.
+        Where ``index.md``, ``*.png`` and ``gallery.json`` go; what is there under these names is
+        replaced.
     specs
-        Samplers, your own beside known ones: ``points(path='mine.dat')``. All by default.
+        Samplers. All by default.
     effort
         How much is drawn.
-    format
-        ``html`` (one page that stands alone) or ``markdown``.
 
     Returns
     -------
@@ -198,15 +192,14 @@ def write_gallery(
     StoreError
         The folder cannot be written.
     """
-    as_choice("format", format, FORMATS)
-    chosen = gallery_specs() if specs is None else list(specs)
+    chosen = all_samplers() if specs is None else list(specs)
     if not chosen:
-        raise ParameterError("The gallery is empty; name a sampler at least.")
+        raise ParameterError("There are no samplers; name one at least.")
     cards = []
     for i, spec in enumerate(chosen):
-        report("gallery", i / len(chosen))
+        report("cards", i / len(chosen))
         cards.append(measure_card(spec, effort=effort, rng=rng))
-    report("gallery", 1.0)
+    report("cards", 1.0)
     root = Path(folder)
     # What programs want: numbers, no pictures
     numbers = [
@@ -223,8 +216,6 @@ def write_gallery(
         for card in cards
     ]
     html.write_json(root / "gallery.json", numbers)
-    if format == "html":
-        return html.write_page(_page(cards, effort), root / "index.html")
 
     # Markdown, and a picture of each
     names, page = html.anchors(card.name for card in cards), root / "index.md"
@@ -265,12 +256,12 @@ def measure_card(spec: str, *, effort: Effort = FULL, rng: int = 0) -> Card:
         name=spec,
         facts=sampler_facts(name) if name in SAMPLERS else None,
         spec=source.spec,
-        randomized=free.spec,
+        randomized=free.spec if effort.counts else "",
         n=n,
         points=light.draw(n, rng=rng)[0],
         projected=_projection(spec, n, rng),
         spectrum=power_spectrum(light, n, half_width=wide, realizations=several, rng=rng),
-        curves=_curves(source.dims, free, effort, rng, slow=slow),
+        curves=_curves(source.dims, free, effort, rng, slow=slow) if effort.counts else {},
         quality={
             figure.name: (figure.long_name, figure.mean, figure.standard_error)
             for figure in summarize(found)
@@ -316,82 +307,32 @@ def _curves(
     }
 
 
-def _makeable(name: str) -> bool:
-    """Whether a registered sampler needs nothing from outside: no file, no other package."""
-    if name in ("points", "scipy", "qmcpy", "mitsuba"):
+def _makeable(spec: str, dims: Sequence[int]) -> bool:
+    """Whether a sampler can do one of these dims and needs nothing from outside: no file, no package."""
+    if spec in ("points", "scipy", "qmcpy", "mitsuba"):
         return False
-    try:
-        _in_two_dims(name)
-    except (ParameterError, MissingDependency):
-        return False
-    return True
+    for d in dims:
+        with suppress(ParameterError, MissingDependency):
+            sampler(spec, d)
+            return True
+    return False
 
 
-def _page(cards: Sequence[Card], effort: Effort) -> html.Page:
-    """One table of all, spectra and curves over each other, and a section for each sampler."""
-    names = html.anchors((card.name for card in cards), "s-")
-    styles = sampler_styles([card.name for card in cards])
-    overlays = []
-    for start in range(0, len(cards), _IN_OVERLAY):
-        few = cards[start : start + _IN_OVERLAY]
-        spectra = {card.name: card.spectrum for card in few}
-        overlays.append(describe("radial", spectra, styles))
-        for text in dict.fromkeys(text for card in few for text in card.curves):
-            curves = {card.name: card.curves[text] for card in few if text in card.curves}
-            plot = describe("convergence", curves, styles)
-            overlays.append(replace(plot, caption=f"{text}: {plot.caption}"))
-    settings, table = html.Text(text=_settings(effort)), _table(cards, names)
-    together: tuple[html.Block, ...] = (settings, table, *html.figures_of(overlays, live=True))
-    sections = [html.Section(title="Side by side", anchor="all", blocks=together)]
-    for card, anchor in zip(cards, names, strict=True):
+def card_sections(cards: Sequence[Card], anchors: Sequence[str]) -> list[html.Section]:
+    """Return a section of a page for each card."""
+    sections = []
+    for card, anchor in zip(cards, anchors, strict=True):
         facts = []
         for name, value in _card_facts(card):
-            text = ADDRESS.sub(r'<a href="\g<0>">\g<0></a>', str(escape(value)))
-            facts.append((name, Markup(text)))
+            text = ADDRESS.sub(r'<a href="\g<0>">\g<0></a>', escape(value))
+            facts.append((name, html.Markup(text)))
         blocks: tuple[html.Block, ...] = (
             html.Text(text=card.facts.summary if card.facts else ""),
             *html.figures_of([_card_plot(card)]),
             html.Facts(rows=tuple(facts)),
         )
         sections.append(html.Section(title=card.name, anchor=anchor, blocks=blocks, code=True))
-    what = f"{len(cards)} point set{'' if len(cards) == 1 else 's'}, measured by mcspectra {__version__}."
-    lead = (html.Text(text=what, kind="soft"),)
-    return html.Page(title="Samplers", what="gallery", lead=lead, sections=tuple(sections))
-
-
-def _table(cards: Sequence[Card], names: Sequence[str]) -> html.Table:
-    """Rates, quality and speed of all samplers."""
-    texts = list(dict.fromkeys(text for card in cards for text in card.curves))
-    figures = dict.fromkeys(key for card in cards for key in card.quality)
-    rows = []
-    for card, name in zip(cards, names, strict=True):
-        cells: list[str | html.Cell] = [
-            html.Cell(text=card.name, numeric=False, link=f"#{name}"),
-            str(card.n),
-        ]
-        for text in texts:
-            value, low, high = card.rates.get(text, (math.nan,) * 3)
-            why = "fewer than two counts are possible"
-            cells.append(html.number_cell(rate(value, low, high), value, why=why))
-        for key in figures:
-            _, mean, _ = card.quality.get(key, ("", math.nan, math.nan))
-            why = "it is not defined for this set"
-            cells.append(html.number_cell(number(mean), mean, why=why))
-        rows.append([*cells, html.number_cell(number(card.speed, 2), card.speed)])
-    return html.table_of(
-        "Rates are exponents of variance in n with half their 95 % intervals, unresolved beyond 0.5, figures of quality "
-        "means, whose standard errors stand with each sampler: minimum distance by that of the densest packing, mean squared distance "
-        "of moving uniform mass to the points, t of the (t, m, d)-net.",
-        (
-            "Sampler",
-            "n",
-            *(f"Rate on {text.partition('(')[0]}" for text in texts),
-            *(QUALITY_HEADS[key] for key in figures),
-            "Points/s",
-        ),
-        rows,
-        sortable=True,
-    )
+    return sections
 
 
 def _card_plot(card: Card) -> Plot:
@@ -409,10 +350,10 @@ def _card_plot(card: Card) -> Plot:
 
 def _card_facts(card: Card) -> list[tuple[str, str]]:
     """What a card says in words, by what it is about."""
-    measured = "" if card.randomized == card.spec else " (randomised)"
-    rates = card.rates or dict.fromkeys(
-        _INTEGRANDS.get(card.points.shape[1], ("gaussian",)), (math.nan,) * 3
-    )
+    measured = " (randomised)" if card.randomized not in ("", card.spec) else ""
+    rates = card.rates
+    if card.randomized and not rates:
+        rates = dict.fromkeys(_INTEGRANDS.get(card.points.shape[1], ("gaussian",)), (math.nan,) * 3)
     facts = [
         ("Dims", card.facts.dims if card.facts else ""),
         ("Counts", card.facts.counts if card.facts else ""),

@@ -35,8 +35,8 @@ from mcspectra.samplers.optimised import minimize
 from mcspectra.samplers.randomizations import folded
 from mcspectra.samplers.stratified import SharedCells, write_cells
 from mcspectra.spectra.bases import hadamard
-from mcspectra.variance.design import _kernels
-from mcspectra.variance.design.objectives import Objective, Values
+from mcspectra.variance.designs import _kernels
+from mcspectra.variance.designs.objectives import Objective, Values
 from mcspectra.variance.quadrature import grid
 
 __all__ = ["KINDS", "Candidate", "mean_variances"]

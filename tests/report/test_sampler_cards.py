@@ -1,4 +1,4 @@
-"""The gallery: what is measured for a card, and the page and files it becomes."""
+"""Cards of samplers: what is measured for them, and the pages and files that they become."""
 
 import json
 import re
@@ -11,7 +11,8 @@ import pytest
 
 import mcspectra as mcs
 from mcspectra.core.errors import McspectraError, ParameterError, StoreError
-from mcspectra.report.sampler_gallery import QUICK, gallery_specs, measure_card, write_gallery
+from mcspectra.report.bench_page import write_bench
+from mcspectra.report.sampler_cards import QUICK, all_samplers, measure_card, write_cards
 from mcspectra.samplers import SAMPLERS
 
 TINY = replace(QUICK, n=16, spectra=6, rates=40, counts=(4, 16, 64))
@@ -46,10 +47,12 @@ def test_given_points_stand_beside_known_samplers(tmp_path):
     assert card.rates == {}  # one count has no rate
 
 
-def test_the_whole_gallery_names_every_sampler_that_needs_nothing():
-    heads = {spec.partition("|")[0].partition("(")[0].strip() for spec in gallery_specs()}
+def test_all_samplers_are_those_that_need_nothing():
+    heads = {spec.partition("|")[0].partition("(")[0].strip() for spec in all_samplers()}
     outside = {"command", "points", "python", "scipy", "qmcpy", "mitsuba", "digital-net"}
     assert heads == set(SAMPLERS) - outside - {"shared-cells"}
+    assert "van-der-corput" not in all_samplers([2])
+    assert "multi-jittered" not in all_samplers([3])
 
 
 class Reader(HTMLParser):
@@ -68,15 +71,22 @@ class Reader(HTMLParser):
 
 
 def test_the_page_stands_alone(tmp_path):
-    page = write_gallery(tmp_path, ["random", "sobol | owen"], effort=TINY)
+    specs = ["random", "sobol | owen"]
+    bench = mcs.sampler_bench(specs, counts=[4, 16], realizations=20)
+    cards = [measure_card(spec, effort=replace(TINY, counts=())) for spec in specs]
+    page = write_bench(bench, str(tmp_path / "out"), cards)
     text = page.read_text(encoding="utf-8")
     reader = Reader()
     reader.feed(text)
     assert page.name == "index.html"
     inside = {link for link in reader.links if not link.startswith("https://doi.org/")}
     assert {link.removeprefix("#") for link in inside} <= reader.ids
-    assert len(reader.loaded) == 2 + 3  # cards, spectra over each other, curves for two integrands
-    assert text.count("<table") == 1
+    assert (
+        len(reader.loaded) == 2 + 7
+    )  # cards; convergence, 4 of spectra and pairs, quality, points
+    assert text.count("<table") == 2
+    assert "Rate on gaussian" not in text  # the bench has rates
+    assert (tmp_path / "out" / "bench.csv").stat().st_size > 1000
     assert all(source.startswith("data:image/png;base64,") for source in reader.loaded)
     assert not re.search(r"url\(|@import|<script src|<link", text)
     assert "sobol | owen" in text
@@ -85,7 +95,7 @@ def test_the_page_stands_alone(tmp_path):
 
 
 def test_markdown_has_a_picture_and_the_facts_of_each(tmp_path):
-    page = write_gallery(tmp_path, ["random", "halton"], effort=TINY, format="markdown")
+    page = write_cards(tmp_path, ["random", "halton"], effort=TINY)
     text = page.read_text(encoding="utf-8")
     for name in re.findall(r"\]\((.*?\.png)\)", text):
         assert (tmp_path / name).read_bytes().startswith(PNG)
@@ -95,7 +105,7 @@ def test_markdown_has_a_picture_and_the_facts_of_each(tmp_path):
 
 
 def test_numbers_are_there_for_programs(tmp_path):
-    write_gallery(tmp_path, ["random"], effort=TINY)
+    write_cards(tmp_path, ["random"], effort=TINY)
     (card,) = json.loads((tmp_path / "gallery.json").read_text(encoding="utf-8"))
     assert card["name"] == card["spec"] == card["randomized"] == "random"
     assert len(card["rates"]["disk"]) == 3
@@ -105,19 +115,19 @@ def test_numbers_are_there_for_programs(tmp_path):
 @pytest.mark.parametrize("specs", [["nothing"], ["sobol(x=1)"], ["points"], ["random |"]])
 def test_samplers_that_cannot_be_made_write_nothing(tmp_path, specs):
     with pytest.raises(McspectraError):
-        write_gallery(tmp_path / "out", specs, effort=TINY)
+        write_cards(tmp_path / "out", specs, effort=TINY)
     assert not (tmp_path / "out").exists()
 
 
-def test_an_empty_gallery():
-    with pytest.raises(ParameterError, match="name a sampler"):
-        write_gallery("unused", [])
+def test_no_samplers_are_no_page():
+    with pytest.raises(ParameterError, match="name one at least"):
+        write_cards("unused", [])
 
 
 def test_a_folder_that_cannot_be_written(tmp_path):
     (tmp_path / "file").write_text("here")
     with pytest.raises(StoreError, match="cannot be written"):
-        write_gallery(tmp_path / "file", ["random"], effort=TINY)
+        write_cards(tmp_path / "file", ["random"], effort=TINY)
 
 
 def test_a_program_that_knows_two_dims_is_a_card(tmp_path):

@@ -1,4 +1,4 @@
-"""The verb `chains`: the formats of draws, its answer, its figure and its refusals."""
+"""The verb `profile` of files of draws: their formats, its answer, its figure and its refusals."""
 
 import numpy as np
 import pytest
@@ -42,8 +42,8 @@ def files(tmp_path):
     ],
 )
 def test_every_format_has_the_answer_of_the_library(run_json, files, names):
-    found = run_json("chains", *(n if n[0] == "-" or "." not in n else files / n for n in names))
-    expected = mcs.chain_error(DRAWS)
+    found = run_json("profile", *(n if n[0] == "-" or "." not in n else files / n for n in names))
+    expected = mcs.variance.chain_error(DRAWS)
     for name in ("mean", "mcse", "ess"):
         np.testing.assert_allclose(np.ravel(found[name]), expected[name], rtol=1e-12)
     assert np.ravel(found["cause"]) == "none"
@@ -51,33 +51,39 @@ def test_every_format_has_the_answer_of_the_library(run_json, files, names):
 
 def test_the_text_names_causes_and_periods(run, files):
     np.save(files / "walk.npy", np.cumsum(DRAWS[0]))
-    code, out, _ = run("chains", files / "walk.npy")
+    code, out, _ = run("profile", files / "walk.npy")
     assert code == 0
     assert out.startswith("1 × 100 draws\n")
     assert "stuck-chain: the chain drifts" in out
     assert "error share" in out
     assert "run several from scattered starts." in out
-    code, out, _ = run("chains", files / "both.npy")
+    code, out, _ = run("profile", files / "both.npy")
     assert out.rstrip().endswith("cause: none.")
 
 
 def test_the_figure_is_written(run, files):
-    assert run("chains", files / "both.npy", "--out", files / "f.svg", "--quiet")[0] == 0
+    both = ("-o", files / "f.svg", "--out", files / "f.csv")
+    assert run("profile", files / "both.npy", *both, "--quiet")[0] == 0
     assert "cycles per draw" in (files / "f.svg").read_text("utf-8")
+    assert "error_share" in (files / "f.csv").read_text("utf-8")
 
 
 def test_weights_of_a_file(run_json, files):
     weights = np.random.default_rng(2).random((2, 100))
     np.save(files / "w.npy", weights)
-    found = run_json("chains", files / "both.npy", "--weights", files / "w.npy")
-    assert found["mcse"] == mcs.chain_error(DRAWS, weights=weights)["mcse"].item()
+    found = run_json("profile", files / "both.npy", "--weights", files / "w.npy")
+    assert found["mcse"] == mcs.variance.chain_error(DRAWS, weights=weights)["mcse"].item()
 
 
 @pytest.mark.parametrize(
     ("names", "words"),
     [
         (("none.npy",), "none.npy cannot be read as .npy: No such file"),
-        (("both.txt",), "the extension '.txt'"),
+        (("draws.txt",), "is not a file of draws; these end in .npy, .csv, .nc or .zarr. Give"),
+        (("both.npy", "gaussian"), "'gaussian' is not a file of draws"),
+        (("both.npy", "--budget", "512"), "--budget is for integrands; leave it out with files"),
+        (("both.npy", "--sampler", "random"), "--sampler is for integrands"),
+        (("gaussian", "--weights", "w"), "--weights is for files of draws; leave it out."),
         (("both.npy", "0.npy"), "do not hold one chain each"),
         (("0.npy", "0.csv"), "do not hold one chain each"),
         (("chains.csv", "--weights", "nu"), "no column 'nu'. Did you mean 'mu'?"),
@@ -93,12 +99,13 @@ def test_weights_of_a_file(run_json, files):
     ],
 )
 def test_bad_input_is_one_sentence(run, files, names, words):
+    (files / "draws.txt").write_text("1\n")
     (files / "bad.csv").write_text("a,b\n1,2,3\n")
     (files / "empty.csv").touch()
     (files / "names.csv").write_text("a,b\n")
     (files / "text.csv").write_text("a\nx\n" + "1\n" * 20)
     (files / "ragged.csv").write_text("chain,b\n1,2\n2,3\n2,4\n")
-    code, out, err = run("chains", *(files / n if "." in n else n for n in names))
+    code, out, err = run("profile", *(files / n if "." in n else n for n in names))
     assert (code, out) == (2, "")
     assert words in err
     assert err.count("\n") == 1

@@ -10,7 +10,7 @@ from msgspec import Meta
 
 from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute
 from mcspectra.core.checks import Array, as_integer, as_real_array
-from mcspectra.core.errors import NoClosedForm, ParameterError
+from mcspectra.core.errors import Function, NoClosedForm, Parameter, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNT, SETS
 from mcspectra.core.records import MeanSums, mean_interval
@@ -114,8 +114,8 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
         _check_pairs(source, self.n)
         if self.max_distance == 0.5 and self.boundary == "border":
             raise ParameterError(
-                "max_distance is 0.5; with the border correction give less: no point is that far "
-                "inside."
+                Parameter("max_distance"),
+                " is 0.5; with the border correction give less: no point is that far inside.",
             )
         # Counts of four neighbours at a time, sums, edges and expected numbers of each bin
         return Need(cost=self._cost, memory=memory_of(self.n, source.dims) + 128 * self.bins)
@@ -245,15 +245,16 @@ def closed_form_pair_correlation(sampler: Sampler | str, n: int, r: Any) -> Arra
             shared = np.where(low < high, primitive(high) - primitive(low), 0.0) * (2.0 / np.pi)
         return np.asarray(n / (n - 1) * (1.0 - shared))
     raise NoClosedForm(
-        f"No closed-form pair correlation is known for {source.spec} in {source.dims} dims; use "
-        "pair_correlation."
+        f"No closed-form pair correlation is known for {source.spec} in {source.dims} dims; use ",
+        Function("pair_correlation"),
+        ".",
     )
 
 
 def _check_pairs(sampler: Sampler, n: int) -> int:
     count = sampler.check_count(n)
     if count < 2:
-        raise ParameterError("pair_correlation needs n of at least 2, not 1.")
+        raise ParameterError(Function("pair_correlation"), " needs n of at least 2, not 1.")
     if 0.5 * float(count) ** 2 > _MOST_PAIRS:
         raise ParameterError(
             f"{count} points are {0.5 * float(count) ** 2:.2g} pairs, more than {_MOST_PAIRS:.2g}; "

@@ -9,6 +9,7 @@ from scipy.ndimage import map_coordinates
 
 import mcspectra as mcs
 from mcspectra.core.errors import NoClosedForm
+from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.variance._kernels import pair_sum_1d, pair_sum_2d
 
 MIS = mcs.MultipleImportance(
@@ -18,9 +19,19 @@ MIS = mcs.MultipleImportance(
 )
 
 
+def by_pairs(estimator, sampler, n, **options):
+    return mcs.predict(estimator, sampler, [n], method="pair-correlation", **options).isel(n=0)
+
+
+def se_of(found):
+    low, high = np.moveaxis(found["predicted_variance_ci"].values, -1, 0)
+    with np.errstate(invalid="ignore"):  # both infinite
+        return np.where(low == high, 0.0, high - low) / (2 * CONFIDENCE_Z)
+
+
 def within(found, expected, expected_se=0.0, sigmas=4.0):
-    error = abs(float(found["variance"]) - expected)
-    return error <= sigmas * np.hypot(float(found["variance_se"]), expected_se)
+    error = abs(float(found["predicted_variance"]) - expected)
+    return error <= sigmas * np.hypot(float(se_of(found)), expected_se)
 
 
 def simulated(estimator, sampler, n, realizations=4000):
@@ -56,11 +67,11 @@ def test_known_pairs_give_the_variance_of_strata_quadrature(estimator, spec, dim
     if isinstance(estimator, str):
         estimator = mcs.Estimator(estimator, dims=dims)
     sampler = mcs.sampler(spec, dims=dims)
-    found = mcs.variance_from_pair_correlation(estimator, sampler, n)
+    found = by_pairs(estimator, sampler, n)
     exact = mcs.exact_variance(estimator, sampler, n)
-    np.testing.assert_allclose(found["variance"], exact, rtol=1e-6)
-    assert float(found["variance_se"]) == 0.0
-    assert found.attrs["method"] == "known pairs"
+    np.testing.assert_allclose(found["predicted_variance"], exact, rtol=1e-6)
+    assert float(se_of(found)) == 0.0
+    assert found["how"].item() == "pairs known"
 
 
 @pytest.mark.parametrize(
@@ -77,14 +88,14 @@ def test_counted_pairs_agree_with_the_exact_variance(estimator, spec, dims, n):
     if isinstance(estimator, str):
         estimator = mcs.Estimator(estimator, dims=dims)
     sampler = mcs.sampler(spec, dims=dims)
-    found = mcs.variance_from_pair_correlation(estimator, sampler, n, realizations=2000, rng=3)
-    assert found.attrs["method"] == "counted pairs"
+    found = by_pairs(estimator, sampler, n, realizations=2000, rng=3)
+    assert found["how"].item() == "pairs of 2000 sets counted"
     if spec.startswith("random"):
         exact = mcs.integrand("disk").integral * (1 - mcs.integrand("disk").integral) / n
     else:
         exact = mcs.exact_variance(estimator, sampler, n)
     assert within(found, exact)
-    assert float(found["variance_se"]) < 0.1 * exact
+    assert float(se_of(found)) < 0.1 * exact
 
 
 @pytest.mark.parametrize(
@@ -93,7 +104,7 @@ def test_counted_pairs_agree_with_the_exact_variance(estimator, spec, dims, n):
 )
 def test_counted_pairs_agree_with_simulation(spec, n, integrand):
     estimator = mcs.Estimator(integrand, dims=2)
-    found = mcs.variance_from_pair_correlation(estimator, spec, n, rng=3)
+    found = by_pairs(estimator, spec, n, rng=3)
     assert within(found, *simulated(estimator, spec, n))
 
 
@@ -130,9 +141,9 @@ def test_poles_and_roots_of_g_are_integrated_to_1e_6(estimator, power, spec, n):
         mean = float(mcs.integrand("gaussian(center=0.3)", dims=1).integral)
         truth = (square - mean**2) / n
         estimator = _weighted(estimator, f"power(exponent={power})")
-    found = mcs.variance_from_pair_correlation(estimator, mcs.sampler(spec, dims=1), n)
-    assert float(found["variance"]) == pytest.approx(truth, rel=1e-6)
-    assert float(found["variance_se"]) == 0.0
+    found = by_pairs(estimator, mcs.sampler(spec, dims=1), n)
+    assert float(found["predicted_variance"]) == pytest.approx(truth, rel=1e-6)
+    assert float(se_of(found)) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -146,9 +157,9 @@ def test_poles_and_roots_of_g_are_integrated_to_1e_6(estimator, power, spec, n):
 )
 def test_variances_are_infinite_where_the_square_diverges(estimator, dims, spec):
     sampler = mcs.sampler(spec, dims=dims)
-    found = mcs.variance_from_pair_correlation(estimator, sampler, 16)
-    assert float(found["variance"]) == np.inf
-    assert float(found["variance_se"]) == 0.0
+    found = by_pairs(estimator, sampler, 16)
+    assert float(found["predicted_variance"]) == np.inf
+    assert float(se_of(found)) == 0.0
     assert mcs.exact_variance(estimator, sampler, 16) == np.inf
 
 
@@ -161,16 +172,16 @@ def test_infinite_variances_of_shifted_sets():
 def test_one_infinite_channel_leaves_the_other():
     f = mcs.Integrand.from_function(lambda x: np.stack([1 + 0 * x[..., 0], x[..., 0]], -1), dims=1)
     estimator = mcs.Estimator(f, mcs.density("power(exponent=1)", dims=1))
-    found = mcs.variance_from_pair_correlation(estimator, mcs.sampler("random", dims=1), 4)
-    assert found["variance"].values[0] == np.inf
-    assert found["variance"].values[1] == pytest.approx(0.0, abs=1e-15)  # g = 1/2
+    found = by_pairs(estimator, mcs.sampler("random", dims=1), 4)
+    assert found["predicted_variance"].values[0] == np.inf
+    assert found["predicted_variance"].values[1] == pytest.approx(0.0, abs=1e-15)  # g = 1/2
 
 
 def test_pairs_that_do_not_converge_are_refused():
     """A disk's border crosses cells: what fixed rules made of it was 3 % off."""
     estimator = mcs.Estimator("disk(center=0.4, radius=0.2)", "linear(slope=1.5)", dims=2)
     with pytest.raises(NoClosedForm, match=r"has an error of .* in a variance"):
-        mcs.variance_from_pair_correlation(estimator, "jittered", 256)
+        by_pairs(estimator, "jittered", 256)
 
 
 def test_many_strata_take_little_memory():
@@ -178,11 +189,11 @@ def test_many_strata_take_little_memory():
     estimator = _weighted("linear", "exponential(rate=3)")
     sampler = mcs.sampler("jittered", dims=1)
     tracemalloc.start()
-    found = mcs.variance_from_pair_correlation(estimator, sampler, 4096)
+    found = by_pairs(estimator, sampler, 4096)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 2**28
-    assert float(found["variance"]) == pytest.approx(
+    assert float(found["predicted_variance"]) == pytest.approx(
         mcs.exact_variance(estimator, sampler, 4096), rel=1e-6
     )
 
@@ -193,15 +204,15 @@ def test_channels_are_kept():
     )
     for spec in ("jittered", "jittered | shift"):
         sampler = mcs.sampler(spec, dims=1)
-        found = mcs.variance_from_pair_correlation(mcs.Estimator(f), sampler, 4, realizations=50)
-        assert found["variance"].dims == ("channel",)
-        first, second, _ = found["variance"].values
+        found = by_pairs(mcs.Estimator(f), sampler, 4, realizations=50)
+        assert found["predicted_variance"].dims == ("channel",)
+        first, second, _ = found["predicted_variance"].values
         assert second == pytest.approx(4 * first, rel=1e-9)
-        assert found["variance_se"].shape == (3,)
+        assert se_of(found).shape == (3,)
 
 
 def test_workers_do_not_matter():
     arguments = ("gaussian", "jittered | shift", 16)
-    one = mcs.variance_from_pair_correlation(*arguments, realizations=20, workers=1)
-    many = mcs.variance_from_pair_correlation(*arguments, realizations=20, workers=3)
+    one = by_pairs(*arguments, realizations=20, workers=1)
+    many = by_pairs(*arguments, realizations=20, workers=3)
     assert one.equals(many)

@@ -95,7 +95,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         Meta(
             ge=1,
             le=2**24,
-            description="Evaluations of the integrand an estimate.",
+            description="Evaluations of the integrand per estimate.",
             extra={"metavar": "B"},
         ),
     ]
@@ -255,6 +255,7 @@ def remedies(
     sampler: Sampler | str,
     budget: int,
     *,
+    dims: int | None = None,
     realizations: int = 1000,
     rng: RngLike = 0,
     kinds: Sequence[str] | None = None,
@@ -272,6 +273,9 @@ def remedies(
         The set-up as given.
     budget
         Evaluations of the integrand an estimate may take: what n costs is Σ counts · n.
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
     realizations
         Realisations of each set-up at each of five budgets, from 100 to 100 000.
     rng

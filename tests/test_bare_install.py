@@ -1,0 +1,34 @@
+"""The package without its extras: their packages are hidden from a process that uses all the rest."""
+
+import tomllib
+from pathlib import Path
+
+from tests.bare import EXTRAS
+from tests.processes import python
+
+ROOT = Path(__file__).parents[1]
+
+
+def project():
+    return tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+
+
+def test_what_is_required_and_what_is_extra():
+    def names(wanted):
+        return {each.partition(">=")[0] for each in wanted}
+
+    found, extras = project()["dependencies"], project()["optional-dependencies"]
+    assert names(found) == {
+        *("numpy", "scipy", "numba", "finufft", "xarray", "msgspec"),
+        *("matplotlib", "rich", "lazy-loader", "platformdirs"),
+    }
+    for extra, hidden in EXTRAS.items():
+        listed = {name.replace("-", "_") for name in names(extras[extra])}
+        assert listed - {"pillow", "karellen_llvm_core", "OpenEXR"} <= set(hidden)
+    assert extras["all"] == ["mcspectra[report,store,cluster,render,frames]"]
+
+
+def test_it_is_used_without_extras(tmp_path):
+    done = python(ROOT / "tests" / "bare.py", "--hide", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert len(done.stdout.splitlines()) == 6
