@@ -16,7 +16,7 @@ def predicted(f, sampler, n):
     f = f if isinstance(f, Known) else Known(f)
     source = mcs.sampler(sampler, f.g.dims)
     method = of_few_moves if "digital-shift" in source.spec else of_levels
-    return method(source, source.check_count(n), f, Stream.from_rng(0))
+    return method(source.law(n), f, Stream.from_rng(0))
 
 
 def function(name, dims):

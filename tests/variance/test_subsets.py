@@ -25,7 +25,7 @@ def known_of(function, dims):
 
 
 def predicted(known, spec, n):
-    return of_subsets(mcs.sampler(spec, dims=known.g.dims), n, known, STREAM)
+    return of_subsets(mcs.sampler(spec, dims=known.g.dims).law(n), known, STREAM)
 
 
 def additive(x):
@@ -191,7 +191,7 @@ class TestCost:
 
     def test_same_bits(self):
         one, other = (
-            of_subsets(mcs.sampler("halton | owen", dims=4), 50, known_of(peaked, 4), Stream(s))
+            of_subsets(mcs.sampler("halton | owen", dims=4).law(50), known_of(peaked, 4), Stream(s))
             for s in (1, 2)
         )
         assert one.variance == other.variance
@@ -205,7 +205,7 @@ class TestRefusals:
     def test_unknown_laws(self, sums, spec):
         sampler = mcs.sampler(spec, dims=5)
         with pytest.raises(NoClosedForm, match="No law of pairs"):
-            of_subsets(sampler, sampler.nearest_count(128), sums, STREAM)
+            of_subsets(sampler.law(sampler.nearest_count(128)), sums, STREAM)
 
     def test_one_dim(self):
         with pytest.raises(NoClosedForm, match="two dims"):

@@ -14,12 +14,12 @@ HALF = "half-space(normal=(0.8, 0.6), offset=0.63)"
 
 def predicted(f, sampler, n):
     source = mcs.sampler(sampler, f.dims).as_chain(n)
-    return of_torus(source, n, Known(f), Stream.from_rng(0))
+    return of_torus(source.law(n), Known(f), Stream.from_rng(0))
 
 
 def moved(f, sampler, n):
     source = mcs.sampler(sampler, f.dims).as_chain(n)
-    return of_few_moves(source, n, Known(f), Stream.from_rng(0))
+    return of_few_moves(source.law(n), Known(f), Stream.from_rng(0))
 
 
 def unknown(f):

@@ -16,7 +16,7 @@ def _worst(case, sampler, n, sides):
     for tolerance in (1e-6, 1e-2, 1e-1):
         try:
             source = mcs.sampler(sampler, dims=case.dims)
-            value, error = (float(v[0]) for v in of_integrand(source, n, g, tolerance))
+            value, error = (float(v[0]) for v in of_integrand(source.law(n), g, tolerance))
         except mcs.NoClosedForm:
             continue
         assert error <= tolerance * value
@@ -92,8 +92,8 @@ def test_latin_hypercubes_by_slabs_hold_their_error(n):
     """Few evaluations: cells of 1/4 and slabs of 1/64 in place of 64² cells, or slabs alone."""
     g = mcs.Estimator("disk(center=(0.45, 0.52), radius=0.27)").primary_integrand(0)
     sampler = mcs.sampler("latin-hypercube", dims=2)
-    expected, _ = of_integrand(sampler, n, g, 1e-6)
-    value, error = of_integrand(sampler, n, g, 0.1, 500.0)
+    expected, _ = of_integrand(sampler.law(n), g, 1e-6)
+    value, error = of_integrand(sampler.law(n), g, 0.1, 500.0)
     assert 0.0 < abs(value - expected) <= error
 
 

@@ -32,7 +32,7 @@ from mcspectra.core.errors import NoClosedForm
 from mcspectra.core.streams import Stream
 from mcspectra.integrands import Integrand
 from mcspectra.integrands._quadrature import grid_coefficients
-from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.samplers import Sampler
 from mcspectra.samplers.law import Independent, Law, Scrambled, Shifted
 from mcspectra.spectra.closed_forms import moments_of
 from mcspectra.variance.prediction.known import Known, Predicted, half_interval
@@ -98,8 +98,8 @@ _WHOLE = 1e-6  # differences of lattice points from multiples of 1/n, times n
 _RELATIVE = 1e-9  # of sums that do not cancel
 _LEAST_OFFSETS, _OFFSETS, _MOST_EVALUATIONS = 2**6, 2**13, 2**23  # of a lattice that is moved
 _AT_ONCE = 2**20  # evaluations
-_SPREADS = 16  # nets of offsets, whose variances give the standard error
-_OWN = Stream(0x0FF5E7)  # of the offsets
+_SPREADS = 16  # parts of the offsets, whose variances give the standard error
+_OFFSET_STREAM = 0x0FF5E7  # label of the random numbers of the offsets
 _BITS = 2.0**53
 _LEAST_BOX, _BOX = 32, 6.0  # half width of the box of a homogeneous set, and in units of n^(1/d)
 
@@ -372,12 +372,12 @@ def _of_dual(points: Array, known: Known) -> Predicted:
     return Predicted(value + tail, error, "dual lattice", share, tail)
 
 
-def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
+def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:
     """The variance of the mean of g over a fixed set that one random offset moves, in any dims.
 
-    The means at offsets of our own, independent scrambled nets of them, have this variance to a share that
-    does not depend on n; of a lattice those in one of its cells are all there are. The interval is by
-    Student's t of the nets. Pairs, E g(u) g(u + x_k) over independent u, need more: the square of the mean is
+    The means at offsets of our own, a Kronecker sequence of a random vector, have this variance to a share
+    that does not depend on n; of a lattice those in one of its cells are all there are. The interval is by
+    Student's t of successive parts. Pairs, E g(u) g(u + x_k) over independent u, need more: the square of the mean is
     their mean over all pairs of points.
 
     Raises
@@ -403,10 +403,10 @@ def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG0
     elif not shifted:
         how = "digital shifts of the net"
 
-    # Means of g over the moved sets. Offsets from a fixed sequence might be those of the set itself
-    each = 1 << (count // _SPREADS).bit_length() - 1
-    nets = as_sampler("sobol | owen", g.dims).draw_stream(each, _OWN, 0, _SPREADS)
-    offsets = nets.reshape(_SPREADS * each, g.dims)
+    # Means of g over the moved sets. Multiples of a random vector are independent in pairs, so that they
+    # do as well as random offsets at least; those of a fixed vector might be the points of the set itself
+    start, step = stream.child(_OFFSET_STREAM).uniforms(0, 1, 2 * g.dims).reshape(2, g.dims)
+    offsets = (start + np.arange(count)[:, None] * step) % 1.0
     means = []
     for some in np.array_split(offsets, max(1, len(offsets) * n // _AT_ONCE)):
         if shifted:
@@ -416,8 +416,8 @@ def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG0
         means.append(g(x).reshape(len(some), n, -1).mean(axis=1))
     of_offsets = np.concatenate(means)
     value = of_offsets.var(axis=0)
-    spreads = of_offsets.reshape(_SPREADS, each, -1).var(axis=1, ddof=1)
-    return Predicted(value, half_interval(spreads), how)
+    spreads = [part.var(axis=0, ddof=1) for part in np.array_split(of_offsets, _SPREADS)]
+    return Predicted(value, half_interval(np.array(spreads)), how)
 
 
 def _moves_at_once(law: Law) -> bool:
