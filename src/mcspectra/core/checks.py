@@ -28,6 +28,7 @@ __all__ = [
     "as_real_array",
     "as_reals",
     "as_unit_points",
+    "distinct_points",
     "in_unit_cube",
     "is_path",
 ]
@@ -191,6 +192,24 @@ def as_unit_points(points: object, *, dims: int | None = None, name: str = "poin
             "scale or wrap them first."
         )
     return x
+
+
+def distinct_points(points: Array) -> tuple[Array, Array, Array]:
+    """Return the different points of a set (n, d), the index of each given point, and their counts.
+
+    Points are in ascending order of their coordinates. Coordinates below 2^-400 are rounded down to
+    multiples of 2^-500: the square of a smaller distance would underflow.
+    """
+    places = points
+    if (tiny := points < 2.0**-400).any():
+        places = np.where(tiny, np.ldexp(np.floor(np.ldexp(points, 500)), -500), points)
+    order = np.lexsort(places.T[::-1])
+    places = places[order]
+    differs = np.ones(len(places), bool)
+    differs[1:] = (places[1:] != places[:-1]).any(axis=1)
+    index = np.empty(len(places), np.int64)
+    index[order] = np.cumsum(differs) - 1
+    return places[differs], index, np.bincount(index)
 
 
 def as_frequencies(frequencies: object, dims: int) -> Array:
