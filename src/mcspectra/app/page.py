@@ -5,7 +5,6 @@ from __future__ import annotations
 import textwrap
 from dataclasses import replace
 from functools import partial
-from html import escape
 from pathlib import Path
 from typing import Any, final
 from urllib.parse import urlencode
@@ -25,6 +24,7 @@ from mcspectra.app.scene import SceneView, pixel_spec
 from mcspectra.app.specs import UPLOAD, techniques
 from mcspectra.app.state import THEMES, Setup, State
 from mcspectra.core.analysis import Analysis
+from mcspectra.core.display import escape_html
 from mcspectra.core.errors import McspectraError
 from mcspectra.core.options import options_of
 from mcspectra.core.spec import parse
@@ -96,7 +96,7 @@ class Explorer:
         self._headers, self._grid = (Row(sizing_mode="stretch_width"), Column(sizing_mode="stretch_width"))  # fmt: skip
         self._summary = block()
         self._refused = block(
-            text=f'<p role="alert" class="alert">{escape(refused)}</p>', visible=bool(refused)
+            text=f'<p role="alert" class="alert">{escape_html(refused)}</p>', visible=bool(refused)
         )
         self._compare = Checkbox(
             label="Compare with a second set-up, B", active=self.state.b is not None,
@@ -281,7 +281,7 @@ def _row(side: str, setup: Setup, board: Board) -> str:
         if curve is None
         else rate(float(curve["rate"]), *map(float, curve["rate_ci"].values)),
     ]
-    inside = "".join(f"<td>{escape(cell)}</td>" for cell in cells)
+    inside = "".join(f"<td>{escape_html(cell)}</td>" for cell in cells)
     return f'<tr><th scope="row">{side}</th>{inside}</tr>'
 
 

@@ -22,6 +22,8 @@ from contextlib import suppress
 from importlib.metadata import entry_points
 from typing import NoReturn
 
+from mcspectra.core.display import printable
+
 __all__ = ["main"]
 
 _MODULES = {
@@ -104,7 +106,7 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         sentence = message[:1].upper() + message[1:]
-        self.exit(2, f"{self.prog}: {sentence}; see '{self.prog} --help'.\n")
+        self.exit(2, f"{self.prog}: {printable(sentence, _LONGEST)}; see '{self.prog} --help'.\n")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -121,7 +123,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as stop:  # argparse: --help (0) or bad usage (2)
         return int(stop.code or 0)
     except KeyboardInterrupt as stop:
-        print(f"mcspectra: {'; '.join(['Interrupted', *map(str, stop.args)])}.", file=sys.stderr)
+        said = printable("; ".join(["Interrupted", *map(str, stop.args)]))
+        print(f"mcspectra: {said}.", file=sys.stderr)
         tasks = (each.name == "mcspectra-tasks" for each in threading.enumerate())
         if arguments is None and any(tasks):
             # Native code that still computes would keep the process for a minute, or abort it
@@ -149,7 +152,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             text = " ".join(str(error)[:_LONGEST].split()) or "no message"
             sentence = f"Unexpected {kind}: {text}; run again with --debug for details."
             code = 1
-        print(f"mcspectra: {sentence}", file=sys.stderr)
+        print(f"mcspectra: {printable(sentence)}", file=sys.stderr)
         return code
 
 
@@ -210,7 +213,7 @@ def _dispatch(given: list[str]) -> int:
     if options.json and data is not None:
         print(json.dumps(strict_json(data), indent=2, allow_nan=False))
     elif text and (data is None or not options.quiet):
-        print(text)
+        print(printable(text, lines=True))
     return code
 
 

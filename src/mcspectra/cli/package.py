@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mcspectra.cli.common import Answer, option, verb, whole
+from mcspectra.core.display import printable
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.references import bibtex
 from mcspectra.version import __version__
@@ -87,7 +88,8 @@ def reproduce_(options: argparse.Namespace) -> Answer:
     )
     for entry in made.entries:
         if entry.problem:
-            print(f"mcspectra: The figure {entry.name} failed: {entry.problem}", file=sys.stderr)
+            problem = printable(str(entry.problem))
+            print(f"mcspectra: The figure {entry.name} failed: {problem}", file=sys.stderr)
     judged = [
         finding.agrees
         for entry in made.entries

@@ -20,6 +20,7 @@ from mcspectra.cli.common import (
     verb,
     whole,
 )
+from mcspectra.core.display import printable
 from mcspectra.core.errors import ParameterError
 from mcspectra.variance.fit import UNRESOLVED
 
@@ -255,7 +256,7 @@ def status_(options: argparse.Namespace) -> Answer:
     from mcspectra.studies.results import study_status
 
     status = study_status(options.folder, verify=options.verify)
-    lines = [f"{status.title}: {status.state}"]
+    lines = [f"{printable(status.title)}: {status.state}"]
 
     # Say when, where and by whom it was written
     if status.started is not None:
@@ -285,7 +286,7 @@ def status_(options: argparse.Namespace) -> Answer:
     listed = {"damaged": status.damaged, "failed": status.failed, "missing": missing}
     for kind, reasons in listed.items():
         for path, reason in list(reasons.items())[:_LISTED]:
-            lines.append(f"{kind}: {path}{': ' if reason else ''}{reason}")
+            lines.append(printable(f"{kind}: {path}{': ' if reason else ''}{reason}"))
         if len(reasons) > _LISTED:
             lines.append(f"{kind}: … {len(reasons) - _LISTED} more; --json lists all")
     good = status.state in ("running", "finished") and not status.damaged

@@ -90,7 +90,7 @@ def parse_lines(text: Array, values: Array, runs: Array, hard: Array) -> tuple[i
             line += 1
             i += 1 if byte == _NEWLINE else 2
             continue
-        if byte == _SPACE or byte == _TAB:
+        if byte in (_SPACE, _TAB):
             i += 1
             continue
         if byte == _HASH and on_line == 0:
@@ -105,7 +105,7 @@ def parse_lines(text: Array, values: Array, runs: Array, hard: Array) -> tuple[i
 
         # Sign, digits with a point among them, exponent
         start, negative = i, byte == _MINUS
-        if byte == _MINUS or byte == _PLUS:
+        if byte in (_MINUS, _PLUS):
             i += 1
         whole, digits, seen, places, point = np.uint64(0), 0, 0, 0, False
         while i < size:

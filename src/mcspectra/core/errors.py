@@ -17,6 +17,8 @@ from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 
+from mcspectra.core.display import printable
+
 __all__ = [
     "AnalysisError",
     "BudgetError",
@@ -53,10 +55,17 @@ __all__ = [
 _PACKAGE = str(Path(__file__).parents[1]) + os.sep
 _FAILING = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
 _COORDINATES = 6  # of a point in a message
+_LONGEST = 2000  # characters of a message; the longest of our own have 350
 
 
 class McspectraError(Exception):
-    """Root of all errors raised on purpose by this package."""
+    """Root of all errors raised on purpose by this package.
+
+    A message holds text of others, such as names and paths: it is made one printable line.
+    """
+
+    def __init__(self, message: str = "", *further: object) -> None:
+        super().__init__(printable(str(message), _LONGEST), *further)
 
 
 class ParameterError(McspectraError, ValueError):
@@ -194,7 +203,7 @@ def reason_of(error: BaseException, most: int = 1000) -> str:
         words = str(error)[: 2 * most]
     except BaseException:  # noqa: BLE001 - whatever the code of others does
         words = ""
-    shown = " ".join("".join(c if c.isprintable() else " " for c in words).split())
+    shown = printable(" ".join(words.split()))
     return shown[:most].rstrip(".") or type(error).__name__
 
 
@@ -222,7 +231,7 @@ def warn(message: str, category: type[Warning]) -> None:
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
         frame = frame.f_back
     warnings.warn_explicit(
-        message,
+        printable(message, _LONGEST),
         category,
         frame.f_code.co_filename,
         frame.f_lineno,

@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, final
 
+from mcspectra.core.display import printable
 from mcspectra.core.errors import StoreError, writing
 from mcspectra.core.results import strict_json
 from mcspectra.plots.description import Plot
@@ -317,6 +318,7 @@ def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:
             loader=PackageLoader("mcspectra.report", ""),
             autoescape=True,
             undefined=StrictUndefined,
+            finalize=_shown,
             trim_blocks=True,
             lstrip_blocks=True,
         )
@@ -351,6 +353,14 @@ def write_json(file: Path, value: Any) -> None:
     with writing(file, StoreError):
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text + "\n", encoding="utf-8")
+
+
+def _shown(value: Any) -> Any:
+    """Text of others without controls; markup, which our own code makes, stays."""
+    from markupsafe import Markup
+
+    is_text = isinstance(value, str) and not isinstance(value, Markup)
+    return printable(value, lines=True) if is_text else value
 
 
 def _figures_in(blocks: Iterable[Block]) -> Iterable[Figure]:
