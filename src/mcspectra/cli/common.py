@@ -249,7 +249,7 @@ def one_sentence_warnings(quiet: bool) -> Iterator[None]:
     seen: set[str] = set()
 
     def show(message: Warning | str, *_: Any) -> None:
-        text = printable(str(message), _LONGEST)
+        text = printable(message, _LONGEST)
         if text in seen:  # from another place in the code
             return
         seen.add(text)

@@ -88,7 +88,7 @@ def reproduce_(options: argparse.Namespace) -> Answer:
     )
     for entry in made.entries:
         if entry.problem:
-            problem = printable(str(entry.problem))
+            problem = printable(entry.problem)
             print(f"mcspectra: The figure {entry.name} failed: {problem}", file=sys.stderr)
     judged = [
         finding.agrees
@@ -105,7 +105,9 @@ def reproduce_(options: argparse.Namespace) -> Answer:
         "judged": len(judged),
         "failed": list(made.failed),
     }
-    return Answer(f"{tally(made.entries)}\npage: {made.page}", data, 1 if made.failed else 0)
+    return Answer(
+        f"{tally(made.entries)}\npage: {printable(made.page)}", data, 1 if made.failed else 0
+    )
 
 
 @verb(

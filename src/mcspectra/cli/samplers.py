@@ -23,6 +23,7 @@ from mcspectra.cli.common import (
 )
 from mcspectra.cli.texts import data_of
 from mcspectra.core.checks import as_choice
+from mcspectra.core.display import printable
 from mcspectra.core.errors import FileFormatError, MissingDependency
 
 __all__ = ["bench_", "gallery_", "integrate_", "list_", "points_"]
@@ -227,7 +228,7 @@ def gallery_(options: argparse.Namespace) -> Answer:
         format="markdown" if options.markdown else "html",
         rng=options.seed or 0,
     )
-    return Answer(f"gallery: {page}", {"gallery": page})
+    return Answer(f"gallery: {printable(page)}", {"gallery": page})
 
 
 @verb(

@@ -25,6 +25,7 @@ from mcspectra.cli.common import (
     wholes,
 )
 from mcspectra.cli.texts import remedies_table
+from mcspectra.core.display import printable
 from mcspectra.core.errors import MissingDependency, ParameterError, writing
 
 if TYPE_CHECKING:
@@ -297,7 +298,7 @@ def pixel_(options: argparse.Namespace) -> Answer:
     parts.append("\n".join(filled(said)))
     if written is not None:
         data["report"] = written
-        parts.append(f"report: {written}")
+        parts.append(f"report: {printable(written)}")
     return Answer("\n\n".join(parts), data)
 
 
@@ -360,7 +361,7 @@ def map_(options: argparse.Namespace) -> Answer:
     result = maps[0] if len(maps) == 1 else compared(maps)
     page, summary = write_map(result, options.out), map_summary(result)
     table = map_table(summary)
-    text = f"{page_table(table)}\n{table.caption}\nmap: {page}"
+    text = f"{page_table(table)}\n{table.caption}\nmap: {printable(page)}"
     return Answer(text, {**summary, "report": page})
 
 
@@ -410,7 +411,7 @@ def mitsuba_(options: argparse.Namespace) -> Answer:
     means = [float(value) for value in image.mean(axis=(0, 1))]
     seconds = time.perf_counter() - start
     return Answer(
-        f"{out}: {width} × {height} pixels, {channels} channels, {seconds:.1f} s",
+        f"{printable(out)}: {width} × {height} pixels, {channels} channels, {seconds:.1f} s",
         {"image": out, "width": width, "height": height, "mean": means},
     )
 

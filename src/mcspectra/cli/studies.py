@@ -144,7 +144,7 @@ def run_(options: argparse.Namespace) -> Answer:
     stored = len(results.result_paths(out))
     if stored > results.MOST_STORED:
         text = (
-            f"{stored:,} results are in {out}; a report is for {results.MOST_STORED:,} at most: "
+            f"{stored:,} results are in {printable(out)}; a report is for {results.MOST_STORED:,} at most: "
             f"'mcspectra export {out} --select PATTERN' writes a part of them"
         )
         return Answer(text, {"report": None, "rows": []}, code)
@@ -156,7 +156,8 @@ def run_(options: argparse.Namespace) -> Answer:
     shown = page_table(columns_of(summary, summary.columns[:5]))
     if "unresolved" in shown:
         shown += f"\nunresolved: the rate is {UNRESOLVED}"
-    return Answer(f"{shown}\n\nreport: {page}" if rows else f"report: {page}", data, code)
+    where = f"report: {printable(page)}"
+    return Answer(f"{shown}\n\n{where}" if rows else where, data, code)
 
 
 def _cluster_engine(options: argparse.Namespace, time_limit: float | None) -> MakeExecutor | None:
@@ -238,7 +239,7 @@ def report_(options: argparse.Namespace) -> Answer:
         page = write_report(options.folder, options.out)
     else:
         page = write_comparison(options.folder, options.compare, options.out)
-    return Answer(f"report: {page}", {"report": page})
+    return Answer(f"report: {printable(page)}", {"report": page})
 
 
 @verb(
@@ -311,7 +312,7 @@ def export_(options: argparse.Namespace) -> Answer:
         return Answer(str(file), {"file": file, "bytes": None})
     files = file.rglob("*") if file.is_dir() else [file]
     size = sum(each.stat().st_size for each in files if each.is_file())
-    return Answer(f"{file}: {shown_bytes(size)}", {"file": file, "bytes": size})
+    return Answer(f"{printable(file)}: {shown_bytes(size)}", {"file": file, "bytes": size})
 
 
 @verb(option("FILE", "default study.toml", nargs="?", default="study.toml"))
@@ -320,7 +321,9 @@ def init_(options: argparse.Namespace) -> Answer:
     from mcspectra.studies.schema import write_template
 
     file = write_template(options.file)
-    return Answer(f"{file}: run it with 'mcspectra run {file}'.", {"file": file})
+    return Answer(
+        f"{printable(file)}: run it with 'mcspectra run {printable(file)}'.", {"file": file}
+    )
 
 
 @verb(option("--markdown", "print all keys as tables of docs/studies.md"))

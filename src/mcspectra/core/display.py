@@ -32,8 +32,8 @@ _PICTURES = "mcspectra.report.reprs"
 _RESULTS = "mcspectra.report.accessor"
 
 
-def printable(text: str, most: int | None = None, *, lines: bool = False) -> str:
-    r"""Return a text of others so that it can be shown: one line, of `most` characters if given.
+def printable(given: object, most: int | None = None, *, lines: bool = False) -> str:
+    r"""Return text of others, or a path, in one line that can be shown, of `most` characters if given.
 
     Characters that are not printed stand as escapes such as ``\x1b`` and ``\u202e``: controls, marks of
     direction and others without width, line separators, surrogates, characters that Unicode has not
@@ -51,6 +51,7 @@ def printable(text: str, most: int | None = None, *, lines: bool = False) -> str
     >>> printable("x" * 20, 11)
     'xxxxxx … xx'
     """
+    text = str(given)
     if most is not None and len(text) > most:
         tail = (most - len(_CUT)) // 3
         text = f"{text[: most - len(_CUT) - tail]}{_CUT}{text[len(text) - tail :]}"
@@ -68,7 +69,7 @@ def _escape(character: str) -> str:
 
 def escape_html(text: object) -> str:
     """Return a text of others for HTML, in an element or an attribute: `printable`, its lines kept."""
-    return html.escape(printable(str(text), lines=True))
+    return html.escape(printable(text, lines=True))
 
 
 def csv_cell(value: object) -> object:

@@ -65,7 +65,7 @@ class McspectraError(Exception):
     """
 
     def __init__(self, message: str = "", *further: object) -> None:
-        super().__init__(printable(str(message), _LONGEST), *further)
+        super().__init__(printable(message, _LONGEST), *further)
 
 
 class ParameterError(McspectraError, ValueError):

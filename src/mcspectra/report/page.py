@@ -42,6 +42,7 @@ __all__ = [
     "anchors",
     "columns_of",
     "figures_of",
+    "markup",
     "number_cell",
     "provenance",
     "sections_of",
@@ -355,8 +356,15 @@ def write_json(file: Path, value: Any) -> None:
         file.write_text(text + "\n", encoding="utf-8")
 
 
+def markup(template: str, *texts: object) -> Markup:
+    """Return markup of our own with texts of others, printable and escaped, in place of each ``{}``."""
+    from markupsafe import Markup
+
+    return Markup(template).format(*map(_shown, texts))
+
+
 def _shown(value: Any) -> Any:
-    """Text of others without controls; markup, which our own code makes, stays."""
+    """Text of others without controls; markup stays."""
     from markupsafe import Markup
 
     is_text = isinstance(value, str) and not isinstance(value, Markup)

@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import final
 
 import xarray as xr
-from markupsafe import Markup, escape
+from markupsafe import Markup
 
 from mcspectra.core.checks import Array, as_choice
+from mcspectra.core.display import escape_html
 from mcspectra.core.errors import (
     McspectraError,
     MissingDependency,
@@ -346,7 +347,7 @@ def _page(cards: Sequence[Card], effort: Effort) -> html.Page:
     for card, anchor in zip(cards, names, strict=True):
         facts = []
         for name, value in _card_facts(card):
-            text = ADDRESS.sub(r'<a href="\g<0>">\g<0></a>', str(escape(value)))
+            text = ADDRESS.sub(r'<a href="\g<0>">\g<0></a>', escape_html(value))
             facts.append((name, Markup(text)))
         blocks: tuple[html.Block, ...] = (
             html.Text(text=card.facts.summary if card.facts else ""),
