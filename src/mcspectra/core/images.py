@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from os import PathLike
-from typing import IO, final
+from typing import IO, TYPE_CHECKING, final
 
 import numpy as np
 
@@ -23,10 +23,14 @@ from mcspectra.core.checks import Array, as_real_array
 from mcspectra.core.decoding import check_decoded_size, opened, read_npy, read_npz
 from mcspectra.core.errors import FileFormatError, ParameterError
 
+if TYPE_CHECKING:
+    from PIL.Image import Image as PillowImage
+
 __all__ = [
     "IMAGE_EXTENSIONS",
     "REC709",
     "Rings",
+    "check_picture_size",
     "exr_attributes",
     "exr_layer",
     "luminance",
@@ -108,6 +112,31 @@ def read_image(
     return image
 
 
+def check_picture_size(path: str | PathLike[str]) -> None:
+    """Refuse a PNG, JPEG or EXR file whose pixels take too much memory, for a reader of another library.
+
+    Of other files, and of those whose header cannot be read, there is nothing to say.
+
+    Raises
+    ------
+    FileFormatError
+        As of `mcspectra.core.decoding.check_decoded_size`.
+    """
+    decoded = 0
+    try:
+        with opened(path, "an image") as (stream, size, file, _):
+            head = stream.read(4)
+            stream.seek(0)
+            if head == b"v/1\x01":
+                decoded = _exr_head(file)[1]
+            elif head[:2] in (b"\x89P", b"\xff\xd8"):
+                image = _pillow_head(stream)
+                decoded = 8 * image.width * image.height * len(image.getbands())
+    except FileFormatError:
+        return
+    check_decoded_size(file, size, decoded)
+
+
 def luminance(image: Array) -> Array:
     """Return the Rec. 709 luminance (height, width) of an image (height, width, 1 or 3).
 
@@ -127,16 +156,20 @@ def luminance(image: Array) -> Array:
     return np.asarray(image[..., 0] if image.shape[2] == 1 else image @ REC709)
 
 
-def _read_pillow(stream: IO[bytes], size: int, name: str, linear: bool) -> Array:
-    """Values in [0,1] of PNG and JPEG, (height, width, 1 or 3)."""
-    from PIL.Image import Image
+def _pillow_head(stream: IO[bytes]) -> PillowImage:
+    """The picture of a PNG or JPEG stream, of which the header alone has been read."""
     from PIL.JpegImagePlugin import JpegImageFile
     from PIL.PngImagePlugin import PngImageFile
 
     # Not by Image.open, which warns of sizes that are read, or refuses them in other words
     is_png = stream.read(1) == b"\x89"
     stream.seek(0)
-    image: Image = (PngImageFile if is_png else JpegImageFile)(stream)
+    return (PngImageFile if is_png else JpegImageFile)(stream)
+
+
+def _read_pillow(stream: IO[bytes], size: int, name: str, linear: bool) -> Array:
+    """Values in [0,1] of PNG and JPEG, (height, width, 1 or 3)."""
+    image = _pillow_head(stream)
     mode, (width, height) = image.mode, image.size
     # Pillow's picture, a converted one, a channel and its bytes, and the channels as float64
     channels = 3 if mode == "P" else len(image.getbands())
@@ -203,7 +236,8 @@ def exr_layer(path: str | PathLike[str]) -> str:
         return _picture_channels(file, listed, None)[0].rpartition(".")[0]
 
 
-def _read_exr(name: str, size: int, layer: str | None) -> Array:
+def _exr_head(name: str) -> tuple[set[str], int, int]:
+    """Channels, bytes of their values and pixels of the largest part, by the header."""
     import OpenEXR
 
     head = OpenEXR.File(name, separate_channels=True, header_only=True)
@@ -219,7 +253,13 @@ def _read_exr(name: str, size: int, layer: str | None) -> Array:
         listed |= {channel.name for channel in part.header["channels"]}
         stored += 4 * len(part.header["channels"]) * (pixels + tile)  # values of 2 or 4 bytes
         largest = max(largest, pixels)
+    return listed, stored, largest
 
+
+def _read_exr(name: str, size: int, layer: str | None) -> Array:
+    import OpenEXR
+
+    listed, stored, largest = _exr_head(name)
     names = _picture_channels(name, listed, layer)
     check_decoded_size(name, size, stored + 9 * len(names) * largest)  # float64, and a mask
     parts = OpenEXR.File(name, separate_channels=True).parts
