@@ -169,3 +169,15 @@ def test_names_of_scenes(here, capfd, verb, inside):
     out, err = capfd.readouterr()
     assert code == 2
     assert_harmless(out, err)
+
+
+@pytest.mark.parametrize("length", [300, 5000])
+@pytest.mark.parametrize(
+    "verb", ["status", "report", "export", "run", "frames", "mitsuba", "chains"]
+)
+def test_a_name_that_is_too_long_is_bad_input(run, here, verb, length):
+    """``status`` ended with an unexpected OSError, and code 1."""
+    code, _, err = run(verb, "x" * length, *(["--to", "a.csv"] if verb == "export" else []))
+    assert code == 2
+    assert "Unexpected" not in err
+    assert len(err) < 2100

@@ -57,6 +57,33 @@ def test_messages_are_one_printable_line():
         warn("a\x1b[2J", UserWarning)
 
 
+H = 10**5000
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: mcs.convergence("linear(dims=1)", "random", [4, H]),
+        lambda: mcs.convergence("linear(dims=1)", "random", {H}),
+        lambda: mcs.convergence("linear(dims=1)", "random", [4, 8], realizations=-H),
+        lambda: mcs.convergence("linear(dims=1)", "random", [4, 8], rng=H),
+        lambda: mcs.convergence("linear(dims=1)", "random", [4, 8], workers=H),
+        lambda: mcs.convergence(H, "random", [4, 8]),
+        lambda: mcs.convergence("linear(dims=1)", H, [4, 8]),
+        lambda: mcs.sampler("random", H),
+        lambda: mcs.sampler("random").draw(H),
+        lambda: mcs.quality_figures("random", 4, figures=[H]),
+        lambda: mcs.integrands.Gaussian(width=H),
+    ],
+)
+def test_numbers_that_python_does_not_print_are_a_sentence(call):
+    """They ended with Python's own words on the limit of digits."""
+    with pytest.raises(mcs.McspectraError, match="an integer of ") as caught:
+        call()
+    assert str(caught.value).endswith(".")
+    assert len(str(caught.value)) < 300
+
+
 def test_html_has_no_controls_and_no_markup():
     assert escape_html("<b>'\x1b\u202e\n&") == r"&lt;b&gt;&#x27;\x1b\u202e" + "\n&amp;"
 

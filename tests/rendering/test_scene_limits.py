@@ -77,7 +77,7 @@ def test_depth_counts_over_includes(write):
     write("<default name='part' value='inner.txt'/>", "late.xml")
     file = write("<include filename='$part'/>" * 2 + "<bsdf>" * 60 + "<include filename='late.xml'/>"
                  + "<include filename='$part'/>" + "</bsdf>" * 60)  # fmt: skip
-    refused(file, "nested 102 deep")
+    refused(file, "nested 103 deep")
 
 
 @pytest.mark.render

@@ -22,7 +22,7 @@ from contextlib import suppress
 from importlib.metadata import entry_points
 from typing import NoReturn
 
-from mcspectra.core.display import printable
+from mcspectra.core.display import printable, shown
 
 __all__ = ["main"]
 
@@ -146,6 +146,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             code, sentence = 1 if kind in _FAILED_RUNS else 2, str(error)
         elif isinstance(error, MemoryError):
             code, sentence = 2, "Not enough memory; ask for fewer points, dims or frequencies."
+        elif isinstance(error, OSError) and error.errno in (errno.ENAMETOOLONG, errno.ELOOP):
+            code, sentence = 2, f"{shown(error.filename)} is no path: {error.strerror}."
         elif isinstance(error, OSError) and error.errno in full:
             code, sentence = 1, f"The output cannot be written: {error.strerror}."
         else:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from mcspectra.core.display import shown
 from mcspectra.core.errors import DomainError, ParameterError, close_match_hint
 
 __all__ = [
@@ -41,26 +42,32 @@ BELOW_ONE = 1.0 - 2.0**-53
 MAX_DIMS = 1024
 """Most dims of anything that does not say otherwise."""
 
+_LONGEST_NAME, _LONGEST_PATH = 255, 4096
+
 MAX_FREQUENCY = 2.0**40
 """Largest frequency: phases m·x of 53-bit points keep 13 bits there."""
 
 
 def is_path(value: object) -> bool:
-    """Whether a value can be the path of a file, or a URL: a text that the system can write."""
+    """Whether a value can be the path of a file, or a URL: a text that the system can write.
+
+    Linux, macOS and Windows have names of at most 255 bytes; Linux has paths of at most 4096.
+    """
     if not isinstance(value, str | os.PathLike):
         return False
     try:
         text = os.fspath(value)
-        os.fsencode(text)
+        encoded = os.fsencode(text)
     except (TypeError, UnicodeEncodeError):
         return False
-    return isinstance(text, str) and "\0" not in text
+    short = len(encoded) < _LONGEST_PATH and max(map(len, encoded.split(b"/"))) <= _LONGEST_NAME
+    return isinstance(text, str) and "\0" not in text and (short or "://" in text)
 
 
 def as_path(name: str, value: object) -> Path:
     """Return `value` as a path."""
     if not is_path(value):
-        raise ParameterError(f"{name} is {value!r:.80}; give a path.")
+        raise ParameterError(f"{name} is {shown(value, 80)}; give a path.")
     return Path(value)  # type: ignore[arg-type]
 
 
@@ -68,7 +75,7 @@ def as_instance(name: str, value: Any, kind: Any, what: str) -> Any:
     """Return `value` if it is an instance of a type, or of one of several, which `what` describes."""
     if isinstance(value, kind):
         return value
-    raise ParameterError(f"{name} is {value!r:.80}; give {what}.")
+    raise ParameterError(f"{name} is {shown(value, 80)}; give {what}.")
 
 
 def as_instances(name: str, value: Any, kind: Any, what: str) -> list[Any]:
@@ -87,7 +94,7 @@ def as_integer(name: str, value: object, *, least: int, most: int | None = None)
     limit = f"a whole number of at least {least}"
     if most is not None:
         limit = f"a whole number from {least} to {most}" if least < most else str(most)
-    raise ParameterError(f"{name} is {value!r}; give {limit}.")
+    raise ParameterError(f"{name} is {shown(value)}; give {limit}.")
 
 
 def as_real(
@@ -115,7 +122,7 @@ def as_real(
         if math.isfinite(x) and enough and few:
             return x
     wanted = f" {' and '.join(rules)}" if rules else ""
-    raise ParameterError(f"{name} is {value!r}; give a finite number{wanted}.")
+    raise ParameterError(f"{name} is {shown(value)}; give a finite number{wanted}.")
 
 
 def as_reals(name: str, value: object, length: int, **limits: float | None) -> tuple[float, ...]:
@@ -134,9 +141,9 @@ def as_choice(name: str, value: object, allowed: Sequence[str]) -> str:
     """Return `value` if it is one of `allowed`."""
     if isinstance(value, str) and value in allowed:
         return value
-    hint, close = close_match_hint(str(value), allowed)
+    hint, close = close_match_hint(value if isinstance(value, str) else shown(value), allowed)
     raise ParameterError(
-        f"{name} is {value!r}; it must be one of {', '.join(allowed)}.{hint if close else ''}"
+        f"{name} is {shown(value)}; it must be one of {', '.join(allowed)}.{hint if close else ''}"
     )
 
 

@@ -15,11 +15,12 @@ from __future__ import annotations
 import functools
 import html
 import importlib
+import math
 import re
 import unicodedata
 from typing import Any
 
-__all__ = ["csv_cell", "escape_html", "html_of", "printable", "register_accessor"]
+__all__ = ["csv_cell", "escape_html", "html_of", "printable", "register_accessor", "shown"]
 
 # Characters of no width that str.isprintable lets pass: fillers, and marks that choose a variant
 _INVISIBLE = re.compile(
@@ -61,6 +62,24 @@ def printable(given: object, most: int | None = None, *, lines: bool = False) ->
         blanks = {c for c in strange if unicodedata.category(c) == "Zs"}
         text = text.translate({ord(c): " " if c in blanks else _escape(c) for c in strange})
     return text if text.isascii() else _INVISIBLE.sub(lambda found: _escape(found[0]), text)
+
+
+def shown(value: object, most: int = 200) -> str:
+    """Return the ``repr`` of what was given, `printable` and short; of a long number its size.
+
+    Python refuses to write integers of more than 4300 digits.
+
+    Examples
+    --------
+    >>> shown([16, "a\\n"]), shown(10**5000), shown([10**5000])
+    ("[16, 'a\\\\n']", 'an integer of about 5001 digits', 'a list with an integer of too many digits')
+    """
+    try:
+        return printable(repr(value), most)
+    except ValueError:
+        if isinstance(value, int):
+            return f"an integer of about {int(value.bit_length() * math.log10(2)) + 1} digits"
+        return f"a {type(value).__name__} with an integer of too many digits"
 
 
 def _escape(character: str) -> str:

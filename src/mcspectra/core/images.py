@@ -13,9 +13,17 @@ another kind. EXR and NumPy files are linear already and are never changed.
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
+import io
 import math
+import os
+import re
+import sys
+import tempfile
+import threading
 from os import PathLike
-from typing import IO, TYPE_CHECKING, final
+from typing import IO, TYPE_CHECKING, Any, final
 
 import numpy as np
 
@@ -42,6 +50,8 @@ IMAGE_EXTENSIONS = (".png", ".jpg", ".jpeg", ".exr", ".pfm", ".npy", ".npz")
 
 REC709 = np.array([0.2126, 0.7152, 0.0722])
 """Weights of red, green and blue in the luminance (ITU-R BT.709)."""
+_EXR_LINE = re.compile(rb"\(EXR_ERR_\w+\) |^Warning: Exception raised reading pixel data")
+_PRINTING = threading.Lock()
 _MOST_RINGS = 64
 _ENTRIES = 2**20  # of a picture that are looked up at a time
 
@@ -213,10 +223,8 @@ def exr_attributes(path: str | PathLike[str]) -> dict[str, object]:
     FileFormatError
         No such file, or broken.
     """
-    import OpenEXR
-
     with opened(path, "an image", (".exr",)) as (_, _, file, _):
-        parts = OpenEXR.File(file, separate_channels=True, header_only=True).parts
+        parts = _exr_file(file, header_only=True).parts
         return {key: part.header[key] for part in reversed(parts) for key in part.header}
 
 
@@ -228,19 +236,60 @@ def exr_layer(path: str | PathLike[str]) -> str:
     FileFormatError
         No such file, or broken, or without a picture.
     """
-    import OpenEXR
-
     with opened(path, "an image", (".exr",)) as (_, _, file, _):
-        parts = OpenEXR.File(file, separate_channels=True, header_only=True).parts
+        parts = _exr_file(file, header_only=True).parts
         listed = {channel.name for part in parts for channel in part.header["channels"]}
         return _picture_channels(file, listed, None)[0].rpartition(".")[0]
+
+
+def _exr_file(name: str, *, header_only: bool) -> Any:
+    """Open an EXR file, without the lines that OpenEXR prints of a broken one.
+
+    They go to standard output, where results are, some through Python, and hold the file's name as it is.
+    Lines that other threads print meanwhile are printed afterwards.
+    """
+    import OpenEXR
+
+    def read() -> Any:
+        return OpenEXR.File(name, separate_channels=True, header_only=header_only)
+
+    if os.name != "posix":
+        return read()
+    with _PRINTING, contextlib.ExitStack() as stack:
+        for descriptor in (1, 2):
+            try:
+                saved = os.dup(descriptor)
+            except OSError:  # closed: nothing is printed
+                continue
+            held = stack.enter_context(tempfile.TemporaryFile())
+            os.dup2(held.fileno(), descriptor)
+            stack.callback(_put_back, descriptor, saved, held, name)
+        text = io.StringIO()
+        try:
+            with contextlib.redirect_stdout(text):
+                return read()
+        finally:
+            stack.close()
+            for line in text.getvalue().splitlines(keepends=True):
+                if sys.stdout is not None and not _EXR_LINE.search(line.encode(errors="replace")):
+                    sys.stdout.write(line)
+
+
+def _put_back(descriptor: int, saved: int, held: IO[bytes], name: str) -> None:
+    """Print to a file descriptor as before, first what is not OpenEXR's of what was held back."""
+    ctypes.CDLL(None).fflush(None)  # buffers of C, which OpenEXR's lines are in
+    os.dup2(saved, descriptor)
+    held.seek(0)
+    lines = held.read().replace(os.fsencode(name), b"").splitlines(keepends=True)
+    with os.fdopen(saved, "wb") as stream:
+        stream.writelines(line for line in lines if not _EXR_LINE.search(line))
 
 
 def _exr_head(name: str) -> tuple[set[str], int, int]:
     """Channels, bytes of their values and pixels of the largest part, by the header."""
     import OpenEXR
 
-    head = OpenEXR.File(name, separate_channels=True, header_only=True)
+    head = _exr_file(name, header_only=True)
     listed: set[str] = set()
     stored = largest = 0
     for part in head.parts:
@@ -257,12 +306,10 @@ def _exr_head(name: str) -> tuple[set[str], int, int]:
 
 
 def _read_exr(name: str, size: int, layer: str | None) -> Array:
-    import OpenEXR
-
     listed, stored, largest = _exr_head(name)
     names = _picture_channels(name, listed, layer)
     check_decoded_size(name, size, stored + 9 * len(names) * largest)  # float64, and a mask
-    parts = OpenEXR.File(name, separate_channels=True).parts
+    parts = _exr_file(name, header_only=False).parts
     planes = {name: c.pixels for part in reversed(parts) for name, c in part.channels.items()}
     if any(planes.get(name) is None for name in names):
         raise EOFError

@@ -7,7 +7,8 @@ from typing import Any, final
 import numpy as np
 
 from mcspectra.core.analysis import Subject
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.display import shown
 from mcspectra.core.errors import ParameterError
 from mcspectra.densities import Density, as_density
 from mcspectra.densities.base import divide_by_density
@@ -120,15 +121,20 @@ def as_estimator(given: Any, dims: int | None = None) -> AbstractEstimator:
     Raises
     ------
     ParameterError
-        `given` has another type.
+        `given` has another type, or an estimator has other dims.
     """
     if isinstance(given, AbstractEstimator):
+        if dims is not None and given.dims != as_integer("dims", dims, least=1):
+            raise ParameterError(
+                f"dims is {dims}, but {given.spec} has {given.dims} dims; leave dims out, or give a spec "
+                "that leaves them open."
+            )
         return given
     if isinstance(given, Integrand | str):
         return Estimator(given, dims=dims)
     made = ", or make one with Integrand.from_function" if callable(given) else ""
     raise ParameterError(
-        f"{given!r:.80} is not an estimator; give Estimator(integrand, density), an integrand, or "
+        f"{shown(given, 80)} is not an estimator; give Estimator(integrand, density), an integrand, or "
         f"an integrand's spec{made}."
     )
 

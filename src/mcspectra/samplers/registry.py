@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from mcspectra.core.checks import as_integer
+from mcspectra.core.display import shown
 from mcspectra.core.errors import ParameterError, SpecError, UnknownName
 from mcspectra.core.registry import Registry, classes_of
 from mcspectra.core.spec import Call, parse_chain
@@ -135,7 +136,7 @@ def _from_object(source: Any, dims: int | None) -> Sampler:
     if is_generator(source):
         return Sampler.from_qmcpy(source, **({"dims": dims} if sized else {}))
     raise ParameterError(
-        f"{source!r} is not a sampler; give a Sampler, a spec such as 'jittered | shift', an array "
+        f"{shown(source)} is not a sampler; give a Sampler, a spec such as 'jittered | shift', an array "
         "of points (n, d) or (R, n, d), a scipy.stats.qmc engine, a QMCPy generator, or make one of a "
         "function with Sampler.from_function."
     )

@@ -120,7 +120,7 @@ def integrate(
     # What is called, and what draws its points
     inner, known = f, dims if dims is not None else getattr(sampler, "dims", None)
     if isinstance(f, AbstractEstimator | Integrand | str):
-        estimator = as_estimator(f, known)
+        estimator = as_estimator(f, dims if isinstance(f, AbstractEstimator) else known)
         if estimator.counts != (1,):
             raise ParameterError(
                 f"{estimator.spec} has several techniques; integrate one, or use convergence."
