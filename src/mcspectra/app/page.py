@@ -84,7 +84,7 @@ class Explorer:
         except McspectraError as error:
             self.state, refused = State(), f"{error} The defaults are shown."
         self._document, self._loop = document, IOLoop.current(instance=False)
-        self._closed = False
+        self._started = self._closed = False
         self._sheet = InlineStyleSheet(css=_WIDGETS)
         self._boards: dict[str, Board] = {}
         self._controls: dict[str, Controls] = {}
@@ -127,8 +127,13 @@ class Explorer:
         }
         self.roots["head"].js_on_change("tags", CustomJS(code=_TELL))
         self._arrange()
-        for side, setup in self.state.setups():
-            self._boards[side].run(setup)
+
+    def start(self) -> None:
+        """Begin to compute, once a browser shows the page: a request alone costs a page only."""
+        if not self._started:  # again when a browser has been away
+            self._started = True
+            for side, setup in self.state.setups():
+                self._boards[side].run(setup)
 
     def close(self) -> None:
         """Drop all jobs; for a tab that was closed."""
@@ -254,6 +259,7 @@ def build_page(document: Any) -> None:
     arguments = document.session_context.request.arguments
     query = urlencode([(key, value) for key, values in arguments.items() for value in values])
     explorer = Explorer(document, query)
+    document.on_event("document_ready", lambda _: explorer.start())
     document.on_session_destroyed(lambda _: explorer.close())
     for name, root in explorer.roots.items():
         root.name = name
