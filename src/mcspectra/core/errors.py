@@ -33,6 +33,7 @@ __all__ = [
     "FileFormatError",
     "IncompleteImageWarning",
     "InfiniteWeightVarianceWarning",
+    "LargeStudyWarning",
     "McspectraError",
     "MissingDependency",
     "NoClosedForm",
@@ -166,6 +167,10 @@ class DamagedResultsWarning(UserWarning):
 
 class OtherVersionsWarning(UserWarning):
     """Results of an earlier run go on with other versions of packages that numbers depend on."""
+
+
+class LargeStudyWarning(UserWarning):
+    """A study takes long to plan, before its first analysis begins."""
 
 
 class IncompleteImageWarning(UserWarning):

@@ -29,7 +29,6 @@ from .pieces import PiecewiseLinear as PiecewiseLinear
 from .pieces import vegas_density as vegas_density
 from .registry import DENSITIES as DENSITIES
 from .registry import as_density as as_density
-from .registry import as_warp as as_warp
 from .registry import density as density
 from .tabulated import PiecewiseConstant as PiecewiseConstant
 
@@ -62,7 +61,6 @@ __all__ = [
     "TruncatedNormal",
     "Uniform",
     "as_density",
-    "as_warp",
     "check_density",
     "compensated",
     "density",

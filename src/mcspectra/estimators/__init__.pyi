@@ -2,7 +2,6 @@ from .base import AbstractEstimator as AbstractEstimator
 from .channels import ChannelSampling as ChannelSampling
 from .channels import channel_estimators as channel_estimators
 from .heuristics import HEURISTICS as HEURISTICS
-from .heuristics import Combination as Combination
 from .heuristics import Heuristic as Heuristic
 from .heuristics import as_heuristic as as_heuristic
 from .importance import Estimator as Estimator
@@ -14,5 +13,4 @@ from .mis import MultipleImportance as MultipleImportance
 from .mis import OneSampleMIS as OneSampleMIS
 from .mis import TechniqueSum as TechniqueSum
 from .mis import split_mixture as split_mixture
-from .moments import Moments as Moments
 from .vegas_ import VegasDensity as VegasDensity

@@ -39,7 +39,8 @@ import numpy as np
 from mcspectra.core.checks import Array, as_frequencies
 from mcspectra.core.errors import InfiniteWeightVarianceWarning, NoClosedForm, ParameterError, warn
 from mcspectra.core.streams import Stream
-from mcspectra.densities import Density, Linear, TruncatedNormal, Uniform, as_warp
+from mcspectra.densities import Density, Linear, TruncatedNormal, Uniform
+from mcspectra.densities.registry import as_warp
 from mcspectra.integrands import Integrand
 from mcspectra.integrands._quadrature import AxisRule
 from mcspectra.samplers import Randomized, Sampler, Shift, StrataShift, as_sampler

@@ -35,8 +35,8 @@ from mcspectra.core.memory import check_memory, memory_of
 from mcspectra.core.records import student_t
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Estimator, Moments, as_estimator
-from mcspectra.estimators.moments import mean_interval, rounding_floor
+from mcspectra.estimators import AbstractEstimator, Estimator, as_estimator
+from mcspectra.estimators.moments import Moments, mean_interval, rounding_floor
 from mcspectra.estimators.tails import tail_note
 from mcspectra.integrands import Calls, FunctionIntegrand, Integrand
 from mcspectra.samplers import Lms, Owen, Sampler, as_sampler

@@ -24,9 +24,9 @@ from mcspectra.core.options import COUNTS, Counts
 from mcspectra.core.records import JOIN
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Estimator, Moments
+from mcspectra.estimators import AbstractEstimator, Estimator
 from mcspectra.estimators.mirrored import FoldedIntegrand, SymmetrizedIntegrand
-from mcspectra.estimators.moments import CONFIDENCE_Z, rounding_floor
+from mcspectra.estimators.moments import CONFIDENCE_Z, Moments, rounding_floor
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import (
     Jittered,

@@ -34,8 +34,8 @@ from mcspectra.core.memory import memory_of
 from mcspectra.core.results import dataset, strict_json
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.densities.base import FunctionDensity
-from mcspectra.estimators import AbstractEstimator, Estimator, Moments, as_estimator
-from mcspectra.estimators.moments import CONFIDENCE_Z, variance_interval
+from mcspectra.estimators import AbstractEstimator, Estimator, as_estimator
+from mcspectra.estimators.moments import CONFIDENCE_Z, Moments, variance_interval
 from mcspectra.integrands import Calls, FunctionIntegrand, Integrand
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.variance.chains import chain_error
