@@ -20,6 +20,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from contextlib import suppress
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import NoReturn
 
 from mcspectra.core.display import printable, shown
@@ -202,10 +203,12 @@ def _dispatch(given: list[str]) -> int:
         declare(parser)
     options = parser.parse_args(given[1:])
 
-    if options.allow_code:
-        from mcspectra.samplers import allow_code
+    # What texts may reach, for all verbs
+    folders = getattr(options, "allow_path", ())
+    if options.allow_code or folders:
+        from mcspectra.core.trust import allow
 
-        allow_code(*options.allow_code)
+        allow(options.allow_code, (Path(folder).absolute() for folder in folders))
     try:
         with one_sentence_warnings(options.quiet), progress_bars(not options.quiet):
             text, data, code = verb.run(options)

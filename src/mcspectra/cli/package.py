@@ -8,7 +8,6 @@ import platform
 import shlex
 import sys
 from importlib import metadata
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mcspectra.cli.common import Answer, option, verb, whole
@@ -128,9 +127,7 @@ def app_(options: argparse.Namespace) -> Answer:
     if options.json or options.seed is not None:
         raise ParameterError("app takes neither --json nor --seed; choose the seed on the page.")
     from mcspectra.app.server import serve
-    from mcspectra.app.specs import allow_folders
 
-    allow_folders(*map(Path, options.allow_path))
     serve(options.port, open_browser=not options.no_browser, quiet=options.quiet)
     return Answer()
 

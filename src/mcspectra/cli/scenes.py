@@ -335,10 +335,11 @@ def map_(options: argparse.Namespace) -> Answer:
     """
     from mcspectra.core.analysis import Subject
     from mcspectra.core.options import checked, options_of
+    from mcspectra.core.trust import process_trust
     from mcspectra.plots.groups import labelled
     from mcspectra.rendering.maps import Map, compared
     from mcspectra.report.map_page import map_summary, map_table, write_map
-    from mcspectra.studies import StudyConfig, Trust, open_results, run_study
+    from mcspectra.studies import StudyConfig, open_results, run_study
     from mcspectra.studies.files import SceneConfig
 
     # Refuse what cannot be before there is a folder
@@ -353,7 +354,7 @@ def map_(options: argparse.Namespace) -> Answer:
         for k, (each, part) in enumerate(zip(samplers, parts, strict=True))
     )
     study = StudyConfig(title=f"Map of {options.scene}", seed=options.seed or 0, scenes=entries)
-    trust = Trust((), (Path(options.scene).parent,))
+    trust = process_trust().widened(folders=(Path(options.scene).parent,))
     run_study(study, options.out, resume=options.resume, workers=options.workers, trust=trust)
     tree = open_results(options.out)
     found = [node.to_dataset() for node in tree.subtree if node.name == "map" and node.data_vars]

@@ -86,11 +86,11 @@ def run_(options: argparse.Namespace) -> Answer:
     import msgspec
 
     from mcspectra.core.parallel import available_workers
+    from mcspectra.core.trust import process_trust
     from mcspectra.report import write_report
     from mcspectra.report.page import columns_of
     from mcspectra.report.tables import summary_table
     from mcspectra.studies import (
-        Trust,
         estimate_study,
         make_plan,
         open_results,
@@ -110,7 +110,7 @@ def run_(options: argparse.Namespace) -> Answer:
         config = msgspec.structs.replace(config, seed=options.seed)
     limit = config.time_limit if options.time_limit is None else options.time_limit
     engine = _cluster_engine(options, limit)
-    trust = Trust(tuple(options.allow_code), tuple(map(Path, options.allow_path)))
+    trust = process_trust()
 
     # Say what it would take
     if options.dry_run:

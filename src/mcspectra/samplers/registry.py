@@ -12,6 +12,7 @@ from mcspectra.core.display import shown
 from mcspectra.core.errors import ParameterError, SpecError, UnknownName
 from mcspectra.core.registry import Registry, classes_of
 from mcspectra.core.spec import Call, parse_chain
+from mcspectra.core.trust import CODE
 from mcspectra.samplers.base import Randomization, Sampler
 
 __all__ = ["RANDOMIZATIONS", "RUN_CODE", "SAMPLERS", "as_sampler", "sampler", "sampler_from_calls"]
@@ -43,7 +44,7 @@ SAMPLERS = Registry(
     base=Sampler,
 )
 
-RUN_CODE = ("command", "python")
+RUN_CODE = tuple(CODE)
 """Samplers that run code of the user, which must be allowed before a spec may name it."""
 
 RANDOMIZATIONS = Registry(
