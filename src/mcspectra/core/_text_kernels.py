@@ -131,7 +131,7 @@ def parse_lines(text: Array, values: Array, runs: Array, hard: Array) -> tuple[i
                 i += 1
             first, exponent = i, 0
             while i < size and _ZERO <= text[i] <= _ZERO + 9:
-                exponent = min(10 * exponent + np.int64(text[i]) - _ZERO, 10**6)
+                exponent = min(10 * exponent + int(text[i]) - _ZERO, 10**6)
                 i += 1
             if i == first:
                 return bad
