@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import mcspectra as mcs
-from mcspectra.estimators import Moments
+from mcspectra.estimators.moments import Moments
 from mcspectra.variance.sums import BATCHES, ratio_factors
 
 REPETITIONS = 2_000

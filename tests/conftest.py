@@ -11,6 +11,7 @@ import pytest
 # quarters of the processor time of fits.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from mcspectra.core import trust
 from mcspectra.samplers import external
 from tests.browser import chromium
 
@@ -38,10 +39,11 @@ def own_cache(tmp_path_factory):
 @pytest.fixture(autouse=True)
 def own_trust():
     """Keep what a test allows specs to run out of the tests after it."""
-    before = set(external._allowed)
+    before, own = trust.process_trust(), set(external._own)
     yield
-    external._allowed.clear()
-    external._allowed.update(before)
+    trust._process = before
+    external._own.clear()
+    external._own.update(own)
 
 
 @pytest.fixture

@@ -11,7 +11,17 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra import densities, integrands, quality, rendering, report, studies, testing
+from mcspectra import (
+    densities,
+    estimators,
+    integrands,
+    quality,
+    rendering,
+    report,
+    samplers,
+    studies,
+    testing,
+)
 from mcspectra.core import analysis
 from mcspectra.core.errors import McspectraError
 from mcspectra.studies import files, results
@@ -202,3 +212,17 @@ def test_wrong_types_are_refused_with_a_sentence(name):
             if problem is not None:
                 found.append(f"{name}({parameter.name}={wrong!r:.40}) {problem}")
     assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize(
+    ("package", "name"),
+    [
+        (samplers, "Structure"),
+        (samplers, "sampler_from_calls"),
+        (estimators, "Combination"),
+        (estimators, "Moments"),
+        (densities, "as_warp"),
+    ],
+)
+def test_parts_of_the_inside_are_not_public(package, name):
+    assert not hasattr(package, name)

@@ -1,6 +1,7 @@
 """Jobs: rounds, cancelling, and what is refused."""
 
 import threading
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from mcspectra.app import compute as module
 from mcspectra.app.compute import (
     KINDS,
+    MOST_AT_ONCE,
     Job,
     Update,
     analyses_of,
@@ -172,7 +174,7 @@ def test_rounds_that_would_take_long_are_not_begun(monkeypatch):
     monkeypatch.setattr(module.time, "perf_counter", lambda: next(clock))
     updates, sentence = finished(replace(SMALL, realizations=1024))
     assert [u.realizations for u in updates] == [16] * 6 + [64] * 6
-    assert "Stopped at 64 realisations: 256 would take about 40 s" in sentence
+    assert "Stopped at 64 realisations: 256 would take about 240 s" in sentence
 
 
 @pytest.mark.parametrize(
@@ -214,3 +216,38 @@ def test_warnings_of_counts_are_notes():
     parts = make_parts(replace(SMALL, sampler="sobol | owen", n=12))
     assert len(parts.notes) == 1
     assert "balanced" in parts.notes[0]
+
+
+def test_jobs_of_all_pages_take_turns(monkeypatch):
+    """Twenty pages computed at once, and the first waited for all."""
+    lock, now, most, done = threading.Lock(), [0], [0], threading.Semaphore(0)
+
+    def slow(kind, setup, realizations):
+        del kind, setup, realizations
+        with lock:
+            now[0] += 1
+            most[0] = max(most[0], now[0])
+        time.sleep(0.01)
+        with lock:
+            now[0] -= 1
+
+    monkeypatch.setattr(module, "compute", slow)
+    monkeypatch.setattr(module, "make_parts", lambda setup: None)
+    jobs = [Job(SMALL, lambda _: None, lambda _: done.release()) for _ in range(8)]
+    for job in jobs:
+        job.start()
+    assert all(done.acquire(timeout=30) for _ in jobs)
+    assert most[0] == MOST_AT_ONCE
+
+    # One that waits is cancelled
+    for _ in range(MOST_AT_ONCE):
+        module._TURNS.acquire()
+    try:
+        waiting = Job(SMALL, lambda _: None, lambda _: done.release()).start()
+        waiting.cancel()
+        waiting.join(10)
+        assert not waiting._thread.is_alive()
+        assert not done.acquire(blocking=False)
+    finally:
+        for _ in range(MOST_AT_ONCE):
+            module._TURNS.release()

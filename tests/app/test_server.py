@@ -1,8 +1,14 @@
 """The server answers pages of its own, on this machine, and nobody else."""
 
+import asyncio
+import http.client
+import threading
+import time
+
 import pytest
 from tornado import httputil, web
 
+from mcspectra.app import compute, server
 from mcspectra.app.server import ADDRESS, Guard, make_server
 from mcspectra.cli.main import main
 from mcspectra.core.errors import ParameterError
@@ -10,7 +16,7 @@ from mcspectra.core.errors import ParameterError
 PORT = 5006
 
 
-def answers(*headers):
+def answers(*headers, path="/", method="GET"):
     """Whether a request with these headers reaches the application."""
 
     class Page(web.RequestHandler):
@@ -19,9 +25,9 @@ def answers(*headers):
     given = httputil.HTTPHeaders()
     for name, value in headers:
         given.add(name, value)
-    start = httputil.RequestStartLine("GET", "/", "HTTP/1.1")
+    start = httputil.RequestStartLine(method, path, "HTTP/1.1")
     request = httputil.HTTPServerRequest(headers=given, start_line=start)
-    delegate = Guard(web.Application([("/", Page)]), PORT).find_handler(request)
+    delegate = Guard(web.Application([(".*", Page)]), PORT).find_handler(request)
     return delegate.handler_class is Page
 
 
@@ -60,6 +66,119 @@ def test_own_pages_are_answered(headers):
 )
 def test_others_are_refused(headers):
     assert not answers(*headers)
+
+
+def fetch(site, mode="no-cors", dest="script"):
+    return [OWN, ("Sec-Fetch-Site", site), ("Sec-Fetch-Mode", mode), ("Sec-Fetch-Dest", dest)]
+
+
+LINK = ("navigate", "document")
+
+
+@pytest.mark.parametrize(
+    ("path", "headers"),
+    [
+        ("/", fetch("none", *LINK)),
+        ("/", fetch("cross-site", *LINK)),
+        ("/", fetch("same-site", *LINK)),
+        ("/?n=64", fetch("cross-site", *LINK)),
+        ("/static/js/bokeh.min.js", fetch("same-origin")),
+        ("/ws", fetch("same-origin", "websocket", "empty")),
+        ("/static/js/bokeh.min.js", [OWN, ("Referer", f"http://127.0.0.1:{PORT}/?n=4")]),
+        ("/", [OWN, ("Referer", "http://evil.example/")]),
+    ],
+)
+def test_links_and_own_requests_are_answered(path, headers):
+    assert answers(*headers, path=path)
+
+
+@pytest.mark.parametrize(
+    ("path", "headers"),
+    [
+        ("/", fetch("cross-site")),
+        ("/", fetch("cross-site", "navigate", "iframe")),
+        ("/", fetch("cross-site", "navigate", "embed")),
+        ("/", fetch("same-site", "cors", "empty")),
+        ("/", [OWN, ("Sec-Fetch-Site", "cross-site")]),
+        ("/", [OWN, ("Sec-Fetch-Site", "same-origin"), ("Sec-Fetch-Site", "cross-site")]),
+        ("/ws", fetch("cross-site", *LINK)),
+        ("/static/js/bokeh.min.js", fetch("cross-site")),
+        ("/autoload.js", fetch("cross-site")),
+        ("/autoload.js?bokeh-autoload-element=1", [OWN]),
+        ("/static/js/bokeh.min.js", [OWN, ("Referer", "http://evil.example/")]),
+        ("/metadata", [OWN, ("Referer", f"http://127.0.0.1:{PORT + 1}/")]),
+    ],
+)
+def test_other_sites_without_origin_are_refused(path, headers):
+    """They were given a session and its token."""
+    assert not answers(*headers, path=path)
+
+
+def test_another_site_posts_nothing():
+    assert not answers(*fetch("cross-site", *LINK), method="POST")
+
+
+@pytest.fixture(scope="module")
+def port():
+    """Port of a server that runs in a thread."""
+    made = []
+
+    def serve():
+        asyncio.set_event_loop(asyncio.new_event_loop())
+        made.append(make_server())
+        made[0].start()
+        made[0].io_loop.start()
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    while not made or made[0].port is None:
+        time.sleep(0.05)
+    yield made[0].port
+    made[0].io_loop.add_callback(made[0].stop)
+    made[0].io_loop.add_callback(made[0].io_loop.stop)
+    thread.join(10)
+
+
+def get(port, path="/", **headers):
+    """Status, headers and text of an answer."""
+    given = {name.replace("_", "-"): value for name, value in headers.items()}
+    connection = http.client.HTTPConnection(ADDRESS, port, timeout=60)
+    connection.request("GET", path, headers=given)
+    answer = connection.getresponse()
+    text = answer.read().decode()
+    connection.close()
+    return answer.status, answer.headers, text
+
+
+def test_no_page_may_hold_this_one(port):
+    for path, code in (("/", 200), ("/static/js/bokeh.min.js", 200), ("/autoload.js", 403)):
+        status, headers, text = get(port, path)
+        assert status == code
+        assert headers["Content-Security-Policy"] == "frame-ancestors 'none'"
+        assert headers["X-Frame-Options"] == "DENY"
+        assert not [name for name in headers if name.startswith("Access-Control-")]
+        assert ('"token":' in text) == (path == "/")
+    assert '"token":' not in get(port, Sec_Fetch_Site="cross-site")[2]
+
+
+def test_a_request_alone_computes_nothing(port, monkeypatch):
+    computed = []
+    monkeypatch.setattr(compute, "compute", lambda *given: computed.append(given))
+    assert get(port)[0] == 200
+    time.sleep(0.5)
+    assert computed == []
+
+
+def test_more_pages_than_are_served_are_a_sentence(port, monkeypatch):
+    monkeypatch.setattr(server, "MOST_SESSIONS", 1)
+    get(port)
+    status, _, text = get(port)
+    assert status == 503
+    assert text == (
+        "1 pages of the explorer are open, as many as it serves; close some and reload this one in "
+        "half a minute.\n"
+    )
+    assert get(port, "/static/js/bokeh.min.js")[0] == 200
 
 
 @pytest.mark.parametrize("port", [-1, 65536, 1.5, "x", None])

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mcspectra.app import specs
 from mcspectra.app.state import MIRRORS, MOST_HALF_WIDTH, MOST_POINTS, OPTIONS, THEMES, Setup, State
 from mcspectra.core.errors import ConfigError, ParameterError, SpecError
+from mcspectra.core.trust import allow
 from mcspectra.samplers import allow_code
 
 UPLOAD = f"upload(digest='{'0a' * 32}')"
@@ -137,8 +137,7 @@ def test_addresses_open_no_files(query):
         State.from_query(query)
 
 
-def test_code_and_folders_are_allowed_by_who_starts_it(tmp_path, monkeypatch):
-    monkeypatch.setattr(specs, "_folders", [])
+def test_code_and_folders_are_allowed_by_who_starts_it(tmp_path):
     (tmp_path / "in").mkdir()
     inside, outside = tmp_path / "in" / "a.dat", tmp_path / "b.dat"
     for file in (inside, outside):
@@ -149,7 +148,7 @@ def test_code_and_folders_are_allowed_by_who_starts_it(tmp_path, monkeypatch):
             Setup(sampler=text)
     with pytest.raises(SpecError, match="--allow-path"):
         Setup(sampler=f"points(path={str(inside)!r}) | shift")
-    specs.allow_folders(tmp_path / "in")
+    allow(folders=[tmp_path / "in"])
     for name in ("a.dat", "a*"):
         Setup(sampler=f"points(path={str(tmp_path / 'in' / name)!r}) | shift")
     for path in (outside, tmp_path / "in" / "link.dat", tmp_path / "in" / "*", tmp_path / "*"):

@@ -1,10 +1,103 @@
 """What notebooks show: hooks that load nothing from above, and never raise."""
 
+import unicodedata
+
 import pytest
 from tests.processes import python
 
 import mcspectra as mcs
-from mcspectra.core.display import html_of, register_accessor
+from mcspectra.core.display import csv_cell, escape_html, html_of, printable, register_accessor
+from mcspectra.core.errors import ParameterError, warn
+
+
+def test_every_character_of_one_width_or_none_is_kept_or_escaped():
+    """Of all characters of Unicode: what is printed stays, blanks become plain, the rest is ASCII."""
+    for code in range(0x110000):
+        c = chr(code)
+        shown = printable(c)
+        kind = unicodedata.category(c)
+        if kind in ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"):
+            assert shown.startswith("\\")
+            assert shown.isascii()
+        elif kind == "Zs":
+            assert shown == " "
+        else:
+            assert shown == c or c in "\u034f\u115f\u1160\u17b4\u17b5\u3164\uffa0" or kind == "Mn"
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("plain, é, 中, ² and 🎲", "plain, é, 中, ² and 🎲"),
+        ("\x1b]52;c;aGk=\x07", r"\x1b]52;c;aGk=\x07"),
+        ("a\nb\tc\r\x7f\x85", r"a\nb\tc\r\x7f\x85"),
+        ("\u202eevil\u2069\u200d\u2028", r"\u202eevil\u2069\u200d\u2028"),
+        ("a\u00a0b\u2009c", "a b c"),
+        ("\udc80\ue000\U000e0041", r"\udc80\ue000\U000e0041"),
+    ],
+)
+def test_text_of_others_is_printable(text, shown):
+    assert printable(text) == printable(printable(text)) == shown
+    assert printable(text, lines=True) == shown.replace(r"\n", "\n")
+
+
+def test_long_text_loses_its_middle():
+    shown = printable("b" + 10**6 * "x" + "e", 100)
+    assert len(shown) == 100
+    assert shown.startswith("bxx")
+    assert shown.endswith("xxe")
+    message = str(ParameterError(f"{'k' * 10**6} is no key; give another."))
+    assert len(message) == 2000
+    assert message.endswith("is no key; give another.")
+
+
+def test_messages_are_one_printable_line():
+    assert str(ParameterError("a\x1b[2J\nb")) == r"a\x1b[2J\nb"
+    with pytest.warns(UserWarning, match=r"^a\\x1b\[2J$"):
+        warn("a\x1b[2J", UserWarning)
+
+
+H = 10**5000
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: mcs.convergence("linear(dims=1)", "random", [4, H]),
+        lambda: mcs.convergence("linear(dims=1)", "random", {H}),
+        lambda: mcs.convergence("linear(dims=1)", "random", [4, 8], realizations=-H),
+        lambda: mcs.convergence("linear(dims=1)", "random", [4, 8], rng=H),
+        lambda: mcs.convergence("linear(dims=1)", "random", [4, 8], workers=H),
+        lambda: mcs.convergence(H, "random", [4, 8]),
+        lambda: mcs.convergence("linear(dims=1)", H, [4, 8]),
+        lambda: mcs.sampler("random", H),
+        lambda: mcs.sampler("random").draw(H),
+        lambda: mcs.quality_figures("random", 4, figures=[H]),
+        lambda: mcs.integrands.Gaussian(width=H),
+    ],
+)
+def test_numbers_that_python_does_not_print_are_a_sentence(call):
+    """They ended with Python's own words on the limit of digits."""
+    with pytest.raises(mcs.McspectraError, match="an integer of ") as caught:
+        call()
+    assert str(caught.value).endswith(".")
+    assert len(str(caught.value)) < 300
+
+
+def test_html_has_no_controls_and_no_markup():
+    assert escape_html("<b>'\x1b\u202e\n&") == r"&lt;b&gt;&#x27;\x1b\u202e" + "\n&amp;"
+
+
+@pytest.mark.parametrize(
+    "text", ["=1+1", "@SUM(A1)", "-cmd|' /C calc'!A0", "+a", "\t=1", "-", "＝1"]
+)
+def test_cells_that_a_spreadsheet_would_compute_are_text(text):
+    assert csv_cell(text) == printable(f"'{text}")
+
+
+@pytest.mark.parametrize("value", ["-1.5", "+2e3", "-inf", "a=1", "", 1.5, None, True])
+def test_other_cells_stay(value):
+    assert csv_cell(value) is value or csv_cell(value) == value
 
 
 def test_looking_at_an_object_never_raises():

@@ -1,7 +1,9 @@
 """Reading of pictures: values, orientation, alpha, layers, and every way a file can be wrong."""
 
 import io
+import os
 import struct
+import threading
 import zlib
 
 import numpy as np
@@ -71,6 +73,42 @@ def test_color_png_is_decoded_from_srgb_and_alpha_dropped(tmp_path):
 def test_linear_leaves_values_alone(tmp_path):
     image = read_image(write_png(tmp_path / "a.png", RAMP, "RGBA"), linear=True)
     np.testing.assert_array_equal(image, RAMP[..., :3] / 255)
+
+
+def test_nothing_is_printed_of_a_broken_exr(tmp_path, capfd):
+    """OpenEXR printed a warning to standard output, and the file's name as it is to standard error."""
+    path = tmp_path / "a\x1b[2J\nFORGED.exr"
+    write_exr(
+        path, {c: np.random.default_rng(1).random((16, 16)).astype(np.float32) for c in "RGB"}
+    )
+    whole = path.read_bytes()
+    for size in range(300, len(whole), 97):
+        path.write_bytes(whole[:size])
+        with pytest.raises(FileFormatError):
+            read_image(path)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_other_threads_print_while_an_exr_is_read(tmp_path, capfd):
+    path = tmp_path / "a.exr"
+    write_exr(path, {"Y": np.ones((256, 256), np.float32)})
+    stop = threading.Event()
+
+    def tell():
+        for k in range(10_000):
+            os.write(1, b"line %d\n" % k)
+            if stop.is_set():
+                return
+
+    teller = threading.Thread(target=tell)
+    teller.start()
+    for _ in range(50):
+        read_image(path)
+    stop.set()
+    teller.join()
+    lines = capfd.readouterr().out.splitlines()
+    assert lines
+    assert sorted(int(line.split()[1]) for line in lines) == list(range(len(lines)))
 
 
 @pytest.mark.parametrize(("mode", "planes"), [("L", 1), ("LA", 2)])

@@ -1,9 +1,13 @@
 """Point-set files: what is written is read back, what others write is read, the rest is refused."""
 
 import io
+import itertools
 import json
+import math
 import struct
+import time
 import zipfile
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -299,6 +303,61 @@ def test_long_sets_are_read_in_blocks(save):
         parse_dat("\n".join([*lines[:69_999], "0.5 0.5", *lines[70_000:]]), "text")
     with pytest.raises(FileFormatError, match="line 99999: 'x' is not"):
         parse_dat("0.5\n" * 99_998 + "x\n", "text")
+
+
+def test_numbers_of_long_texts_are_those_of_python(save):
+    """Bit for bit: as they are printed, with 1 to 19 digits, and next to the middle of two float64."""
+    rng = np.random.default_rng(3)
+    tokens = [repr(x) for x in (rng.random(20_000) * 10.0 ** rng.integers(-12, 3, 20_000)).tolist()]
+    for digits, places in itertools.product(range(1, 20), range(26)):
+        whole = int(rng.integers(10**18, 2**63 - 1)) % 10**digits
+        tokens += [f"{whole}e-{places}", f"-.{whole}", f"+{whole}.", f"{whole}E+1"]
+    for places in range(23):
+        for whole in rng.integers(10**18, 2**63 - 1, 200).tolist():
+            x = whole / 10**places
+            middle = (Fraction(x) + Fraction(math.nextafter(x, math.inf))) / 2
+            near = round(middle * 10**places)
+            tokens += [f"{near + step}e-{places}" for step in (-1, 0, 1)]
+    tokens += ["0", "-0.0", "0e999", "1e-400", "9" * 19, "9" * 20, "0" * 30 + "1"]
+    text = "".join(f"{token}\t\r\n" for token in tokens)
+    assert len(text) > 2**18
+    (points,) = read_points(save("p.dat", "# long\n" + text))
+    assert points[:, 0].tobytes() == np.array([float(token) for token in tokens]).tobytes()
+
+
+@pytest.mark.parametrize(
+    "text", ["1e999", "1_0", "nan", "1-2", "1.2.3", "1e", "e5", "+", ".", "0x10", "1,2", "1#c"]
+)
+def test_long_texts_name_the_line_that_is_wrong(text):
+    lines = ["# sets", *["0.25"] * 99_998, text]
+    with pytest.raises(FileFormatError, match=r"text, line 100000: '.*' is not a finite number\."):
+        parse_dat("\n".join(lines), "text")
+
+
+def test_long_texts_of_many_sets_and_other_characters():
+    text = "\ufeff#\n" + "0.5 0.25\n# é\n\n" * 50_000 + "0.5\v0.25\n" + "#\n0.5\u20090.25\n"
+    sets = parse_dat(text, "text")
+    assert len(sets) == 50_002
+    assert {points.shape for points in sets[:50_000]} == {(1, 2)}
+    assert sets[50_000].tolist() == [[0.5], [0.25]]  # as str.splitlines has it
+    assert sets[50_001].tolist() == [[0.5, 0.25]]
+    sets = parse_dat("#\n0.5 0.25\n" * 50_000, "text")
+    assert len(sets) == 50_000
+    assert np.array_equal(np.concatenate(sets), [[0.5, 0.25]] * 50_000)
+
+
+def test_a_text_is_read_as_fast_as_numpy_reads_it(save):
+    points = np.random.default_rng(4).random((100_000, 2))
+    path = save("p.dat", format_dat([points]))
+    np.testing.assert_array_equal(read_points(path)[0], points)  # compiles the kernel
+
+    def seconds(read):
+        begun = time.process_time()
+        read(path)
+        return time.process_time() - begun
+
+    ours, numpy = (min(seconds(read) for _ in range(3)) for read in (read_points, np.loadtxt))
+    assert ours < numpy
 
 
 @pytest.mark.parametrize("call", [lambda x: parse_dat(x, "text"), read_points, format_dat])

@@ -12,9 +12,9 @@ from mcspectra.densities import (
     PiecewiseConstant,
     Product,
     Tent,
-    as_warp,
     check_density,
 )
+from mcspectra.densities.registry import as_warp
 
 PARTS = [Tent(dims=1, peak=0.3), Linear(dims=1, slope=1)]
 X = np.random.default_rng(1).random((300, 3))

@@ -340,3 +340,11 @@ def test_bad_input_of_the_study(keywords, words):
     given = {"sampler": "jittered", "counts": [16], **keywords}
     with pytest.raises(ParameterError, match=words):
         mcs.variance.mirror_study(SMOOTH, **given)
+
+
+def test_dims_are_those_of_the_estimator():
+    """They were ignored."""
+    plain = mcs.Estimator("linear", dims=2)
+    assert mcs.Mirrored(plain, dims=2).dims == 2
+    with pytest.raises(ParameterError, match=r"dims is 3, but linear.* has 2 dims"):
+        mcs.Mirrored(plain, dims=3)

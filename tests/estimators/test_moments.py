@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from mcspectra.estimators import Moments
-from mcspectra.estimators.moments import CONFIDENCE_Z, Measured
+from mcspectra.estimators.moments import CONFIDENCE_Z, Measured, Moments
 
 
 def test_merged_moments_are_those_of_all_values():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.estimators import Moments
+from mcspectra.estimators.moments import Moments
 from mcspectra.estimators.tails import tail_note, unsampled_note, unsampled_share
 
 POINTS = 2**12  # at least

@@ -8,7 +8,7 @@ import pytest
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
 from mcspectra.integrands import Formula
-from mcspectra.integrands.formula import FUNCTIONS, MOST_CHARACTERS, MOST_PARTS
+from mcspectra.integrands.formula import FUNCTIONS, MOST_PARTS
 
 X = np.random.default_rng(3).random((5, 7, 3))
 x, y, z = np.moveaxis(X, -1, 0)
@@ -66,7 +66,10 @@ REFUSED = {
     "log(-1)": "NaN or infinite",
     "9**9**9**9": "NaN or infinite",
     "1" + "0" * 400: "too large",
-    "x" * (MOST_CHARACTERS + 1): f"at most {MOST_CHARACTERS}",
+    "x" * 10_000: "has no 'xxx",
+    "+" * 10**6 + "x": "give at most",
+    "(" * 10**6: "give at most",
+    "x<" * 10**6 + "x": "give at most",
     "+".join(["x"] * MOST_PARTS): "give at most",
     "-" * 200 + "x": "give at most",
     "(" * 400 + "x" + ")" * 400: "cannot be read|levels",
@@ -136,3 +139,10 @@ def test_specs_and_pickles_make_it_again():
     f = Formula(expression="where(x < 0.5, 1, x/2)", dims=1)
     assert mcs.integrand(f.spec, dims=1) == f
     assert pickle.loads(pickle.dumps(f)) == f
+
+
+def test_a_formula_has_parts_and_levels_to_count_and_no_characters():
+    """More than 1000 characters were refused."""
+    text = " + ".join(f"{0.1:.15f} * sin({k} * x0)".ljust(80) for k in range(30))
+    assert len(text) > 2000
+    assert np.isfinite(Formula(expression=text, dims=1)(X[..., :1])).all()

@@ -2,9 +2,11 @@
 
 import itertools
 import math
+import time
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
 from mcspectra import sampler
@@ -48,6 +50,49 @@ def test_neighbours_across_the_border_count():
 
 def test_points_at_the_same_place_are_0_apart():
     assert nearest_distances([[0.3, 0.7], [0.3, 0.7], [0.1, 0.1]])[:2].tolist() == [0.0, 0.0]
+
+
+N = 64_000
+RNG = np.random.default_rng(5)
+COORDINATES = RNG.random((N, 2))
+CROWDED = {
+    "equal": np.full((N, 2), 0.3),
+    "collinear": np.column_stack([np.full(N, 0.3), COORDINATES[:, 0]]),
+    "diagonal": np.repeat(COORDINATES[:, :1], 6, axis=1),
+    "repeated": COORDINATES[: N // 100].repeat(100, axis=0),
+    "few cells": np.floor(16 * COORDINATES) / 16 + 1e-15 * COORDINATES[::-1],
+    "lattice": np.floor(8 * COORDINATES) / 8,
+    "subnormal": COORDINATES * 1e-310,
+    "squares underflow": COORDINATES * 1e-160,
+}
+
+
+@pytest.mark.parametrize("kind", CROWDED)
+def test_distances_of_crowded_points_take_no_time_of_all_pairs(kind):
+    """64,000 equal points took 45 s."""
+    points = CROWDED[kind]
+    begun = time.process_time()
+    distances = nearest_distances(points)
+    assert time.process_time() - begun < 10
+    places, index, counts = np.unique(points, axis=0, return_inverse=True, return_counts=True)
+    assert (distances[counts[index] > 1] == 0).all()
+    if places.max() > 1e-100:
+        assert (distances[counts[index] == 1] > 0).all()
+        some = np.flatnonzero(counts[index] == 1)[:20]
+        steps = np.abs(points[some, None] - points[None])
+        lengths = np.sqrt((np.minimum(steps, 1 - steps) ** 2).sum(-1))
+        lengths[np.arange(len(some)), some] = np.inf
+        np.testing.assert_allclose(distances[some], lengths.min(1), rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "spec",
+    ["random", "jittered", "dart-throwing", "rank1-lattice", "sobol", "regular", "random(dims=6)"],
+)
+def test_distances_of_usual_sets_are_those_of_a_tree(spec):
+    points = sampler(spec).draw(1024, rng=1)[0]
+    tree = cKDTree(points, boxsize=np.ones(points.shape[1]))
+    assert nearest_distances(points).tobytes() == tree.query(points, k=2)[0][:, 1].tobytes()
 
 
 def fcc():

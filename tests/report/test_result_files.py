@@ -7,7 +7,7 @@ import pytest
 
 import mcspectra as mcs
 from mcspectra.core.errors import FileFormatError, ParameterError
-from mcspectra.report.result_files import latex_table, result_table, write_result_file
+from mcspectra.report.result_files import csv_text, latex_table, result_table, write_result_file
 
 
 @pytest.fixture(scope="module")
@@ -98,3 +98,12 @@ def test_a_place_that_is_none(curve, tmp_path):
     for extension in ("csv", "tex", "npz", "pgf", "pdf"):
         with pytest.raises(FileFormatError, match="cannot be written"):
             write_result_file(curve, str(tmp_path / f"no/such.{extension}"), "t")
+
+
+def test_no_cell_of_a_table_is_a_formula():
+    about = {"estimator": "a,=1+1;@x", "title": "\x1b[2J"}
+    text = csv_text(["=name", "value"], [["=1+1", -1.5], ["-2", None], ["+x", 2]], about)
+    assert text.splitlines() == [
+        "# estimator: a, =1+1; @x", r"# title: \x1b[2J",
+        "'=name,value", "'=1+1,-1.5", "-2,", "'+x,2",
+    ]  # fmt: skip

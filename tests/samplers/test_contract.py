@@ -18,8 +18,8 @@ from tests.samplers.rows import ROWS, Row
 import mcspectra as mcs
 from mcspectra.core.errors import CountError, NotPowerOfTwoWarning, ParameterError
 from mcspectra.core.streams import Stream
-from mcspectra.samplers import RANDOMIZATIONS, SAMPLERS, Randomized, Structure, sampler
-from mcspectra.samplers.base import MAX_COUNT
+from mcspectra.samplers import RANDOMIZATIONS, SAMPLERS, Randomized, sampler
+from mcspectra.samplers.base import MAX_COUNT, Structure
 
 FALSE_ALARMS = 1e-6  # for the whole file
 GIVEN_SETS = 5

@@ -24,9 +24,9 @@ from mcspectra.samplers import (
     Shift,
     Sobol,
     StrataShift,
-    Structure,
     sampler,
 )
+from mcspectra.samplers.base import Structure
 from mcspectra.samplers.lattice import golden_steps
 
 LEVEL = 1 - (1 - 1e-6) ** (1 / 22)  # Šidák: 22 statistical tests in this file share 1e-6

@@ -7,7 +7,8 @@ from scipy.stats import qmc
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError, SpecError, UnknownName
 from mcspectra.core.spec import parse_chain
-from mcspectra.samplers import as_sampler, sampler, sampler_from_calls
+from mcspectra.samplers import as_sampler, sampler
+from mcspectra.samplers.registry import sampler_from_calls
 
 
 def test_the_example_of_the_documentation():

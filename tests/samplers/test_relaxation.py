@@ -1,6 +1,7 @@
 """Relaxed points: cells and energies against slow references, results, cost of transport."""
 
 import itertools
+import time
 
 import numpy as np
 import pytest
@@ -331,6 +332,43 @@ def test_equal_points_share_a_cell():
     assert abs(transport_cost(pair) - transport_cost(twice)) < 1e-12
     uneven = [[0.0, 0.3]] * 3 + [[0.5, 0.3]]  # strips of 3/4 and 1/4
     assert abs(transport_cost(uneven) - (1 / 12 + (0.75**3 + 0.25**3) / 12)) < 1e-9
+
+
+@pytest.mark.parametrize("scale", [1e-155, 1e-300])
+def test_transport_cost_of_points_whose_distances_underflow_is_that_of_one(scale):
+    """They divided by zero."""
+    points = np.random.default_rng(6).random((64, 2)) * scale
+    assert abs(transport_cost(points) - 1 / 6) < 1e-12
+
+
+def test_transport_cost_of_points_a_rounding_apart_is_refused():
+    """They divided by zero, too."""
+    rng = np.random.default_rng(1)
+    points = rng.integers(0, 16, (2**13, 2)) / 16 + rng.random((2**13, 2)) * 1e-15
+    with pytest.raises(DomainError, match="too far from uniform"):
+        transport_cost(points)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["cluster", "column"])
+def test_transport_cost_of_points_far_from_uniform_ends_in_seconds(kind):
+    """Eight thousand in a small square took minutes."""
+    points = np.random.default_rng(7).random((2**13, 2))
+    points = (
+        points * 1e-3 if kind == "cluster" else np.column_stack([points[:, :1] * 0, points[:, 1]])
+    )
+    begun = time.process_time()
+    with pytest.raises(DomainError, match="too far from uniform"):
+        transport_cost(points)
+    assert time.process_time() - begun < 30
+
+
+def test_newton_steps_end_with_their_work():
+    points = np.random.default_rng(8).random((100, 2)) ** 3
+    masses = np.full(100, 0.01)
+    _, first = balance(points, np.zeros(100), masses, 1e-9, 100, 0)
+    assert first.work == power_diagram(points, np.zeros(100)).work > 100
+    np.testing.assert_array_equal(first.areas, power_diagram(points, np.zeros(100)).areas)
 
 
 def test_transport_cost_of_points_on_a_line_does_not_depend_on_the_origin():

@@ -7,7 +7,8 @@ import pytest
 
 import mcspectra as mcs
 from mcspectra.core.errors import CountError, NotPowerOfTwoWarning, ParameterError
-from mcspectra.samplers import SAMPLERS, Structure
+from mcspectra.samplers import SAMPLERS
+from mcspectra.samplers.base import Structure
 
 SEQUENCES = sorted(name for name in SAMPLERS if SAMPLERS.load(name).sequence)
 POINTWISE = ["", " | shift", " | mirror", " | decorrelate"]

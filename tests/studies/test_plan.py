@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from mcspectra.core.errors import ConfigError
+from mcspectra.core.errors import ConfigError, LargeStudyWarning
 from mcspectra.studies import Trust, decode_study, make_plan, read_study
 from mcspectra.studies import plan as plan_module
 from mcspectra.studies.files import apply_overrides, plain_study, study_of
@@ -52,20 +52,20 @@ def _jitters(number):
                 '"gaussian"', "\"gaussian(width=0.{a}, center=[0.{b}, 0.{c}])\""
             )
             + f"grid = {{ a = {MANY}, b = {MANY}, c = {MANY} }}",
-            "97,336 estimators and 97,336 pairs of estimator and sampler, which would take about",
+            "97,336 estimators and 97,336 pairs of estimator and sampler, which take about",
         ),
         (
             f'title = "t"\nsamplers = [{_jitters(1000)}]\n{POINTS}{_estimators(1000)}',
-            "1,000 estimators and 1,000,000 pairs of estimator and sampler, which would take about",
+            "1,000 estimators and 1,000,000 pairs of estimator and sampler, which take about",
         ),
         (
             f"{HEAD}{POINTS}{ESTIMATOR}".replace("dims = 2", "dims = 1")
             + f"densities = {['uniform'] * 10_000}",
-            "1 estimators and 1 pairs of estimator and sampler, which would take about 20 s",
+            "1 estimators and 1 pairs of estimator and sampler, which take about 20 s",
         ),
         (
             f'title = "t"\nsamplers = [{_jitters(300)}]\n{_estimators(300)}{COUNTS}',
-            "pairs of estimator and sampler, which would take about",
+            "pairs of estimator and sampler, which take about",
         ),
         (
             HEAD + ESTIMATOR + "terms = { n = 16, half_width = 100000 }",
@@ -79,7 +79,10 @@ def _jitters(number):
     ],
     ids=["grid", "pairs", "densities", "counts", "terms", "spectrum", "pcf"],
 )  # fmt: skip
-def test_what_takes_too_long_or_too_much_is_refused_with_an_estimate(tmp_path, text, words):
+def test_what_takes_too_long_or_too_much_is_refused_with_an_estimate(
+    tmp_path, monkeypatch, text, words
+):
+    monkeypatch.setattr(plan_module, "MOST_SECONDS", plan_module.NOTED_SECONDS)
     assert re.search(words, _planned(text, tmp_path))
 
 
@@ -96,12 +99,24 @@ def test_large_studies_are_planned_within_seconds(tmp_path, text):
     assert len(_planned(text, tmp_path).cells) in (1, 40_000)
 
 
+def test_planning_of_some_seconds_is_announced(tmp_path, monkeypatch):
+    """It needed --force."""
+    assert plan_module.NOTED_SECONDS == 5 < plan_module.MOST_SECONDS
+    monkeypatch.setattr(plan_module, "NOTED_SECONDS", 1e-9)
+    with pytest.warns(LargeStudyWarning, match=r"has 1 estimators .* s to plan, before the first"):
+        plan = make_plan(decode_study(HEAD + POINTS + ESTIMATOR), tmp_path)
+    assert len(plan.cells) == 1
+
+
 def test_force_plans_what_takes_long(tmp_path, monkeypatch):
-    monkeypatch.setattr(plan_module, "_MOST_SECONDS", 1e-9)
-    text = HEAD + POINTS + ESTIMATOR
-    with pytest.raises(ConfigError, match="s to plan alone; take several studies, or give --force"):
+    text = f'title = "t"\nsamplers = [{_jitters(3000)}]\n{POINTS}{_estimators(3000)}'
+    with pytest.raises(ConfigError, match="s to plan; take several studies, or give --force"):
         make_plan(decode_study(text), tmp_path)
-    assert len(make_plan(decode_study(text), tmp_path, force=True).cells) == 1
+    monkeypatch.setattr(plan_module, "NOTED_SECONDS", 1e-9)
+    monkeypatch.setattr(plan_module, "MOST_SECONDS", 1e-9)
+    with pytest.warns(LargeStudyWarning):
+        plan = make_plan(decode_study(HEAD + POINTS + ESTIMATOR), tmp_path, force=True)
+    assert len(plan.cells) == 1
 
 
 MANY_CELLS = """

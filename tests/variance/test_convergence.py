@@ -6,7 +6,7 @@ from scipy.special import ndtri
 
 import mcspectra as mcs
 from mcspectra import integrands
-from mcspectra.estimators import Moments
+from mcspectra.estimators.moments import Moments
 from mcspectra.variance.fit import fit_rate
 
 COUNTS = [16, 64, 256, 1024]

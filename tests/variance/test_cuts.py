@@ -14,7 +14,8 @@ from mcspectra.core.errors import InfiniteWeightVarianceWarning, McspectraError,
 from mcspectra.core.options import checked
 from mcspectra.core.records import merged, pack, unpack
 from mcspectra.core.streams import Stream
-from mcspectra.estimators import Moments, as_subject
+from mcspectra.estimators import as_subject
+from mcspectra.estimators.moments import Moments
 from mcspectra.testing import check_analysis
 from mcspectra.variance.anova import Anova, AnovaSpectrum
 from mcspectra.variance.measured import Convergence, RealizationsNeeded, count_stream

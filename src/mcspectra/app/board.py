@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from html import escape
 from queue import SimpleQueue
 from typing import Any, final
 
@@ -15,6 +14,7 @@ from bokeh.models.widgets.markups import Div
 from mcspectra.app.compute import KINDS, Job, Update, make_parts
 from mcspectra.app.figures import FIGURES, figures_of
 from mcspectra.app.state import Setup
+from mcspectra.core.display import escape_html
 from mcspectra.plots.backend_bokeh import Drawn, draw
 from mcspectra.plots.description import Plot
 
@@ -177,7 +177,7 @@ class Board:
 
     def _place(self, plot: Plot) -> bool:
         """Show a plot in its card; True if the card is new."""
-        words = f'<p>{escape(plot.words)}</p><p class="soft">{escape(plot.caption)}</p>'
+        words = f'<p>{escape_html(plot.words)}</p><p class="soft">{escape_html(plot.caption)}</p>'
         card = self.cards.get(plot.kind)
         if card is not None and card.drawn.fits(plot):
             card.drawn.update(plot)
@@ -223,6 +223,6 @@ class Board:
     def _say(self, sentence: str, *, alert: bool = False) -> None:
         role = "alert" if alert else "status"
         self._status.text = (
-            f'<p role="{role}" class="{role}"><strong>{self._side}:</strong> {escape(sentence)}</p>'
+            f'<p role="{role}" class="{role}"><strong>{self._side}:</strong> {escape_html(sentence)}</p>'
             f'<progress value="{self._fraction:.3f}"></progress>'
         )

@@ -12,6 +12,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Literal, final
@@ -37,6 +38,7 @@ from mcspectra.variance.prediction.predict import Prediction
 
 __all__ = [
     "KINDS",
+    "MOST_AT_ONCE",
     "Job",
     "Parts",
     "Update",
@@ -51,6 +53,10 @@ __all__ = [
 KINDS = ("points", "integrand", "spectrum", "convergence", "terms", "predict")
 """What is computed in each round, in this order; points, integrand and predictions once."""
 
+MOST_AT_ONCE = 2
+"""Parts that all pages compute at a time: each uses all processors, and a second fills their gaps."""
+
+_PATIENCE = 0.2  # seconds between two looks whether a job that waits was cancelled
 _INTEGRAND = ("integrand", "density", "dims", "mirror", "channel", "smoothing")
 _OWN = {  # what alone decides on it
     "integrand": _INTEGRAND,
@@ -144,6 +150,7 @@ class _Cancelled(Exception):
     """Ends the analysis of a job that was cancelled."""
 
 
+_TURNS = threading.BoundedSemaphore(MOST_AT_ONCE)
 _own = threading.local()  # the job of this thread
 
 
@@ -171,7 +178,8 @@ class Job:
 
     Notes
     -----
-    `cancel` returns at once. The analysis that is running ends where it next reports progress, after
+    Jobs of all pages take turns for each part, so that `MOST_AT_ONCE` are computed at a time. `cancel`
+    returns at once. The analysis that is running ends where it next reports progress, after
     a block of realisations, and no other begins.
     """
 
@@ -217,13 +225,25 @@ class Job:
         if not self._cancelled.is_set():
             self._on_end(sentence)
 
+    @contextmanager
+    def _turn(self) -> Iterator[None]:
+        """Wait until fewer than `MOST_AT_ONCE` others compute."""
+        while not _TURNS.acquire(timeout=_PATIENCE):
+            if self._cancelled.is_set():
+                raise _Cancelled
+        try:
+            yield
+        finally:
+            _TURNS.release()
+
     @property
     def cancelled(self) -> bool:
         """Whether `cancel` was called."""
         return self._cancelled.is_set()
 
     def _refine(self) -> str:
-        make_parts(self.setup)  # refuse what cannot be made before anything is shown
+        with self._turn():
+            make_parts(self.setup)  # refuse what cannot be made before anything is shown
         planned = list(rounds(self.setup))
         spent, last = 0.0, 0
         for number, count in enumerate(planned):
@@ -234,14 +254,17 @@ class Job:
                     f"Stopped at {last} realisations: {count} would take about {expected:.0f} s; "
                     "ask for fewer points or frequencies."
                 )
-            start = time.perf_counter()
+            spent = 0.0
             for done, kind in enumerate(KINDS, start=1):
-                value = compute(kind, self.setup, count)
+                with self._turn():
+                    start = time.perf_counter()
+                    value = compute(kind, self.setup, count)
+                    spent += time.perf_counter() - start
                 if self._cancelled.is_set():
                     return ""
                 fraction = count / planned[-1] * done / len(KINDS)
                 self._on_update(Update(kind, value, count, fraction))
-            spent, last = time.perf_counter() - start, count
+            last = count
         return ""
 
 

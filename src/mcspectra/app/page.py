@@ -5,7 +5,6 @@ from __future__ import annotations
 import textwrap
 from dataclasses import replace
 from functools import partial
-from html import escape
 from pathlib import Path
 from typing import Any, final
 from urllib.parse import urlencode
@@ -25,6 +24,7 @@ from mcspectra.app.scene import SceneView, pixel_spec
 from mcspectra.app.specs import UPLOAD, techniques
 from mcspectra.app.state import THEMES, Setup, State
 from mcspectra.core.analysis import Analysis
+from mcspectra.core.display import escape_html
 from mcspectra.core.errors import McspectraError
 from mcspectra.core.options import options_of
 from mcspectra.core.spec import parse
@@ -84,7 +84,7 @@ class Explorer:
         except McspectraError as error:
             self.state, refused = State(), f"{error} The defaults are shown."
         self._document, self._loop = document, IOLoop.current(instance=False)
-        self._closed = False
+        self._started = self._closed = False
         self._sheet = InlineStyleSheet(css=_WIDGETS)
         self._boards: dict[str, Board] = {}
         self._controls: dict[str, Controls] = {}
@@ -96,7 +96,7 @@ class Explorer:
         self._headers, self._grid = (Row(sizing_mode="stretch_width"), Column(sizing_mode="stretch_width"))  # fmt: skip
         self._summary = block()
         self._refused = block(
-            text=f'<p role="alert" class="alert">{escape(refused)}</p>', visible=bool(refused)
+            text=f'<p role="alert" class="alert">{escape_html(refused)}</p>', visible=bool(refused)
         )
         self._compare = Checkbox(
             label="Compare with a second set-up, B", active=self.state.b is not None,
@@ -127,8 +127,13 @@ class Explorer:
         }
         self.roots["head"].js_on_change("tags", CustomJS(code=_TELL))
         self._arrange()
-        for side, setup in self.state.setups():
-            self._boards[side].run(setup)
+
+    def start(self) -> None:
+        """Begin to compute, once a browser shows the page: a request alone costs a page only."""
+        if not self._started:  # again when a browser has been away
+            self._started = True
+            for side, setup in self.state.setups():
+                self._boards[side].run(setup)
 
     def close(self) -> None:
         """Drop all jobs; for a tab that was closed."""
@@ -254,6 +259,7 @@ def build_page(document: Any) -> None:
     arguments = document.session_context.request.arguments
     query = urlencode([(key, value) for key, values in arguments.items() for value in values])
     explorer = Explorer(document, query)
+    document.on_event("document_ready", lambda _: explorer.start())
     document.on_session_destroyed(lambda _: explorer.close())
     for name, root in explorer.roots.items():
         root.name = name
@@ -281,7 +287,7 @@ def _row(side: str, setup: Setup, board: Board) -> str:
         if curve is None
         else rate(float(curve["rate"]), *map(float, curve["rate_ci"].values)),
     ]
-    inside = "".join(f"<td>{escape(cell)}</td>" for cell in cells)
+    inside = "".join(f"<td>{escape_html(cell)}</td>" for cell in cells)
     return f'<tr><th scope="row">{side}</th>{inside}</tr>'
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from html import escape
 from typing import Any, final
 
 import numpy as np
@@ -17,6 +16,7 @@ from bokeh.models.widgets.markups import Div
 from mcspectra.app.specs import TECHNIQUES
 from mcspectra.core.cache import cached_array
 from mcspectra.core.checks import Array, as_choice, as_integer
+from mcspectra.core.display import escape_html
 from mcspectra.core.errors import McspectraError
 from mcspectra.plots.backend_bokeh import draw
 from mcspectra.plots.description import Axis, Panel, Pixels, Plot
@@ -117,7 +117,7 @@ class SceneView:
 
     def _say(self, sentence: str) -> None:
         self._said.visible = True
-        self._said.text = f'<p role="status">{escape(sentence)}</p>'
+        self._said.text = f'<p role="status">{escape_html(sentence)}</p>'
 
     def open(self) -> None:
         """Render the picture and show it, once."""

@@ -2,7 +2,10 @@
 
 It listens on the loopback interface. That keeps other machines out, but not pages of other hosts in
 the user's own browser: these may send requests here, or point a name of theirs to 127.0.0.1. So
-every request must name this server as its Host, and as its Origin where it has one.
+every request must name this server as its Host, and as its Origin where it has one; a link to the page
+is the only request of another site that is answered. No page may hold this one in a frame.
+
+The number of open pages is bounded, and so is what they compute at once (`mcspectra.app.compute`).
 """
 
 from __future__ import annotations
@@ -11,19 +14,30 @@ import logging
 import socket
 import threading
 import warnings
-from collections.abc import Awaitable
+from collections.abc import Awaitable, Callable
 from typing import Any, final
+from urllib.parse import urlsplit
 
 from tornado import httputil, routing, web
 
 from mcspectra.core.checks import as_integer
 from mcspectra.core.errors import ParameterError
 
-__all__ = ["ADDRESS", "Guard", "make_server", "serve"]
+__all__ = ["ADDRESS", "MOST_SESSIONS", "Guard", "make_server", "serve"]
 
 ADDRESS = "127.0.0.1"
 """Where the server listens."""
 
+MOST_SESSIONS = 32
+"""Pages that may be open at once: each holds some 50 MB of figures, and takes the server 0.2 s to make."""
+
+_HEADERS = {
+    "Content-Security-Policy": "frame-ancestors 'none'",
+    "X-Frame-Options": "DENY",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "X-Content-Type-Options": "nosniff",
+}
 _MOST_SENT = 64 * 2**20  # bytes: pictures come in as text
 
 
@@ -37,23 +51,68 @@ class Guard(routing.Router):
         What answers.
     port
         Port of the server.
+    sessions
+        Returns how many pages are open.
     """
 
-    def __init__(self, application: web.Application, port: int) -> None:
+    def __init__(
+        self, application: web.Application, port: int, sessions: Callable[[], int] = lambda: 0
+    ) -> None:
         self._application = application
+        self._sessions = sessions
         self._hosts = {f"{name}:{port}" for name in (ADDRESS, "localhost")}
-        self._refusal = web.Application([(".*", _Refusal)])
+        self._origins = {f"http://{host}" for host in self._hosts}
+        application.add_transform(_Headers)
+        self._refusal = web.Application([(".*", _Refusal)], transforms=[_Headers])
+        self._busy = web.Application([(".*", _Busy)], transforms=[_Headers])
 
     def find_handler(
         self, request: httputil.HTTPServerRequest, **kwargs: Any
     ) -> httputil.HTTPMessageDelegate | None:
         """Return who answers `request`."""
-        allowed = {f"http://{host}" for host in self._hosts}
-        trusted = request.headers.get("Host", "").lower() in self._hosts and all(
-            each.lower() in allowed for each in request.headers.get_list("Origin")
-        )
-        chosen = self._application if trusted else self._refusal
+        if not self._is_trusted(request):
+            chosen = self._refusal
+        elif request.path == "/" and self._sessions() >= MOST_SESSIONS:
+            chosen = self._busy
+        else:
+            chosen = self._application
         return chosen.find_handler(request, **kwargs)
+
+    def _is_trusted(self, request: httputil.HTTPServerRequest) -> bool:
+        """Whether a request is of this server's page, typed by the user, or a link to the page."""
+        headers = request.headers
+        hosts, origins = headers.get_list("Host"), headers.get_list("Origin")
+        if len(hosts) != 1 or hosts[0].lower() not in self._hosts:
+            return False
+        if not all(each.lower() in self._origins for each in origins):
+            return False
+        if request.path.endswith(
+            "/autoload.js"
+        ):  # is for pages of others, and gives them a session
+            return False
+        is_page = request.path == "/" and request.method in ("GET", "HEAD")
+        sites = headers.get_list("Sec-Fetch-Site")
+        if sites:
+            link = (headers.get("Sec-Fetch-Mode"), headers.get("Sec-Fetch-Dest"))
+            linked = is_page and link == ("navigate", "document")
+            return linked or all(site in ("same-origin", "none") for site in sites)
+        # Browsers before 2023 say no more than where they come from
+        referers = map(urlsplit, headers.get_list("Referer"))
+        return is_page or all(f"{r.scheme}://{r.netloc}".lower() in self._origins for r in referers)
+
+
+class _Headers(web.OutputTransform):
+    """What every answer says to browsers: in no frame, and for no other site."""
+
+    def transform_first_chunk(
+        self, status_code: int, headers: httputil.HTTPHeaders, chunk: bytes, finishing: bool
+    ) -> tuple[int, httputil.HTTPHeaders, bytes]:
+        """Add them, and take out what bokeh allows all sites."""
+        del finishing
+        for name in [name for name in headers if name.startswith("Access-Control-")]:
+            del headers[name]
+        headers.update(_HEADERS)
+        return status_code, headers, chunk
 
 
 class _Refusal(web.RequestHandler):
@@ -64,6 +123,20 @@ class _Refusal(web.RequestHandler):
         self.set_status(403)
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish("The explorer answers its own pages only; open the address that it printed.\n")
+        return None
+
+
+class _Busy(web.RequestHandler):
+    """503 with a sentence: too many pages are open."""
+
+    def prepare(self) -> Awaitable[None] | None:
+        """Answer before any method is looked at."""
+        self.set_status(503)
+        self.set_header("Content-Type", "text/plain; charset=utf-8")
+        self.finish(
+            f"{MOST_SESSIONS} pages of the explorer are open, as many as it serves; close some and "
+            "reload this one in half a minute.\n"
+        )
         return None
 
 
@@ -103,7 +176,9 @@ def make_server(port: int = 0) -> Any:
     except OSError as error:
         reason = error.strerror or "it is taken"
         raise ParameterError(f"Port {port} cannot be used: {reason}; give another.") from None
-    server._http.request_callback = Guard(server._tornado, port)
+    server._http.request_callback = Guard(
+        server._tornado, port, lambda: len(server.get_sessions("/"))
+    )
     return server
 
 

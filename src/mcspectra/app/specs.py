@@ -2,7 +2,8 @@
 
 A page of somebody else can link to the explorer. What such a link holds may make it compute, but it
 must not make it open files or run code: pictures come in by an upload, which is named by its digest.
-Who starts the explorer may allow folders (``--allow-path``) and code (``--allow-code``).
+Who starts the explorer may allow folders (``--allow-path``) and code (``--allow-code``):
+`mcspectra.core.trust`.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Any
 from mcspectra.core.errors import McspectraError, SpecError
 from mcspectra.core.pointfiles import matching_files
 from mcspectra.core.spec import Call, parse, parse_chain
+from mcspectra.core.trust import process_trust
 from mcspectra.samplers.external import check_code
 from mcspectra.samplers.registry import RUN_CODE
 from mcspectra.studies.vetting import FILE_KEYS
@@ -23,7 +25,6 @@ __all__ = [
     "FORMULA",
     "TECHNIQUES",
     "UPLOAD",
-    "allow_folders",
     "base_and_steps",
     "chain",
     "changed",
@@ -47,25 +48,15 @@ _FILE = re.compile(r"[/\\]|\.[A-Za-z]\w*\Z")
 _CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff]")
 
 
-_folders: list[Path] = []
-
-
-def allow_folders(*folders: Path) -> None:
-    """Let specs of this process name files in these folders and below, links followed."""
-    _folders.extend(folder.resolve() for folder in folders)
-
-
 def _allowed(given: object) -> bool:
     """Whether all files of a path, a pattern or a list of them lie in folders that are allowed."""
     if isinstance(given, list | tuple):
         return all(map(_allowed, given))
 
-    def inside(file: Path) -> bool:
-        return any(file.resolve().is_relative_to(root) for root in _folders)
-
+    trust = process_trust()
     try:
         path = Path(str(given))
-        return inside(path) and all(inside(file) for file, _ in matching_files(path))
+        return trust.reads(path) and all(trust.reads(file) for file, _ in matching_files(path))
     except (McspectraError, OSError, RuntimeError):
         return False
 
@@ -174,7 +165,7 @@ def _check_call(call: Call) -> None:
 def _check_value(name: str, key: Any, value: object) -> None:
     """Refuse file names, also within the lists and specs that a value may hold."""
     if key in FILE_KEYS and isinstance(value, str | list | tuple):
-        if _folders and _allowed(value):
+        if process_trust().folders and _allowed(value):
             return
         raise SpecError(
             f"{name} names a file, which the explorer does not read; upload a picture, start it with "

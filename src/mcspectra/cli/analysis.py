@@ -199,7 +199,7 @@ def _subject(
 ) -> Subject:
     """Make what the options describe: a sampler with its density, or an estimator with samplers."""
     if analysis.about == "sampler":
-        from mcspectra.densities import as_warp
+        from mcspectra.densities.registry import as_warp
 
         source = read_sampler(options.sampler, options.dims)
         return Subject(None, source, as_warp(getattr(options, "density", None), source.dims))

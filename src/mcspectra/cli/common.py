@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, final
 
 from mcspectra.core.checks import as_integer, as_real
+from mcspectra.core.display import printable
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.options import whole_number
 
@@ -39,6 +40,7 @@ __all__ = [
     "wholes",
 ]
 
+_LONGEST = 2000  # characters of a warning
 _PAGES = frozenset({".html", ".md", ".json", ".csv", ".png", ".svg", ".pdf", ".exr"})
 
 
@@ -227,7 +229,7 @@ def read_sampler(text: str, dims: int | None) -> Sampler:
 
 def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], words: int = 2) -> str:
     """Align columns with two blanks between; all but the first, which are words, to the right."""
-    table = [header, *rows]
+    table = [[printable(cell) for cell in row] for row in (header, *rows)]
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     lines = []
     for row in table:
@@ -255,10 +257,11 @@ def one_sentence_warnings(quiet: bool) -> Iterator[None]:
     seen: set[str] = set()
 
     def show(message: Warning | str, *_: Any) -> None:
-        if str(message) in seen:  # from another place in the code
+        text = printable(message, _LONGEST)
+        if text in seen:  # from another place in the code
             return
-        seen.add(str(message))
-        print(f"mcspectra: Warning: {message}", file=sys.stderr)
+        seen.add(text)
+        print(f"mcspectra: Warning: {text}", file=sys.stderr)
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore" if quiet else "default")

@@ -19,7 +19,10 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
+
+from mcspectra.core.display import printable, shown
 
 if TYPE_CHECKING:
     from mcspectra.core.errors import Function, Parameter
@@ -125,7 +128,7 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         sentence = message[:1].upper() + message[1:]
-        self.exit(2, f"{self.prog}: {sentence}; see '{self.prog} --help'.\n")
+        self.exit(2, f"{self.prog}: {printable(sentence, _LONGEST)}; see '{self.prog} --help'.\n")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -142,7 +145,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as stop:  # argparse: --help (0) or bad usage (2)
         return int(stop.code or 0)
     except KeyboardInterrupt as stop:
-        print(f"mcspectra: {'; '.join(['Interrupted', *map(str, stop.args)])}.", file=sys.stderr)
+        said = printable("; ".join(["Interrupted", *map(str, stop.args)]))
+        print(f"mcspectra: {said}.", file=sys.stderr)
         tasks = (each.name == "mcspectra-tasks" for each in threading.enumerate())
         if arguments is None and any(tasks):
             # Native code that still computes would keep the process for a minute, or abort it
@@ -164,13 +168,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             code, sentence = 1 if kind in _FAILED_RUNS else 2, str(error)
         elif isinstance(error, MemoryError):
             code, sentence = 2, "Not enough memory; ask for fewer points, dims or frequencies."
+        elif isinstance(error, OSError) and error.errno in (errno.ENAMETOOLONG, errno.ELOOP):
+            code, sentence = 2, f"{shown(error.filename)} is no path: {error.strerror}."
         elif isinstance(error, OSError) and error.errno in full:
             code, sentence = 1, f"The output cannot be written: {error.strerror}."
         else:
             text = " ".join(str(error)[:_LONGEST].split()) or "no message"
             sentence = f"Unexpected {kind}: {text}; run again with --debug for details."
             code = 1
-        print(f"mcspectra: {sentence}", file=sys.stderr)
+        print(f"mcspectra: {printable(sentence)}", file=sys.stderr)
         return code
 
 
@@ -220,10 +226,12 @@ def _dispatch(given: list[str]) -> int:
         declare(parser)
     options = parser.parse_args(given[1:])
 
-    if options.allow_code:
-        from mcspectra.samplers import allow_code
+    # What texts may reach, for all verbs
+    folders = getattr(options, "allow_path", ())
+    if options.allow_code or folders:
+        from mcspectra.core.trust import allow
 
-        allow_code(*options.allow_code)
+        allow(options.allow_code, (Path(folder).absolute() for folder in folders))
     try:
         with one_sentence_warnings(options.quiet), progress_bars(not options.quiet):
             text, data, code = verb.run(options)
@@ -233,7 +241,7 @@ def _dispatch(given: list[str]) -> int:
     if options.json and data is not None:
         print(json.dumps(strict_json(data), indent=2, allow_nan=False))
     elif text:
-        print(text)
+        print(printable(text, lines=True))
     return code
 
 

@@ -8,10 +8,10 @@ import platform
 import shlex
 import sys
 from importlib import metadata
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mcspectra.cli.common import Answer, option, verb, whole
+from mcspectra.core.display import printable
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.references import bibtex
 from mcspectra.core.registry import optional_package
@@ -95,7 +95,8 @@ def reproduce_(options: argparse.Namespace) -> Answer:
     )
     for entry in made.entries:
         if entry.problem:
-            print(f"mcspectra: The figure {entry.name} failed: {entry.problem}", file=sys.stderr)
+            problem = printable(entry.problem)
+            print(f"mcspectra: The figure {entry.name} failed: {problem}", file=sys.stderr)
     judged = [
         finding.agrees
         for entry in made.entries
@@ -111,7 +112,9 @@ def reproduce_(options: argparse.Namespace) -> Answer:
         "judged": len(judged),
         "failed": list(made.failed),
     }
-    return Answer(f"{tally(made.entries)}\npage: {made.page}", data, 1 if made.failed else 0)
+    return Answer(
+        f"{tally(made.entries)}\npage: {printable(made.page)}", data, 1 if made.failed else 0
+    )
 
 
 @verb(
@@ -133,9 +136,7 @@ def app_(options: argparse.Namespace) -> Answer:
         raise ParameterError("app takes neither --json nor --seed; choose the seed on the page.")
     optional_package("bokeh", "report", "The explorer needs")
     from mcspectra.app.server import serve
-    from mcspectra.app.specs import allow_folders
 
-    allow_folders(*map(Path, options.allow_path))
     serve(options.port, open_browser=not options.no_browser, quiet=options.quiet)
     return Answer()
 

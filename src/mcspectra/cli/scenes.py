@@ -27,6 +27,7 @@ from mcspectra.cli.common import (
     wholes,
 )
 from mcspectra.cli.texts import remedies_table
+from mcspectra.core.display import printable
 from mcspectra.core.errors import ParameterError, writing
 from mcspectra.core.registry import optional_package
 
@@ -421,7 +422,7 @@ def pixel_(options: argparse.Namespace) -> Answer:
     parts.append("\n".join(filled(said)))
     if written is not None:
         data["report"] = written
-        parts.append(f"report: {written}")
+        parts.append(f"report: {printable(written)}")
     return Answer("\n\n".join(parts), data)
 
 
@@ -457,11 +458,12 @@ def map_(options: argparse.Namespace) -> Answer:
     """
     from mcspectra.core.analysis import Subject
     from mcspectra.core.options import checked, options_of
+    from mcspectra.core.trust import process_trust
     from mcspectra.plots.groups import labelled
     from mcspectra.rendering.maps import Map, compared
     from mcspectra.report.map_page import map_summary, map_table, write_map
     from mcspectra.report.page import check_page_packages
-    from mcspectra.studies import StudyConfig, Trust, open_results, run_study
+    from mcspectra.studies import StudyConfig, open_results, run_study
     from mcspectra.studies.files import SceneConfig
 
     # Refuse what cannot be before there is a folder
@@ -477,7 +479,7 @@ def map_(options: argparse.Namespace) -> Answer:
         for k, (each, part) in enumerate(zip(samplers, parts, strict=True))
     )
     study = StudyConfig(title=f"Map of {options.scene}", seed=options.seed or 0, scenes=entries)
-    trust = Trust((), (Path(options.scene).parent,))
+    trust = process_trust().widened(folders=(Path(options.scene).parent,))
     folder = options.out or "out/map"
     run_study(study, folder, resume=options.resume, workers=options.workers, trust=trust)
     tree = open_results(folder)
@@ -486,7 +488,7 @@ def map_(options: argparse.Namespace) -> Answer:
     result = maps[0] if len(maps) == 1 else compared(maps)
     page, summary = write_map(result, folder), map_summary(result)
     table = map_table(summary)
-    text = f"{page_table(table)}\n{table.caption}\nmap: {page}"
+    text = f"{page_table(table)}\n{table.caption}\nmap: {printable(page)}"
     return Answer(text, {**summary, "report": page})
 
 

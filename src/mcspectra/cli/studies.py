@@ -21,6 +21,7 @@ from mcspectra.cli.common import (
     verb,
     whole,
 )
+from mcspectra.core.display import printable
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.registry import optional_package
 from mcspectra.variance.fit import UNRESOLVED
@@ -89,11 +90,11 @@ def run_(options: argparse.Namespace) -> Answer:
 
     from mcspectra.core.errors import MissingDependency, MissingPackageWarning, warn
     from mcspectra.core.parallel import available_workers
+    from mcspectra.core.trust import process_trust
     from mcspectra.report import write_report
     from mcspectra.report.page import check_page_packages, columns_of
     from mcspectra.report.tables import summary_table
     from mcspectra.studies import (
-        Trust,
         estimate_study,
         make_plan,
         open_results,
@@ -113,7 +114,7 @@ def run_(options: argparse.Namespace) -> Answer:
         config = msgspec.structs.replace(config, seed=options.seed)
     limit = config.time_limit if options.time_limit is None else options.time_limit
     engine = _cluster_engine(options, limit)
-    trust = Trust(tuple(options.allow_code), tuple(map(Path, options.allow_path)))
+    trust = process_trust()
 
     # Say what it would take
     if options.dry_run:
@@ -158,8 +159,8 @@ def run_(options: argparse.Namespace) -> Answer:
     stored = len(results.result_paths(target))
     if stored > results.MOST_STORED:
         text = (
-            f"{stored:,} results are in {target}; a report is for {results.MOST_STORED:,} at most: "
-            f"'mcspectra export {target} --select PATTERN -o FILE' writes a part of them"
+            f"{stored:,} results are in {printable(target)}; a report is for {results.MOST_STORED:,} at most: "
+            f"'mcspectra export {printable(target)} --select PATTERN -o FILE' writes a part of them"
         )
         return Answer(text, {"report": None, "rows": []}, code)
     rows = summarize(open_results(target))
@@ -170,7 +171,7 @@ def run_(options: argparse.Namespace) -> Answer:
     shown = page_table(columns_of(summary, summary.columns[:5]))
     if "unresolved" in shown:
         shown += f"\nunresolved: the rate is {UNRESOLVED}"
-    place = f"report: {page}" if page else f"results: {out}"
+    place = f"report: {printable(page)}" if page else f"results: {printable(target)}"
     return Answer(f"{shown}\n\n{place}" if rows else place, data, code)
 
 
@@ -259,7 +260,7 @@ def report_(options: argparse.Namespace) -> Answer:
         for file in options.out or [None]
     ]
     data = {"report": pages[0]} | ({"files": pages} if len(pages) > 1 else {})
-    return Answer("\n".join(f"report: {page}" for page in pages), data)
+    return Answer("\n".join(f"report: {printable(page)}" for page in pages), data)
 
 
 @verb(
@@ -277,7 +278,7 @@ def status_(options: argparse.Namespace) -> Answer:
     from mcspectra.studies.results import study_status
 
     status = study_status(options.folder, verify=options.verify)
-    lines = [f"{status.title}: {status.state}"]
+    lines = [f"{printable(status.title)}: {status.state}"]
 
     # Say when, where and by whom it was written
     if status.started is not None:
@@ -307,7 +308,7 @@ def status_(options: argparse.Namespace) -> Answer:
     listed = {"damaged": status.damaged, "failed": status.failed, "missing": missing}
     for kind, reasons in listed.items():
         for path, reason in list(reasons.items())[:_LISTED]:
-            lines.append(f"{kind}: {path}{': ' if reason else ''}{reason}")
+            lines.append(printable(f"{kind}: {path}{': ' if reason else ''}{reason}"))
         if len(reasons) > _LISTED:
             lines.append(f"{kind}: … {len(reasons) - _LISTED} more; --json lists all")
     good = status.state in ("running", "finished") and not status.damaged
@@ -341,7 +342,7 @@ def export_(options: argparse.Namespace) -> Answer:
         files = file.rglob("*") if file.is_dir() else [file]
         size = sum(each.stat().st_size for each in files if each.is_file())
         written.append({"file": file, "bytes": size})
-        lines.append(f"{file}: {shown_bytes(size)}")
+        lines.append(f"{printable(file)}: {shown_bytes(size)}")
     return Answer("\n".join(lines), written)
 
 
@@ -363,4 +364,6 @@ def init_(options: argparse.Namespace) -> Answer:
             return Answer(key_tables())
         return Answer(json.dumps(study_schema(), indent=2, ensure_ascii=False))
     file = write_template(options.file or "study.toml")
-    return Answer(f"{file}: run it with 'mcspectra run {file}'.", {"file": file})
+    return Answer(
+        f"{printable(file)}: run it with 'mcspectra run {printable(file)}'.", {"file": file}
+    )

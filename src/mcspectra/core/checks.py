@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from mcspectra.core.display import shown
 from mcspectra.core.errors import DomainError, Parameter, ParameterError, close_match_hint
 
 __all__ = [
@@ -28,6 +29,7 @@ __all__ = [
     "as_real_array",
     "as_reals",
     "as_unit_points",
+    "distinct_points",
     "in_unit_cube",
     "is_path",
 ]
@@ -40,26 +42,32 @@ BELOW_ONE = 1.0 - 2.0**-53
 MAX_DIMS = 1024
 """Most dims of anything that does not say otherwise."""
 
+_LONGEST_NAME, _LONGEST_PATH = 255, 4096
+
 MAX_FREQUENCY = 2.0**40
 """Largest frequency: phases m·x of 53-bit points keep 13 bits there."""
 
 
 def is_path(value: object) -> bool:
-    """Whether a value can be the path of a file, or a URL: a text that the system can write."""
+    """Whether a value can be the path of a file, or a URL: a text that the system can write.
+
+    Linux, macOS and Windows have names of at most 255 bytes; Linux has paths of at most 4096.
+    """
     if not isinstance(value, str | os.PathLike):
         return False
     try:
         text = os.fspath(value)
-        os.fsencode(text)
+        encoded = os.fsencode(text)
     except (TypeError, UnicodeEncodeError):
         return False
-    return isinstance(text, str) and "\0" not in text
+    short = len(encoded) < _LONGEST_PATH and max(map(len, encoded.split(b"/"))) <= _LONGEST_NAME
+    return isinstance(text, str) and "\0" not in text and (short or "://" in text)
 
 
 def as_path(name: str, value: object) -> Path:
     """Return `value` as a path."""
     if not is_path(value):
-        raise ParameterError(Parameter(name), f" is {value!r:.80}; give a path.")
+        raise ParameterError(Parameter(name), f" is {shown(value, 80)}; give a path.")
     return Path(value)  # type: ignore[arg-type]
 
 
@@ -67,7 +75,7 @@ def as_instance(name: str, value: Any, kind: Any, what: str) -> Any:
     """Return `value` if it is an instance of a type, or of one of several, which `what` describes."""
     if isinstance(value, kind):
         return value
-    raise ParameterError(Parameter(name), f" is {value!r:.80}; give {what}.")
+    raise ParameterError(Parameter(name), f" is {shown(value, 80)}; give {what}.")
 
 
 def as_instances(name: str, value: Any, kind: Any, what: str) -> list[Any]:
@@ -86,7 +94,7 @@ def as_integer(name: str, value: object, *, least: int, most: int | None = None)
     limit = f"a whole number of at least {least}"
     if most is not None:
         limit = f"a whole number from {least} to {most}" if least < most else str(most)
-    raise ParameterError(Parameter(name), f" is {value!r:.80}; give {limit}.")
+    raise ParameterError(Parameter(name), f" is {shown(value)}; give {limit}.")
 
 
 def as_real(
@@ -114,7 +122,7 @@ def as_real(
         if math.isfinite(x) and enough and few:
             return x
     wanted = f" {' and '.join(rules)}" if rules else ""
-    raise ParameterError(Parameter(name), f" is {value!r:.80}; give a finite number{wanted}.")
+    raise ParameterError(Parameter(name), f" is {shown(value)}; give a finite number{wanted}.")
 
 
 def as_reals(name: str, value: object, length: int, **limits: float | None) -> tuple[float, ...]:
@@ -133,10 +141,10 @@ def as_choice(name: str, value: object, allowed: Sequence[str]) -> str:
     """Return `value` if it is one of `allowed`."""
     if isinstance(value, str) and value in allowed:
         return value
-    hint, close = close_match_hint(str(value), allowed)
+    hint, close = close_match_hint(value if isinstance(value, str) else shown(value), allowed)
     raise ParameterError(
         Parameter(name),
-        f" is {value!r:.80}; it must be one of {', '.join(allowed)}.{hint if close else ''}",
+        f" is {shown(value)}; it must be one of {', '.join(allowed)}.{hint if close else ''}",
     )
 
 
@@ -194,6 +202,24 @@ def as_unit_points(points: object, *, dims: int | None = None, name: str = "poin
             "scale or wrap them first."
         )
     return x
+
+
+def distinct_points(points: Array) -> tuple[Array, Array, Array]:
+    """Return the different points of a set (n, d), the index of each given point, and their counts.
+
+    Points are in ascending order of their coordinates. Coordinates below 2^-400 are rounded down to
+    multiples of 2^-500: the square of a smaller distance would underflow.
+    """
+    places = points
+    if (tiny := points < 2.0**-400).any():
+        places = np.where(tiny, np.ldexp(np.floor(np.ldexp(points, 500)), -500), points)
+    order = np.lexsort(places.T[::-1])
+    places = places[order]
+    differs = np.ones(len(places), bool)
+    differs[1:] = (places[1:] != places[:-1]).any(axis=1)
+    index = np.empty(len(places), np.int64)
+    index[order] = np.cumsum(differs) - 1
+    return places[differs], index, np.bincount(index)
 
 
 def as_frequencies(frequencies: object, dims: int) -> Array:

@@ -38,7 +38,7 @@ def known_path(path: object, what: str, extensions: Sequence[str] = ()) -> Path:
         It is no path, or ends otherwise.
     """
     if not is_path(path) or not str(path):
-        raise FileFormatError(f"{path!r:.80} is not a path; give the path of {what}.")
+        raise FileFormatError(f"{path!r:.80} is not a path, or too long; give the path of {what}.")
     file = Path(path)  # type: ignore[arg-type]
     if extensions and file.suffix.lower() not in extensions:
         raise FileFormatError(

@@ -23,6 +23,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, TypeAlias, final
 
+from mcspectra.core.display import printable
+
 __all__ = [
     "MEASURE_IT",
     "AnalysisError",
@@ -39,6 +41,7 @@ __all__ = [
     "Function",
     "IncompleteImageWarning",
     "InfiniteWeightVarianceWarning",
+    "LargeStudyWarning",
     "McspectraError",
     "MissingDependency",
     "MissingPackageWarning",
@@ -64,6 +67,7 @@ __all__ = [
 _PACKAGE = str(Path(__file__).parents[1]) + os.sep
 _FAILING = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
 _COORDINATES = 6  # of a point in a message
+_LONGEST = 2000  # characters of a message; the longest of our own have 350
 
 
 @final
@@ -95,6 +99,7 @@ class McspectraError(Exception):
     """Root of all errors raised on purpose by this package.
 
     `args` are the parts of its sentence: texts, options, functions, and sentences of other errors.
+    They hold text of others, such as names and paths: the sentence is one printable line.
     """
 
     def __str__(self) -> str:
@@ -109,7 +114,7 @@ class McspectraError(Exception):
                 parts.append(part.sentence(write))
             else:
                 parts.append(write(part) if isinstance(part, Parameter | Function) else str(part))
-        return "".join(parts)
+        return printable("".join(parts), _LONGEST)
 
 
 Part: TypeAlias = str | Parameter | Function | McspectraError
@@ -224,6 +229,10 @@ class OtherVersionsWarning(UserWarning):
     """Results of an earlier run go on with other versions of packages that numbers depend on."""
 
 
+class LargeStudyWarning(UserWarning):
+    """A study takes long to plan, before its first analysis begins."""
+
+
 class IncompleteImageWarning(UserWarning):
     """An image lacks a part of what the scene would show: a lens, a light, a specular surface."""
 
@@ -259,7 +268,7 @@ def reason_of(error: BaseException, most: int = 1000) -> str:
         words = str(error)[: 2 * most]
     except BaseException:  # noqa: BLE001 - whatever the code of others does
         words = ""
-    shown = " ".join("".join(c if c.isprintable() else " " for c in words).split())
+    shown = printable(" ".join(words.split()))
     return shown[:most].rstrip(".") or type(error).__name__
 
 
@@ -287,7 +296,7 @@ def warn(message: str, category: type[Warning]) -> None:
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
         frame = frame.f_back
     warnings.warn_explicit(
-        message,
+        printable(message, _LONGEST),
         category,
         frame.f_code.co_filename,
         frame.f_lineno,

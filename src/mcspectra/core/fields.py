@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from mcspectra.core.checks import as_choice, as_integer, as_real
+from mcspectra.core.display import shown
 from mcspectra.core.errors import ParameterError
 
 __all__ = ["check_fields", "checked", "choice", "each_axis", "flag", "real", "settle", "whole"]
@@ -53,7 +54,7 @@ def flag(*, default: bool) -> Any:
 
 def _as_flag(name: str, given: object) -> bool:
     if not isinstance(given, bool):
-        raise ParameterError(f"{name} is {given!r}; give True or False.")
+        raise ParameterError(f"{name} is {shown(given)}; give True or False.")
     return given
 
 

@@ -13,9 +13,17 @@ another kind. EXR and NumPy files are linear already and are never changed.
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
+import io
 import math
+import os
+import re
+import sys
+import tempfile
+import threading
 from os import PathLike
-from typing import IO, Any, final
+from typing import IO, TYPE_CHECKING, Any, final
 
 import numpy as np
 
@@ -24,10 +32,14 @@ from mcspectra.core.decoding import check_decoded_size, opened, read_npy, read_n
 from mcspectra.core.errors import FileFormatError, ParameterError
 from mcspectra.core.registry import optional_package
 
+if TYPE_CHECKING:
+    from PIL.Image import Image as PillowImage
+
 __all__ = [
     "IMAGE_EXTENSIONS",
     "REC709",
     "Rings",
+    "check_picture_size",
     "exr_attributes",
     "exr_layer",
     "load_openexr",
@@ -40,6 +52,8 @@ IMAGE_EXTENSIONS = (".png", ".jpg", ".jpeg", ".exr", ".pfm", ".npy", ".npz")
 
 REC709 = np.array([0.2126, 0.7152, 0.0722])
 """Weights of red, green and blue in the luminance (ITU-R BT.709)."""
+_EXR_LINE = re.compile(rb"\(EXR_ERR_\w+\) |^Warning: Exception raised reading pixel data")
+_PRINTING = threading.Lock()
 _MOST_RINGS = 64
 _ENTRIES = 2**20  # of a picture that are looked up at a time
 
@@ -112,6 +126,31 @@ def read_image(
     return image
 
 
+def check_picture_size(path: str | PathLike[str]) -> None:
+    """Refuse a PNG, JPEG or EXR file whose pixels take too much memory, for a reader of another library.
+
+    Of other files, and of those whose header cannot be read, there is nothing to say.
+
+    Raises
+    ------
+    FileFormatError
+        As of `mcspectra.core.decoding.check_decoded_size`.
+    """
+    decoded = 0
+    try:
+        with opened(path, "an image") as (stream, size, file, _):
+            head = stream.read(4)
+            stream.seek(0)
+            if head == b"v/1\x01":
+                decoded = _exr_head(file)[1]
+            elif head[:2] in (b"\x89P", b"\xff\xd8"):
+                image = _pillow_head(stream)
+                decoded = 8 * image.width * image.height * len(image.getbands())
+    except FileFormatError:
+        return
+    check_decoded_size(file, size, decoded)
+
+
 def luminance(image: Array) -> Array:
     """Return the Rec. 709 luminance (height, width) of an image (height, width, 1 or 3).
 
@@ -131,16 +170,20 @@ def luminance(image: Array) -> Array:
     return np.asarray(image[..., 0] if image.shape[2] == 1 else image @ REC709)
 
 
-def _read_pillow(stream: IO[bytes], size: int, name: str, linear: bool) -> Array:
-    """Values in [0,1] of PNG and JPEG, (height, width, 1 or 3)."""
-    from PIL.Image import Image
+def _pillow_head(stream: IO[bytes]) -> PillowImage:
+    """The picture of a PNG or JPEG stream, of which the header alone has been read."""
     from PIL.JpegImagePlugin import JpegImageFile
     from PIL.PngImagePlugin import PngImageFile
 
     # Not by Image.open, which warns of sizes that are read, or refuses them in other words
     is_png = stream.read(1) == b"\x89"
     stream.seek(0)
-    image: Image = (PngImageFile if is_png else JpegImageFile)(stream)
+    return (PngImageFile if is_png else JpegImageFile)(stream)
+
+
+def _read_pillow(stream: IO[bytes], size: int, name: str, linear: bool) -> Array:
+    """Values in [0,1] of PNG and JPEG, (height, width, 1 or 3)."""
+    image = _pillow_head(stream)
     mode, (width, height) = image.mode, image.size
     # Pillow's picture, a converted one, a channel and its bytes, and the channels as float64
     channels = 3 if mode == "P" else len(image.getbands())
@@ -195,9 +238,8 @@ def exr_attributes(path: str | PathLike[str]) -> dict[str, object]:
     FileFormatError
         No such file, or broken.
     """
-    OpenEXR = load_openexr()
     with opened(path, "an image", (".exr",)) as (_, _, file, _):
-        parts = OpenEXR.File(file, separate_channels=True, header_only=True).parts
+        parts = _exr_file(file, header_only=True).parts
         return {key: part.header[key] for part in reversed(parts) for key in part.header}
 
 
@@ -209,16 +251,59 @@ def exr_layer(path: str | PathLike[str]) -> str:
     FileFormatError
         No such file, or broken, or without a picture.
     """
-    OpenEXR = load_openexr()
     with opened(path, "an image", (".exr",)) as (_, _, file, _):
-        parts = OpenEXR.File(file, separate_channels=True, header_only=True).parts
+        parts = _exr_file(file, header_only=True).parts
         listed = {channel.name for part in parts for channel in part.header["channels"]}
         return _picture_channels(file, listed, None)[0].rpartition(".")[0]
 
 
-def _read_exr(name: str, size: int, layer: str | None) -> Array:
+def _exr_file(name: str, *, header_only: bool) -> Any:
+    """Open an EXR file, without the lines that OpenEXR prints of a broken one.
+
+    They go to standard output, where results are, some through Python, and hold the file's name as it is.
+    Lines that other threads print meanwhile are printed afterwards.
+    """
     OpenEXR = load_openexr()
-    head = OpenEXR.File(name, separate_channels=True, header_only=True)
+
+    def read() -> Any:
+        return OpenEXR.File(name, separate_channels=True, header_only=header_only)
+
+    if os.name != "posix":
+        return read()
+    with _PRINTING, contextlib.ExitStack() as stack:
+        for descriptor in (1, 2):
+            try:
+                saved = os.dup(descriptor)
+            except OSError:  # closed: nothing is printed
+                continue
+            held = stack.enter_context(tempfile.TemporaryFile())
+            os.dup2(held.fileno(), descriptor)
+            stack.callback(_put_back, descriptor, saved, held, name)
+        text = io.StringIO()
+        try:
+            with contextlib.redirect_stdout(text):
+                return read()
+        finally:
+            stack.close()
+            for line in text.getvalue().splitlines(keepends=True):
+                if sys.stdout is not None and not _EXR_LINE.search(line.encode(errors="replace")):
+                    sys.stdout.write(line)
+
+
+def _put_back(descriptor: int, saved: int, held: IO[bytes], name: str) -> None:
+    """Print to a file descriptor as before, first what is not OpenEXR's of what was held back."""
+    ctypes.CDLL(None).fflush(None)  # buffers of C, which OpenEXR's lines are in
+    os.dup2(saved, descriptor)
+    held.seek(0)
+    lines = held.read().replace(os.fsencode(name), b"").splitlines(keepends=True)
+    with os.fdopen(saved, "wb") as stream:
+        stream.writelines(line for line in lines if not _EXR_LINE.search(line))
+
+
+def _exr_head(name: str) -> tuple[set[str], int, int]:
+    """Channels, bytes of their values and pixels of the largest part, by the header."""
+    OpenEXR = load_openexr()
+    head = _exr_file(name, header_only=True)
     listed: set[str] = set()
     stored = largest = 0
     for part in head.parts:
@@ -231,10 +316,14 @@ def _read_exr(name: str, size: int, layer: str | None) -> Array:
         listed |= {channel.name for channel in part.header["channels"]}
         stored += 4 * len(part.header["channels"]) * (pixels + tile)  # values of 2 or 4 bytes
         largest = max(largest, pixels)
+    return listed, stored, largest
 
+
+def _read_exr(name: str, size: int, layer: str | None) -> Array:
+    listed, stored, largest = _exr_head(name)
     names = _picture_channels(name, listed, layer)
     check_decoded_size(name, size, stored + 9 * len(names) * largest)  # float64, and a mask
-    parts = OpenEXR.File(name, separate_channels=True).parts
+    parts = _exr_file(name, header_only=False).parts
     planes = {name: c.pixels for part in reversed(parts) for name, c in part.channels.items()}
     if any(planes.get(name) is None for name in names):
         raise EOFError

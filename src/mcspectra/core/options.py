@@ -20,6 +20,7 @@ import numpy as np
 from msgspec import Meta, inspect
 
 from mcspectra.core.checks import as_choice, as_integer, as_real
+from mcspectra.core.display import shown
 from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.parallel import MAX_REALIZATIONS
 
@@ -304,7 +305,9 @@ def _clean(label: str, kind: inspect.Type, value: Any, from_file: bool) -> Any:
                 from_ = kinds[0].ge
                 wanted = "a whole number" + ("" if from_ is None else f" of at least {from_}")
             offer = " or ".join(map(repr, words))
-            raise ParameterError(Parameter(label), f" is {value!r:.80}; give {wanted}, or {offer}.")
+            raise ParameterError(
+                Parameter(label), f" is {shown(value)}; give {wanted}, or {offer}."
+            )
 
     # Of several types, take the one that is of the value's sort, whatever its limits
     fits = [each for each in kinds if isinstance(value, _SORTS.get(type(each), ()))]
@@ -321,13 +324,13 @@ def _clean(label: str, kind: inspect.Type, value: Any, from_file: bool) -> Any:
             return as_real(label, value, above=above, least=least, below=below, most=most)
         case inspect.BoolType():
             if not isinstance(value, bool | np.bool_):
-                raise ParameterError(Parameter(label), f" is {value!r:.80}; give True or False.")
+                raise ParameterError(Parameter(label), f" is {shown(value)}; give True or False.")
             return bool(value)
         case inspect.LiteralType(values=allowed):
             return as_choice(label, value, tuple(map(str, allowed)))
         case inspect.StrType(max_length=most):
             if not isinstance(value, str) or not value:
-                raise ParameterError(Parameter(label), f" is {value!r:.80}; give a text.")
+                raise ParameterError(Parameter(label), f" is {shown(value)}; give a text.")
             if most is not None and len(value) > most:
                 raise ParameterError(
                     Parameter(label), f" has {len(value)} characters; {most} are the most."
@@ -336,7 +339,7 @@ def _clean(label: str, kind: inspect.Type, value: Any, from_file: bool) -> Any:
         case inspect.VarTupleType() | inspect.TupleType():
             several = isinstance(value, Sequence) or (isinstance(value, np.ndarray) and value.ndim)
             if not several or isinstance(value, str | bytes):
-                raise ParameterError(Parameter(label), f" is {value!r:.80}; give one flat list.")
+                raise ParameterError(Parameter(label), f" is {shown(value)}; give one flat list.")
             # The length first: a range may have any
             size = len(value)
             if isinstance(fitting, inspect.TupleType) and size != len(fitting.item_types):
@@ -349,7 +352,7 @@ def _clean(label: str, kind: inspect.Type, value: Any, from_file: bool) -> Any:
                     Parameter(label), f" has {size} values; {longest} are the most."
                 )
             if any(np.ndim(each) > 0 for each in value if not isinstance(each, str)):
-                raise ParameterError(Parameter(label), f" is {value!r:.80}; give one flat list.")
+                raise ParameterError(Parameter(label), f" is {shown(value)}; give one flat list.")
             if not size:
                 raise ParameterError(Parameter(label), " has no values; give one or more.")
             return tuple(

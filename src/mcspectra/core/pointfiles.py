@@ -57,6 +57,9 @@ _SET_BYTES = 4096  # that count for a set besides its coordinates: many tiny one
 # UTK text and comma-separated values
 _LONGEST_LINE = 2**22  # bytes
 _BLOCK = 2**20
+_COMPILED = (
+    2**18
+)  # bytes; Python reads less in a fraction of the time that the kernel takes to compile
 _VALUE_BYTES = 24  # of a number in text: as it is read, in its set, and in the order of sets
 
 # UTK binary
@@ -258,13 +261,48 @@ def _lines_of(points: Array, blank: str, start: str = "") -> str:
 
 
 def _read_dat(stream: IO[bytes], size: int, name: str) -> list[Array]:
-    lines = _lines(stream, size, name)
-    rows = (
-        (number, None if words[0][0] == "#" else words)
-        for number, line in lines
-        if (words := line.split())
-    )
-    return _sets_of_rows(rows, size, name)
+    def rows() -> Iterator[tuple[int, list[str] | Array | None]]:
+        before = at = 0  # lines and bytes
+        for chunk in _chunks(stream, size, name):
+            if size >= _COMPILED and (found := _numbers(chunk)) is not None:
+                lines, runs = found
+                for line, points in runs:
+                    yield before + line, points
+            else:  # what messages are about, too
+                texts = _decoded(chunk, at, name)
+                lines = len(texts)
+                for number, text in enumerate(texts, before + 1):
+                    if words := text.split():
+                        yield number, None if words[0][0] == "#" else words
+            before += lines
+            at += len(chunk)
+
+    return _sets_of_rows(rows(), size, name)
+
+
+def _numbers(chunk: bytes) -> tuple[int, list[tuple[int, Array | None]]] | None:
+    """Read lines that hold numbers and nothing else; None if there is another one among them.
+
+    Returns the number of lines, and for each run of lines between comments the number of its first
+    line, from 1, and its points; None for a comment.
+    """
+    from mcspectra.core._text_kernels import parse_lines
+
+    text = np.frombuffer(chunk, np.uint8)
+    most = len(chunk) // 2 + 1
+    values, hard = np.empty(most), np.empty((most, 3), np.int64)
+    runs = np.empty((2 * chunk.count(b"#") + 1, 4), np.int64)
+    lines, _, used, left = parse_lines(text, values, runs, hard)
+    if lines < 0:
+        return None
+    for index, start, end in hard[:left].tolist():
+        values[index] = float(chunk[start:end])
+        if not math.isfinite(values[index]):
+            return None
+    return lines, [
+        (line + 1, values[start:end].reshape(-1, width) if width else None)
+        for line, start, end, width in runs[:used].tolist()
+    ]
 
 
 def _read_csv(stream: IO[bytes], size: int, name: str) -> list[Array]:
@@ -316,10 +354,33 @@ def _read_csv(stream: IO[bytes], size: int, name: str) -> list[Array]:
 
 
 def _lines(stream: IO[bytes], size: int, name: str) -> Iterator[tuple[int, str]]:
-    """Lines of text with their numbers, from 1, after a check of the memory their numbers take.
+    """Lines of text with their numbers, from 1.
 
     Of blank lines that follow each other the first alone: there may be millions.
     """
+    number = at = 0
+    blank = False
+    for chunk in _chunks(stream, size, name):
+        for line in _decoded(chunk, at, name):
+            number += 1
+            before, blank = blank, not line or line.isspace()
+            if not (before and blank):
+                yield number, line
+        at += len(chunk)
+
+
+def _decoded(chunk: bytes, at: int, name: str) -> list[str]:
+    """Lines of the text that begins at byte `at` of the file."""
+    try:
+        return chunk.decode("utf-8" if at else "utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise FileFormatError(
+            f"{name} is not text: byte {at + error.start} is no character."
+        ) from None
+
+
+def _chunks(stream: IO[bytes], size: int, name: str) -> Iterator[bytes]:
+    """Whole lines of text, about `_BLOCK` bytes, after a check of the memory their numbers take."""
     fields = lines = begun = 0
     while data := stream.read(_BLOCK):
         block = np.frombuffer(data, np.uint8)
@@ -336,29 +397,21 @@ def _lines(stream: IO[bytes], size: int, name: str) -> Iterator[tuple[int, str]]
         fields += 1 + int(np.count_nonzero(blank[:-1] & ~blank[1:]))
         check_decoded_size(name, size, _VALUE_BYTES * fields)
     stream.seek(0)
-    number = at = 0
-    rest, blank = b"", False
+    rest = b""
     for data in itertools.chain(iter(lambda: stream.read(_BLOCK), b""), [b""]):
         # All lines that are whole; at the end what there is
-        whole, end, rest = (rest + data).rpartition(b"\n") if data else (rest, b"", b"")
-        try:
-            text = (whole + end).decode("utf-8" if at else "utf-8-sig")
-        except UnicodeDecodeError as error:
-            raise FileFormatError(
-                f"{name} is not text: byte {at + error.start} is no character."
-            ) from None
-        at += len(whole + end)
-        for line in text.splitlines():
-            number += 1
-            before, blank = blank, not line or line.isspace()
-            if not (before and blank):
-                yield number, line
+        whole, end, rest = (rest + data).rpartition(b"\n") if data else (rest, b"\n", b"")
+        if whole or (end and data):
+            yield whole + end
 
 
 def _sets_of_rows(
-    rows: Iterable[tuple[int, list[str] | None]], size: int, name: str
+    rows: Iterable[tuple[int, list[str] | Array | None]], size: int, name: str
 ) -> list[Array]:
-    """Make an array of each set of rows: numbers of lines, and fields or, before a set, None."""
+    """Make an array of each set of rows: numbers of lines, and fields or, before a set, None.
+
+    Rows that have been read come together, as an array of points with the number of the first line.
+    """
     sets: list[Array] = []
     points = array("d")
     start, width = 0, 0
@@ -369,15 +422,19 @@ def _sets_of_rows(
                 points = array("d")
                 check_decoded_size(name, size, _SET_BYTES * len(sets))
             continue
+        numbers = fields.shape[1] if isinstance(fields, np.ndarray) else len(fields)
         if not points:
-            start, width = number, len(fields)
+            start, width = number, numbers
         if not width:
             raise FileFormatError(f"{name} has no coordinates; give a column for each axis.")
-        if len(fields) != width:
+        if numbers != width:
             raise FileFormatError(
-                f"{name}, line {number}, has {len(fields)} numbers, but the set began with "
+                f"{name}, line {number}, has {numbers} numbers, but the set began with "
                 f"{width} on line {start}; give all points of a set the same number of dims."
             )
+        if isinstance(fields, np.ndarray):
+            points.frombytes(fields.tobytes())
+            continue
         try:
             values = list(map(float, fields))
         except ValueError:

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, closing, contextmanager
 from typing import Any, TypeAlias, final
 
+from mcspectra.core.display import printable
 from mcspectra.core.errors import ParameterError
 
 __all__ = ["Bars", "Listener", "listening", "progress_bars", "report"]
@@ -27,6 +28,7 @@ _listeners: list[Listener] = []
 _AFTER = 0.5  # seconds: what is done sooner needs no bar
 _BETWEEN = 0.1  # seconds from one drawing to the next
 _BETWEEN_LINES = 10.0  # seconds, where there is no terminal to draw in
+_LONGEST = 80  # characters of what is under way
 _FORGOTTEN = 30.0  # seconds of silence after which work counts as given up: an exception, say
 
 
@@ -129,7 +131,11 @@ class Bars:
                 for name, work in self._under_way.items()
                 if work[1] >= oldest and work[2] < 1.0
             }
-            shown = {w: done for w, (t, _, done) in self._under_way.items() if now - t >= _AFTER}
+            shown = {
+                printable(what, _LONGEST): done
+                for what, (begun, _, done) in self._under_way.items()
+                if now - begun >= _AFTER
+            }
             terminal = sys.stderr is not None and (sys.stderr.isatty() or _somebody_waits())
             if not shown:
                 self.close()

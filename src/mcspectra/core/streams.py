@@ -26,10 +26,13 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.display import shown
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.jit import kernel
 
 __all__ = ["RngLike", "Stream", "golden_vector", "mix_bits", "mix_uniform", "uniforms"]
+
+_SEED_BITS = 4096  # results hold the seed as text, of which Python writes 4300 digits
 
 RngLike: TypeAlias = "int | np.random.Generator | np.random.SeedSequence | None"
 
@@ -130,17 +133,19 @@ class Stream:
         Raises
         ------
         ParameterError
-            `rng` is something else, or a negative integer.
+            `rng` is something else, or an integer that is negative or longer than 4096 bits.
         """
         if isinstance(rng, np.random.Generator):
             return Stream(int(rng.integers(0, 2**64, dtype=np.uint64)))
+        if isinstance(rng, int) and rng.bit_length() > _SEED_BITS:
+            raise ParameterError(f"rng is {shown(rng)}; give a seed of at most {_SEED_BITS} bits.")
         if isinstance(rng, int | np.integer) and not isinstance(rng, bool):
             rng = np.random.SeedSequence(as_integer("rng", rng, least=0))
         elif rng is None:
             rng = np.random.SeedSequence()
         if not isinstance(rng, np.random.SeedSequence):
             raise ParameterError(
-                f"rng is {rng!r}; give a non-negative integer, a numpy Generator, "
+                f"rng is {shown(rng)}; give a non-negative integer, a numpy Generator, "
                 "a SeedSequence or None."
             )
         return Stream(int(rng.generate_state(1, np.uint64)[0]))

@@ -28,7 +28,6 @@ from .pieces import GridDensity as GridDensity
 from .pieces import PiecewiseLinear as PiecewiseLinear
 from .registry import DENSITIES as DENSITIES
 from .registry import as_density as as_density
-from .registry import as_warp as as_warp
 from .registry import density as density
 from .tabulated import PiecewiseConstant as PiecewiseConstant
 
@@ -61,7 +60,6 @@ __all__ = [
     "TruncatedNormal",
     "Uniform",
     "as_density",
-    "as_warp",
     "check_density",
     "compensated",
     "density",

@@ -2,7 +2,6 @@ from .base import AbstractEstimator as AbstractEstimator
 from .channels import ChannelSampling as ChannelSampling
 from .channels import channel_estimators as channel_estimators
 from .heuristics import HEURISTICS as HEURISTICS
-from .heuristics import Combination as Combination
 from .heuristics import Heuristic as Heuristic
 from .heuristics import as_heuristic as as_heuristic
 from .importance import Estimator as Estimator
@@ -16,4 +15,3 @@ from .mis import MultipleImportance as MultipleImportance
 from .mis import OneSampleMIS as OneSampleMIS
 from .mis import TechniqueSum as TechniqueSum
 from .mis import split_mixture as split_mixture
-from .moments import Moments as Moments

@@ -8,6 +8,7 @@ import numpy as np
 
 from mcspectra.core.analysis import Subject
 from mcspectra.core.checks import MAX_DIMS, Array, as_integer
+from mcspectra.core.display import shown
 from mcspectra.core.errors import ParameterError
 from mcspectra.densities import Density, as_density
 from mcspectra.densities.base import divide_by_density
@@ -157,15 +158,18 @@ def as_estimator(given: Any, dims: int | None = None) -> AbstractEstimator:
         `given` has another type or other dims, or the function does not do as it should.
     """
     if isinstance(given, AbstractEstimator):
-        if dims is not None and given.dims != dims:
-            raise ParameterError(f"{given.spec} has {given.dims} dims, but dims is {dims}.")
+        if dims is not None and given.dims != as_integer("dims", dims, least=1):
+            raise ParameterError(
+                f"dims is {dims}, but {given.spec} has {given.dims} dims; leave dims out, or give a spec "
+                "that leaves them open."
+            )
         return given
     if is_function(given):
         given = Integrand.from_function(given, dims=function_dims(given, dims))
     if isinstance(given, Integrand | str):
         return Estimator(given, dims=dims)
     raise ParameterError(
-        f"{given!r:.80} is not an estimator; give Estimator(integrand, density), an integrand or "
+        f"{shown(given, 80)} is not an estimator; give Estimator(integrand, density), an integrand or "
         "its spec, or a function with dims=."
     )
 

@@ -47,7 +47,7 @@ class Mirrored(AbstractEstimator):
     Raises
     ------
     ParameterError
-        Unknown mode, or `estimator` is not an estimator.
+        Unknown mode, `estimator` is not an estimator, or has other dims.
 
     Notes
     -----

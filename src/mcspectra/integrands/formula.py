@@ -11,6 +11,7 @@ from __future__ import annotations
 import ast
 import itertools
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -24,8 +25,9 @@ from mcspectra.integrands.base import Breaks, Integrand, any_dims
 
 __all__ = ["Formula"]
 
-MOST_CHARACTERS = 1000
 MOST_PARTS = 300  # numbers, names, operators and calls
+_MARK = re.compile(r"\w+|[^\w\s]")
+_MOST_MARKS = 6 * MOST_PARTS  # words and signs: a call has a name, brackets, commas and an exponent
 _PROBES = 4
 _MOST_DEPTH = 100  # levels of a tree: reading and evaluating recurse, three frames a level
 
@@ -67,7 +69,7 @@ class Formula(Integrand):
     Parameters
     ----------
     expression
-        The formula, 1000 characters and 300 parts at most.
+        The formula, of 300 parts at most.
     dims
         Number of dims.
 
@@ -118,9 +120,12 @@ class Formula(Integrand):
 @lru_cache(64)
 def _compiled(text: str, dims: int) -> tuple[Evaluation, Breaks]:
     """Read a formula: its evaluation, and where a coordinate is compared to a number."""
-    if len(text) > MOST_CHARACTERS:
+    # Python's parser needs stack for every mark, and may end the process at a million of them
+    marks = sum(1 for _ in itertools.islice(_MARK.finditer(text), _MOST_MARKS + 1))
+    if marks > _MOST_MARKS:
         raise ParameterError(
-            f"The formula has {len(text)} characters; give at most {MOST_CHARACTERS}."
+            f"The formula has more than {MOST_PARTS} parts; give at most {MOST_PARTS} parts on "
+            f"{_MOST_DEPTH} levels."
         )
     try:
         tree = ast.parse(text.strip(), mode="eval").body

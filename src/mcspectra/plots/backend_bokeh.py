@@ -37,6 +37,7 @@ from bokeh.plotting import figure
 from bokeh.resources import Resources
 
 from mcspectra.core.checks import Array
+from mcspectra.core.display import printable
 from mcspectra.core.errors import ParameterError
 from mcspectra.plots.description import (
     Axis,
@@ -613,7 +614,8 @@ def _seen(color: str) -> str:
 
 
 def _plain(text: str) -> str:
-    r"""Keep bokeh from reading ``$$…$$``, ``\(…\)`` or ``\[…\]`` as TeX, which it would load."""
+    r"""Make a text printable, and keep bokeh from reading ``$$…$$``, ``\(…\)`` or ``\[…\]`` as TeX, which it would load."""
+    text = printable(text, lines=True)
     joiner = "\u2060"  # invisible, no width
     for mark in ("$$", r"\(", r"\["):
         text = text.replace(mark, f"{mark[0]}{joiner}{mark[1]}")

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from mcspectra.core.checks import Array
+from mcspectra.core.display import printable
 from mcspectra.core.errors import FileFormatError, ParameterError, writing
 from mcspectra.plots.description import (
     Axis,
@@ -661,5 +662,5 @@ def _handle(marks: list[Mark | str]) -> Any:
 
 
 def escaped(text: str) -> str:
-    """Return a text with its dollar signs escaped, which matplotlib would read as mathematics."""
-    return text.replace("$", r"\$")
+    """Return a printable text with its dollar signs escaped, which would begin mathematics."""
+    return printable(text, lines=True).replace("$", r"\$")

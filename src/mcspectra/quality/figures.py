@@ -13,6 +13,7 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.core.checks import Array, as_instance, as_integer
+from mcspectra.core.display import shown
 from mcspectra.core.errors import McspectraError, Parameter, ParameterError, close_match_hint
 from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers, map_in_order
 from mcspectra.core.results import dataset
@@ -99,12 +100,12 @@ def quality_figures(
     if given is None:
         given = [name for name in FIGURES if sampler.dims > 2 or "projected" not in name]
     if isinstance(given, str) or not isinstance(given, Sequence) or not given:
-        raise ParameterError(f"figures is {given!r}; give a list of names.")
+        raise ParameterError(f"figures is {shown(given)}; give a list of names.")
     for name in given:
         if not isinstance(name, str) or name not in FIGURES:
-            hint, close = close_match_hint(str(name), FIGURES)
+            hint, close = close_match_hint(name if isinstance(name, str) else shown(name), FIGURES)
             known = hint if close else " The names are in mcspectra.quality.FIGURES."
-            raise ParameterError(f"There is no quality figure {name!r}.{known}")
+            raise ParameterError(f"There is no quality figure {shown(name)}.{known}")
     names = list(dict.fromkeys(given))
     bases = set(sampler.digit_bases)
     base = bases.pop() if len(bases) == 1 else 0  # of the digits of all coordinates

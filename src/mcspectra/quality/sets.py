@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_choice, as_integer, as_unit_points
+from mcspectra.core.checks import Array, as_choice, as_integer, as_unit_points, distinct_points
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.jit import kernel
 
@@ -90,8 +90,13 @@ def nearest_distances(points: object) -> Array:
         raise ParameterError(f"{n} points are too many for distances; give at most {_TREE_POINTS}.")
     from scipy.spatial import cKDTree
 
-    distances, _ = cKDTree(x, boxsize=np.ones(dims)).query(x, k=2)
-    return np.array(np.asarray(distances)[:, 1])
+    # Equal points are 0 apart; a tree would visit each of them from each other
+    sites, index, counts = distinct_points(x)
+    distances = np.zeros(len(sites))
+    if len(sites) > 1:
+        found, _ = cKDTree(sites, boxsize=np.ones(dims)).query(sites, k=2)
+        distances = np.where(counts > 1, 0.0, np.asarray(found)[:, 1])
+    return np.asarray(distances[index])
 
 
 @kernel

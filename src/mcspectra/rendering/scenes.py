@@ -9,12 +9,15 @@ import contextlib
 import functools
 import gc
 import hashlib
+import itertools
 import math
 import re
+import stat
 from collections.abc import Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias, final
-from xml.etree import ElementTree as ET
+from xml.parsers.expat import ExpatError, ParserCreate
 
 import numpy as np
 
@@ -27,6 +30,7 @@ from mcspectra.core.errors import (
     SpecError,
     close_match_hint,
 )
+from mcspectra.core.images import check_picture_size
 from mcspectra.core.registry import Registry
 from mcspectra.core.spec import parse
 from mcspectra.rendering.backend import LOCK, VARIANT, import_mitsuba, load_mitsuba
@@ -34,6 +38,9 @@ from mcspectra.rendering.plugin import PLUGIN, register_samplers
 from mcspectra.samplers import as_sampler
 
 __all__ = [
+    "DEEPEST",
+    "MOST_ELEMENTS",
+    "MOST_XML",
     "SCENES",
     "DictScene",
     "Scene",
@@ -225,6 +232,7 @@ def render_file(
                 beside.prepend(str(path.parent))
                 mitsuba.set_file_resolver(beside)
                 values = {str(name): str(value) for name, value in given.items()}
+                referenced_files(path, values)
                 state = parser.parse_file(config, str(path), **values)
             parser.transform_all(config, state)
             if sampler is not None:
@@ -458,9 +466,6 @@ def _as_file(request: str | Path) -> Path | None:
     return Path(request).expanduser() if looks else None
 
 
-_DEEPEST = 64  # nested dictionaries; a dictionary that holds itself goes deeper
-
-
 @final
 class DictScene:
     """A Mitsuba scene dictionary as a key of caches: equal if the contents are.
@@ -510,9 +515,10 @@ class DictScene:
 
 
 def _copied(value: Any, depth: int = 0) -> Any:
-    if depth > _DEEPEST:
+    """Copy a scene dictionary; a file that it names must be one."""
+    if depth > DEEPEST:
         raise ParameterError(
-            f"The scene dictionary is nested more than {_DEEPEST} deep; remove parts that contain themselves."
+            f"The scene dictionary is nested more than {DEEPEST} deep; remove parts that contain themselves."
         )
     if isinstance(value, Mapping):
         for name in value:
@@ -520,6 +526,8 @@ def _copied(value: Any, depth: int = 0) -> Any:
                 raise ParameterError(
                     f"A key of the scene dictionary is {name!r}; it must be a string."
                 )
+        if isinstance(name := value.get("filename"), str) and len(name) <= _LONGEST_PATH:
+            _regular(Path(name), Path("dict"))
         return {name: _copied(entry, depth + 1) for name, entry in value.items()}
     if isinstance(value, list | tuple):
         return [_copied(entry, depth + 1) for entry in value]
@@ -547,6 +555,20 @@ def _key(value: Any) -> Hashable:
 State: TypeAlias = "tuple[tuple[Path, int, int], ...]"
 """Paths, sizes in bytes and times of change in nanoseconds."""
 
+DEEPEST = 64
+"""Elements of a scene in one another, the same for dictionaries: shapes in groups with nested materials and
+textures reach 12; some 10,000 end the process."""
+
+MOST_ELEMENTS = 2**21
+"""Elements of a scene, those of included files each time: 700,000 shapes, which load in 20 s."""
+
+MOST_XML = 2**26
+"""Bytes of an XML file: a million elements take about 32 MB."""
+
+_INCLUDES = 16  # levels of includes; Mitsuba refuses more than 15
+_MOST_NAMES = 64  # of files, that values of parameters make of one
+_LONGEST_PATH = 4096  # characters, of Linux; a longer text names no file
+_COMMENT = re.compile(rb"<!--(.*?)-->", re.DOTALL)
 _REFERENCE = re.compile(r"\$(\w+)")
 _watched: dict[Path, State] = {}
 
@@ -564,34 +586,181 @@ def watched_state(scene: Path) -> State:
     return known
 
 
-def referenced_files(scene: Path) -> set[Path]:
+def referenced_files(scene: Path, definitions: Mapping[str, str] | None = None) -> set[Path]:
     """Return the files that exist among those that a scene's XML names, included XML too.
 
     A name is looked for in the folders of the scene, of the file that names it, and of every
-    ``<path>``. A file that is no XML refers to nothing.
+    ``<path>``; if it is in none of them, in the folder where the process runs. A file that is no XML
+    refers to nothing. Everything that Mitsuba would parse is checked on the way.
+
+    Raises
+    ------
+    FileFormatError
+        A file is larger, or has more or deeper elements, than the limits of this module; it has a document
+        type with entities; it is no well-formed XML but long; a name is that of a device or a pipe; a
+        picture takes too much memory (see `mcspectra.core.decoding`).
     """
     first = scene.resolve()
-    folders = [first.parent]
+    values: dict[str, dict[str, None]] = {k: {v: None} for k, v in (definitions or {}).items()}
+    folders, here = {first.parent: None}, Path.cwd()
+    files: dict[Path, _SceneFile] = {}
+    places_of: dict[tuple[Path, int], dict[Path, None]] = {}  # by the number of a name in its file
     found: set[Path] = set()
-    waiting = [first]
+
+    @functools.cache
+    def places(name: str, where: tuple[Path, ...]) -> list[Path]:
+        beside = [place for folder in where if (place := _regular(folder / name, first))]
+        return beside or [place for place in [_regular(here / name, first)] if place]
+
+    waiting: list[Path] = [first]
     while waiting:
-        file = waiting.pop()
-        try:
-            elements = list(ET.parse(file).iter())
-        except (ET.ParseError, OSError):
-            continue
-        defaults = {e.get("name", ""): e.get("value", "") for e in elements if e.tag == "default"}
-        for element in elements:
-            name = element.get("filename") or element.get("value") or ""
-            name = _REFERENCE.sub(lambda m: defaults.get(m[1], m[0]), name)  # noqa: B023 - called here
-            if element.tag == "path":
-                folders.append(file.parent / name)
-            elif name and element.tag in ("string", "include") and "\0" not in name:
-                places = {(folder / name).resolve() for folder in (*folders, file.parent)}
-                new = {place for place in places if place.is_file()} - found - {first}
-                found |= new
-                waiting += [place for place in new if place.suffix.lower() == ".xml"]
+        for file in waiting:
+            files[file] = _parsed(file)
+            for name, value in files[file].defaults:
+                values.setdefault(name, {})[value] = None
+        waiting = []
+        # All names again in each round: a file that was read may have named a folder or a value
+        for file, parsed in list(files.items()):
+            for number, (tag, _, text) in enumerate(parsed.names):
+                for name in _expanded(text, values, file):
+                    if tag == "path":
+                        folders.setdefault(file.parent / name)
+                        continue
+                    for place in places(name, tuple(folders | {file.parent: None})):
+                        places_of.setdefault((file, number), {})[place] = None
+                        is_xml = tag == "include" or place.suffix.lower() == ".xml"
+                        if is_xml and place not in files and place not in waiting:
+                            waiting.append(place)
+                        elif place not in found and not is_xml:
+                            check_picture_size(place)
+                        found.add(place)
+
+    # Elements, and how deep they are, with all includes in their places
+    @functools.cache
+    def extent(file: Path, level: int) -> tuple[int, int]:
+        count, deepest = files[file].elements, files[file].depth
+        for number, (tag, depth, _) in enumerate(files[file].names):
+            if tag == "include" and level < _INCLUDES:
+                inner = [extent(place, level + 1) for place in places_of.get((file, number), ())]
+                count += max((elements for elements, _ in inner), default=0)
+                deepest = max(deepest, depth + max((below for _, below in inner), default=0))
+        return count, deepest
+
+    count, deepest = extent(first, 0)
+    if count > MOST_ELEMENTS:
+        raise FileFormatError(
+            f"The scene {str(scene)!r} has {count} elements, with those that it includes; give at most "
+            f"{MOST_ELEMENTS}."
+        )
+    if deepest > DEEPEST:
+        raise FileFormatError(
+            f"The scene {str(scene)!r} has elements nested {deepest} deep; give at most {DEEPEST}."
+        )
+    return found - {first}
+
+
+@dataclass
+class _SceneFile:
+    """What matters of an XML file: ``<default>`` values, and names of files with their elements."""
+
+    elements: int = 0
+    depth: int = 0
+    defaults: list[tuple[str, str]] = field(default_factory=list)
+    names: list[tuple[str, int, str]] = field(default_factory=list)
+
+
+def _parsed(file: Path) -> _SceneFile:
+    """Read an XML file without building its tree; nothing of one that is short and no XML."""
+    try:
+        size = file.stat().st_size
+        data = file.read_bytes() if size <= MOST_XML else b""
+    except OSError:
+        return _SceneFile()
+    if size > MOST_XML:
+        raise FileFormatError(
+            f"The scene file {str(file)!r} has {size} bytes; give at most {MOST_XML}, and meshes as "
+            "files of their own."
+        )
+    try:
+        return _elements(file, data)
+    except ExpatError as error:
+        wrong = error
+    # Mitsuba's parser takes "--" in comments, and much else that is not XML
+    if b"<![CDATA[" not in data and data.count(b"<?") < 2:
+        plain = _COMMENT.sub(lambda m: b"<!--" + m[1].replace(b"-", b" ") + b"-->", data)
+        with contextlib.suppress(ExpatError):
+            return _elements(file, plain)
+    if data.count(b"<") > DEEPEST:
+        raise FileFormatError(f"The scene file {str(file)!r} is not XML: {wrong}; correct it.")
+    return _SceneFile()
+
+
+def _elements(file: Path, data: bytes) -> _SceneFile:
+    found, depth = _SceneFile(), 0
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal depth
+        depth += 1
+        found.elements += 1
+        found.depth = max(found.depth, depth)
+        value = attributes.get("value", "")
+        name = attributes.get("filename") or (value if tag in ("string", "path") else "")
+        if found.depth > DEEPEST or found.elements > MOST_ELEMENTS:
+            return  # too much already: counted on, for the message
+        if tag == "default":
+            found.defaults.append((attributes.get("name", ""), value))
+        elif name and "\0" not in name and len(name) <= _LONGEST_PATH:
+            found.names.append((tag, depth, name))
+
+    def end(_: str) -> None:
+        nonlocal depth
+        depth -= 1
+
+    def doctype(*given: Any) -> None:
+        if given[-1]:
+            raise FileFormatError(
+                f"The scene file {str(file)!r} has a document type with declarations; remove it."
+            )
+
+    parser = ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.StartDoctypeDeclHandler = doctype
+    parser.Parse(data, True)
     return found
+
+
+def _expanded(text: str, values: Mapping[str, Iterable[str]], file: Path) -> list[str]:
+    """The text with each value of its ``$name``; one without a value stays."""
+    names = list(dict.fromkeys(_REFERENCE.findall(text)))
+    if not names:
+        return [text]
+    choices = [tuple(values.get(name, (f"${name}",))) for name in names]
+    if math.prod(map(len, choices)) > _MOST_NAMES:
+        raise FileFormatError(
+            f"The scene file {str(file)!r} has more than {_MOST_NAMES} files for {text[:80]!r}; give its "
+            "parameters one value each."
+        )
+    found = []
+    for chosen in itertools.product(*choices):
+        given = dict(zip(names, chosen, strict=True))
+        found.append(_REFERENCE.sub(lambda m: given[m[1]], text))  # noqa: B023 - called here
+    return found
+
+
+def _regular(place: Path, scene: Path) -> Path | None:
+    """The place of a file, None where there is none; a device or a pipe is refused."""
+    try:
+        place = place.resolve()
+        mode = place.stat().st_mode
+    except (OSError, RuntimeError, ValueError):  # RuntimeError: a loop of links
+        return None
+    if stat.S_ISREG(mode):
+        return place
+    if not stat.S_ISDIR(mode):
+        raise FileFormatError(
+            f"The scene {str(scene)!r} names {str(place)!r}, a device or a pipe; give a file."
+        )
+    return None
 
 
 def _states(files: Iterable[Path]) -> State:

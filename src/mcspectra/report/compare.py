@@ -108,8 +108,11 @@ def write_comparison(first: str | Path, second: str | Path, out: str | Path | No
             html.Facts(rows=provenance(tree, folder)),
         ]
     titles = [str((tree.attrs.get("study") or {}).get("title", "Results")) for tree in trees]
-    named = html.Markup("{} (<code>{}</code>)")
-    facts = zip("AB", map(named.format, titles, folders), strict=True)
+    named = [
+        html.markup("{} (<code>{}</code>)", title, str(folder))
+        for title, folder in zip(titles, folders, strict=True)
+    ]
+    facts = zip("AB", named, strict=True)
     page = html.Page(
         title="Comparison",
         what=f"comparison of {titles[0]} and {titles[1]}",

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, final
 
+from mcspectra.core.display import printable
 from mcspectra.core.errors import StoreError, writing
 from mcspectra.core.registry import optional_package
 from mcspectra.core.results import strict_json
@@ -43,6 +44,7 @@ __all__ = [
     "check_page_packages",
     "columns_of",
     "figures_of",
+    "markup",
     "number_cell",
     "provenance",
     "sections_of",
@@ -354,6 +356,7 @@ def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:
             loader=PackageLoader("mcspectra.report", ""),
             autoescape=True,
             undefined=StrictUndefined,
+            finalize=_shown,
             trim_blocks=True,
             lstrip_blocks=True,
         )
@@ -388,6 +391,17 @@ def write_json(file: Path, value: Any) -> None:
     with writing(file, StoreError):
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text + "\n", encoding="utf-8")
+
+
+def markup(template: str, *texts: object) -> Markup:
+    """Return markup of our own with texts of others, printable and escaped, in place of each ``{}``."""
+    return Markup(template).format(*map(_shown, texts))
+
+
+def _shown(value: Any) -> Any:
+    """Text of others without controls; markup stays."""
+    is_text = isinstance(value, str) and not hasattr(value, "__html__")
+    return printable(value, lines=True) if is_text else value
 
 
 def _figures_in(blocks: Iterable[Block]) -> Iterable[Figure]:

@@ -12,12 +12,12 @@ import io
 import time
 import warnings
 from collections.abc import Callable
-from html import escape
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from mcspectra.core.checks import Array
+from mcspectra.core.display import escape_html
 from mcspectra.core.spec import Component
 from mcspectra.densities import Density
 from mcspectra.estimators import AbstractEstimator, Estimator
@@ -66,16 +66,16 @@ def component_html(component: object) -> str:
 def _page(spec: str, pictures: Pictures, rows: Rows) -> str:
     figures = "".join(
         f'<figure style="margin:0 1em 0 0">{svg}<figcaption style="font-size:85%">'
-        f"{escape(caption)}</figcaption></figure>"
+        f"{escape_html(caption)}</figcaption></figure>"
         for svg, caption in pictures
     )
     cells = "".join(
-        f'<tr><th scope="row" style="text-align:left;font-weight:normal;opacity:.7">{escape(key)}'
-        f'</th><td style="text-align:left">{escape(value)}</td></tr>'
+        f'<tr><th scope="row" style="text-align:left;font-weight:normal;opacity:.7">{escape_html(key)}'
+        f'</th><td style="text-align:left">{escape_html(value)}</td></tr>'
         for key, value in rows
     )
     return (
-        f'<div class="mcspectra"><code>{escape(shorten(spec, _LONGEST))}</code>'
+        f'<div class="mcspectra"><code>{escape_html(shorten(spec, _LONGEST))}</code>'
         f'<div style="display:flex;flex-wrap:wrap;align-items:flex-start;margin-top:.4em">{figures}<table>{cells}</table>'
         "</div></div>"
     )
@@ -271,7 +271,7 @@ def map_image(values: Array, label: str) -> str:
 def _framed(drawing: str, label: str) -> str:
     frame = '<rect width="100" height="100" fill="none" stroke="currentColor" stroke-opacity=".4"/>'
     return (
-        f'<svg role="img" aria-label="{escape(label)}" viewBox="-1 -1 102 102" width="{SIDE}" '
+        f'<svg role="img" aria-label="{escape_html(label)}" viewBox="-1 -1 102 102" width="{SIDE}" '
         f'height="{SIDE}" xmlns="http://www.w3.org/2000/svg">{drawing}{frame}</svg>'
     )
 

@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import math
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.core.decoding import path_to_write
+from mcspectra.core.display import csv_cell, printable
 from mcspectra.core.errors import Parameter, ParameterError, writing
 from mcspectra.core.spec import short_spec
 from mcspectra.plots import backend_matplotlib
@@ -154,13 +156,18 @@ def result_table(
 def csv_text(
     columns: Sequence[str], rows: Iterable[Sequence[Any]], about: dict[Any, Any] | None = None
 ) -> str:
-    """Return comma-separated values, numbers in full, after lines ``# name: value`` of what they are."""
+    """Return comma-separated values, numbers in full, after lines ``# name: value`` of what they are.
+
+    No cell is a formula, see `csv_cell`.
+    """
     stream = io.StringIO()
     for name, value in (about or {}).items():
-        stream.write(f"# {name}: {value}\n")
+        # A comma would begin another cell
+        text = printable(f"# {name}: {value}")
+        stream.write(re.sub(r"([,;])(?=[^\w\s])", r"\1 ", text) + "\n")
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(["" if each is None else each for each in row] for row in rows)
+    writer.writerow(map(csv_cell, columns))
+    writer.writerows(["" if each is None else csv_cell(each) for each in row] for row in rows)
     return stream.getvalue()
 
 

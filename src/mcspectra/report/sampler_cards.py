@@ -9,13 +9,13 @@ import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from html import escape
 from pathlib import Path
 from typing import final
 
 import xarray as xr
 
 from mcspectra.core.checks import Array
+from mcspectra.core.display import escape_html
 from mcspectra.core.errors import (
     McspectraError,
     MissingDependency,
@@ -324,7 +324,7 @@ def card_sections(cards: Sequence[Card], anchors: Sequence[str]) -> list[html.Se
     for card, anchor in zip(cards, anchors, strict=True):
         facts = []
         for name, value in _card_facts(card):
-            text = ADDRESS.sub(r'<a href="\g<0>">\g<0></a>', escape(value))
+            text = ADDRESS.sub(r'<a href="\g<0>">\g<0></a>', escape_html(value))
             facts.append((name, html.Markup(text)))
         blocks: tuple[html.Block, ...] = (
             html.Text(text=card.facts.summary if card.facts else ""),

@@ -166,10 +166,12 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
         sections.append(html.Section(title=each.name, anchor=anchor, blocks=shown, fresh=True))
     text = study_toml(study)
     again = _allowed(text)
-    redo = Markup(
+    redo = html.markup(
         "save the study below as <code>study.toml</code> (paths inside it are relative to its folder), "
-        "then<br><code>mcspectra run study.toml --out NEW_FOLDER{}</code>{}"
-    ).format(again, " (your own code that the study names)" if again else "")
+        "then<br><code>mcspectra run study.toml --out NEW_FOLDER{}</code>{}",
+        again,
+        " (your own code that the study names)" if again else "",
+    )
     write = Markup(
         "<code>mcspectra report FOLDER</code>; to compare with another run, "
         "<code>mcspectra report FOLDER --compare OTHER_FOLDER</code>"
@@ -236,7 +238,7 @@ def provenance(tree: xr.DataTree, root: Path) -> tuple[tuple[str, str | Markup],
         ("Seed", str((tree.attrs.get("study") or {}).get("seed", "unknown"))),
         (
             "Study hash (SHA-256)",
-            Markup("<code>{}</code>").format(tree.attrs.get("study_hash", "unknown")),
+            html.markup("<code>{}</code>", tree.attrs.get("study_hash", "unknown")),
         ),
         *((("Machine", ", ".join(hosts)),) if hosts else ()),
         ("Versions", html.versions_of(tree.attrs)),
@@ -380,7 +382,7 @@ def _estimator(
 ) -> Iterator[html.Block]:
     """Sentences, the figures that say most, tables; all else is folded."""
     if each.spec:
-        spec = Markup("<code>{}</code>").format(each.spec)
+        spec = html.markup("<code>{}</code>", each.spec)
         yield html.Facts(rows=(("Integrand / density", spec),))
 
     # Sentences about each sampler, and analyses that some samplers lack
@@ -443,9 +445,7 @@ def _estimator(
         what = " and ".join(
             "pair correlation" if a == "pcf" else a for a in linked if linked[a] == place
         )
-        text = Markup('The same samples as in <a href="#{}">{}</a>: see its {}.').format(
-            *place, what
-        )
+        text = html.markup('The same samples as in <a href="#{}">{}</a>: see its {}.', *place, what)
         yield html.Text(text=text, kind="soft")
 
 

@@ -1,7 +1,6 @@
 from .base import Randomization as Randomization
 from .base import Randomized as Randomized
 from .base import Sampler as Sampler
-from .base import Structure as Structure
 from .dither import LowDiscrepancyBlueNoise as LowDiscrepancyBlueNoise
 from .dither import VoidAndCluster as VoidAndCluster
 from .engines import QmcpySampler as QmcpySampler
@@ -45,7 +44,6 @@ from .registry import RANDOMIZATIONS as RANDOMIZATIONS
 from .registry import SAMPLERS as SAMPLERS
 from .registry import as_sampler as as_sampler
 from .registry import sampler as sampler
-from .registry import sampler_from_calls as sampler_from_calls
 from .relaxation import Bnot as Bnot
 from .relaxation import FarthestPoint as FarthestPoint
 from .relaxation import GaussianBlueNoise as GaussianBlueNoise
@@ -138,7 +136,6 @@ __all__ = [
     "StealthyHyperuniform",
     "StepBlueNoise",
     "StrataShift",
-    "Structure",
     "Subset",
     "TargetPcf",
     "TargetSpectrum",
@@ -148,6 +145,5 @@ __all__ = [
     "allow_code",
     "as_sampler",
     "sampler",
-    "sampler_from_calls",
     "transport_cost",
 ]

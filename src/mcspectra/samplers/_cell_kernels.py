@@ -44,6 +44,8 @@ _LOAD = 2.0  # sites in a cell of the grid; 1 to 3 take the same time
 _SOLVED = 1e-3  # residual of the linear equations, relative: Newton's steps need no better
 _LONGER = 4.0  # than the step before, at most: far from the goal, short steps come in series
 _HALVINGS = 40
+_UNLIMITED = 2**62
+_PRODUCTS = 4  # a multiplication of the linear solver, in visits of a site: its reads are scattered
 
 
 @kernel
@@ -200,6 +202,8 @@ class Diagram(NamedTuple):
     rows, neighbors, couplings
         Cell i has faces rows[i, 0] … rows[i, 1] − 1: the site beyond, and by how much the area of
         cell i falls with its weight, length / (2 distance).
+    work
+        Sites and grid cells that were visited, times corners of the cell that they may cut.
     """
 
     areas: Array
@@ -208,6 +212,7 @@ class Diagram(NamedTuple):
     rows: Array
     neighbors: Array
     couplings: Array
+    work: int
 
 
 @kernel
@@ -241,8 +246,8 @@ def _cut_by_bucket(
 @kernel
 def _cut_cell(
     s: int, sites: Array, buckets: Any, heaviest: float, cell: Array, spare: Array
-) -> int:
-    # Make the cell of site s (in the order of the buckets); return its number of corners.
+) -> tuple[int, int]:
+    # Make the cell of site s (in the order of the buckets); return its number of corners, and the work.
     side, starts = buckets
     x, y, excess, width = sites[s, 0], sites[s, 1], heaviest - sites[s, 2], 1.0 / side
     row, column = _bucket(x, side), _bucket(y, side)
@@ -252,7 +257,7 @@ def _cut_cell(
         cell[k, 0] = 0.5 if k in (1, 2) else -0.5
         cell[k, 1] = 0.5 if k >= 2 else -0.5
         cell[k, 2], cell[k, 3] = 1.0, -1.0
-    size, radius2, ring = 4, 0.5, 0
+    size, radius2, ring, work = 4, 0.5, 0, 0
     while (ring - 1) * width + margin <= np.sqrt(radius2) + np.sqrt(max(0.0, radius2 + excess)):
         for a in range(row - ring, row + ring + 1):
             i, turns = a % side, float(a // side)
@@ -260,11 +265,12 @@ def _cut_cell(
             for b in range(column - ring, column + ring + 1, step):
                 k = i * side + b % side
                 bucket, place = (starts[k], starts[k + 1]), (x - turns, y - b // side)
+                work += 1 + (bucket[1] - bucket[0]) * size
                 radius2, size = _cut_by_bucket(s, sites, bucket, place, radius2, size, cell, spare)
         if size == 0:
             break
         ring += 1
-    return size
+    return size, work
 
 
 @kernel
@@ -283,13 +289,14 @@ def power_diagram(points: Array, weights: Array) -> Diagram:
 
     heaviest = weights.max()
     areas, moments, offsets = np.empty(n), np.empty(n), np.empty((n, 2))
-    rows, used = np.zeros((n, 2), np.int64), 0
+    rows, used, work = np.zeros((n, 2), np.int64), 0, 0
     neighbors, couplings = np.empty(8 * n + 8, np.int64), np.empty(8 * n + 8)
     # A cell lies within a unit square, where at most 9 images of a site can have a face with it
     cell, spare = np.empty((10 * n + 10, 4)), np.empty((10 * n + 10, 4))
     for s in range(n):
         i = order[s]
-        size = _cut_cell(s, sites, (side, starts), heaviest, cell, spare)
+        size, visits = _cut_cell(s, sites, (side, starts), heaviest, cell, spare)
+        work += visits
         if used + size > len(neighbors):  # more faces than in general position: 6 n
             neighbors = np.append(neighbors, np.empty(used + size, np.int64))
             couplings = np.append(couplings, np.empty(used + size))
@@ -313,7 +320,7 @@ def power_diagram(points: Array, weights: Array) -> Diagram:
         rows[i, 1] = used
         scale = 1.0 / area if area > 0.0 else 0.0
         areas[i], offsets[i, 0], offsets[i, 1], moments[i] = area, x * scale, y * scale, moment
-    return Diagram(areas, moments, offsets, rows, neighbors[:used], couplings[:used])
+    return Diagram(areas, moments, offsets, rows, neighbors[:used], couplings[:used], work)
 
 
 @kernel
@@ -327,36 +334,37 @@ def _divide(x: Array, diagonal: Array, out: Array) -> float:
 
 
 @kernel
-def _solve(diagram: Diagram, rest: Array) -> Array:
-    # The change of the weights that changes areas by `rest`, which is overwritten: conjugate gradients
-    # for the Laplacian L of the graph of neighbours, each face counting its coupling.
+def _solve(diagram: Diagram, rest: Array) -> tuple[Array, int]:
+    # The change of the weights that changes areas by `rest`, which is overwritten, and the work:
+    # conjugate gradients for the Laplacian L of the graph of neighbours, weighted by the couplings.
     n = rest.size
-    change, direction, work, diagonal = np.zeros(n), np.empty(n), np.empty(n), np.zeros(n)
+    change, direction, image, diagonal = np.zeros(n), np.empty(n), np.empty(n), np.zeros(n)
     for i in range(n):
         for k in range(diagram.rows[i, 0], diagram.rows[i, 1]):
             diagonal[i] += diagram.couplings[k]
     rho = _divide(rest, diagonal, direction)
-    goal = _SOLVED**2 * rho
+    goal, work = _SOLVED**2 * rho, 0
     for _ in range(4 * n):
         if rho <= goal:
             break
+        work += _PRODUCTS * (n + diagram.couplings.size)
 
-        # work = L direction
+        # image = L direction
         product = 0.0
         for i in range(n):
             total = 0.0
             for k in range(diagram.rows[i, 0], diagram.rows[i, 1]):
                 total += diagram.couplings[k] * (direction[i] - direction[diagram.neighbors[k]])
-            work[i] = total
+            image[i] = total
             product += direction[i] * total
         length = rho / product
         for i in range(n):
             change[i] += length * direction[i]
-            rest[i] -= length * work[i]
-        before, rho = rho, _divide(rest, diagonal, work)
+            rest[i] -= length * image[i]
+        before, rho = rho, _divide(rest, diagonal, image)
         for i in range(n):
-            direction[i] = work[i] + rho / before * direction[i]
-    return change
+            direction[i] = image[i] + rho / before * direction[i]
+    return change, work
 
 
 @kernel
@@ -371,11 +379,20 @@ def _compare(areas: Array, masses: Array, rest: Array) -> Any:
 
 
 @kernel
-def balance(points: Array, weights: Array, masses: Array, tolerance: float, steps: int) -> Any:
+def balance(
+    points: Array,
+    weights: Array,
+    masses: Array,
+    tolerance: float,
+    steps: int,
+    most_work: int = _UNLIMITED,
+) -> Any:
     """Return weights whose cells have areas `masses`, and their power diagram.
 
-    At most so many Newton steps, from `weights` or, if those leave a cell empty, from 0, until all
-    areas are right within `tolerance` times their mass or get no better. Such weights are where a
+    Newton steps begin at `weights` or, if those leave a cell empty, at 0. They end after `steps` of
+    them, after `most_work` visits (see `Diagram`; the linear solver counts, too), or when all areas are
+    right within `tolerance` times their mass or get no better. Sites so close that a cell has no area
+    with equal weights take no step. Such weights are where a
     concave function is largest, the dual of the transport of the uniform density to the sites; damped
     Newton steps find them from any weights that leave no cell empty [Kitagawa2019]_.
     """
@@ -383,15 +400,22 @@ def balance(points: Array, weights: Array, masses: Array, tolerance: float, step
     if diagram.areas.min() <= 0.0:
         weights[:] = 0.0
         diagram = power_diagram(points, weights)
+    if diagram.areas.min() <= 0.0:
+        return weights, diagram
     least = 0.5 * min(diagram.areas.min(), masses.min())
     rest, length = np.empty(weights.size), 1.0
     worst, square = _compare(diagram.areas, masses, rest)
+    work = diagram.work
     for _ in range(steps):
-        if worst <= tolerance:
+        if worst <= tolerance or work > most_work:
             break
-        change, length = _solve(diagram, rest), min(1.0, _LONGER * length)
+        (change, solving), length = _solve(diagram, rest), min(1.0, _LONGER * length)
+        work += solving
         for _ in range(_HALVINGS):
+            if work > most_work:
+                return weights, diagram
             trial = power_diagram(points, weights + length * change)
+            work += trial.work
             trial_worst, trial_square = _compare(trial.areas, masses, rest)
             if trial.areas.min() > least and trial_square <= (1.0 - length / 2) ** 2 * square:
                 break

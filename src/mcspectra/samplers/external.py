@@ -10,7 +10,6 @@ import hashlib
 import importlib
 import os
 import re
-import shlex
 import signal
 import subprocess
 import tempfile
@@ -26,7 +25,6 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_unit_points
 from mcspectra.core.errors import (
-    ConfigError,
     CountError,
     FileFormatError,
     ParameterError,
@@ -37,32 +35,29 @@ from mcspectra.core.pointfiles import matching_files, parse_dat, read_points
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.spec import Call
 from mcspectra.core.streams import Stream
+from mcspectra.core.trust import CODE, FUNCTION, allow, process_trust, words_of
 from mcspectra.samplers.base import MAX_COUNT, Draw, Randomization, Sampler, repeated
 from mcspectra.samplers.law import Fixed, Law, Unknown
 
 __all__ = [
-    "FUNCTION",
     "CommandSampler",
     "FunctionSampler",
     "GivenPoints",
     "OneByOne",
     "PythonSampler",
     "allow_code",
+    "allow_own_code",
     "check_code",
     "loaded_function",
     "qualified_name",
 ]
 
-_CODE = {"command": "run", "python": "function"}
-"""Samplers that run code, and the parameter that names it."""
-
-FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 _PLACEHOLDER = re.compile(r"\{(\w*)\}")
 _PLACEHOLDERS = ("n", "seed", "dims")
 _COORDINATE_BYTES = 64  # at most, of a number and what stands between numbers
 _SEED_BITS = 31  # programs read them as int
 
-_allowed: set[str] = set()
+_own: set[str] = set()  # code of samplers that were made of classes, and of studies that may run it
 
 
 def _as_label(name: str, given: object) -> str:
@@ -384,7 +379,7 @@ class PythonSampler(_OfCode):
 
     def _check(self) -> None:
         loaded_function(self.function)
-        allow_code(self.function)
+        allow_own_code(self.function)
 
     def make_one(self, n: int, stream: Stream, realization: int) -> object:
         """Call the function."""
@@ -433,7 +428,7 @@ class CommandSampler(_OfCode):
     name_: str = checked(_as_label, "")
 
     def _check(self) -> None:
-        if not _words(self.run):
+        if not words_of(self.run):
             raise ParameterError(
                 f"command(run={self.run!r:.80}): write a program and its arguments, as in "
                 "'./mine {n} {seed}', with quotes closed."
@@ -444,7 +439,7 @@ class CommandSampler(_OfCode):
                 f"command(run={self.run!r:.80}): {{{unknown[0]}}} stands for nothing; use {{n}}, "
                 "{seed} or {dims}."
             )
-        allow_code(self.run)
+        allow_own_code(self.run)
 
     @property
     def fixed(self) -> bool:  # type: ignore[override]
@@ -456,7 +451,8 @@ class CommandSampler(_OfCode):
         seed = int(stream.keys(realization, 1)[0, 0]) >> (64 - _SEED_BITS)
         values = {"n": n, "seed": seed, "dims": self.dims}
         words = [
-            _PLACEHOLDER.sub(lambda found: str(values[found[1]]), word) for word in _words(self.run)
+            _PLACEHOLDER.sub(lambda found: str(values[found[1]]), word)
+            for word in words_of(self.run)
         ]
         text = self._printed(words, 4096 + n * self.dims * _COORDINATE_BYTES)
         name = f"The output of {self.spec} at n = {n}"
@@ -523,14 +519,6 @@ class CommandSampler(_OfCode):
         return data.decode(errors="replace")
 
 
-def _words(command: object) -> list[str]:
-    """Program and arguments; none of what is no command."""
-    try:
-        return shlex.split(command) if isinstance(command, str) else []
-    except ValueError:
-        return []
-
-
 def loaded_function(name: object) -> Callable[..., Any]:
     """Return the function ``module:function``.
 
@@ -562,34 +550,31 @@ def allow_code(*names: str) -> None:
     ``command('./mine {n} {seed}')`` runs if ``'./mine {n} {seed}'`` or, with whatever arguments,
     ``'./mine'`` is allowed, ``python('module:function')`` if ``'module:function'`` is. Samplers made
     of the classes themselves, in Python, need no leave, and allow their own specs.
+
+    Raises
+    ------
+    ConfigError
+        A name is written otherwise.
     """
-    _allowed.update(names)
+    allow(code=names)
 
 
-def check_code(call: Call, allowed: Iterable[str] | None = None) -> None:
-    """Refuse a part of a spec that names code that is not allowed.
+def allow_own_code(name: str) -> None:
+    """Let specs name code that is allowed already, by a class in Python or the `Trust` of a study."""
+    _own.add(name)
 
-    Parameters
-    ----------
-    call
-        The part; most name no code.
-    allowed
-        What is allowed, by default in this process.
+
+def check_code(call: Call) -> None:
+    """Refuse a part of a spec that names code which this process may not run.
 
     Raises
     ------
     ConfigError
         The message says how to allow it.
     """
-    text = call.arguments.get(_CODE.get(call.name, ""))
-    if not isinstance(text, str):
-        return
-    names = [text, *(_words(text)[:1] if call.name == "command" else [])]
-    if not set(names) & set(_allowed if allowed is None else allowed):
-        raise ConfigError(
-            f"{call.name}({text!r:.200}) runs code, which a spec may not do by itself: if you trust it, "
-            f"allow it by --allow-code {shlex.quote(text)}, in Python by mcs.samplers.allow_code(…)."
-        )
+    text = call.arguments.get(CODE.get(call.name, ""))
+    if not (isinstance(text, str) and text in _own):
+        process_trust().check_code(call)
 
 
 def qualified_name(thing: object) -> str:

@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 
 from mcspectra.core.checks import as_integer
+from mcspectra.core.display import shown
 from mcspectra.core.errors import ParameterError, SpecError, UnknownName
 from mcspectra.core.registry import Registry, classes_of
 from mcspectra.core.spec import Call, parse_chain
+from mcspectra.core.trust import CODE
 from mcspectra.samplers.base import Randomization, Sampler
 
 __all__ = ["RANDOMIZATIONS", "RUN_CODE", "SAMPLERS", "as_sampler", "sampler", "sampler_from_calls"]
@@ -42,7 +44,7 @@ SAMPLERS = Registry(
     base=Sampler,
 )
 
-RUN_CODE = ("command", "python")
+RUN_CODE = tuple(CODE)
 """Samplers that run code of the user, which must be allowed before a spec may name it."""
 
 RANDOMIZATIONS = Registry(
@@ -135,7 +137,7 @@ def _from_object(source: Any, dims: int | None) -> Sampler:
     if is_generator(source):
         return Sampler.from_qmcpy(source, **({"dims": dims} if sized else {}))
     raise ParameterError(
-        f"{source!r} is not a sampler; give a Sampler, a spec such as 'jittered | shift', an array "
+        f"{shown(source)} is not a sampler; give a Sampler, a spec such as 'jittered | shift', an array "
         "of points (n, d) or (R, n, d), a scipy.stats.qmc engine, a QMCPy generator, or make one of a "
         "function with Sampler.from_function."
     )

@@ -46,7 +46,8 @@ from mcspectra.core.errors import (
     ParameterError,
     warn,
 )
-from mcspectra.densities import Density, Linear, TruncatedNormal, Uniform, as_warp
+from mcspectra.densities import Density, Linear, TruncatedNormal, Uniform
+from mcspectra.densities.registry import as_warp
 from mcspectra.integrands import Integrand
 from mcspectra.integrands._quadrature import AxisRule
 from mcspectra.samplers import Sampler, as_sampler

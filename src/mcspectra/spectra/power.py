@@ -23,8 +23,9 @@ from mcspectra.core.parallel import Block, realization_blocks
 from mcspectra.core.records import SUM, MeanSums, mean_interval, standard_error, student_t
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.densities import Density, as_warp
+from mcspectra.densities import Density
 from mcspectra.densities.base import divide_by_density
+from mcspectra.densities.registry import as_warp
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.spectra._kernels import UNLABELLED, power_sums
 from mcspectra.spectra.transforms import MAX_FREQUENCIES, FrequencyGrid, Transform

@@ -24,7 +24,7 @@ from mcspectra.core.analysis import (
     steps_of,
 )
 from mcspectra.core.checks import is_path
-from mcspectra.core.errors import ConfigError, McspectraError
+from mcspectra.core.errors import ConfigError, LargeStudyWarning, McspectraError, warn
 from mcspectra.core.memory import check_memory
 from mcspectra.core.registry import Registry
 from mcspectra.core.streams import Stream
@@ -40,7 +40,8 @@ from mcspectra.estimators import (
 )
 from mcspectra.integrands import INTEGRANDS
 from mcspectra.integrands.smoothing import smoothed
-from mcspectra.samplers import Sampler, sampler_from_calls
+from mcspectra.samplers import Sampler
+from mcspectra.samplers.registry import sampler_from_calls
 from mcspectra.studies.files import (
     EstimatorConfig,
     SceneConfig,
@@ -54,17 +55,23 @@ from mcspectra.studies.vetting import Inputs, Trust, Vetting
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["MOST_EVALUATIONS", "Cell", "Plan", "make_plan"]
+__all__ = ["MOST_EVALUATIONS", "MOST_SECONDS", "NOTED_SECONDS", "Cell", "Plan", "make_plan"]
 
 MOST_EVALUATIONS = 10**15
 """Most evaluations of a study that is not forced: half a year of a hundred cores."""
 
 # Seconds of planning: of a spec, of an estimator with densities and of each of these (1-D warps are
 # searched for gaps), of a sampler of an estimator, of a cell, of a count (or another item of a list) of
-# its analysis; and most that are not forced.
+# its analysis.
 _SPEC, _WEIGHTED, _DENSITY, _WARP = 1e-4, 6e-4, 5e-4, 2e-3
 _PAIR, _CELL, _COUNT = 3e-6, 2.5e-5, 3e-6
-_MOST_SECONDS = 5.0
+NOTED_SECONDS = 5.0
+"""Seconds of planning that are announced: who waits longer without a word looks for a fault."""
+
+MOST_SECONDS = 120.0
+"""Most seconds of planning of a study that is not forced: five million analyses, whose cells take 3 GB.
+Grids of a few lines reach that by mistake sooner than by intention."""
+
 _RESERVED = frozenset({"zarr.json", "c"})
 
 
@@ -157,13 +164,18 @@ def make_plan(
     trust
         What the study may reach beyond `folder`; nothing by default.
     force
-        Allow more than `MOST_EVALUATIONS` evaluations, and planning that takes longer than 5 s.
+        Allow more than `MOST_EVALUATIONS` evaluations, and planning that takes more than `MOST_SECONDS`.
 
     Raises
     ------
     ConfigError
         A component cannot be built, a sampler cannot do a count, a file or a function is not one
         that the study may reach, or the study is too large; names the estimator.
+
+    Warns
+    -----
+    LargeStudyWarning
+        Planning takes longer than five seconds.
     """
     as_study(config)
     if not (trust is None or isinstance(trust, Trust)):
@@ -171,7 +183,7 @@ def make_plan(
     if not is_path(folder):
         raise ConfigError(f"folder is {folder!r}; give the path of the study's folder.")
 
-    # Refuse what would take long to plan alone, before anything is built
+    # Say, or refuse, what would take long to plan alone, before anything is built
     texts = {*config.samplers}
     pairs, seconds = 0, 0.0
     shared = {name: _seconds(each) for name, each in config.analyses.items()}
@@ -187,12 +199,14 @@ def make_plan(
             one = _WARP if entry.dims == 1 else _DENSITY
             seconds += densities * one + _WEIGHTED * (densities > 0)
     seconds += _SPEC * len(texts)
-    if seconds > _MOST_SECONDS and not force:
-        raise ConfigError(
+    if seconds > NOTED_SECONDS:
+        what = (
             f"The study has {len(config.entries):,} estimators and {pairs:,} pairs of estimator and "
-            f"sampler, which would take about {seconds:.2g} s to plan alone; take several studies, or "
-            "give --force."
+            f"sampler, which take about {seconds:.2g} s to plan"
         )
+        if seconds > MOST_SECONDS and not force:
+            raise ConfigError(f"{what}; take several studies, or give --force.")
+        warn(f"{what}, before the first analysis begins.", LargeStudyWarning)
     planner = _Planner(config, Vetting(Path(folder), trust or Trust()))
     cells = tuple(cell for entry in config.entries for cell in planner.cells(entry))
     if not cells:

@@ -9,12 +9,10 @@ from __future__ import annotations
 
 import hashlib
 import os
-import re
 import shlex
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias, final
 
@@ -30,15 +28,14 @@ from mcspectra.core.errors import (
 )
 from mcspectra.core.pointfiles import matching_files
 from mcspectra.core.spec import Call, parse_chain
-from mcspectra.samplers import allow_code
-from mcspectra.samplers.external import FUNCTION, check_code, loaded_function
+from mcspectra.core.trust import FUNCTION, Trust
+from mcspectra.samplers.external import allow_own_code, loaded_function
 
 __all__ = ["FILE_KEYS", "Inputs", "Trust", "Vetting", "changed_inputs", "check_inputs"]
 
 Inputs: TypeAlias = tuple[str, ...]
 """Names of files, ascending."""
 
-_CODE = re.compile(rf"{FUNCTION.pattern}|.*[/{{].*", re.DOTALL)  # or a command, or a program's path
 # Files of point sets and images, of Mitsuba's plugins, of digital nets, and of QMCPy's generators.
 FILE_KEYS = (
     "path",
@@ -49,44 +46,6 @@ FILE_KEYS = (
     "generating_vector",
 )
 _NAMED = 3  # in a message
-
-
-@final
-@dataclass(frozen=True)
-class Trust:
-    """What a study may reach beyond its own folder.
-
-    Parameters
-    ----------
-    code
-        Functions ``module:function`` that specs ``python('module:function')`` may name, and commands,
-        or their programs, that specs ``command('./mine {n} {seed}')`` may. Modules are looked for
-        where Python looks (PYTHONPATH), not in the study's folder; programs with a path in it.
-    folders
-        Further folders that files may be read from.
-
-    Raises
-    ------
-    ConfigError
-        A function is not written as ``module:function``, or a folder is not a path.
-    """
-
-    code: tuple[str, ...] = ()
-    folders: tuple[Path, ...] = ()
-
-    def __post_init__(self) -> None:
-        given: tuple[Any, Any] = self.code, self.folders
-        if not all(isinstance(each, list | tuple) for each in given):
-            raise ConfigError(f"Allowed are {given}; give a list of functions and one of folders.")
-        for name in given[0]:
-            if not isinstance(name, str) or not _CODE.fullmatch(name):
-                raise ConfigError(
-                    f"--allow-code is {name!r}; write module:function, or a command as the study has "
-                    "it, or the path of its program."
-                )
-        for folder in given[1]:
-            if not isinstance(folder, Path):
-                raise ConfigError(f"--allow-path is {folder!r}; give the path of a folder.")
 
 
 @final
@@ -113,7 +72,7 @@ class Vetting:
         self.inputs: dict[str, str] = {}
         self._folder = folder
         self._trust = trust
-        self._roots = [root.resolve() for root in (folder, *trust.folders)]
+        self._reach = trust.widened(folders=(folder.resolve(),))
         self._digests: dict[Path, str] = {}
         self._calls: dict[str, tuple[list[Call], Inputs]] = {}
 
@@ -144,7 +103,7 @@ class Vetting:
             As of `calls`, or the code is not allowed.
         """
         (first, *rest), inputs = self.calls(text)
-        check_code(first, self._trust.code)
+        self._trust.check_code(first)
         files: dict[Path, str] = {}
         match first.name, first.arguments:
             case "command", {"run": str(run)}:
@@ -155,9 +114,9 @@ class Vetting:
                         files[file] = ""
                         run = shlex.join([str(file), *others])
                         first = Call("command", {**first.arguments, "run": run})
-                allow_code(run)
+                allow_own_code(run)
             case "python", {"function": str(name)}:
-                allow_code(name)
+                allow_own_code(name)
                 files = _sources(name, loaded_function(name))
         return [first, *rest], tuple(sorted({*inputs, *self._names(files)}))
 
@@ -235,11 +194,7 @@ class Vetting:
         if "\0" in path:
             raise ConfigError(f"{path!r} is not the name of a file.")
         file = self._folder / path
-        try:
-            inside = any(file.resolve().is_relative_to(root) for root in self._roots)
-        except (OSError, RuntimeError):  # a loop of links
-            inside = False
-        if not inside:
+        if not self._reach.reads(file):
             raise ConfigError(
                 f"The file {path!r} is outside the study's folder; move it there, or allow its folder "
                 f"by --allow-path {file.parent}."
@@ -261,7 +216,7 @@ class Vetting:
             if path not in self._digests:
                 with path.open("rb") as stream:
                     self._digests[path] = hashlib.file_digest(stream, "sha256").hexdigest()
-            root = self._roots[0]
+            root = self._folder.resolve()
             inside = path.is_relative_to(root)
             name = name or (path.relative_to(root).as_posix() if inside else str(path))
             self.inputs[name] = self._digests[path]

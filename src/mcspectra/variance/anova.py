@@ -30,8 +30,8 @@ from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.records import JOIN, Join, student_t
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import Estimator, Moments
-from mcspectra.estimators.moments import rounding_floor
+from mcspectra.estimators import Estimator
+from mcspectra.estimators.moments import Moments, rounding_floor
 from mcspectra.estimators.tails import tail_note
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.spectra.closed_forms import closed_form_power

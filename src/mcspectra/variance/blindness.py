@@ -13,8 +13,8 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import McspectraError
-from mcspectra.estimators import AbstractEstimator, Moments
-from mcspectra.estimators.moments import rounding_floor
+from mcspectra.estimators import AbstractEstimator
+from mcspectra.estimators.moments import Moments, rounding_floor
 from mcspectra.estimators.tails import unsampled_note
 from mcspectra.samplers import Random, Sampler
 from mcspectra.variance.doors import NO_VARIANCE, VANISHES

@@ -38,12 +38,11 @@ from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import (
     AbstractEstimator,
     Estimator,
-    Moments,
     as_estimator,
     function_dims,
     is_function,
 )
-from mcspectra.estimators.moments import mean_interval, rounding_floor
+from mcspectra.estimators.moments import Moments, mean_interval, rounding_floor
 from mcspectra.estimators.tails import tail_note
 from mcspectra.integrands import Calls, FunctionIntegrand, Integrand
 from mcspectra.samplers import Sampler, as_sampler

@@ -37,8 +37,8 @@ from mcspectra.core.parallel import (
 )
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Moments
-from mcspectra.estimators.moments import rounding_floor
+from mcspectra.estimators import AbstractEstimator
+from mcspectra.estimators.moments import Moments, rounding_floor
 from mcspectra.estimators.tails import tail_note
 from mcspectra.samplers import Sampler
 from mcspectra.variance.blindness import blindness, is_fixed

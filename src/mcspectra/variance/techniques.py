@@ -26,8 +26,8 @@ from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.records import JOIN
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Moments
-from mcspectra.estimators.moments import rounding_floor
+from mcspectra.estimators import AbstractEstimator
+from mcspectra.estimators.moments import Moments, rounding_floor
 from mcspectra.samplers import Sampler
 from mcspectra.variance.blindness import is_fixed
 from mcspectra.variance.doors import NO_VARIANCE, answer, counted

@@ -27,9 +27,9 @@ from mcspectra.core.parallel import MAX_REALIZATIONS
 from mcspectra.core.records import student_t
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators import AbstractEstimator, Estimator, Moments
+from mcspectra.estimators import AbstractEstimator, Estimator
 from mcspectra.estimators.mirrored import FoldedIntegrand, SymmetrizedIntegrand
-from mcspectra.estimators.moments import CONFIDENCE_Z, rounding_floor
+from mcspectra.estimators.moments import CONFIDENCE_Z, Moments, rounding_floor
 from mcspectra.integrands import Integrand
 from mcspectra.samplers import Sampler
 from mcspectra.samplers.law import (

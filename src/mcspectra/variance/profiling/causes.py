@@ -18,7 +18,8 @@ from mcspectra.core.checks import Array
 from mcspectra.core.errors import DensityError, ParameterError, point_in_words
 from mcspectra.core.streams import Stream
 from mcspectra.densities.base import FunctionDensity
-from mcspectra.estimators import AbstractEstimator, Estimator, Mirrored, Moments
+from mcspectra.estimators import AbstractEstimator, Estimator, Mirrored
+from mcspectra.estimators.moments import Moments
 from mcspectra.estimators.support import uncovered
 from mcspectra.samplers import GivenPoints, Sampler, as_sampler
 from mcspectra.samplers import law as laws

@@ -9,7 +9,6 @@ them, or antithetic pairs in strata where there is none.
 from __future__ import annotations
 
 import contextlib
-import html
 import json
 import math
 import os
@@ -23,6 +22,7 @@ from msgspec import Meta
 
 from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, whole
 from mcspectra.core.checks import Array, as_integer, in_unit_cube
+from mcspectra.core.display import escape_html
 from mcspectra.core.errors import (
     CountError,
     DomainError,
@@ -37,12 +37,11 @@ from mcspectra.densities.base import FunctionDensity
 from mcspectra.estimators import (
     AbstractEstimator,
     Estimator,
-    Moments,
     as_estimator,
     function_dims,
     is_function,
 )
-from mcspectra.estimators.moments import CONFIDENCE_Z, variance_interval
+from mcspectra.estimators.moments import CONFIDENCE_Z, Moments, variance_interval
 from mcspectra.integrands import Calls, FunctionIntegrand, Integrand
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.variance.chains import chain_error
@@ -295,14 +294,14 @@ class Profile:
 
     def _repr_html_(self) -> str:
         rows = "".join(
-            "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>"
+            "<tr>" + "".join(f"<td>{escape_html(cell)}</td>" for cell in row) + "</tr>"
             for row in self._rows()
         )
         causes = "".join(
-            f"<li><b>{cause.name}</b>: {html.escape(cause.sentence)}</li>" for cause in self.causes
+            f"<li><b>{cause.name}</b>: {escape_html(cause.sentence)}</li>" for cause in self.causes
         )
         return (
-            f"<p><b>{html.escape(self.answer)}</b></p><ul>{causes}</ul>"
+            f"<p><b>{escape_html(self.answer)}</b></p><ul>{causes}</ul>"
             f"<table><tr><th>sampler</th><th>RMSE at {self.budget}</th><th>rate</th></tr>{rows}</table>"
         )
 
