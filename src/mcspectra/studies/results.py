@@ -49,8 +49,9 @@ from mcspectra.studies.ledger import (
     STORE_NAME,
     Holder,
     Ledger,
-    check_links,
+    Survey,
     is_held,
+    lock_damage,
     refuse_links,
     scalars_of,
 )
@@ -260,23 +261,31 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
         raise StoreError(
             f"{str(folder)!r} is not the output folder of a run; only such a folder has a status."
         )
-    ledger = _ledger(folder)
+    ledger = _ledger(folder, salvage=verify)
     if ledger is None:
         _files(folder)
         raise StoreError(
             f"{str(folder)!r} is an exported store; only a study's folder has a status."
         )
     with ledger:
-        done, failed = ledger.done, ledger.failures()
-        recorded, tally = ledger.recorded, ledger.tally
-        damaged = ledger.verify() if verify else dict(ledger.damaged)
-        missing = tuple(path for path in ledger.paths if path not in done and path not in failed)
+        if verify:  # as --resume does
+            found = ledger.verify()
+        else:
+            done, failed = tuple(ledger.done), ledger.failures()
+            missing = tuple(
+                path for path in ledger.paths if path not in ledger.done and path not in failed
+            )
+            found = Survey(done, failed, ledger.recorded, missing, dict(ledger.damaged))
+        tally, damaged = ledger.tally, found.damaged
     if verify and (root / STORE_NAME).exists():
         try:
             _files(root / STORE_NAME)
         except StoreError as error:
             damaged[f"the store {STORE_NAME}"] = str(error)
-    running, lacking = is_held(root), failed or missing or damaged
+    trouble = lock_damage(root) if verify else None
+    if trouble is not None:
+        damaged["the lock study.lock"] = trouble
+    running, lacking = is_held(root), found.failed or found.missing or damaged
     return StudyStatus(
         title=ledger.study.title,
         study_hash=ledger.study.study_hash,
@@ -290,11 +299,11 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
         hosts=tally.hosts,
         started=tally.started,
         finished=tally.finished,
-        done=tuple(path for path in done if path not in damaged) if damaged else tuple(done),
-        failed=failed,
-        missing=tuple(path for path in missing if path not in damaged),
+        done=found.done,
+        failed=found.failed,
+        missing=found.missing,
         damaged=damaged,
-        recorded=recorded,
+        recorded=found.recorded,
         results_bytes=tally.size,
         ledger_bytes=(root / LEDGER_NAME).stat().st_size,
         verified=verify,
@@ -315,7 +324,6 @@ def write_zarr(folder: Path) -> Path | None:
     StorageError
         It cannot be written; the ledger has all of it.
     """
-    check_links(folder)
     target = folder / STORE_NAME
     with Ledger.read(folder) as ledger:
         if len(ledger.done) > MOST_STORED:
@@ -425,7 +433,9 @@ def output_folder(out: str | Path) -> Path:
     return folder
 
 
-def _ledger(source: str | Path, select: str | None = None) -> Ledger | None:
+def _ledger(
+    source: str | Path, select: str | None = None, *, salvage: bool = False
+) -> Ledger | None:
     """The ledger of a source, if that is a study's folder, after a check of what is asked for."""
     root = as_path("source", source)
     given: Any = select
@@ -435,7 +445,7 @@ def _ledger(source: str | Path, select: str | None = None) -> Ledger | None:
         )
     if _is_url(source) or not os.path.lexists(root / LEDGER_NAME):
         return None
-    return Ledger.read(source)
+    return Ledger.read(source, salvage=salvage)
 
 
 def _is_path(select: str | None) -> bool:
