@@ -147,7 +147,8 @@ def run_(options: argparse.Namespace) -> Answer:
             f"'mcspectra export {out} --select PATTERN' writes a part of them"
         )
         return Answer(text, {"report": None, "rows": []}, code)
-    rows = summarize(open_results(out))
+    with results.showing(out):
+        rows = summarize(open_results(out))
     page = write_report(out)
     data = {"report": page, "rows": [msgspec.to_builtins(row) for row in rows]}
     # Show the first columns of its first table: rates, variances, predictions

@@ -27,7 +27,13 @@ from msgspec import Meta
 
 from mcspectra.core.analysis import ANALYSES, Analysis
 from mcspectra.core.checks import is_path
-from mcspectra.core.errors import ConfigError, McspectraError, MissingDependency, close_match_hint
+from mcspectra.core.errors import (
+    ConfigError,
+    McspectraError,
+    MissingDependency,
+    UnknownName,
+    close_match_hint,
+)
 from mcspectra.core.options import Positive, Text, options_of
 
 __all__ = [
@@ -36,6 +42,7 @@ __all__ = [
     "RESERVED",
     "EstimatorConfig",
     "SceneConfig",
+    "Slugs",
     "StudyConfig",
     "analysis_tables",
     "apply_overrides",
@@ -43,6 +50,7 @@ __all__ = [
     "decode_study",
     "expand_grids",
     "plain_study",
+    "planned_groups",
     "read_study",
     "study_file",
     "study_of",
@@ -59,6 +67,7 @@ RESERVED = ("analyses", "scenes", "kind", "analysis")
 
 _MOST_TEXT = 10**8  # characters of what a grid makes of a table
 _LARGEST_FILE = 4 * 2**20
+_RESERVED_SLUGS = frozenset({"zarr.json", "c"})
 _SINGLE = ("seed", "time_limit")  # a study has one
 _TABLE_NAME = re.compile(r"[a-z][a-z0-9]*(?:-[a-z0-9]+)*")
 _STEP = r"[A-Za-z][A-Za-z0-9_-]*(?:\[\d{1,6}\])*"
@@ -368,6 +377,64 @@ def plain_study(config: StudyConfig) -> dict[str, Any]:
         listed = plain.setdefault(f"{entry.pop('kind')}s", [])
         listed.append({**entry, **entry.pop("analysis")})
     return plain
+
+
+@final
+class Slugs:
+    """Short group names of letters, digits, dots and hyphens, a different one for each text.
+
+    They have no separator and no leading dot, so that no name leads out of the store, and are none of
+    the names of the store's own files.
+    """
+
+    def __init__(self) -> None:
+        self._taken: set[str] = set(_RESERVED_SLUGS)
+        self._next: dict[str, int] = {}
+
+    def __call__(self, text: str) -> str:
+        """Return the name of another text."""
+        base = re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-.")[:60].strip("-.") or "x"
+        slug = base
+        while slug in self._taken:
+            # Numbers go on where they were: thousands of texts may begin alike.
+            number = self._next.get(base, 2)
+            slug, self._next[base] = f"{base}-{number}", number + 1
+        self._taken.add(slug)
+        return slug
+
+
+def planned_groups(study: Mapping[str, Any]) -> dict[str, tuple[frozenset[str], frozenset[str]]]:
+    """Return the parts of the paths of a study's cells, without building anything.
+
+    Parameters
+    ----------
+    study
+        Plain values, as `plain_study` gives them.
+
+    Returns
+    -------
+    dict
+        By the first part, of an estimator or a scene: second parts, of its samplers, and third parts,
+        its analyses with their companions.
+    """
+    found, slugs = dict[str, tuple[frozenset[str], frozenset[str]]](), Slugs()
+    known: dict[tuple[str, ...], frozenset[str]] = {}
+    shared = {key for key, value in study.items() if isinstance(value, Mapping)}
+    for key, entries in study.items():
+        if not isinstance(entries, list | tuple) or key == "samplers":
+            continue
+        for entry in entries:
+            texts = tuple(entry.get("samplers") or study.get("samplers") or ())
+            if texts not in known:
+                known[texts] = frozenset(map(Slugs(), texts))
+            asked = {key.removesuffix("s")}
+            if key == "estimators":
+                asked = shared | {name for name in entry if isinstance(entry[name], Mapping)}
+            for name in (*asked,):
+                with contextlib.suppress(MissingDependency, UnknownName):  # of a package not here
+                    asked.update(ANALYSES.load(name).companions)
+            found[slugs(entry["name"])] = known[texts], frozenset(asked)
+    return found
 
 
 # Types: each table is made the struct that it is.

@@ -60,6 +60,7 @@ __all__ = [
     "StudyNote",
     "Survey",
     "Tally",
+    "are_paths",
     "is_held",
     "lock_damage",
     "refuse_links",
@@ -81,6 +82,8 @@ _COMMIT_BYTES = 2**25
 _BUSY_SECONDS = 60.0  # for which commits wait for readers, and readers for commits
 _NOTE_SECONDS = 0.5  # from a lock to the note of its holder, at most
 _MOST_SENTENCE = 10_000  # characters
+_PATH_LETTERS = b"abcdefghijklmnopqrstuvwxyz0123456789.-/"
+_NO_PATH = ("//", "/.", "\n.", "\n/", "/\n", "\n\n")  # between the parts of paths, one per line
 
 _SCHEMA = (
     "CREATE TABLE texts (kind TEXT, name TEXT, text TEXT, digest BLOB, PRIMARY KEY (kind, name))",
@@ -855,7 +858,7 @@ class Ledger:
                 pass
             finally:
                 self._opened.rollback()
-        if found != (self.tally.digest, self._header.plan):
+        if not are_paths(paths) or found != (self.tally.digest, self._header.plan):
             self.damaged["list of cells"] = "it is not as it was written"
         return paths, done
 
@@ -1053,6 +1056,16 @@ def scalars_of(result: xr.Dataset) -> dict[str, float]:
         for name, each in result.variables.items()
         if each.ndim == 0 and each.dtype.kind in "biuf"
     }
+
+
+def are_paths(paths: Iterable[str]) -> bool:
+    """Whether texts can be paths of cells, as plans make them: none leads out of a folder."""
+    try:
+        text = "\n".join(["", *paths, ""])
+        strange = text.encode().translate(None, _PATH_LETTERS + b"\n")
+    except (TypeError, UnicodeError):
+        return False
+    return not strange and not any(each in text for each in _NO_PATH)
 
 
 def is_held(folder: Path) -> bool:

@@ -30,6 +30,7 @@ import google_crc32c
 import msgspec
 import numpy as np
 
+from mcspectra.core.analysis import ANALYSES
 from mcspectra.core.checks import Array, as_path
 from mcspectra.core.display import register_accessor
 from mcspectra.core.errors import (
@@ -38,11 +39,14 @@ from mcspectra.core.errors import (
     ParameterError,
     StorageError,
     StoreError,
+    UnknownName,
     reason_of,
     writing,
 )
 from mcspectra.core.memory import available_memory, check_memory, shown_bytes
 from mcspectra.core.records import unpack
+from mcspectra.core.results import check_variables
+from mcspectra.studies.files import planned_groups
 from mcspectra.studies.ledger import (
     FORMAT,
     LEDGER_NAME,
@@ -50,6 +54,7 @@ from mcspectra.studies.ledger import (
     Holder,
     Ledger,
     Survey,
+    are_paths,
     is_held,
     lock_damage,
     refuse_links,
@@ -69,6 +74,7 @@ __all__ = [
     "output_folder",
     "result_paths",
     "result_scalars",
+    "showing",
     "study_status",
     "write_zarr",
 ]
@@ -197,7 +203,15 @@ def _opened(source: str | Path, select: str | None, *, whole: bool = True) -> xr
     else:
         with ledger:
             root = _root_attributes(ledger, whole=whole or not _is_path(select))
-            cells = {path: _read_cell(ledger, path) for path in _selected(ledger, select)}
+            paths = list(_selected(ledger, select))
+            if "study" in root:
+                stranger = _unplanned(root["study"], paths)
+                if stranger is not None:
+                    raise StoreError(
+                        f"The ledger in {str(ledger.folder)!r} has the cell {stranger!r:.120}, which its "
+                        "study does not have: it is not as a run wrote it; give another folder."
+                    )
+            cells = {path: _read_cell(ledger, path) for path in paths}
     if select is not None and not cells:
         raise StoreError(f"No cell of {str(source)!r} matches {select!r}; paths are a/b/analysis.")
     return xr.DataTree.from_dict({"/": xr.Dataset(attrs=root), **cells})
@@ -270,6 +284,11 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
     with ledger:
         if verify:  # as --resume does
             found = ledger.verify()
+            with contextlib.suppress(StoreError, ValueError):  # of the text, which is named already
+                stranger = _unplanned(json.loads(ledger.config), ledger.paths)
+                if stranger is not None:
+                    sentence = f"it has {stranger!r:.120}, which the study does not have"
+                    found.damaged["list of cells"] = sentence
         else:
             done, failed = tuple(ledger.done), ledger.failures()
             missing = tuple(
@@ -472,6 +491,39 @@ def _selected(ledger: Ledger, select: str | None) -> Iterable[str]:
     return done if select is None else fnmatch.filter(done, select)
 
 
+def _unplanned(study: Any, paths: Iterable[str]) -> str | None:
+    """The first path that is none of a study's cells; None if all are."""
+    try:
+        groups = planned_groups(study)
+    except (AttributeError, LookupError, TypeError, ValueError, McspectraError):
+        groups = {}  # the text is none of a study
+    for path in paths:
+        first, _, rest = path.partition("/")
+        sampler, _, analysis = rest.partition("/")
+        samplers, analyses = groups.get(first, (frozenset(), frozenset()))
+        if sampler not in samplers or analysis not in analyses:
+            return path
+    return None
+
+
+@contextlib.contextmanager
+def showing(source: str | Path) -> Iterator[None]:
+    """Make one sentence of whatever is raised as results are shown that a stranger may have made.
+
+    Digests and variables are checked before; that numbers and attributes belong together is not.
+    """
+    try:
+        yield
+    except (McspectraError, OSError):
+        raise
+    except Exception as error:
+        raise StoreError(
+            f"The results in {str(source)!r} cannot be shown ({type(error).__name__}: "
+            f"{reason_of(error, 200)}): they are not as this version computes them; run the study again "
+            "with another --out."
+        ) from error
+
+
 def _read_cell(ledger: Ledger, path: str) -> xr.Dataset:
     """A cell as it is in a store too: texts as attributes, for which Zarr v3 has no stable type.
 
@@ -482,6 +534,13 @@ def _read_cell(ledger: Ledger, path: str) -> xr.Dataset:
 
     try:
         cell: xr.Dataset = unpack(xr.Dataset, ledger.result(path))
+        if not are_paths([path]):
+            raise StoreError(
+                f"The cell {path!r:.120} is none that a run writes; give another folder."
+            )
+        with contextlib.suppress(MissingDependency, UnknownName):  # of a package that is not here
+            name = path.rpartition("/")[2]
+            check_variables(cell, ANALYSES.load(name).variables, name)
     except StoreError:
         raise
     except McspectraError as error:
