@@ -1,5 +1,7 @@
 """Dask as an engine: every task has one outcome, whatever dies; nothing grows, nobody listens in."""
 
+import contextlib
+import gc
 import json
 import os
 import socket
@@ -7,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections import Counter
 from pathlib import Path
 
 import dask
@@ -16,7 +19,7 @@ import pytest
 from tests.studies.local_cluster import local_cluster, scheduler, worker
 
 from mcspectra.core.errors import ParameterError
-from mcspectra.studies.executors import Cluster, ClusterError, ClusterLost, Dask
+from mcspectra.studies.executors import Cluster, ClusterError, ClusterLost, Dask, Threads
 from mcspectra.studies.tasks import Outcome, StudyText, Task
 from mcspectra.version import __version__
 
@@ -513,3 +516,40 @@ def test_a_scheduler_file_is_followed(cluster, tmp_path):
         assert all_outcomes(engine, [task(4)])["4"].payload == b"16"
     finally:
         engine.close(cancel=False)
+
+
+def descriptors():
+    """Open files, pipes and sockets of this process, by what they are."""
+    found = Counter()
+    for file in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(OSError):
+            found[str(file.readlink()).partition(":")[0]] += 1
+    return found
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="descriptors are listed by Linux")
+@pytest.mark.parametrize("cancel", [False, True])
+@pytest.mark.parametrize("kind", ["threads", "processes", "cluster"])
+def test_all_executors_close_their_pipes_at_the_end(cluster, kind, cancel):
+    made = {
+        "threads": lambda: Threads(2),
+        "processes": lambda: Dask(TEXT, Cluster(workers=1), squares()),
+        "cluster": lambda: Dask(TEXT, Cluster(address=cluster.scheduler_address), squares()),
+    }[kind]
+    seen = []
+    for _ in range(3):  # what the first one opens for all may stay
+        engine = made()
+        for number in range(4):
+            engine.submit(task(number), lambda: None)
+        outcomes = engine.outcomes()
+        next(outcomes)
+        if not cancel:
+            assert len(list(outcomes)) == 3
+        engine.close(cancel)
+        del engine, outcomes
+        end = time.monotonic() + 30
+        while seen and descriptors() - seen[0] and time.monotonic() < end:
+            gc.collect()
+            time.sleep(0.05)
+        seen.append(descriptors())
+    assert not seen[2] - seen[0], seen

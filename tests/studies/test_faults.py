@@ -104,6 +104,11 @@ def test_killed_at_any_moment_and_resumed(study, tmp_path, straight, kills):
         assert_finished(Path(trial["out"]), straight)
 
 
+def test_a_time_limit_changes_no_byte(tmp_path, straight):
+    run_study(CONFIG, tmp_path, workers=1, time_limit=1000.0)
+    assert_finished(tmp_path, straight)
+
+
 class Interrupted:
     """Threads that are interrupted after some outcomes."""
 

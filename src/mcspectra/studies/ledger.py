@@ -149,7 +149,7 @@ class StudyNote(msgspec.Struct, frozen=True, kw_only=True):
     title, seed
         Of the study.
     config
-        All of it, as JSON; empty in a ledger that was opened, which has it as `Ledger.config`.
+        All of it but its time limit, as JSON; empty in a ledger that was opened, which has it as `Ledger.config`.
     study_hash
         SHA-256 of its canonical JSON, without what results do not depend on.
     versions
@@ -167,10 +167,12 @@ class StudyNote(msgspec.Struct, frozen=True, kw_only=True):
 
     @staticmethod
     def of(config: StudyConfig, inputs: Mapping[str, str]) -> StudyNote:
-        """The note of a study that this process computes; its time limit is not in the hash."""
-        hashed = msgspec.json.encode(
-            msgspec.structs.replace(config, time_limit=None), order="sorted"
-        )
+        """The note of a study that this process computes, without its time limit.
+
+        Results do not depend on that, so that they are the same files with it.
+        """
+        config = msgspec.structs.replace(config, time_limit=None)
+        hashed = msgspec.json.encode(config, order="sorted")
         return StudyNote(
             title=config.title,
             seed=config.seed,
