@@ -211,7 +211,7 @@ MUTATIONS = [
     ),
     (
         "studies",
-        'config = msgspec.structs.replace(config, time_limit=None)',
+        "config = msgspec.structs.replace(config, time_limit=None)",
         "config = config",
     ),
     (

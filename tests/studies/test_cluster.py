@@ -9,7 +9,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections import Counter
 from pathlib import Path
 
 import dask
@@ -518,13 +517,13 @@ def test_a_scheduler_file_is_followed(cluster, tmp_path):
         engine.close(cancel=False)
 
 
-def descriptors():
-    """Open files, pipes and sockets of this process, by what they are."""
-    found = Counter()
+def pipes():
+    """Number of pipes that this process has open."""
+    count = 0
     for file in Path("/proc/self/fd").iterdir():
         with contextlib.suppress(OSError):
-            found[str(file.readlink()).partition(":")[0]] += 1
-    return found
+            count += str(file.readlink()).startswith("pipe:")
+    return count
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="descriptors are listed by Linux")
@@ -548,8 +547,8 @@ def test_all_executors_close_their_pipes_at_the_end(cluster, kind, cancel):
         engine.close(cancel)
         del engine, outcomes
         end = time.monotonic() + 30
-        while seen and descriptors() - seen[0] and time.monotonic() < end:
+        while seen and pipes() > seen[0] and time.monotonic() < end:
             gc.collect()
             time.sleep(0.05)
-        seen.append(descriptors())
-    assert not seen[2] - seen[0], seen
+        seen.append(pipes())
+    assert seen[2] <= seen[0], seen
