@@ -1172,7 +1172,11 @@ def _locked(folder: Path) -> sqlite3.Connection:
                 with contextlib.suppress(StoreError), Ledger.read(folder) as ledger:
                     holder = ledger.tally.holder
                 time.sleep(0.01)
-            named = "another process" if holder is None else holder.in_words
+            named = (
+                "another process, or its file system has no locks"
+                if holder is None
+                else holder.in_words
+            )
             raise StoreError(
                 f"{str(folder)!r} is being written by {named}; wait for it, or give another --out."
             ) from None
@@ -1202,8 +1206,10 @@ def _writing(
     """Make one sentence of what keeps a place from being written; `remedy` is that of a ledger."""
     try:
         yield
-    except (OSError, sqlite3.Error) as error:
+    except (OSError, sqlite3.Error, MemoryError) as error:
         reason = error.strerror if isinstance(error, OSError) else str(error)
+        if isinstance(error, MemoryError):
+            reason = "no memory is left"
         if not remedy and place.exists():
             remedy = "what was finished is kept, and --resume continues it"
         raise kind(
