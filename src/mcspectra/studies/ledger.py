@@ -1016,7 +1016,7 @@ class Ledger:
         code = getattr(error, "sqlite_errorcode", 0) & 0xFF
         if isinstance(error, MemoryError) or code in _NOT_DAMAGE:
             return StoreError(
-                f"{str(self._file)!r} cannot be read: {error or 'no memory is left'}."
+                f"{str(self._file)!r} cannot be read: {str(error) or 'no memory is left'}."
             )
         sentence = f"{str(self._file)!r} cannot be read: {error}; {_REMEDY}."
         return _Damaged(sentence, str(error))

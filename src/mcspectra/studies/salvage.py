@@ -148,7 +148,8 @@ def _varint(content: bytes, at: int) -> tuple[int, int]:
 def _values(content: bytes) -> tuple[Any, ...]:
     """The values of a row; texts that are not UTF-8 are errors."""
     end, at = _varint(content, 0)
-    kinds, values = [], []
+    kinds: list[int] = []
+    values: list[Any] = []
     while at < end:
         kind, at = _varint(content, at)
         kinds.append(kind)
