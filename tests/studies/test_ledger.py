@@ -386,8 +386,7 @@ def check_mutation(folder, note=NOTE, paths=PATHS, payload=payload, scalars=scal
             assert tuple(ledger.done) == said.done
             assert ledger.failures() == said.failed
             assert ledger.recorded == said.recorded
-            for name in said.damaged:
-                assert name in ledger.damaged
+            assert ledger.damaged == said.damaged
             lost = len(ledger.done) not in (12, len(paths)) or (
                 len(ledger.done) == 12 and (ledger.recorded, len(ledger.failures())) != (4, 1)
             )

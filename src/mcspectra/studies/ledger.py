@@ -667,7 +667,7 @@ class Ledger:
         if not outdated:
             check_inputs(self.study.inputs, study.inputs, whose, _RENEW)
 
-        self._surveyed(paths)
+        self.verify(paths)
         if self.damaged or outdated:
             changed = msgspec.structs.replace(self.study, inputs=study.inputs)
             self._header = msgspec.structs.replace(self._header, study=changed)
