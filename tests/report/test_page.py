@@ -183,3 +183,18 @@ def test_columns_are_chosen_by_name():
     chosen = columns_of(table, ("c", "a"))
     assert chosen.columns == ("c", "a")
     assert [cell.text for cell in chosen.rows[0]] == ["3", "1"]
+
+
+def test_links_in_the_place_of_what_is_written_are_not_followed(tmp_path):
+    """A stranger's could lead anywhere."""
+    key, figures = tmp_path / "key", tmp_path / "figures"
+    key.write_text("mine")
+    figures.mkdir()
+    for name in (".x.html.partial", "x.html", "figures/a.png", "figures/a.pdf"):
+        (tmp_path / name).symlink_to(key)
+    section = Section(
+        title="a", anchor="a", blocks=(Figures(figures=(Figure(plot=plot(), name="a"),)),)
+    )
+    write_page(Page(title="p", what="test", sections=(section,)), tmp_path / "x.html", figures)
+    assert key.read_text() == "mine"
+    assert not any(file.is_symlink() for file in tmp_path.rglob("*"))

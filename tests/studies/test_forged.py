@@ -3,6 +3,7 @@
 ``python -m tests.studies.test_forged`` prints how many of each kind were refused, and how many shown.
 """
 
+import contextlib
 import itertools
 import json
 import sys
@@ -243,11 +244,35 @@ def place(tmp_path, honest, monkeypatch):
     return tmp_path / "in" / "forged"
 
 
-def test_paths_of_the_plan_are_those_of_the_study():
-    groups = planned_groups(plain_study(CONFIG))
-    assert {f"{e}/{s}/{a}" for e, (own, asked) in groups.items() for s in own for a in asked} == {
-        *PATHS
-    }
+MAPS = """
+title = "maps"
+samplers = ["random"]
+[spectrum]
+n = 16
+half_width = 4
+[[estimators]]
+name = "a, A"
+integrand = "gaussian"
+dims = 1
+samplers = ["jittered | shift", "jittered"]
+[[estimators]]
+name = "a. a"
+integrand = "gaussian"
+dims = 1
+[estimators.exact]
+counts = [4]
+[[maps]]
+name = "a a"
+scene = "cornell-box"
+"""
+
+
+@pytest.mark.parametrize("text", [STUDY, MAPS])
+def test_paths_of_the_plan_are_those_of_the_study(text):
+    config = decode_study(text)
+    groups = planned_groups(plain_study(config))
+    found = [f"{e}/{s}/{a}" for e, (own, asked) in groups.items() for s in own for a in asked]
+    assert found == [cell.path for cell in make_plan(config, ".").cells]
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -287,6 +312,21 @@ def test_a_result_that_no_analysis_gives_is_a_sentence(place, honest, kind):
     if kind in ("undeclared", "dims", "numbers"):
         with pytest.raises(StoreError, match=f"The cell {path} in .* is damaged: terms"):
             open_results(place, path)
+
+
+@pytest.mark.parametrize("text", ["", "3", "{", "[" * 10**5, '{"rate": "x"}', '{"rate": []}'])
+def test_texts_that_no_run_writes_are_sentences(place, honest, text, monkeypatch):
+    monkeypatch.setattr("mcspectra.studies.ledger.json.dumps", lambda _: text)
+    forged_ledger(place, honest)
+    monkeypatch.undo()
+    with pytest.raises(StoreError, match=r"The scalars of .* are damaged"):
+        result_scalars(place)
+    note = msgspec.structs.replace(StudyNote.of(CONFIG, {}), config=text)
+    Ledger.create(place.parent / "other", note, PATHS).close()
+    for verb in (open_results, write_report):  # of no cells at all
+        with contextlib.suppress(StoreError):
+            verb(place.parent / "other")
+    study_status(place.parent / "other", verify=True)
 
 
 @pytest.mark.filterwarnings("ignore")

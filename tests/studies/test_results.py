@@ -713,6 +713,19 @@ def test_names_that_lead_out_of_a_store_are_not_followed(tmp_path, path):
     assert sorted(file.name for file in tmp_path.rglob("*")) == ["out", "study.lock", LEDGER_NAME]
 
 
+def test_a_link_in_the_place_of_the_store_is_not_followed(copy, tmp_path):
+    secret = tmp_path / "secret"
+    secret.mkdir()
+    (secret / "zarr.json").write_text("mine")
+    shutil.rmtree(copy / "results.zarr")
+    for name in ("results.zarr", ".results.zarr.partial"):
+        (copy / name).symlink_to(secret)
+    write_zarr(copy)
+    assert (secret / "zarr.json").read_text() == "mine"
+    assert not (copy / "results.zarr").is_symlink()
+    assert open_results(copy / "results.zarr").leaves
+
+
 def test_the_status_says_what_is_done_failed_and_missing(tmp_path):
     with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
         ledger.finish(PATHS[0], pack(convergence()))

@@ -114,8 +114,7 @@ def pages(folder, step=1):
         work.mkdir()
         (work / LEDGER_NAME).write_bytes(zeroed)
         off = [path for path in paths if number not in places[path]]
-        with Ledger.read(work, salvage=True) as ledger:
-            said = ledger.verify(paths)
+        said = study_status(work, verify=True)
         with Ledger.resume(work, note, paths) as ledger:
             kept = tuple(ledger.done)
             sound = all(ledger.result(path) == payloads[path] for path in kept)

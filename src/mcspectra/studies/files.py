@@ -20,7 +20,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, final
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar, final
 
 import msgspec
 from msgspec import Meta
@@ -41,6 +41,7 @@ __all__ = [
     "MOST_ENTRIES",
     "RESERVED",
     "EstimatorConfig",
+    "Names",
     "SceneConfig",
     "Slugs",
     "StudyConfig",
@@ -403,8 +404,12 @@ class Slugs:
         return slug
 
 
-def planned_groups(study: Mapping[str, Any]) -> dict[str, tuple[frozenset[str], frozenset[str]]]:
-    """Return the parts of the paths of a study's cells, without building anything.
+Names: TypeAlias = dict[str, None]
+"""Texts in an order, each once, found at once."""
+
+
+def planned_groups(study: Mapping[str, Any]) -> dict[str, tuple[Names, Names]]:
+    """Return the parts of the paths of a study's cells in their order, without building anything.
 
     Parameters
     ----------
@@ -417,23 +422,27 @@ def planned_groups(study: Mapping[str, Any]) -> dict[str, tuple[frozenset[str], 
         By the first part, of an estimator or a scene: second parts, of its samplers, and third parts,
         its analyses with their companions.
     """
-    found, slugs = dict[str, tuple[frozenset[str], frozenset[str]]](), Slugs()
-    known: dict[tuple[str, ...], frozenset[str]] = {}
-    shared = {key for key, value in study.items() if isinstance(value, Mapping)}
+    found, slugs = dict[str, tuple[Names, Names]](), Slugs()
+    known: dict[tuple[str, ...], Names] = {}
+    shared = [key for key, value in study.items() if isinstance(value, Mapping)]
     for key, entries in study.items():
         if not isinstance(entries, list | tuple) or key == "samplers":
             continue
         for entry in entries:
             texts = tuple(entry.get("samplers") or study.get("samplers") or ())
             if texts not in known:
-                known[texts] = frozenset(map(Slugs(), texts))
-            asked = {key.removesuffix("s")}
+                known[texts] = dict.fromkeys(map(Slugs(), texts))
+            tables = dict.fromkeys([key.removesuffix("s")])
             if key == "estimators":
-                asked = shared | {name for name in entry if isinstance(entry[name], Mapping)}
-            for name in (*asked,):
+                own = (name for name, value in entry.items() if isinstance(value, Mapping))
+                tables = dict.fromkeys([*shared, *own])
+            asked: Names = {}
+            for name in tables:
+                asked[name] = None
                 with contextlib.suppress(MissingDependency, UnknownName):  # of a package not here
-                    asked.update(ANALYSES.load(name).companions)
-            found[slugs(entry["name"])] = known[texts], frozenset(asked)
+                    companions = ANALYSES.load(name).companions
+                    asked |= dict.fromkeys(each for each in companions if each not in tables)
+            found[slugs(entry["name"])] = known[texts], asked
     return found
 
 

@@ -46,7 +46,7 @@ from mcspectra.core.errors import (
 from mcspectra.core.memory import available_memory, check_memory, shown_bytes
 from mcspectra.core.records import unpack
 from mcspectra.core.results import check_variables
-from mcspectra.studies.files import planned_groups
+from mcspectra.studies.files import Names, planned_groups
 from mcspectra.studies.ledger import (
     FORMAT,
     LEDGER_NAME,
@@ -283,12 +283,16 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
         )
     with ledger:
         if verify:  # as --resume does
-            found = ledger.verify()
-            with contextlib.suppress(StoreError, ValueError):  # of the text, which is named already
-                stranger = _unplanned(json.loads(ledger.config), ledger.paths)
-                if stranger is not None:
-                    sentence = f"it has {stranger!r:.120}, which the study does not have"
-                    found.damaged["list of cells"] = sentence
+            study: Any = {}
+            with contextlib.suppress(StoreError, ValueError, RecursionError):  # named below
+                study = json.loads(ledger.config)
+            parts = _planned(study).items()
+            paths = [f"{e}/{s}/{a}" for e, (own, asked) in parts for s in own for a in asked]
+            found = ledger.verify(paths)
+            stranger = _unplanned(study, ledger.paths) if "file" not in found.damaged else None
+            if stranger is not None and "text of the study" not in found.damaged:
+                sentence = f"it has {stranger!r:.120}, which the study does not have"
+                found.damaged["list of cells"] = sentence
         else:
             done, failed = tuple(ledger.done), ledger.failures()
             missing = tuple(
@@ -491,16 +495,21 @@ def _selected(ledger: Ledger, select: str | None) -> Iterable[str]:
     return done if select is None else fnmatch.filter(done, select)
 
 
+def _planned(study: Any) -> dict[str, tuple[Names, Names]]:
+    """Parts of the paths of a study's cells; none if a text is none of a study."""
+    try:
+        return planned_groups(study)
+    except (AttributeError, LookupError, TypeError, ValueError, McspectraError):
+        return {}
+
+
 def _unplanned(study: Any, paths: Iterable[str]) -> str | None:
     """The first path that is none of a study's cells; None if all are."""
-    try:
-        groups = planned_groups(study)
-    except (AttributeError, LookupError, TypeError, ValueError, McspectraError):
-        groups = {}  # the text is none of a study
+    groups = _planned(study)
     for path in paths:
         first, _, rest = path.partition("/")
         sampler, _, analysis = rest.partition("/")
-        samplers, analyses = groups.get(first, (frozenset(), frozenset()))
+        samplers, analyses = groups.get(first, ({}, {}))
         if sampler not in samplers or analysis not in analyses:
             return path
     return None
@@ -551,7 +560,12 @@ def _read_cell(ledger: Ledger, path: str) -> xr.Dataset:
 
 
 def _root_attributes(ledger: Ledger, *, whole: bool = True) -> dict[str, Any]:
-    study = {"study": msgspec.json.decode(ledger.config)} if whole else {}
+    try:
+        study = {"study": msgspec.json.decode(ledger.config)} if whole else {}
+    except (msgspec.MsgspecError, UnicodeError, RecursionError):
+        raise StoreError(
+            f"The study in {str(ledger.folder)!r} is not as a run writes it; give another folder."
+        ) from None
     return {
         "format": FORMAT,
         **study,
