@@ -211,8 +211,8 @@ MUTATIONS = [
     ),
     (
         "studies",
-        'msgspec.structs.replace(config, time_limit=None), order="sorted"',
-        'config, order="sorted"',
+        "config = msgspec.structs.replace(config, time_limit=None)",
+        "config = config",
     ),
     (
         "studies",

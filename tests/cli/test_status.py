@@ -6,6 +6,7 @@ import os
 import numpy as np
 import pytest
 import xarray as xr
+from tests.studies.made import admit, text_of
 
 from mcspectra.cli.main import main
 from mcspectra.core.records import pack
@@ -13,15 +14,15 @@ from mcspectra.core.results import package_versions
 from mcspectra.studies.ledger import FORMAT, LEDGER_NAME, Ledger, StudyNote
 from mcspectra.studies.results import write_zarr
 
+PATHS = tuple(f"{e}/random/{a}" for e in "abd" for a in ("convergence", "terms"))
 NOTE = StudyNote(
     title="my study",
     seed=5,
-    config='{"title": "my study"}',
+    config=text_of(PATHS, "my study"),
     study_hash="ab" * 32,
     versions=package_versions(),
     inputs={},
 )
-PATHS = tuple(f"{e}/random/{a}" for e in "abc" for a in ("convergence", "terms"))
 
 
 def cell(first=0.0):
@@ -29,13 +30,14 @@ def cell(first=0.0):
 
 
 @pytest.fixture
-def folder(tmp_path):
+def folder(tmp_path, monkeypatch):
     """A study of six cells: four are done, one failed, one is missing."""
+    admit(monkeypatch, "x")
     with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
         for i, path in enumerate(PATHS[:4]):
             ledger.finish(path, cell(i))
-        ledger.fail("c/random/terms", "It gave NaN.")
-        ledger.record("c/random/convergence", "0-0-10", (0, 1), b"half")
+        ledger.fail("d/random/terms", "It gave NaN.")
+        ledger.record("d/random/convergence", "0-0-10", (0, 1), b"half")
     write_zarr(tmp_path)
     return tmp_path
 
@@ -58,8 +60,8 @@ def test_status_says_what_is_done_failed_and_missing(folder, capsys):
     assert code == 1
     assert found["state"] == "unfinished"
     assert found["done"] == list(PATHS[:4])
-    assert found["failed"] == {"c/random/terms": "It gave NaN."}
-    assert found["missing"] == ["c/random/convergence"]
+    assert found["failed"] == {"d/random/terms": "It gave NaN."}
+    assert found["missing"] == ["d/random/convergence"]
     assert found["damaged"] == {}
     assert found["recorded"] == 1
     assert found["seed"] == 5
@@ -80,7 +82,7 @@ def test_status_as_text(folder, capsys):
     shown = capsys.readouterr().out
     assert shown.startswith("my study: unfinished\nstarted 20")
     assert ["terms", "2", "1", "0", "0"] in [line.split() for line in shown.splitlines()]
-    assert "failed: c/random/terms: It gave NaN.\nmissing: c/random/convergence\n" in shown
+    assert "failed: d/random/terms: It gave NaN.\nmissing: d/random/convergence\n" in shown
     assert "with 1 recorded tasks; not verified; --verify checks all digests" in shown
 
 
@@ -94,7 +96,7 @@ def test_verify_finds_damage_and_names_it(folder, capsys):
     assert found["verified"]
     assert found["damaged"] == {
         PATHS[1]: "its digest does not match",
-        "task c/random/convergence/0-0-10/0+1": "its digest does not match",
+        "task d/random/convergence/0-0-10/0+1": "its digest does not match",
     }
     assert found["analyses"]["terms"] == {"done": 1, "failed": 1, "missing": 0, "damaged": 1}
 

@@ -2,17 +2,19 @@
 
 import itertools
 import math
+from collections import defaultdict
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 import xarray as xr
 
+from mcspectra.core.analysis import ANALYSES
 from mcspectra.core.records import pack
 from mcspectra.core.results import dataset
-from mcspectra.plots.text import slug
 from mcspectra.report import page
-from mcspectra.studies.files import decode_study
+from mcspectra.studies.files import Slugs, decode_study, plain_study, study_of
 from mcspectra.studies.ledger import Ledger, StudyNote
 
 Z = 1.959963984540054
@@ -202,22 +204,29 @@ def make_points(sampler="jittered", *, dims=1, n=16):
     return dataset(values, {"axis": np.arange(dims)}, n=n).assign_attrs(sampler_spec=sampler)
 
 
+GIVEN = {"n": 16, "counts": [16, 64], "target_error": 0.1}
 Cells = dict[tuple[str, str], dict[str, xr.Dataset]]
 
 
 def write_study(folder, cells, title="A study"):
     """Write a ledger as `run_study` does; `cells` by (estimator, sampler) and analysis."""
-    slugs: dict[str, str] = {}
     found: dict[str, bytes] = {}
+    slug, own = Slugs(), defaultdict(Slugs)
+    slugs = {name: slug(name) for name in dict.fromkeys(name for name, _ in cells)}
     for (estimator, sampler), analyses in cells.items():
-        for text in (estimator, sampler):
-            slugs.setdefault(text, f"{len(slugs)}-{slug(text)}")
+        place = f"{slugs[estimator]}/{own[estimator](sampler)}"
         for analysis, result in analyses.items():
             named = result.assign_attrs(
                 estimator_name=estimator, sampler_spec=sampler, analysis=analysis
             )
-            found[f"{slugs[estimator]}/{slugs[sampler]}/{analysis}"] = pack(named)
-    note = StudyNote.of(study_config(title, cells), {})
+            found[f"{place}/{analysis}"] = pack(named)
+    study = plain_study(study_config(title, cells))
+    for entry in study["estimators"]:
+        asked = {a for (e, _), analyses in cells.items() if e == entry["name"] for a in analyses}
+        for analysis in sorted(asked - entry.keys()):
+            fields = msgspec.structs.fields(ANALYSES.load(analysis))
+            entry[analysis] = {each.name: GIVEN[each.name] for each in fields if each.required}
+    note = StudyNote.of(study_of(study), {})
     with Ledger.create(folder, note, tuple(found)) as ledger:
         for path, payload in found.items():
             ledger.finish(path, payload)

@@ -189,3 +189,18 @@ def test_what_is_inserted_in_html_is_escaped_once():
     inner = Markup("<b>{}</b>").format(EVIL)
     assert inner == "<b>&lt;/script&gt;&lt;u&gt;&amp;&quot;&#x27;</b>"
     assert Markup("<p>{}{}</p>").format(inner, 2) == f"<p>{inner}2</p>"
+
+
+def test_links_in_the_place_of_what_is_written_are_not_followed(tmp_path):
+    """A stranger's could lead anywhere."""
+    key, figures = tmp_path / "key", tmp_path / "figures"
+    key.write_text("mine")
+    figures.mkdir()
+    for name in (".x.html.partial", "x.html", "figures/a.png", "figures/a.pdf"):
+        (tmp_path / name).symlink_to(key)
+    section = Section(
+        title="a", anchor="a", blocks=(Figures(figures=(Figure(plot=plot(), name="a"),)),)
+    )
+    write_page(Page(title="p", what="test", sections=(section,)), tmp_path / "x.html", figures)
+    assert key.read_text() == "mine"
+    assert not any(file.is_symlink() for file in tmp_path.rglob("*"))

@@ -1,5 +1,7 @@
 """Dask as an engine: every task has one outcome, whatever dies; nothing grows, nobody listens in."""
 
+import contextlib
+import gc
 import json
 import os
 import socket
@@ -16,7 +18,7 @@ import pytest
 from tests.studies.local_cluster import local_cluster, scheduler, worker
 
 from mcspectra.core.errors import ParameterError
-from mcspectra.studies.executors import Cluster, ClusterError, ClusterLost, Dask
+from mcspectra.studies.executors import Cluster, ClusterError, ClusterLost, Dask, Threads
 from mcspectra.studies.tasks import Outcome, StudyText, Task
 from mcspectra.version import __version__
 
@@ -513,3 +515,40 @@ def test_a_scheduler_file_is_followed(cluster, tmp_path):
         assert all_outcomes(engine, [task(4)])["4"].payload == b"16"
     finally:
         engine.close(cancel=False)
+
+
+def pipes():
+    """Number of pipes that this process has open."""
+    count = 0
+    for file in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(OSError):
+            count += str(file.readlink()).startswith("pipe:")
+    return count
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="descriptors are listed by Linux")
+@pytest.mark.parametrize("cancel", [False, True])
+@pytest.mark.parametrize("kind", ["threads", "processes", "cluster"])
+def test_all_executors_close_their_pipes_at_the_end(cluster, kind, cancel):
+    made = {
+        "threads": lambda: Threads(2),
+        "processes": lambda: Dask(TEXT, Cluster(workers=1), squares()),
+        "cluster": lambda: Dask(TEXT, Cluster(address=cluster.scheduler_address), squares()),
+    }[kind]
+    seen = []
+    for _ in range(3):  # what the first one opens for all may stay
+        engine = made()
+        for number in range(4):
+            engine.submit(task(number), lambda: None)
+        outcomes = engine.outcomes()
+        next(outcomes)
+        if not cancel:
+            assert len(list(outcomes)) == 3
+        engine.close(cancel)
+        del engine, outcomes
+        end = time.monotonic() + 30
+        while seen and pipes() > seen[0] and time.monotonic() < end:
+            gc.collect()
+            time.sleep(0.05)
+        seen.append(pipes())
+    assert seen[2] <= seen[0], seen

@@ -105,6 +105,11 @@ def test_killed_at_any_moment_and_resumed(study, tmp_path, straight, kills):
         assert_finished(Path(trial["out"]), straight)
 
 
+def test_a_time_limit_changes_no_byte(tmp_path, straight):
+    run_study(CONFIG, tmp_path, workers=1, time_limit=1000.0)
+    assert_finished(tmp_path, straight)
+
+
 class Interrupted:
     """Threads that are interrupted after some outcomes."""
 
@@ -171,13 +176,21 @@ def test_a_damaged_record_is_named_and_computed_again(half, tmp_path, straight):
     assert_finished(out, straight)
 
 
-def test_a_ledger_cut_in_half_is_refused(half, tmp_path):
+def test_of_a_ledger_cut_in_half_the_rest_is_kept(half, tmp_path, straight):
     out = shutil.copytree(half, tmp_path / "out")
-    os.truncate(out / LEDGER_NAME, (out / LEDGER_NAME).stat().st_size // 2)
-    with pytest.raises(
-        StoreError, match="sqlite' cannot be read: .* malformed; give another --out"
-    ):
+    size = (out / LEDGER_NAME).stat().st_size
+    os.truncate(out / LEDGER_NAME, size // 2)
+    with pytest.raises(StoreError, match=r"is damaged: .* malformed; .*--resume keeps"):
+        study_status(out)
+    said = study_status(out, verify=True)
+    assert said.damaged["file"] == "database disk image is malformed"
+    with pytest.warns(DamagedResultsWarning, match="are damaged, and what is lost is computed"):
         run_study(CONFIG, out, resume=True, workers=1)
+    assert_finished(out, straight)
+    os.truncate(out / LEDGER_NAME, 8192)
+    for look in (study_status, lambda out, **_: run_study(CONFIG, out, resume=True)):
+        with pytest.raises(StoreError, match="damaged where it says of which study it is"):
+            look(out, verify=True)
 
 
 def test_damage_of_much_is_named_in_part(half, tmp_path, straight, monkeypatch):

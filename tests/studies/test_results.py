@@ -11,11 +11,13 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
 import zarr
+from tests.studies.made import admit, text_of
 
 from mcspectra.core.errors import ParameterError, StorageError, StoreError
 from mcspectra.core.records import pack
@@ -32,16 +34,16 @@ from mcspectra.studies.results import (
     write_zarr,
 )
 
+PATHS = ("a/random/convergence", "b/random/terms", "b/jittered/terms")
 NOTE = StudyNote(
     title="t ü",
     seed=5,
-    config=json.dumps({"title": "t ü", "samplers": ["random"]}),
+    config=text_of(PATHS, "t ü"),
     study_hash="ab" * 32,
     versions=package_versions(),
     inputs={},
 )
 VARIANCE = np.array([[0.1, 1 / 3, np.nan], [np.inf, -0.0, 1e-300]])
-PATHS = ("a/random/convergence", "b/random/terms", "b/jittered/terms")
 
 
 def convergence():
@@ -92,9 +94,23 @@ def numbers(seed=0):
     ).assign_coords(alone=("n", [0.5, np.nan, 1.5]))
 
 
+@pytest.fixture(autouse=True, scope="module")
+def declared():
+    """Variables of the datasets of these tests, which no analysis gives."""
+    plain = "coefficient found scalar flags waves counts single half none zeros days x variance"
+    kinds = (
+        "float16 float32 float64 int8 int16 int32 int64 uint8 uint16 uint32 uint64 bool complex64"
+    )
+    names = (*plain.split(), *(f"of_{kind}" for kind in (*kinds.split(), "complex128")))
+    with pytest.MonkeyPatch.context() as patch:
+        admit(patch, *names)
+        yield
+
+
 def written(folder, cells, paths=()):
     """A study's folder with these cells, and its store."""
-    with Ledger.create(folder, NOTE, paths or tuple(cells)) as ledger:
+    note = msgspec.structs.replace(NOTE, config=text_of(paths or cells, "t ü"))
+    with Ledger.create(folder, note, paths or tuple(cells)) as ledger:
         for path, cell in cells.items():
             ledger.finish(path, pack(cell))
     write_zarr(folder)
@@ -596,9 +612,23 @@ def test_very_many_arrays_have_no_consolidated_metadata(folder, tmp_path, monkey
 def test_names_that_lead_out_of_a_store_are_not_followed(tmp_path, path):
     with Ledger.create(tmp_path / "out", NOTE, (path,)) as ledger:
         ledger.finish(path, pack(terms()))
-    with pytest.raises(StoreError, match="which is no path in a store|may not contain"):
-        write_zarr(tmp_path / "out")
+    for look in (write_zarr, open_results, lambda out: open_results(out, path)):
+        with pytest.raises(StoreError, match="list of cells: it is not as|none that a run writes"):
+            look(tmp_path / "out")
     assert sorted(file.name for file in tmp_path.rglob("*")) == ["out", "study.lock", LEDGER_NAME]
+
+
+def test_a_link_in_the_place_of_the_store_is_not_followed(copy, tmp_path):
+    secret = tmp_path / "secret"
+    secret.mkdir()
+    (secret / "zarr.json").write_text("mine")
+    shutil.rmtree(copy / "results.zarr")
+    for name in ("results.zarr", ".results.zarr.partial"):
+        (copy / name).symlink_to(secret)
+    write_zarr(copy)
+    assert (secret / "zarr.json").read_text() == "mine"
+    assert not (copy / "results.zarr").is_symlink()
+    assert open_results(copy / "results.zarr").leaves
 
 
 def test_the_status_says_what_is_done_failed_and_missing(tmp_path):

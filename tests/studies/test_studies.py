@@ -127,9 +127,9 @@ def test_names_that_meet_in_one_group_name_stay_apart(tmp_path):
 
 
 def test_thousands_of_names_that_begin_alike_are_named_at_once():
-    from mcspectra.studies.plan import _Slugs
+    from mcspectra.studies.files import Slugs
 
-    slugs = _Slugs()
+    slugs = Slugs()
     found = [slugs(f"{'a' * 60} {i}") for i in range(100_000)]
     assert len(set(found)) == len(found)
     assert found[:3] == ["a" * 60, "a" * 60 + "-2", "a" * 60 + "-3"]

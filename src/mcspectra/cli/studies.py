@@ -163,7 +163,8 @@ def run_(options: argparse.Namespace) -> Answer:
             f"'mcspectra export {printable(target)} --select PATTERN -o FILE' writes a part of them"
         )
         return Answer(text, {"report": None, "rows": []}, code)
-    rows = summarize(open_results(target))
+    with results.showing(target):
+        rows = summarize(open_results(target))
     page = write_report(target) if reported else None
     data = {"report": page, "rows": [msgspec.to_builtins(row) for row in rows]}
     # Show the first columns of its first table: rates, variances, predictions

@@ -22,6 +22,7 @@ from mcspectra.report import page as html
 from mcspectra.report.study import collect, provenance
 from mcspectra.report.tables import first_channel
 from mcspectra.studies import open_results
+from mcspectra.studies.results import showing
 
 __all__ = ["COMPARISON_NAME", "Difference", "compare_curves", "write_comparison"]
 
@@ -91,6 +92,12 @@ def write_comparison(first: str | Path, second: str | Path, out: str | Path | No
         raise ParameterError(
             f"Both folders are {str(first)!r}; give two different ones to compare."
         )
+    with showing(" or ".join(map(str, folders))):
+        return _written(folders, file, str(second))
+
+
+def _written(folders: list[Path], file: Path, second: str) -> Path:
+    """Write the page of the results in two folders to a file."""
     trees = [open_results(folder) for folder in folders]
     curves: list[Curves] = [
         {
@@ -100,7 +107,7 @@ def write_comparison(first: str | Path, second: str | Path, out: str | Path | No
         }
         for tree in trees
     ]
-    command = shlex.join(["mcspectra", "report", *map(str, folders[:1]), "--compare", str(second)])
+    command = shlex.join(["mcspectra", "report", *map(str, folders[:1]), "--compare", second])
     origins: list[html.Block] = []
     for letter, tree, folder in zip("AB", trees, folders, strict=True):
         origins += [

@@ -378,6 +378,7 @@ def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:
         text = environment.get_template("page.html.j2").render(page=page, bokeh=script)
         partial = file.parent / f".{file.name}.partial"
         try:
+            partial.unlink(missing_ok=True)  # else a link would be followed
             partial.write_text(text, encoding="utf-8")
             partial.replace(file)
         finally:
@@ -419,8 +420,10 @@ def _drawn(figure: Figure, folder: Path | None, root: Path) -> Mapping[str, Any]
     plot, file = figure.plot, ""
     png, pdf = backend_matplotlib.encode(backend_matplotlib.draw(plot))
     if folder is not None and figure.name:
-        (folder / f"{figure.name}.png").write_bytes(png)
-        (folder / f"{figure.name}.pdf").write_bytes(pdf)
+        for end, content in ((".png", png), (".pdf", pdf)):
+            place = folder / f"{figure.name}{end}"
+            place.unlink(missing_ok=True)
+            place.write_bytes(content)
         file = (folder / f"{figure.name}.pdf").relative_to(root).as_posix()
     live = ""
     if figure.live:

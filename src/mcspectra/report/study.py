@@ -21,7 +21,8 @@ from mcspectra.report.page import Markup
 from mcspectra.report.sentences import answer, basis_name, explain, further_sentences
 from mcspectra.report.tables import analysis_table, summary_of, summary_table, terms_table
 from mcspectra.studies import SummaryRow, open_results, study_status
-from mcspectra.studies.ledger import LEDGER_NAME, Ledger, check_links
+from mcspectra.studies.ledger import LEDGER_NAME, Ledger
+from mcspectra.studies.results import showing
 from mcspectra.studies.summary import asked_of, pairs_of, rows_of
 
 __all__ = ["REPORT_NAME", "Estimates", "collect", "provenance", "study_toml", "write_report"]
@@ -144,7 +145,12 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
     html.check_page_packages()
     root = as_path("folder", folder)
     file = root / REPORT_NAME if out is None else as_path("out", out)
-    check_links(root)
+    with showing(root):
+        return _written(root, file)
+
+
+def _written(root: Path, file: Path) -> Path:
+    """Write the page of the results in a folder to a file."""
     tree = open_results(root)
     study, estimates = tree.attrs.get("study") or {}, collect(tree)
     samplers = list(dict.fromkeys(s for each in estimates for s in each.rows))
@@ -199,7 +205,12 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
         lead=(*_answers(estimates), html.Text(text=lead, kind="soft")),
         sections=tuple(sections),
     )
-    return html.write_page(page, file, file.parent / "figures")
+    figures = file.parent / "figures"
+    if figures.is_symlink():
+        raise StoreError(
+            f"{str(figures)!r} is a symbolic link, and might lead to files of others; remove it."
+        )
+    return html.write_page(page, file, figures)
 
 
 def collect(tree: xr.DataTree) -> list[Estimates]:

@@ -21,14 +21,20 @@ import tomllib
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, final
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar, final
 
 import msgspec
 from msgspec import Meta
 
 from mcspectra.core.analysis import ANALYSES, Analysis
 from mcspectra.core.checks import is_path
-from mcspectra.core.errors import ConfigError, McspectraError, MissingDependency, close_match_hint
+from mcspectra.core.errors import (
+    ConfigError,
+    McspectraError,
+    MissingDependency,
+    UnknownName,
+    close_match_hint,
+)
 from mcspectra.core.options import Option, Positive, Text, options_of
 
 __all__ = [
@@ -36,7 +42,9 @@ __all__ = [
     "MOST_ENTRIES",
     "RESERVED",
     "EstimatorConfig",
+    "Names",
     "SceneConfig",
+    "Slugs",
     "StudyConfig",
     "analysis_tables",
     "apply_overrides",
@@ -44,6 +52,7 @@ __all__ = [
     "decode_study",
     "expand_grids",
     "plain_study",
+    "planned_groups",
     "read_study",
     "study_file",
     "study_of",
@@ -60,6 +69,7 @@ RESERVED = ("analyses", "scenes", "kind", "analysis")
 
 _MOST_TEXT = 10**8  # characters of what a grid makes of a table
 _LARGEST_FILE = 4 * 2**20
+_RESERVED_SLUGS = frozenset({"zarr.json", "c"})
 _SINGLE = ("seed", "time_limit")  # a study has one
 _TABLE_NAME = re.compile(r"[a-z][a-z0-9]*(?:-[a-z0-9]+)*")
 _STEP = r"[A-Za-z][A-Za-z0-9_-]*(?:\[\d{1,6}\])*"
@@ -361,6 +371,72 @@ def plain_study(config: StudyConfig) -> dict[str, Any]:
         listed = plain.setdefault(f"{entry.pop('kind')}s", [])
         listed.append({**entry, **entry.pop("analysis")})
     return plain
+
+
+@final
+class Slugs:
+    """Short group names of letters, digits, dots and hyphens, a different one for each text.
+
+    They have no separator and no leading dot, so that no name leads out of the store, and are none of
+    the names of the store's own files.
+    """
+
+    def __init__(self) -> None:
+        self._taken: set[str] = set(_RESERVED_SLUGS)
+        self._next: dict[str, int] = {}
+
+    def __call__(self, text: str) -> str:
+        """Return the name of another text."""
+        base = re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-.")[:60].strip("-.") or "x"
+        slug = base
+        while slug in self._taken:
+            # Numbers go on where they were: thousands of texts may begin alike.
+            number = self._next.get(base, 2)
+            slug, self._next[base] = f"{base}-{number}", number + 1
+        self._taken.add(slug)
+        return slug
+
+
+Names: TypeAlias = dict[str, None]
+"""Texts in an order, each once, found at once."""
+
+
+def planned_groups(study: Mapping[str, Any]) -> dict[str, tuple[Names, Names]]:
+    """Return the parts of the paths of a study's cells in their order, without building anything.
+
+    Parameters
+    ----------
+    study
+        Plain values, as `plain_study` gives them.
+
+    Returns
+    -------
+    dict
+        By the first part, of an estimator or a scene: second parts, of its samplers, and third parts,
+        its analyses with their companions.
+    """
+    found, slugs = dict[str, tuple[Names, Names]](), Slugs()
+    known: dict[tuple[str, ...], Names] = {}
+    shared = [key for key, value in study.items() if isinstance(value, Mapping)]
+    for key, entries in study.items():
+        if not isinstance(entries, list | tuple) or key == "samplers":
+            continue
+        for entry in entries:
+            texts = tuple(entry.get("samplers") or study.get("samplers") or ())
+            if texts not in known:
+                known[texts] = dict.fromkeys(map(Slugs(), texts))
+            tables = dict.fromkeys([key.removesuffix("s")])
+            if key == "estimators":
+                own = (name for name, value in entry.items() if isinstance(value, Mapping))
+                tables = dict.fromkeys([*shared, *own])
+            asked: Names = {}
+            for name in tables:
+                asked[name] = None
+                with contextlib.suppress(MissingDependency, UnknownName):  # of a package not here
+                    companions = ANALYSES.load(name).companions
+                    asked |= dict.fromkeys(each for each in companions if each not in tables)
+            found[slugs(entry["name"])] = known[texts], asked
+    return found
 
 
 # Types: each table is made the struct that it is.

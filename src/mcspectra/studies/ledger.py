@@ -5,8 +5,8 @@ tasks whose cells are not finished, sentences of cells that failed, results and 
 and recovery after a crash; ours are the schema, the commit interval and the digests. Each row has a
 SHA-256 over all that it says, which is checked whenever it is read, and the row ``tally`` has the
 number of finished cells and the exclusive or of their digests, so that a row that damage makes vanish
-is noticed too. A resumed run keeps what is sound of a damaged file, names the rest, and computes it
-again.
+is noticed too. Of a damaged file a resumed run keeps all rows that are sound, wherever pages can still be
+read; it names the rest, and computes it again. `Ledger.verify` finds the same rows.
 
 The file has a rollback journal, which network file systems support as well. The right to write is
 SQLite's lock on ``DIR/study.lock``, an empty file: it ends with its process, whatever the ledger notes
@@ -35,9 +35,17 @@ import msgspec
 import numpy as np
 
 from mcspectra.core.analysis import Chunk
-from mcspectra.core.errors import OtherVersionsWarning, StorageError, StoreError, warn
+from mcspectra.core.errors import (
+    FileFormatError,
+    OtherVersionsWarning,
+    StorageError,
+    StoreError,
+    warn,
+)
+from mcspectra.core.records import unpack
 from mcspectra.core.results import package_versions
 from mcspectra.studies.files import StudyConfig, plain_study
+from mcspectra.studies.salvage import Leaves
 from mcspectra.studies.vetting import check_inputs
 
 if TYPE_CHECKING:
@@ -50,27 +58,32 @@ __all__ = [
     "Holder",
     "Ledger",
     "StudyNote",
+    "Survey",
     "Tally",
-    "check_links",
+    "are_paths",
     "is_held",
+    "lock_damage",
     "refuse_links",
     "scalars_of",
 ]
 
-FORMAT = 5
+FORMAT = 6
 """Of ledgers and stores; 1 and 2 were stores of zarr that grew while their studies ran, 3 had no scalars, 4
-read the text of a study at every look for a failure."""
+read the text of a study at every look for a failure, 5 had its notes once."""
 
 LEDGER_NAME = "study.sqlite"
 STORE_NAME = "results.zarr"
 _LOCK_NAME = "study.lock"
-_WRITTEN = (LEDGER_NAME, _LOCK_NAME, STORE_NAME, "report.html", "figures")
+_BESIDE = ("", "-journal", "-wal", "-shm")  # ends of names of files that SQLite opens with one
+_PAGE = 8192  # bytes
 
 _COMMIT_SECONDS = 1.0  # so much work is lost by a kill or a power failure, at most
 _COMMIT_BYTES = 2**25
 _BUSY_SECONDS = 60.0  # for which commits wait for readers, and readers for commits
 _NOTE_SECONDS = 0.5  # from a lock to the note of its holder, at most
 _MOST_SENTENCE = 10_000  # characters
+_PATH_LETTERS = b"abcdefghijklmnopqrstuvwxyz0123456789.-/"
+_NO_PATH = ("//", "/.", "\n.", "\n/", "/\n", "\n\n")  # between the parts of paths, one per line
 
 _SCHEMA = (
     "CREATE TABLE texts (kind TEXT, name TEXT, text TEXT, digest BLOB, PRIMARY KEY (kind, name))",
@@ -78,15 +91,42 @@ _SCHEMA = (
     "CREATE TABLE results (place INTEGER PRIMARY KEY, payload BLOB)",
     """CREATE TABLE tasks (path TEXT, run TEXT, first INTEGER, blocks INTEGER, digest BLOB,
     payload BLOB, PRIMARY KEY (path, run, first, blocks))""",
+    # The notes again, on a page of their own: without them nothing can be recovered
+    "CREATE TABLE notes (kind TEXT, name TEXT, text TEXT, digest BLOB, PRIMARY KEY (kind, name))",
 )
-_PUT_TEXT = "INSERT OR REPLACE INTO texts VALUES (?, ?, ?, ?)"
+# Rows of the pages of a damaged file, several of a key where pages contradict each other
+_COPIED = (
+    "CREATE TABLE cells (place INTEGER, path TEXT, digest BLOB)",
+    "CREATE TABLE results (place INTEGER, payload BLOB)",
+    "CREATE TABLE texts (kind TEXT, name TEXT, text TEXT, digest BLOB)",
+    "CREATE TABLE tasks (path TEXT, run TEXT, first INTEGER, blocks INTEGER, digest BLOB, payload BLOB)",
+    "CREATE VIEW notes AS SELECT * FROM texts",
+    "CREATE INDEX cells_place ON cells (place)",
+    "CREATE INDEX results_place ON results (place)",
+    "CREATE INDEX texts_name ON texts (kind, name)",
+)
+_PUT_COPY = {
+    3: "INSERT INTO cells VALUES (?, ?, ?)",
+    2: "INSERT INTO results VALUES (?, ?)",
+    4: "INSERT INTO texts VALUES (?, ?, ?, ?)",
+    6: "INSERT INTO tasks VALUES (?, ?, ?, ?, ?, ?)",
+}
+"""By the number of columns, which differs from table to table."""
+
+_PUT_TEXT = "INSERT OR REPLACE INTO {} VALUES (?, ?, ?, ?)"
 _PUT_CELL = "INSERT INTO cells VALUES (?, ?, NULL)"
 _PUT_RESULT = "INSERT OR REPLACE INTO results SELECT place, ? FROM cells WHERE path = ?"
 _PUT_DIGEST = "UPDATE cells SET digest = ? WHERE path = ?"
 _PUT_TASK = "INSERT OR REPLACE INTO tasks VALUES (?, ?, ?, ?, ?, ?)"
 _RESULT = "SELECT path, digest, payload FROM cells LEFT JOIN results USING (place)"
-_TEXTS = "SELECT name, text, digest FROM texts WHERE kind = ?"
+_PAYLOADS = "SELECT payload FROM results WHERE place = ?"
+_TEXTS = "SELECT name, text, digest FROM {} WHERE kind = ?"
+_NOTED = ("texts", "notes")  # tables that have the notes, each
 _ONE_TASK = "SELECT * FROM tasks WHERE path = ? AND run = ? AND first = ? AND blocks = ?"
+
+# Codes of SQLite that say nothing of what is in the file: busy, no memory, no right, no disk, …
+_NOT_DAMAGE = (3, 5, 6, 7, 8, 9, 10, 13, 14, 15)
+_SUPER_JOURNAL = bytes.fromhex("d9d505f920a163d7")  # how a journal ends that names another file
 
 _DAMAGE = "its digest does not match"
 _REMEDY = "`mcspectra run` with --resume keeps what is sound and computes the rest again"
@@ -109,7 +149,7 @@ class StudyNote(msgspec.Struct, frozen=True, kw_only=True):
     title, seed
         Of the study.
     config
-        All of it, as JSON; empty in a ledger that was opened, which has it as `Ledger.config`.
+        All of it but its time limit, as JSON; empty in a ledger that was opened, which has it as `Ledger.config`.
     study_hash
         SHA-256 of its canonical JSON, without what results do not depend on.
     versions
@@ -127,10 +167,12 @@ class StudyNote(msgspec.Struct, frozen=True, kw_only=True):
 
     @staticmethod
     def of(config: StudyConfig, inputs: Mapping[str, str]) -> StudyNote:
-        """The note of a study that this process computes; its time limit is not in the hash."""
-        hashed = msgspec.json.encode(
-            msgspec.structs.replace(config, time_limit=None), order="sorted"
-        )
+        """The note of a study that this process computes, without its time limit.
+
+        Results do not depend on that, so that they are the same files with it.
+        """
+        config = msgspec.structs.replace(config, time_limit=None)
+        hashed = msgspec.json.encode(config, order="sorted")
         return StudyNote(
             title=config.title,
             seed=config.seed,
@@ -194,12 +236,45 @@ class _Header(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class _Change(NamedTuple):
-    """Statements that write what is known of a cell; the digest and size of its result."""
+    """Statements that write what is known of a cell; digest and size of its result, or why it failed."""
 
     path: str
     steps: Iterable[_Step]
     digest: bytes | None = None
     size: int = 0
+    failure: str | None = None
+
+
+class Survey(NamedTuple):
+    """All that is sound in a ledger, which is what a resumed run goes on with, and what is not.
+
+    Attributes
+    ----------
+    done
+        Paths of finished cells, in their order.
+    failed
+        Sentences of cells that failed, by their paths.
+    recorded
+        Number of recorded states.
+    missing
+        Paths of cells that are neither, nor damaged.
+    damaged
+        What is damaged, in words, by paths of cells, keys of tasks, or names of parts.
+    """
+
+    done: tuple[str, ...]
+    failed: dict[str, str]
+    recorded: int
+    missing: tuple[str, ...]
+    damaged: dict[str, str]
+
+
+class _Damaged(StoreError):
+    """A sentence about a file that is damaged, and the reason in a few words."""
+
+    def __init__(self, sentence: str, reason: str = "") -> None:
+        super().__init__(sentence)
+        self.reason = reason or sentence
 
 
 @final
@@ -231,6 +306,7 @@ class Ledger:
         self._closed = threading.Event()
         self._broken: StoreError | None = None  # what a commit of the thread has met
         self._holds = False
+        self._salvaged = False  # whether rows are those of `_read_pages`
 
     @staticmethod
     def create(folder: Path, study: StudyNote, paths: Sequence[str]) -> Ledger:
@@ -279,16 +355,22 @@ class Ledger:
         return ledger
 
     @staticmethod
-    def read(folder: str | Path) -> Ledger:
+    def read(folder: str | Path, *, salvage: bool = False) -> Ledger:
         """Look into the ledger of a folder, which may be in use; nothing is changed.
+
+        Parameters
+        ----------
+        salvage
+            Look for damage of the file, and read its pages one by one if there is any: for `verify`.
 
         Raises
         ------
         StoreError
-            There is none, it is of another format, or damaged.
+            There is none, it is of another format, or so damaged that it does not say of which study
+            it is; without `salvage` also if it is damaged otherwise.
         """
         with _given_free_if_it_fails(Ledger(Path(folder))) as ledger:
-            ledger._open()
+            ledger._open(salvage=salvage)
         return ledger
 
     @property
@@ -308,7 +390,7 @@ class Ledger:
         for _, text in self._texts("config"):
             if text is not None:
                 return text
-        raise StoreError(f"The study in {str(self._file)!r} is damaged: {_DAMAGE}; {_REMEDY}.")
+        raise _Damaged(f"The study in {str(self._file)!r} is damaged: {_DAMAGE}; {_REMEDY}.")
 
     @property
     def paths(self) -> Sequence[str]:
@@ -388,13 +470,17 @@ class Ledger:
         with self._guard:
             self.commit()
             done = tuple(self.done)  # first: there may be a commit in between
-            found = dict(self._texts("scalars"))
+            texts = dict(self._texts("scalars"))
+        found: dict[str, dict[str, float]] = {}
         for path in done:
-            if found.get(path) is None:
+            with contextlib.suppress(ValueError, RecursionError):  # of a stranger's
+                given = json.loads(texts.get(path) or "null")
+                found[path] = msgspec.convert(given, dict[str, float | int])
+            if path not in found:
                 raise StoreError(
                     f"The scalars of {path} in {str(self._file)!r} are damaged: {_DAMAGE}; {_REMEDY}."
                 )
-        return {path: json.loads(found[path] or "") for path in done}
+        return found
 
     def record(self, path: str, run: str, chunk: Chunk, payload: bytes, host: str = "") -> None:
         """Keep the state of a task of a cell that is not finished.
@@ -463,11 +549,20 @@ class Ledger:
                 # No call stands between these, so that no signal can come between them.
                 self.tally, self._pending, self._waiting = tally, [], 0
 
-    def verify(self) -> dict[str, str]:
-        """Read everything: what is `damaged`, in words."""
+    def verify(self, paths: Sequence[str] | None = None) -> Survey:
+        """Read everything: what is sound, and what is `damaged`.
+
+        Parameters
+        ----------
+        paths
+            Of all cells of the study, by default those that the ledger lists; others are not its own.
+        """
         self.commit()
-        self._look_for_damage(self.paths)
-        return dict(self.damaged)
+        if paths is None or _plan_digest(paths) != self._header.plan:
+            paths = self._listed_anyway() if self._salvaged else self.paths
+        elif not self._salvaged:
+            _ = self.paths  # checked against the tally
+        return self._surveyed(paths)
 
     def close(self) -> None:
         """Commit, note that this process has ended, give the folder free; again, do nothing."""
@@ -513,7 +608,6 @@ class Ledger:
         self, study: StudyNote, paths: Sequence[str], outdated: Collection[str] | None
     ) -> None:
         """Begin to write, into a new ledger alone if `outdated` is None."""
-        check_links(self.folder)
         self._lock = _locked(self.folder)
         exists, old = self._file.exists(), (self.folder / STORE_NAME).exists()
         if (exists or old) and outdated is None:
@@ -546,7 +640,7 @@ class Ledger:
 
     def _continue(self, study: StudyNote, paths: Sequence[str], outdated: Collection[str]) -> None:
         """Go on with the ledger of this study; without what is damaged or outdated."""
-        self._open()
+        self._open(salvage=True)
         whose = f"The results in {str(self.folder)!r} are"
         if (study.study_hash, _plan_digest(paths)) != (self.study.study_hash, self._header.plan):
             raise StoreError(
@@ -577,7 +671,7 @@ class Ledger:
         if not outdated:
             check_inputs(self.study.inputs, study.inputs, whose, _RENEW)
 
-        self._look_for_damage(paths)
+        self.verify(paths)
         if self.damaged or outdated:
             changed = msgspec.structs.replace(self.study, inputs=study.inputs)
             self._header = msgspec.structs.replace(self._header, study=changed)
@@ -608,7 +702,8 @@ class Ledger:
                 if tally.done == self._header.cells and tally.finished is None:
                     tally = msgspec.structs.replace(tally, finished=_now())
                 note = msgspec.json.encode(tally).decode()
-                connection.execute(*self._text("note", "tally", note))
+                for table in _NOTED:
+                    connection.execute(*self._text("note", "tally", note, table))
                 connection.execute("COMMIT")
             except BaseException:
                 if connection.in_transaction:
@@ -625,13 +720,14 @@ class Ledger:
         tables = ((statement, ()) for statement in _SCHEMA)
         cells = ((_PUT_CELL, each) for each in enumerate(paths))
         header = msgspec.json.encode(self._header).decode()
-        notes = [self._text("note", "study", header), self._text("config", "", config)]
+        notes = [self._text("note", "study", header, table) for table in _NOTED]
+        notes.append(self._text("config", "", config))
         first = _Change("", itertools.chain(tables, cells, notes))
         with _writing(self._file):
             _remove_partial(partial)  # of a run that was killed
             try:
                 with contextlib.closing(_connected(partial, "rwc")) as new:
-                    new.execute("PRAGMA page_size = 8192")
+                    new.execute(f"PRAGMA page_size = {_PAGE}")
                     new.execute(f"PRAGMA user_version = {FORMAT}")
                     self.tally = self._write(itertools.chain([first], changes), tally, new)
                 if self._connection is not None:
@@ -641,15 +737,44 @@ class Ledger:
             except BaseException:
                 _remove_partial(partial)
                 raise
-            self._connection = _connected(self._file, "rw")
+            self._connection, self._salvaged = _connected(self._file, "rw"), False
         self.__dict__.pop("_listing", None)
 
-    def _open(self) -> None:
-        """Open the file, and read which study it holds."""
-        for file in (self._file, self._file.with_name(f"{LEDGER_NAME}-journal")):
-            refuse_links(str(file))
+    def _open(self, *, salvage: bool = False) -> None:
+        """Open the file, and read which study it holds; with `salvage` whatever damage it has."""
+        _refuse_strangers(self._file)
         if not self._file.is_file():
             raise StoreError(f"There are no results in {str(self.folder)!r}.")
+        broken = ""
+        try:
+            self._connect(thoroughly=salvage)
+        except _Damaged as error:
+            broken = error.reason
+            self._read_pages(broken)
+        header = self._note("study", _Header)
+        if header is None:
+            raise StoreError(
+                f"{str(self._file)!r} is damaged where it says of which study it is, or it is no "
+                "ledger: give another folder."
+            )
+        if broken and not salvage:
+            raise StoreError(f"{str(self._file)!r} is damaged: {broken}; {_REMEDY}.")
+        self._header = header
+        self.tally = self._noted_tally()
+
+    def _connect(self, *, thoroughly: bool) -> None:
+        """Have SQLite open the file.
+
+        Raises
+        ------
+        _Damaged
+            It is no database of a ledger's tables, or not all of it can be read.
+        """
+        # SQLite would open, and write, two other files for a journal of another kind
+        with _reading(self._file), self._file.open("rb") as stream:
+            head = stream.read(20)
+        if head[:16] != b"SQLite format 3\0" or head[18:] != b"\1\1":
+            raise _Damaged("its first page is not that of a ledger")
         try:
             # Without the right to write SQLite opens it for reading; what a crash left it undoes.
             self._connection = _connected(self._file, "rw")
@@ -658,31 +783,56 @@ class Ledger:
         except sqlite3.Error as error:
             raise self._unreadable(error) from None
         ((version,),) = self._rows("PRAGMA user_version")
-        if version == 0:
-            raise StoreError(f"{str(self._file)!r} is no ledger of a study: give another folder.")
-        if version != FORMAT:
+        if version not in (0, FORMAT):
             raise StoreError(
                 f"{str(self._file)!r} has store format {version}; this version reads {FORMAT}: export "
                 "it with the version that wrote it, or run the study again with another --out."
             )
         schema = self._rows("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY rowid")
-        header = self._note("study", _Header) if tuple(s for (s,) in schema) == _SCHEMA else None
-        if header is None:
-            raise StoreError(
-                f"{str(self._file)!r} is damaged where it says of which study it is, or it is no "
-                "ledger: give another folder."
-            )
-        self.tally = self._noted_tally()
+        if tuple(text for (text,) in schema) != _SCHEMA:
+            raise _Damaged("its tables are not those of a ledger")
+        if thoroughly:
+            ((first, *_), *_) = self._rows("PRAGMA integrity_check(1)")
+            if first != "ok":
+                raise _Damaged(" ".join(str(first).split()))
+
+    def _read_pages(self, reason: str) -> None:
+        """Go on with a copy of those rows of the damaged file that can be read, page by page."""
+        self.damaged["file"] = reason
+        self._salvaged = True
+        if self._connection is not None:
+            self._connection.close()
+        # A private file, which is gone when it is closed
+        self._connection = copy = sqlite3.connect("", isolation_level=None, check_same_thread=False)
+        try:
+            with contextlib.closing(Leaves(self._file, _PAGE)) as leaves:
+                copy.execute("BEGIN")
+                for statement in _COPIED:
+                    copy.execute(statement)
+                # What pages have that are in use comes first; what was deleted is true of results alone
+                for wanted in (True, False):
+                    for used, rowid, values in leaves.rows():
+                        columns = len(values)
+                        deleted = not used and (columns == 6 or values[:1] == ("failure",))
+                        if used is wanted and not deleted and columns in _PUT_COPY:
+                            row = (rowid, *values[1:]) if columns in (2, 3) else values
+                            copy.execute(_PUT_COPY[columns], row)
+                copy.execute("COMMIT")
+        except (OSError, sqlite3.Error) as error:
+            raise StoreError(f"{str(self._file)!r} cannot be read: {error}.") from None
 
     def _note(self, name: str, kind: type[_Note]) -> _Note | None:
-        """What a note says; None if it is damaged."""
-        for _, text, digest in self._rows(f"{_TEXTS} AND name = ?", ("note", name)):
-            with contextlib.suppress(msgspec.MsgspecError, TypeError, AttributeError):
-                note = msgspec.json.decode(text, type=kind)
-                if isinstance(note, _Header):
-                    self._header = note
-                if self._is_sound("note", (name,), text.encode(), digest):
-                    return note
+        """What a note says, of which there are two copies; None if both are damaged."""
+        for table in _NOTED:
+            rows: list[tuple[Any, ...]] = []
+            with contextlib.suppress(_Damaged):
+                rows = self._rows(f"{_TEXTS.format(table)} AND name = ?", ("note", name))
+            for _, text, digest in rows:
+                with contextlib.suppress(msgspec.MsgspecError, TypeError, AttributeError):
+                    note = msgspec.json.decode(text, type=kind)
+                    study = note.study if isinstance(note, _Header) else self.study
+                    if digest == _digest(study, "note", (name,), text.encode()):
+                        return note
         return None
 
     def _noted_tally(self) -> Tally:
@@ -714,57 +864,134 @@ class Ledger:
                 pass
             finally:
                 self._opened.rollback()
-        if found != (self.tally.digest, self._header.plan):
+        if not are_paths(paths) or found != (self.tally.digest, self._header.plan):
             self.damaged["list of cells"] = "it is not as it was written"
         return paths, done
 
-    def _look_for_damage(self, paths: Sequence[str]) -> None:
+    def _listed_anyway(self) -> list[str]:
+        """Paths of all cells by their places; a name for people where the list is damaged."""
+        known = dict(self._each("SELECT place, path FROM cells"))
+        return [str(known.get(place, f"cell {place}")) for place in range(self._header.cells)]
+
+    def _surveyed(self, paths: Sequence[str]) -> Survey:
         """Read everything; what is not sound goes to `damaged`."""
-        tally, before = Tally(), len(self.damaged)
+        tally, before, recorded = Tally(), len(self.damaged), 0
+        done, failed = set[str](), dict[str, str]()
         for change in self._sound(paths):
             if change.digest is not None:
                 tally = tally.plus(change.digest, change.size)
+                done.add(change.path)
+            elif change.failure is not None:
+                failed[change.path] = change.failure
+            else:
+                recorded += 1
         # Of a reader's list it is known already; meanwhile there may have been a commit.
-        if self._lock and len(self.damaged) == before and tally.digest != self.tally.digest:
+        still = self._lock is not None or self._salvaged
+        if still and len(self.damaged) == before and tally.digest != self.tally.digest:
             self.damaged["list of cells"] = "finished cells are missing in it"
+        known = {*done, *failed, *self.damaged}
+        missing = tuple(path for path in paths if path not in known)
+        return Survey(
+            tuple(path for path in paths if path in done),
+            {path: failed[path] for path in paths if path in failed},
+            recorded,
+            missing,
+            dict(self.damaged),
+        )
 
     def _sound(self, paths: Sequence[str]) -> Iterator[_Change]:
-        """All that is as it was written, to be written again; what is not goes to `damaged`."""
-        try:
-            ((first, *_), *_) = self._rows("PRAGMA integrity_check(1)")
-            if first != "ok":
-                self.damaged["file"] = " ".join(str(first).split())
-        except StoreError as error:
-            self.damaged["file"] = str(error)
+        """All that is as it was written, to be written again; what is not goes to `damaged`.
+
+        This alone decides what of a damaged ledger is kept.
+        """
         try:
             _ = self.config
-        except StoreError as error:
-            self.damaged["text of the study"] = str(error)
+        except _Damaged:
+            self.damaged["text of the study"] = _DAMAGE
+        for table in _NOTED:
+            for name in ("study", "tally"):
+                if not any(text for _, text in self._texts("note", name, table)):
+                    self.damaged[f"note of the {name}"] = _DAMAGE
+
+        # Results whose digests are sound; those whose digests are lost wait for the tally
+        left, unproven = int(self.tally.digest, 16), list[tuple[str, int, bytes]]()
+        made = 0
         for place, path in enumerate(paths):
             try:
-                ((found, digest, payload),) = self._rows(f"{_RESULT} WHERE place = ?", (place,))
-                scalars = dict(self._texts("scalars", path)).get(path)
-            except (StoreError, ValueError):
-                found, digest = None, None
-            if found != path:
+                cells = self._rows("SELECT path, digest FROM cells WHERE place = ?", (place,))
+                results = self._rows(_PAYLOADS, (place,))
+            except _Damaged:
+                cells = results = []
+            digests = [digest for found, digest in cells if found == path]
+            payloads = [payload for (payload,) in results if isinstance(payload, bytes)]
+            found = [(each, self._digest("result", (path,), each)) for each in payloads]
+            sound = [each for each in found if each[1] in digests]
+            if sound:
+                left ^= int.from_bytes(sound[0][1], "big")
+                change, again = self._with_scalars(path, *sound[0])
+                made += again
+                if change is not None:
+                    yield change
+            elif found and not any(digests):
+                left ^= int.from_bytes(found[0][1], "big")
+                unproven.append((path, place, found[0][1]))
+            elif any(digests):
+                self.damaged[path] = _DAMAGE
+            elif not digests:
                 self.damaged[path] = "its row cannot be read"
-            elif digest is not None:
-                if scalars is not None and self._is_sound("result", (path,), payload, digest):
-                    yield self._result(path, payload, digest, scalars)
-                else:
-                    self.damaged[path] = _DAMAGE
+        for path, place, digest in unproven:
+            change = None
+            if left == 0:  # the tally has the digests of all: that these are sound, too
+                payloads = [payload for (payload,) in self._rows(_PAYLOADS, (place,))]
+                sound = [
+                    (p, digest) for p in payloads if self._digest("result", (path,), p) == digest
+                ]
+                change, again = self._with_scalars(path, *sound[0])
+                made += again
+            if change is None:
+                self.damaged[path] = "its row cannot be read"
+            else:
+                self.damaged["list of cells"] = "rows of it cannot be read"
+                yield change
+        if made:
+            self.damaged["scalars"] = f"those of {made} cells, which are taken from their results"
+
+        # States of tasks, and failures
+        states = set[tuple[Any, ...]]()
         try:
             for (row,) in self._rows("SELECT rowid FROM tasks"):
                 for task in self._rows("SELECT * FROM tasks WHERE rowid = ?", (row,)):
                     *values, digest, payload = task
-                    if self._is_sound("task", tuple(values), payload, digest):
-                        yield _Change(values[0], ((_PUT_TASK, task),))
-                    else:
+                    if not self._is_sound("task", tuple(values), payload, digest):
                         self.damaged[_task_name(*values)] = _DAMAGE
-            for path, sentence in self.failures().items():
-                yield _Change(path, [self._text("failure", path, sentence)])
-        except StoreError as error:
-            self.damaged["recorded tasks and failures"] = str(error)
+                    elif tuple(values) not in states:
+                        states.add(tuple(values))
+                        yield _Change(values[0], ((_PUT_TASK, task),))
+            for path, sentence in self._texts("failure"):
+                if sentence is None:
+                    self.damaged[f"failure of {path}"] = _DAMAGE
+                else:
+                    yield _Change(path, [self._text("failure", path, sentence)], failure=sentence)
+        except _Damaged as error:
+            self.damaged["recorded tasks and failures"] = error.reason
+
+    def _with_scalars(
+        self, path: str, payload: bytes, digest: bytes
+    ) -> tuple[_Change | None, bool]:
+        """A sound result with its scalars; whether these were damaged and are taken from it again."""
+        text = None
+        with contextlib.suppress(_Damaged):
+            text = next((each for _, each in self._texts("scalars", path) if each), None)
+        if text is not None:
+            return self._result(path, payload, digest, text), False
+        try:
+            import xarray as xr
+
+            text = json.dumps(scalars_of(unpack(xr.Dataset, payload)))
+        except (FileFormatError, ValueError, TypeError):
+            self.damaged[path] = _DAMAGE
+            return None, False
+        return self._result(path, payload, digest, text), True
 
     @property
     def _opened(self) -> sqlite3.Connection:
@@ -790,30 +1017,42 @@ class Ledger:
             raise self._unreadable(error) from None
 
     def _unreadable(self, error: BaseException) -> StoreError:
-        lost = self._lock is not None or "not a database" in str(error)
-        remedy = "give another --out" if lost else _REMEDY
-        return StoreError(f"{str(self._file)!r} cannot be read: {error}; {remedy}.")
+        code = getattr(error, "sqlite_errorcode", 0) & 0xFF
+        if isinstance(error, MemoryError) or code in _NOT_DAMAGE:
+            return StoreError(
+                f"{str(self._file)!r} cannot be read: {str(error) or 'no memory is left'}."
+            )
+        sentence = f"{str(self._file)!r} cannot be read: {error}; {_REMEDY}."
+        return _Damaged(sentence, str(error))
 
-    def _text(self, kind: str, name: str, text: str) -> _Step:
+    def _text(self, kind: str, name: str, text: str, table: str = "texts") -> _Step:
         """What keeps a text, with a digest."""
-        return _PUT_TEXT, (kind, name, text, self._digest(kind, (name,), text.encode()))
+        row = kind, name, text, self._digest(kind, (name,), text.encode())
+        return _PUT_TEXT.format(table), row
 
-    def _texts(self, kind: str, name: str | None = None) -> Iterator[tuple[str, str | None]]:
+    def _texts(
+        self, kind: str, name: str | None = None, table: str = "texts"
+    ) -> Iterator[tuple[str, str | None]]:
         """Texts of a kind, or that of a name, with their names; None where they are damaged."""
-        chosen = (f"{_TEXTS} AND name = ?", (kind, name)) if name else (_TEXTS, (kind,))
+        query = _TEXTS.format(table)
+        chosen = (f"{query} AND name = ?", (kind, name)) if name else (query, (kind,))
         for found, text, digest in self._each(*chosen):
             content = text.encode() if isinstance(text, str) else None
             yield found, text if self._is_sound(kind, (found,), content, digest) else None
 
     def _digest(self, kind: str, key: tuple[Any, ...], content: bytes) -> bytes:
-        """SHA-256 of a row, which is one of this study."""
-        digest = hashlib.sha256(self.study.study_hash.encode())
-        digest.update(repr((kind, *key)).encode("utf-8", "surrogatepass"))
-        digest.update(content)
-        return digest.digest()
+        return _digest(self.study, kind, key, content)
 
     def _is_sound(self, kind: str, key: tuple[Any, ...], content: Any, digest: Any) -> bool:
         return isinstance(content, bytes) and self._digest(kind, key, content) == digest
+
+
+def _digest(study: StudyNote, kind: str, key: tuple[Any, ...], content: bytes) -> bytes:
+    """SHA-256 of a row of a study."""
+    digest = hashlib.sha256(study.study_hash.encode())
+    digest.update(repr((kind, *key)).encode("utf-8", "surrogatepass"))
+    digest.update(content)
+    return digest.digest()
 
 
 def scalars_of(result: xr.Dataset) -> dict[str, float]:
@@ -823,6 +1062,16 @@ def scalars_of(result: xr.Dataset) -> dict[str, float]:
         for name, each in result.variables.items()
         if each.ndim == 0 and each.dtype.kind in "biuf"
     }
+
+
+def are_paths(paths: Iterable[str]) -> bool:
+    """Whether texts can be paths of cells, as plans make them: none leads out of a folder."""
+    try:
+        text = "\n".join(["", *paths, ""])
+        strange = text.encode().translate(None, _PATH_LETTERS + b"\n")
+    except (TypeError, UnicodeError):
+        return False
+    return not strange and not any(each in text for each in _NO_PATH)
 
 
 def is_held(folder: Path) -> bool:
@@ -840,25 +1089,40 @@ def is_held(folder: Path) -> bool:
     return False
 
 
-def check_links(folder: Path) -> None:
-    """Refuse an output folder in which what a run writes is a symbolic link, or has one inside.
+def lock_damage(folder: Path) -> str | None:
+    """Why no run can lock a folder, in words; None if one can."""
+    lock = folder / _LOCK_NAME
+    if os.path.lexists(lock) and not (lock.is_file() and lock.stat().st_size == 0):
+        return "it is not the empty file that a run locks; remove it while no run writes there"
+    return None
 
-    A stranger's could lead anywhere. The folder itself may be one, and so may files of others in it.
 
-    Raises
-    ------
-    StoreError
-        It names the link, or the folder cannot be read.
-    """
+def _refuse_strangers(file: Path) -> None:
+    """Refuse what would lead SQLite, when it opens a file, to other files than its own."""
+    for end in _BESIDE:
+        beside = file.with_name(file.name + end)
+        refuse_links(str(beside))
+        if os.path.lexists(beside) and not beside.is_file():
+            raise StoreError(f"{str(beside)!r} is no file; remove it, or take another folder.")
+    journal = file.with_name(f"{file.name}-journal")
+    if journal.exists():
+        with _reading(journal), journal.open("rb") as stream:
+            stream.seek(max(0, journal.stat().st_size - len(_SUPER_JOURNAL)))
+            tail = stream.read()
+        # SQLite deletes the file that is named there
+        if tail == _SUPER_JOURNAL:
+            raise StoreError(
+                f"{str(journal)!r} names another file, which no run writes; remove it, or take another "
+                "folder."
+            )
+
+
+@contextlib.contextmanager
+def _reading(file: Path) -> Iterator[None]:
     try:
-        entries = list(os.scandir(folder))
-    except (FileNotFoundError, NotADirectoryError):
-        return
+        yield
     except OSError as error:
-        raise StoreError(f"{str(folder)!r} cannot be read: {error.strerror}.") from None
-    for entry in entries:
-        if entry.name.removeprefix(".").startswith(_WRITTEN):
-            refuse_links(entry.path)
+        raise StoreError(f"{str(file)!r} cannot be read: {error.strerror}.") from None
 
 
 def refuse_links(place: str) -> None:
@@ -895,6 +1159,10 @@ def _locked(folder: Path) -> sqlite3.Connection:
     """The right to write into a folder: an exclusive transaction on an empty file, which never ends."""
     with _writing(folder, StoreError, "give another --out"):
         folder.mkdir(parents=True, exist_ok=True)
+        _refuse_strangers(folder / _LOCK_NAME)
+        trouble = lock_damage(folder)
+        if trouble is not None:
+            raise StoreError(f"{str(folder / _LOCK_NAME)!r} cannot be locked: {trouble}.")
         lock = _connected(folder / _LOCK_NAME, "rwc", 1.0)  # those who look hold it for a moment
         try:
             lock.execute("BEGIN EXCLUSIVE")
@@ -908,7 +1176,11 @@ def _locked(folder: Path) -> sqlite3.Connection:
                 with contextlib.suppress(StoreError), Ledger.read(folder) as ledger:
                     holder = ledger.tally.holder
                 time.sleep(0.01)
-            named = "another process" if holder is None else holder.in_words
+            named = (
+                "another process, or its file system has no locks"
+                if holder is None
+                else holder.in_words
+            )
             raise StoreError(
                 f"{str(folder)!r} is being written by {named}; wait for it, or give another --out."
             ) from None
@@ -938,8 +1210,10 @@ def _writing(
     """Make one sentence of what keeps a place from being written; `remedy` is that of a ledger."""
     try:
         yield
-    except (OSError, sqlite3.Error) as error:
+    except (OSError, sqlite3.Error, MemoryError) as error:
         reason = error.strerror if isinstance(error, OSError) else str(error)
+        if isinstance(error, MemoryError):
+            reason = "no memory is left"
         if not remedy and place.exists():
             remedy = "what was finished is kept, and --resume continues it"
         raise kind(

@@ -6,7 +6,6 @@ Nothing that a cell is made of is checked again.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -45,6 +44,7 @@ from mcspectra.samplers.registry import sampler_from_calls
 from mcspectra.studies.files import (
     EstimatorConfig,
     SceneConfig,
+    Slugs,
     StudyConfig,
     analysis_tables,
     as_study,
@@ -71,8 +71,6 @@ NOTED_SECONDS = 5.0
 MOST_SECONDS = 120.0
 """Most seconds of planning of a study that is not forced: five million analyses, whose cells take 3 GB.
 Grids of a few lines reach that by mistake sooner than by intention."""
-
-_RESERVED = frozenset({"zarr.json", "c"})
 
 
 @final
@@ -242,7 +240,7 @@ class _Planner:
     def __init__(self, config: StudyConfig, vetting: Vetting) -> None:
         self.vetting = vetting
         self._config = config
-        self._slugs = _Slugs()
+        self._slugs = Slugs()
         self._one: dict[tuple[str, int | None], tuple[Sampler, Inputs]] = {}
         self._lists: dict[tuple[tuple[str, ...], int | None], _Samplers] = {}
         self._vetted: dict[int, list[_Asked]] = {}
@@ -319,7 +317,7 @@ class _Planner:
         texts = self._config.samplers_of(entry)
         key = texts, dims
         if key not in self._lists:
-            slugs, specs, found = _Slugs(), dict[str, str](), _Samplers()
+            slugs, specs, found = Slugs(), dict[str, str](), _Samplers()
             for text in texts:
                 if (text, dims) not in self._one:
                     try:
@@ -387,26 +385,3 @@ def _built(
         else:
             made = MultipleImportance(f, densities, heuristic=heuristic, counts=counts, sets=sets)
     return made if entry.mirror is None else Mirrored(made, entry.mirror)
-
-
-@final
-class _Slugs:
-    """Short group names of letters, digits, dots and hyphens, a different one for each text.
-
-    They have no separator and no leading dot, so that no name leads out of the store, and are none of
-    the names of the store's own files.
-    """
-
-    def __init__(self) -> None:
-        self._taken: set[str] = set(_RESERVED)
-        self._next: dict[str, int] = {}
-
-    def __call__(self, text: str) -> str:
-        base = re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-.")[:60].strip("-.") or "x"
-        slug = base
-        while slug in self._taken:
-            # Numbers go on where they were: thousands of texts may begin alike.
-            number = self._next.get(base, 2)
-            slug, self._next[base] = f"{base}-{number}", number + 1
-        self._taken.add(slug)
-        return slug

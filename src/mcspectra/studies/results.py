@@ -25,19 +25,32 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
+from mcspectra.core.analysis import ANALYSES
 from mcspectra.core.checks import as_path
 from mcspectra.core.display import register_accessor
-from mcspectra.core.errors import McspectraError, ParameterError, StoreError, reason_of, writing
+from mcspectra.core.errors import (
+    McspectraError,
+    MissingDependency,
+    ParameterError,
+    StoreError,
+    UnknownName,
+    reason_of,
+    writing,
+)
 from mcspectra.core.memory import available_memory, shown_bytes
 from mcspectra.core.records import unpack
+from mcspectra.core.results import check_variables
+from mcspectra.studies.files import Names, planned_groups
 from mcspectra.studies.ledger import (
     FORMAT,
     LEDGER_NAME,
     STORE_NAME,
     Holder,
     Ledger,
-    check_links,
+    Survey,
+    are_paths,
     is_held,
+    lock_damage,
     refuse_links,
     scalars_of,
 )
@@ -56,6 +69,7 @@ __all__ = [
     "output_folder",
     "result_paths",
     "result_scalars",
+    "showing",
     "study_status",
     "write_zarr",
 ]
@@ -180,7 +194,15 @@ def _opened(
     else:
         with ledger:
             root = _root_attributes(ledger, whole=whole or not _is_path(select))
-            cells = {path: _read_cell(ledger, path) for path in _selected(ledger, select)}
+            paths = list(_selected(ledger, select))
+            if "study" in root:
+                stranger = _unplanned(root["study"], paths)
+                if stranger is not None:
+                    raise StoreError(
+                        f"The ledger in {str(ledger.folder)!r} has the cell {stranger!r:.120}, which its "
+                        "study does not have: it is not as a run wrote it; give another folder."
+                    )
+            cells = {path: _read_cell(ledger, path) for path in paths}
     if select is not None and not cells:
         raise StoreError(f"No cell of {str(source)!r} matches {select!r}; paths are a/b/analysis.")
     return root, cells
@@ -244,23 +266,40 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
         raise StoreError(
             f"{str(folder)!r} is not the output folder of a run; only such a folder has a status."
         )
-    ledger = _ledger(folder)
+    ledger = _ledger(folder, salvage=verify)
     if ledger is None:
         _files(folder)
         raise StoreError(
             f"{str(folder)!r} is an exported store; only a study's folder has a status."
         )
     with ledger:
-        done, failed = ledger.done, ledger.failures()
-        recorded, tally = ledger.recorded, ledger.tally
-        damaged = ledger.verify() if verify else dict(ledger.damaged)
-        missing = tuple(path for path in ledger.paths if path not in done and path not in failed)
+        if verify:  # as --resume does
+            study: Any = {}
+            with contextlib.suppress(StoreError, ValueError, RecursionError):  # named below
+                study = json.loads(ledger.config)
+            parts = _planned(study).items()
+            paths = [f"{e}/{s}/{a}" for e, (own, asked) in parts for s in own for a in asked]
+            found = ledger.verify(paths)
+            stranger = _unplanned(study, ledger.paths) if "file" not in found.damaged else None
+            if stranger is not None and "text of the study" not in found.damaged:
+                sentence = f"it has {stranger!r:.120}, which the study does not have"
+                found.damaged["list of cells"] = sentence
+        else:
+            done, failed = tuple(ledger.done), ledger.failures()
+            missing = tuple(
+                path for path in ledger.paths if path not in ledger.done and path not in failed
+            )
+            found = Survey(done, failed, ledger.recorded, missing, dict(ledger.damaged))
+        tally, damaged = ledger.tally, found.damaged
     if verify and (root / STORE_NAME).exists():
         try:
             _files(root / STORE_NAME)
         except StoreError as error:
             damaged[f"the store {STORE_NAME}"] = str(error)
-    running, lacking = is_held(root), failed or missing or damaged
+    trouble = lock_damage(root) if verify else None
+    if trouble is not None:
+        damaged["the lock study.lock"] = trouble
+    running, lacking = is_held(root), found.failed or found.missing or damaged
     return StudyStatus(
         title=ledger.study.title,
         study_hash=ledger.study.study_hash,
@@ -274,11 +313,11 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
         hosts=tally.hosts,
         started=tally.started,
         finished=tally.finished,
-        done=tuple(path for path in done if path not in damaged) if damaged else tuple(done),
-        failed=failed,
-        missing=tuple(path for path in missing if path not in damaged),
+        done=found.done,
+        failed=found.failed,
+        missing=found.missing,
         damaged=damaged,
-        recorded=recorded,
+        recorded=found.recorded,
         results_bytes=tally.size,
         ledger_bytes=(root / LEDGER_NAME).stat().st_size,
         verified=verify,
@@ -299,7 +338,6 @@ def write_zarr(folder: Path) -> Path | None:
     StorageError
         It cannot be written; the ledger has all of it.
     """
-    check_links(folder)
     target = folder / STORE_NAME
     with Ledger.read(folder) as ledger:
         if len(ledger.done) > MOST_STORED:
@@ -402,7 +440,9 @@ def output_folder(out: str | Path) -> Path:
     return folder
 
 
-def _ledger(source: str | Path, select: str | None = None) -> Ledger | None:
+def _ledger(
+    source: str | Path, select: str | None = None, *, salvage: bool = False
+) -> Ledger | None:
     """The ledger of a source, if that is a study's folder, after a check of what is asked for."""
     root = as_path("source", source)
     given: Any = select
@@ -412,7 +452,7 @@ def _ledger(source: str | Path, select: str | None = None) -> Ledger | None:
         )
     if not os.path.lexists(root / LEDGER_NAME):
         return None
-    return Ledger.read(source)
+    return Ledger.read(source, salvage=salvage)
 
 
 def _is_path(select: str | None) -> bool:
@@ -439,6 +479,44 @@ def _selected(ledger: Ledger, select: str | None) -> Iterable[str]:
     return done if select is None else fnmatch.filter(done, select)
 
 
+def _planned(study: Any) -> dict[str, tuple[Names, Names]]:
+    """Parts of the paths of a study's cells; none if a text is none of a study."""
+    try:
+        return planned_groups(study)
+    except (AttributeError, LookupError, TypeError, ValueError, McspectraError):
+        return {}
+
+
+def _unplanned(study: Any, paths: Iterable[str]) -> str | None:
+    """The first path that is none of a study's cells; None if all are."""
+    groups = _planned(study)
+    for path in paths:
+        first, _, rest = path.partition("/")
+        sampler, _, analysis = rest.partition("/")
+        samplers, analyses = groups.get(first, ({}, {}))
+        if sampler not in samplers or analysis not in analyses:
+            return path
+    return None
+
+
+@contextlib.contextmanager
+def showing(source: str | Path) -> Iterator[None]:
+    """Make one sentence of whatever is raised as results are shown that a stranger may have made.
+
+    Digests and variables are checked before; that numbers and attributes belong together is not.
+    """
+    try:
+        yield
+    except (McspectraError, OSError):
+        raise
+    except Exception as error:
+        raise StoreError(
+            f"The results in {str(source)!r} cannot be shown ({type(error).__name__}: "
+            f"{reason_of(error, 200)}): they are not as this version computes them; run the study again "
+            "with another --out."
+        ) from error
+
+
 def _read_cell(ledger: Ledger, path: str) -> xr.Dataset:
     """A cell as it is in a store too: texts as attributes, for which Zarr v3 has no stable type.
 
@@ -449,6 +527,13 @@ def _read_cell(ledger: Ledger, path: str) -> xr.Dataset:
 
     try:
         cell: xr.Dataset = unpack(xr.Dataset, ledger.result(path))
+        if not are_paths([path]):
+            raise StoreError(
+                f"The cell {path!r:.120} is none that a run writes; give another folder."
+            )
+        with contextlib.suppress(MissingDependency, UnknownName):  # of a package that is not here
+            name = path.rpartition("/")[2]
+            check_variables(cell, ANALYSES.load(name).variables, name)
     except StoreError:
         raise
     except McspectraError as error:
@@ -459,7 +544,12 @@ def _read_cell(ledger: Ledger, path: str) -> xr.Dataset:
 
 
 def _root_attributes(ledger: Ledger, *, whole: bool = True) -> dict[str, Any]:
-    study = {"study": msgspec.json.decode(ledger.config)} if whole else {}
+    try:
+        study = {"study": msgspec.json.decode(ledger.config)} if whole else {}
+    except (msgspec.MsgspecError, UnicodeError, RecursionError):
+        raise StoreError(
+            f"The study in {str(ledger.folder)!r} is not as a run writes it; give another folder."
+        ) from None
     return {
         "format": FORMAT,
         **study,

@@ -134,8 +134,8 @@ def run_study(
         if damaged:
             more = f" and {len(damaged) - _NAMED} more" if len(damaged) > _NAMED else ""
             warn(
-                f"{len(damaged)} parts of the results in {str(out)!r} are damaged and are computed "
-                f"again: {', '.join(damaged[:_NAMED])}{more}.",
+                f"{len(damaged)} parts of the results in {str(out)!r} are damaged, and what is lost is "
+                f"computed again: {', '.join(damaged[:_NAMED])}{more}.",
                 DamagedResultsWarning,
             )
         failed = ledger.failures()

@@ -1,0 +1,405 @@
+"""What may befall the files of a study: pages, power, memory, clocks and locks that are lost.
+
+``python -m tests.studies.trials KIND [TRIALS [SEED]]`` prints how many trials of a kind held, and how many
+broke: ``pages`` zeroes each page of a ledger, ``power`` drops writes that were not synced, ``memory`` fails
+allocations, ``clocks`` has the clock of the day jump, ``locks`` takes them from the file system. A trial
+holds if the run, resumed, ends with the very results of one that nothing disturbed. All but the first
+need a C compiler and Linux: see faults.c.
+"""
+
+import contextlib
+import ctypes
+import functools
+import hashlib
+import itertools
+import json
+import os
+import random
+import shutil
+import struct
+import subprocess
+import sys
+import tempfile
+import warnings
+from collections import Counter
+from pathlib import Path
+
+import msgspec
+from tests.processes import python
+from tests.report.conftest import words_alone
+
+from mcspectra.cli.main import main
+from mcspectra.core.errors import StoreError
+from mcspectra.report import page as report_page
+from mcspectra.studies import decode_study, make_plan, run_study, schedule, study_status
+from mcspectra.studies import ledger as ledger_module
+from mcspectra.studies.ledger import LEDGER_NAME, Ledger
+from mcspectra.studies.results import open_results
+
+ROOT = Path(__file__).parents[2]
+PAGE, SECTOR = 8192, 4096
+MANY = """
+title = "pages"
+seed = 11
+samplers = ["random", "jittered"]
+[convergence]
+counts = [4, 16]
+realizations = 8
+[exact]
+counts = [4]
+[terms]
+n = 16
+half_width = 4
+realizations = 8
+[[estimators]]
+name = "smooth {i}"
+integrand = "gaussian"
+dims = 1
+grid = {i = NUMBERS}
+""".replace("NUMBERS", str(list(range(1, 25))))
+FEW = """
+title = "few"
+seed = 11
+samplers = ["random", "jittered"]
+[convergence]
+counts = [16, 64]
+realizations = 3000
+[exact]
+counts = [4]
+[[estimators]]
+name = "smooth"
+integrand = "gaussian"
+dims = 2
+"""
+
+
+def values_of(folder):
+    """All results of a folder, as bytes, by the names of cells and variables."""
+    tree = open_results(folder)
+    found = {}
+    for node in tree.leaves:
+        for name, variable in node.to_dataset(inherit=False).variables.items():
+            found[f"{node.path}/{name}"] = variable.values.tobytes(), str(variable.attrs)
+        found[node.path] = str(node.attrs)
+    return found
+
+
+def digest_of(folder):
+    """SHA-256 of the store, file by file."""
+    digest, tree = hashlib.sha256(), folder / "results.zarr"
+    for path in sorted(path for path in tree.rglob("*") if path.is_file()):
+        digest.update(f"{path.relative_to(tree)}".encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+# Each page of a ledger zeroed
+
+
+def pages(folder, step=1):
+    """Zero each page of a ledger of real results: what of the cells off the page is not recovered."""
+    config = decode_study(MANY)
+    paths = [cell.path for cell in make_plan(config, ".").cells]
+    out, work = folder / "whole", folder / "work"
+    run_study(config, out, workers=1)
+    content, values = (out / LEDGER_NAME).read_bytes(), values_of(out)
+    with Ledger.read(out) as ledger:
+        note = msgspec.structs.replace(ledger.study, config=ledger.config)
+        payloads = {path: ledger.result(path) for path in paths}
+    places = {path: pages_of(content, payload) for path, payload in payloads.items()}
+    whole = len(content) // PAGE
+    found = Counter(pages=0, held=0, broken=0, cells_off_pages=0, recovered=0)
+    for number in range(0, whole, step):
+        zeroed = content[: number * PAGE] + bytes(PAGE) + content[(number + 1) * PAGE :]
+        shutil.rmtree(work, ignore_errors=True)
+        work.mkdir()
+        (work / LEDGER_NAME).write_bytes(zeroed)
+        off = [path for path in paths if number not in places[path]]
+        said = study_status(work, verify=True)
+        with Ledger.resume(work, note, paths) as ledger:
+            kept = tuple(ledger.done)
+            sound = all(ledger.result(path) == payloads[path] for path in kept)
+            scalars = ledger.scalars().keys() == set(kept)
+        found["pages"] += 1
+        found["cells_off_pages"] += len(off)
+        found["recovered"] += len(set(off) & set(kept))
+        good = set(off) <= set(kept) == set(said.done) and sound and scalars and said.damaged
+        found["held" if good else "broken"] += 1
+        if number % 16 == 0:  # the rest is computed again, by the run itself
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                run_study(config, work, resume=True, workers=1)
+            assert values_of(work) == values
+    return found
+
+
+def pages_of(content, payload):
+    """The pages that a payload is on: where those of its pieces are that no other has."""
+    pieces = (payload[i : i + 64] for i in range(0, len(payload) - 63, 8))
+    places = [content.find(piece) for piece in pieces if content.count(piece) == 1]
+    assert places
+    return {place // PAGE for place in places} | {(place + 63) // PAGE for place in places}
+
+
+# Faults of the system
+
+
+@functools.cache
+def shim():
+    """The library that brings faults, compiled; None where that cannot be."""
+    compiler = shutil.which("cc")
+    if compiler is None or sys.platform != "linux":
+        return None
+    file = Path(tempfile.mkdtemp()) / "faults.so"
+    source = Path(__file__).with_name("faults.c")
+    command = [compiler, "-shared", "-fPIC", "-O1", "-o", str(file), str(source), "-ldl"]
+    made = subprocess.run([*command, "-lpthread"], capture_output=True, check=False)
+    return file if made.returncode == 0 else None
+
+
+def with_faults(*arguments, **faults):
+    """A process of Python with the faults of these environment variables."""
+    names = {f"FAULTS_{name.upper()}": str(value) for name, value in faults.items()}
+    environment = os.environ | {"LD_PRELOAD": str(shim()), "OMP_NUM_THREADS": "1", **names}
+    return python(*arguments, cwd=ROOT, env=environment)
+
+
+def prepared():
+    """Make runs of this process record much, commit often, and draw nothing."""
+    schedule._TARGET, schedule._RECORDED_AFTER = 1e-9, 0.0
+    ledger_module._COMMIT_SECONDS = 0.005
+    report_page._drawn = words_alone
+
+
+def command(study, out, *more):
+    """The command line of a run, in tasks of one block."""
+    prepared()
+    return main(["run", str(study), "--out", str(out), "--workers", "1", "--quiet", *more])
+
+
+def forked(*arguments, begin=lambda: None):
+    """The command in a fork, which has everything imported: its exit code."""
+    child = os.fork()
+    if child == 0:
+        silent = os.open(os.devnull, os.O_WRONLY)
+        for stream in (1, 2):
+            os.dup2(silent, stream)
+        begin()
+        os._exit(command(*arguments))
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+# Power
+
+
+class Disk:
+    """Files of a folder as a log of their changes has them, of which a power loss keeps what was synced.
+
+    A write that was not synced is kept or lost, each sector of it; changes of names that were not synced
+    are lost from one of them on, as file systems keep their order.
+    """
+
+    def __init__(self, log):
+        self.changes = []
+        content, at = log.read_bytes(), 0
+        while at < len(content):
+            kind, file, place, size = struct.unpack_from("4q", content, at)
+            self.changes.append((chr(kind), file, place, content[at + 32 : at + 32 + size]))
+            at += 32 + size
+
+    def lost_at(self, change, chosen):
+        """What is in the folder after power was lost before a change: contents by name."""
+        synced, waiting, files, folders = {}, {}, {}, set()
+        names, kept_names, renames = {}, {}, []
+        count = 0
+
+        def renamed(step):
+            step(names)
+            renames.append(step)
+
+        for kind, file, place, data in self.changes[:change]:
+            if kind in "OD":
+                folders.discard(file)
+            if kind == "D":
+                folders.add(file)
+            elif kind == "O":
+                name = Path(data.decode()).name
+                if name not in names:
+                    count += 1
+                    synced[count], waiting[count] = b"", []
+                    renamed(lambda of, name=name, number=count: of.__setitem__(name, number))
+                files[file] = names[name]
+            elif kind in "WT":
+                waiting[files[file]].append((kind, place, data))
+            elif kind == "S" and file in folders:
+                for step in renames:
+                    step(kept_names)
+                renames.clear()
+            elif kind == "S":
+                number = files[file]
+                synced[number] = applied(synced[number], waiting[number])
+                waiting[number] = []
+            elif kind == "U":
+                gone = Path(data.decode()).name
+                renamed(lambda of, name=gone: of.pop(name, None))
+            elif kind == "R" and file == 0:
+                before = Path(data.decode()).name
+            elif kind == "R":
+                after = Path(data.decode()).name
+                renamed(lambda of, a=after, b=before: b in of and of.__setitem__(a, of.pop(b)))
+        for step in renames[: chosen.randint(0, len(renames))]:
+            step(kept_names)
+        return {
+            name: applied(synced[number], partly(waiting[number], chosen))
+            for name, number in kept_names.items()
+        }
+
+
+def applied(content, changes):
+    """A file's content after changes of it."""
+    found = bytearray(content)
+    for kind, place, data in changes:
+        if kind == "T":
+            del found[place:]
+        else:
+            found.extend(bytes(max(0, place - len(found))))
+            found[place : place + len(data)] = data
+    return bytes(found)
+
+
+def partly(changes, chosen):
+    """Changes that were not synced, each sector of which may be lost: all, some or none of them."""
+    share = chosen.choice((0.0, 0.5, 0.5, 1.0))
+    for kind, place, data in changes:
+        if kind == "T":
+            if chosen.random() < share:
+                yield kind, place, data
+            continue
+        for start in range(0, len(data), SECTOR):
+            if chosen.random() < share:
+                yield kind, place + start, data[start : start + SECTOR]
+
+
+def power(folder, trials, seed=1):
+    """Lose power between any two changes of a run's files, and resume; of twice as many, twice."""
+    study, chosen = folder / "study.toml", random.Random(seed)
+    study.write_text(FEW)
+    log, out = folder / "log", folder / "straight"
+    ended = with_faults("-m", "tests.studies.trials", "run", study, out, log=log)
+    assert ended.returncode == 0, ended.stderr
+    disk, expected = Disk(log), digest_of(out)
+    found = Counter(changes=len(disk.changes), held=0, broken=0, nothing_there=0)
+    for number in range(trials):
+        work = folder / f"power{number}"
+        work.mkdir()
+        # Spread over the changes: every one of them is tried where there are as many trials
+        change = (number * len(disk.changes)) // trials + chosen.randrange(2)
+        for name, content in disk.lost_at(change, chosen).items():
+            (work / name).write_bytes(content)
+        found["nothing_there"] += not (work / LEDGER_NAME).exists()
+        good = forked(study, work, "--resume") == 0 and digest_of(work) == expected
+        good = good and study_status(work, verify=True).state == "finished"
+        found["held" if good else "broken"] += 1
+        shutil.rmtree(work)
+    return found
+
+
+# Memory, clocks and locks
+
+
+def memory(folder, trials, seed=1):
+    """Fail random allocations of a run, in forks of a process that has the shim; resume without."""
+    ended = with_faults("-m", "tests.studies.trials", "memory-inside", folder, trials, seed)
+    assert ended.returncode == 0, ended.stderr[-2000:]
+    return Counter(json.loads(ended.stdout.splitlines()[-1]))
+
+
+def memory_inside(folder, trials, seed):
+    study, chosen = folder / "study.toml", random.Random(seed)
+    study.write_text(FEW)
+    library = ctypes.CDLL(None)
+    library.faults_memory.restype = ctypes.c_long
+    forked(study, folder / "straight")
+    expected = digest_of(folder / "straight")
+    found = Counter(held=0, broken=0)
+    for number in range(trials):
+        out = folder / f"memory{number}"
+        # From the start, or from one of the commits on
+        commit = chosen.choice((None, *range(1, 12)))
+        after = int(10 ** chosen.uniform(0.0, 4.0 if commit else 6.0))
+        count = chosen.choice((1, 1, 10, 1000))
+
+        def begin(commit=commit, after=after, count=count):
+            write, seen = Ledger._write, itertools.count(1)
+
+            def counted(*arguments):
+                if next(seen) == commit:
+                    library.faults_memory(ctypes.c_long(after), ctypes.c_long(count))
+                return write(*arguments)
+
+            Ledger._write = counted
+            if commit is None:
+                library.faults_memory(ctypes.c_long(after), ctypes.c_long(count))
+
+        end = forked(study, out, begin=begin)
+        found[f"ended with {end}"] += 1
+        resumed = (
+            forked(study, out, "--resume", "--retry") if (out / LEDGER_NAME).exists() else None
+        )
+        if resumed is None:
+            resumed = forked(study, out)
+        good = resumed == 0 and digest_of(out) == expected
+        found["held" if good else "broken"] += 1
+        shutil.rmtree(out, ignore_errors=True)
+    return found
+
+
+def clocks(folder, trials, seed=1):
+    """Have the clock of the day jump by years while a run is killed, and while it is resumed."""
+    study = folder / "study.toml"
+    study.write_text(FEW)
+    prepared()
+    program = ("-m", "tests.studies.killed_runs", study, folder / "runs")
+    ended = with_faults(*program, trials, seed, clock=seed)
+    assert ended.returncode == 0, ended.stderr[-2000:]
+    found = Counter(held=0, broken=0)
+    run_study(decode_study(FEW), folder / "straight", workers=1)
+    expected = digest_of(folder / "straight")
+    for trial in map(json.loads, ended.stdout.splitlines()):
+        out = Path(trial["out"])
+        good = trial["last"] == 0 and digest_of(out) == expected
+        good = good and not study_status(out, verify=True).damaged
+        found["held" if good else "broken"] += 1
+    return found
+
+
+def locks(folder, trials=1, seed=1):
+    """On a file system without locks a run says so, in a sentence, and writes nothing."""
+    study = folder / "study.toml"
+    study.write_text(FEW)
+    found = Counter(held=0, broken=0)
+    for number in range(trials):
+        out = folder / f"locks{number}"
+        ended = with_faults("-m", "tests.studies.trials", "run", study, out, nolock=seed)
+        good = ended.returncode == 2 and ended.stderr.count("\n") == 1 and "locks" in ended.stderr
+        found["held" if good and not (out / LEDGER_NAME).exists() else "broken"] += 1
+    return found
+
+
+TRIALS = {"power": power, "memory": memory, "clocks": clocks, "locks": locks}
+
+
+def main_(kind, *more):
+    if kind == "run":
+        return command(*map(Path, more))
+    if kind == "memory-inside":
+        found = memory_inside(Path(more[0]), *map(int, more[1:]))
+    else:
+        with tempfile.TemporaryDirectory() as name, contextlib.suppress(StoreError):
+            trial = TRIALS.get(kind, pages)
+            found = trial(Path(name), *map(int, more or ((200,) if kind in TRIALS else ())))
+    print(json.dumps(dict(found)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main_(*sys.argv[1:]))
