@@ -8,6 +8,7 @@ weights. Errors of means over many of them are therefore taken from the means th
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, final
 
@@ -27,6 +28,7 @@ from mcspectra.densities import Density
 from mcspectra.densities.base import divide_by_density
 from mcspectra.densities.registry import as_warp
 from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.samplers.law import independent_sets
 from mcspectra.spectra._kernels import UNLABELLED, power_sums
 from mcspectra.spectra.transforms import MAX_FREQUENCIES, FrequencyGrid, Transform
 
@@ -110,7 +112,8 @@ def power_spectrum(
         frequency step, without m = 0), the error from the ring means of each realisation, since
         the frequencies of one set are not independent, and ``radial_power_ci``, the 95 % interval:
         Student's t of the logarithm, power · exp(±t se/power), with t of realizations − 1 degrees
-        of freedom, the attribute ``student_t`` (it serves ``power_se`` too); in two dims
+        of freedom, the attribute ``student_t`` (it serves ``power_se`` too). Where the sampler has
+        fewer sets than realizations, errors and t are those of the number of sets; in two dims
         ``wedge_power`` with ``_se`` and ``_ci`` likewise, see `wedge_means`; with `mean`,
         ``mean_coefficient`` (complex) and ``mean_coefficient_se`` on dims m0, m1, …
 
@@ -250,13 +253,21 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
             return sums
 
         def result(total: _SpectrumSums) -> xr.Dataset:
+            # Realizations that repeat a few sets under other translations have the power of these
+            count = self.realizations
+            sets = independent_sets(source.law(self.n))
+            widened = 1.0
+            if sets is not None and sets < count:
+                widened = math.sqrt(count / (sets - 1)) if sets > 1 else math.nan
+                count = sets
             power, power_se = total.frequencies.power.mean_and_error()
+            power_se = widened * power_se
             found: dict[str, tuple[tuple[str, ...], Array]] = {
                 "power": (grid.names, grid.full(power)),
                 "power_se": (grid.names, grid.full(power_se)),
             }
             # Means over rings, then over wedges
-            rings, count = grid.half_width, self.realizations
+            rings = grid.half_width
             labels = {"long_name": "|m|", "units": "cycles per unit"}
             coords: dict[str, Any] = {
                 **grid.coords,
@@ -269,6 +280,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
                 coords["angle"] = wedge_angles(self.wedges)
             for name, dim, part in parts:
                 mean, se = (values[part] for values in total.polar.mean_and_error())
+                se = widened * se
                 found[name], found[f"{name}_se"] = ((dim,), mean), ((dim,), se)
                 found[f"{name}_ci"] = (dim, "bound"), mean_interval(mean, se, count)
             if self.mean:
@@ -276,6 +288,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
                 found["mean_coefficient"] = grid.names, grid.full(mean, conjugate=True)
                 found["mean_coefficient_se"] = grid.names, grid.full(mean_se)
             about = spectrum_attributes(source, p, self.n, self.realizations, stream)
+            about["student_t"] = student_t(count) if count > 1 else math.nan
             transform, error = chosen()
             return dataset(
                 found,
