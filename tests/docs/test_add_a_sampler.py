@@ -62,3 +62,15 @@ def test_the_command_line_knows_it_by_its_entry_point(tmp_path):
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     done = python("-m", "mcspectra", *arguments, env=environment, check=True)
     assert '"sampler": "antithetic | shift"' in done.stdout
+
+
+def test_its_law_predicts_it():
+    names = {}
+    exec(CODE[0] + CODE[2], names)  # noqa: S102
+    slabs = names["Slabs"]()
+    check_sampler(slabs, counts=(4, 16))
+    for sampler in (slabs, slabs.then(mcs.samplers.Shift())):
+        exact = mcs.exact_variance("gaussian", sampler, 16, tolerance=1e-3)
+        curve = mcs.convergence("gaussian", sampler, [16], realizations=1000, rng=2)
+        low, high = curve["variance_ci"].values[0]
+        assert low < exact < high

@@ -1,12 +1,15 @@
 """Results as files: tables that programs and LaTeX read, pictures in every format."""
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import mcspectra as mcs
 from mcspectra.core.errors import FileFormatError, ParameterError
+from mcspectra.plots import backend_matplotlib
+from mcspectra.plots.kinds import describe
 from mcspectra.report.result_files import csv_text, latex_table, result_table, write_result_file
 
 
@@ -85,6 +88,21 @@ def test_a_pgf_has_the_maths_of_latex(tmp_path):
     assert "n$^{-1}$, the rate of random sampling" in text
     assert "10$^{-3}$" in text
     assert text.isascii()
+
+
+def test_names_are_no_commands_of_latex(tmp_path):
+    r"""A name such as ``\input{…}`` was one."""
+    name = r"\input{/etc/passwd} $x$ %_#&~^"
+    result = mcs.convergence("linear(dims=1)", "random", [4, 8], realizations=8)
+    plot = describe("convergence", result)
+    panels = tuple(replace(panel, title=name) for panel in plot.panels)
+    backend_matplotlib.write(replace(plot, panels=panels), tmp_path / "c.pgf")
+    text = (tmp_path / "c.pgf").read_text("utf-8")
+    shown = (
+        r"\textbackslash{}input\{/etc/passwd\} \$x\$ \%\_\#\&\textasciitilde{}\textasciicircum{}"
+    )
+    assert shown in text
+    assert r"\input{" not in text
 
 
 def test_maps_are_no_pgf(tmp_path):

@@ -97,7 +97,10 @@ def numbers(seed=0):
 @pytest.fixture(autouse=True, scope="module")
 def declared():
     """Variables of the datasets of these tests, which no analysis gives."""
-    plain = "coefficient found scalar flags waves counts single half none zeros days x variance"
+    plain = (
+        "coefficient found scalar flags waves counts single half none zeros days x variance spread "
+        "spread_ci spread_se share_ci known curve"
+    )
     kinds = (
         "float16 float32 float64 int8 int16 int32 int64 uint8 uint16 uint32 uint64 bool complex64"
     )

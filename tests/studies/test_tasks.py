@@ -111,7 +111,7 @@ def _misbehaving(name):
         ("interrupts", "It raised KeyboardInterrupt."),
         ("cancels", "It raised CancelledError."),
         ("wordless", "Wordless."),
-        ("verbose", "ValueError: [31mmuch much"),
+        ("verbose", "ValueError: \\x1b[31mmuch much"),
         ("nan", "NaN or infinite"),
         ("infinite", "NaN or infinite"),
     ],

@@ -38,7 +38,7 @@ from mcspectra.plots.description import (
 )
 from mcspectra.plots.scales import log_ticks
 from mcspectra.plots.style import FAINT, GRADIENTS, GRAY, INK, PAPER
-from mcspectra.plots.text import latex_maths, shorten
+from mcspectra.plots.text import LATEX_TEXT, latex_maths, shorten
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -253,6 +253,14 @@ def _write_pgf(figure: Figure, file: Path) -> None:
     class Renderer(RendererPgf):
         def get_text_width_height_descent(self, s: str, prop: Any, ismath: Any) -> Any:
             return RendererBase.get_text_width_height_descent(self, s, prop, ismath)
+
+        def draw_text(
+            self, gc: Any, x: Any, y: Any, s: str, prop: Any, angle: Any, ismath: Any = False,
+            mtext: Any = None,
+        ) -> None:  # fmt: skip
+            # A name may hold what LaTeX would read as a command
+            plain = s if ismath else s.translate(LATEX_TEXT)
+            super().draw_text(gc, x, y, plain, prop, angle, ismath, mtext)  # type: ignore[no-untyped-call]
 
         def draw_image(self, *_: Any, **__: Any) -> None:
             raise ParameterError(

@@ -9,6 +9,7 @@ from mcspectra.core.spec import short_spec
 from mcspectra.variance.fit import is_resolved
 
 __all__ = [
+    "LATEX_TEXT",
     "MISSING",
     "NEGLIGIBLE",
     "SUBSCRIPTS",
@@ -28,6 +29,12 @@ MISSING = "–"
 
 NEGLIGIBLE = 1e-9
 """Share of the largest term below which a term is rounding of the transform, not a quantity."""
+
+LATEX_TEXT = str.maketrans({
+    **{c: f"\\{c}" for c in "&%$#_{}"},
+    "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
+})  # fmt: skip
+"""Characters that LaTeX reads as commands, to those that it prints."""
 
 SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")

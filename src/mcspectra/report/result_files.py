@@ -20,7 +20,7 @@ from mcspectra.core.errors import Parameter, ParameterError, writing
 from mcspectra.core.spec import short_spec
 from mcspectra.plots import backend_matplotlib
 from mcspectra.plots.kinds import describe, kinds_of
-from mcspectra.plots.text import MISSING, interval, latex_maths, number, shorten
+from mcspectra.plots.text import LATEX_TEXT, MISSING, interval, latex_maths, number, shorten
 from mcspectra.report import page as html
 from mcspectra.variance.fit import is_resolved
 
@@ -45,10 +45,6 @@ _TABLES = (
 )  # fmt: skip
 _LONG = 300  # characters of a fact
 _MOST_TEX_ROWS = 500
-_TEX = str.maketrans({
-    **{c: f"\\{c}" for c in "&%$#_{}"},
-    "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
-})  # fmt: skip
 
 
 def check_result_file(file: str, known: tuple[str, ...] = RESULT_FILES) -> None:
@@ -188,7 +184,7 @@ def latex_table(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
         if value is None:
             return "--"
         text = number(value) if isinstance(value, float) else short_spec(str(value))
-        return latex_maths(text.translate(_TEX))
+        return latex_maths(text.translate(LATEX_TEXT))
 
     words = [any(isinstance(row[i], str) for row in rows) for i in range(len(columns))]
     lines = [

@@ -27,7 +27,7 @@ import numpy as np
 
 from mcspectra.core.analysis import ANALYSES
 from mcspectra.core.checks import as_path
-from mcspectra.core.display import register_accessor
+from mcspectra.core.display import csv_cell, register_accessor
 from mcspectra.core.errors import (
     McspectraError,
     MissingDependency,
@@ -821,8 +821,5 @@ def _write_csv(rows: list[dict[str, Any]], file: Path) -> None:
 
 
 def _plain(cell: Any) -> Any:
-    """A number, or a text that is no formula; csv of Python 3.11 does not quote a carriage return."""
-    if isinstance(cell, str):
-        text = cell.replace("\r", " ")
-        return f"'{text}" if text.startswith(("=", "+", "-", "@", "\t")) else text
-    return int(cell) if isinstance(cell, bool) else cell
+    """A number, or a printable text that is no formula."""
+    return int(cell) if isinstance(cell, bool) else csv_cell(cell)
