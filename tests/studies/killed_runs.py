@@ -6,6 +6,7 @@ over its duration, resumed, half of them killed again on the way, and resumed to
 each: what the killed ones came to, and what the last one did.
 """
 
+import contextlib
 import json
 import os
 import random
@@ -42,7 +43,8 @@ def all_trials(study, folder, kills, seed):
     """Print what came of each trial."""
     chosen = random.Random(seed)
     # Also imports all modules, before anything is forked.
-    main(["run", str(study), "--out", str(folder / "straight"), "--workers", "1", "--quiet"])
+    with contextlib.redirect_stdout(None):
+        main(["run", str(study), "--out", str(folder / "straight"), "--workers", "1", "--quiet"])
     begun = time.monotonic()
     run(study, folder / "timed")
     duration = time.monotonic() - begun

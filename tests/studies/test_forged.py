@@ -43,8 +43,6 @@ realizations = 20
 n = 16
 half_width = 4
 realizations = 20
-[exact]
-counts = [4, 16]
 [predict]
 counts = [4, 16]
 [spectrum]
@@ -259,7 +257,7 @@ samplers = ["jittered | shift", "jittered"]
 name = "a. a"
 integrand = "gaussian"
 dims = 1
-[estimators.exact]
+[estimators.predict]
 counts = [4]
 [[maps]]
 name = "a a"

@@ -19,6 +19,7 @@ import xarray as xr
 import zarr
 from tests.studies.made import admit, text_of
 
+from mcspectra.core.display import csv_cell
 from mcspectra.core.errors import ParameterError, StorageError, StoreError
 from mcspectra.core.records import pack
 from mcspectra.core.results import dataset, package_versions
@@ -94,19 +95,33 @@ def numbers(seed=0):
     ).assign_coords(alone=("n", [0.5, np.nan, 1.5]))
 
 
+_TYPES = "float16 float32 float64 int8 int16 int32 int64 uint8 uint16 uint32 uint64 bool complex64"
+DECLARED = (
+    *[
+        "coefficient",
+        "found",
+        "scalar",
+        "flags",
+        "waves",
+        "counts",
+        "single",
+        "half",
+        "none",
+        "zeros",
+        "days",
+        "x",
+        "variance",
+    ],
+    *["spread", "spread_ci", "spread_se", "share_ci", "known", "curve", "of_complex128"],
+    *(f"of_{kind}" for kind in _TYPES.split()),
+)
+"""Variables of the datasets of these tests, which no analysis gives."""
+
+
 @pytest.fixture(autouse=True, scope="module")
 def declared():
-    """Variables of the datasets of these tests, which no analysis gives."""
-    plain = (
-        "coefficient found scalar flags waves counts single half none zeros days x variance spread "
-        "spread_ci spread_se share_ci known curve"
-    )
-    kinds = (
-        "float16 float32 float64 int8 int16 int32 int64 uint8 uint16 uint32 uint64 bool complex64"
-    )
-    names = (*plain.split(), *(f"of_{kind}" for kind in (*kinds.split(), "complex128")))
     with pytest.MonkeyPatch.context() as patch:
-        admit(patch, *names)
+        admit(patch, *DECLARED)
         yield
 
 
@@ -513,7 +528,9 @@ def test_texts_that_a_spreadsheet_would_run_are_quoted(tmp_path, first):
     cell = cell.assign_coords(channel=[text, "b", "c"])
     written(tmp_path / "out", {"a/b/convergence": cell})
     file = export_results(tmp_path / "out", tmp_path / "x.csv")
-    shown = "'" + text.replace("\r", " ")
+    shown = csv_cell(text)
+    assert shown.startswith("'")
+    assert "\r" not in shown
     with file.open(encoding="utf-8", newline="") as stream:
         for row in csv.DictReader(stream):
             assert (row["estimator"], row["sampler"]) == (shown, shown)
@@ -591,7 +608,11 @@ def test_a_store_goes_to_a_folder_and_back(folder, tmp_path):
 
 def test_a_store_is_the_same_bytes_each_time(folder, tmp_path):
     """In processes of other hashes too."""
-    write = "import sys; from mcspectra.studies import export_results as e; e(*sys.argv[1:])"
+    write = (
+        "import sys, pytest; from tests.studies.made import admit; "
+        f"admit(pytest.MonkeyPatch(), *{DECLARED!r}); "
+        "from mcspectra.studies import export_results as e; e(*sys.argv[1:])"
+    )
     for seed in ("1", "2"):
         command = [sys.executable, "-c", write, str(folder), str(tmp_path / f"{seed}.zarr")]
         subprocess.run(command, check=True, env={**os.environ, "PYTHONHASHSEED": seed})

@@ -45,8 +45,9 @@ samplers = ["random", "jittered"]
 [convergence]
 counts = [4, 16]
 realizations = 8
-[exact]
+[predict]
 counts = [4]
+method = "exact"
 [terms]
 n = 16
 half_width = 4
@@ -64,8 +65,9 @@ samplers = ["random", "jittered"]
 [convergence]
 counts = [16, 64]
 realizations = 3000
-[exact]
+[predict]
 counts = [4]
+method = "exact"
 [[estimators]]
 name = "smooth"
 integrand = "gaussian"
