@@ -97,6 +97,19 @@ def test_cancelled_tasks_do_not_begin():
     assert len(begun) <= 1
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_thread_that_ends_without_an_outcome_is_no_wait_for_ever(monkeypatch):
+    def without_memory(*_):
+        raise MemoryError
+
+    monkeypatch.setattr(executors, "timed", without_memory)
+    executor = Threads(1)
+    executor.submit(_task(), lambda: None)
+    with pytest.raises(ClusterLost, match="A thread of this run has ended .*--resume continues"):
+        next(executor.outcomes())
+    executor.close(cancel=True)
+
+
 @pytest.mark.parametrize("value", [0, -1.0, float("nan"), float("inf"), "3", True, 1e10])
 def test_time_limits_that_are_none(value):
     with pytest.raises(ParameterError, match="time_limit"):

@@ -16,6 +16,7 @@ import json
 import os
 import random
 import shutil
+import signal
 import struct
 import subprocess
 import sys
@@ -38,6 +39,7 @@ from mcspectra.studies.results import open_results
 
 ROOT = Path(__file__).parents[2]
 PAGE, SECTOR = 8192, 4096
+LONGEST = 60  # seconds of a run
 MANY = """
 title = "pages"
 seed = 11
@@ -185,6 +187,7 @@ def forked(*arguments, begin=lambda: None):
         silent = os.open(os.devnull, os.O_WRONLY)
         for stream in (1, 2):
             os.dup2(silent, stream)
+        signal.alarm(LONGEST)  # ends a run that waits for ever
         begin()
         os._exit(command(*arguments))
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])

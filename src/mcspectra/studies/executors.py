@@ -68,7 +68,7 @@ _ADDRESS = re.compile(
 )
 _AHEAD = 2  # tasks with the scheduler for each worker thread
 _RESUBMISSIONS = 5  # of a task that is lost with the connection
-_POLL = 0.5  # seconds between looks at the connection
+_POLL = 0.5  # seconds between looks at the connection, or at threads
 _FRESH = 2.0  # seconds for which the number of workers is believed
 _DESERTED = 300.0  # seconds to wait for a worker of this machine, or for a result to arrive
 _CLOSING = 5.0  # seconds to say goodbye
@@ -125,9 +125,23 @@ class Threads:
         self._tasks.put((task, compute))
 
     def outcomes(self) -> Iterator[Outcome]:
-        """Wait for the next task that finishes; ends when none is under way."""
+        """Wait for the next task that finishes; ends when none is under way.
+
+        Raises
+        ------
+        ClusterLost
+            A thread has ended, as without memory, so that its task has no outcome.
+        """
         while self._under_way:
-            outcome = self._finished.get()
+            try:
+                outcome = self._finished.get(timeout=_POLL)
+            except queue.Empty:
+                if all(thread.is_alive() for thread in self._threads):
+                    continue
+                raise ClusterLost(
+                    "A thread of this run has ended before its task, as it may where memory is short; "
+                    "finished work is stored, and --resume continues."
+                ) from None
             self._under_way -= 1
             yield outcome
 
