@@ -13,6 +13,7 @@ import json
 import math
 import os
 import sys
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, final
@@ -68,6 +69,7 @@ if TYPE_CHECKING:
 __all__ = ["Change", "Profile", "Profiling", "profile"]
 
 _LEAST = 256  # evaluations
+_WIDTH = 100  # columns of the text of a cause
 _FITTED = 64  # points of each net, that changes are fitted to
 _DEPENDENT = 0.7  # of all draws: fewer effective ones are a cause
 _LEAST_CHECKED = 4  # points that a change is measured at
@@ -252,12 +254,15 @@ class Profile:
         """All of it, as lines of text."""
         low, high = self.interval
         found = [
-            self.answer,
+            # The causes follow with their sentences
+            self.answer.replace(f" {self.causes[0].sentence}", "", 1),
             "",
             f"integral   {_shown(self.integral, low, high)}",
         ]
         found.append("causes")
-        found += [f"  {cause.name}: {cause.sentence}" for cause in self.causes]
+        for cause in self.causes:
+            line = f"{cause.name}: {cause.sentence}"
+            found += textwrap.wrap(line, _WIDTH, initial_indent="  ", subsequent_indent="    ")
         if not self.samplers:
             return "\n".join(found)
         found.append(f"calls      {self.calls} of {self.budget}")
