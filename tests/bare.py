@@ -10,6 +10,7 @@ import importlib.util
 import io
 import os
 import re
+import shlex
 import sys
 import time
 import warnings
@@ -53,7 +54,7 @@ def main():
     for name in [name for names in EXTRAS.values() for name in names]:
         assert importlib.util.find_spec(name) is None, f"{name} is installed"
     os.environ["MCSPECTRA_CACHE"] = str(Path("cache").absolute())
-    for step in (python, components, commands, study, frames, refusals):
+    for step in (python, components, commands, readme, study, frames, refusals):
         start = time.perf_counter()
         step()
         print(f"{step.__name__}: {step.__doc__} {time.perf_counter() - start:.1f} s", flush=True)
@@ -120,7 +121,7 @@ def commands():
     command("plan", GAUSSIAN, *jittered, "--target-error", "1e-2")
     command("profile", GAUSSIAN, "--budget", 20000)
     command("remedies", GAUSSIAN, *jittered, "--budget", 256, "-m", 100)
-    command("design", "lattice", "gaussians", 64, "-d", 2, "--members", 40)
+    command("design", "lattice", "gaussians", "-n", 64, "-d", 2, "--members", 40)
     command("integrate", GAUSSIAN, "--budget", 1000)
     command("init", "begun.toml")
     assert "sobol" in command("list", "samplers")[0]
@@ -130,6 +131,20 @@ def commands():
         assert "--hide" in sys.argv or f"pip install 'mcspectra[{extra}]'" in found, extra
     written = "points.csv points.png spectrum.pdf pcf.csv converge.png bench.csv begun.toml"
     assert all(Path(name).stat().st_size > 100 for name in written.split())
+
+
+def readme():
+    """The README's three commands run."""
+    root = Path(__file__).parents[1]
+    here = Path.cwd()
+    os.chdir(root)
+    asked = re.findall(
+        r"^\$ mcspectra (.*)$", (root / "README.md").read_text("utf-8"), re.MULTILINE
+    )
+    for line in asked:
+        command(*shlex.split(line))
+    os.chdir(here)
+    assert len(asked) == 3
 
 
 def study():
@@ -173,10 +188,9 @@ def refusals():
         ("report", "study", "--compare", "other"): "report",
         ("spectrum", "jittered", "-n", 16, "-o", "page.html"): "report",
         ("bench", "jittered", "-o", "page.html"): "report",
-        ("gallery", "jittered"): "report",
         ("reproduce",): "report",
         ("app",): "report",
-        ("chains", "draws.zarr"): "store",
+        ("profile", "draws.zarr"): "store",
         ("run", "study.toml", "--out", "new", "--time-limit", 100): "cluster",
         ("run", "study.toml", "--out", "new", "--cluster", "local"): "cluster",
         ("frames", "npy/*", "--spp", 16, "--out", "frames"): "frames,report",

@@ -31,4 +31,4 @@ def test_what_is_required_and_what_is_extra():
 def test_it_is_used_without_extras(tmp_path):
     done = python(ROOT / "tests" / "bare.py", "--hide", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
-    assert len(done.stdout.splitlines()) == 6
+    assert len(done.stdout.splitlines()) == 7

@@ -287,7 +287,7 @@ def test_several_samplers_wherever_the_analysis_takes_them(run, run_json):
         twice = run(verb, "linear", "-d", 1, *two, *two[:2], *options)
         assert twice[0] == 2
         assert "The sampler jittered is listed twice; list each once." in twice[2]
-    code, _, err = run("variance", "linear", "-d", 1, *two, "-n", 4)
+    code, _, err = run("remedies", "linear", "-d", 1, *two, "--budget", 4)
     assert code == 2
     assert "--sampler is given twice; give it once" in err
 

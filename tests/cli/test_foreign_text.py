@@ -8,7 +8,7 @@ import OpenEXR
 import pytest
 from tests.report.parsed import Parsed
 
-from mcspectra.cli.main import _VERBS, main
+from mcspectra.cli.main import VERBS, main
 
 EVIL = "a\x1b]52;c;aGk=\x07b\x1b[2J\x9b1A\x08\x7f\u202ec\u2066d\u200be\ufefff\u2028g\u034f\U000e0041\r\tA\nFORGED"
 SEEN = "a\\x1b]52;c;aGk=\\x07b\\x1b[2J\\x9b1A\\x08\\x7f\\u202ec\\u2066d\\u200be\\ufefff\\u2028g\\u034f\\U000e0041"
@@ -55,8 +55,8 @@ realizations = 8
 
 VERBS_OF_FOLDERS = [
     ("status",), ("status", "--verify"), ("status", "--json"), ("report",), ("report", "--json"),
-    ("export", "--to", "all.csv"), ("export", "--to", "all.json"),
-    ("export", "--to", "none.csv", "--select", EVIL),
+    ("export", "-o", "all.csv"), ("export", "--json", "-o", "again.csv"),
+    ("export", "-o", "none.csv", "--select", EVIL),
 ]  # fmt: skip
 
 
@@ -102,7 +102,7 @@ def test_failures_and_what_is_missing(run, here):
     assert_harmless(out, err)
 
 
-@pytest.mark.parametrize("verb", sorted(_VERBS))
+@pytest.mark.parametrize("verb", sorted(VERBS))
 def test_every_verb_refuses_what_is_written_so(run, here, verb):
     for arguments in (
         [EVIL],
@@ -117,7 +117,7 @@ def test_every_verb_refuses_what_is_written_so(run, here, verb):
         ["random", "-n", EVIL],
         ["--out", EVIL],
     ):
-        if verb in ("bench", "doctor", "gallery", "reproduce") and arguments[0] == "--out":
+        if verb in ("bench", "doctor", "reproduce") and arguments[0] == "--out":
             continue  # works without arguments
         _, out, err = run(verb, *arguments, "--seed", "1")
         assert_harmless(out, err)
@@ -127,7 +127,7 @@ def test_columns_of_draws(run, here):
     draws = np.random.default_rng(1).standard_normal((50, 2)).tolist()
     with (here / "draws.csv").open("w", newline="", encoding="utf-8") as stream:
         csv.writer(stream).writerows([[SHORT.replace("\n", " "), "=1+1"], *draws])
-    code, out, err = run("chains", "draws.csv", "--out", "curve.csv")
+    code, out, err = run("profile", "draws.csv", "-o", "curve.csv")
     assert_harmless(out, err, (here / "curve.csv").read_text("utf-8"))
     assert code == 0, err
 
@@ -158,7 +158,7 @@ def test_layers_of_frames(run, here):
         "<emitter type='envmap'><string name='filename' value='{0}.exr'/></emitter>",
     ],
 )
-@pytest.mark.parametrize("verb", ["mitsuba", "pixel"])
+@pytest.mark.parametrize("verb", ["render", "pixel"])
 def test_names_of_scenes(here, capfd, verb, inside):
     """What native code prints counts, too."""
     name = "a\u202e\u200b\x7f\x9b2Jb"  # XML has no others
@@ -173,11 +173,11 @@ def test_names_of_scenes(here, capfd, verb, inside):
 
 @pytest.mark.parametrize("length", [300, 5000])
 @pytest.mark.parametrize(
-    "verb", ["status", "report", "export", "run", "frames", "mitsuba", "chains"]
+    "verb", ["status", "report", "export", "run", "frames", "render", "profile"]
 )
 def test_a_name_that_is_too_long_is_bad_input(run, here, verb, length):
     """``status`` ended with an unexpected OSError, and code 1."""
-    code, _, err = run(verb, "x" * length, *(["--to", "a.csv"] if verb == "export" else []))
+    code, _, err = run(verb, "x" * length, *(["-o", "a.csv"] if verb == "export" else []))
     assert code == 2
     assert "Unexpected" not in err
     assert len(err) < 2100

@@ -127,7 +127,8 @@ def test_status_names_who_did_not_end_in_good_order(folder, capsys):
     assert "which has ended" in shown
 
 
-def test_export(tmp_path, capsys):
+def test_export(tmp_path, capsys, monkeypatch):
+    admit(monkeypatch, "x", "y")
     scalars = pack(xr.Dataset({"x": ("n", np.arange(3.0)), "y": ((), 2.0)}, {"n": [4, 16, 64]}))
     out, table, store = tmp_path / "out", tmp_path / "x.csv", tmp_path / "x.zarr"
     with Ledger.create(out, NOTE, PATHS) as ledger:

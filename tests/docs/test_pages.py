@@ -47,7 +47,7 @@ def _anchors(page):
 
 
 def test_modules_and_names_that_the_guide_of_the_source_tells_of_exist():
-    sources = {path.name: path for path in (ROOT / "src").rglob("*.py")}
+    sources = {p.name: p for room in ("src", "tests") for p in (ROOT / room).rglob("*.py")}
     told = re.findall(
         r"`(?:[\w/]+/)?(\w+\.py)(?:: (\w+))?`", (ROOT / "CONTRIBUTING.md").read_text("utf-8")
     )
@@ -204,7 +204,9 @@ def _outputs_of_the_readme():
             yield shlex.split(command)[2:], printed.strip("\n")
 
 
-@pytest.mark.parametrize(("arguments", "printed"), _outputs_of_the_readme(), ids=lambda a: a[0])
+@pytest.mark.parametrize(
+    ("arguments", "printed"), list(_outputs_of_the_readme()), ids=lambda a: a[0]
+)
 def test_commands_of_the_readme_print_what_it_says(arguments, printed, capsys, monkeypatch):
     monkeypatch.chdir(ROOT)
     assert main(arguments) == 0

@@ -41,7 +41,7 @@ def refused(file, words):
 def test_a_deep_scene_ends_no_process(write):
     """100,000 nested elements ended it by SIGSEGV."""
     file = write(nested(100_000))
-    done = python("-m", "mcspectra", "mitsuba", file, timeout=100)
+    done = python("-m", "mcspectra", "render", file, timeout=100)
     assert done.returncode == 2
     assert "has elements nested 100001 deep; give at most 64." in done.stderr
 

@@ -3,6 +3,8 @@
 import numpy as np
 import xarray as xr
 
+from mcspectra.core.analysis import ANALYSES, Analysis
+from mcspectra.core.results import Variable
 from mcspectra.report import write_report
 from mcspectra.report.tables import analysis_table
 
@@ -40,7 +42,17 @@ def test_results_without_numbers_have_no_table():
     assert analysis_table("gaps", {s: each[["table"]] for s, each in GAPS.items()}) is None
 
 
-def test_curves_are_drawn_and_settings_said(make, tmp_path):
+class Gaps(Analysis, frozen=True, kw_only=True):
+    """Gaps between points, as another package might measure them."""
+
+    variables = tuple(
+        Variable("made up", "1", None, "fU", name)
+        for name in ("gap", "gap_ci", "curve", "curve_se", "table", "words")
+    )
+
+
+def test_curves_are_drawn_and_settings_said(make, tmp_path, monkeypatch):
+    monkeypatch.setattr(ANALYSES, "_builtin", {**ANALYSES._builtin, "gaps": f"{__name__}:Gaps"})
     cells = {("e", s): {"gaps": each} for s, each in GAPS.items()}
     page = write_report(make["study"](tmp_path, cells))
     text = page.read_text(encoding="utf-8")

@@ -58,7 +58,7 @@ def test_every_part_is_pictured(bench):
     named = [(p.x.label, p.y.label) for p in plots["Projections: jittered"].panels]
     assert named == [("x₀", "x₁"), ("x₀", "x₂"), ("x₁", "x₂")]
     assert [p.title for p in plots["Points"].panels] == ["pmj02"]
-    assert len(plots["Convergence in 3-D"].panels) == 9
+    assert len(plots["Convergence in 3-D"].panels) == 8
     assert all(plot.words for _, plot in bench_plots(bench))
 
 

@@ -208,7 +208,7 @@ def test_predictions_stand_in_the_measured_curves(make, tmp_path):
     assert page.text.count("Predictions in numbers") == 2
     text = " ".join(page.text.split())
     for n, value in zip(same["n"].values, same["predicted_variance"].values, strict=True):
-        assert f"random {n} {number(float(value))}" in text
+        assert f"random {n} {number(float(value), 6)}" in text
 
 
 @pytest.mark.usefixtures("blank")

@@ -351,12 +351,12 @@ set -e
 mount -t tmpfs -o size="$1" tmpfs "$2"
 shift 2
 status=0
-"$@" || status=$?
+"$@" >/dev/null || status=$?
 mkdir -p "$KEPT"
 cp -a "$OUT/." "$KEPT"
 mount -o remount,size=64m "$OUT"
 again=0
-"$@" --resume || again=$?
+"$@" --resume >/dev/null || again=$?
 cp -a "$OUT/." "$KEPT-after"
 echo "$status $again"
 """

@@ -136,7 +136,7 @@ UNKNOWN = [
     (lambda: _exact("latin-hypercube | strata-shift"), "convergence"),
     (lambda: _exact("halton | shift"), "convergence"),
     (lambda: _exact("sobol | owen | shift"), "No exact variance is known"),
-    (lambda: _exact("sobol | lms"), "No exact variance is known"),
+    (lambda: _exact("correlated-multi-jittered"), "No exact variance is known"),
     (lambda: _exact("halton | digital-shift"), "No exact variance is known"),
     (lambda: _exact("sobol | owen", 2**14), "evaluations"),
     (lambda: _exact("sobol | digital-shift", 2**14), "evaluations"),
