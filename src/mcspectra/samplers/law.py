@@ -315,7 +315,7 @@ class PairedAxes(Law):
     patterns
         The pairs of different points.
     base
-        Base in which every realization is a scrambled net, None if it is none [Tang1993]_.
+        Base in which every realization is a scrambled net [Tang1993]_; None if there is no such base.
     """
 
     strata: tuple[int, ...]
@@ -524,9 +524,26 @@ class Shifted(Law):
     inner: Law
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Image(Law):
+    """The law of a set whose points are moved alike, one by one: fixed or uniform if the set was."""
+
+    inner: Law
+
+    @property
+    def fixed(self) -> bool:  # type: ignore[override]
+        """Whether the set before is fixed."""
+        return self.inner.fixed
+
+    @property
+    def uniform(self) -> bool:  # type: ignore[override]
+        """Whether the points before are uniform."""
+        return self.inner.uniform
+
+
 @final
 @dataclass(frozen=True, kw_only=True)
-class Moved(Law):
+class Moved(_Image):
     """One fixed translation of all points on the torus.
 
     Attributes
@@ -537,18 +554,7 @@ class Moved(Law):
         The translation, one number for each axis, from 0 to 1.
     """
 
-    inner: Law
     by: tuple[float, ...]
-
-    @property
-    def fixed(self) -> bool:  # type: ignore[override]
-        """As before."""
-        return self.inner.fixed
-
-    @property
-    def uniform(self) -> bool:  # type: ignore[override]
-        """As before."""
-        return self.inner.uniform
 
 
 Scramble: TypeAlias = Literal["digital-shift", "permutation", "linear", "nested"]
@@ -600,25 +606,13 @@ class Scrambled(Law):
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Folded(Law):
+class Folded(_Image):
     """u → 1 − |2u − 1| of every coordinate: the law before, with a folded integrand."""
-
-    inner: Law
-
-    @property
-    def fixed(self) -> bool:  # type: ignore[override]
-        """As before."""
-        return self.inner.fixed
-
-    @property
-    def uniform(self) -> bool:  # type: ignore[override]
-        """As before."""
-        return self.inner.uniform
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Mirrored(Law):
+class Mirrored(_Image):
     """Reflections u → 1 − u of coordinates.
 
     Attributes
@@ -630,18 +624,12 @@ class Mirrored(Law):
         points becomes its 2^d reflections.
     """
 
-    inner: Law
     mode: Literal["random", "uniform"]
 
     @property
     def fixed(self) -> bool:  # type: ignore[override]
         """Reflections at random never are; all of a fixed set are."""
         return self.mode == "uniform" and self.inner.fixed
-
-    @property
-    def uniform(self) -> bool:  # type: ignore[override]
-        """As before."""
-        return self.inner.uniform
 
 
 # What randomizations make of laws
