@@ -22,7 +22,7 @@ from scipy.special import ndtr, ndtri
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.variance.profiling.samples import Curve
+from mcspectra.explain.samples import Curve
 
 BUDGET, MORE = 8192, 262_144
 REALIZATIONS = 1000

@@ -9,7 +9,7 @@ import numpy as np
 
 import mcspectra as mcs
 from mcspectra.estimators.moments import Moments
-from mcspectra.variance.sums import BATCHES, ratio_factors
+from mcspectra.measure.sums import BATCHES, ratio_factors
 
 REPETITIONS = 2_000
 COUNTS = (20, 100, 1000)

@@ -45,7 +45,7 @@ from mcspectra.samplers.optimised import minimize
 for size in (2_000, 20_000):
     start = np.random.default_rng(0).standard_normal(size)
     show(f"ours, {size} coordinates", minimize(wave, start, iterations=30, longest=1.0))
-from mcspectra.variance.ordered import eigenpairs, orthonormal
+from mcspectra.core.ordered import eigenpairs, orthonormal
 for size, columns in ((300, 58), (20_000, 58)):
     a = np.random.default_rng(size).standard_normal((size, columns))
     show(f"numpy.linalg.qr, {size} x {columns}", np.linalg.qr(a)[0])

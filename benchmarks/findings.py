@@ -40,7 +40,7 @@ SMOOTH, EDGE = "christensen-gaussian", "half-space(normal=[1, 0.618], offset=0.7
 def homogenisation() -> Plots:
     """The six convergence plots, a smooth integrand and one with an edge inside in each."""
     studies = {
-        name: mcs.variance.mirror_study(
+        name: mcs.improve.mirror_study(
             f, "jittered", LARGE, mirrorings=["original", "random", "uniform"],
             realizations=400, rng=1,
         )
@@ -78,15 +78,15 @@ def alignment() -> Plots:
         mcs.integrand(s, dims=1) for s in ("step(at=0.3)", "disk(center=0.47, radius=0.27)")
     )
     places = [k / 16 for k in range(16)]
-    exact = mcs.variance.strata_shift_scan(step, "jittered", 16, offsets=64)
-    measured = mcs.variance.strata_shift_scan(
+    exact = mcs.improve.strata_shift_scan(step, "jittered", 16, offsets=64)
+    measured = mcs.improve.strata_shift_scan(
         step, "jittered", 16, offsets=places, method="measured", realizations=4000, rng=1
     )
     least = exact["variance"].squeeze()
     print(
         f"step, n = 16: n² Var from {256 * float(least.min()):.4f} to {256 * float(least.max()):.4f}"
     )
-    best = mcs.variance.best_alignment(
+    best = mcs.improve.best_alignment(
         bar, "jittered", 16, edges=[0.2, 0.74], realizations=1000, rng=1
     )
     for name in best["candidate"].values:
@@ -95,7 +95,7 @@ def alignment() -> Plots:
         print(f"edges at 0.2 and 0.74, {name}: variance / unshifted {ratio}")
     ci = 256 * measured["variance_ci"].squeeze().values
     whiskers = np.stack([np.repeat(places, 2).reshape(-1, 2), ci], axis=-1)
-    scan = mcs.variance.strata_shift_scan(bar, "jittered", 16, offsets=64)
+    scan = mcs.improve.strata_shift_scan(bar, "jittered", 16, offsets=64)
     x, y = Axis(label="offset of strata, in sides"), Axis(label="n² × variance")
     panels = []
     for title, data, marks in (
@@ -119,7 +119,7 @@ def alignment() -> Plots:
 def smoothing() -> Plots:
     """Squared error of a disk against the width of its edge, and the best width of each budget."""
     widths = [0.005, 0.01, 0.02, 0.035, 0.05, 0.07, 0.1, 0.14, 0.2, 0.28]
-    d = mcs.variance.smoothing_scan(
+    d = mcs.improve.smoothing_scan(
         "disk(center=0.47)", "jittered", (64, 256, 1024), [0, *widths], realizations=1000, rng=1
     )
     curves = {}

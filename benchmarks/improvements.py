@@ -17,7 +17,7 @@ import mcspectra as mcs
 from mcspectra.core.checks import Array
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import AbstractEstimator
-from mcspectra.variance.improved import CHANGES, evaluated, improvements
+from mcspectra.improve.improved import CHANGES, evaluated, improvements
 
 BUDGET, PILOT = 2**14, 2**11
 PILOTS, REALIZATIONS = 3, 64

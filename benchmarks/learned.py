@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import ndtri
 
 import mcspectra as mcs
-from mcspectra.variance.learned import LEARNED
+from mcspectra.improve.learned import LEARNED
 
 REALIZATIONS = 200
 GROWTH = np.linspace(0.5, 2.0, 8)
@@ -59,7 +59,7 @@ def main():
             before = variance(f, None, u)
             found = []
             for kind in LEARNED:
-                p = mcs.variance.learned_density(f, kind, sampler, n, dims=dims)
+                p = mcs.improve.learned_density(f, kind, sampler, n, dims=dims)
                 ratio = variance(f, p, u) / before
                 found.append("uniform" if p.name == "uniform" else f"{ratio:.2g}")
             print(f"| {name} | `{sampler}` | {n} | {' | '.join(found)} |")

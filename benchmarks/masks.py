@@ -21,7 +21,7 @@ def main() -> None:
         for source in SETS:
             for integrand in INTEGRANDS:
                 chain = f"{source} | decorrelate(mask={mask!r}, width=32)"
-                power = mcs.variance.image_error_spectrum(integrand, chain, 4, dims=2, images=64)
+                power = mcs.prediction.image_error_spectrum(integrand, chain, 4, dims=2, images=64)
                 parts = [
                     float(np.sum(p) / np.sum(m))
                     for p, m in zip(

@@ -24,8 +24,8 @@ from mcspectra import (
 )
 from mcspectra.core import analysis
 from mcspectra.core.errors import McspectraError
+from mcspectra.measure.converge import Convergence
 from mcspectra.studies import files, results
-from mcspectra.variance.measured import Convergence
 
 WRONG = [
     None,
@@ -73,7 +73,7 @@ SECONDS = 20  # of the processor, for a call; where kernels are compiled first, 
 
 def _functions():
     names = [*mcs.__all__, *(f"estimators.{name}" for name in ESTIMATORS), "quality.warp_quality"]
-    for package in ("spectra", "variance"):
+    for package in ("spectra", "measure", "prediction", "explain", "improve", "profiler"):
         own = getattr(mcs, package).__all__
         names += [f"{package}.{name}" for name in own if name not in mcs.__all__]
     for name in sorted(names):

@@ -1,13 +1,17 @@
 from . import densities as densities
 from . import estimators as estimators
+from . import explain as explain
+from . import improve as improve
 from . import integrands as integrands
+from . import measure as measure
+from . import prediction as prediction
+from . import profiler as profiler
 from . import quality as quality
 from . import rendering as rendering
 from . import report as report
 from . import samplers as samplers
 from . import spectra as spectra
 from . import studies as studies
-from . import variance as variance
 from .core.errors import McspectraError as McspectraError
 from .core.errors import NoClosedForm as NoClosedForm
 from .core.progress import progress_bars as progress_bars
@@ -16,32 +20,32 @@ from .densities.registry import density as density
 from .estimators.importance import Estimator as Estimator
 from .estimators.mirrored import Mirrored as Mirrored
 from .estimators.mis import MultipleImportance as MultipleImportance
+from .explain.causes import Cause as Cause
+from .improve.alignment import aligned as aligned
+from .improve.designs.design import certificate as certificate
+from .improve.designs.design import design as design
+from .improve.remedy import remedies as remedies
 from .integrands.base import Integrand as Integrand
 from .integrands.registry import integrand as integrand
 from .integrands.smoothing import smoothed as smoothed
+from .measure.anova import anova_variances as anova_variances
+from .measure.bench import sampler_bench as sampler_bench
+from .measure.converge import convergence as convergence
+from .measure.integration import integrate as integrate
+from .measure.modes import covariance_modes as covariance_modes
+from .measure.techniques import technique_terms as technique_terms
+from .measure.terms import variance_terms as variance_terms
+from .prediction.exact import exact_variance as exact_variance
+from .prediction.planning import plan as plan
+from .prediction.prediction import predict as predict
+from .profiler.profiling import Profile as Profile
+from .profiler.profiling import profile as profile
 from .quality.figures import quality_figures as quality_figures
 from .samplers.base import Sampler as Sampler
 from .samplers.registry import sampler as sampler
 from .spectra.closed_forms import closed_form_power as closed_form_power
 from .spectra.pairs import pair_correlation as pair_correlation
 from .spectra.power import power_spectrum as power_spectrum
-from .variance.alignment import aligned as aligned
-from .variance.anova import anova_variances as anova_variances
-from .variance.bench import sampler_bench as sampler_bench
-from .variance.designs.design import certificate as certificate
-from .variance.designs.design import design as design
-from .variance.exact import exact_variance as exact_variance
-from .variance.integration import integrate as integrate
-from .variance.measured import convergence as convergence
-from .variance.modes import covariance_modes as covariance_modes
-from .variance.prediction.plan import plan as plan
-from .variance.prediction.predict import predict as predict
-from .variance.profiling.causes import Cause as Cause
-from .variance.profiling.profile import Profile as Profile
-from .variance.profiling.profile import profile as profile
-from .variance.remedy import remedies as remedies
-from .variance.techniques import technique_terms as technique_terms
-from .variance.terms import variance_terms as variance_terms
 from .version import __version__ as __version__
 
 __all__ = [
@@ -67,14 +71,19 @@ __all__ = [
     "design",
     "estimators",
     "exact_variance",
+    "explain",
+    "improve",
     "integrand",
     "integrands",
     "integrate",
+    "measure",
     "pair_correlation",
     "plan",
     "power_spectrum",
     "predict",
+    "prediction",
     "profile",
+    "profiler",
     "progress_bars",
     "quality",
     "quality_figures",
@@ -88,6 +97,5 @@ __all__ = [
     "spectra",
     "studies",
     "technique_terms",
-    "variance",
     "variance_terms",
 ]

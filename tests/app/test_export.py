@@ -11,8 +11,8 @@ from mcspectra.app.compute import analyses_of, compute, integrand_specs
 from mcspectra.app.page import as_python, as_toml
 from mcspectra.app.state import Setup, State
 from mcspectra.app.uploads import keep_upload
+from mcspectra.core.fits import is_resolved
 from mcspectra.studies import open_results, read_study, run_study
-from mcspectra.variance.fit import is_resolved
 
 SMALL = {"n": 16, "half_width": 6, "realizations": 8}
 SETUPS = [

@@ -12,12 +12,12 @@ from tests.studies.conftest import of_a_bell, predicted_bell
 
 from mcspectra.cli.main import main
 from mcspectra.estimators import Estimator
+from mcspectra.measure.converge import convergence
+from mcspectra.measure.terms import variance_terms
 from mcspectra.rendering import Pixel, backend, named_pixels
 from mcspectra.report.pixel_page import STRATEGY_NAMES
 from mcspectra.studies import pixel
 from mcspectra.studies.pixel import EFFORTS, analyse_pixel
-from mcspectra.variance.measured import convergence
-from mcspectra.variance.terms import variance_terms
 
 pytestmark = pytest.mark.render
 

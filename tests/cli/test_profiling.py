@@ -43,7 +43,7 @@ def files(tmp_path):
 )
 def test_every_format_has_the_answer_of_the_library(run_json, files, names):
     found = run_json("profile", *(n if n[0] == "-" or "." not in n else files / n for n in names))
-    expected = mcs.variance.chain_error(DRAWS)
+    expected = mcs.measure.chain_error(DRAWS)
     for name in ("mean", "mcse", "ess"):
         np.testing.assert_allclose(np.ravel(found[name]), expected[name], rtol=1e-12)
     assert np.ravel(found["cause"]) == "none"
@@ -72,7 +72,7 @@ def test_weights_of_a_file(run_json, files):
     weights = np.random.default_rng(2).random((2, 100))
     np.save(files / "w.npy", weights)
     found = run_json("profile", files / "both.npy", "--weights", files / "w.npy")
-    assert found["mcse"] == mcs.variance.chain_error(DRAWS, weights=weights)["mcse"].item()
+    assert found["mcse"] == mcs.measure.chain_error(DRAWS, weights=weights)["mcse"].item()
 
 
 @pytest.mark.parametrize(

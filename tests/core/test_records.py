@@ -15,6 +15,7 @@ from hypothesis.extra import numpy as hnp
 
 from mcspectra.core.analysis import MergeTree
 from mcspectra.core.checks import Array
+from mcspectra.core.confidence import log_mean_interval
 from mcspectra.core.errors import FileFormatError
 from mcspectra.core.records import (
     JOIN,
@@ -22,7 +23,6 @@ from mcspectra.core.records import (
     SUM,
     Join,
     MeanSums,
-    mean_interval,
     merged,
     pack,
     unpack,
@@ -134,13 +134,13 @@ def test_intervals_of_positive_means_cover_them(count):
     for shape, least in ((1.0, 0.93), (8.0, 0.94)):
         values = rng.gamma(shape, size=(20_000, count))
         mean, se = values.mean(axis=1), values.std(axis=1, ddof=1) / np.sqrt(count)
-        low, high = mean_interval(mean, se, count).T
+        low, high = log_mean_interval(mean, se, count).T
         assert ((low <= shape) & (shape <= high)).mean() > least - 4 * np.sqrt(0.07 / 20_000)
         assert (low > 0).all()
 
 
 def test_intervals_without_spread():
-    ends = mean_interval(np.array([0.0, 2.0, 3.0]), np.array([0.0, 0.0, math.nan]), 5)
+    ends = log_mean_interval(np.array([0.0, 2.0, 3.0]), np.array([0.0, 0.0, math.nan]), 5)
     np.testing.assert_array_equal(ends, [[0, 0], [2, 2], [math.nan, math.nan]])
 
 

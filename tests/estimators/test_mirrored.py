@@ -217,7 +217,7 @@ def test_exact_variances_against_measured(spec, mode, dims):
     f = SMOOTH_1D if dims == 1 else SMOOTH
     mirrored = mcs.Mirrored(mcs.Estimator(f, "linear(slope=0.8)"), mode)
     exact = mcs.exact_variance(mirrored, spec, 16)
-    d = mcs.variance.realizations_needed(mirrored, spec, 16, relative_error=0.03, rng=11)
+    d = mcs.measure.realizations_needed(mirrored, spec, 16, relative_error=0.03, rng=11)
     assert abs(float(d["variance"]) / exact - 1) < WITHIN * float(d["variance_relative_se"])
 
 
@@ -295,7 +295,7 @@ def test_exact_rates_of_interior_edges_stay():
 
 
 def test_the_study_of_the_slides():
-    study = mcs.variance.mirror_study(SMOOTH, "jittered", [64, 256, 1024], realizations=200, rng=5)
+    study = mcs.improve.mirror_study(SMOOTH, "jittered", [64, 256, 1024], realizations=200, rng=5)
     assert study["variance"].dims == ("mirroring", "homogenized", "n")
     assert study["rate"].dims == ("mirroring", "homogenized")
     assert study.attrs["sampler"] == "jittered"
@@ -312,14 +312,14 @@ def test_the_study_of_the_slides():
 
 def test_exact_variances_of_the_study():
     kept = ["original", "uniform"]
-    study = mcs.variance.mirror_study(
+    study = mcs.improve.mirror_study(
         SMOOTH_1D, "jittered", [2, 4], mirrorings=kept, realizations=20, exact=True
     )
     assert study["exact_variance"].dims == ("mirroring", "homogenized", "n")
     cell = study["exact_variance"].sel(mirroring="uniform", homogenized=True, n=4)
     uniform = mcs.Mirrored(SMOOTH_1D, "uniform")
     assert float(cell) == mcs.exact_variance(uniform, "jittered | shift", 4)
-    blank = mcs.variance.mirror_study(SMOOTH_1D, "sobol", [4], realizations=2, exact=True)
+    blank = mcs.improve.mirror_study(SMOOTH_1D, "sobol", [4], realizations=2, exact=True)
     assert np.isnan(blank["exact_variance"]).all()
 
 
@@ -339,7 +339,7 @@ def test_exact_variances_of_the_study():
 def test_bad_input_of_the_study(keywords, words):
     given = {"sampler": "jittered", "counts": [16], **keywords}
     with pytest.raises(ParameterError, match=words):
-        mcs.variance.mirror_study(SMOOTH, **given)
+        mcs.improve.mirror_study(SMOOTH, **given)
 
 
 def test_dims_are_those_of_the_estimator():

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from mcspectra.estimators.moments import CONFIDENCE_Z, Measured, Moments
+from mcspectra.core.confidence import CONFIDENCE_Z
+from mcspectra.estimators.moments import Measured, Moments
 
 
 def test_merged_moments_are_those_of_all_values():

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.variance.adversarial import FAMILIES, make
+from tests.prediction.adversarial import FAMILIES, make
 
 import mcspectra as mcs
 from mcspectra.integrands import _quadrature, integral_accuracy

@@ -96,7 +96,7 @@ def test_methods__side_by_side_at_the_largest_n():
 
 def test_chains__spectra_and_shares_of_one_and_of_many():
     draws = np.random.default_rng(1).standard_normal((2, 300, 8))
-    one, many = mcs.variance.chain_error(draws[..., 0]), mcs.variance.chain_error(draws)
+    one, many = mcs.measure.chain_error(draws[..., 0]), mcs.measure.chain_error(draws)
     assert kinds_of(one) == kinds_of(many) == ("chains",)
     plot = describe("chains", one)
     draw, error = (line.y for line in marks(plot, Line)[-2:])
@@ -107,8 +107,8 @@ def test_chains__spectra_and_shares_of_one_and_of_many():
     assert "2 quantities of more effective draws are left out" in plot.caption
     assert len(plot.labels) == 6
     drawn_by_both(plot)
-    drawn_by_both(describe("chains", {"a": one, "still": mcs.variance.chain_error(np.ones(300))}))
-    drawn_by_both(describe("chains", mcs.variance.chain_error(np.ones(300))))
+    drawn_by_both(describe("chains", {"a": one, "still": mcs.measure.chain_error(np.ones(300))}))
+    drawn_by_both(describe("chains", mcs.measure.chain_error(np.ones(300))))
 
 
 @pytest.mark.parametrize("kind", TERMS)

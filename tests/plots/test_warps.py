@@ -19,7 +19,7 @@ def warp(spec, dims=2):
 
 
 def picture(integrand, density=None, dims=2):
-    return mcs.variance.primary_picture(
+    return mcs.explain.primary_picture(
         mcs.Estimator(integrand, density, dims=dims), resolution=SIDE
     )
 
@@ -94,7 +94,7 @@ def test_primary__constant_and_channels():
     colors = mcs.Integrand.from_function(lambda x: x[..., [0, 1, 0]], dims=2)
     assert (
         "sides 2 ×"
-        in describe("primary", mcs.variance.primary_picture(colors, resolution=SIDE)).words
+        in describe("primary", mcs.explain.primary_picture(colors, resolution=SIDE)).words
     )
 
 

@@ -5,13 +5,13 @@ import pytest
 from scipy.stats import norm, t
 
 import mcspectra as mcs
+from mcspectra.core.fits import fit_rate
 from mcspectra.core.streams import Stream
 from mcspectra.rendering import map_statistics as statistics
 from mcspectra.rendering import map_tiles as prediction
 from mcspectra.rendering import maps as results
 from mcspectra.rendering.map_tiles import Maps
 from mcspectra.samplers import sampler
-from mcspectra.variance.fit import fit_rate
 
 NS = np.array([4, 9, 16, 36, 64])
 

@@ -8,10 +8,11 @@ import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import HEURISTICS
+from mcspectra.improve.candidates import Budget, other_setups
+from mcspectra.measure.setup import Setup
 from mcspectra.rendering import Pixel, load_mitsuba, named_pixels, pixel_mis, sky_pixels
 from mcspectra.rendering.pixel import Draws
 from mcspectra.samplers.registry import as_sampler
-from mcspectra.variance.counterfactuals import Budget, Setup, other_setups
 
 pytestmark = pytest.mark.render
 

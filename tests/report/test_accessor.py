@@ -29,7 +29,7 @@ RESULTS = {
         kinds=["unshifted"],
     ),
     "warp": lambda: mcs.quality.warp_quality("linear"),
-    "primary": lambda: mcs.variance.primary_picture(mcs.Estimator("disk", "linear")),
+    "primary": lambda: mcs.explain.primary_picture(mcs.Estimator("disk", "linear")),
 }
 PANELS = {"warp": 2}
 
@@ -123,7 +123,7 @@ def test_several_estimators_are_drawn_by_name():
 
 
 def test_variants_of_a_sampler_have_a_curve_and_a_sentence_each():
-    data = mcs.variance.mirror_study("disk", "jittered", [16, 64], realizations=40)
+    data = mcs.improve.mirror_study("disk", "jittered", [16, 64], realizations=40)
     shown = [t.get_text() for t in data.mcspectra.plot().figure.legends[0].get_texts()]
     said = data.mcspectra.summary()
     for mirroring in ("original", "integrand", "random", "uniform"):

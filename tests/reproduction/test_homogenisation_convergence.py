@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from tests.reproduction.conftest import Disagreeing
 
+from mcspectra.prediction.exact import exact_variance
 from mcspectra.reproduction import homogenisation_convergence as module
-from mcspectra.variance.exact import exact_variance
 
 
 def test_swapped_samplers_and_a_function_that_is_not_periodic_disagree(

@@ -11,9 +11,9 @@ from scipy.integrate import quad
 from tests.reproduction.conftest import Disagreeing
 
 from mcspectra.plots.description import Text
+from mcspectra.prediction.exact import exact_variance
 from mcspectra.reproduction import importance_terms as module
 from mcspectra.reproduction.panels import term_panel
-from mcspectra.variance.exact import exact_variance
 
 
 @pytest.mark.parametrize("case", [module.GOOD, module.BAD, module.FLAT], ids=lambda c: c.title)

@@ -27,7 +27,7 @@ def test_the_bias_of_the_disk_by_counting():
 
 
 def test_scans_without_a_gain_disagree():
-    scan = mcs.variance.smoothing_scan(
+    scan = mcs.improve.smoothing_scan(
         smoothing.DISK, "jittered", smoothing.BUDGETS, [0.0, 0.2], realizations=100, rng=1
     )
     assert judge(smoothing._bias(scan)).agrees is True

@@ -39,7 +39,7 @@ def test_the_varianceamong_images_by_quadrature():
 
 
 def test_the_six_rates_disagree_with_their_neighbors():
-    study = mcs.variance.mirror_study(
+    study = mcs.improve.mirror_study(
         mirroring.INTEGRAND, "jittered", [64, 256, 1024], mirrorings=["original"],
         realizations=600, rng=1,
     )  # fmt: skip

@@ -7,8 +7,8 @@ import pytest
 from tests.reproduction.conftest import Disagreeing
 
 from mcspectra.integrands.registry import integrand
+from mcspectra.prediction.exact import exact_variance
 from mcspectra.reproduction import phase as module
-from mcspectra.variance.exact import exact_variance
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.125, 0.5])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from tests.reproduction.conftest import Disagreeing
 
+from mcspectra.prediction.exact import exact_variance
 from mcspectra.reproduction import strata_alignment as module
-from mcspectra.variance.exact import exact_variance
 
 
 def test_the_other_edge_disagrees(disagreeing: Disagreeing) -> None:

@@ -146,7 +146,7 @@ def test_techniques_pictures_and_light_are_direct_calls(tree):
         balance, SAMPLERS[1], COUNTS, half_width=6, space="primary", basis="auto", **OPTIONS
     )
     same(tree["techniques"].to_dataset(), direct)
-    picture = mcs.variance.primary_picture(balance, technique=1, resolution=32)
+    picture = mcs.explain.primary_picture(balance, technique=1, resolution=32)
     same(tree["pictures/balance-bsdf"].to_dataset(), picture, "primary_value")
     same(tree["incident"].to_dataset(), incident_light("figure1", *Q, resolution=64))
 
@@ -165,7 +165,7 @@ def test_steps_of_float32_are_no_jumps(tree):
     assert float(tree["pictures/light"]["primary_jump_length"].sel(kind="interior")) > 0
     x, y = named_pixels("veach")["wall"]
     smooth = mcs.Estimator(Pixel(scene="veach", x=x, y=y, light="light-3"))
-    raw = mcs.variance.primary_picture(smooth, resolution=32)
+    raw = mcs.explain.primary_picture(smooth, resolution=32)
     cleaned = module._without_rounding(raw)
     floor = 1e-5 * float(raw["primary_value"].max())
     assert cleaned.attrs["smallest_jump"] == pytest.approx(floor)
@@ -176,7 +176,7 @@ def test_steps_of_float32_are_no_jumps(tree):
 
 
 def test_a_picture_without_rounding_is_left_as_it_is(tree):
-    raw = mcs.variance.primary_picture(
+    raw = mcs.explain.primary_picture(
         mcs.Estimator(mcs.integrand("step(at=0.3)", dims=2)), resolution=32
     )
     same(module._without_rounding(raw), raw)

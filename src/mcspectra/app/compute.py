@@ -33,8 +33,8 @@ from mcspectra.densities import Density, density
 from mcspectra.estimators import AbstractEstimator, Estimator, Mirrored, TechniqueSum
 from mcspectra.integrands import Integrand, integrand
 from mcspectra.integrands.smoothing import smoothed
+from mcspectra.prediction.prediction import Prediction
 from mcspectra.samplers import Sampler, sampler
-from mcspectra.variance.prediction.predict import Prediction
 
 __all__ = [
     "KINDS",

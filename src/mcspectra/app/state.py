@@ -18,10 +18,10 @@ from mcspectra.core.checks import as_choice, as_instance, as_integer
 from mcspectra.core.errors import ParameterError, close_match_hint
 from mcspectra.core.fields import check_fields, checked, choice, real, whole
 from mcspectra.core.options import options_of
+from mcspectra.measure.converge import Convergence
+from mcspectra.measure.terms import Terms
+from mcspectra.prediction.prediction import Prediction
 from mcspectra.spectra.power import Points, Spectrum
-from mcspectra.variance.measured import Convergence
-from mcspectra.variance.prediction.predict import Prediction
-from mcspectra.variance.terms import Terms
 
 __all__ = [
     "ANALYSES",

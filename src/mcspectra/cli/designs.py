@@ -12,8 +12,8 @@ import mcspectra as mcs
 from mcspectra.cli.common import Answer, given_of, group, option, out, real, text_table, verb, whole
 from mcspectra.core.decoding import path_to_write
 from mcspectra.core.errors import ParameterError, writing
-from mcspectra.variance.designs.searches import KINDS
-from mcspectra.variance.learned import LEARNED
+from mcspectra.improve.designs.searches import KINDS
+from mcspectra.improve.learned import LEARNED
 
 __all__ = ["design_"]
 

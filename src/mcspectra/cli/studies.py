@@ -23,8 +23,8 @@ from mcspectra.cli.common import (
 )
 from mcspectra.core.display import printable
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.fits import UNRESOLVED
 from mcspectra.core.registry import optional_package
-from mcspectra.variance.fit import UNRESOLVED
 
 if TYPE_CHECKING:
     from mcspectra.studies import CellEstimate

@@ -17,8 +17,8 @@ import numpy as np
 
 from mcspectra.cli.common import Answer, page_table, text_table
 from mcspectra.core.errors import NoClosedForm
+from mcspectra.core.fits import UNRESOLVED, is_resolved
 from mcspectra.plots.groups import along, method_of
-from mcspectra.variance.fit import UNRESOLVED, is_resolved
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -1,4 +1,22 @@
-"""Straight lines through points whose errors are known: weighted least squares."""
+"""Fits of straight lines, and of rates: the slope of log variance against log n.
+
+Weighted least squares: each variance is weighted by the inverse square of its relative standard
+error, which is known from the realisations, so that the 95 % interval of a straight line is normal.
+Where the lack of fit, χ² per degree of freedom, exceeds 1, it is widened by √χ²; where that is
+significant (`LACK_OF_FIT`), the errors are not what makes the scatter, which is estimated from the counts:
+√χ² times Student's t with as many degrees, three counts having one.
+
+Curves bend at small n (lower-order terms); a *window* is the last so many counts, and ``"auto"``
+takes the largest window of at least three counts that shows neither lack of fit (`LACK_OF_FIT`) nor
+curvature (`CURVATURE`, a test of one degree, which sees a bend that χ² spreads over all). A window that
+passed may still be bent by as much as the noise hides: its interval is that of the scatter even where
+χ² is below 1, if that is wider. It is no default: of a straight line it costs precision. Simulated,
+relative errors of 6 % (500 realisations), counts 4, 16, … 1024, the intervals of ``"auto"`` hold the
+asymptotic rate in 98 % for a straight line; in 97 % for a disk of radius 0.27 off the centre, jittered;
+in 86 % for a Gaussian, jittered and shifted, whose exact slope is −1.42 … −1.50 over these counts: no
+test sees that bend. A curve that is bent to its last count, as of a disk centred on the strata
+(−1.39 between the last two), is not extrapolated. Exact variances at the same counts say more.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +26,34 @@ from dataclasses import dataclass
 import numpy as np
 
 from mcspectra.core.checks import Array
+from mcspectra.core.confidence import CONFIDENCE_Z
+from mcspectra.core.errors import Parameter, ParameterError
 
-__all__ = ["LineFit", "line_fit"]
+__all__ = [
+    "CURVATURE",
+    "LACK_OF_FIT",
+    "UNRESOLVED",
+    "LineFit",
+    "RateFit",
+    "check_window",
+    "fit_rate",
+    "fit_rates",
+    "is_resolved",
+    "line_fit",
+    "widening",
+]
+
+LACK_OF_FIT = 0.05
+"""Significance of χ² below which a window of counts is taken to be bent."""
+
+CURVATURE = 0.1
+"""Significance of a quadratic term in log n below which a window of counts is taken to be bent."""
+
+UNRESOLVED = "not resolved: use more realisations or larger counts"
+"""What texts say of a rate that is no finding; results keep its number."""
+
+_WIDEST = 0.5  # half an interval of a rate that is a finding: −1 and −2 can be told apart
+_LEAST = 3  # counts that can show lack of fit
 
 
 @dataclass(frozen=True)
@@ -61,3 +105,113 @@ def line_fit(x: Array, y: Array, weight: Array) -> LineFit:
     degrees = len(x) - 2
     chi2 = float((weight * residuals**2).sum() / degrees) if degrees else math.nan
     return LineFit(slope, float(centre), float(level), spread, residuals, chi2)
+
+
+@dataclass(frozen=True)
+class RateFit:
+    """A fitted rate.
+
+    Attributes
+    ----------
+    rate, interval
+        Slope and its 95 % interval, widened by lack of fit; NaN where fewer than two variances could be fitted.
+    first_n
+        Smallest count of the fit.
+    chi2
+        Lack of fit, χ² per degree of freedom: about 1 for a straight line; NaN for two counts.
+    """
+
+    rate: float = math.nan
+    interval: tuple[float, float] = (math.nan, math.nan)
+    first_n: float = math.nan
+    chi2: float = math.nan
+
+
+def is_resolved(low: float, high: float) -> bool:
+    """Whether a rate with this 95 % interval is a finding: known to ±0.5 or better."""
+    return bool(high - low <= 2 * _WIDEST)
+
+
+def check_window(fit_last: int | str | None, counts: int) -> None:
+    """Refuse a window of more counts than there are."""
+    if isinstance(fit_last, int) and fit_last > counts:
+        raise ParameterError(
+            Parameter("fit_last"), f" is {fit_last}; give at most {counts}, the number of counts."
+        )
+
+
+def fit_rate(
+    ns: Array, variance: Array, relative_se: Array, floor: Array, window: int | str | None = None
+) -> RateFit:
+    """Fit log variance = a + rate · log n.
+
+    Parameters
+    ----------
+    ns, variance, relative_se, floor
+        Counts, variances, their relative standard errors, and the variances below which they are
+        rounding noise, which are left out: all (N,).
+    window
+        Fit only the last so many counts; None: all; ``"auto"``: as many as lie on a line, which is
+        the largest window of three or more without significant χ² (`LACK_OF_FIT`) or curvature
+        (`CURVATURE`), and the last three where there is none.
+    """
+    start = -window if isinstance(window, int) else 0
+    ns, variance, relative_se, floor = (a[start:] for a in (ns, variance, relative_se, floor))
+    used = (variance > floor) & np.isfinite(relative_se) & (relative_se > 0)
+    x, y, se = np.log(ns[used]), np.log(variance[used]), relative_se[used]
+    if window != "auto":
+        return _line(x, y, se)
+    from scipy.special import chdtrc
+
+    first = 0
+    while len(x) - first > _LEAST:
+        # Whether the points lie off a straight line, in all or as a parabola does
+        own, weight = x[first:], se[first:] ** -2.0
+        residual = line_fit(own, y[first:], weight).residuals / se[first:]
+        straight = line_fit(own, (own - own.mean()) ** 2, weight).residuals / se[first:]
+        curvature = (straight * residual).sum() ** 2 / (straight**2).sum()
+        lack = chdtrc(len(own) - 2, (residual**2).sum())
+        if lack >= LACK_OF_FIT and chdtrc(1, curvature) >= CURVATURE:
+            break
+        first += 1
+    return _line(x[first:], y[first:], se[first:], chosen=True)
+
+
+def fit_rates(
+    ns: Array, variance: Array, relative_se: Array, floor: Array, window: int | str | None = None
+) -> dict[str, Array]:
+    """Fit every column of arrays (N, …): the fields of `RateFit`, (…), with the interval (…, 2)."""
+    columns = (a.reshape(len(ns), -1).T for a in (variance, relative_se, floor))
+    fits = [fit_rate(ns, v, r, f, window) for v, r, f in zip(*columns, strict=True)]
+    found = {
+        name: np.array([getattr(fit, name) for fit in fits]) for name in RateFit.__annotations__
+    }
+    return {name: v.reshape(*variance.shape[1:], *v.shape[1:]) for name, v in found.items()}
+
+
+def _line(x: Array, y: Array, se: Array, *, chosen: bool = False) -> RateFit:
+    """Weighted least squares of y against x; a window `chosen` by its data has the scatter's interval."""
+    if len(x) < 2:
+        return RateFit()
+    fit = line_fit(x, y, se**-2.0)
+    degrees = len(x) - 2
+    chi2 = float(((fit.residuals / se) ** 2).sum() / degrees) if degrees else math.nan
+    half = _quantile(degrees, chi2, chosen=chosen) / math.sqrt(fit.spread)
+    interval = (fit.slope - half, fit.slope + half)
+    return RateFit(fit.slope, interval, float(np.rint(np.exp(x[0]))), chi2)
+
+
+def widening(degrees: int, chi2: float) -> float:
+    """By what lack of fit widens the interval of a fit with so many degrees of freedom."""
+    return _quantile(degrees, chi2, chosen=False) / CONFIDENCE_Z
+
+
+def _quantile(degrees: int, chi2: float, *, chosen: bool) -> float:
+    """Half an interval, in units of what the errors alone would make the slope's standard error."""
+    if not degrees:
+        return CONFIDENCE_Z
+    from scipy.special import chdtrc, stdtrit
+
+    if chosen or chdtrc(degrees, chi2 * degrees) < LACK_OF_FIT:
+        return max(CONFIDENCE_Z, float(stdtrit(degrees, 0.975)) * math.sqrt(chi2))
+    return CONFIDENCE_Z * math.sqrt(max(1.0, chi2))

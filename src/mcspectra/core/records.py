@@ -19,6 +19,7 @@ import msgspec
 import numpy as np
 
 from mcspectra.core.checks import Array
+from mcspectra.core.confidence import standard_error
 from mcspectra.core.errors import FileFormatError
 
 __all__ = [
@@ -27,11 +28,8 @@ __all__ = [
     "SUM",
     "Join",
     "MeanSums",
-    "mean_interval",
     "merged",
     "pack",
-    "standard_error",
-    "student_t",
     "unpack",
 ]
 
@@ -77,31 +75,6 @@ class MeanSums:
         """Mean over realisations and its standard error, NaN for a single one."""
         mean = self.total / self.count
         return mean, standard_error(self.squares / self.count - mean * mean, self.count)
-
-
-def standard_error(spread: Array, count: int) -> Array:
-    """Standard error of a mean of `count` values: the mean square minus the squared mean is given."""
-    if count < 2:
-        return np.full_like(spread, np.nan)
-    return np.asarray(np.sqrt(np.maximum(spread, 0.0) / (count - 1)))
-
-
-def student_t(count: int) -> float:
-    """Half the 95 % interval of a mean of this many values in standard errors; two at least."""
-    from scipy.special import stdtrit
-
-    return float(stdtrit(max(1, count - 1), 0.975))
-
-
-def mean_interval(mean: Array, se: Array, count: int) -> Array:
-    """95 % interval of a mean of values that are not negative, (..., 2), on a logarithmic scale.
-
-    Student's t takes the error of log mean: with 4 realisations of |S|², exponential like that of a
-    Gaussian S, it covers 93 %, where mean ± t se covers 88 and the normal quantile 78.
-    """
-    relative = np.divide(se, mean, out=np.array(se), where=mean > 0)
-    factor = np.exp(student_t(count) * relative)
-    return np.stack([mean / factor, mean * factor], axis=-1)
 
 
 _MAGIC = b"mcs1"

@@ -112,7 +112,7 @@ class SplineDensity(Density):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Learned(Wrapper):
-    """A density that `mcspectra.variance.learned_density` made, read from its file.
+    """A density that `mcspectra.improve.learned_density` made, read from its file.
 
     Attributes
     ----------
@@ -181,7 +181,7 @@ class Learned(Wrapper):
         except (ValueError, LookupError, TypeError, RecursionError, McspectraError):
             raise FileFormatError(
                 f"{self.path} is not a learned density, or is damaged; give a file that "
-                "mcs.variance.learned_density(…, path=…) wrote."
+                "mcs.improve.learned_density(…, path=…) wrote."
             ) from None
 
 

@@ -13,22 +13,18 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.records import student_t
+from mcspectra.core.confidence import CONFIDENCE_Z, student_t
 
 if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "CONFIDENCE_Z",
     "Measured",
     "Moments",
     "mean_interval",
     "rounding_floor",
     "variance_interval",
 ]
-
-CONFIDENCE_Z = 1.959963984540054
-"""Half width of a two-sided 95 % interval in standard errors."""
 
 _PRIOR = 20  # values' worth of the belief that the estimates are normal
 _LEAST = 10  # values that can show a tail at all

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mcspectra.core.checks import Array
+from mcspectra.core.confidence import CONFIDENCE_Z
 from mcspectra.core.errors import ParameterError
-from mcspectra.estimators.moments import CONFIDENCE_Z
 from mcspectra.plots.description import (
     Axis,
     Bars,

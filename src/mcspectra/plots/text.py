@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import re
 
+from mcspectra.core.fits import is_resolved
 from mcspectra.core.spec import short_spec
-from mcspectra.variance.fit import is_resolved
 
 __all__ = [
     "LATEX_TEXT",

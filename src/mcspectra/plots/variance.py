@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.core.checks import Array
-from mcspectra.estimators.moments import CONFIDENCE_Z
+from mcspectra.core.confidence import CONFIDENCE_Z
 from mcspectra.plots.description import Axis, Bars, Dots, Line, Mark, Panel, Plot, Rule
 from mcspectra.plots.groups import (
     Group,

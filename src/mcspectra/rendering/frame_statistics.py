@@ -22,12 +22,12 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.core.checks import Array, as_integer, as_real, is_path
+from mcspectra.core.confidence import CONFIDENCE_Z, student_t
 from mcspectra.core.errors import FileFormatError, Parameter, ParameterError
 from mcspectra.core.images import Rings, exr_attributes, exr_layer, luminance, read_image
 from mcspectra.core.progress import report
-from mcspectra.core.records import student_t
 from mcspectra.core.results import dataset
-from mcspectra.estimators.moments import CONFIDENCE_Z, Moments
+from mcspectra.estimators.moments import Moments
 from mcspectra.rendering.map_statistics import fit_lines, interval, ratio, smooth
 
 __all__ = ["Frames", "frames"]

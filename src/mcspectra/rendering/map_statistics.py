@@ -1,7 +1,7 @@
 """Statistics of variances over an image: rates, the technique that decides them, gains of MIS, shares.
 
 Rates are of one weighted least-squares fit of log variance against log n a pixel, as
-`mcspectra.variance.fit` does it for one curve: weights from the relative standard errors, intervals
+`mcspectra.core.fits` does it for one curve: weights from the relative standard errors, intervals
 widened by the lack of fit with Student's t. Arrays are (strategy, n, y, x) and (strategy, y, x).
 
 Shares of a path's variance (`path_shares`) are by requests k for random numbers, in their order:
@@ -22,7 +22,7 @@ from typing import Any, final
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.estimators.moments import CONFIDENCE_Z
+from mcspectra.core.confidence import CONFIDENCE_Z
 
 __all__ = [
     "UNDECIDED",
@@ -40,7 +40,7 @@ __all__ = [
 
 UNDECIDED = -1.0
 
-_LACK_OF_FIT = 0.05  # significance, as in `mcspectra.variance.fit`
+_LACK_OF_FIT = 0.05  # significance, as in `mcspectra.core.fits`
 _ULPS = 4.0  # of float32: below, variances are the rounding of Mitsuba's values
 
 
@@ -99,7 +99,7 @@ def fit_lines(
         residual = y - level[:, None] - rate[:, None] * step
         degrees = used.sum(axis=1) - 2
         chi2 = np.where(degrees > 0, _over_counts(weight * residual**2) / degrees, np.nan)
-        # Lack of fit widens intervals, as in `mcspectra.variance.fit`: what errors do not explain is
+        # Lack of fit widens intervals, as in `mcspectra.core.fits`: what errors do not explain is
         # known from few counts only, Student's t over the normal quantile.
         some, lack = np.maximum(degrees, 1), np.where(degrees > 0, chi2, 0.0)
         student = stdtrit(some, 0.975) / CONFIDENCE_Z

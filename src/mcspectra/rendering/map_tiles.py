@@ -40,11 +40,12 @@ from typing import Annotated, Any, Final, TypeAlias, final
 import numpy as np
 
 from mcspectra.core.checks import Array
+from mcspectra.core.confidence import CONFIDENCE_Z
 from mcspectra.core.errors import NoClosedForm, Parameter, ParameterError
 from mcspectra.core.parallel import Block
 from mcspectra.core.records import Join
 from mcspectra.core.streams import Stream
-from mcspectra.estimators.moments import CONFIDENCE_Z, Moments
+from mcspectra.estimators.moments import Moments
 from mcspectra.estimators.sets import draw_sets
 from mcspectra.rendering import map_statistics as statistics
 from mcspectra.rendering.backend import LOCK, load_mitsuba

@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.core.errors import FileFormatError, writing
+from mcspectra.measure.bench import BENCH_QUALITY
 from mcspectra.plots import backend_matplotlib
 from mcspectra.plots.description import Plot
 from mcspectra.plots.groups import Group
@@ -26,7 +27,6 @@ from mcspectra.plots.variance import task_curves
 from mcspectra.report import page as html
 from mcspectra.report.result_files import check_result_file, csv_text, latex_table, result_table
 from mcspectra.report.sampler_cards import QUALITY_HEADS, Card, card_sections
-from mcspectra.variance.bench import BENCH_QUALITY
 from mcspectra.version import __version__
 
 if TYPE_CHECKING:

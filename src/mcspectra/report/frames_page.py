@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.core.checks import Array
+from mcspectra.core.fits import is_resolved
 from mcspectra.core.images import load_openexr
 from mcspectra.core.results import strict_json
 from mcspectra.plots import kinds
@@ -19,7 +20,6 @@ from mcspectra.plots.text import interval, number, percent, rate
 from mcspectra.rendering.files import write_exr
 from mcspectra.report import page as html
 from mcspectra.report.map_page import map_layers
-from mcspectra.variance.fit import is_resolved
 
 __all__ = [
     "check_frames_packages",

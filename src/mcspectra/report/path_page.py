@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from mcspectra.measure.anova import EFFECTIVE_SHARE
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.text import interval, number, percent, rate
 from mcspectra.report import page as html
 from mcspectra.report.pixel_page import remedies_blocks, remedies_summary
 from mcspectra.report.sentences import answer
-from mcspectra.variance.anova import EFFECTIVE_SHARE
 
 __all__ = [
     "path_answer",

@@ -10,6 +10,7 @@ from typing import Any
 
 import xarray as xr
 
+from mcspectra.core.fits import UNRESOLVED, is_resolved
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.maps import incident_maps
 from mcspectra.plots.style import sampler_styles
@@ -20,7 +21,6 @@ from mcspectra.report.sentences import answer, basis_name, explain
 from mcspectra.report.tables import analysis_table, summary_table, terms_table
 from mcspectra.studies import SummaryRow
 from mcspectra.studies.summary import rows_of
-from mcspectra.variance.fit import UNRESOLVED, is_resolved
 
 __all__ = [
     "STRATEGY_NAMES",

@@ -17,12 +17,12 @@ import xarray as xr
 from mcspectra.core.decoding import path_to_write
 from mcspectra.core.display import csv_cell, printable
 from mcspectra.core.errors import Parameter, ParameterError, writing
+from mcspectra.core.fits import is_resolved
 from mcspectra.core.spec import short_spec
 from mcspectra.plots import backend_matplotlib
 from mcspectra.plots.kinds import describe, kinds_of
 from mcspectra.plots.text import LATEX_TEXT, MISSING, interval, latex_maths, number, shorten
 from mcspectra.report import page as html
-from mcspectra.variance.fit import is_resolved
 
 __all__ = [
     "RESULT_FILES",

@@ -29,6 +29,8 @@ from mcspectra.core.results import dataset
 from mcspectra.core.spec import parse_chain
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import Estimator
+from mcspectra.measure.bench import SHARED_SETS, making_seconds, randomized, shared_sets
+from mcspectra.measure.converge import convergence
 from mcspectra.plots import backend_matplotlib
 from mcspectra.plots.description import Plot
 from mcspectra.plots.points import sampler_card
@@ -40,8 +42,6 @@ from mcspectra.samplers import SAMPLERS, Sampler, sampler
 from mcspectra.samplers.facts import Facts as SamplerFacts
 from mcspectra.samplers.facts import sampler_facts
 from mcspectra.spectra.power import power_spectrum
-from mcspectra.variance.bench import SHARED_SETS, making_seconds, randomized, shared_sets
-from mcspectra.variance.measured import convergence
 
 __all__ = [
     "FULL",

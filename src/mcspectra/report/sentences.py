@@ -11,10 +11,10 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.core.checks import Array, as_instance
-from mcspectra.estimators.moments import CONFIDENCE_Z
+from mcspectra.core.confidence import CONFIDENCE_Z
+from mcspectra.core.fits import UNRESOLVED, is_resolved
 from mcspectra.plots.text import NEGLIGIBLE, number, percent, rate, with_error
 from mcspectra.studies import SummaryRow
-from mcspectra.variance.fit import UNRESOLVED, is_resolved
 
 __all__ = ["answer", "basis_name", "bottleneck", "explain", "further_sentences", "headline"]
 

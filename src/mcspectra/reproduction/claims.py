@@ -17,7 +17,8 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.core.checks import Array
-from mcspectra.estimators.moments import CONFIDENCE_Z, Measured
+from mcspectra.core.confidence import CONFIDENCE_Z
+from mcspectra.estimators.moments import Measured
 from mcspectra.plots.description import Plot
 from mcspectra.plots.text import number, power_of_ten, rate
 

@@ -32,7 +32,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     found = mcs.convergence(list(pixels.values()), "jittered", _COUNTS, **options)
     curves = {name: found.isel(estimator=i) for i, name in enumerate(pixels)}
     options["realizations"] = 300 if quick else 3000
-    scan = mcs.variance.smoothing_scan(DISK, "jittered", BUDGETS, WIDTHS, **options)
+    scan = mcs.improve.smoothing_scan(DISK, "jittered", BUDGETS, WIDTHS, **options)
     sharp, smooth = map(rate_text, curves.values())
     best = ", ".join(
         f"{number(float(width), 2)} (N = {n})"

@@ -53,7 +53,7 @@ RATES = {
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Draw integrand and samples, and measure the six curves of convergence."""
     options: dict[str, Any] = {"realizations": 250 if quick else 2500, "rng": seed}
-    study = mcs.variance.mirror_study(
+    study = mcs.improve.mirror_study(
         INTEGRAND, "jittered", _COUNTS, mirrorings=list(_TITLES), **options
     )
     cells = {(m, h): study.sel(mirroring=m, homogenized=h) for m, h in RATES}

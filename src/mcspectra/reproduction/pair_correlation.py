@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 
 import mcspectra as mcs
-from mcspectra.estimators.moments import CONFIDENCE_Z
+from mcspectra.core.confidence import CONFIDENCE_Z
 from mcspectra.plots.description import Axis, Line, Mark, Panel
 from mcspectra.plots.style import PALETTE
 from mcspectra.plots.text import number

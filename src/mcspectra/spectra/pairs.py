@@ -10,10 +10,11 @@ from msgspec import Meta
 
 from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute
 from mcspectra.core.checks import Array, as_integer, as_real_array
+from mcspectra.core.confidence import log_mean_interval
 from mcspectra.core.errors import Function, NoClosedForm, Parameter, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNT, SETS
-from mcspectra.core.records import MeanSums, mean_interval
+from mcspectra.core.records import MeanSums
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.samplers import Sampler, as_sampler
@@ -142,7 +143,7 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
                     "pair_correlation_se": (("r",), se),
                     "pair_correlation_ci": (
                         ("r", "bound"),
-                        mean_interval(mean, se, self.realizations),
+                        log_mean_interval(mean, se, self.realizations),
                     ),
                 },
                 {

@@ -17,11 +17,12 @@ from msgspec import Meta
 
 from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute, whole
 from mcspectra.core.checks import MAX_FREQUENCY, Array
+from mcspectra.core.confidence import log_mean_interval, standard_error, student_t
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNT, ENGINE, EPS, HALF_WIDTH, SETS
 from mcspectra.core.parallel import Block, realization_blocks
-from mcspectra.core.records import SUM, MeanSums, mean_interval, standard_error, student_t
+from mcspectra.core.records import SUM, MeanSums
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.densities import Density
@@ -282,7 +283,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
                 mean, se = (values[part] for values in total.polar.mean_and_error())
                 se = widened * se
                 found[name], found[f"{name}_se"] = ((dim,), mean), ((dim,), se)
-                found[f"{name}_ci"] = (dim, "bound"), mean_interval(mean, se, count)
+                found[f"{name}_ci"] = (dim, "bound"), log_mean_interval(mean, se, count)
             if self.mean:
                 mean, mean_se = total.frequencies.coefficient()
                 found["mean_coefficient"] = grid.names, grid.full(mean, conjugate=True)

@@ -3,7 +3,7 @@
 Method
 ------
 All changes are measured at the same counts on the same random numbers as the path as given, and compared at
-its largest count by `mcspectra.variance.remedy.ranked`. A path of another roulette costs as many more or
+its largest count by `mcspectra.improve.remedy.ranked`. A path of another roulette costs as many more or
 fewer as it asks for numbers, that is by the turns of the integrator's loop, each a ray and at most one
 shadow ray. What is chosen by a pilot is compared with a path as given that has the pilot's paths, too.
 
@@ -25,14 +25,26 @@ import xarray as xr
 
 from mcspectra.core.analysis import Subject
 from mcspectra.core.checks import Array, as_choice, as_integer
+from mcspectra.core.confidence import CONFIDENCE_Z
 from mcspectra.core.errors import McspectraError, Parameter, ParameterError
 from mcspectra.core.parallel import available_workers
 from mcspectra.core.progress import report
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import Estimator
-from mcspectra.estimators.moments import CONFIDENCE_Z
+from mcspectra.explain.diagnosis import Diagnosis
+from mcspectra.improve.remedy import (
+    Errors,
+    Trial,
+    compare,
+    estimates_of,
+    ranked,
+    simultaneous_z,
+)
 from mcspectra.integrands import Integrand
+from mcspectra.measure.anova import Anova, anova_variances
+from mcspectra.measure.converge import convergence, count_stream
+from mcspectra.prediction.prediction import predict
 from mcspectra.rendering.paths import (
     SCENE_INTEGRATOR,
     Dimension,
@@ -44,18 +56,6 @@ from mcspectra.rendering.paths import (
 from mcspectra.rendering.scenes import Scene, emitter_names, scene_name
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.studies.pixel import check_compared, find_pixel
-from mcspectra.variance.anova import Anova, anova_variances
-from mcspectra.variance.diagnosis import Diagnosis
-from mcspectra.variance.measured import convergence, count_stream
-from mcspectra.variance.prediction.predict import predict
-from mcspectra.variance.remedy import (
-    Errors,
-    Trial,
-    compare,
-    estimates_of,
-    ranked,
-    simultaneous_z,
-)
 
 __all__ = ["PATH_SAMPLERS", "analyse_path", "path_remedies", "shares_by_light"]
 

@@ -23,6 +23,13 @@ from mcspectra.core.parallel import available_workers
 from mcspectra.core.progress import report
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import AbstractEstimator, Estimator
+from mcspectra.explain.diagnosis import diagnose
+from mcspectra.explain.primary import primary_picture
+from mcspectra.improve.remedy import remedies as find_remedies
+from mcspectra.measure.converge import convergence
+from mcspectra.measure.techniques import technique_terms
+from mcspectra.measure.terms import variance_terms
+from mcspectra.prediction.prediction import predict
 from mcspectra.quality.jumps import curve_length
 from mcspectra.rendering.backend import LOCK
 from mcspectra.rendering.pixel import (
@@ -42,13 +49,6 @@ from mcspectra.rendering.scenes import (
     scene_name,
 )
 from mcspectra.samplers import Sampler, as_sampler
-from mcspectra.variance.diagnosis import diagnose
-from mcspectra.variance.measured import convergence
-from mcspectra.variance.prediction.predict import predict
-from mcspectra.variance.primary import primary_picture
-from mcspectra.variance.remedy import remedies as find_remedies
-from mcspectra.variance.techniques import technique_terms
-from mcspectra.variance.terms import variance_terms
 
 __all__ = [
     "EFFORTS",
@@ -174,7 +174,7 @@ def analyse_pixel(
         ``predict/STRATEGY``: `mcspectra.predict` on (sampler, n), with its method.
         ``terms/STRATEGY/VIEW``: `mcspectra.variance_terms` in primary space, where VIEW is ``auto`` (the
         basis that fits the sampler) or ``fourier``. ``techniques``: `mcspectra.technique_terms` of the
-        balance heuristic. ``pictures/NAME``: `mcspectra.variance.primary_picture` of ``light``, ``bsdf`` and each
+        balance heuristic. ``pictures/NAME``: `mcspectra.explain.primary_picture` of ``light``, ``bsdf`` and each
         technique's share, as ``balance-light``, without the steps of float32 (2 dims only). ``incident``: `incident_light`.
         ``remedies``: `mcspectra.remedies` of the balance heuristic. Attributes of the root: what the
         pixel is and sees, the sampler of the terms, and ``diagnosis_STRATEGY``, sentences on that sampler.

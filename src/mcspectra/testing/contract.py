@@ -406,7 +406,7 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
 
     Examples
     --------
-    >>> from mcspectra.variance.measured import Convergence
+    >>> from mcspectra.measure.converge import Convergence
     >>> check_analysis(Convergence(counts=(4, 16), realizations=50))
     """
     from mcspectra.estimators import as_subject

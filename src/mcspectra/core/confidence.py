@@ -1,0 +1,37 @@
+"""How sure a mean is: its standard error, and quantiles and intervals of 95 %."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+
+__all__ = ["CONFIDENCE_Z", "log_mean_interval", "standard_error", "student_t"]
+
+CONFIDENCE_Z = 1.959963984540054
+"""Half width of a two-sided 95 % interval in standard errors."""
+
+
+def standard_error(spread: Array, count: int) -> Array:
+    """Standard error of a mean of `count` values: the mean square minus the squared mean is given."""
+    if count < 2:
+        return np.full_like(spread, np.nan)
+    return np.asarray(np.sqrt(np.maximum(spread, 0.0) / (count - 1)))
+
+
+def student_t(count: int) -> float:
+    """Half the 95 % interval of a mean of this many values in standard errors; two at least."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(max(1, count - 1), 0.975))
+
+
+def log_mean_interval(mean: Array, se: Array, count: int) -> Array:
+    """95 % interval of a mean of values that are not negative, (..., 2), on a logarithmic scale.
+
+    Student's t takes the error of log mean: with 4 realisations of |S|², exponential like that of a
+    Gaussian S, it covers 93 %, where mean ± t se covers 88 and the normal quantile 78.
+    """
+    relative = np.divide(se, mean, out=np.array(se), where=mean > 0)
+    factor = np.exp(student_t(count) * relative)
+    return np.stack([mean / factor, mean * factor], axis=-1)

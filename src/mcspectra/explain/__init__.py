@@ -1,0 +1,5 @@
+"""Why an estimator is as noisy as it is: evidence, detectors and the causes that they name."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,170 @@
+"""Why a set-up is as noisy as it is, and why a change to it helps: by the causes that a profile names.
+
+Looked for besides are weights 1/p without bound, and what of the primary-space integrand g is odd about
+the centre of the cube.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+from mcspectra.core.errors import McspectraError
+from mcspectra.core.fits import UNRESOLVED, is_resolved
+from mcspectra.core.streams import Stream
+from mcspectra.core.tally import counting
+from mcspectra.estimators import AbstractEstimator
+from mcspectra.estimators.mirrored import SymmetrizedIntegrand
+from mcspectra.estimators.support import probe_points
+from mcspectra.explain.causes import Cause, Evidence, causes_of, technique_name
+from mcspectra.samplers import Sampler
+
+__all__ = ["Diagnosis", "diagnose", "jumps_inside"]
+
+_EVALUATIONS = 8192  # of g, by which causes are looked for
+_MOSTLY, _FEW = 0.9, 0.1  # shares of the variance that are the reason, or one of several
+_ODD_DIMS, _ODD_POINTS = 4, 2**12
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What was found about a set-up."""
+
+    causes: list[Cause]  # most important first; empty where they were not looked for
+    unseen: str = ""  # why they were not
+    unbounded: bool = False  # whether ∫1/p diverges
+    slow: str = ""  # the technique that makes most of the variance, if one does
+    # Share of the variance of g that its mean over all reflections lacks; None where not looked for
+    odd: float | None = None
+
+    @property
+    def text(self) -> str:
+        """What costs precision, in sentences."""
+        found = [cause.sentence for cause in self.causes] or [self.unseen]
+        if self.unbounded:
+            found.insert(
+                0,
+                "1/p is unbounded: ∫1/p diverges, and where f does not vanish with p rare samples get "
+                "large weights.",
+            )
+        return " ".join(found)
+
+    def reason(self, column: Mapping[str, Any]) -> str:
+        """Why a change that was measured is better; what the measurement says where it is not."""
+        if column["verdict"] == "given":
+            return ""
+        if column["blind"]:
+            return "Its estimates are all alike and miss the integral: what is rare was not met."
+        if column["verdict"] == "undecided":
+            return "Its interval does not tell it from the set-up as given."
+        if column["verdict"] == "worse":
+            return f"Its {'mean squared error' if column['biased'] else 'variance'} is larger."
+
+        # What a kind of change mends that was found; which property of a sampler it is, is not known
+        name, inside = str(column["name"]), _jumps(self.causes)
+        wrapped = any(cause.name == "border-jump" for cause in self.causes)
+        odd = f"{100 * (self.odd or 0.0):.0f} % of the variance of g"
+        uniform = name.endswith("uniform")
+        match column["kind"]:
+            case "mirrored" if uniform and (self.odd or 0.0) >= _MOSTLY:
+                return f"g is odd about the centre ({odd}): the images of a sample cancel it."
+            case "unshifted" if wrapped:
+                return "Without the shift no stratum holds the jump between opposite sides."
+            case "mirrored" if wrapped:
+                return "Reflected, g is continuous across the sides, and wrap-around meets no jump."
+            case "mirrored" if uniform and (self.odd or 0.0) >= _FEW:
+                return f"The images of a sample cancel what is odd about the centre, {odd}."
+            case "aligned" if inside:
+                return "Borders of strata lie where g jumps, so that fewer strata hold a jump."
+            case "aligned" if wrapped:
+                return (
+                    "Strata that stay where they are do not wrap around the jump between opposite "
+                    "sides."
+                )
+            case "smoothed" if inside and column["biased"]:
+                return "The jump inside becomes a ramp, for a bias that the mean squared error contains."
+            case "smoothed" if inside:
+                return "The jump inside becomes a ramp; means over boxes keep the integral."
+            case "warp" if self.unbounded and not column["unbounded"]:
+                return "Its 1/p is bounded."
+            case "warp" if inside and column["jumps"] is False:
+                return "Its g does not jump inside."
+            case "fitted":
+                return "Its density is large where g is, as a pilot showed."
+            case "regression":
+                return "What polynomials explain of g has a known integral and is left out."
+            case "order":
+                return (
+                    "The first coordinates, which sets sample best, are those that g varies with."
+                )
+            case "preintegrated":
+                return "Its means are over the parts on both sides of the place where g jumps."
+            case "cubic":
+                return (
+                    "What polynomials in each cube explain of g is left out, as far as g is smooth."
+                )
+            case "heuristic" if self.slow:
+                return f"It changes what {self.slow} contributes, most of the variance."
+            case "techniques" if self.slow and name != f"only {self.slow}":
+                return f"It leaves out {self.slow}, which makes most of the variance."
+            case "channels" if name.endswith("combined"):
+                return "No channel is left to the samples of a density of another shape."
+            case "channels":
+                return "Each channel is divided by a density of its own shape."
+        if math.isnan(column["rate"]):
+            return ""
+        if not is_resolved(*column["rate_ci"]):
+            return f"Its rate is {UNRESOLVED}."
+        if column["rate_verdict"] == "better":
+            return f"Its rate is better, {column['rate']:.2f}."
+        return "By how much its rate differs, the intervals leave open."
+
+
+def diagnose(
+    estimator: AbstractEstimator, sampler: Sampler, stream: Stream, most: int | None = None
+) -> Diagnosis:
+    """Look for the causes of noise, by so many evaluations of a user's function at most."""
+    with counting("The diagnosis", most):
+        causes, unseen = _looked_for(estimator, sampler, stream, most)
+        # Share of the variance of g that cancels in its mean over all 2^d reflections about the centre, from
+        # means over fixed points; None in more than four dims, or where g is constant or has no values
+        odd, whole, even = None, 0.0, 0.0
+        with suppress(McspectraError):
+            for t, count in enumerate(estimator.counts if estimator.dims <= _ODD_DIMS else ()):
+                g, u = estimator.primary_integrand(t), probe_points(estimator.dims, _ODD_POINTS)
+                whole += float(g(u).var(axis=0).sum()) / count
+                even += float(SymmetrizedIntegrand(g)(u).var(axis=0).sum()) / count
+            odd = max(1.0 - even / whole, 0.0) if whole > 0 else None
+    slow = next((cause for cause in causes if cause.name == "slow-technique"), None)
+    return Diagnosis(
+        causes,
+        unseen,
+        unbounded=estimator.infinite_weights,
+        slow="" if slow is None else technique_name(estimator, int(slow.evidence["technique"])),
+        odd=odd,
+    )
+
+
+def jumps_inside(estimator: AbstractEstimator, sampler: Sampler) -> bool | None:
+    """Whether g jumps inside the cube; None where that could not be looked for."""
+    causes, unseen = _looked_for(estimator, sampler, Stream.from_rng(0), None)
+    return None if unseen else _jumps(causes)
+
+
+def _jumps(causes: list[Cause]) -> bool:
+    return any(cause.name in ("interior-jump", "axis-parallel-jump") for cause in causes)
+
+
+def _looked_for(
+    estimator: AbstractEstimator, sampler: Sampler, stream: Stream, most: int | None
+) -> tuple[list[Cause], str]:
+    """The causes, or why they could not be looked for."""
+    budget = _EVALUATIONS if most is None else min(most, _EVALUATIONS)
+    try:
+        estimator.check_independent()
+        return causes_of(Evidence.of(estimator, sampler, budget, stream)), ""
+    except McspectraError as error:
+        return [], f"What costs precision was not looked for: {error}"

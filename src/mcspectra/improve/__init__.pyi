@@ -1,0 +1,21 @@
+from .alignment import aligned as aligned
+from .alignment import best_alignment as best_alignment
+from .alignment import strata_shift_scan as strata_shift_scan
+from .designs.design import certificate as certificate
+from .designs.design import design as design
+from .learned import learned_density as learned_density
+from .remedy import remedies as remedies
+from .variants import mirror_study as mirror_study
+from .variants import smoothing_scan as smoothing_scan
+
+__all__ = [
+    "aligned",
+    "best_alignment",
+    "certificate",
+    "design",
+    "learned_density",
+    "mirror_study",
+    "remedies",
+    "smoothing_scan",
+    "strata_shift_scan",
+]

@@ -1,0 +1,303 @@
+"""Objectives of a design: classes of integrands, drawn from or known entirely.
+
+The expected variance over a class is tr(C_f C_S), C_f = E[f_m conj(f_l)]: a sum of the variances of
+functions g_t with Σ_t g_t(x) g_t(y) = E[f(x) f(y)]. These are the members themselves, by 1/√M of M of
+them; of a covariance of coefficients its eigenvectors times the roots of its eigenvalues; of a spectrum
+the waves √(2 P(m)) cos(2π m·x) and sin.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, TypeAlias, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.errors import (
+    DomainError,
+    McspectraError,
+    ParameterError,
+    SpecError,
+    close_match_hint,
+)
+from mcspectra.core.spec import Call, parse
+from mcspectra.estimators.quadrature import grid
+from mcspectra.integrands import Integrand
+from mcspectra.integrands.registry import INTEGRANDS, as_integrand
+from mcspectra.samplers.stratified import Random
+
+__all__ = ["Objective", "Values", "as_objective"]
+
+Values: TypeAlias = Callable[[Array], Array]
+"""Functions whose variances add up to the expected one: points (N, d) to (M, N)."""
+
+_MAX_DIMS = 8
+_MOST_WAVES = 1024
+_PROBE_MEMBERS, _PROBE_POINTS = 16, 8192
+
+_FAMILIES = {
+    "gaussians": "gaussian(center=uniform(0, 1), width=uniform(0.1, 0.4))",
+    "disks": "disk(center=uniform(0, 1), radius=uniform(0.1, 0.4))",
+}
+_HALF_SPACES = "half-spaces"
+_RANDOM = re.compile(r"=\s*(uniform|normal)\s*\(([^()]*)\)")
+
+
+@final
+@dataclass(frozen=True)
+class Objective:
+    """A class of integrands in `dims` dims.
+
+    Attributes
+    ----------
+    text
+        What it is, for messages.
+    draw
+        Makes M random members, or the whole class where it is a list, of M and a generator.
+    whole
+        The functions of the whole class where it is known entirely, else None.
+    """
+
+    text: str
+    dims: int
+    draw: Callable[[int, np.random.Generator], Values]
+    whole: Values | None = None
+
+    def functions(self, members: int, rng: np.random.Generator) -> Values:
+        """The whole class, or so many members drawn at random."""
+        return self.whole or self.draw(members, rng)
+
+
+def as_objective(given: object, dims: int | None = None) -> Objective:
+    """Read an objective; see `design`. Without dims it has those of its integrands, else 2.
+
+    Raises
+    ------
+    ParameterError
+        It is none of those, is empty, or all its members are constant, or dims are not 1 to 8.
+    DomainError
+        Values are not finite.
+    """
+    if dims is not None:
+        dims = as_integer("dims", dims, least=1, most=_MAX_DIMS)
+    objective = _read(given, dims)
+    as_integer("dims", objective.dims, least=1, most=_MAX_DIMS)
+    probe = objective.draw(_PROBE_MEMBERS, np.random.default_rng(0))
+    values = probe(Random(dims=objective.dims).draw(_PROBE_POINTS, rng=0)[0])
+    if not np.ptp(values, axis=1).any():
+        raise ParameterError(
+            f"All members of {objective.text} looked at are constant, so that every sampler has a "
+            "variance of 0; give integrands that vary."
+        )
+    return objective
+
+
+def _read(given: Any, dims: int | None) -> Objective:
+    if isinstance(given, str):
+        return _of_text(given.strip(), dims)
+    if isinstance(given, Integrand):
+        return _of_one(as_integrand(given, dims))
+    if isinstance(given, Mapping):
+        return _of_waves(given, dims)
+    if isinstance(given, Sequence):
+        # Each part has the same share; a list of single integrands is the whole class
+        if not given:
+            raise ParameterError("The objective is an empty list; give one integrand at least.")
+        # Specs take the dims of the others
+        dims = dims or _read(min(given, key=lambda part: isinstance(part, str)), None).dims
+        parts = [_read(part, dims) for part in given]
+        if len(parts) == 1:
+            return parts[0]
+
+        def joined(values: Sequence[Values]) -> Values:
+            return lambda x: len(parts) ** -0.5 * np.concatenate([value(x) for value in values])
+
+        def draw(count: int, rng: np.random.Generator) -> Values:
+            return joined([part.draw(-(-count // len(parts)), rng) for part in parts])
+
+        known = [part.whole for part in parts if part.whole]
+        whole = joined(known) if len(known) == len(parts) else None
+        return Objective(f"{len(parts)} of {parts[0].text} …", dims, draw, whole)
+    if isinstance(given, np.ndarray):
+        squared = given.ndim > (dims or given.ndim)
+        return _of_waves({"covariance" if squared else "spectrum": given}, dims)
+    if callable(given):
+        name = getattr(given, "__name__", "the class")
+
+        def one(rng: np.random.Generator) -> Integrand:
+            try:
+                found = given(rng)
+            except McspectraError:
+                raise
+            except (AttributeError, TypeError, ValueError) as error:  # one of points, perhaps
+                raise ParameterError(
+                    f"{name} raised {type(error).__name__} of a generator: {error}; give a function of "
+                    "a generator that makes an integrand, or for one function Integrand.from_function."
+                ) from error
+            return as_integrand(found, dims)
+
+        return _drawn(name, dims or one(np.random.default_rng(0)).dims, one)
+    raise ParameterError(
+        f"The objective is {given!r:.80}; give a spec with uniform(a, b) or normal(mean, sd) for "
+        "parameters, a function of a generator that makes an integrand, a list of these, or "
+        "{'spectrum': ...} or {'covariance': ...}."
+    )
+
+
+def _of_one(f: Integrand) -> Objective:
+    values = partial(_members, [f])
+    return Objective(f.spec, f.dims, lambda count, rng: values, values)  # noqa: ARG005
+
+
+def _of_text(text: str, dims: int | None) -> Objective:
+    """A family or an integrand spec, parameters of which may be uniform(a, b) or normal(mean, sd)."""
+    if text == _HALF_SPACES:
+        d = dims or 2
+
+        def half_space(rng: np.random.Generator) -> Integrand:
+            """The border goes through a uniform point, in a uniform direction."""
+            normal = rng.standard_normal(d)
+            normal /= np.sqrt(normal @ normal)
+            arguments = {"normal": normal.tolist(), "offset": float(normal @ rng.random(d))}
+            found: Integrand = INTEGRANDS.build(Call("half-space", arguments), d)
+            return found
+
+        return _drawn(text, d, half_space)
+    call = parse(_RANDOM.sub(r"=['\1', \2]", _FAMILIES.get(text, text)))
+    laws = {
+        name: value
+        for name, value in call.arguments.items()
+        if isinstance(value, list) and value and value[0] in ("uniform", "normal")
+    }
+    for name, (law, *ends) in laws.items():
+        if (
+            len(ends) != 2
+            or not all(isinstance(x, int | float) for x in ends)
+            or ends[1] <= (ends[0] if law == "uniform" else 0)
+        ):
+            need = "low < high" if law == "uniform" else "a mean and a positive deviation"
+            raise SpecError(f"{name} is {law}({', '.join(map(repr, ends))}); give {need}.")
+    if not laws:
+        if call.name not in INTEGRANDS:
+            hint, _ = close_match_hint(
+                call.name, [*_FAMILIES, _HALF_SPACES, *INTEGRANDS], "mcspectra list integrands"
+            )
+            raise SpecError(f"There is no integrand or class {call.name!r}.{hint}")
+        return _of_one(as_integrand(text, dims))
+
+    def make(size: Mapping[str, int], rng: np.random.Generator) -> Integrand:
+        drawn = {
+            name: getattr(rng, law)(*ends, size=size[name]).tolist()
+            for name, (law, *ends) in laws.items()
+        }
+        drawn = {name: x if len(x) > 1 else x[0] for name, x in drawn.items()}
+        found: Integrand = INTEGRANDS.build(Call(call.name, call.arguments | drawn), dims)
+        return found
+
+    dims = dims or make(dict.fromkeys(laws, 1), np.random.default_rng(0)).dims
+
+    # A parameter takes a number for each axis if it can
+    error: Exception | None = None
+    for sizes in itertools.product((dims, 1), repeat=len(laws)):
+        size = dict(zip(laws, sizes, strict=True))
+        try:
+            make(size, np.random.default_rng(0))
+            return _drawn(text, dims, partial(make, size))
+        except ParameterError as refused:
+            error = refused
+    raise error or ParameterError(f"{text} cannot be made.")
+
+
+def _drawn(text: str, dims: int, one: Callable[[np.random.Generator], Integrand]) -> Objective:
+    return Objective(
+        text, dims, lambda count, rng: partial(_members, [one(rng) for _ in range(count)])
+    )
+
+
+def _members(integrands: Sequence[Integrand], x: Array) -> Array:
+    """Values of all channels of integrands, so that mean squares are sums."""
+    rows = []
+    for f in integrands:
+        values = f(x)
+        if not np.isfinite(values).all():
+            raise DomainError(f"{f.spec} is not finite at some points; designs need finite values.")
+        rows.append(values[None] if values.ndim == 1 else values.T)
+    return np.asarray(np.concatenate(rows) * len(integrands) ** -0.5)
+
+
+def _of_waves(given: Mapping[str, Any], dims: int | None) -> Objective:
+    """{'spectrum': P} or {'covariance': C}, arrays or callables of frequencies, and 'half_width'."""
+    kinds = [kind for kind in ("spectrum", "covariance") if kind in given]
+    if len(kinds) != 1 or set(given) - {*kinds, "half_width"}:
+        raise ParameterError(
+            f"The objective has the keys {', '.join(map(repr, given)) or 'none'}; give 'spectrum' or "
+            "'covariance', and 'half_width' where it is a function."
+        )
+    (kind,) = kinds
+    source = given[kind]
+    if callable(source):
+        dims = dims or 2
+        half = as_integer("half_width", given.get("half_width", 8), least=1, most=64)
+    else:
+        source = np.asarray(source)
+        dims = dims or (source.ndim if kind == "spectrum" else 2)
+        half = (round(len(source) ** (1.0 if kind == "spectrum" else 1.0 / dims)) - 1) // 2
+    m = grid(np.arange(-half, half + 1), dims)
+    if not callable(source):
+        needed = (2 * half + 1,) * dims if kind == "spectrum" else (len(m), len(m))
+        if source.shape != needed or half < 1:
+            raise ParameterError(
+                f"The {kind} has shape {source.shape}; give (2h + 1, …) for each of {dims} dims"
+                + ("." if kind == "spectrum" else ", in C order, as rows and as columns.")
+            )
+
+    # Waves of a spectrum, the strongest ones; or eigenvectors
+    if kind == "spectrum":
+        power = np.asarray(source(m) if callable(source) else source).reshape(-1)
+        _check_numbers(kind, power, (len(m),))
+        if np.iscomplexobj(power) or (power < 0).any():
+            raise ParameterError(
+                "The spectrum has values that are negative or complex; power is not."
+            )
+        power = 0.5 * (power + power[::-1])
+        later = np.arange(len(m) // 2 + 1, len(m))  # one of m and −m
+        kept = later[np.argsort(-power[later], kind="stable")[:_MOST_WAVES]]
+        kept = kept[power[kept] > 0]
+        vectors, m = np.diag(np.sqrt(2.0 * power[kept])), m[kept]
+    else:
+        if len(m) > 2 * _MOST_WAVES:
+            raise ParameterError(
+                f"A covariance of {len(m)} frequencies is too large; give at most {2 * _MOST_WAVES}: "
+                "lower half_width, or give a spectrum."
+            )
+        matrix = np.asarray(source(m[:, None], m[None]) if callable(source) else source)
+        _check_numbers(kind, matrix, (len(m), len(m)))
+        sizes, found = np.linalg.eigh(0.5 * (matrix + matrix.conj().T))
+        if sizes.min() < -1e-8 * np.abs(sizes).max() or not np.allclose(matrix, matrix.conj().T):
+            raise ParameterError("The covariance is not Hermitian with eigenvalues from 0 on.")
+        kept = np.argsort(-sizes)[:_MOST_WAVES]
+        kept = kept[sizes[kept] > 1e-12 * sizes.max()]
+        vectors = (found[:, kept] * np.sqrt(sizes[kept])).T
+
+    def whole(x: Array) -> Array:
+        waves = vectors @ np.exp(2j * np.pi * (m @ x.T))
+        return np.concatenate([waves.real, waves.imag])
+
+    def draw(count: int, rng: np.random.Generator) -> Values:
+        mixed = rng.standard_normal((count, 2 * len(vectors))) / np.sqrt(count)
+        return lambda x: mixed @ whole(x)
+
+    return Objective(f"a {kind} of half width {half}", dims, draw, whole)
+
+
+def _check_numbers(kind: str, values: Array, shape: tuple[int, ...]) -> None:
+    if values.shape != shape or values.dtype.kind not in "fiuc" or not np.isfinite(values).all():
+        raise ParameterError(
+            f"The {kind} gives {values.dtype} of shape {values.shape}, or values that are not finite; "
+            f"give finite numbers of shape {shape}."
+        )

@@ -1,0 +1,684 @@
+"""Estimators changed by what evaluations show of g: other densities, controls, directions, smoothing.
+
+All changes are of the primary-space integrand g on the unit cube, so that they apply to any estimator
+of one technique, and leave its integral as it is, whatever was evaluated:
+
+* *fitted*: g(T(u))/q(T(u)), u uniform, with q of splines (`mcspectra.improve.learned`), or a normal one
+  of z = Φ⁻¹(u), moved and stretched to the moments of |g|;
+* *order*: the same with an orthogonal matrix, whose q is 1: the directions of z along which g varies
+  most come first ([Liu2023]_), where nets are best;
+* *regression*: g less polynomials of mean 0 that are fitted to it;
+* *preintegrated*: along the first direction, means over both sides of where g jumps or leaves 0, and
+  over the bracket of that place. Where the place is depends on the other coordinates only, so that
+  the sum of means over the parts, each of one or two points, has the expectation of g.
+
+`Cubic` needs no pilot: it is g less polynomials through its values at the centres of cells.
+
+What a change is expected to bring is from evaluations that it was not fitted to.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import ClassVar, TypeAlias, final
+
+import numpy as np
+
+from mcspectra.core.checks import BELOW_ONE, Array
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.streams import Stream
+from mcspectra.densities import Density
+from mcspectra.estimators import AbstractEstimator, Estimator
+from mcspectra.improve.learned import fit_splines, in_rounds
+from mcspectra.integrands import integral_accuracy
+from mcspectra.integrands.base import Breaks, Derived, Estimate, Integrand
+
+__all__ = ["CHANGES", "Cubic", "Evaluations", "Improvement", "evaluated", "improvements"]
+
+_ROUNDS = 4
+# (cells, parts, smoothness) of `fit_splines`, that of the rounds first
+_JOINT = ((16, 0, 1e-4), (12, 4, 1e-3))
+_PRODUCTS = ((12, 1, 1e-3), (24, 1, 1e-4))
+_MOST_JOINT = 5
+_DEFENSIVE = 0.05  # share of the uniform density
+_LEAST_SPREAD = 1.0  # of variances: narrower densities make g/q grow at the border
+_EACH = 4  # evaluations of each coefficient
+_RIDGE = 1e-9
+_MOST_TERMS = 256
+_DEGREES = ((1, 0), (2, 2), (3, 0), (3, 3), (4, 4), (6, 0), (6, 6), (8, 8))
+_MOST_NORMAL = 3  # degree; of higher ones most of the variance is where few evaluations are
+_TURNED = 2  # directions that have more terms than others
+_WORTH = 0.8  # of the variance left, before cost
+_BLOCK = 2**14
+
+
+@final
+@dataclass(frozen=True)
+class Evaluations:
+    """What is known of g.
+
+    Attributes
+    ----------
+    points, values
+        (k, d) in the unit cube, and (k, channels or 1).
+    pdf
+        Density of the points, (k,): 1 of uniform ones, scrambled nets among them.
+    """
+
+    points: Array
+    values: Array
+    pdf: Array
+
+    @staticmethod
+    def of(points: Array, values: Array) -> Evaluations:
+        """Values (k,) or (k, channels) at uniform points."""
+        return Evaluations(points, values.reshape(len(points), -1), np.ones(len(points)))
+
+    def part(self, which: Array) -> Evaluations:
+        """Some of them."""
+        return Evaluations(self.points[which], self.values[which], self.pdf[which])
+
+    @cached_property
+    def halves(self) -> tuple[Evaluations, Evaluations]:
+        """Each second one, and the others; neighbours in a net are in both."""
+        odd = np.arange(len(self.points)) % 2 == 1
+        return self.part(odd), self.part(~odd)
+
+    @cached_property
+    def normal(self) -> Array:
+        """Φ⁻¹ of the points."""
+        return _quantiles(self.points)
+
+    def turned(self, matrix: Array) -> Evaluations:
+        """The same values at the points that a rotation takes to these."""
+        return replace(self, points=_Normal(matrix.T).sample(self.points))
+
+    @cached_property
+    def directions(self) -> Array:
+        """Orthonormal directions of z (columns), those along which g varies most first."""
+        d = self.points.shape[1]
+        basis = _Basis.of(d, True, 2, 2).cut(len(self.points))
+        slopes = np.zeros((d, d))
+        for coefficients in basis.fit(self).T:
+            (i, j), (a, b) = basis.axes.T, basis.degrees.T
+            linear = np.zeros(d)
+            linear[i[(a == 1) & (b == 0)]] = coefficients[(a == 1) & (b == 0)]
+            bend = np.zeros((d, d))
+            bend[i[a == 2], i[a == 2]] = np.sqrt(2.0) * coefficients[a == 2]
+            bend[i[b == 1], j[b == 1]] = bend[j[b == 1], i[b == 1]] = coefficients[b == 1]
+            slopes += np.outer(linear, linear) + bend @ bend
+        return np.asarray(np.linalg.eigh(slopes)[1][:, ::-1])
+
+    @cached_property
+    def weights(self) -> Array:
+        """|g| over the density, of sum 1; a lower power of |g| where few points would make the sum."""
+        size = np.abs(self.values).sum(axis=1)
+        if not size.any():
+            raise ParameterError("g is 0 at all points that were tried; give a larger budget.")
+        size = size / size.max()
+        least = min(0.1 * np.count_nonzero(size), 10.0 + 2.0 * self.points.shape[1])
+        for power in 0.5 ** np.arange(8):
+            found = np.where(size > 0.0, size**power, 0.0) / self.pdf
+            found /= found.sum()
+            if 1.0 / (found**2).sum() >= least:
+                break
+        return np.asarray(found)
+
+    def variance(self, pdf: Array | None = None) -> float:
+        """Variance of g/q at points of q with these values at the points, the uniform one by default.
+
+        A mean of squares about a ratio of means: nothing cancels where g/q is almost constant.
+        """
+        q = np.ones(len(self.pdf)) if pdf is None else pdf
+        weight, values = q / self.pdf, self.values / q[:, None]
+        rest = values - np.average(values, axis=0, weights=weight)
+        return float(np.average((rest**2).sum(axis=1), weights=weight))
+
+
+@final
+@dataclass(frozen=True)
+class Improvement:
+    """A changed estimator.
+
+    Attributes
+    ----------
+    kind
+        Of `CHANGES`.
+    name, change
+        A short label, and an imperative.
+    estimator
+        Of the same integral.
+    ratio
+        Its variance over that of the one given at equal cost, with random points; for *order* what main
+        effects leave over, which is what nets do not remove. From evaluations that it was not fitted to.
+    finite_below
+        Where g grows as t^−a at the border its variance is finite for a below this.
+    """
+
+    kind: str
+    name: str
+    change: str
+    estimator: Estimator
+    ratio: float
+    finite_below: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Changed(Derived):
+    """g changed, with the same integral."""
+
+    integrand: Integrand
+    pilot_evaluations: int = 0
+
+    @property
+    def finite_below(self) -> float:
+        """Of `Improvement`."""
+        return 0.5
+
+    @property
+    def breaks(self) -> Breaks:
+        return ((),) * self.dims
+
+    def _evaluate(self, x: Array) -> Array:
+        flat, shape = x.reshape(-1, self.dims), x.shape[:-1]
+        blocks = [self._at(flat[i : i + _BLOCK]) for i in range(0, len(flat), _BLOCK)]
+        found = np.concatenate(blocks) if blocks else self.integrand(flat)
+        return found.reshape(*shape, *found.shape[1:])
+
+    def _estimated_integral(self) -> Estimate:
+        source, error = integral_accuracy(self.integrand)
+        return Estimate(np.atleast_1d(self.integrand.integral), error, source)
+
+    @abstractmethod
+    def _at(self, u: Array) -> Array:
+        """Values at points (k, d)."""
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Warped(_Changed):
+    """g(T(u))/q(T(u))."""
+
+    name: ClassVar[str] = "warped"
+    text = "{0.integrand.spec}, {0.label}"
+    density: Density | _Normal
+    label: str
+
+    @property
+    def finite_below(self) -> float:
+        if not isinstance(self.density, _Normal):
+            return 0.5
+        # It grows as t^−(1 − 1/s²) along the direction of its largest spread s
+        return 1.0 - 0.5 / float(np.linalg.norm(self.density.matrix, 2) ** 2)
+
+    def _at(self, u: Array) -> Array:
+        x = self.density.sample(u)
+        values = self.integrand(x)
+        return np.asarray((values.T / self.density.pdf(x)).T)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class _Normal:
+    """z → A z + b of z = Φ⁻¹(u), on the cube."""
+
+    matrix: Array
+    shift: Array | float = 0.0
+
+    def sample(self, u: Array) -> Array:
+        from scipy.special import ndtr
+
+        x = ndtr(_quantiles(u) @ self.matrix.T + self.shift)
+        return np.clip(x, np.finfo(float).tiny, BELOW_ONE)
+
+    def pdf(self, x: Array) -> Array:
+        moved = _quantiles(x)
+        z = (moved - self.shift) @ self._inverse.T
+        log = 0.5 * ((moved**2).sum(axis=-1) - (z**2).sum(axis=-1))
+        return np.asarray(np.exp(log) * abs(np.linalg.det(self._inverse)))
+
+    @cached_property
+    def _inverse(self) -> Array:
+        return np.linalg.inv(self.matrix)
+
+
+_Map: TypeAlias = Density | _Normal
+
+
+@final
+@dataclass(frozen=True)
+class _Basis:
+    """Products of one or two orthonormal polynomials of different coordinates, all of mean 0.
+
+    Attributes
+    ----------
+    normal
+        Whether of z = Φ⁻¹(u) (Hermite), else of u (Legendre), or Φ of directions of z.
+    axes, degrees
+        (terms, 2).
+    turn
+        (d, ·), directions of z instead of its coordinates.
+    """
+
+    normal: bool
+    axes: Array
+    degrees: Array
+    turn: Array | None = None
+
+    @staticmethod
+    def of(dims: int, normal: bool, alone: int, together: int) -> _Basis:
+        """Degrees up to `alone` of each coordinate, and up to `together` in all of each two."""
+        terms = [(i, i, a, 0) for i in range(dims) for a in range(1, alone + 1)]
+        terms += [
+            (i, j, a, b)
+            for i in range(dims)
+            for j in range(i + 1, dims)
+            for a in range(1, together)
+            for b in range(1, together + 1 - a)
+        ]
+        found = np.array(terms)
+        return _Basis(normal, found[:, :2], found[:, 2:])
+
+    def cut(self, count: int) -> _Basis:
+        """Itself where so many evaluations are enough for it, else its linear terms."""
+        if len(self.axes) * _EACH <= count:
+            return self
+        linear = self.degrees.sum(axis=1) == 1
+        return _Basis(self.normal, self.axes[linear], self.degrees[linear])
+
+    def __call__(self, u: Array) -> Array:
+        """Values at points (k, d): (k, terms)."""
+        from scipy.special import ndtr
+
+        if self.turn is not None:
+            x = _quantiles(u) @ self.turn
+            x = x if self.normal else 2.0 * ndtr(x) - 1.0
+        else:
+            x = _quantiles(u) if self.normal else 2.0 * u - 1.0
+        most = int(self.degrees.max())
+        found = [np.ones_like(x), x]
+        for n in range(1, most):
+            if self.normal:
+                found.append(x * found[n] - n * found[n - 1])
+            else:
+                found.append(((2 * n + 1) * x * found[n] - n * found[n - 1]) / (n + 1))
+        degree = np.arange(most + 1.0)
+        if self.normal:
+            norm = np.cumprod(np.maximum(degree, 1.0)) ** -0.5
+        else:
+            norm = np.sqrt(2.0 * degree + 1.0)
+        table = np.stack(found[: most + 1]) * norm[:, None, None]
+        (i, j), (a, b) = self.axes.T, self.degrees.T
+        return np.asarray(table[a, :, i] * table[b, :, j]).T
+
+    def fit(self, seen: Evaluations) -> Array:
+        """Coefficients of least squares, (terms, channels)."""
+        columns = np.column_stack([np.ones(len(seen.points)), self(seen.points)])
+        square = columns.T @ columns + _RIDGE * len(columns) * np.eye(columns.shape[1])
+        return np.asarray(np.linalg.solve(square, columns.T @ seen.values)[1:])
+
+    def left(self, fitted: Evaluations, other: Evaluations) -> float:
+        """Share of the variance of other evaluations that what is fitted leaves."""
+        rest = other.values - self(other.points) @ self.fit(fitted)
+        return float(rest.var(axis=0).sum() / max(other.values.var(axis=0).sum(), 1e-300))
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Controlled(_Changed):
+    """g less a control variate of integral 0."""
+
+    name: ClassVar[str] = "controlled"
+    text = "{0.integrand.spec} less its regression on {0.basis.axes.shape[0]} polynomials"
+    basis: _Basis
+    coefficients: Array
+
+    def _at(self, u: Array) -> Array:
+        values = self.integrand(u)
+        return np.asarray(values - (self.basis(u) @ self.coefficients).reshape(values.shape))
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cubic(_Changed):
+    """g less a polynomial of degree r − 1 along each axis in each of side^d cells ([Chopin2024]_).
+
+    The polynomial goes through g at the centres of the r nearest cells along each axis; its mean over the
+    cell is added again. Where r is even, means over a point and its image about the centre of
+    the cell leave even powers only, and r = 2 takes no centres. Jittered points in the same cells have
+    a variance ∝ n^(−1 − 2r/d) if g has r derivatives.
+
+    Attributes
+    ----------
+    order
+        r.
+    side
+        Cells along each axis; 0 until `in_cells`.
+    centres
+        g at the centres, (side^d, channels or 1).
+    """
+
+    name: ClassVar[str] = "cubic"
+    text = "{0.integrand.spec}, stratified to order {0.order} in cells of 1/{0.side}"
+    order: int
+    side: int = 0
+    centres: Array | None = None
+
+    @staticmethod
+    def of(estimator: AbstractEstimator, order: int) -> Cubic:
+        """Of the primary-space integrand of an estimator of one technique."""
+        return Cubic(integrand=_single(estimator), order=order)
+
+    @property
+    def evaluations_per_point(self) -> int:
+        return self.integrand.evaluations_per_point * (1 + (self.order % 2 == 0) + (self.order > 2))
+
+    def in_cells(self, side: int) -> Cubic:
+        """The same in so many cells along each axis, at whose centres g is evaluated."""
+        if side < self.order:
+            raise ParameterError(
+                f"{side} cells along an axis are too few for order {self.order}; give as many."
+            )
+        if self.order <= 2:
+            return replace(self, side=side)
+        grid = (np.indices((side,) * self.dims).reshape(self.dims, -1).T + 0.5) / side
+        return replace(self, side=side, centres=self.integrand(grid).reshape(len(grid), -1))
+
+    def _at(self, u: Array) -> Array:
+        cell, places = np.minimum((u * self.side).astype(np.int64), self.side - 1), [u]
+        if self.order % 2 == 0:
+            image = (2 * cell + 1) / self.side - u
+            places.append(np.clip(image, 0.0, BELOW_ONE))
+        values = np.mean([self.integrand(x) for x in places], axis=0)
+        if self.centres is None:
+            return np.asarray(values)
+
+        # Polynomials of Lagrange through nodes 0 … r − 1 along each axis, (…, r): at the points, and their
+        # means over cells
+        nodes = np.arange(self.order)
+        first = np.clip(cell - (self.order - 1) // 2, 0, self.side - self.order)
+
+        def lagrange(x: Array) -> Array:
+            others = ((m, np.delete(nodes, m)) for m in nodes)
+            return np.stack([((x[..., None] - o) / (m - o)).prod(axis=-1) for m, o in others], -1)
+
+        at, weights = np.polynomial.legendre.leggauss(self.order)
+        means = lagrange((cell - first)[..., None] + 0.5 * at).swapaxes(-1, -2) @ (0.5 * weights)
+
+        # Their products over the axes, less the products of means: (k, r^d)
+        stencil = np.indices((self.order,) * self.dims).reshape(self.dims, -1)
+        axes = np.arange(self.dims)
+        found = [lagrange(x * self.side - 0.5 - first) for x in places]
+        products = [f[:, axes, stencil.T].prod(axis=-1) for f in (*found, means)]
+        shares = np.mean(products[:-1], axis=0) - products[-1]
+        place = np.ravel_multi_index(
+            tuple(first.T[:, :, None] + stencil[:, None, :]), (self.side,) * self.dims
+        )
+        taken = np.einsum("kj,kjc->kc", shares, self.centres[place])
+        return np.asarray(values - taken.reshape(values.shape))
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Preintegrated(_Changed):
+    """Means of g along an axis over the sides of a jump, or of where g leaves 0, that is looked for."""
+
+    name: ClassVar[str] = "preintegrated"
+    text = "{0.integrand.spec}, preintegrated along axis {0.axis}"
+    axis: int
+    halvings: int = 7
+
+    @property
+    def evaluations_per_point(self) -> int:
+        return self.integrand.evaluations_per_point * (2 + self.halvings + 5)
+
+    def _at(self, u: Array) -> Array:
+        def g(t: Array) -> Array:
+            x = u.copy()
+            x[:, self.axis] = np.clip(t, 0.0, BELOW_ONE)
+            return self.integrand(x).reshape(len(u), -1)
+
+        # Bracket the place where g leaves 0, else the half with the larger difference
+        low = np.full(len(u), 2.0**-12)
+        high = 1.0 - low
+        at_low, at_high = g(low), g(high)
+        for _ in range(self.halvings):
+            middle = 0.5 * (low + high)
+            found = g(middle)
+            zero = [~values.any(axis=1) for values in (at_low, found, at_high)]
+            below, above = (np.abs(found - end).sum(axis=1) for end in (at_low, at_high))
+            right = np.where(zero[0] != zero[2], zero[1] == zero[0], above > below)
+            low, high = np.where(right, middle, low), np.where(right, high, middle)
+            at_low = np.where(right[:, None], found, at_low)
+            at_high = np.where(right[:, None], at_high, found)
+
+        t = u[:, self.axis]
+        total = (high - low)[:, None] * g(low + (high - low) * t)
+        for start, width in ((0.0 * low, low), (high, 1.0 - high)):
+            pair = g(start + width * t) + g(start + width * (1.0 - t))
+            total = total + 0.5 * width[:, None] * pair
+        return np.asarray(total.reshape(-1, self.channels) if self.channels else total[:, 0])
+
+
+_Found: TypeAlias = Iterator[tuple[str, str, _Changed, float]]
+"""Names, changes, changed integrands, and the shares of the variance that they leave."""
+
+
+def _fitted(g: Integrand, seen: Evaluations, *, roughly: bool = False) -> _Found:
+    """The best density of each family, with what it is expected to leave; `roughly`, of few candidates."""
+    joint = _JOINT if 1 < g.dims <= _MOST_JOINT else ()  # in few dims only
+    settings = (*joint, *_PRODUCTS)[: 1 if roughly else None]
+    families: list[tuple[str, str, list[Callable[[Evaluations], _Map]]]] = [
+        (
+            "splines",
+            "sample by a density of splines fitted to the integrand",
+            [partial(_splines, setting=s) for s in settings],
+        ),
+        (
+            "normal density",
+            "move and stretch the normal quantiles Φ⁻¹(u) of the inputs to where the integrand is large",
+            [partial(_normal, stretch=s) for s in ("move", "axes", "all")],
+        ),
+    ]
+    both = seen.halves
+    for label, change, candidates in families:
+        scores = [
+            sum(b.variance(fit(a).pdf(b.points)) for a, b in (both, both[::-1]))
+            for fit in candidates
+        ]
+        best = int(np.argmin(scores))
+        label, density = f"fitted {label}", candidates[best](seen)
+        left = scores[best] / max(sum(half.variance() for half in both), 1e-300)
+        yield label, change, _Warped(integrand=g, density=density, label=label), left
+
+
+def _splines(seen: Evaluations, setting: tuple[int, int, float]) -> _Map:
+    """Splines that follow |g|, or the power of it that the points are enough for."""
+    size = (seen.weights * seen.pdf)[:, None]
+    places = np.random.default_rng(0)
+    return fit_splines(seen.points, size, seen.pdf, setting, _DEFENSIVE, places)
+
+
+def _normal(seen: Evaluations, stretch: str) -> _Map:
+    """The normal density with the mean of z under |g|, and with its variances or covariance."""
+    z, weights = seen.normal, seen.weights
+    d, effective = z.shape[1], 1.0 / float((weights**2).sum())
+    mean = weights @ z
+    # Draw means and variances that few points tell of towards those of z itself
+    size = float(mean @ mean)
+    mean = mean * max(0.0, 1.0 - d / (effective * size)) if size > 0.0 else mean
+    covariance = np.eye(d)
+    if stretch != "move":
+        found = (weights[:, None] * (z - mean)).T @ (z - mean)
+        found = found if stretch == "all" else np.diag(np.diag(found))
+        share = effective / (effective + (d if stretch == "all" else 1.0))
+        covariance = share * found + (1.0 - share) * covariance
+    values, vectors = np.linalg.eigh(covariance)
+    root = vectors * np.sqrt(np.maximum(values, _LEAST_SPREAD)) @ vectors.T
+    return _Normal(root, mean)
+
+
+def _regression(g: Integrand, seen: Evaluations) -> _Found:
+    """The basis that leaves least."""
+    first, second = seen.halves
+    d = seen.points.shape[1]
+    few = min(d, _TURNED)
+    fits: list[Callable[[Evaluations], _Basis]] = []
+    for normal in (False, True):
+        for degrees in _DEGREES:
+            if normal and max(degrees) > _MOST_NORMAL:
+                continue
+            basis, turned = _Basis.of(d, normal, *degrees), _Basis.of(few, normal, *degrees)
+            if len(basis.axes) <= min(len(first.points) // _EACH, _MOST_TERMS):
+                fits.append(lambda _, b=basis: b)  # type: ignore[misc]
+            fits.append(lambda e, b=turned: replace(b, turn=e.directions[:, :few]))  # type: ignore[misc]
+    halves = ((first, second), (second, first))
+    lefts = [0.5 * sum(fit(a).left(a, b) for a, b in halves) for fit in fits]
+    left, basis = min(lefts), fits[int(np.argmin(lefts))](seen)
+    what = "coordinates" if basis.turn is None and not basis.normal else "normal quantiles Φ⁻¹(u)"
+    yield (
+        "regression",
+        f"subtract the regression on {len(basis.axes)} polynomials of the {what}",
+        _Controlled(integrand=g, basis=basis, coefficients=basis.fit(seen)),
+        left,
+    )
+
+
+def _order(g: Integrand, seen: Evaluations) -> _Found:
+    """Directions in the order of how much g varies along them."""
+    d = g.dims
+    if d == 1:
+        raise ParameterError("One dim has no order.")
+    first, second = seen.halves
+    turn = first.directions
+    basis = _Basis.of(d, True, 3, 0).cut(len(first.points))
+    before, after = basis.left(first, second), basis.left(first.turned(turn), second.turned(turn))
+    yield (
+        "order by variation",
+        "turn the normal quantiles Φ⁻¹(u) of the inputs, so that the integrand varies most along the first ones",
+        _turned(g, seen.directions),
+        after / max(before, 1e-300),
+    )
+
+
+def _preintegrated(g: Integrand, seen: Evaluations) -> _Found:
+    """Along the axis that leaves least, and along the direction that g depends on most.
+
+    At least what a regression finds of the other coordinates alone is left, at most all but the
+    effect of this one alone; between these, their geometric mean is expected. Squares of coefficients
+    are products of those of two halves.
+    """
+    d = g.dims
+    if d == 1:
+        raise ParameterError("In one dim a mean along it is the integral.")
+    first, second = seen.halves
+    turn = first.directions
+    for normal, name, where in (
+        (False, "preintegrated along axis {0}", "along axis {0}"),
+        (
+            True,
+            "preintegrated along the active direction",
+            "along the direction that g depends on most",
+        ),
+    ):
+        halves = (first.turned(turn), second.turned(turn)) if normal else (first, second)
+        basis = _Basis.of(d, normal, 3, 2).cut(len(first.points))
+        squares = np.prod([basis.fit(half) for half in halves], axis=0).sum(axis=1)
+        squares /= max(seen.variance(), 1e-300)
+        without = [squares[~(basis.axes == i).any(axis=1)].sum() for i in range(d)]
+        axis = 0 if normal else int(np.argmin(without))
+        alone = squares[(basis.axes == axis).all(axis=1)].sum()
+        unsure = 2.0 * np.sqrt(len(squares)) / len(first.points)
+        inner = _turned(g, seen.directions) if normal else g
+        yield (
+            name.format(axis),
+            f"take means {where.format(axis)}, on both sides of where the integrand jumps or leaves 0",
+            _Preintegrated(integrand=inner, axis=axis),
+            float(np.sqrt(max(without[axis], unsure) * max(1.0 - alone, unsure))),
+        )
+
+
+CHANGES: dict[str, Callable[[Integrand, Evaluations], _Found]] = {
+    "fitted": _fitted,
+    "regression": _regression,
+    "order": _order,
+    "preintegrated": _preintegrated,
+}
+"""What makes the changes of each kind."""
+
+
+def improvements(
+    estimator: AbstractEstimator,
+    seen: Evaluations,
+    kinds: Sequence[str] = tuple(CHANGES),
+    *,
+    charged: int = 0,
+) -> Iterator[Improvement]:
+    """Changed estimators of the same integral, from evaluations of g; none is made.
+
+    Parameters
+    ----------
+    estimator
+        Of one technique.
+    seen
+        Evaluations of its `primary_integrand`; all kinds but ``fitted`` take uniform points.
+    kinds
+        Of `CHANGES`.
+    charged
+        Evaluations that count as their pilots: 0 where they were needed anyway.
+
+    Raises
+    ------
+    ParameterError
+        Several techniques, or too few evaluations.
+    """
+    g = _single(estimator)
+    if len(seen.points) < 2 * _EACH:
+        raise ParameterError(f"{len(seen.points)} evaluations are too few to fit anything.")
+    for kind in kinds:
+        for name, change, changed, left in CHANGES[kind](g, seen):
+            if left < _WORTH:
+                own = replace(changed, pilot_evaluations=charged)
+                cost = own.evaluations_per_point / g.evaluations_per_point
+                yield Improvement(kind, name, change, Estimator(own), left * cost, own.finite_below)
+
+
+def evaluated(
+    estimator: AbstractEstimator, count: int, stream: Stream, *, adapt: bool = False
+) -> Evaluations:
+    """Evaluations of g at random points: uniform ones, or in rounds by densities fitted to the last."""
+    g = _single(estimator)
+    rounds = _ROUNDS if adapt else 1
+    sizes = [count // rounds] * (rounds - 1) + [count - (rounds - 1) * (count // rounds)]
+
+    def follow(points: Array, values: Array, pdf: Array) -> _Map | None:
+        """Uniform ones until g is seen."""
+        seen = Evaluations(points, values, pdf)
+        if not all(half.values.any() for half in seen.halves):
+            return None
+        best = min(_fitted(g, seen, roughly=True), key=lambda found: found[3])[2]
+        return best.density if isinstance(best, _Warped) else None
+
+    return Evaluations(*in_rounds(g, g.dims, sizes, follow, stream))
+
+
+def _turned(g: Integrand, directions: Array) -> _Warped:
+    return _Warped(integrand=g, density=_Normal(directions), label="inputs turned")
+
+
+def _single(estimator: AbstractEstimator) -> Integrand:
+    if estimator.counts != (1,):
+        raise ParameterError(
+            f"{estimator.spec} has several samples a point; only estimators of one technique are changed."
+        )
+    return estimator.primary_integrand(0)
+
+
+def _quantiles(u: Array) -> Array:
+    """Φ⁻¹, finite."""
+    from scipy.special import ndtri
+
+    return np.asarray(ndtri(np.clip(u, np.finfo(float).tiny, BELOW_ONE)))

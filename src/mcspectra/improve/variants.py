@@ -1,0 +1,261 @@
+"""Convergence of variants of a set-up, on the same random numbers: edges smoothed, or mirrored.
+
+docs/theory.md, "Mirroring and smoothing". The bias of a ramp does not go down with n, so that the width
+with the least mean squared error depends on n. The talk to [Singh2019]_ shows six convergence plots:
+original, mirror-random and mirror-uniform, each with and without a shift of the samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mcspectra.core.checks import as_real
+from mcspectra.core.errors import NoClosedForm, ParameterError
+from mcspectra.core.results import dataset
+from mcspectra.core.streams import RngLike
+from mcspectra.densities import Density
+from mcspectra.estimators import MIRRORINGS, AbstractEstimator, Estimator, Mirrored, as_subject
+from mcspectra.integrands import Integrand, as_integrand, integral_accuracy
+from mcspectra.integrands.smoothing import BoxSmoothed, smoothed
+from mcspectra.measure.converge import convergence
+from mcspectra.measure.doors import counted
+from mcspectra.measure.sums import Variables
+from mcspectra.prediction.exact import exact_variance
+from mcspectra.samplers import Sampler, Shift
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["mirror_study", "smoothing_scan"]
+
+_MOST_WIDTHS = 256
+_ORIGINAL = "original"
+
+
+def smoothing_scan(
+    integrand: Integrand | str,
+    sampler: Sampler | str,
+    counts: int | Sequence[int],
+    widths: Sequence[float],
+    *,
+    density: Density | str | None = None,
+    method: str = "auto",
+    realizations: int = 1000,
+    rng: RngLike = 0,
+    workers: int | None = None,
+) -> xr.Dataset:
+    """Measure bias, variance and rate of an integrand with edges smoothed over several widths.
+
+    Parameters
+    ----------
+    integrand
+        f, or its spec string.
+    sampler, counts
+        A sampler and one number of points n or ascending ones, in whose number the rate needs two.
+    widths
+        δ, ascending, each as for `mcspectra.smoothed`; 0 is f itself.
+    density
+        Importance density, as for `mcspectra.Estimator`.
+    method
+        As for `mcspectra.smoothed`.
+    realizations, rng, workers
+        As for `mcspectra.convergence`; all widths share random numbers.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``variance(width, n)`` with ``variance_ci``; ``smoothing_bias(width)``, of the integrals, and
+        ``bias_squared(width)`` with ``bias_squared_ci``, by how well the integrals are known;
+        ``mse(width, n)`` = bias² + variance with ``mse_ci``; ``rate(width)`` of the variance with
+        ``rate_ci``; ``best_width(n)``, that of the least mse, and ``best_width_range(n, bound)``, of all
+        widths whose interval reaches below the top of that interval. Several channels add a dim
+        channel; the best width is that of the sum over them.
+
+    Raises
+    ------
+    CountError, ParameterError
+        The sampler cannot do a count, widths are not ascending or cannot be done, dims disagree.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> d = mcs.improve.smoothing_scan("disk(center=0.47)", "jittered", 256, [0, 0.05, 0.2], rng=1)
+    >>> float(d["best_width"][0])
+    0.05
+    """
+    f = as_integrand(integrand, getattr(sampler, "dims", None))
+    given: Any = widths
+    if not isinstance(given, Sequence | np.ndarray) or isinstance(given, str):
+        raise ParameterError(f"widths is {widths!r:.80}; give a list of ascending widths.")
+    if len(widths) > _MOST_WIDTHS:
+        raise ParameterError(f"widths has {len(widths)} values; give {_MOST_WIDTHS} at most.")
+    places = [as_real(f"widths[{i}]", w, least=0.0) for i, w in enumerate(widths)]
+    if not places or sorted(set(places)) != places:
+        raise ParameterError(f"widths is {widths!r:.80}; give one or more, ascending.")
+    functions = [smoothed(f, w, method=method) if w else f for w in places]
+    measured = convergence(
+        [Estimator(g, density) for g in functions],
+        sampler,
+        counts if isinstance(counts, Sequence | np.ndarray) else [counts],
+        realizations=realizations,
+        rng=rng,
+        workers=workers,
+    ).rename(estimator="width")
+
+    # ∫ f_δ − ∫ f, (W[, channels]), and the interval of its square by what is known of both
+    kept = [g is f or isinstance(g, BoxSmoothed) for g in functions]  # boxes keep the integral
+    pairs = list(zip(functions, kept, strict=True))
+    accuracy = [0.0 if k else integral_accuracy(f)[1] + integral_accuracy(g)[1] for g, k in pairs]
+    none = np.zeros(f.channels or ())
+    bias = np.array([none if k else np.asarray(g.integral) - f.integral for g, k in pairs])
+    error = np.array(accuracy)
+    error = error.reshape(-1, *(1,) * (bias.ndim - 1))
+    low, high = np.maximum(np.abs(bias) - error, 0.0), np.abs(bias) + error
+    square_ci = np.stack([low, high], axis=-1) ** 2
+
+    # Widths of the least error for each n, and the least and largest of those that may have it
+    mse = measured["variance"].values + np.expand_dims(bias**2, 1)
+    mse_ci = measured["variance_ci"].values + np.expand_dims(square_ci, 1)
+    total, ci = (mse.sum(axis=2), mse_ci.sum(axis=2)) if f.channels else (mse, mse_ci)
+    best, columns, each = total.argmin(axis=0), range(total.shape[1]), np.array(places)
+    candidates = [each[ci[:, i, 0] <= ci[best[i], i, 1]] for i in columns]
+    axes = ("width", "channel")[: bias.ndim]
+    found = _of(measured, "variance", "variance_ci", "rate", "rate_ci")
+    dims, _ = found["variance"]
+    return dataset(
+        {
+            **found,
+            "smoothing_bias": (axes, bias),
+            "bias_squared": (axes, bias**2),
+            "bias_squared_ci": ((*axes, "bound"), square_ci),
+            "mse": (dims, mse),
+            "mse_ci": ((*dims, "bound"), mse_ci),
+            "best_width": (("n",), each[best]),
+            "best_width_range": (
+                ("n", "bound"),
+                np.array([[c.min(), c.max()] for c in candidates]),
+            ),
+        },
+        {
+            "width": counted("width", places, "width of smoothed edges"),
+            "n": measured["n"],
+            "bound": measured["bound"],
+        },
+        integrand=f.spec,
+        method=method,
+        **{key: measured.attrs[key] for key in ("sampler", "realizations", "stream_key")},
+        seed=rng if isinstance(rng, int) else None,
+    )
+
+
+def mirror_study(
+    estimator: Any,
+    sampler: Sampler | str,
+    counts: Sequence[int],
+    *,
+    dims: int | None = None,
+    mirrorings: Sequence[str] = (_ORIGINAL, *MIRRORINGS),
+    exact: bool = False,
+    realizations: int = 1000,
+    rng: RngLike = 0,
+    max_evaluations: int | None = None,
+    workers: int | None = None,
+) -> xr.Dataset:
+    """Measure variances and rates with and without mirroring and homogenisation.
+
+    Parameters
+    ----------
+    estimator, sampler, counts
+        As for `mcspectra.convergence`; the sampler without a shift at its end. n counts evaluations
+        of the integrand, so that variances at one n are at equal cost.
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
+    mirrorings
+        Which of ``"original"``, ``"integrand"``, ``"random"``, ``"uniform"``
+        (`mcspectra.Mirrored`); the slides' six plots leave out ``"integrand"``.
+    exact
+        Also return exact variances: fast in 1-D, up to minutes a count for shifted sets in 2-D.
+    realizations, rng, max_evaluations, workers
+        As for `mcspectra.convergence`; all curves share random numbers.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``variance``, ``variance_ci``, ``mean``, ``mean_se``, and with `exact` ``exact_variance`` (NaN
+        where it is not known), on the dims mirroring, homogenized (False, True: with ``shift``) and
+        n; ``rate`` and ``rate_ci`` on the first two; and the dim channel where f has several.
+
+    Raises
+    ------
+    CountError, ParameterError
+        A sampler cannot do a count (``"uniform"`` needs multiples of 2^d), a mirroring is unknown or
+        listed twice, the sampler ends with a shift already, `exact` is neither True nor False.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> study = mcs.improve.mirror_study("linear", mcs.sampler("jittered", dims=1), [16, 512], rng=1)
+    >>> [round(float(r), 1) for r in study["rate"].sel(mirroring="original")]
+    [-3.0, -2.0]
+    >>> [round(float(r), 1) for r in study["rate"].sel(mirroring="integrand")]
+    [-3.0, -3.0]
+    """
+    if not isinstance(exact, bool):
+        raise ParameterError(f"exact is {exact!r}; give True or False.")
+    subject = as_subject(estimator, sampler, dims=dims)
+    plain, source = subject.estimator, subject.sampler
+    allowed = (_ORIGINAL, *MIRRORINGS)
+    names = list(mirrorings) if isinstance(mirrorings, list | tuple) else []
+    texts = set(map(str, names))
+    if not names or len(texts) < len(names) or not texts <= {*allowed}:
+        raise ParameterError(
+            f"mirrorings is {mirrorings!r:.80}; give a list of some of {', '.join(allowed)}, each once."
+        )
+    if source.spec.endswith("| shift"):
+        raise ParameterError(
+            f"{source.spec} is homogenised already; give it without the shift at its end."
+        )
+    samplers = [source, source.then(Shift())]
+    estimators = [plain if name == _ORIGINAL else Mirrored(plain, name) for name in names]
+    measured = convergence(
+        estimators,
+        samplers,
+        counts,
+        realizations=realizations,
+        rng=rng,
+        max_evaluations=max_evaluations,
+        workers=workers,
+    ).rename(estimator="mirroring", sampler="homogenized")
+    variables = _of(measured, "variance", "variance_ci", "mean", "mean_se", "rate", "rate_ci")
+    if exact:
+
+        def known(e: AbstractEstimator, s: Sampler, n: int) -> Any:
+            try:
+                return exact_variance(e, s, n)
+            except NoClosedForm:
+                return np.full(plain.channels, np.nan) if plain.channels else np.nan
+
+        grid = [[[known(e, s, int(n)) for n in counts] for s in samplers] for e in estimators]
+        variables["exact_variance"] = (variables["variance"][0], np.array(grid))
+    return dataset(
+        variables,
+        {
+            "n": measured["n"],
+            "bound": measured["bound"],
+            "mirroring": names,
+            "homogenized": [False, True],
+        },
+        estimator=plain.spec,
+        sampler=source.spec,
+        **{key: measured.attrs[key] for key in ("realizations", "stream_key")},
+        seed=rng if isinstance(rng, int) else None,
+    )
+
+
+def _of(measured: xr.Dataset, *names: str) -> Variables:
+    """Some of the variables that were measured, to be part of another dataset."""
+    return {name: (tuple(map(str, measured[name].dims)), measured[name].values) for name in names}

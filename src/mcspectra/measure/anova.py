@@ -1,0 +1,545 @@
+"""ANOVA of a variance in many dims: which axes, alone or together, the noise comes from.
+
+docs/theory.md, "Analysis by axes", derives both ways. `anova_variances`: pick-freeze [Sobol2001]_ of
+whole point sets. The part of the empty set of axes is 0, but its sample is taken off all others: most
+of their errors are in it too, and shares near 1 are then precise.
+
+`anova_spectrum`: frequencies drawn with a probability q(m) = Π_{i∈u} q_1(m_i), q_1(k) ∝ 1/k² up to K,
+since |f_m|² of a function with jumps or a boundary term falls like 1/m_i² on each axis, so that the
+terms |f_m|² ⟨|S_m|²⟩ / q(m) are bounded.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, final
+
+import numpy as np
+from msgspec import Meta
+
+from mcspectra.core.analysis import Analysis, Counted, Need, Reduction, Subject
+from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.confidence import student_t
+from mcspectra.core.errors import Function, NoClosedForm, Parameter, ParameterError
+from mcspectra.core.memory import memory_of
+from mcspectra.core.options import COUNT, REALIZATIONS
+from mcspectra.core.ordered import weighted_sum
+from mcspectra.core.parallel import realization_blocks
+from mcspectra.core.records import JOIN, Join
+from mcspectra.core.results import dataset
+from mcspectra.core.streams import RngLike, Stream
+from mcspectra.estimators import Estimator
+from mcspectra.estimators.moments import Moments, rounding_floor
+from mcspectra.estimators.tails import tail_note
+from mcspectra.measure.doors import answer, counted
+from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.spectra.closed_forms import closed_form_power
+from mcspectra.spectra.listed import power_at
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["EFFECTIVE_SHARE", "Anova", "AnovaSpectrum", "anova_spectrum", "anova_variances"]
+
+EFFECTIVE_SHARE = 0.99
+"""Share of the variance that effective dimensions hold."""
+
+_MAX_DIMS = 64
+_MAX_VALUES = 2**26  # estimates kept: 0.5 GiB
+_MAX_FREQUENCIES = 2**24  # in all
+_LEAST = 4  # realisations that show an error, as of `variance_terms`
+_BATCHES = 16  # of frequencies, independent of each other: their spread is the error
+_Group = Annotated[int, Meta(ge=0, lt=_MAX_DIMS)]
+_PARTNER, _ORDER, _UNIFORM = 0x616E6F, 0x616E70, 0x616E71  # stream labels
+
+
+@final
+class Anova(Counted, frozen=True, kw_only=True):
+    """Which axes of primary space, and pairs of them, the variance comes from."""
+
+    function = "anova_variances"
+    verb = "variance"
+    split = "axes"
+    variables = (
+        *("anova_variance", "anova_variance_se", "total_variance", "total_variance_se"),
+        *("higher_order_variance", "higher_order_variance_se"),
+        *(f"{name}{end}" for end in ("", "_ci") for name in (
+            "anova_share", "total_share", "higher_order_share", "truncation_share", "mean_dimension",
+            "effective_dimension_truncation", "effective_dimension_superposition", "variance",
+        )),
+    )  # fmt: skip
+    provenance = ("estimator", "sampler", "n", "realizations", "order", "stream_key")
+
+    n: Annotated[int, COUNT] = 1
+    order: Annotated[int, Meta(ge=1, le=2, description="1: single axes; 2: pairs too.")] = 2
+    realizations: Annotated[int, REALIZATIONS] = 10_000
+    groups: Annotated[
+        tuple[_Group, ...] | None,
+        Meta(
+            description="Group of each axis, numbered from 0, to be split as one; each its own by default.",
+            extra={"metavar": "G,G,…"},
+        ),
+    ] = None
+
+    def need(self, subject: Subject) -> Need:
+        """The estimates of all subsets of the axes fit in memory."""
+        estimator = subject.estimator
+        estimator.check_sampler(subject.sampler, self.n)
+        subsets = len(_frozen(max(self._group_of_axes(estimator.dims)) + 1, self.order))
+        values = subsets * max(1, estimator.channels) * self.realizations
+        if values > _MAX_VALUES:
+            raise ParameterError(
+                f"{self.realizations} realisations of {values // self.realizations} subsets take "
+                f"{8 * values / 2**30:.3g} GiB; ask for at most "
+                f"{_MAX_VALUES * self.realizations // values} realisations, or for ",
+                Parameter("order", 1),
+                ".",
+            )
+        evaluations = sum(estimator.counts)
+        points = subsets * self.realizations * self.n * evaluations
+        return Need(
+            cost=float(points),
+            evaluations=points * estimator.evaluations_per_point,
+            memory=memory_of(self.n, estimator.dims, 2 * evaluations) + 24 * values,
+        )
+
+    def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Estimates]:
+        """The estimates of every realisation: covariances need the means of all."""
+        e, sampler, n = subject.estimator, subject.sampler, self.n
+        partner = stream.child(_PARTNER)
+        groups = self._group_of_axes(e.dims)
+        masks = np.array([[g in u for g in groups] for u in _frozen(max(groups) + 1, self.order)])
+        evaluations = n * sum(e.counts)
+        blocks = realization_blocks(self.realizations, 4 * e.dims * evaluations)
+
+        @functools.cache
+        def same_always() -> bool:
+            """Whether any stream gives the same set, which has no independent partner."""
+            one, other = (sampler.draw_stream(n, s, 0, 1) for s in (stream, partner))
+            return np.array_equal(one, other)
+
+        def estimates(index: int) -> _Estimates:
+            """Estimates with the axes of each subset kept and the others replaced."""
+            block = blocks[index]
+            kept = e.draw(sampler, n, stream, *block)
+            # Independent sets, each in an order of its own; random ones where there are none
+            if same_always():
+                random = as_sampler("random", sampler.dims)
+                others = e.draw(random, n, stream.child(_UNIFORM), *block)
+            else:
+                others = e.draw(sampler, n, partner, *block)
+                for t, y in enumerate(others):
+                    keys = stream.child(_ORDER).child(t).uniforms(*block, y.shape[1])
+                    others[t] = np.take_along_axis(y, keys.argsort(axis=1)[:, :, None], axis=1)
+            found = [
+                e.estimate([np.where(mask, x, y) for x, y in zip(kept, others, strict=True)])
+                for mask in masks
+            ]
+            return _Estimates(np.stack(found).reshape(len(masks), block[1], -1))
+
+        return Reduction(
+            kind=_Estimates,
+            block=estimates,
+            blocks=len(blocks),
+            cost=float(len(masks) * self.realizations * evaluations),
+            result=lambda found: self._labelled(found.values, subject),
+        )
+
+    def _group_of_axes(self, dims: int) -> tuple[int, ...]:
+        """The group of each axis: what the analysis takes for an axis."""
+        given = tuple(range(dims)) if self.groups is None else self.groups
+        if len(given) != dims or {*given} != {*range(max(given) + 1)}:
+            raise ParameterError(
+                Parameter("groups"),
+                f" is {list(given)!r:.80}; give one for each of the {dims} axes, numbered from 0 "
+                "without gaps.",
+            )
+        as_integer(
+            "dims" if self.groups is None else "groups", max(given) + 1, least=1, most=_MAX_DIMS
+        )
+        return given
+
+    def _labelled(self, estimates: Array, subject: Subject) -> xr.Dataset:
+        """Linear combinations of the covariances of all subsets with the first, as a dataset."""
+        moments, count = Moments.of(estimates[0], tails=True), estimates.shape[1]
+        # Products of deviations, whose means over realisations are covariances: (S, R, channels)
+        deviation = estimates - estimates.mean(axis=1, keepdims=True)
+        products = deviation * (deviation[0] * (count / (count - 1)))
+        # Both of two products are equal, of deviations from a mean of their own
+        per_root = count**-0.5 if count >= _LEAST else math.nan
+        dims = max(self._group_of_axes(subject.estimator.dims)) + 1
+        frozen, listed, axes = _frozen(dims, self.order), _subsets(dims, self.order), range(dims)
+        weight = dict(zip(frozen, np.eye(len(frozen)), strict=True))
+
+        def below(*u: int) -> Array:
+            """The weights of all subsets of u together."""
+            return np.asarray(weight[u] - weight[()])
+
+        parts = [
+            below(*u) - sum((below(a) for a in u if len(u) > 1), np.zeros(len(frozen)))
+            for u in listed
+        ]
+        # The variance by the same pairs, and each realisation's part of it
+        varies = moments.variance > rounding_floor(moments.mean)
+        every = weighted_sum(below(*axes), products)
+        whole = np.where(varies, every.mean(axis=0), np.nan)
+
+        def combined(weights: list[Array]) -> tuple[Array, Array, Array, Array]:
+            """Combinations (U, S) of the covariances with errors, and as shares of the variance with 95 % intervals."""
+            each = [weighted_sum(row, products) for row in weights]
+            means = np.stack([q.mean(axis=0) for q in each])
+            errors, share = (
+                np.stack([q.std(axis=0, ddof=1) for q in each]) * per_root,
+                means / whole,
+            )
+            off = [(q - s * every).std(axis=0, ddof=1) for q, s in zip(each, share, strict=True)]
+            half = student_t(count) * per_root * np.stack(off) / np.abs(whole)
+            return means, errors, share, np.stack([share - half, share + half], axis=-1)
+
+        sizes = np.array([len(u) for u in listed])
+        labels = ["".join(f"x{i}" for i in u) for u in listed]
+        larger = [below(*axes) - np.sum(parts, axis=0)]
+        totals = [below(*axes) - below(*axes[:i], *axes[i + 1 :]) for i in axes]
+        up_to = [
+            np.sum([part for part, size in zip(parts, sizes, strict=True) if size <= s], axis=0)
+            for s in range(1, sizes.max() + 1)
+        ]
+        own, own_se, share, share_ci = combined(parts)
+        total, total_se, total_share, total_share_ci = combined(totals)
+        rest, rest_se, rest_share, rest_share_ci = combined(larger)
+        *_, first, first_ci = combined([below(*axes[: s + 1]) for s in axes])
+        *_, by_size, by_size_ci = combined(up_to)
+        *_, mean_size, mean_size_ci = combined([np.sum(totals, axis=0)])
+        alone = ("channel",)
+        few = (
+            f"{count} realisations show no error; {_LEAST} are the least" if count < _LEAST else ""
+        )
+        return dataset(
+            {
+                "anova_variance": (("subset", "channel"), own),
+                "anova_variance_se": (("subset", "channel"), own_se),
+                "anova_share": (("subset", "channel"), share),
+                "anova_share_ci": (("subset", "channel", "bound"), share_ci),
+                "total_variance": (("axis", "channel"), total),
+                "total_variance_se": (("axis", "channel"), total_se),
+                "total_share": (("axis", "channel"), total_share),
+                "total_share_ci": (("axis", "channel", "bound"), total_share_ci),
+                "higher_order_variance": (alone, rest[0]),
+                "higher_order_variance_se": (alone, rest_se[0]),
+                "higher_order_share": (alone, rest_share[0]),
+                "higher_order_share_ci": ((*alone, "bound"), rest_share_ci[0]),
+                "truncation_share": (("axes", "channel"), first),
+                "truncation_share_ci": (("axes", "channel", "bound"), first_ci),
+                "effective_dimension_truncation": (alone, _least(first)),
+                "effective_dimension_truncation_ci": ((*alone, "bound"), _least_ci(first_ci)),
+                "effective_dimension_superposition": (alone, _least(by_size)),
+                "effective_dimension_superposition_ci": ((*alone, "bound"), _least_ci(by_size_ci)),
+                "mean_dimension": (alone, mean_size[0]),
+                "mean_dimension_ci": ((*alone, "bound"), mean_size_ci[0]),
+                "variance": (alone, moments.variance),
+                "variance_ci": (("channel", "bound"), moments.variance_ci),
+            },
+            {
+                "subset": counted("subset", np.arange(len(labels)), "subset of axes"),
+                "subset_label": ("subset", labels, {"long_name": "axes of the subset"}),
+                "subset_size": counted("subset", sizes, "number of axes"),
+                "axis": counted("axis", np.arange(dims), "axis"),
+                "axes": counted("axes", np.arange(1, dims + 1), "number of axes"),
+                "bound": ["low", "high"],
+            },
+            drop=() if subject.estimator.channels else alone,
+            effective_share=EFFECTIVE_SHARE,
+            note="; ".join(filter(None, (few, tail_note(moments)))) or None,
+        )
+
+
+@final
+class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
+    """Which subsets of the axes the variance comes from, by sampled frequencies."""
+
+    function = "measure.anova_spectrum"
+    variables = ("anova_variance", "anova_variance_se")
+    provenance = ("estimator", "sampler", "n", "half_width", "frequencies", "stream_key")
+
+    n: Annotated[int, COUNT]
+    order: Annotated[int, Meta(ge=1, le=3, description="Subsets of up to so many axes.")] = 2
+    frequencies: Annotated[
+        int,
+        Meta(
+            ge=2 * _BATCHES, le=_MAX_FREQUENCIES, description="Frequencies sampled of each subset."
+        ),
+    ] = 1024
+    half_width: Annotated[
+        int, Meta(ge=1, le=2**20, description="Largest |m_i|: what is beyond is left out.")
+    ] = 4096
+    realizations: Annotated[
+        int,
+        Meta(
+            ge=2 * _BATCHES,
+            le=10**9,
+            description="Point sets in all, where no power is known.",
+            extra={"flag": "-m", "metavar": "R"},
+        ),
+    ] = 64
+
+    def need(self, subject: Subject) -> Need:
+        """The coefficients are exact, the points uniform, and the frequencies not correlated."""
+        estimator, sampler = subject.estimator, subject.sampler
+        estimator.check_sampler(sampler, self.n)
+        plain = isinstance(estimator, Estimator) and estimator.density is None
+        if not plain or estimator.integrand.fourier_source != "exact":
+            raise NoClosedForm(
+                f"Sampled frequencies need exact Fourier coefficients and uniform points, which "
+                f"{estimator.spec} does not have; use ",
+                Function("anova_variances"),
+                ".",
+            )
+        if not sampler.law(self.n).stationary:
+            raise NoClosedForm(
+                f"The frequencies of {sampler.spec} are correlated; add shift, or use ",
+                Function("anova_variances"),
+                ".",
+            )
+        dims = as_integer("dims", estimator.dims, least=1, most=_MAX_DIMS)
+        subsets = len(_subsets(dims, self.order))
+        total = self.frequencies * subsets
+        if total > _MAX_FREQUENCIES:
+            raise ParameterError(
+                f"{self.frequencies} frequencies of {subsets} subsets are more than "
+                f"{_MAX_FREQUENCIES:.3g} in all; ask for fewer frequencies or a lower order."
+            )
+        return Need(
+            cost=float(total * self.n * self.realizations) / _BATCHES,
+            memory=memory_of(self.n, dims, frequencies=total * max(1, estimator.channels)),
+        )
+
+    def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Batches]:
+        """Batches of frequencies and sets, independent of each other."""
+        f, n, dims = subject.estimator.integrand, self.n, subject.estimator.dims
+        subsets = _subsets(dims, self.order)
+        count = self.frequencies // _BATCHES
+        # Law of one component: ±k with probability ∝ 1/k², k = 1 … K
+        cumulative = np.cumsum(np.arange(1.0, self.half_width + 1) ** -2)
+
+        def batch(index: int) -> _Batches:
+            # Frequencies of each subset, (U count, d), and their probabilities, (U count,)
+            m: Array = np.zeros((len(subsets), count, dims))
+            q: Array = np.ones((len(subsets), count))
+            for place, subset in enumerate(subsets):
+                own = stream.child(2 * index).uniforms(place, 1, count * len(subset))
+                u = 2.0 * own.reshape(count, -1)
+                sign, u = np.where(u < 1.0, -1.0, 1.0), np.mod(u, 1.0)
+                k = np.searchsorted(cumulative, u * cumulative[-1], side="right") + 1.0
+                k = np.minimum(k, self.half_width)
+                m[place][:, list(subset)] = sign * k
+                q[place] = np.prod(0.5 / (k * k * cumulative[-1]), axis=1)
+            m, q = m.reshape(-1, dims), q.ravel()
+            try:
+                power, source = closed_form_power(subject.sampler, n, m), "closed form"
+            except NoClosedForm:
+                sets = self.realizations // _BATCHES
+                rng = np.random.SeedSequence(stream.child(2 * index + 1).key)
+                found = power_at(subject.sampler, n, m, realizations=sets, rng=rng)
+                power, source = found["power"].to_numpy(), f"{_BATCHES * sets} realisations"
+            energy = np.abs(f.fourier(m).reshape(len(m), -1)) ** 2
+            terms = energy * (power / q)[:, None]
+            return _Batches(terms.reshape(1, len(subsets), count, -1).mean(axis=2), source)
+
+        def result(found: _Batches) -> xr.Dataset:
+            se = found.means.std(axis=0, ddof=1) / math.sqrt(_BATCHES)
+            return dataset(
+                {
+                    "anova_variance": (("subset", "channel"), found.means.mean(axis=0)),
+                    "anova_variance_se": (("subset", "channel"), se),
+                },
+                {
+                    "subset_label": ("subset", ["".join(f"x{i}" for i in u) for u in subsets]),
+                    "subset_size": ("subset", [len(u) for u in subsets]),
+                },
+                drop=() if f.channels else ("channel",),
+                power=found.power,
+            )
+
+        cost = self.need(subject).cost
+        return Reduction(kind=_Batches, block=batch, blocks=_BATCHES, cost=cost, result=result)
+
+
+def anova_variances(
+    estimator: Any,
+    sampler: Sampler | str = "random",
+    n: int = 1,
+    *,
+    dims: int | None = None,
+    order: int = 2,
+    realizations: int = 10_000,
+    groups: Sequence[int] | None = None,
+    rng: RngLike = 0,
+    max_evaluations: int | None = None,
+    workers: int | None = None,
+) -> xr.Dataset:
+    """Decompose the variance of an estimate by the axes of its primary space.
+
+    Parameters
+    ----------
+    estimator, sampler, n
+        What is analysed, in up to 64 dims or groups. Random sampling with n = 1, the default, gives the ANOVA
+        variances σ²_u of the integrand itself.
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
+    order
+        1 or 2: list subsets of up to so many axes.
+    realizations
+        Independent pairs of point sets, at least 2.
+    groups
+        Group of each axis, numbered from 0 without gaps: subsets, ``axis`` and ``axes`` are then of
+        groups, as of the bounces of a path. By default every axis is one.
+    rng
+        Seed (SPEC 7). Realisation r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
+    workers
+        Threads; all processors by default. Results do not depend on it.
+    max_evaluations
+        Most evaluations of the integrand: what takes more is refused, where that is known before it starts.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``anova_variance(subset)`` c_u, with ``_se``, and ``anova_share(subset)`` of the variance (as the
+        same pairs give it, so that all shares sum to 1): of single axes the first-order Sobol' indices;
+        ``total_variance(axis)``, the sum of c_u of all u that hold the axis, with ``_se``, and
+        ``total_share(axis)``, the total Sobol' indices;
+        ``higher_order_variance``, what subsets beyond `order` have, with ``_se``, and
+        ``higher_order_share``; ``truncation_share(axes)`` of the first so many axes;
+        ``effective_dimension_truncation``, ``effective_dimension_superposition`` (NaN beyond `order`)
+        and ``mean_dimension``, the mean of |u| weighted by c_u; ``variance``. Shares and dimensions
+        have 95 % intervals ``_ci``, not cut at 0 and 1: of ratios of means (delta method, Student's
+        t); of effective dimensions, where the ends of the shares cross 99 %, inf where the lower
+        one does not. Errors and intervals are NaN of fewer than 4 realisations. A dim channel where f
+        has several.
+
+    Raises
+    ------
+    ParameterError, CountError
+        A value is out of range, or the estimates would not fit in memory.
+
+    Notes
+    -----
+    O(R n d²) evaluations for order 2, O(R n d) for 1. c_u may be negative: of correlated parts, or by
+    noise within its standard error. Sets that are given (`Sampler.from_points`) have no
+    independent partners; random points take their part, with larger errors.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> parts = mcs.anova_variances(mcs.Estimator("linear", dims=3), realizations=1000, rng=1)
+    >>> [round(float(share), 6) for share in parts["anova_share"][:3]]
+    [1.0, 0.0, 0.0]
+    """
+    return answer(Anova, locals())
+
+
+def anova_spectrum(
+    estimator: Any,
+    sampler: Sampler | str,
+    n: int,
+    *,
+    dims: int | None = None,
+    order: int = 2,
+    frequencies: int = 1024,
+    half_width: int = 4096,
+    realizations: int = 64,
+    rng: RngLike = 0,
+) -> xr.Dataset:
+    """Split the variance that a sampler leaves among subsets of the axes, by sampled frequencies.
+
+    Parameters
+    ----------
+    estimator
+        Of one integrand with exact Fourier coefficients and uniform points, in up to 64 dims.
+    sampler, n
+        Points that are the same after any translation: random, or with shift.
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
+    order
+        Subsets of up to so many axes, 1 to 3.
+    frequencies
+        Frequencies sampled of each subset, at least 32.
+    half_width
+        Largest |m_i|: what is beyond is left out.
+    realizations
+        Point sets in all, at least 32, where ⟨|S_m|²⟩ is not known in closed form.
+    rng
+        Seed (SPEC 7).
+
+    Returns
+    -------
+    xarray.Dataset
+        ``anova_variance`` c_u and ``anova_variance_se`` on dim subset, as `anova_variances` has them; the
+        error is that of the mean of 16 independent batches of frequencies and sets. The attribute
+        ``power`` says whether ⟨|S_m|²⟩ is exact.
+
+    Raises
+    ------
+    NoClosedForm
+        The coefficients are not exact, the points have a density, or their frequencies are
+        correlated: `anova_variances` needs none of this.
+    ParameterError, CountError
+        A value is out of range, or the frequencies would not fit in memory.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> f = mcs.integrand("gaussian(width=0.5)", dims=3)
+    >>> parts = anova_spectrum(f, "latin-hypercube | shift", 64)
+    >>> parts["anova_variance"].sizes["subset"]
+    6
+    >>> bool(parts["anova_variance"][0] < 0.1 * parts["anova_variance"][3])  # strata on each axis
+    True
+    """
+    return answer(AnovaSpectrum, locals())
+
+
+@dataclass(frozen=True)
+class _Estimates:
+    """Estimates of each mask: (S, R, channels)."""
+
+    values: Annotated[Array, Join(1)]
+
+
+@dataclass(frozen=True)
+class _Batches:
+    """Means of the terms of batches, (B, U, channels), and how the power was found."""
+
+    means: JOIN
+    power: Annotated[str, "same"]
+
+
+def _subsets(dims: int, order: int) -> list[tuple[int, ...]]:
+    """Those of 1 to `order` axes, by size."""
+    return [u for s in range(1, order + 1) for u in itertools.combinations(range(dims), s)]
+
+
+def _frozen(dims: int, order: int) -> list[tuple[int, ...]]:
+    """The subsets of axes that are kept, each once, the full and the empty set first."""
+    axes = tuple(range(dims))
+    without = [(*axes[:i], *axes[i + 1 :]) for i in axes]
+    first = [axes[:s] for s in range(1, dims)]
+    return list(dict.fromkeys([axes, (), *_subsets(dims, order), *without, *first]))
+
+
+def _least(shares: Array) -> Array:
+    """Least number, from 1, whose share (s, ...) is enough; NaN where none is."""
+    enough = shares >= EFFECTIVE_SHARE
+    return np.where(enough.any(axis=0), enough.argmax(axis=0) + 1.0, np.nan)
+
+
+def _least_ci(ends: Array) -> Array:
+    """Interval of it from those of the shares, (s, channels, 2) → (channels, 2)."""
+    least = _least(ends)[..., ::-1]
+    unknown = np.asarray(np.isnan(ends).any(axis=(0, 2)))[:, None]
+    return np.where(unknown, np.nan, np.nan_to_num(least, nan=np.inf))

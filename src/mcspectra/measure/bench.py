@@ -1,0 +1,397 @@
+"""The bench: samplers side by side on standard integrands, by variance, rank, spectrum, quality, speed.
+
+A composition of `convergence`, `power_spectrum`, `pair_correlation` and `quality_figures`. It is no
+`Analysis`: speed is measured, and a result of an analysis is the same bits every time.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.errors import McspectraError, ParameterError
+from mcspectra.core.progress import report
+from mcspectra.core.results import dataset
+from mcspectra.core.spec import short_spec
+from mcspectra.core.streams import Stream
+from mcspectra.estimators import Estimator
+from mcspectra.measure.converge import convergence
+from mcspectra.quality import quality_figures
+from mcspectra.quality.figures import different_realizations
+from mcspectra.samplers import GivenPoints, Owen, Sampler, Shift, as_sampler
+from mcspectra.samplers.base import Randomized, Structure
+from mcspectra.samplers.optimised import OptimisedSampler
+from mcspectra.spectra.bases import parts_of
+from mcspectra.spectra.pairs import pair_correlation
+from mcspectra.spectra.power import power_spectrum
+from mcspectra.spectra.shapes import radial_statistics
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "BENCH_QUALITY",
+    "SHARED_SETS",
+    "Task",
+    "free_of",
+    "making_seconds",
+    "randomized",
+    "ranks",
+    "sampler_bench",
+    "shared_sets",
+    "standard_tasks",
+]
+
+BENCH_QUALITY = (
+    "relative_minimum_distance",
+    "star_discrepancy",
+    "centered_discrepancy",
+    "generalized_l2_discrepancy",
+    "diaphony",
+    "transport_cost",
+    "t_value",
+)
+"""Figures of quality that are measured at every count."""
+
+SHARED_SETS = 8
+"""Optimised sets of a sampler, used again under random translations."""
+
+_ENOUGH_SETS = 16  # given sets of each count that stand for themselves, without a randomisation
+_HALF_WIDTHS = {1: 256, 2: 64, 3: 20}  # of spectra; in more dims there are none
+_QUALITY_SETS = 8
+_FEW_SETS = 8  # for intervals of the pair correlation
+_MOST_PICTURED = 1024
+_MOST_DIMS = 64
+_LEVEL = 0.95
+
+# Genz's difficulty, the sum of a_i over the dims
+_GENZ = {
+    "oscillatory": 9.0,
+    "product-peak": 7.25,
+    "corner-peak": 1.85,
+    "gaussian": 7.03,
+    "continuous": 20.4,
+    "discontinuous": 4.3,
+}
+_KINDS = {"continuous": "kink", "discontinuous": "jump"}
+
+
+class Task(NamedTuple):
+    """A standard integrand: what is hard about it (``smooth``, ``kink``, ``jump``), spec, dims."""
+
+    kind: str
+    spec: str
+    dims: int
+
+    @property
+    def title(self) -> str:
+        """Name, kind and dims."""
+        name = self.spec.partition("(")[0].removeprefix("genz-")
+        return f"{name} ({self.kind}), {self.dims}-D"
+
+
+def sampler_bench(
+    samplers: Sequence[Any],
+    *,
+    counts: Sequence[int] = (16, 64, 256, 1024),
+    dims: int | Sequence[int] = 2,
+    realizations: int = 400,
+    rng: int = 0,
+) -> xr.Dataset:
+    """Compare samplers on standard integrands, and by their spectra, quality and speed.
+
+    Parameters
+    ----------
+    samplers
+        Samplers, spec strings, arrays of points: all that `as_sampler` takes. Spec strings are made
+        in all dims, other samplers count in their own only. Sets that are the same every time are
+        randomised by owen (nets) or shift where variances are measured, and so are fewer than 16 given
+        sets of a count.
+    counts
+        Numbers of points; each sampler takes the nearest that it can make.
+    dims
+        Number of dims, or several: the integrands are made in all of them; spectra, pair correlations,
+        quality and speed are of the first, projections of all.
+    realizations
+        Of each variance, at most the given sets.
+    rng
+        A whole number: seed.
+
+    Returns
+    -------
+    xarray.Dataset
+        On (sampler, integrand, n): ``mean``, ``variance``, ``variance_ci``, ``points_made`` (the count);
+        on (sampler, integrand): ``rate``, ``rate_ci``, ``rank`` by n · variance at the largest n, and
+        ``rank_ci``, simultaneous 95 % intervals of all ranks; on (sampler, n): figures of quality, and
+        ``points_per_second`` of one thread that makes them, NaN where they are read; on (sampler,
+        m0, …) and (sampler, radius): ``power``, ``radial_power``, ``anisotropy_db`` (1 to 3 dims); on
+        (sampler, r): ``pair_correlation``, ``pair_correlation_ci``; on (sampler, point, axis): ``points``, one
+        set in the most dims that the sampler can do; ``pictured_n`` is the count of spectra. NaN where a sampler cannot do the dims or the count. ``note`` says what was randomised.
+
+    Raises
+    ------
+    ParameterError
+        No samplers, two alike, or one that can do none of the dims.
+    McspectraError
+        A sampler cannot be made or drawn; the message says why.
+
+    Notes
+    -----
+    The integrands are Genz's six families [Genz1984]_ (smooth, a kink, an axis-parallel jump) with his
+    difficulties, a half-space whose border is oblique, a ball up to 3 dims and Sobol's g-function. All
+    but ``points_per_second`` depend on samplers and seed alone; every sampler has a stream of its own.
+    """
+    for name, given in (("samplers", samplers), ("counts", counts), ("dims", dims)):
+        if not isinstance(given, list | tuple | range) and not (
+            name == "dims" and isinstance(given, int | float)
+        ):
+            raise ParameterError(f"{name} is {given!r:.80}; give a list.")
+    listed = dims if isinstance(dims, list | tuple | range) else [dims]
+    wanted = tuple(dict.fromkeys(as_integer("dims", d, least=1, most=_MOST_DIMS) for d in listed))
+    asked = tuple(sorted({as_integer("counts", n, least=1) for n in counts}))
+    many = as_integer("realizations", realizations, least=2)
+    seed = as_integer("rng", rng, least=0)
+    if not samplers or len(asked) < 2 or not wanted:
+        raise ParameterError(
+            f"There are {len(samplers)} samplers, {len(asked)} counts and {len(wanted)} numbers of dims; "
+            "give a sampler or more, two counts or more, and one number of dims or more."
+        )
+
+    # Make each in all dims that it can do
+    made = list[tuple[str, dict[int, Sampler]]]()
+    for given in samplers:
+        sources: dict[int, Sampler] = {}
+        reason: McspectraError | None = None
+        whole = given if isinstance(given, str) else as_sampler(given)
+        for d in wanted:
+            try:
+                sources[d] = shared_sets(as_sampler(whole, d))
+            except McspectraError as error:
+                reason = reason or error
+        if reason is not None and not sources:
+            raise reason
+        # But those in which all counts asked for are one, such as strata in 10-D
+        single = [d for d, each in sources.items() if len(_nearest(each, asked)) < 2]
+        for d in single if len(single) < len(sources) else ():
+            del sources[d]
+        made.append((whole if isinstance(whole, str) else whole.spec, sources))
+    specs = [spec for spec, _ in made]
+    for spec in specs:
+        if specs.count(spec) > 1:
+            raise ParameterError(f"The sampler {short_spec(spec)} is listed twice; list each once.")
+    labels = list(map(short_spec, specs))
+    if len(set(labels)) < len(labels):  # files of one name in several folders, say
+        labels = specs
+
+    tasks = [task for d in wanted for task in standard_tasks(d)]
+    titles = [task.title for task in tasks]
+    measured, notes = [], list[str]()
+    for k, (label, (spec, sources)) in enumerate(zip(labels, made, strict=True)):
+        report("bench", k / len(made))
+        own = np.random.SeedSequence([seed, zlib.crc32(spec.encode())])
+        parts = [_look(sources[wanted[0]], asked, own, seed)] if wanted[0] in sources else []
+        for d, source in sources.items():
+            free = free_of(source)
+            if free is source:  # a function may use no generator
+                n = max(_nearest(source, asked).values())
+                if different_realizations(source, n, Stream.from_rng(own), 2) == 1:
+                    free = randomized(source)
+            if free.spec != source.spec and not (
+                notes and notes[-1].startswith(f"variances of {label} ")
+            ):
+                notes.append(f"variances of {label} are those of {short_spec(free.spec)}")
+            # Convergence on the tasks at the counts nearest to those asked for
+            nearest, own_tasks = _nearest(free, asked), [t for t in tasks if t.dims == d]
+            numbers, sets = sorted({*nearest.values()}), many
+            if isinstance(free, GivenPoints):
+                sets = min(many, *(len(free.sets[n]) for n in numbers))
+            estimators = [Estimator(task.spec, dims=d) for task in own_tasks]
+            curves = convergence(estimators, free, numbers, realizations=sets, rng=own)
+            curves = curves[["mean", "variance", "variance_ci", "rate", "rate_ci"]]
+            curves = curves.rename(estimator="integrand").assign_coords(
+                integrand=[task.title for task in own_tasks], n=list(nearest)
+            )
+            points = np.broadcast_to(np.array(numbers, float), (len(own_tasks), len(numbers)))
+            parts.append(curves.merge(dataset({"points_made": (("integrand", "n"), points)})))
+        if lacking := [f"{d}-D" for d in wanted if d not in sources]:
+            notes.append(f"{label} cannot do {' and '.join(lacking)}")
+        most = sources[max(sources)]
+        one = most.draw(most.nearest_count(min(asked[-1], _MOST_PICTURED)), rng=seed)[0]
+        at = {"point": range(len(one)), "axis": range(most.dims)}
+        parts.append(dataset({"points": (("point", "axis"), one)}, {**at, "integrand": titles}))
+        measured.append(_joined(parts))
+    report("bench", 1.0)
+
+    # Side by side, on the places of all; then ranks
+    import xarray as xr
+
+    found = xr.concat(
+        measured,
+        "sampler",
+        join="outer",
+        coords="minimal",
+        compat="override",
+        combine_attrs="override",
+    )
+    found = found.reindex(integrand=titles)
+    found = found.assign_coords(
+        sampler=[spec for spec, _ in made],
+        label=("sampler", labels),
+        integrand_spec=("integrand", [task.spec for task in tasks]),
+        integrand_dims=("integrand", [task.dims for task in tasks]),
+    )
+    last = found.isel(n=-1)
+    rank, rank_ci = ranks(
+        *(last[name].values for name in ("variance", "variance_ci", "points_made"))
+    )
+    places = ("sampler", "integrand")
+    about = dataset(
+        {"rank": (places, rank), "rank_ci": ((*places, "bound"), rank_ci)},
+        {"bound": ["low", "high"]},
+        dims=list(wanted),
+        realizations=many,
+        seed=seed,
+        note="; ".join(notes) or None,
+    )
+    found = found.merge(about, compat="override")
+    found.attrs = about.attrs
+    return found
+
+
+def ranks(variance: Array, variance_ci: Array, n: Array) -> tuple[Array, Array]:
+    """Return ranks of samplers by n · variance, and simultaneous 95 % intervals of all ranks.
+
+    Parameters
+    ----------
+    variance, variance_ci, n
+        (sampler, task), with 95 % intervals (sampler, task, 2); NaN where there is none.
+
+    Returns
+    -------
+    tuple
+        Ranks (sampler, task), 1 the least; their ends (sampler, task, 2). The lower one is one more than
+        the number of samplers that are better for sure, by differences of independent estimates of
+        log variance and Bonferroni over all pairs on all tasks.
+    """
+    known = (variance >= 0.0) & np.isfinite(variance)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logs = np.where(known, np.log(n * variance), np.nan)
+        steps = np.abs(np.log(variance_ci / variance[..., None])) / stats.norm.ppf(0.975)
+    steps = np.where((variance == 0.0)[..., None], 0.0, steps)
+    pairs = sum(math.comb(int(k), 2) for k in known.sum(axis=0))
+    z = stats.norm.ppf(1.0 - (1.0 - _LEVEL) / (2.0 * max(pairs, 1)))
+
+    # i is better than k for sure where the ends that face each other leave a gap
+    with np.errstate(invalid="ignore"):
+        gap = logs[None] - logs[:, None]
+        sure = gap > z * np.hypot(steps[:, None, :, 1], steps[None, ..., 0])
+    ends = np.stack([1.0 + sure.sum(axis=0), known.sum(axis=0) - sure.sum(axis=1)], axis=-1)
+    rank = 1.0 + (gap < 0.0).sum(axis=1)
+    return np.where(known, rank, np.nan), np.where(known[..., None], ends, np.nan)
+
+
+def standard_tasks(dims: int) -> Iterator[Task]:
+    """Yield the standard integrands in so many dims."""
+    for family, difficulty in _GENZ.items():
+        if family != "discontinuous" or dims > 1:
+            spec = f"genz-{family}(a={difficulty / dims:.4g})"
+            yield Task(_KINDS.get(family, "smooth"), spec, dims)
+    normal = [round(1.0 / (1.0 + 0.3 * i), 4) for i in range(dims)]
+    yield Task("jump", f"half-space(normal={normal}, offset={0.5 * sum(normal):.5g})", dims)
+    if dims in (2, 3):
+        yield Task("jump", "disk(center=0.47, radius=0.3)", dims)
+
+
+def _nearest(source: Sampler, asked: Sequence[int]) -> dict[int, int]:
+    """Counts that a sampler can make, by the nearest of those asked for: each count once."""
+    found = {n: source.nearest_count(n) for n in asked}
+    best = {count: min(asked, key=lambda n: abs(n - count)) for count in found.values()}
+    return {n: count for n, count in found.items() if best[count] == n}
+
+
+def _look(source: Sampler, asked: Sequence[int], own: Any, seed: int) -> xr.Dataset:
+    """Spectrum, pair correlation, quality and speed."""
+    stream = Stream.from_rng(own)
+    nearest = _nearest(source, asked)
+    n = max(nearest.values())
+    slow = isinstance(parts_of(source)[0], OptimisedSampler)
+    sets = different_realizations(source, n, stream, SHARED_SETS if slow else 100)
+    parts = []
+    if source.dims in _HALF_WIDTHS:
+        wide = _HALF_WIDTHS[source.dims]
+        spectrum = power_spectrum(source, n, half_width=wide, realizations=sets, rng=own)
+        rings = radial_statistics(spectrum)[["anisotropy_db", "anisotropy_noise_db"]]
+        parts += [spectrum[["power", "radial_power"]], rings]
+    if n > 1:
+        pairs = pair_correlation(source, n, realizations=min(sets, 16), rng=own)
+        if sets < _FEW_SETS:  # whose intervals would hide all else
+            pairs["pair_correlation_ci"][:] = np.nan
+        parts.append(pairs[["pair_correlation", "pair_correlation_ci"]])
+    means: dict[str, list[float]] = {name: [] for name in (*BENCH_QUALITY, "points_per_second")}
+    for count in nearest.values():
+        some = different_realizations(source, count, stream, _QUALITY_SETS)
+        figures = quality_figures(source, count, figures=BENCH_QUALITY, realizations=some, rng=own)
+        for name, values in figures.data_vars.items():
+            means[str(name)].append(float(values.mean(skipna=False)))
+        means["points_per_second"].append(count / making_seconds(source, count, seed))
+    known: dict[str, tuple[tuple[str, ...], Any]]
+    known = {k: (("n",), v) for k, v in means.items() if not np.isnan(v).all()}
+    known["pictured_n"] = ((), float(n))
+    parts.append(dataset(known, {"n": list(nearest)}))
+    return _joined(parts)
+
+
+def _joined(parts: Sequence[xr.Dataset]) -> xr.Dataset:
+    """Results about one sampler as one; curves of several dims follow each other."""
+    import xarray as xr
+
+    return xr.merge(parts, join="outer", compat="no_conflicts", combine_attrs="override")
+
+
+def shared_sets(source: Sampler) -> Sampler:
+    """Make do with a few sets of an optimised sampler, each used many times."""
+    if isinstance(source, OptimisedSampler):
+        return replace(source, sets=source.sets or SHARED_SETS)
+    if isinstance(source, Randomized) and isinstance(source.base, OptimisedSampler):
+        return replace(source, base=shared_sets(source.base))
+    return source
+
+
+def free_of(source: Sampler) -> Sampler:
+    """Return a sampler whose variance can be measured: sets that do not vary enough are randomised."""
+    few = isinstance(source, GivenPoints) and min(map(len, source.sets.values())) < _ENOUGH_SETS
+    return randomized(source) if source.fixed or few else source
+
+
+def randomized(source: Sampler) -> Sampler:
+    """Return a sampler with the randomisation that suits its structure: owen of nets, else shift."""
+    return source.then(Owen() if source.structure is Structure.DIGITS else Shift())
+
+
+def making_seconds(source: Sampler, n: int, rng: int) -> float:
+    """Return the best time of a few draws on one thread, without the cache; NaN for points that are read."""
+    if isinstance(parts_of(source)[0], GivenPoints):
+        return math.nan
+    stream = Stream.from_rng(rng)
+
+    def draw(realization: int) -> Any:
+        if isinstance(source, OptimisedSampler):
+            return source._optimize(n, stream.keys(realization, 1)[0], lambda _: None)
+        return source.draw_stream(n, stream, realization, 1)
+
+    best = math.inf
+    for realization in range(3):
+        start = time.perf_counter()
+        draw(realization)
+        best = min(best, time.perf_counter() - start)
+        if best > 1.0:
+            break
+    return best

@@ -1,0 +1,401 @@
+"""The error of the mean of correlated draws: Markov chains as samplers in time.
+
+A stationary chain with the spectral density S(ν), ν in cycles per draw, has a mean over n draws with
+
+    Var = ∫ S(ν) |W(ν)|² dν = (1/n) ∫ S(ν) F_n(ν) dν,    F_n(ν) = sin²(πnν) / (n sin²(πν)),
+
+the power term with the Fejér kernel of the window W of equal weights; stationarity makes dc and cross term
+vanish. S is that of an autoregression, chosen by AIC as in [Thompson2010]_, whose autocovariances are
+corrected for the mean that was subtracted: removing a mean of variance V lowers all of them by V. The
+scatter of the chains' means is a second, independent estimate; both are pooled by degrees of freedom. Where
+they disagree the chains have not met, and nothing bounds the error.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_real_array
+from mcspectra.core.errors import DomainError, ParameterError
+from mcspectra.core.results import dataset
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["chain_error"]
+
+_LEAST_DRAWS = 10
+_SCORE = 5.0  # standard errors from what independent chains have
+_ALARM = 1e-4  # probability that a test names a cause where there is none
+_FORGOTTEN = 8.0  # autocorrelation times; a random walk seems to have fewer in 95 % of cases
+_RUN = 0.1  # share of the draws that repeat one value, in a chain of more than _VALUES values
+_VALUES = 20
+_TWO_LEVELS = 0.85  # share of the variance between the two sides of the mean; normal: 0.64
+_SWITCHES = 20
+_HEAVY = 0.6  # tail index, known to ±0.1 from 2000 draws; beyond ½ the variance is infinite
+_LEAST_TAIL = 20  # draws in a tail that is looked at
+_SMALLEST = 1e-100  # size of the draws whose squares have squares
+_FEW_DEGREES = 6.0  # the error is known to ±30 %
+
+_VARIABLES: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("mean", "mcse", "ess", "spectrum_at_zero"), ()),
+    **dict.fromkeys(("mean_ci", "mcse_ci", "ess_ci"), ("bound",)),
+    **dict.fromkeys(("error_share", "draw_share", "chain_spectrum", "fitted_spectrum"), ("band",)),
+    "chain_spectrum_ci": ("band", "bound"),
+}
+"""Variables of the result and their dims, besides quantity."""
+
+
+def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
+    """Error of the means of Markov chains, its frequencies in time, and what is wrong with the chains.
+
+    Parameters
+    ----------
+    draws
+        Real numbers: (n,) of one chain, (chain, draw), or (chain, draw, quantity); a DataArray or
+        Dataset with the dims chain and draw; or what has such a Dataset as its group posterior, as
+        ArviZ's InferenceData and DataTree.
+    weights
+        Importance weights or multiplicities of the draws, (n,) or (chain, draw), not negative; by
+        default all alike. The error is that of the ratio estimate Σwx/Σw, linearised.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``mean`` with ``mean_ci``; ``mcse``, the standard error of the mean, with ``mcse_ci``; ``ess``,
+        variance of the draws / mcse², with ``ess_ci``: more than n for antithetic chains;
+        ``spectrum_at_zero``, S(0). On the dim ``band``, octaves of frequency named by their periods, with
+        ``band_low`` and ``band_high`` in cycles per draw: ``error_share``, what of the error comes
+        from there, ``draw_share``, what of the variance of the draws does, ``chain_spectrum``, measured
+        mean of S, with ``chain_spectrum_ci``, and ``fitted_spectrum``. Coordinates ``cause`` (names
+        with commas between, or none) and ``evidence``, a sentence on each. Several quantities add a dim
+        quantity. Where a chain is stuck or its tails are heavy, nothing bounds the error: the
+        intervals have no end.
+
+    Raises
+    ------
+    ParameterError, DomainError
+        Fewer than 10 draws, other dims, values that are no finite numbers, weights that are negative
+        or all zero in a chain; draws whose squares are beyond the range of numbers.
+
+    Notes
+    -----
+    S(0) from an autoregression has a smaller error, and its interval a coverage nearer to 95 %, than the
+    initial monotone sequence, which cannot see antithetic or oscillating chains, and than averages
+    of the lowest frequencies (docs/theory.md, "Chains"). Cost O(n log n).
+
+    Examples
+    --------
+    >>> import mcspectra as mcs, numpy as np
+    >>> x = np.random.default_rng(1).normal(size=(4, 1001))
+    >>> result = mcs.measure.chain_error(x[:, 1:] - 0.9 * x[:, :-1])  # antithetic
+    >>> float(result["ess"]) > 50 * 4000, str(result["cause"].values)
+    (True, 'none')
+    """
+    names, values = _quantities(draws)  # (quantity, chain, draw)
+    chains, n = values.shape[1:]
+    w = np.ones((chains, n))
+    if weights is not None:
+        w = as_real_array("weights", weights)
+        if w.shape not in {(chains, n), (n,)} or (w.ndim == 1 and chains > 1):
+            raise ParameterError(
+                f"weights have shape {w.shape}; give one for each draw, shape {(chains, n)}."
+            )
+        w = w.reshape(chains, n)
+        if not np.isfinite(w).all() or w.min() < 0 or not w.any(axis=1).all():
+            raise DomainError(
+                "weights are negative, not finite, or all zero in a chain; give finite numbers from "
+                "0, such as multiplicities or importance weights."
+            )
+        w = w / w.mean()
+
+    sizes = np.abs(values).max(axis=(1, 2))
+    if ((sizes > 1 / _SMALLEST) | ((sizes > 0) & (sizes < _SMALLEST))).any():
+        raise DomainError(
+            f"draws are as large as {sizes.max():.3g} and as small as {sizes.min():.3g}; scale each "
+            f"quantity to a size between {_SMALLEST:g} and {1 / _SMALLEST:g}."
+        )
+
+    found = [_error(each, w) for each in values]
+    note = None
+    if chains == 1:
+        note = "One chain cannot show a mode that it never met: run several from scattered starts."
+    elif chains > n:
+        note = (
+            f"The first of {chains} × {n} draws is the axis of the chains; transpose if it is not."
+        )
+    dims, kept = (("quantity",), slice(None)) if names else ((), 0)
+    gathered = {k: np.array([each[k] for each in found])[kept] for k in found[0]}
+    edges = _edges(n)
+    periods = [f"above {1 / edges[1]:.0f}"]
+    periods += [f"{1 / b:.0f} to {1 / a:.0f}" for a, b in itertools.pairwise(edges[1:])]
+    return dataset(
+        {name: ((*dims, *own), gathered[name]) for name, own in _VARIABLES.items()},
+        {
+            "bound": ["low", "high"],
+            "band": periods,
+            "band_low": ("band", edges[:-1]),
+            "band_high": ("band", edges[1:]),
+            **({"quantity": names} if names else {}),
+            **{name: (dims, gathered[name]) for name in ("cause", "evidence")},
+        },
+        analysis="chains",
+        chains=chains,
+        draws=n,
+        weighted=int(weights is not None),
+        note=note,
+    )
+
+
+def _quantities(draws: Any) -> tuple[list[str], Array]:
+    """Names of the quantities, none of a single array's one, and values (quantity, chain, draw)."""
+    import xarray as xr
+
+    # Take the posterior of what has groups, and its variables
+    given = getattr(draws, "posterior", draws)
+    if isinstance(given, xr.DataTree):
+        given = given.to_dataset()
+    parts = {"": given}
+    if isinstance(given, xr.Dataset):
+        parts = {str(name): each for name, each in given.data_vars.items()}
+    names, found = [], []
+    for name, part in parts.items():
+        what = f"draws of {name!r}" if name else "draws"
+        labels: list[Any] = []
+        if isinstance(part, xr.DataArray):
+            if "draw" not in part.dims:
+                raise ParameterError(
+                    f"{what} have the dims {', '.join(map(str, part.dims)) or 'none'}; name the axis "
+                    "of time draw, and that of several chains chain."
+                )
+            part = part if "chain" in part.dims else part.expand_dims("chain")
+            part = part.transpose("chain", "draw", ...)
+            labels, part = [part[dim].values for dim in part.dims[2:]], part.values
+        x = as_real_array(what, part)
+        shape, x = x.shape, x[None] if x.ndim == 1 else x
+        if x.ndim < 2 or (x.ndim > 3 and not name) or not x.size or x.shape[1] < _LEAST_DRAWS:
+            raise ParameterError(
+                f"{what} have shape {shape}; give {_LEAST_DRAWS} draws or more, of shape (n,), "
+                "(chain, draw) or (chain, draw, quantity)."
+            )
+        if bad := int(np.count_nonzero(~np.isfinite(x))):
+            raise DomainError(f"{what} hold {bad} NaN or infinite values; give finite numbers.")
+        labels = labels or [range(size) for size in x.shape[2:]]
+        places = [",".join(map(str, place)) for place in itertools.product(*labels)]
+        names += [f"{name}[{place}]" if place else name for place in places]
+        found.append(np.moveaxis(x.reshape(*x.shape[:2], -1), -1, 0))
+    if not found:
+        raise ParameterError("draws hold no variables; give some with the dims chain and draw.")
+    if "" in parts:  # an array has numbers for names, where it has several quantities
+        names = [name.strip("[]") for name in names if name]
+    return names, np.ascontiguousarray(np.concatenate(found))
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """An autoregression of chains that share its law, and the error of a chain's mean by it."""
+
+    coefficients: Array  # of the draws, 1 first, whose sum is white noise
+    variance: float  # of a chain's mean, ∫ S F_n / n
+    spread: float  # variance of a draw
+    at_zero: float
+    degrees: float  # of freedom of the variance
+    spectrum: Array  # S at j / length cycles per draw, from 0 to ½
+    error: Array  # parts of the variance at these frequencies
+    power: Array  # measured, of S
+    frequency: Array
+
+
+def _fitted(z: Array) -> _Fit:
+    """Fit chains (chain, draw), each about its own mean."""
+    from scipy.fft import irfft, next_fast_len, rfft
+    from scipy.linalg import solve_toeplitz
+
+    chains, n = z.shape
+    length = next_fast_len(2 * n, real=True)
+    frequency = np.arange(length // 2 + 1) / length
+    both = np.full(frequency.size, 2.0 / length)  # ± ν, and once 0 and ½
+    both[0] /= 2.0
+    both[-1] /= 1.0 + (length % 2 == 0)
+    with np.errstate(invalid="ignore"):
+        kernel = (np.sin(np.pi * n * frequency) / np.sin(np.pi * frequency)) ** 2 / n
+    kernel[0] = n
+
+    # Fit to the covariances, and again to these with the variance of the mean that was subtracted
+    centred = z - z.mean(axis=1, keepdims=True)
+    power = np.mean([np.abs(rfft(row, length)) ** 2 for row in centred], axis=0)
+    most = int(min(n // 4, 10 * math.log10(n * chains)))
+    removed = irfft(power, length)[: most + 3] / n
+    variance = 0.0
+    for _ in range(2):
+        covariance = removed + min(variance, removed[0])
+        a, noise, best = np.ones(1), covariance[0], math.inf
+        chosen, innovation = a, noise
+        for order in range(most + 1):  # Levinson's recursion
+            if order:
+                k = -float(a @ covariance[order:0:-1]) / noise
+                a = np.append(a, 0.0) + k * np.append(a, 0.0)[::-1]
+                noise *= 1.0 - k * k
+            if noise <= 1e-12 * covariance[0]:
+                break
+            criterion = n * chains * math.log(noise) + 2 * order
+            if criterion < best:
+                best, chosen, innovation = criterion, a, noise
+        spectrum = innovation / np.abs(rfft(chosen, length)) ** 2
+        error = both * spectrum * kernel / n
+        variance = float(error.sum())
+
+    # The error of log S(0) by the delta method: that of the coefficients has Γ⁻¹ in it. AIC tries two
+    # more than it needs: they cost as much where all are 0
+    order = len(chosen) + 1
+    sums = solve_toeplitz(covariance[:order], np.ones(order)).sum() * innovation
+    square = (2.0 + 4.0 * max(float(sums), 0.0) / float(chosen.sum()) ** 2) / (n * chains)
+    spread, at_zero, degrees = float(covariance[0]), float(spectrum[0]), 2.0 / square
+    power /= n
+    return _Fit(chosen, variance, spread, at_zero, degrees, spectrum, error, power, frequency)
+
+
+def _error(x: Array, w: Array) -> dict[str, Any]:
+    """All that is said of one quantity (chain, draw)."""
+    from scipy.signal import lfilter
+    from scipy.stats import chi2, f, t
+
+    chains, n = x.shape
+    edges = _edges(n)
+    mean = float((w * x).sum() / w.sum())
+    z = w * (x - mean)  # mean(z) is the error of the ratio estimate, to first order
+    size = edges.size - 1
+    if not np.ptp(x, axis=1).any() or not np.any(z):
+        sizes = {"band": size, "bound": 2}
+        nothing = {k: np.full([sizes[d] for d in v], math.nan) for k, v in _VARIABLES.items()}
+        said = "stuck-chain: no chain moves, or the quantity is a constant"
+        ends = {"mean_ci": [-math.inf, math.inf], "mcse_ci": [0.0, math.inf]}
+        return {**nothing, **ends, "mean": mean, "cause": "stuck-chain", "evidence": said}
+    causes: dict[str, str] = {}
+
+    # Chains that move together have the error of their mean chain. Of whitened chains that do not, the
+    # power of the mean chain over theirs is Beta(1, m − 1) at each frequency
+    fit = own = _fitted(z)
+    series, remark = z, ""
+    if chains > 1:
+        white = np.asarray(lfilter(fit.coefficients, [1.0], z))[:, fit.coefficients.size - 1 :]
+        waves = np.fft.rfft(white, axis=1)[:, 1 : (n + 1) // 2]
+        each = np.maximum((np.abs(waves) ** 2).sum(axis=0), np.finfo(float).tiny)
+        together = np.abs(waves.sum(axis=0)) ** 2 / each
+        score = (together.mean() - 1) * math.sqrt(each.size * (chains + 1) / (chains - 1))
+        if abs(score) > _SCORE:
+            remark = (
+                f"the mean of the {chains} chains varies {together.mean():.2g} times as much as "
+            )
+            remark += "that of independent ones"
+            series = z.mean(axis=0, keepdims=True)
+            own = _fitted(series)
+        if score > _SCORE:
+            causes["correlated-replicates"] = f"{remark}, as chains of one seed or one start do"
+    rows, means = len(series), series.mean(axis=1)
+    tau = n * own.variance / own.spread
+    within, degrees = own.variance / rows, own.degrees
+    between = float(means.var(ddof=1)) / rows if rows > 1 else 0.0
+    variance = (degrees * within + (rows - 1) * between) / (degrees + rows - 1)
+
+    # Chains that disagree, repeat a value, drift or remember their start
+    stuck = ""
+    ratio = between / within
+    time = np.arange(n) - (n - 1) / 2
+    time /= np.sqrt(time @ time)
+    slopes = series @ time
+    flat = _fitted(series - slopes.mean() * time)
+    shared = f.sf(rows * slopes.mean() ** 2 / flat.at_zero, 1, flat.degrees)
+    drift = min(shared, f.sf((slopes**2).mean() / flat.at_zero, rows, flat.degrees)) < _ALARM / 2
+    moves = np.diff(x, axis=1, prepend=math.nan, append=math.nan) != 0
+    run = int(np.diff(np.flatnonzero(moves)).max())
+    if run >= max(_RUN * n, _LEAST_DRAWS) and np.unique(x).size > _VALUES:
+        stuck = f"a chain repeats one value for {run} of {n} draws"
+    elif rows > 1 and f.sf(ratio, rows - 1, degrees) < _ALARM:
+        stuck = f"the means of the chains differ {math.sqrt(ratio):.2g} times as much as the draws "
+        stuck += "within a chain explain: they are in different parts of the distribution"
+    elif n < _FORGOTTEN * tau or drift:
+        side = x > x.mean(axis=1, keepdims=True)
+        low, high = x[~side], x[side]
+        share = side.mean() * (1 - side.mean()) * (high.mean() - low.mean()) ** 2 / x.var()
+        switches = int(np.count_nonzero(np.diff(side, axis=1)))
+        if share > _TWO_LEVELS and switches <= _SWITCHES * chains:
+            stuck = f"the draws lie on two levels, with {switches} moves from one to the other"
+        else:
+            stuck = "the chain drifts: its mean moves with time by more than its error explains"
+            if not drift:
+                stuck = f"the chain drifts: {n} draws are {n / tau:.2g} autocorrelation times"
+    if stuck:
+        causes["stuck-chain"] = stuck
+        variance = max(variance, between)
+
+    # Tails of draws so far apart that they hardly know each other
+    index = _tail_index(z[:, :: max(1, math.ceil(tau))].ravel())
+    if index > _HEAVY:
+        causes["heavy-tail"] = f"the tail index is {index:.2f}: beyond ½ the variance is infinite"
+    degrees += rows - 1
+    if not stuck and degrees < _FEW_DEGREES:
+        causes["few-realizations"] = "the draws are too few to know their error to 30 %"
+
+    # Intervals: Student's t and χ², without an end where nothing bounds the error
+    bounded = not {"stuck-chain", "heavy-tail"} & set(causes)
+    mcse = math.sqrt(variance)
+    half = float(t.ppf(0.975, degrees)) * mcse if bounded else math.inf
+    low, high = np.sqrt(degrees / chi2.ppf([0.975, 0.025], degrees)) * mcse
+    high = float(high) if bounded else math.inf
+    spread = float((w * (x - mean) ** 2).sum() / w.sum()) + variance
+    of_grid = np.searchsorted(edges, fit.frequency, side="right").clip(1, size) - 1
+    cells = np.bincount(of_grid, minlength=size)
+    error = np.bincount(of_grid, own.error, size)
+    fitted, power = (np.bincount(of_grid, v, size) / cells for v in (fit.spectrum, fit.power))
+    # Below 1/n what is measured is the scatter of the chains' means
+    freedom = 2.0 * rows * n * np.diff(edges)
+    power[0], freedom[0] = (n * means.var(ddof=1), rows - 1) if rows > 1 else (math.nan, math.nan)
+    chances = chi2.ppf([0.975, 0.025], freedom[:, None])
+    draw = fitted * np.diff(edges)
+    return {
+        "mean": mean,
+        "mean_ci": [mean - half, mean + half],
+        "mcse": mcse,
+        "mcse_ci": [float(low), high],
+        "ess": spread / variance,
+        "ess_ci": [spread / high**2, spread / float(low) ** 2],
+        "spectrum_at_zero": fit.at_zero,
+        "error_share": error / error.sum(),
+        "draw_share": draw / draw.sum(),
+        "chain_spectrum": power,
+        "chain_spectrum_ci": (freedom * power)[:, None] / chances,
+        "fitted_spectrum": fitted,
+        "cause": ", ".join(causes) or "none",
+        "evidence": "; ".join(f"{k}: {v}" for k, v in causes.items()) or remark,
+    }
+
+
+def _tail_index(z: Array) -> float:
+    """k̂ of a generalised Pareto law of the largest |z − median|, by [Vehtari2024]_; NaN of few draws."""
+    most = int(min(z.size / 10, 3 * math.sqrt(z.size)))
+    if most < _LEAST_TAIL:
+        return math.nan
+    excess = np.sort(np.abs(z - np.median(z)))[-most - 1 :]
+    excess = excess[1:] - excess[0]
+    if not excess[most // 4] > 0:
+        return math.nan
+    # Posterior mean over a grid of b = −k/σ, whose prior is about the first quartile
+    grid = 30 + int(math.sqrt(most))
+    b = 1 - np.sqrt(grid / (np.arange(grid) + 0.5))
+    b = b / (3 * excess[int(most / 4 + 0.5) - 1]) + 1 / excess[-1]
+    k = np.log1p(-b[:, None] * excess).mean(axis=1)
+    likelihood = most * (np.log(-b / k) - k - 1)
+    weight = np.exp(likelihood - likelihood.max())
+    index = float(np.log1p(-(b @ weight) / weight.sum() * excess).mean())
+    return (most * index + 5) / (most + 10)  # as if ten further draws had ½
+
+
+def _edges(n: int) -> Array:
+    """Ends of the bands: octaves below ½, down to 1/n, and from 0."""
+    return np.append(0.0, 2.0 ** np.arange(-math.floor(math.log2(n)), 0))

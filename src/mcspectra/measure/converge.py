@@ -1,0 +1,552 @@
+"""Convergence: measured variance against n and its fitted rate.
+
+How many realisations: a given number, or until the variance is known well enough (docs/theory.md,
+"Intervals of variances, and stopping"), in stages fixed by what was seen so far, hence the same bits
+for any number of workers. What has not been seen cannot be counted: a stop is believed only when the
+next stage, at least a quarter longer, confirms it, because the first stop of a skewed sample tends to
+be a moment at which its kurtosis is underestimated; and estimates that have shown no spread at all
+are no evidence of none: 10 000 are tried, then the error is NaN, and the goal not reached.
+
+Where the estimates show that they missed what makes the variance, its interval has no finite upper
+end, the rate none at all, and the attribute ``note`` says why (`mcspectra.measure.blindness`).
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, final
+
+import numpy as np
+from msgspec import Meta
+
+from mcspectra.core.analysis import Counted, MergeTree, Need, Reduction, Steps, Subject, in_step
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.fits import check_window, fit_rates
+from mcspectra.core.memory import memory_of
+from mcspectra.core.options import COUNT, COUNTS, FIT_LAST, REALIZATIONS, Counts, Window
+from mcspectra.core.parallel import (
+    MAX_REALIZATIONS,
+    Block,
+    map_in_order,
+    realization_blocks,
+    slices,
+)
+from mcspectra.core.results import dataset
+from mcspectra.core.streams import RngLike, Stream
+from mcspectra.estimators import AbstractEstimator
+from mcspectra.estimators.moments import Moments, rounding_floor
+from mcspectra.estimators.tails import tail_note
+from mcspectra.measure.blindness import blindness, is_fixed
+from mcspectra.measure.doors import answer, counted
+from mcspectra.samplers import Sampler
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "Convergence",
+    "MomentsCell",
+    "RealizationsNeeded",
+    "convergence",
+    "count_moments",
+    "count_stream",
+    "realizations_needed",
+]
+
+Precision = Annotated[float, Meta(ge=1e-4, le=1.0)]  # a better one takes billions of realisations
+
+_LEAST = 100  # realisations of the first stage: κ of fewer says little
+_STEP = 1.25  # a stage makes the sample longer by a quarter at least,
+_LEAP = 4.0  # and at most fourfold: κ is known better then
+_BLANK = 10_000  # realisations without spread after which the search is given up
+_TAIL = ("largest_share", "resolved", "tail_index")  # of `Moments`: what they tell of it
+_PARTS = 2  # a block is half the usual: a thousand realisations of a thousand points are two
+
+_DIMS = {
+    "variance": ("n", "channel"),
+    "variance_ci": ("n", "channel", "bound"),
+    "mean": ("n", "channel"),
+    "mean_se": ("n", "channel"),
+    "bias": ("n", "channel"),
+    "bias_se": ("n", "channel"),
+    "mse": ("n", "channel"),
+    "realizations_used": ("n",),
+    "reached": ("n",),
+    "rate": ("channel",),
+    "rate_ci": ("channel", "bound"),
+    "fit_first_n": ("channel",),
+    "fit_chi2": ("channel",),
+}
+
+
+@final
+class Convergence(Counted, frozen=True, kw_only=True):
+    """Variance against n and its rate."""
+
+    function = "convergence"
+    verb = "converge"
+    several = ("estimator", "sampler")
+    variables = tuple(_DIMS)
+
+    counts: Annotated[Counts, COUNTS]
+    realizations: Annotated[
+        int,
+        REALIZATIONS,
+        Meta(description="Realisations at each count; with relative_error the most."),
+    ] = 1000
+    relative_error: Annotated[
+        Precision | None,
+        Meta(description="Stop a count once its variance is known to this fraction."),
+    ] = None
+    fit_last: Annotated[Window, FIT_LAST] = None
+
+    def need(self, subject: Subject) -> Need:
+        """Every sampler can do every count, and all fit in one dataset."""
+        estimators, samplers = subject.estimators, subject.samplers
+        check_window(self.fit_last, len(self.counts))
+        channels = sorted({e.channels for e in estimators})
+        if len(channels) > 1:
+            raise ParameterError(
+                f"The estimators have {' and '.join(map(str, channels))} channels; compare those of "
+                "equal numbers."
+            )
+        for estimator, sampler, n in itertools.product(estimators, samplers, self.counts):
+            estimator.check_sampler(sampler, n)
+        evaluations = [sum(e.counts) for e in estimators]
+        each = sum(sum(e.counts) * e.evaluations_per_point for e in estimators) * len(samplers)
+        whole = self.relative_error is None
+        return Need(
+            evaluations=sum(self.counts) * self.realizations * each if whole else 0,
+            cost=float(sum(self.counts) * self.realizations * sum(evaluations) * len(samplers)),
+            memory=memory_of(self.counts[-1], estimators[0].dims, max(evaluations)),
+        )
+
+    def reduction(self, subject: Subject, stream: Stream) -> Steps:
+        """The next realisations of every cell that needs some, by the part of the cell."""
+        cells = self._cells(subject, stream)
+        found = yield from in_step([
+            cell.all_of(part, self.realizations)
+            if self.relative_error is None
+            else cell.until_precise(part, self.relative_error, self.realizations)
+            for part, cell in enumerate(cells)
+        ])  # fmt: skip
+
+        # Moments of every estimator, sampler and count; estimators that share realisations come last
+        estimators, samplers = subject.estimators, subject.samplers
+        flat = [each for cell in found for each in cell]
+        joint = len(cells[0].estimators) > 1
+        shape = (len(estimators), len(samplers), len(self.counts))
+
+        def of_all(values: list[Any]) -> Array:
+            array = np.array(values)
+            if not joint:
+                return array.reshape(*shape, *array.shape[1:])
+            return np.moveaxis(array.reshape(*shape[1:], shape[0], *array.shape[1:]), 2, 0)
+
+        taken = ("variance", "relative_se", "mean", "mean_se", "variance_ci", "count", *_TAIL)
+        variance, relative, mean, mean_se, interval, count, *tail = (
+            of_all([getattr(moments, name) for moments, _ in flat]) for name in taken
+        )
+        references = [e.known_integral() for e in estimators]
+        integral = np.stack([np.atleast_1d(value) for value, *_ in references])[:, None, None]
+        known = np.array([error for _, error, _ in references])[:, None, None, None]
+        floor = rounding_floor(np.fmax(np.abs(mean), np.abs(integral)))
+
+        # A set that is the same every time has no variance, but rounding noise
+        fixed = np.array([[is_fixed(e, s) for s in samplers] for e in estimators])
+        variance[fixed], interval[fixed], mean_se[fixed] = 0.0, 0.0, 0.0
+        v, r, f = (np.moveaxis(a, 2, 0) for a in (variance, relative, floor))
+        fits = fit_rates(np.array(self.counts), v, r, f, self.fit_last)
+
+        # No upper end where something was missed, and no interval of a rate that rests on it
+        measured = {
+            "realizations": np.broadcast_to(count[..., None], variance.shape),
+            "variance": variance,
+            "relative_se": relative,
+            **dict(zip(_TAIL, tail, strict=True)),
+            "bias": mean - integral,
+            "bias_se": np.hypot(mean_se, known),
+            "floor": floor,
+        }
+        ns = np.array(self.counts)
+        blind, notes = blindness(estimators, samplers, ns, self.realizations, measured)
+        if np.isnan(integral).any():
+            notes.append("the integral is unknown, so that no bias is measured; give integral=…")
+        interval[blind, 1] = np.inf
+        fitted = (ns >= fits["first_n"][..., None]) & np.moveaxis(variance > floor, 2, -1)
+        unknown = (fitted & np.moveaxis(blind, 2, -1)).any(axis=-1)
+        fits["interval"][unknown] = -np.inf, np.inf
+        values = {
+            "variance": variance,
+            "variance_ci": interval,
+            "mean": mean,
+            "mean_se": mean_se,
+            "bias": measured["bias"],
+            "bias_se": measured["bias_se"],
+            "mse": np.where(
+                np.isnan(integral),
+                variance,
+                (mean - integral) ** 2 + variance * ((count - 1) / count)[..., None],
+            ),
+            "realizations_used": count,
+            **(
+                {}
+                if self.relative_error is None
+                else {"reached": of_all([int(r) for _, r in flat])}
+            ),
+            "rate": fits["rate"],
+            "rate_ci": fits["interval"],
+            "fit_first_n": fits["first_n"],
+            "fit_chi2": fits["chi2"],
+        }
+
+        # What is no list, and a scalar, has no dim
+        single = {
+            "estimator": subject.estimator is estimators[0],
+            "sampler": subject.sampler is samplers[0],
+            "channel": all(e.channels == 0 for e in estimators),
+        }
+        labels = {
+            "estimator": [e.spec for e in estimators],
+            "sampler": [s.spec for s in samplers],
+        }
+        fitted = fits["first_n"][np.isfinite(fits["first_n"])]
+        return dataset(
+            {name: (("estimator", "sampler", *_DIMS[name]), v) for name, v in values.items()},
+            {
+                "n": counted("n", list(self.counts), "number of points"),
+                "bound": ["low", "high"],
+                **{name: texts for name, texts in labels.items() if not single[name]},
+            },
+            drop=[dim for dim, alone in single.items() if alone],
+            **{name: texts[0] for name, texts in labels.items() if single[name]},
+            realizations=self.realizations,
+            relative_error=self.relative_error,
+            fit_last=sum(n >= fitted.min() for n in self.counts) if fitted.size else None,
+            fit_window="auto" if self.fit_last == "auto" else None,
+            stream_key=f"{stream.key:#x}",
+            integral_source="; ".join(dict.fromkeys(source for *_, source in references)),
+            note="; ".join(notes) or None,
+        )
+
+    def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
+        """Any run of realisations of a cell."""
+        part, first, realizations = map(int, key.split("-"))
+        return self._cells(subject, stream)[part].run(part, first, realizations)
+
+    def _cells(self, subject: Subject, stream: Stream) -> list[MomentsCell]:
+        """By group of estimators that share realisations, by sampler, by count.
+
+        One technique that has no `draw` of its own gets the sampler's points: all such share them.
+        A wanted precision takes as many realisations as each estimator needs by itself.
+        """
+        estimators = tuple(subject.estimators)
+        draws = AbstractEstimator.draw
+        plain = all(e.counts == (1,) and type(e).draw is draws for e in estimators)
+        joint = plain and self.relative_error is None
+        return [
+            MomentsCell(group, sampler, n, count_stream(stream, n))
+            for group in ([estimators] if joint else [(e,) for e in estimators])
+            for sampler in subject.samplers
+            for n in self.counts
+        ]
+
+
+@final
+class RealizationsNeeded(Counted, frozen=True, kw_only=True):
+    """How many realisations a wanted precision of the variance takes."""
+
+    function = "measure.realizations_needed"
+    variables = (
+        *("realizations_used", "reached", "variance", "variance_ci", "variance_relative_se"),
+        *("skewness", "kurtosis", "mean", "mean_se"),
+    )
+    provenance = ("estimator", "sampler", "n", "relative_error", "max_realizations", "stream_key")
+
+    n: Annotated[int, COUNT]
+    relative_error: Annotated[
+        Precision, Meta(description="Wanted standard error of the variance, relative to it.")
+    ] = 0.05
+    max_realizations: Annotated[
+        int, Meta(ge=2, le=MAX_REALIZATIONS, description="Stop there in any case.")
+    ] = 1_000_000
+
+    def need(self, subject: Subject) -> Need:
+        """The sampler can do the count."""
+        estimator = subject.estimator
+        estimator.check_sampler(subject.sampler, self.n)
+        evaluations = sum(estimator.counts)
+        expected = min(self.max_realizations, 2.0 / self.relative_error**2)  # of normal estimates
+        memory = memory_of(self.n, estimator.dims, evaluations)
+        return Need(cost=expected * self.n * evaluations, memory=memory)
+
+    def reduction(self, subject: Subject, stream: Stream) -> Steps:
+        """The next realisations."""
+        cell = MomentsCell((subject.estimator,), subject.sampler, self.n, stream)
+        search = cell.until_precise(0, self.relative_error, self.max_realizations)
+        (((moments, reached),),) = yield from in_step([search])
+        varies = moments.variance > rounding_floor(moments.mean)
+        second = np.where(varies, moments.m2, np.nan)
+        values = {
+            "variance": moments.variance,
+            "variance_relative_se": np.where(varies, moments.known_se, np.nan),
+            "skewness": math.sqrt(moments.count) * moments.m3 / second**1.5,
+            "kurtosis": moments.count * moments.m4 / second**2,
+            "mean": moments.mean,
+            "mean_se": moments.mean_se,
+            "variance_ci": moments.variance_ci,
+        }
+        return dataset(
+            {
+                "realizations_used": ((), np.int64(moments.count)),
+                "reached": ((), np.int64(reached)),
+                **{name: (("channel", "bound")[: v.ndim], v) for name, v in values.items()},
+            },
+            {"bound": ["low", "high"]},
+            drop=() if subject.estimator.channels else ("channel",),
+            note=tail_note(moments),
+        )
+
+    def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
+        """Any run of realisations."""
+        cell = MomentsCell((subject.estimator,), subject.sampler, self.n, stream)
+        return cell.run(*map(int, key.split("-")))
+
+
+def convergence(
+    estimator: Any,
+    sampler: Any,
+    counts: Sequence[int],
+    *,
+    dims: int | None = None,
+    realizations: int = 1000,
+    rng: RngLike = 0,
+    relative_error: float | None = None,
+    fit_last: int | str | None = None,
+    max_evaluations: int | None = None,
+    workers: int | None = None,
+) -> xr.Dataset:
+    """Measure variance against the number of points and fit its rate.
+
+    Parameters
+    ----------
+    estimator, sampler
+        One or a list of each, no sampler twice. Samplers may be spec strings. For plain sampling an
+        estimator may be an integrand, its spec string, or a vectorised function of points (…, d).
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
+    counts
+        Numbers of points n, ascending; each must be one that every sampler can do.
+    realizations
+        Independent realisations for each n, at least 2; with `relative_error` the most of each.
+    rng
+        Seed (SPEC 7); each n has a stream of its own, shared by all estimators and samplers
+        (common random numbers).
+    relative_error
+        Stop each count as soon as the standard error of its variance, relative to it, is this small
+        (`realizations_needed`); by default all realisations are used.
+    fit_last
+        Fit only the last so many counts; all by default. ``"auto"`` takes as many as lie on a
+        line: `mcspectra.core.fits.fit_rate`.
+    workers
+        Threads; all processors by default. Results do not depend on it.
+    max_evaluations
+        Most evaluations of the integrand: what takes more is refused, where that is known before it starts.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``variance(n)``, ``variance_ci(n, bound)``, ``mean(n)``, ``mean_se(n)``, ``bias(n)`` and
+        ``mse(n)`` against the estimator's integral (attribute ``integral_source``), ``bias_se(n)``,
+        which has the integral's own error in it (both NaN, and ``mse`` the variance, where the function
+        is the user's and its integral not given), ``realizations_used(n)``, with `relative_error`
+        ``reached(n)`` (1: yes; 0: `realizations` came first, or there was no spread), ``rate``,
+        ``rate_ci(bound)``, ``fit_first_n`` (the smallest count of the fit) and ``fit_chi2`` (its lack of
+        fit per degree of freedom). A set that is the same every time has the variance 0 and no
+        rate. The attribute ``note`` says so, and where the estimates missed what makes their variance:
+        none varies, their tails are not resolved (a fifth or more of it is one square, or the tail
+        index k̂ is that of a variance that is hardly finite, or values of a user's function of one technique
+        follow a power law that has much of their variance beyond all of them), the mean is five standard errors off the
+        integral, ∫g² diverges or is more than random points met, or most of it lies where no
+        sample falls (`mcspectra.estimators.tails`). The upper end of ``variance_ci`` is then infinite, and
+        both ends of ``rate_ci``. Lists add the dims estimator and sampler, several channels the dim
+        channel. Counts whose variance is rounding noise are left out of the fit; the rate of fewer
+        than two others is NaN.
+
+    Raises
+    ------
+    CountError, ParameterError
+        A sampler cannot do a count, dims disagree, counts are not ascending.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> curve = mcs.convergence(mcs.Estimator("linear", dims=1), "jittered", [8, 32], rng=1)
+    >>> round(float(curve["rate"]), 1)
+    -3.0
+    """
+    return answer(Convergence, locals())
+
+
+def realizations_needed(
+    estimator: Any,
+    sampler: Sampler | str,
+    n: int,
+    *,
+    dims: int | None = None,
+    relative_error: float = 0.05,
+    max_realizations: int = 1_000_000,
+    rng: RngLike = 0,
+    max_evaluations: int | None = None,
+    workers: int | None = None,
+) -> xr.Dataset:
+    """Go on until the relative standard error of the variance is reached.
+
+    Parameters
+    ----------
+    estimator, sampler, n
+        What is measured.
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
+    relative_error
+        Wanted standard error of the variance, relative to it, of every channel.
+    max_realizations
+        Stop there in any case, at least 2.
+    rng
+        Seed (SPEC 7). Realisation r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
+    workers
+        Threads; all processors by default. Results do not depend on it.
+    max_evaluations
+        Most evaluations of the integrand: what takes more is refused, where that is known before it starts.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``realizations_used``, ``reached`` (1: yes, confirmed by the last stage; 0: the maximum came
+        first, or the estimates showed no spread), ``variance`` with ``variance_ci``,
+        ``variance_relative_se`` (NaN without spread; infinite where tails are not resolved, as the
+        attribute ``note`` says), ``skewness`` and ``kurtosis`` of the estimates (0 and 3 for normal
+        ones), ``mean``, ``mean_se``; a dim channel where f has several.
+
+    Raises
+    ------
+    ParameterError, CountError
+        A value is out of range, or the sampler cannot do `n`.
+
+    Notes
+    -----
+    About (κ − 1)/relative_error² realisations, and a quarter more to confirm. What is so rare that it
+    has not come up cannot be known of: compare ``skewness`` with what the integrand lets expect.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> f = mcs.Estimator("linear", dims=1)
+    >>> found = mcs.measure.realizations_needed(f, "jittered", 16, relative_error=0.1, rng=1)
+    >>> bool(found["reached"]), bool(found["variance_relative_se"] <= 0.1)
+    (True, True)
+    """
+    return answer(RealizationsNeeded, locals())
+
+
+_Found: TypeAlias = tuple[Moments, bool]  # and whether the wanted precision was reached
+
+_Search: TypeAlias = "Generator[Reduction[list[Moments]], list[Moments], list[_Found]]"
+
+
+@final
+@dataclass(frozen=True)
+class MomentsCell:
+    """Estimators that draw the same sets of n points of a sampler: moments of their estimates."""
+
+    estimators: tuple[AbstractEstimator, ...]
+    sampler: Sampler
+    n: int
+    stream: Stream
+
+    def run(self, part: int, first: int, realizations: int) -> Reduction[list[Moments]]:
+        """Moments of so many realisations from the first, of each estimator."""
+        evaluations = self.n * sum(self.estimators[0].counts)
+        numbers = evaluations * self.estimators[0].dims  # of a realisation
+        blocks = realization_blocks(realizations, _PARTS * numbers, first=first)
+
+        def estimates(block: Block) -> list[tuple[Array, Moments | None]]:
+            points = self.estimators[0].draw(self.sampler, self.n, self.stream, *block)
+            return [of_estimator(e, points) for e in self.estimators]
+
+        def of_estimator(e: AbstractEstimator, points: list[Array]) -> tuple[Array, Moments | None]:
+            """Estimates (R, channels or 1); of others' functions only values at points tell of poles."""
+            if len(points) > 1 or not e.is_black_box:
+                return e.estimate(points).reshape(len(points[0]), -1), None
+            values = e.primary_values(0, points[0])
+            alone = values.reshape(values.shape[0] * values.shape[1], -1)
+            return e.estimate_of([values]).reshape(len(values), -1), Moments.of_points(alone)
+
+        def moments(index: int) -> list[Moments]:
+            parts = zip(*map(estimates, slices(blocks[index], numbers)), strict=True)
+            found = []
+            for each in parts:
+                values, points = zip(*each, strict=True)
+                whole = Moments.of(np.concatenate(values), tails=True)
+                alone = None if points[0] is None else functools.reduce(Moments.merge, points)
+                found.append(replace(whole, points=alone))
+            return found
+
+        return Reduction(
+            kind=list[Moments],
+            block=moments,
+            blocks=len(blocks),
+            cost=float(realizations * evaluations * len(self.estimators)),
+            key=f"{part}-{first}-{realizations}",
+        )
+
+    def all_of(self, part: int, realizations: int) -> _Search:
+        """A given number of realisations."""
+        return [(moments, True) for moments in (yield self.run(part, 0, realizations))]
+
+    def until_precise(self, part: int, relative_error: float, most: int) -> _Search:
+        """Go on until the error is reached and confirmed, for one estimator."""
+        (moments,) = yield self.run(part, 0, min(_LEAST, most))
+        before = False
+        while True:
+            # Largest error among the channels that vary; NaN if none does
+            varies = moments.variance > rounding_floor(moments.mean)
+            error = float(moments.known_se[varies].max()) if varies.any() else math.nan
+            now, blank = error <= relative_error, math.isnan(error)
+            if (now and before) or moments.count >= (min(most, _BLANK) if blank else most):
+                return [(moments, now and before)]
+            before = now
+            # The next stage ends where the error should be reached, within a quarter to fourfold
+            excess = math.inf if blank else error / relative_error
+            stop = min(most, math.ceil(moments.count * min(max(excess**2, _STEP), _LEAP)))
+            (more,) = yield self.run(part, moments.count, stop - moments.count)
+            moments = moments.merge(more)
+
+
+def count_stream(stream: Stream, n: int) -> Stream:
+    """The stream of one count: the same for every estimator and sampler, another for every n."""
+    return stream.child(n)
+
+
+def count_moments(
+    estimator: AbstractEstimator,
+    sampler: Sampler,
+    n: int,
+    realizations: int,
+    stream: Stream,
+    workers: int = 1,
+    first: int = 0,
+) -> Moments:
+    """Moments of the estimates of realisations first … first + realizations − 1, channels last."""
+    run = MomentsCell((estimator,), sampler, n, stream).run(0, first, realizations)
+    tree: MergeTree[list[Moments]] = MergeTree()
+    for state in map_in_order(run.block, range(run.blocks), workers):
+        tree.add(state)
+    return tree.total()[0]

@@ -1,0 +1,433 @@
+"""Leading modes of a covariance of spectra: which patterns of coefficients vary together.
+
+The eigenvectors of Cov(y_m, y_l), y_m = conj(f_m) S_m or S_m itself, are the patterns over the
+frequencies whose amplitudes are uncorrelated, its eigenvalues their variances. The matrix is never
+formed. Randomised subspace iteration [Halko2011]_ needs its product with a few vectors, a pass over
+the realisations, which can be drawn again: the range of A Ω, Ω random, holds the leading eigenvectors
+but for errors that shrink with every further product; the eigenpairs of A projected on it
+(Rayleigh-Ritz) are the answer, and ‖A v − λ v‖ bounds the distance of λ to an eigenvalue of A. All is
+done in the real and imaginary parts of the coefficients stored, times √2 where −m is not.
+
+A itself is a sample: batches of realisations each give a variance along v, whose spread is the
+error of λ as the variance along v. That v was picked for a large λ it does not know: `noise_edge`
+is what picking makes of a flat spectrum.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any, Literal, final
+
+import numpy as np
+from msgspec import Meta
+
+from mcspectra.core import options
+from mcspectra.core.analysis import (
+    Counted,
+    MergeTree,
+    Need,
+    Reduction,
+    Steps,
+    Subject,
+    compute_chunk,
+)
+from mcspectra.core.checks import Array, as_choice, as_integer
+from mcspectra.core.errors import Parameter, ParameterError
+from mcspectra.core.memory import memory_of
+from mcspectra.core.ordered import eigenpairs, orthonormal, product
+from mcspectra.core.parallel import realization_blocks
+from mcspectra.core.results import dataset
+from mcspectra.core.streams import RngLike, Stream
+from mcspectra.measure.bands import check_bands, make_bands
+from mcspectra.measure.doors import answer, counted
+from mcspectra.measure.sums import BATCHES, spread
+from mcspectra.measure.views import Frequencies, View
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["CovarianceProduct", "Modes", "covariance_modes"]
+
+_OVERSAMPLING = 8  # vectors more than modes: the error falls with their number [Halko2011]
+_MAX_NUMBERS = 2**27  # of one set of vectors: 1 GiB
+_START = 0x6D6F6465  # stream label of the first vectors
+_MANY = 10.0  # realisations per coefficient from which on sampling changes eigenvalues by < 75 %
+_ROUNDING = 1e-20  # variances beside the largest that are rounding
+
+
+@final
+class Modes(Counted, frozen=True, kw_only=True):
+    """Leading eigenvectors of the covariance of the coefficients: what varies together."""
+
+    function = "covariance_modes"
+    verb = "variance"
+    split = "modes"
+    variables = (
+        *("eigenvalue", "eigenvalue_se", "eigenvalue_residual", "eigenvalue_share"),
+        *("mode_contribution", "mode_vector", "band_trace", "noise_edge"),
+    )
+    provenance = ("estimator", "sampler", "n", "realizations", "passes", "eps", "stream_key")
+
+    n: Annotated[int, options.COUNT]
+    half_width: Annotated[int, options.HALF_WIDTH] = 32
+    modes: Annotated[int, Meta(ge=1, le=2**62, description="How many modes.")] = 8
+    weighted: Annotated[
+        bool,
+        Meta(
+            description="Of conj(f_m) S_m; without it of S_m, the points' own.",
+            extra={
+                "flag": "--points-only",
+                "help": "modes of S_m, the points alone, instead of conj(f_m) S_m",
+            },
+        ),
+    ] = True
+    bands: Annotated[str, options.BANDS] = "radial"
+    band: Annotated[
+        tuple[str, ...] | str | None,
+        Meta(
+            description="Only these bands, by their labels.",
+            extra={"python": True, "metavar": "LABEL"},
+        ),
+    ] = None
+    channel: Annotated[int, Meta(ge=0, le=2**31, description="Channel of the integrand.")] = 0
+    passes: Annotated[
+        int,
+        Meta(
+            ge=2, le=100, description="Passes over the realisations: more part close eigenvalues."
+        ),
+    ] = 3
+    realizations: Annotated[int, options.REALIZATIONS] = 1000
+    basis: Annotated[str, options.BASIS] = "fourier"
+    space: Annotated[Literal["domain", "primary"] | None, options.SPACE] = None
+    engine: Annotated[str, options.ENGINE] = "auto"
+    eps: Annotated[float, options.EPS] = 1e-9
+
+    def need(self, subject: Subject) -> Need:
+        """The vectors fit."""
+        estimator = subject.estimator
+        estimator.check_sampler(subject.sampler, self.n)
+        as_integer("channel", self.channel, least=0, most=max(0, estimator.channels - 1))
+        frequencies = Frequencies.of(subject, self)
+        check_bands(self.bands, frequencies.basis)
+        size, evaluations = frequencies.size, sum(estimator.counts)
+        numbers = size * (self.modes + _OVERSAMPLING)
+        if numbers > _MAX_NUMBERS:
+            raise ParameterError(
+                f"{self.modes} modes of {size} coefficients take {8 * size * self.modes / 2**30:.3g} "
+                "GiB; ask for fewer, or for a smaller ",
+                Parameter("half_width"),
+                ".",
+            )
+        as_integer("modes", self.modes, least=1, most=max(1, size))
+        each = evaluations * self.n + numbers
+        return Need(
+            cost=float(self.passes * self.realizations * each),
+            memory=memory_of(self.n, estimator.dims, evaluations, size) + 32 * numbers,
+        )
+
+    def reduction(self, subject: Subject, stream: Stream) -> Steps:
+        """A pass over the realisations after the other, each with vectors that the last one gave."""
+        estimator, n = subject.estimator, self.n
+        frequencies = Frequencies.of(subject, self)
+        if frequencies.diverge:
+            raise ParameterError(
+                f"∫1/p diverges for {estimator.spec}: its covariances are infinite; use ",
+                Parameter("space", "primary"),
+                ".",
+            )
+
+        # Which stored coefficients belong to the bands of these labels
+        partition = make_bands(self.bands, frequencies.basis)
+        inside = np.ones(frequencies.basis.stored, bool)
+        if self.band is not None:
+            given: Any = [self.band] if isinstance(self.band, str) else self.band
+            listed = isinstance(given, list | tuple) and all(isinstance(b, str) for b in given)
+            if not listed or not given:
+                raise ParameterError(
+                    Parameter("band"),
+                    f" is {self.band!r}; give labels of bands as text, such as "
+                    f"{partition.labels[-1]!r}, or None for all.",
+                )
+            wanted = [partition.labels.index(as_choice("band", b, partition.labels)) for b in given]
+            inside = np.isin(partition.of, wanted)
+            if not inside.any():
+                raise ParameterError(f"The bands {given} hold no coefficient; give others.")
+
+        view = frequencies.view(n, self)
+        coordinates = _Coordinates.of(view, inside, self.channel, weighted=self.weighted)
+        as_integer("modes", self.modes, least=1, most=coordinates.size)
+        numbers = max(n * estimator.dims * sum(estimator.counts), 4 * coordinates.size)
+        blocks = realization_blocks(self.realizations, numbers, multiple=2, least=BATCHES)
+        group = -(-len(blocks) // BATCHES)  # of which a batch is made
+
+        def step(number: int, vectors: Array) -> Reduction[CovarianceProduct]:
+            def batch(index: int) -> CovarianceProduct:
+                tree: MergeTree[CovarianceProduct] = MergeTree()
+                for place in range(index * group, min((index + 1) * group, len(blocks))):
+                    points = estimator.draw(subject.sampler, n, stream, *blocks[place])
+                    z = coordinates.real(view.coefficients(points))
+                    tree.add(CovarianceProduct.of(z, vectors))
+                # The same as one batch; a single realisation has no covariance and says nothing
+                total = tree.total()
+                some, least = slice(0, int(total.count > 1)), max(total.count - 1, 1)
+                projected = (product(vectors.T, total.product) / least)[None][some]
+                return replace(
+                    total, degrees=np.array([total.count - 1.0])[some], projected=projected
+                )
+
+            return Reduction(
+                kind=CovarianceProduct,
+                block=batch,
+                blocks=-(-len(blocks) // group),
+                cost=self.need(subject).cost / self.passes,
+                key=str(number),
+            )
+
+        # The range of A Ω, then the eigenpairs of A projected on it
+        width = min(coordinates.size, self.modes + _OVERSAMPLING)
+        start = np.random.default_rng([stream.key, _START])
+        vectors = start.standard_normal((coordinates.size, width))
+        for number in range(self.passes - 1):
+            (found,) = yield [step(number, vectors)]
+            vectors = orthonormal(found.product)
+        (found,) = yield [step(self.passes - 1, vectors)]
+        values, vectors, residuals, errors = found.eigenpairs(vectors)
+        diagonal = found.squares / (found.count - 1)
+
+        # Patterns over the frequencies; each vector's sign is such that the mode adds to the estimate
+        modes, basis, techniques = self.modes, view.basis, len(view.transforms)
+        values, vectors = values[:modes], vectors[:, :modes]
+        amplitude = product(coordinates.direction[None], vectors)[0]
+        vectors = vectors * np.where(amplitude < 0, -1.0, 1.0)
+        stored = coordinates.stored(vectors, techniques * basis.stored)
+        place, conjugate = basis.whole()
+        patterns = stored.reshape(modes, techniques, basis.stored)[..., place]
+        patterns = np.where(conjugate, patterns.conj(), patterns)
+        patterns = patterns.reshape(modes, techniques, *basis.shape)
+        trace, size = float(diagonal.sum()), coordinates.size
+        # Largest sample eigenvalue of a flat spectrum of the same trace, by Marchenko and Pastur: with D
+        # coordinates that vary, λ (1 + √(D/(R − 1)))² in the limit of many of both [Marchenko1967]_
+        least = _ROUNDING * diagonal.max(initial=0.0)
+        varying = int(np.count_nonzero(diagonal > least))
+        level = trace / varying if varying else 0.0
+        edge = level * (1.0 + math.sqrt(varying / (self.realizations - 1))) ** 2
+        mode = counted("mode", np.arange(modes), "mode, by eigenvalue")
+        note = (
+            f"{self.realizations} realisations of {size} coefficients: eigenvalues are those of the "
+            "sample, the largest too large; compare noise_edge, which a flat spectrum would reach."
+        )
+        return dataset(
+            {
+                "eigenvalue": (("mode",), values),
+                "eigenvalue_se": (("mode",), errors[:modes]),
+                "eigenvalue_residual": (("mode",), residuals[:modes]),
+                "eigenvalue_share": (("mode",), values / trace if trace else values * np.nan),
+                "mode_contribution": (("mode",), values * amplitude**2),
+                "mode_vector": (("mode", "technique", *basis.names), patterns),
+                "band_trace": ((), trace),
+                "noise_edge": ((), edge),
+            },
+            {"mode": mode, **basis.coords},
+            drop=("technique",) if techniques == 1 else (),
+            basis=basis.name,
+            space=view.space,
+            weighted=int(self.weighted),
+            channel=self.channel if subject.estimator.channels else None,
+            band=self.band if self.band is None or isinstance(self.band, str) else list(self.band),
+            real_coefficients=size,
+            note=None if self.realizations >= _MANY * size else note,
+            engine=view.engine,
+        )
+
+    def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
+        """A pass, whose vectors take those before it: they are made again."""
+        steps = self.reduction(subject, stream)
+        states = None
+        while True:
+            (found,) = next(steps) if states is None else steps.send(states)
+            if found.key == key:
+                return found
+            states = [compute_chunk(found, (0, found.blocks))]
+
+
+def covariance_modes(
+    estimator: Any,
+    sampler: Any,
+    n: int,
+    *,
+    dims: int | None = None,
+    half_width: int = 32,
+    modes: int = 8,
+    weighted: bool = True,
+    bands: str | Array = "radial",
+    band: str | Sequence[str] | None = None,
+    channel: int = 0,
+    passes: int = 3,
+    realizations: int = 1000,
+    rng: RngLike = 0,
+    basis: str = "fourier",
+    space: str | None = None,
+    engine: str = "auto",
+    eps: float = 1e-9,
+    max_evaluations: int | None = None,
+    workers: int | None = None,
+) -> xr.Dataset:
+    """Find the leading eigenvectors of the covariance of the coefficients, without the matrix.
+
+    Parameters
+    ----------
+    estimator, sampler, n
+        What is analysed, as in `variance_terms`.
+    dims, half_width, realizations, rng, basis, space, engine, eps, workers
+        As in `variance_terms`.
+    modes
+        How many, at most as many as coefficients.
+    weighted
+        Of conj(f_m) S_m, whose covariances sum to the variance; False: of S_m, the points' own.
+    bands, band
+        Restrict to the functions of a band or several: their labels in the partition `bands`
+        (`mcspectra.measure.bands.make_bands`); None: all.
+    channel
+        Which channel of the integrand.
+    passes
+        Passes over the realisations, at least 2; each one more makes small gaps between
+        eigenvalues larger.
+    max_evaluations
+        Most evaluations of the integrand: what takes more is refused, where that is known before it starts.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``eigenvalue(mode)``, descending, of the sample covariance; ``eigenvalue_se(mode)``, its error as
+        the variance along the mode, by batch means; ``noise_edge``, the largest eigenvalue to expect if
+        all were equal: sampling alone makes flat spectra steep unless there are many more realisations
+        than coefficients; ``eigenvalue_residual(mode)``, numerical: a bound of the distance to an
+        eigenvalue of the sample covariance; ``eigenvalue_share(mode)`` of the trace;
+        ``mode_contribution(mode)``, what the mode alone gives to the variance of the band-limited
+        estimate; ``mode_vector(mode, m0, …)``, of norm 1 over all frequencies; ``band_trace``, the sum of
+        all eigenvalues.
+
+    Raises
+    ------
+    ParameterError
+        A value is out of range, a label unknown, the vectors would be too large, or ∫1/p diverges.
+
+    Notes
+    -----
+    O(passes · R (n + M log M + M modes)) time and O(M modes) memory for each thread.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> f = mcs.Estimator("linear", dims=1)
+    >>> found = mcs.covariance_modes(f, "jittered", 8, half_width=8, modes=2, realizations=100)
+    >>> bool(found["eigenvalue"][0] > found["eigenvalue"][1] > 0)
+    True
+    """
+    return answer(Modes, locals())
+
+
+@dataclass(frozen=True)
+class _Coordinates:
+    """Real orthonormal coordinates z of the coefficients y_m of a band."""
+
+    # Where the band's coefficients are among all stored, those of all techniques: int64 (P,)
+    place: Array
+    factor: Array  # what makes y of S: conj(f_m) or 1, times `scale`: (P,)
+    scale: Array  # √2 for a coefficient that stands for −m too, else 1: (P,)
+    # Which of these have an imaginary part: all but the constants, in a complex basis; (Q,)
+    complex: Array
+    direction: Array  # the band's part of the estimate is its scalar product with z: (D,)
+
+    @staticmethod
+    def of(view: View, inside: Array, channel: int, *, weighted: bool) -> _Coordinates:
+        techniques = len(view.transforms)
+        place = np.flatnonzero(np.tile(inside, techniques))
+        f = view.integrand_coefficients[channel].reshape(-1)[place]
+        scale = np.sqrt(np.tile(view.basis.double, techniques)[place])
+        towards = scale if weighted else scale * f
+        double = np.iscomplexobj(f) & (place % view.basis.stored != view.basis.dc)
+        both = np.flatnonzero(double)
+        factor = scale * f.conj() if weighted else scale
+        direction = np.concatenate([towards.real, towards.imag[both]])
+        return _Coordinates(place, factor, scale, both, direction)
+
+    @property
+    def size(self) -> int:
+        """D."""
+        return len(self.direction)
+
+    def real(self, s: Array) -> Array:
+        """z of spectra (R, T·H): float64 (R, D)."""
+        y = s[:, self.place] * self.factor
+        return np.concatenate([y.real, y.imag[:, self.complex]], axis=1)
+
+    def stored(self, vectors: Array, size: int) -> Array:
+        """Patterns over all `size` stored coefficients, (k, size), of vectors (D, k)."""
+        half = len(self.place)
+        y: Array = vectors[:half].T
+        if self.size > half:
+            y = y.astype(np.complex128)
+            y[:, self.complex] += 1j * vectors[half:].T
+        out = np.zeros((vectors.shape[1], size), y.dtype)
+        out[:, self.place] = y / self.scale
+        return out
+
+
+@dataclass(frozen=True)
+class CovarianceProduct:
+    """Σ (z − z̄)(z − z̄)ᵀ V over `count` realisations; `merge` adds those of others."""
+
+    # Number of realisations, z̄, (D,), and Vᵀ z̄, (k,)
+    count: int
+    mean: Array
+    along: Array
+    product: Array  # the sum, (D, k)
+    squares: Array  # Σ (z − z̄)², (D,): the diagonal
+    # Of batches: degrees of freedom, (B,), and Vᵀ A_b V, (B, k, k)
+    degrees: Array
+    projected: Array
+
+    @staticmethod
+    def of(z: Array, vectors: Array) -> CovarianceProduct:
+        """Sums of realisations z, (R, D); of no batch yet."""
+        mean, width = z.mean(axis=0), vectors.shape[1]
+        deviation = z - mean
+        total = product(deviation.T, product(deviation, vectors))
+        squares = (deviation**2).sum(axis=0)
+        along, none = product(mean[None], vectors)[0], (np.zeros(0), np.zeros((0, width, width)))
+        return CovarianceProduct(len(z), mean, along, total, squares, *none)
+
+    def merge(self, other: CovarianceProduct) -> CovarianceProduct:
+        """Sums over the realisations of both, about their common mean."""
+        count = self.count + other.count
+        delta, along = other.mean - self.mean, other.along - self.along
+        factor, part = self.count * other.count / count, other.count / count
+        return CovarianceProduct(
+            count,
+            self.mean + delta * part,
+            self.along + along * part,
+            self.product + other.product + factor * np.outer(delta, along),
+            self.squares + other.squares + factor * delta**2,
+            np.concatenate([self.degrees, other.degrees]),
+            np.concatenate([self.projected, other.projected]),
+        )
+
+    def eigenpairs(self, vectors: Array) -> tuple[Array, Array, Array, Array]:
+        """Eigenpairs of the unbiased covariance A in the range of orthonormal vectors (D, k).
+
+        Eigenvalues, descending; eigenvectors, (D, k); ‖A v − λ v‖; standard errors.
+        """
+        image = self.product / (self.count - 1)
+        values, rotation = eigenpairs(product(vectors.T, image))
+        found = product(vectors, rotation)
+        # Standard errors of the variances along the eigenvectors, by batch means
+        errors = np.full(len(values), np.nan)
+        if len(self.degrees):
+            along = np.einsum("ik,bij,jk->bk", rotation, self.projected, rotation)
+            share = self.degrees / self.degrees.sum()
+            errors = spread(along - product(share[None], along), share)
+        residuals = np.linalg.norm(product(image, rotation) - found * values, axis=0)
+        return np.maximum(values, 0.0), found, residuals, errors

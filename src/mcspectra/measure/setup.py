@@ -1,0 +1,89 @@
+"""What is sampled and how: an estimator with its sampler, and the counts that a budget affords."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from mcspectra.core.errors import CountError
+from mcspectra.estimators import AbstractEstimator
+from mcspectra.samplers import Sampler
+
+__all__ = ["Setup", "affordable_count"]
+
+_COUNT_TRIES = 256  # counts that a net is not made for, passed over before none is found
+
+
+@dataclass(frozen=True)
+class Setup:
+    """An estimator with its sampler."""
+
+    # What is sampled and how
+    estimator: AbstractEstimator
+    sampler: Sampler
+    # Makes the estimator for n points, where it depends on them
+    at_count: Callable[[int], AbstractEstimator] | None = None
+
+    def at(self, n: int) -> AbstractEstimator:
+        """The estimator for n points."""
+        return self.estimator if self.at_count is None else self.at_count(n)
+
+    @property
+    def cost(self) -> int:
+        """Evaluations of the integrand for each of n points."""
+        return sum(self.estimator.counts) * self.estimator.evaluations_per_point
+
+    @property
+    def overhead(self) -> int:
+        """Evaluations before the first point: those of a pilot."""
+        return self.estimator.pilot_evaluations
+
+    @property
+    def is_black_box(self) -> bool:
+        """Whether searches must not evaluate the integrand as if it cost nothing."""
+        return self.estimator.is_black_box
+
+    @property
+    def unbiased(self) -> bool:
+        """Whether the points that are drawn are uniform, so that estimates have no bias."""
+        return self.estimator.randomized(self.sampler).unbiased
+
+    def too_dear(self, budget: int) -> str:
+        """Why no two counts are within a budget."""
+        if self.overhead >= budget:
+            return f"Its pilot alone takes {self.overhead} evaluations, {budget} are the budget."
+        if self.cost > sum(self.estimator.counts):
+            points = self.cost // sum(self.estimator.counts)
+            return f"Each of its samples takes {points} evaluations: too few fit into {budget}."
+        return f"{self.sampler.spec} has no two counts within {budget} evaluations."
+
+
+def affordable_count(setup: Setup, budget: int) -> int | None:
+    """Largest n whose estimate takes at most `budget` evaluations and which can be drawn, or None.
+
+    Counts that a sampler warns of (nets away from powers of their base) are passed over.
+    """
+    source = setup.estimator.randomized(setup.sampler)
+    n: int | None = min(max(budget - setup.overhead, 0) // setup.cost, source.max_count)
+    for _ in range(_COUNT_TRIES):
+        n = source._counts_near(n)[0] if n else None
+        if not n:
+            return None
+        poor = any(source._count_warning(n * c) for c in setup.estimator.counts)
+        if not poor:
+            try:
+                setup.estimator.check_sampler(setup.sampler, n)
+            except CountError:
+                pass
+            else:
+                return n
+        # To the power of the base below, where others are poor; in large steps where counts are dense
+        base = max(source.digit_bases, default=2)
+        power = base ** int(math.log(n, base) + 1e-9)
+        if poor and power < n:
+            n = power
+            continue
+        dense = len(setup.estimator.counts) == 1 and n >= _COUNT_TRIES
+        n -= max(1, n // _COUNT_TRIES) if dense else 1
+    return None

@@ -1,0 +1,264 @@
+"""Mergeable second moments of spectra and band-limited estimates: memory flat in realisations.
+
+The power term, the contribution map and the band covariance follow from them (docs/theory.md,
+"Contributions and bands"). Errors are by batch means: every block of realisations says by itself what
+the spectra say, without bias, so that the spread over B blocks gives the error of their mean, with the
+quantile of Student's t for B − 1 degrees of freedom. What all realisations together say is a little
+more precise than that mean: the errors are on the safe side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.confidence import student_t
+from mcspectra.core.ordered import gram, weighted_sum
+from mcspectra.core.records import JOIN, SUM
+from mcspectra.estimators.moments import Moments
+from mcspectra.measure._kernels import accumulate, band_estimates, term_sums
+
+__all__ = [
+    "BATCHES",
+    "Batches",
+    "Partition",
+    "RunningSpread",
+    "SpectralSums",
+    "TermSums",
+    "Variables",
+    "ratio_factors",
+    "spread",
+    "student_t",
+]
+
+Variables: TypeAlias = dict[str, tuple[tuple[str, ...], Any]]
+"""Result variables by name: dims and values."""
+
+BATCHES = 20
+"""Blocks of realisations at least, whose spread gives errors."""
+
+
+@dataclass(frozen=True)
+class TermSums:
+    """Sums over realisations, and what each block of them says by itself."""
+
+    sums: SpectralSums
+    measured: Moments
+    batches: Batches | None  # None if no block has two realisations
+
+    @staticmethod
+    def of(spectra: Array, estimates: Array, partition: Partition) -> TermSums:
+        """Sums of a block: spectra (R, H), real or complex like the coefficients, estimates (R, C)."""
+        sums, measured = SpectralSums.of(spectra, partition), Moments.of(estimates, tails=True)
+        return TermSums(sums, measured, Batches.of(sums, measured, partition))
+
+
+@dataclass(frozen=True)
+class Partition:
+    """What the sums need to know of the coefficients."""
+
+    # f_m of all techniques, as far as they are stored, one after the other: (C, H), real or
+    # complex
+    coefficients: Array
+    double: Array  # 2.0 for a coefficient that stands for −m too, else 1.0: (H,)
+    dc: Array  # which coefficients are those of the constant function: bool (H,)
+    band: Array  # band of each coefficient: int64 (H,)
+    shell: Array  # half width at which each coefficient comes in: int64 (H,)
+    matrix: bool = False  # whether to keep the full covariance matrix
+
+
+@dataclass(frozen=True)
+class SpectralSums:
+    """Sums over `count` realisations; `merge` adds those of others."""
+
+    count: int
+    mean: Array  # (H,) complex: S̄
+    estimate_mean: Array  # (C,)
+    m2: Array  # (H,)
+    cov: Array  # (C, H) complex
+    band_mean: Array  # (C, A)
+    band_m2: Array  # (C, A, A)
+    truncated: Moments  # of the estimate truncated at each half width: (C, K+1)
+    # (H, 2H): Σ_r (S−S̄)_m conj(S−S̄)_l and without conj, from which all four sign pairs of (m, l) follow
+    matrix: Array | None
+
+    @staticmethod
+    def of(s: Array, partition: Partition) -> SpectralSums:
+        """Sums of a block: s is (R, H), real or complex like the coefficients."""
+        f, double = partition.coefficients, partition.double
+        shape = (len(s), len(f))
+        bands = np.zeros((*shape, int(partition.band.max()) + 1))
+        shells = np.zeros((*shape, int(partition.shell.max()) + 1))
+        mean = np.zeros(s.shape[1], s.dtype)
+        band_estimates(s, f, double, partition.band, partition.shell, bands, shells, mean)
+        mean /= len(s)
+        estimate = bands.sum(axis=2)
+        estimate_mean = estimate.mean(axis=0)
+        squares, cov = np.zeros_like(mean), np.zeros_like(f)
+        numbers = (a.view(np.float64) for a in (squares, cov))
+        accumulate(s.view(np.float64), mean.view(np.float64), estimate - estimate_mean, *numbers)
+        band_mean = bands.mean(axis=0)
+        deviation = bands - band_mean
+        return SpectralSums(
+            count=len(s),
+            mean=mean,
+            estimate_mean=estimate_mean,
+            m2=squares.real + squares.imag,
+            cov=cov,
+            band_mean=band_mean,
+            band_m2=np.einsum("rca,rcb->cab", deviation, deviation),
+            truncated=Moments.of(np.cumsum(shells, axis=2)),
+            matrix=gram(s - mean) if partition.matrix else None,
+        )
+
+    def terms(self, partition: Partition) -> tuple[Array, Array, Array]:
+        """Dc, power and cross term, each (C,): unbiased, and their sum is the variance of I."""
+        f = partition.coefficients
+        sums = np.zeros((len(f), 3))
+        term_sums(f, self.m2, self.cov, partition.double, partition.dc, sums)
+        dc, power, total = sums.T / max(self.count - 1, 1)
+        return dc, power, total - dc - power
+
+    def contribution(self, partition: Partition) -> Array:
+        """Contribution of each stored coefficient to the variance, for ±m each: (C, H)."""
+        f = partition.coefficients
+        return np.asarray((f.conj() * self.cov).real / max(self.count - 1, 1))
+
+    def merge(self, other: SpectralSums) -> SpectralSums:
+        """Sums of both sets of realisations together (Chan, Golub & LeVeque 1983)."""
+        a, b = self.count, other.count
+        factor, part = a * b / (a + b), b / (a + b)
+        delta = other.mean - self.mean
+        shift = other.estimate_mean - self.estimate_mean
+        jump = other.band_mean - self.band_mean
+        matrix = None
+        if self.matrix is not None and other.matrix is not None:
+            matrix = self.matrix + other.matrix + factor * gram(delta[None])
+        return replace(
+            self,
+            count=a + b,
+            mean=self.mean + part * delta,
+            estimate_mean=self.estimate_mean + part * shift,
+            m2=self.m2 + other.m2 + a * part * (delta.real**2 + delta.imag**2),
+            cov=self.cov + other.cov + (a * part * shift)[:, None] * delta,
+            band_mean=self.band_mean + part * jump,
+            band_m2=self.band_m2 + other.band_m2 + factor * np.einsum("ca,cb->cab", jump, jump),
+            truncated=self.truncated.merge(other.truncated),
+            matrix=matrix,
+        )
+
+
+@dataclass(frozen=True)
+class RunningSpread:
+    """Sums over blocks of arrays x of weight w, for the error of their weighted mean; of one shape and type.
+
+    Deviations are from the mean with the weights w², which is the mean of equal blocks. Of complex numbers
+    the error is the root of the mean |error|².
+    """
+
+    total: SUM  # Σ w² x
+    squares: SUM  # Σ w² |x|²
+    weight: float  # Σ w
+    squared: float  # Σ w²
+    blocks: int = 1
+
+    @staticmethod
+    def of(values: Array, weight: float) -> RunningSpread:
+        """Sums of one array."""
+        weight = float(weight)
+        total = weight**2 * values
+        return RunningSpread(total, (total * values.conj()).real, weight, weight**2)
+
+    def error(self) -> Array:
+        """Standard error of the mean, in the shape of the arrays; NaN for one."""
+        if self.blocks < 2:
+            return np.full(self.squares.shape, np.nan)
+        squares = self.squares - np.abs(self.total) ** 2 / self.squared
+        factor = self.blocks / (self.blocks - 1) / self.weight**2
+        return np.asarray(np.sqrt(factor * np.maximum(squares, 0.0)))
+
+
+@dataclass(frozen=True)
+class Batches:
+    """What each block says: terms and measured variance kept, maps and matrices as their spread."""
+
+    weights: JOIN  # degrees of freedom of each block: (B,)
+    values: JOIN  # dc, power and cross term and measured variance: (B, 4, C)
+    # Of the contributions (C, H), of the covariances of bands (C, A, A) and, where they are
+    # asked for, of the stored covariances (H, 2H)
+    contribution: RunningSpread
+    band_covariance: RunningSpread
+    matrix: RunningSpread | None
+
+    @staticmethod
+    def of(sums: SpectralSums, measured: Moments, partition: Partition) -> Batches | None:
+        """What one block says; None for one realisation, which has no covariance."""
+        degrees = sums.count - 1
+        if degrees < 1:
+            return None
+        matrix = None if sums.matrix is None else RunningSpread.of(sums.matrix / degrees, degrees)
+        return Batches(
+            np.array([degrees], np.float64),
+            np.stack([*sums.terms(partition), measured.variance])[None],
+            RunningSpread.of(sums.contribution(partition), degrees),
+            RunningSpread.of(sums.band_m2 / degrees, degrees),
+            matrix,
+        )
+
+    @property
+    def count(self) -> int:
+        """B, the number of blocks of two or more realisations."""
+        return len(self.weights)
+
+    @property
+    def share(self) -> Array:
+        """Weight of each block in a mean, (B,)."""
+        return np.asarray(self.weights / self.weights.sum())
+
+    def term_errors(self) -> Array:
+        """Standard errors of dc, power and cross term: (3, C)."""
+        terms, share = self.values[:, :3], self.share
+        return spread(terms - weighted_sum(share, terms), share)
+
+    def captured_factors(self) -> Array:
+        """Ends of the 95 % interval of predicted over measured variance, over that ratio: (C, 2)."""
+        return ratio_factors(self.values[:, :3].sum(axis=1), self.values[:, 3], self.share)
+
+
+def spread(deviation: Array, share: Array) -> Array:
+    """Standard error of a weighted mean over blocks (B, ...) from deviations; NaN for one block."""
+    blocks = len(share)
+    if blocks < 2:
+        return np.full(deviation.shape[1:], np.nan)
+    squares = weighted_sum(share**2, deviation**2)
+    return np.asarray(np.sqrt(squares * blocks / (blocks - 1)))
+
+
+def ratio_factors(above: Array, below: Array, share: Array) -> Array:
+    """Ends of the 95 % interval of a ratio of means of positive block values (B, ...), over it: (..., 2).
+
+    Of the logarithm, whose error is the jackknife's with Student's t [Miller1974]_. Where few blocks hold
+    most of the error the others have not seen the tail: it is wider, 1 + √(excess kurtosis / B) times,
+    and by the skewness more towards where that tail lies (``python -m benchmarks coverage``).
+    """
+    blocks = len(share)
+    if blocks < 2:
+        return np.full((*above.shape[1:], 2), np.nan)
+    weight = share.reshape(-1, *[1] * (above.ndim - 1))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # Blocks of which nothing is captured but rounding have no spread
+        above = np.maximum(above, np.finfo(float).eps ** 2 * below)
+        a, b = ((weighted_sum(share, v) - weight * v) / (1.0 - weight) for v in (above, below))
+        influence = (1.0 - 1.0 / weight) * np.log(a / b)
+        influence = influence - weighted_sum(share, influence)
+        error = student_t(blocks) * spread(influence, share)
+        scale = np.sqrt((influence**2).mean(axis=0))
+        unit = np.divide(influence, scale, out=np.zeros_like(influence), where=scale > 0)
+    skewness, kurtosis = (unit**3).mean(axis=0), (unit**4).mean(axis=0)
+    wider = 1.0 + np.sqrt(np.maximum(kurtosis - 3.0, 0.0) / blocks)
+    low, high = (error * (wider + np.maximum(sign * skewness, 0.0)) for sign in (-1, 1))
+    with np.errstate(over="ignore"):  # no upper end where nothing is captured but rounding
+        return np.asarray(np.exp(np.stack([-low, high], axis=-1)))

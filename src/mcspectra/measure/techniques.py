@@ -1,0 +1,434 @@
+"""The terms of each technique and between techniques: which strategy makes the variance.
+
+The variance is the sum over all pairs of techniques of Cov(E_t, E_s), E_t the part of an estimate that
+t adds: off the diagonal 0 for independent sets, but not for those that share points
+(`mcspectra.estimators.sets`). Each covariance has a dc, a power and a cross term, with the spectrum
+S^t and the integrand f^t of technique t in the place of S and f. Along n the slowest rate of a
+technique becomes the rate of the sum: the *bottleneck*, if the 95 % interval of its rate lies above
+those of all others.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any, Literal, final
+
+import numpy as np
+
+from mcspectra.core import options
+from mcspectra.core.analysis import Counted, Need, Reduction, Steps, Subject
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import Parameter, ParameterError
+from mcspectra.core.fits import check_window, fit_rates
+from mcspectra.core.memory import memory_of
+from mcspectra.core.ordered import product, weighted_sum
+from mcspectra.core.parallel import realization_blocks
+from mcspectra.core.records import JOIN
+from mcspectra.core.results import dataset
+from mcspectra.core.streams import RngLike, Stream
+from mcspectra.estimators import AbstractEstimator
+from mcspectra.estimators.moments import Moments, rounding_floor
+from mcspectra.measure.blindness import is_fixed
+from mcspectra.measure.converge import count_stream
+from mcspectra.measure.doors import NO_VARIANCE, answer, counted
+from mcspectra.measure.sums import BATCHES, Variables, ratio_factors, spread
+from mcspectra.measure.views import Frequencies, View
+from mcspectra.samplers import Sampler
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["UNDECIDED", "Techniques", "technique_estimates", "technique_rates", "technique_terms"]
+
+UNDECIDED = -1
+"""What ``bottleneck`` says where the intervals of the slowest rates overlap."""
+
+_PARTS = (
+    "technique_dc_term",
+    "technique_power_term",
+    "technique_cross_term",
+    "technique_covariance",
+)
+_FINITE = ("technique_covariance", "technique_variance", "measured_variance", "mean")
+_MOST = 2**25  # complex numbers of Σ_r S^t conj(S^s): 512 MiB
+
+
+@final
+class Techniques(Counted, frozen=True, kw_only=True):
+    """What each technique of an estimator contributes, and which one decides the rate."""
+
+    function = "technique_terms"
+    verb = "variance"
+    split = "techniques"
+    variables = (
+        *_PARTS,
+        *(f"{name}_se" for name in _PARTS),
+        *(
+            "dc_term",
+            "power_term",
+            "cross_term",
+            "predicted_variance",
+            "captured",
+            "captured_ci",
+            "mean",
+        ),
+        *("measured_variance", "measured_variance_ci"),
+        *("technique_variance", "technique_variance_ci"),
+        *("technique_rate", "technique_rate_ci", "rate", "rate_ci", "bottleneck"),
+    )
+    provenance = ("estimator", "sampler", "realizations", "half_width", "eps", "stream_key")
+
+    counts: Annotated[options.Positive | options.Counts, options.COUNTS]
+    half_width: Annotated[int, options.HALF_WIDTH] = 64
+    realizations: Annotated[int, options.REALIZATIONS] = 1000
+    space: Annotated[Literal["domain", "primary"] | None, options.SPACE] = None
+    basis: Annotated[str, options.BASIS] = "fourier"
+    fit_last: Annotated[options.Window, options.FIT_LAST] = None
+    engine: Annotated[str, options.ENGINE] = "auto"
+    eps: Annotated[float, options.EPS] = 1e-9
+
+    def need(self, subject: Subject) -> Need:
+        """The covariances fit."""
+        estimator, counts = subject.estimator, self._counts
+        check_window(self.fit_last, len(counts))
+        for n in counts:
+            estimator.check_sampler(subject.sampler, n)
+        basis = Frequencies.of(subject, self).basis
+        techniques, evaluations = len(estimator.counts), sum(estimator.counts)
+        if techniques**2 * basis.stored > _MOST:
+            raise ParameterError(
+                f"{techniques}² pairs of techniques at {basis.stored} frequencies are more than "
+                f"{_MOST} covariances; choose a smaller ",
+                Parameter("half_width"),
+                ".",
+            )
+        squared = basis.size * techniques**2
+        return Need(
+            cost=float(self.realizations * (evaluations * sum(counts) + squared * len(counts))),
+            memory=memory_of(counts[-1], estimator.dims, evaluations, squared),
+            evaluations=self.realizations
+            * (evaluations * sum(counts) * estimator.evaluations_per_point),
+        )
+
+    def reduction(self, subject: Subject, stream: Stream) -> Steps:
+        """The sums of all counts at once."""
+        estimator, counts = subject.estimator, self._counts
+        frequencies = Frequencies.of(subject, self)
+        views = [frequencies.view(n, self, apart=True) for n in counts]
+        techniques = len(estimator.counts)
+
+        def of_count(key: str, view: View, n: int, own: Stream) -> Reduction[_Total]:
+            """Sums of one count; a block is a batch too."""
+            evaluations = n * sum(estimator.counts)
+            # Coordinates of a realisation or, where they are more, the numbers of its spectra
+            numbers = max(evaluations * estimator.dims, 4 * techniques * view.basis.stored)
+            blocks = realization_blocks(self.realizations, numbers, multiple=2, least=BATCHES)
+
+            def block(index: int) -> _Total:
+                sums = TechniqueSums.of(
+                    view, estimator.draw(subject.sampler, n, own, *blocks[index])
+                )
+                # A block of one realisation has no covariance and says nothing
+                some = slice(0, int(sums.count > 1))
+                values = sums.covariances(view)[None]
+                return _Total(sums, np.array([sums.count - 1.0])[some], values[some])
+
+            cost = float(self.realizations * (evaluations + techniques**2 * view.basis.size))
+            return Reduction(kind=_Total, block=block, blocks=len(blocks), cost=cost, key=key)
+
+        streams = [count_stream(stream, n) if self._several else stream for n in counts]
+        totals = yield [
+            of_count(str(part), *each)
+            for part, each in enumerate(zip(views, counts, streams, strict=True))
+        ]
+
+        # Variables of all counts, along a first axis n
+        parts = [_variables(total, view) for total, view in zip(totals, views, strict=True)]
+        variables: Variables = {
+            name: (("n", *dims), np.stack([part[name][1] for part in parts]))
+            for name, (dims, _) in parts[0].items()
+        }
+        notes: dict[str, Any] = {} if self._several else {"n": counts[0]}
+        if is_fixed(estimator, subject.sampler):  # what is left is rounding
+            notes["note"] = f"{subject.sampler.spec} {NO_VARIANCE}"
+            variables = {
+                name: (dims, v if name.startswith(("mean", "captured")) else np.zeros_like(v))
+                for name, (dims, v) in variables.items()
+            }
+        if frequencies.diverge:
+            notes["note"] = "spectral terms are infinite: ∫1/p diverges"
+            variables = frequencies.undefined(variables, _FINITE)
+        scalar = estimator.channels == 0
+        if self._several:
+            moments = [total.sums.moments for total in totals]
+            rates, choice = technique_rates(counts, moments, self.fit_last)
+            variables |= rates
+            words = ["undecided" if t == UNDECIDED else f"technique {t}" for t in choice]
+            notes["bottleneck"] = words[0] if scalar else "; ".join(words)
+        numbers = np.arange(len(estimator.counts))
+        n = counted("n", list(counts), "number of points")
+        return dataset(
+            variables,
+            {
+                "technique": numbers,
+                "technique_other": numbers,
+                "bound": ["low", "high"],
+                **({"n": n} if self._several else {}),
+            },
+            drop=["channel"] * scalar + ["n"] * (not self._several),
+            basis=frequencies.basis.name,
+            space=frequencies.space,
+            coefficients=views[0].source,
+            engine=views[0].engine,
+            **notes,
+        )
+
+    @property
+    def _several(self) -> bool:
+        return isinstance(self.counts, tuple)
+
+    @property
+    def _counts(self) -> tuple[int, ...]:
+        return self.counts if isinstance(self.counts, tuple) else (self.counts,)
+
+
+def technique_terms(
+    estimator: Any,
+    sampler: Sampler | str,
+    counts: int | Sequence[int],
+    *,
+    dims: int | None = None,
+    half_width: int = 64,
+    realizations: int = 1000,
+    rng: RngLike = 0,
+    basis: str = "fourier",
+    space: str | None = None,
+    fit_last: int | str | None = None,
+    engine: str = "auto",
+    eps: float = 1e-9,
+    max_evaluations: int | None = None,
+    workers: int | None = None,
+) -> xr.Dataset:
+    """Split the variance of an estimator among its techniques and pairs of them, term by term.
+
+    Parameters
+    ----------
+    estimator, sampler
+        What is analysed: `MultipleImportance`, `TechniqueSum`, or any other estimator.
+    counts
+        Points n of each technique in units of its ``counts``; a list of ascending numbers adds the dim
+        n, rates and the bottleneck.
+    dims, half_width, basis, engine, eps, workers
+        As for `variance_terms`.
+    realizations
+        Independent realisations for each n, at least 2.
+    rng
+        Seed (SPEC 7). With a single n realisations are those of `variance_terms`; with a list, each n has
+        the stream that it has in `convergence`.
+    space
+        ``"domain"`` or ``"primary"`` as for `variance_terms`; by default the domain where there is one.
+        In primary space the dc terms are 0, as every technique's points have equal weights.
+    fit_last
+        Fit rates to the last so many counts: as for `convergence`.
+    max_evaluations
+        Most evaluations of the integrand: what takes more is refused, where that is known before it starts.
+
+    Returns
+    -------
+    xarray.Dataset
+        On technique and technique_other: ``technique_covariance`` of the techniques' parts of the
+        estimate, which sums to ``measured_variance``; ``technique_dc_term``, ``technique_power_term``
+        and ``technique_cross_term``, which sum to ``predicted_variance``; ``_se`` of these four (batch
+        means: from 4 realisations on). ``dc_term``, ``power_term``, ``cross_term`` of `variance_terms`:
+        in the domain the sums over pairs; in primary space, where each technique has frequencies
+        of its own, dc and power are those of the diagonal and cross is the rest. On technique: ``technique_variance`` with
+        ``_ci``, the diagonal. ``captured`` with ``_ci``. With a list of n: ``technique_rate`` and
+        ``rate`` with ``_ci``, and ``bottleneck``: the technique whose rate is slower than
+        all others' by intervals that do not overlap, −1 for undecided; the attribute ``bottleneck`` has
+        it in words. Techniques without variance take no part. Several channels add a dim channel.
+
+    Raises
+    ------
+    CountError, ParameterError
+        A value is out of range, dims disagree, or the sampler cannot do a count.
+
+    Warns
+    -----
+    InfiniteWeightVarianceWarning
+        ∫1/p diverges: the spectral terms of the domain view are NaN.
+
+    Notes
+    -----
+    O(R (n + T² M)) time and O(T² M) memory for T techniques and M frequencies. The bottleneck looks
+    at the techniques' own variances: correlations between techniques may undo it.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> parts = mcs.estimators.TechniqueSum(["linear", "step(at=0.3)"], dims=1)
+    >>> d = mcs.technique_terms(parts, "jittered", [16, 64, 256], half_width=8, realizations=200)
+    >>> d.attrs["bottleneck"]
+    'technique 1'
+    """
+    return answer(Techniques, locals())
+
+
+@dataclass(frozen=True)
+class _Total:
+    """Sums over realisations, and what each block says by itself, for standard errors."""
+
+    sums: TechniqueSums
+    weights: JOIN  # degrees of freedom of each block: (B,)
+    values: JOIN  # dc, power, cross and measured: (B, 4, C, T, T)
+
+
+def _variables(total: _Total, view: View) -> Variables:
+    """Result variables of one count, with a leading channel axis."""
+    found, moments = total.sums.covariances(view), total.sums.moments
+    share = total.weights / total.weights.sum()
+    errors = spread(total.values - weighted_sum(share, total.values), share)
+    predicted = found[:3].sum(axis=(0, 2, 3))
+    # Of each block: predicted and measured variance of the whole estimate, (B, 2, C)
+    whole = total.values.sum(axis=(-2, -1))
+    sides = np.stack([whole[:, :3].sum(axis=1), whole[:, 3]], axis=1)
+    # As `variance_terms` has it: in primary space each technique has frequencies of its own.
+    dc, power = (np.einsum("cts->c" if view.space == "domain" else "ctt->c", c) for c in found[:2])
+    measured, mean = moments.variance[:, -1], moments.mean[:, -1]
+    real = np.where(measured > rounding_floor(mean), measured, np.nan)
+    pairs, each = ("channel", "technique", "technique_other"), ("channel", "technique")
+    return {
+        **{name: (pairs, values) for name, values in zip(_PARTS, found, strict=True)},
+        **{f"{name}_se": (pairs, values) for name, values in zip(_PARTS, errors, strict=True)},
+        "dc_term": (("channel",), dc),
+        "power_term": (("channel",), power),
+        "cross_term": (("channel",), predicted - dc - power),
+        "predicted_variance": (("channel",), predicted),
+        "measured_variance": (("channel",), measured),
+        "measured_variance_ci": (("channel", "bound"), moments.variance_ci[:, -1]),
+        "captured": (("channel",), predicted / real),
+        "captured_ci": (
+            ("channel", "bound"),
+            (predicted / real)[:, None] * ratio_factors(sides[:, 0], sides[:, 1], share),
+        ),
+        "mean": (("channel",), mean),
+        "technique_variance": (each, moments.variance[:, :-1]),
+        "technique_variance_ci": ((*each, "bound"), moments.variance_ci[:, :-1]),
+    }
+
+
+@dataclass(frozen=True)
+class TechniqueSums:
+    """Sums over `count` realisations about the running means; `merge` adds those of others."""
+
+    count: int
+    mean: Array  # (T, H)
+    products: Array  # (T, T, H): Σ_r (S^t − S̄^t) conj(S^s − S̄^s)
+    values_mean: Array  # (2, C, T): truncated and full estimates of the techniques
+    values_products: Array  # (2, C, T, T)
+    moments: Moments  # of the full estimates of the techniques, and of their sum: (C, T + 1)
+
+    @staticmethod
+    def of(view: View, points: list[Array]) -> TechniqueSums:
+        """Sums of a block."""
+        parts = view.spectra(points)
+        # What each technique adds to the estimate, (R, C, T), truncated and in full
+        weighted = view.integrand_coefficients.conj() * view.basis.double
+        truncated = np.stack(
+            [product(s, weighted[:, t].T).real for t, s in enumerate(parts)], axis=2
+        )
+        full = technique_estimates(view.estimator, points)
+        s, values = np.stack(parts, axis=1), np.stack([truncated, full[..., :-1]], axis=1)
+        mean, values_mean = s.mean(axis=0), values.mean(axis=0)
+        deviation, off = s - mean, values - values_mean
+        return TechniqueSums(
+            count=len(s),
+            mean=mean,
+            products=np.einsum("rth,rsh->tsh", deviation, deviation.conj()),
+            values_mean=values_mean,
+            values_products=np.einsum("rkct,rkcs->kcts", off, off),
+            moments=Moments.of(full, tails=True),
+        )
+
+    def merge(self, other: TechniqueSums) -> TechniqueSums:
+        """Sums of both sets of realisations together (Chan, Golub & LeVeque 1983)."""
+        a, b = self.count, other.count
+        factor, part = a * b / (a + b), b / (a + b)
+        delta, jump = other.mean - self.mean, other.values_mean - self.values_mean
+        return replace(
+            self,
+            count=a + b,
+            mean=self.mean + part * delta,
+            products=self.products
+            + other.products
+            + factor * np.einsum("th,sh->tsh", delta, delta.conj()),
+            values_mean=self.values_mean + part * jump,
+            values_products=self.values_products
+            + other.values_products
+            + factor * np.einsum("kct,kcs->kcts", jump, jump),
+            moments=self.moments.merge(other.moments),
+        )
+
+    def covariances(self, view: View) -> Array:
+        """Dc, power and cross term and measured covariance of pairs: (4, C, T, T).
+
+        Unbiased: dc + power + cross is the covariance of the truncated estimates.
+        """
+        f, basis, degrees = view.integrand_coefficients, view.basis, max(self.count - 1, 1)
+        weighted = self.products * basis.double / degrees
+        at = slice(basis.dc, basis.dc + 1)
+        dc = _paired(f[..., at], weighted[..., at])
+        weighted[..., at] = 0.0
+        power = _paired(f, weighted)
+        total, measured = self.values_products / degrees
+        return np.stack([dc, power, total - dc - power, measured])
+
+
+def technique_estimates(estimator: AbstractEstimator, points: list[Array]) -> Array:
+    """What each technique adds to the estimates of a block, then their sum: (R, C, T + 1)."""
+    each = [estimator.primary_values(t, u).mean(axis=1) for t, u in enumerate(points)]
+    parts = np.stack([v.reshape(len(v), -1) for v in each], axis=2)
+    return np.concatenate([parts, parts.sum(axis=2, keepdims=True)], axis=2)
+
+
+def _paired(f: Array, products: Array) -> Array:
+    """Re Σ_h conj(f^t_h) f^s_h products^ts_h: (C, T, T)."""
+    return np.stack([np.einsum("th,sh,tsh->ts", g.conj(), g, products).real for g in f])
+
+
+def technique_rates(
+    ns: Sequence[int], moments: Sequence[Moments], window: int | str | None = None
+) -> tuple[Variables, list[int]]:
+    """Rates of all techniques and of the whole estimate, and the bottleneck of each channel.
+
+    `moments` are, for each count, those of `technique_estimates`.
+    """
+    variance = np.stack([m.variance for m in moments])  # (N, C, T + 1)
+    relative = np.stack([m.relative_se for m in moments])
+    # What is noise is measured against the whole estimate: a part of it may be 0.
+    size = np.stack([np.abs(m.mean).max(axis=1, keepdims=True) for m in moments])
+    floor = np.broadcast_to(rounding_floor(size), variance.shape)
+    fits = fit_rates(np.array(ns), variance, relative, floor, window)
+    rate, interval = fits["rate"], fits["interval"]
+    still = np.asarray((variance <= floor)[:, :, :-1].all(axis=0))
+    choice = []
+    for rates, intervals, own in zip(rate, interval, still, strict=True):
+        # The technique whose interval lies above those of all others that vary
+        moving = np.flatnonzero(~own).tolist()
+        slowest = max(
+            moving, key=lambda t: np.nan_to_num(rates[t], nan=-math.inf), default=UNDECIDED
+        )
+        low = intervals[slowest, 0]
+        others = [intervals[t, 1] for t in moving if t != slowest]
+        # A rate that could not be fitted compares false: undecided.
+        decided = moving and math.isfinite(low) and all(high < low for high in others)
+        choice.append(slowest if decided else UNDECIDED)
+    variables: Variables = {
+        "technique_rate": (("channel", "technique"), rate[:, :-1]),
+        "technique_rate_ci": (("channel", "technique", "bound"), interval[:, :-1]),
+        "rate": (("channel",), rate[:, -1]),
+        "rate_ci": (("channel", "bound"), interval[:, -1]),
+        "bottleneck": (("channel",), np.array(choice)),
+    }
+    return variables, choice

@@ -1,0 +1,214 @@
+"""The two views of an estimator: which coefficients meet which spectra of points.
+
+In the *domain* view one integrand f meets the warped, weighted points of all techniques; in *primary*
+space every technique has its own integrand g_t and the sampler's own points, and sums run over
+(technique, m).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+
+from mcspectra.core.analysis import Subject
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import InfiniteWeightVarianceWarning, Parameter, ParameterError, warn
+from mcspectra.core.streams import Stream
+from mcspectra.estimators import AbstractEstimator, Mirrored
+from mcspectra.estimators.quadrature import closed_moments
+from mcspectra.measure.sums import Partition, Variables
+from mcspectra.samplers import Random, sampler
+from mcspectra.samplers.randomizations import Mirror
+from mcspectra.spectra.bases import Basis, Coefficients, fitting_basis, make_basis
+
+__all__ = ["Frequencies", "View"]
+
+_LEAST_WIDTH = 64
+_MOST_FREQUENCIES = 2**17  # of a half width that nobody chose
+_PROBES = 2**14  # points that mean squares of weights, and of functions, are taken at
+
+
+@final
+@dataclass(frozen=True)
+class Frequencies:
+    """The basis functions of an analysis, in the domain or in primary space."""
+
+    estimator: AbstractEstimator
+    space: str  # ``"domain"`` or ``"primary"``
+    basis: Basis
+
+    @staticmethod
+    def of(subject: Subject, asked: Any, n: int = 1) -> Frequencies:
+        """Choose the space, the half width for n points and the basis that an analysis leaves open.
+
+        The basis ``"auto"`` is the one that fits the points that an estimator makes. A mirrored
+        integrand has folded points in the domain, in primary space those of the sampler.
+        """
+        estimator, space, basis = subject.estimator, asked.space, asked.basis
+        domain = estimator.domain_integrand
+        if space == "domain" and domain is None:
+            raise ParameterError(
+                f"{estimator.spec} has no common domain: its techniques are given on their own "
+                "unit cubes; use ",
+                Parameter("space", "primary"),
+                ".",
+            )
+        chosen = space or ("primary" if domain is None else "domain")
+        dims = estimator.dims if chosen == "primary" else estimator.domain_dims
+        width: int | None = asked.half_width
+        if width is None:
+            # Twice the frequency n^(1/d) at which points of n strata begin to look random, and at least 64;
+            # fewer where a grid would have more than 2^17 frequencies
+            width = max(_LEAST_WIDTH, 2 ** math.ceil(math.log2(2.0 * n ** (1.0 / dims)) - 1e-9))
+            while width > 1 and (2 * width + 1) ** dims > _MOST_FREQUENCIES:
+                width //= 2
+            if domain is not None and domain.fourier_source == "exact" and dims <= 2:
+                # A half beyond which f has nothing but rounding
+                power = np.abs(domain.fourier_grid(width)) ** 2
+                power = power.reshape(*(2 * width + 1,) * dims, -1)
+                while width > 1:
+                    inner = (slice(width // 2, -(width // 2)),) * dims
+                    if power[inner].sum() < (1.0 - 1e-15) * power.sum():
+                        break
+                    power, width = power[inner], width // 2
+        if basis == "auto":
+            source = estimator.randomized(subject.sampler)
+            mirrored = isinstance(estimator, Mirrored) and estimator.mode == "integrand"
+            if chosen == "domain" and mirrored:
+                source = source.then(Mirror(mode="fold"))
+            count = asked.n if hasattr(asked, "n") else asked.counts[-1]
+            basis = fitting_basis(source.law(source.nearest_count(count)), width)
+        return Frequencies(estimator, chosen, make_basis(basis, dims, width))
+
+    @property
+    def size(self) -> int:
+        """Number of coefficients: in primary space of each technique."""
+        techniques = len(self.estimator.counts) if self.space == "primary" else 1
+        return self.basis.size * techniques
+
+    @property
+    def diverge(self) -> bool:
+        """Whether Var(S_0) and the spectral terms are infinite."""
+        return self.space == "domain" and self.estimator.infinite_weights
+
+    def view(self, n: int, asked: Any, *, apart: bool = False) -> View:
+        """Prepare the transforms of n points and f's coefficients: `apart`, those of each technique.
+
+        In primary space they are always apart.
+        """
+        estimator, basis = self.estimator, self.basis
+        f = estimator.domain_integrand if self.space == "domain" else None
+        techniques = range(len(estimator.counts))
+        counts = estimator.counts if apart or f is None else (sum(estimator.counts),)
+        transforms = [basis.transform(n * count, asked.engine, asked.eps) for count in counts]
+        integrands = [estimator.primary_integrand(t) for t in techniques] if f is None else [f]
+        found = [basis.integrand(g) for g in integrands]
+        stacked = np.stack([coefficients for coefficients, _ in found], axis=1)
+        return View(
+            estimator,
+            self.space,
+            basis,
+            tuple(coefficients for coefficients, _ in transforms),
+            transforms[0][1],
+            np.broadcast_to(stacked, (len(stacked), len(counts), basis.stored)),
+            "; ".join(dict.fromkeys(source for _, source in found)),
+        )
+
+    def undefined(
+        self, variables: Variables, finite: tuple[str, ...], infinite: tuple[str, ...] = ()
+    ) -> Variables:
+        """What is left of the variables of terms that diverge: no number that means nothing."""
+        warn(
+            f"∫1/p diverges for {self.estimator.spec}: Var(S_0) and the spectral terms are infinite "
+            "although the estimate's variance need not be; use space='primary'.",
+            InfiniteWeightVarianceWarning,
+        )
+        return {
+            name: (dims, v)
+            if name.startswith(finite)
+            else (dims, np.full_like(v, math.inf if name in infinite else math.nan))
+            for name, (dims, v) in variables.items()
+        }
+
+
+@dataclass(frozen=True)
+class View:
+    """Domain or primary view: which integrand coefficients meet which point spectra."""
+
+    estimator: AbstractEstimator
+    space: str
+    basis: Basis
+    transforms: tuple[Coefficients, ...]  # of the points of each technique, or of all together
+    engine: str
+    integrand_coefficients: Array  # f^t, (C, T, H)
+    source: str  # where they come from
+
+    def spectra(self, points: list[Array]) -> list[Array]:
+        """Spectra of a block, (R, H), of each technique, or of all together."""
+        if self.space == "primary":
+            return [
+                transform(u, None) for transform, u in zip(self.transforms, points, strict=True)
+            ]
+        if len(self.transforms) == 1:  # weights of one may depend on u, beyond x
+            return [self.transforms[0](*self.estimator.weighted_points(points))]
+        warped = [self.estimator.warp(t, u) for t, u in enumerate(points)]
+        return [
+            transform(x, self.estimator.weight(t, x) / x.shape[1])
+            for t, (transform, x) in enumerate(zip(self.transforms, warped, strict=True))
+        ]
+
+    def coefficients(self, points: list[Array]) -> Array:
+        """Spectra of a block, those of the techniques side by side: (R, T·H)."""
+        parts = self.spectra(points)
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+
+    def energy(self, n: int) -> tuple[Array, Array]:
+        """Part of ∫f² that the basis functions hold, and the variance of the rest where the points of
+        high frequencies are as at random: both (channels or 1,), NaN where ∫f² is not known.
+
+        Their power is then (1/n) times the mean square of the weights.
+        """
+        estimator, basis = self.estimator, self.basis
+        f = np.abs(self.integrand_coefficients) ** 2 * basis.double
+        integrands = [estimator.primary_integrand(t) for t in range(len(estimator.counts))]
+        if self.space == "domain" and estimator.domain_integrand is not None:
+            integrands = [estimator.domain_integrand]
+        # ∫g² of each, (C, T): in closed form, or the mean at a few points of our own
+        squares = []
+        for g in integrands:
+            exact = closed_moments(g)
+            if exact is None:
+                x = sampler("sobol | owen", g.dims).draw(_PROBES, rng=0)[0]
+                squares.append((np.asarray(g(x)).reshape(_PROBES, -1) ** 2).mean(axis=0))
+            else:
+                squares.append(exact[1])
+        whole = np.stack(squares, axis=1)
+        held = f[:, : len(integrands)].sum(axis=2)
+        rest = np.maximum(whole - held, 0.0)
+        if self.space == "primary":
+            level = 1.0 / np.array(estimator.counts, float)
+        else:
+            probes = estimator.draw(Random(dims=estimator.dims), _PROBES, Stream.from_rng(0), 0, 1)
+            _, weights = estimator.weighted_points(probes)
+            level = np.array([_PROBES * np.square(weights).sum()])
+        share = np.divide(held.sum(1), whole.sum(1), out=np.ones(len(f)), where=whole.sum(1) > 0)
+        return np.minimum(share, 1.0), (rest * level).sum(axis=1) / n
+
+    def partition(self, band: Array, matrix: bool) -> Partition:
+        """Coefficients and labels, repeated for each technique."""
+        techniques = len(self.transforms)
+        shell = self.basis.oscillations().max(axis=1)
+        dc = np.zeros(self.basis.stored, bool)
+        dc[self.basis.dc] = True
+        flat = self.integrand_coefficients.reshape(len(self.integrand_coefficients), -1)
+        return Partition(
+            np.ascontiguousarray(flat),
+            np.tile(self.basis.double, techniques),
+            np.tile(dc, techniques),
+            np.tile(band, techniques),
+            np.tile(shell, techniques),
+            matrix,
+        )

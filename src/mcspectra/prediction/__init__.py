@@ -1,0 +1,5 @@
+"""Variance as the law of a sampler and facts about an integrand give it, without estimates."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

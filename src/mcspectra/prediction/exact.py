@@ -1,0 +1,487 @@
+"""Exact variances of random and stratified sampling and of scrambled nets, by quadrature.
+
+Strata, with and without a common offset, are in docs/theory.md, "Exact variances of strata", as is
+nested uniform scrambling ("Gains of scrambled nets"). Beyond these:
+
+* Digital shift in base 2, coordinates whole multiples of 2^-L: the shift is one of L bits and,
+  below them, an offset δ uniform in a cell that all points share. For given δ the values of g over
+  the grid have a Walsh spectrum ĝ_m(δ), the points ŝ_m = (1/n) Σ_k wal_m(x_k), of which |ŝ_m|² is 1
+  on the dual net and 0 elsewhere for digital nets, and
+
+      Var = E_δ [Σ_{m ≠ 0} ĝ_m² ŝ_m²] + Var_δ ĝ_0.
+* Latin hypercubes: on each axis two points are in different ones of n strata. With ω² the mean variance
+  within n^d cells and σ²_v the ANOVA parts of the means of the cells, v a subset of the axes,
+
+      Var = (1/n) [ω² + Σ_{v ≠ ∅} (1 + (n − 1) (−1/(n − 1))^|v|) σ²_v],
+
+  without what varies along single axes from stratum to stratum [Stein1987]_.
+* Antithetic jittered [Haber1967]_: one jittered point for each cell, with h(u) = (g(u) + g(u'))/2
+  in the place of g, u' reflected through the centre of the cell.
+* Mirrored: folded points see the folded integrand; images of all n/2^d points see the average ḡ of g
+  over reflections, and so do, on average over the coins, points reflected at random. The coins add
+  E[Var(g | point)]/n = (Var g − Var ḡ)/n if each point is uniform.
+
+Quadratures of two orders must agree, and their sums with ∫g and ∫g² (`blindness`), else NoClosedForm.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from typing import Any
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_real
+from mcspectra.core.errors import MEASURE_IT, NoClosedForm, ParameterError
+from mcspectra.core.ordered import weighted_sum
+from mcspectra.core.streams import Stream
+from mcspectra.core.tally import counting
+from mcspectra.estimators import AbstractEstimator, as_subject
+from mcspectra.estimators.mirrored import FoldedIntegrand, SymmetrizedIntegrand
+from mcspectra.estimators.quadrature import (
+    MOST_EVALUATIONS,
+    Pointwise,
+    Rule,
+    blindness,
+    constant,
+    grid_values,
+    in_closed_form,
+    looked_at,
+    moments,
+    offset_rule,
+    orders_of,
+    square_integral,
+    strata,
+    stratum_moments,
+)
+from mcspectra.integrands import Integrand, integral_accuracy
+from mcspectra.prediction.known import Known
+from mcspectra.prediction.subsets import of_subsets
+from mcspectra.samplers import Sampler
+from mcspectra.samplers.law import (
+    AntitheticPair,
+    Fixed,
+    Folded,
+    Independent,
+    Law,
+    Mirrored,
+    Moved,
+    PairedAxes,
+    Scrambled,
+    Shifted,
+    Strata,
+    unmoved,
+)
+from mcspectra.spectra.bases import hadamard
+from mcspectra.spectra.gain import gains_at
+
+__all__ = [
+    "EXACT_TOLERANCE",
+    "estimated_variance",
+    "exact_variance",
+    "level_variances",
+    "of_integrand",
+    "paired",
+]
+
+EXACT_TOLERANCE = 1e-6
+"""Largest relative error of an exact variance, where nobody asks for another."""
+
+_NEGLIGIBLE = 1e-9  # of ∫g²/n: an error that no use of the variance is worse for
+_SAFETY = 3.0  # times the difference of two orders: more than the error of the better one
+_MOST = 0.5  # relative error of a variance that a larger tolerance is offered for
+_FINER, _HOPE = 4, 10.0  # times the order, of errors of up to so many times the tolerance
+_MANY_DIMS, _LOOSE = 4, 1e-3  # from which on, and with which tolerance, sums of products may do
+_MOST_BITS = 24
+
+
+def exact_variance(
+    estimator: Any,
+    sampler: Sampler | str,
+    n: int,
+    *,
+    dims: int | None = None,
+    tolerance: float = EXACT_TOLERANCE,
+    max_evaluations: int | None = None,
+) -> Any:
+    """Return the exact variance of an estimator, without sampling.
+
+    Parameters
+    ----------
+    estimator, sampler, n
+        Any estimator with one of: random, jittered, regular, uniform-jitter, each alone or with
+        shift or strata-shift, and with mirror; antithetic-jittered; latin-hypercube, alone or with
+        shift; nets and sequences such as sobol or halton with owen, and those in base 2 with digital-shift. Latin hypercubes and nets take cells,
+        about n to a side: some thousands of points in 2-D, some tens in 3-D.
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
+    tolerance
+        Relative error up to which a variance is given, 1e-12 to 1. Jumps that f does not declare
+        and no axis follows take 1e-3 for random points, some 0.1 for strata; a refusal says how much.
+        From 1e-3 on, in 4 dims and more, a fit by sums of products of functions of one axis may answer,
+        with its 95 % interval within the tolerance: latin-hypercube, nets with owen, sets with shift.
+    max_evaluations
+        Most evaluations of a user's function: BudgetError where it takes more.
+
+    Returns
+    -------
+    float or ndarray
+        The variance; an array (channels,) where f has several. Its relative error is less than
+        `tolerance`; infinite where ∫g² diverges; exactly 0 where it is no more than rounding, of
+        integrands whose integral is known alone.
+
+    Raises
+    ------
+    NoClosedForm
+        Not known for this sampler, or the quadrature does not converge (discontinuities that are
+        neither axis-aligned nor integrated in closed form); or g was the same wherever it was looked at,
+        and nobody said that it is constant.
+    ParameterError
+        `tolerance` is no number from 1e-12 to 1.
+
+    Notes
+    -----
+    Jumps and poles across an axis that g does not declare are found along lines, and cells are cut there.
+    Where ∫g is not known in closed form, the sums of the quadrature are compared with integrals that
+    2^17 points look after: a slab across an axis of width 2^-17 or more is found, any other region of
+    volume v, in which g differs, with probability 1 − exp(−2^17 v): 1 − 5e-5 for v = 8e-5. Narrower
+    peaks may be missed, and their variance with them. What these points alone saw is looked at again at
+    2^18 others, and counts in the error. ∫g² is infinite where g grows across an axis like t^-½ or faster
+    (from an exponent of 0.4995 on), or where quadrature does not see its poles shrink.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> variance = mcs.exact_variance(mcs.Estimator("linear", dims=1), "jittered", 4)
+    >>> round(variance * 12 * 4**3, 9)
+    1.0
+    """
+    tolerance = as_real("tolerance", tolerance, least=1e-12, most=1.0)
+    subject = as_subject(estimator, sampler, dims=dims)
+    with counting("exact_variance", max_evaluations) as tally:
+        value, _ = estimated_variance(subject.estimator, subject.sampler, n, tolerance)
+    tally.check()
+    return value if subject.estimator.channels else float(np.squeeze(value))
+
+
+def estimated_variance(
+    estimator: AbstractEstimator | Integrand | str, sampler: Sampler | str, n: int, tolerance: float
+) -> tuple[Array, Array]:
+    """`exact_variance` and a bound of its absolute error, both (channels or 1,)."""
+    subject = as_subject(estimator, sampler)
+    given: AbstractEstimator = subject.estimator
+    n = subject.sampler.check_count(n)
+    given.check_sampler(subject.sampler, n)
+    given.check_independent()
+    source = given.randomized(subject.sampler)
+    total: Any = 0.0
+    for technique, count in enumerate(given.counts):
+        g = given.primary_integrand(technique)
+        law = source.law(n * count)
+        try:
+            found = of_integrand(law, g, tolerance)
+        except NoClosedForm:
+            if g.dims < _MANY_DIMS or tolerance < _LOOSE:
+                raise
+            by_axes = None
+            with contextlib.suppress(NoClosedForm):
+                by_axes = of_subsets(law, Known(g), Stream.from_rng(0))
+            if by_axes is None or (by_axes.error > tolerance * by_axes.variance).any():
+                raise
+            found = by_axes.variance, by_axes.error
+        total = total + np.stack(found)
+    if not total[0].any():  # one technique of several may well vanish
+        said = [constant(given.primary_integrand(t)) for t in range(len(given.counts))]
+        if all(said):
+            raise NoClosedForm(f"{said[0]}.")
+    return total[0], total[1]
+
+
+def of_integrand(
+    law: Law, g: Integrand, tolerance: float, most: float = MOST_EVALUATIONS
+) -> tuple[Array, Array]:
+    """Variance and a bound of its error, (channels or 1,); 0 where the variance is all rounding.
+
+    The error is that by which two orders differ, and the `blindness` of the higher one; of random
+    points that of ∫g². Orders are raised once where this would do; not where `most` is less, for
+    methods that come next.
+
+    Raises
+    ------
+    NoClosedForm
+        As `exact_variance`, the error is more than `tolerance` times the variance, or a rule would
+        take more than about `most` evaluations.
+    """
+    g, n = looked_at(g), law.n
+    square = square_error = np.full(max(1, g.channels), np.nan)
+    if law.uniform and not (in_closed_form(g) or g.costly):
+        square, square_error = square_integral(g)
+        if np.isinf(square).all():  # one point next to the pole outweighs all others
+            return square, np.zeros(len(square))
+    if isinstance(law, Independent):
+        middle, first, second, error = moments(g)
+        value = second - first**2
+        # Three standard errors of the integrals become 4.5: of 1,000 functions none is to be beyond
+        error = 1.5 * error * (1.0 + 2.0 * np.abs(first)) + 4e-15 * (second + middle**2)
+        if (error > tolerance * value).any() and np.isfinite(square).all():
+            mean, off = np.atleast_1d(g.integral), integral_accuracy(g)[1]
+            by_square = square_error + 2.0 * np.abs(mean) * off + 4e-15 * square
+            value = np.where(by_square < error, square - mean**2, value)
+            error = np.minimum(by_square, error)
+        if (error <= tolerance * value).all() and (value > 0.0).all():
+            return value / n, error / n
+
+    bare = law.inner if isinstance(law, Moved) else law
+    cells = (
+        (isinstance(bare, Strata) and bare.jittered)
+        or isinstance(bare, PairedAxes)
+        or (isinstance(bare, Scrambled) and bare.nested_pairs)
+    )
+    coarse, fine = orders_of(n, g.dims)
+    for times in (1, _FINER) if most >= MOST_EVALUATIONS else (1,):
+        try:
+            high, unseen = _variance(law, g, Rule(times * fine, most, times * coarse))
+            low = high
+            if not (cells and in_closed_form(g)):  # moments of cells in closed form have no order
+                low, _ = _variance(law, g, Rule(times * coarse, most))
+        except NoClosedForm:
+            if times == 1:
+                raise
+            break
+        error = _SAFETY * np.abs(high - low) + unseen
+        agree = error <= tolerance * np.abs(high)
+        if agree.all() or (error > _HOPE * tolerance * np.abs(high)).any():
+            break
+    if agree.all() and error.all():
+        return high, error
+    square, _ = square_integral(g)
+    agree |= error <= _NEGLIGIBLE * np.max(square) / n
+    if law.uniform:  # one point next to the pole outweighs all others
+        high = np.where(np.isinf(square), np.inf, high)
+    # Σ (mean g² − (mean g)²)/n is rounded by some 1e-15 of ∫g²/n: all there is if it vanishes.
+    rounding = 4e-15 * square / n
+    known = agree | np.isinf(high) | (error <= _SAFETY * rounding)
+    if not known.all():
+        with np.errstate(divide="ignore"):
+            enough = 1.1 * float(np.max(np.where(known, 0.0, error / np.abs(high))))
+        larger = f", or tolerance={enough:.1e}" if enough < _MOST else ""
+        raise NoClosedForm(
+            f"The stratum quadrature of {g.spec} does not converge ({np.max(low):.6g} against "
+            f"{np.max(high):.6g}, error {np.max(error):.2g}) to a tolerance of {tolerance:.1g}; use ",
+            *MEASURE_IT,
+            f"{larger}.",
+        )
+    vanishes = np.isfinite(high) & (np.maximum(low, high) <= rounding)
+    return np.where(vanishes, 0.0, high), np.where(np.isinf(high), 0.0, error)
+
+
+def _variance(law: Law, g: Integrand, rule: Rule) -> tuple[Array, Array]:
+    """Variance of the mean of g over a set, and what it may miss; (channels,) or (1,)."""
+    n, none = law.n, np.zeros(g.dims)
+    match law:
+        # The variance of the set inside with another integrand
+        case Folded(inner=inner):
+            return _variance(inner, FoldedIntegrand(g), rule)
+        case Mirrored(inner=inner, mode="uniform"):
+            return _variance(inner, SymmetrizedIntegrand(g), rule)
+        case Mirrored(inner=inner):
+            if not inner.uniform:
+                raise NoClosedForm(
+                    f"No exact variance is known for random reflections of {inner.name}, whose points "
+                    "are not uniform; use ",
+                    *MEASURE_IT,
+                    ".",
+                )
+            one, average = Independent(n=1, dims=g.dims), SymmetrizedIntegrand(g)
+            whole, missed = _variance(one, g, rule)
+            part, unseen = _variance(inner, average, rule)
+            coins = np.maximum(whole - _variance(one, average, rule)[0], 0.0)
+            return part + coins / n, unseen + missed / n
+        case Strata(sides=sides, motif=AntitheticPair()):
+            # One jittered point in each of n/2 cells, with the mean of g at it and at its reflection
+            _, spread, unseen = strata(paired(g, sides[0]), sides, none, rule)
+            return spread / (n // 2), unseen / (n // 2)
+        case Scrambled(inner=Fixed() as net) if law.nested_pairs:
+            return _nested(net, law.bases, g, rule)
+        case Scrambled(inner=Fixed() as net) if law.xor:
+            return _digitally_shifted(net, g, rule)
+        case Independent():
+            _, spread, unseen = strata(g, (1,) * g.dims, none, rule)
+            return spread / n, unseen / n
+
+    # One point in each stratum, or a grid, with fixed and random offsets
+    set_, offset = unmoved(law)
+    shifted = isinstance(law, Shifted)
+    if isinstance(set_, PairedAxes) and set_.latin and g.dims > 1 and not offset.any():
+        return _latin(law, g, rule, shifted=shifted)
+    jittered = isinstance(set_, Strata) and set_.jittered
+    latin = isinstance(set_, PairedAxes) and set_.latin and g.dims == 1
+    grid = isinstance(set_, Fixed) and set_.sides is not None
+    if not (jittered or latin or grid):
+        raise NoClosedForm(
+            f"No exact variance is known for {law.name} in {g.dims} dims; use ",
+            *MEASURE_IT,
+            ".",
+        )
+    sides = set_.strata if isinstance(set_, PairedAxes) else set_.sides  # type: ignore[attr-defined]
+    if not (grid or shifted):
+        _, spread, unseen = strata(g, sides, np.mod(offset, 1.0 / np.array(sides)), rule)
+        return spread / n, unseen / n
+    if grid and not shifted:
+        return np.zeros(max(1, g.channels)), np.zeros(max(1, g.channels))  # a deterministic set
+    nodes, weights = offset_rule(g, sides, rule.order)
+    rule.check(f"The exact variance of {law.name}", float(len(nodes) * n) * rule.each(g))
+    if not grid:
+        found = np.stack([strata(g, sides, d, rule)[1:] for d in nodes])
+        spread, unseen = weighted_sum(weights, found)
+        return spread / n, unseen / n
+
+    # A grid with one random offset: the variance of its mean over the offset
+    grids = (grid_values(g, sides, d).reshape(math.prod(sides), -1) for d in nodes)
+    both = np.array([(v.mean(axis=0), (v**2).mean(axis=0)) for v in grids])
+    one_mean, square = weighted_sum(weights, both)
+    unseen = blindness(g, one_mean[None], square[None])
+    return weighted_sum(weights, (both[:, 0] - one_mean) ** 2), unseen / n
+
+
+def paired(g: Integrand, side: int) -> Integrand:
+    """The mean of g at a point and at its reflection through the centre of its cell of `side`^d."""
+
+    def reflected(x: Array) -> Array:
+        cell = np.minimum(np.floor(x * side), side - 1.0)
+        return np.asarray(np.clip((2.0 * cell + 1.0) / side - x, 0.0, 1.0))
+
+    borders = (np.arange(1, side) / side).tolist()  # where the mean jumps
+    breaks = tuple(
+        tuple(sorted({*axis, *reflected(np.asarray(axis, float)).tolist(), *borders}))
+        for axis in g.breaks
+    )
+    label = f"{g.spec}, symmetrised in cells"
+    return Pointwise(g, lambda x: 0.5 * (g(x) + g(reflected(x))), breaks, label)
+
+
+def _latin(law: Law, g: Integrand, rule: Rule, *, shifted: bool) -> tuple[Array, Array]:
+    """Over the offset of the cells the mean: the points are uniform for each, and nothing is added.
+
+    Where n^d cells are too many, larger ones, of each n^d a whole number, and slabs of width 1/n: what
+    several axes share within these cells has a weight from 1 to 1 + 1/(n − 1).
+    """
+    n = law.n
+    fine, nodes, weights = (n,) * g.dims, np.zeros((1, g.dims)), np.ones(1)
+    if shifted:  # a mean over all cells is smooth
+        nodes, weights = offset_rule(g, fine, rule.order // 2 + 2)
+    one = float(len(nodes) * rule.each(g))
+    # In 1-D and 2-D pieces of cells are more than cells: those next to 0 and 1 are cut
+    most = rule.most / one / (1 if in_closed_form(g) or g.dims > 2 else 2)
+    side = next((m for m in range(n, 1, -1) if n % m == 0 and m**g.dims <= most), 1)
+    if side < n:
+        rule.check(f"The exact variance of {law.name}", one * n)
+    varying = np.indices((min(side, 2),) * g.dims).sum(axis=0)  # |v|
+    gains = np.where(varying > 0, 1.0 + (n - 1.0) * (-1.0 / max(n - 1.0, 1.0)) ** varying, 0.0)
+    found = []
+    for offset in nodes:
+        means, within, missed = strata(g, (side,) * g.dims, offset, rule)
+        if side < n:
+            for axis in range(g.dims):
+                thin = tuple(n if i == axis else 1 for i in range(g.dims))
+                slabs, _ = stratum_moments(g, thin, offset, rule.order, rule.most)
+                within = within - slabs.reshape(side, n // side, -1).var(axis=1).mean(axis=0)
+            within = np.maximum(within, 0.0)
+            missed = missed + within / (n - 1)
+            within = within * (1.0 + 0.5 / (n - 1))
+        parts = level_variances(means.reshape(*(side,) * g.dims, -1), (side,) * g.dims)
+        found.append(((within + weighted_sum(gains, parts)) / n, missed / n))
+    total, unseen = weighted_sum(weights, np.array(found))
+    return total, unseen
+
+
+def _nested(net: Fixed, bases: tuple[int, ...], g: Integrand, rule: Rule) -> tuple[Array, Array]:
+    """Nested uniform scrambling of a net."""
+    n, points = net.n, net.points
+    # For each axis the number of digits in which all coordinates differ
+    digits = []
+    for axis, base in enumerate(bases):
+        level, limit = 0, math.floor(_MOST_BITS / math.log2(base))
+        # As in spectra.gain: coordinates rounded down to below a digit count as that digit
+        x = points[:, axis] + (0.0 if base & (base - 1) == 0 else 2.0**-50)
+        while len(np.unique(np.floor(x * base**level))) < n:
+            level += 1
+            if level > limit:
+                raise NoClosedForm(
+                    f"Axis {axis} of {net.name} has coordinates that coincide or nearly so; the "
+                    "exact variance of nested scrambling is known for distinct ones only."
+                )
+        digits.append(level)
+    sides = tuple(b**level for b, level in zip(bases, digits, strict=True))
+    boxes = math.prod(map(float, sides))
+    rule.check(f"The exact variance of {net.name}", boxes * rule.each(g))
+    try:
+        gains = gains_at(net, bases, max(1, *digits))
+    except ParameterError as error:
+        raise NoClosedForm(error, " Or use ", *MEASURE_IT, ".") from None
+    gains = gains[tuple(slice(level + 1) for level in digits)]
+    means, within, unseen = strata(g, sides, np.zeros(g.dims), rule)
+    levels = level_variances(means.reshape(*sides, -1), bases)
+    unseen = unseen * max(1.0, float(gains.max()))
+    return (within + weighted_sum(gains, levels)) / n, unseen / n
+
+
+def _digitally_shifted(net: Fixed, g: Integrand, rule: Rule) -> tuple[Array, Array]:
+    """A digital shift of a net in base 2."""
+    points = net.points
+    whole = (
+        2**bits
+        for bits in range(_MOST_BITS + 1)
+        if np.array_equal(points * 2**bits, np.floor(points * 2**bits))
+    )
+    cells = next(whole, None)
+    if cells is None:
+        raise NoClosedForm(
+            f"Coordinates of {net.name} have more than {_MOST_BITS} bits; use convergence or "
+            "variance_terms."
+        )
+    sides = (cells,) * g.dims
+    rule.check(f"The exact variance of {g.spec}", (float(cells) * rule.order) ** g.dims)
+    nodes, weights = offset_rule(g, sides, rule.order)
+    counts = np.zeros(sides)
+    np.add.at(counts, tuple(np.rint(points * cells).astype(np.int64).T), 1.0 / len(points))
+    spectrum = _hadamard(counts, g.dims) ** 2
+    spectrum[(0,) * g.dims] = 0.0
+    means, squares, within = [], [], []
+    for offset in nodes:
+        values = grid_values(g, sides, offset)
+        squares.append((values**2).mean(axis=tuple(range(g.dims))))
+        walsh = _hadamard(values, g.dims) / cells**g.dims
+        means.append(walsh[(0,) * g.dims])
+        within.append(weighted_sum(spectrum, walsh**2))
+    of_offset = np.array(means)
+    mean, square = weighted_sum(weights, of_offset), weighted_sum(weights, np.array(squares))
+    found = weighted_sum(weights, np.array(within) + (of_offset - mean) ** 2)
+    return found, blindness(g, mean[None], square[None])
+
+
+def _hadamard(values: Array, dims: int) -> Array:
+    """`hadamard` along each of the first `dims` axes."""
+    for axis in range(dims):
+        values = np.moveaxis(hadamard(np.moveaxis(values, axis, -1)), -1, axis)
+    return values
+
+
+def level_variances(means: Array, bases: tuple[int, ...], axis: int = 0) -> Array:
+    """σ²_l of all levels up to those of the cells, from the means of a function over the cells.
+
+    Means (b_0^L_0, b_1^L_1, …, channels) in the bases b_i of the axes become
+    (L_0 + 1, L_1 + 1, …, channels), at level 0 of all axes the square of the mean. They are split
+    along `axis` into what each digit adds, then along those after it.
+    """
+    if axis == len(bases):
+        return np.asarray((means**2).mean(axis=tuple(range(axis))))
+    base, parts = bases[axis], []
+    while means.shape[axis] > 1:
+        shape = [*means.shape[:axis], -1, base, *means.shape[axis + 1 :]]
+        coarse = means.reshape(shape).mean(axis=axis + 1)
+        parts.append(means - np.repeat(coarse, base, axis=axis))
+        means = coarse
+    return np.stack([level_variances(p, bases, axis + 1) for p in [means, *reversed(parts)]])

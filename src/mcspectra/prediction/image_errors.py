@@ -1,0 +1,227 @@
+"""The error spectrum of an image whose pixels share a set: predicted from spectra, and measured.
+
+A pixel p of a sampler that ends in ``decorrelate`` has the shared set moved by a shift δ_p, so that its
+error is Σ_{m≠0} conj(f^p_m) S_m e^{−2πi m·δ_p}: one spectrum S_m for all pixels, and a phase for each. The
+covariance between two pixels is the cross term with their two integrands; the power of the image of
+errors over frequencies between pixels is its transform. What a mask moves to high frequencies depends
+on f and on S_m, which is why masks are ranked for an integrand.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.errors import NoClosedForm, Parameter, ParameterError
+from mcspectra.core.images import Rings
+from mcspectra.core.results import dataset
+from mcspectra.core.streams import RngLike, Stream
+from mcspectra.core.tally import counting
+from mcspectra.estimators.quadrature import square_integral
+from mcspectra.integrands import Integrand, as_integrand
+from mcspectra.prediction.known import half_interval
+from mcspectra.samplers import Decorrelate, Sampler, as_sampler
+from mcspectra.spectra.bases import parts_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["image_error_spectrum"]
+
+_MOST_DIMS = 3
+_MOST_VALUES = 2**24  # coefficients, or points of one image
+_BEYOND = 0.1  # of the power of a band, above which the note says what it is
+_LOW = 0.125  # cycles a pixel: what the eye does not blur away
+_PRECISION = 1e-9
+_FIRST, _LOST = 24, 0.01  # half width, doubled until less than this part of every band is beyond
+_MOST_MODES = 2**21  # up to which it is: two seconds in two dims
+
+
+def image_error_spectrum(
+    integrand: Integrand | str | Sequence[Integrand | str],
+    sampler: Sampler | str,
+    n: int,
+    *,
+    dims: int | None = None,
+    half_width: int | None = None,
+    images: int = 16,
+    rng: RngLike = 0,
+    max_evaluations: int | None = None,
+) -> xr.Dataset:
+    """Predict the power of an image of errors over radial frequency, and measure it.
+
+    Parameters
+    ----------
+    integrand
+        That of all pixels, or one for each of width² pixels, row by row; in 1 to 3 dims.
+    sampler
+        A chain that ends in ``decorrelate(mask=…, width=…)`` with mode shift.
+    n
+        Samples of a pixel.
+    half_width
+        Frequencies m in {−half_width … half_width}^d are predicted term by term; the rest of ∫f² as if
+        points were random to it and pixels to each other. By default 24, and where coefficients are
+        known in closed form doubled until the rest is under 1 % of every band, or there are 2^21.
+    images
+        Independent images, at least 2: shared sets and places of the mask.
+    max_evaluations
+        Most evaluations of a user's function: BudgetError where it takes more.
+
+    Returns
+    -------
+    xarray.Dataset
+        On dim radius, in cycles a pixel: ``predicted_power``, from coefficients of f and spectra of the sets,
+        and ``measured_power``, from f at their points, with ``measured_power_ci``; both f², white noise has
+        the variance of a pixel. ``tail_term``, the part of the prediction beyond the half width, which the
+        attribute ``note`` names where it is large, and
+        ``low_share``: predicted power below 1/8 cycle a pixel over its mean, by which masks are ranked (white
+        noise 1).
+
+    Raises
+    ------
+    NoClosedForm
+        The sampler does not end in ``decorrelate`` with mode shift, whose pixels alone share a spectrum.
+    ParameterError
+        Another number of integrands than pixels, over 3 dims, or too many frequencies or points.
+
+    References
+    ----------
+    [GeorgievFajardo2016]_
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> for mask in ("white", "blue-noise"):
+    ...     chain = f"jittered | decorrelate(mask={mask!r}, width=32)"
+    ...     found = mcs.prediction.image_error_spectrum("gaussian(width=0.3)", chain, 4, dims=2)
+    ...     print(mask, round(float(found["low_share"]), 1))
+    white 0.9
+    blue-noise 0.1
+    """
+    if half_width is not None:
+        half_width = as_integer("half_width", half_width, least=1)
+    images = as_integer("images", images, least=2)
+    if max_evaluations is not None:
+        max_evaluations = as_integer("max_evaluations", max_evaluations, least=1)
+    several = isinstance(integrand, list | tuple) and len(integrand) > 0
+    listed: Any = integrand if several else [integrand]
+    functions = [as_integrand(each, dims) for each in listed]
+    d = functions[0].dims
+    source = as_sampler(sampler, d)
+    last = (parts_of(source)[1] or [None])[-1]
+    if not isinstance(last, Decorrelate) or last.mode != "shift":
+        raise NoClosedForm(
+            f"The pixels of {source.spec} do not share a spectrum; let it end in decorrelate(mask=…), mode "
+            "shift."
+        )
+    width, n = last.width, source.check_count(n)
+    pixels = width * width
+    if len(functions) not in (1, pixels) or any(f.dims != d or f.channels for f in functions):
+        raise ParameterError(
+            f"There are {len(functions)} integrands for {width} × {width} pixels; give one, or one for each, "
+            f"of one channel in {d} dims."
+        )
+    sizes = (len(functions) * (2 * (half_width or _FIRST) + 1) ** d, pixels * n)
+    if d > _MOST_DIMS or max(sizes) > _MOST_VALUES:
+        raise ParameterError(
+            f"{sizes[0]:,} coefficients in {d} dims and {sizes[1]:,} points are too many: 1 to {_MOST_DIMS} "
+            f"dims and {_MOST_VALUES:,} of each are possible; lower ",
+            Parameter("half_width"),
+            ", n or the mask's width.",
+        )
+
+    stream = Stream.from_rng(rng)
+    with counting("image_error_spectrum", max_evaluations) as tally:
+        # Images of errors as they are, of shared sets and shifts that the prediction takes, too
+        rings, integrals = Rings(width, width), np.array([f.integral for f in functions])
+        sets, shifts = np.empty((images, n, d)), np.empty((images, pixels, d))
+        measured = np.empty((images, rings.radius.size))
+        for k in range(images):
+            x = source.draw_stream(n, stream.child(k), 0, pixels)
+            sets[k], shifts[k] = x[0], (x[:, 0] - x[0, 0]) % 1.0
+            if len(functions) == 1:
+                values = functions[0](x).mean(axis=1)
+            else:
+                values = np.array([f(own).mean() for f, own in zip(functions, x, strict=True)])
+            measured[k] = rings.mean(_power(values - integrals, width))
+
+        # The same from coefficients without f_0, until the rest of ∫f² is lost in the weakest band
+        whole = np.array([float(square_integral(f)[0][0] - f.integral**2) for f in functions])
+        exact = all(f.fourier_source == "exact" for f in functions)
+        reach, grows = half_width or _FIRST, half_width is None and exact
+        while True:
+            known = np.stack([f.fourier_grid(reach) for f in functions])
+            flat = known.reshape(len(functions), -1)
+            flat[:, flat.shape[1] // 2] = 0.0
+            energy = (np.abs(flat) ** 2).sum(axis=1)
+            tail = float(np.maximum(whole - energy, 0.0).mean()) / n
+            guessed = (_errors(known, *each) for each in zip(sets, shifts, strict=True))
+            spectrum = np.mean([rings.mean(_power(each, width)) for each in guessed], axis=0) + tail
+            beyond = tail / float(spectrum.min()) if tail else 0.0
+            most = min(_MOST_MODES, _MOST_VALUES // len(functions))
+            if not grows or beyond < _LOST or (4 * reach + 1) ** d > most:
+                break
+            reach *= 2
+    tally.check()
+
+    found = measured.mean(axis=0)
+    half = half_interval(measured)
+    weight = rings.sizes
+    level = float(np.average(spectrum, weights=weight))
+    note = (
+        f"up to {beyond:.0%} of a band is what lies beyond half width {reach} and counts as white between "
+        "pixels, which masks with an order (r2) and lattices do not make of it: raise half_width"
+    )
+    low = rings.radius < _LOW
+    share = float(np.average(spectrum[low], weights=weight[low])) / level if level else math.nan
+    return dataset(
+        {
+            "predicted_power": (("radius",), spectrum),
+            "measured_power": (("radius",), found),
+            "measured_power_ci": (
+                ("radius", "bound"),
+                np.stack([np.maximum(found - half, 0.0), found + half], axis=-1),
+            ),
+            "tail_term": ((), tail),
+            "low_share": ((), share),
+        },
+        {"radius": rings.radius, "bound": ["low", "high"]},
+        sampler=source.spec,
+        integrand=functions[0].spec if len(functions) == 1 else f"{pixels} integrands",
+        n=n,
+        half_width=reach,
+        images=images,
+        seed=stream.key,
+        note=note if beyond > _BEYOND else None,
+    ).assign_attrs(evaluations=tally.made)
+
+
+def _power(errors: Array, width: int) -> Array:
+    """Power of an image over the frequencies of `numpy.fft.rfft2`; white noise has its variance."""
+    return np.asarray(np.abs(np.fft.rfft2(errors.reshape(width, width))) ** 2 / width**2)
+
+
+def _errors(known: Array, points: Array, shifts: Array) -> Array:
+    """Σ conj(f^p_m) S_m e^{−2πi m·δ_p} of all pixels, with the shared set's S_m = Σ e^{−2πi m·x} / n."""
+    import finufft
+
+    d = points.shape[1]
+    forward: Any = getattr(finufft, f"nufft{d}d1")
+    back: Any = getattr(finufft, f"nufft{d}d2")
+    ones = np.full(len(points), 1.0 / len(points), complex)
+    shared = forward(
+        *np.ascontiguousarray(2 * np.pi * points.T), ones, known.shape[1:], eps=_PRECISION, isign=-1
+    )
+    places = np.ascontiguousarray(2 * np.pi * shifts.T)
+    if len(known) == 1:
+        found = back(*places, np.conj(known[0]) * shared, eps=_PRECISION, isign=-1)
+        return np.asarray(found.real)
+    phases = np.exp(-1j * places[..., None] * (np.arange(known.shape[1]) - known.shape[1] // 2))
+    terms = np.conj(known) * shared
+    for phase in phases:  # sums over the first axis that is left
+        terms = np.einsum("pm,pm...->p...", phase, terms)
+    return np.asarray(terms.real)

@@ -1,0 +1,164 @@
+"""What methods of prediction share: facts about an integrand, and the result of a method.
+
+A method is a function ``(sampler, n, known, stream) -> Predicted`` that raises `NoClosedForm` where it
+does not apply. It may evaluate g anywhere except at the sampler's own points.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any, TypeVar, cast, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.confidence import student_t
+from mcspectra.core.records import JOIN
+from mcspectra.estimators.quadrature import constant, looked_at, square_integral, unseen
+from mcspectra.integrands import Integrand
+
+__all__ = ["Cells", "Known", "Predicted", "half_interval"]
+
+Made = TypeVar("Made")
+
+
+@final
+@dataclass(frozen=True)
+class Predicted:
+    """The variance of the mean of g over n points, by one method; arrays are (channels or 1,).
+
+    Attributes
+    ----------
+    variance
+        Its value, positive.
+    error
+        Half of its 95 % interval: of quadrature, of sampled spectra, and what the tail may be off by.
+    how
+        A few words of detail, such as the number of sets.
+    share
+        Part of ∫g² that was counted term by term.
+    tail
+        Part of `variance` that stands for the rest, in the same units as `variance`.
+    method
+        Name of the method in `METHODS`, which the loop over them fills in.
+    """
+
+    variance: Array
+    error: Array
+    how: str
+    share: Array | float = 1.0
+    tail: Array | float = 0.0
+    method: str = ""
+
+
+@final
+@dataclass(frozen=True)
+class Cells:
+    """Predicted variances of several samplers, counts or methods, a row each.
+
+    Attributes
+    ----------
+    variance, low, high
+        The value and the ends of its 95 % interval, (N, channels or 1); NaN where it is not known.
+    share, tail
+        See `Predicted`.
+    methods, hows, notes
+        Names of the methods, details or reasons why there is no value, and notes; (N,).
+    """
+
+    variance: JOIN
+    low: JOIN
+    high: JOIN
+    share: JOIN
+    tail: JOIN
+    methods: JOIN
+    hows: JOIN
+    notes: JOIN
+
+    @staticmethod
+    def row(
+        method: str,
+        how: str,
+        variance: Any,
+        low: Any,
+        high: Any,
+        *,
+        share: Any = 1.0,
+        tail: Any = 0.0,
+        note: str = "",
+        channels: int = 1,
+    ) -> Cells:
+        """A single row, whose numbers are (channels,) or the same for all channels."""
+        numbers = [np.full((1, channels), each) for each in (variance, low, high, share, tail)]
+        return Cells(*numbers, *(np.array([text]) for text in (method, how, note)))
+
+    @staticmethod
+    def unknown(reason: str, channels: int) -> Cells:
+        """A row without a value, and the reason."""
+        nan, why = math.nan, reason.rstrip(".")
+        return Cells.row(
+            "none", why, nan, nan, nan, share=nan, tail=nan, note=why, channels=channels
+        )
+
+    @staticmethod
+    def joined(parts: Sequence[Cells]) -> Cells:
+        """Rows one after the other."""
+        return Cells(
+            *(np.concatenate(each) for each in zip(*map(Cells._arrays, parts), strict=True))
+        )
+
+    def named(self, place: int = 0) -> tuple[str, str]:
+        """Method and details of a row."""
+        return str(self.methods[place]), str(self.hows[place])
+
+    def at(self, place: int) -> Cells:
+        """A single row."""
+        return Cells(*(each[place : place + 1] for each in self._arrays()))
+
+    def _arrays(self) -> tuple[Array, ...]:
+        return tuple(getattr(self, field.name) for field in fields(self))
+
+
+@final
+class Known:
+    """An integrand in primary space and facts about it that serve all methods, counts and samplers.
+
+    All of them cut it at the jumps that lines see across an axis (`looked_at`).
+    """
+
+    def __init__(self, g: Integrand) -> None:
+        self.g = looked_at(g)
+        self._made: dict[Hashable, object] = {}
+        self._lock = threading.RLock()
+
+    @cached_property
+    def square(self) -> tuple[Array, Array]:
+        """∫g² and its absolute error, both (channels or 1,)."""
+        return square_integral(self.g)
+
+    @cached_property
+    def constant(self) -> str:
+        """What is to be said where g is the same wherever it was looked at; else empty."""
+        return constant(self.g)
+
+    @cached_property
+    def unseen(self) -> Array:
+        """What ∫g² may be off by for regions that nodes do not see, (channels or 1,)."""
+        return unseen(self.g)
+
+    def once(self, key: Hashable, make: Callable[[], Made]) -> Made:
+        """Return what `make` returns, made at the first call with this key."""
+        with self._lock:
+            if key not in self._made:
+                self._made[key] = make()
+            return cast(Made, self._made[key])
+
+
+def half_interval(values: Array) -> Array:
+    """Half of the 95 % interval of the mean over the first axis, by Student's t."""
+    count = len(values)
+    return np.asarray(student_t(count) * values.std(axis=0, ddof=1) / math.sqrt(count))

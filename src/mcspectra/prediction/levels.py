@@ -1,0 +1,319 @@
+"""Variances of scrambled nets and of strata from means of g over cells.
+
+Nested uniform scrambling weighs the part σ²_l of g that varies with l_j digits of coordinate j by the
+gain Γ_l of the net (docs/theory.md, "Gains of scrambled nets"). Gains are 1 but for finitely many
+levels, about those of at most n cells: of Σ l_j near log n, not of all l_j near log n. So
+
+    n Var = Σ_{l ≤ T} Γ_l σ²_l + ω²_T − Σ_{l ≰ T} (1 − Γ_l) σ²_l
+
+with ω²_T the mean variance within the cells of one table T and σ²_l from some tables of as many cells
+that are longer along some axes. A digital shift has weights that depend on g: see `of_moves`.
+
+Cells are integrated in closed form where g knows its moments over boxes, else by Gauss-Legendre, cut
+at the breaks of g, and once more by a composite rule where g varies most from cell to cell: there
+curves of jumps are. Both are done twice, by a fine and a coarse rule; the error is their difference.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.errors import MEASURE_IT, Function, NoClosedForm, ParameterError
+from mcspectra.core.streams import Stream
+from mcspectra.estimators.quadrature import grid, in_closed_form, stratum_moments
+from mcspectra.integrands import Integrand
+from mcspectra.integrands._quadrature import gauss_rule
+from mcspectra.measure.doors import NO_VARIANCE
+from mcspectra.prediction.exact import level_variances, paired
+from mcspectra.prediction.known import Known, Predicted
+from mcspectra.samplers.law import AntitheticPair, Fixed, Law, Moved, PairedAxes, Scrambled, Strata
+from mcspectra.spectra.gain import gains_at
+
+__all__ = ["of_levels"]
+
+Levels = tuple[int, ...]
+
+_MOST_DIMS = 3
+_CELLS = {1: 2**16, 2: 2**16, 3: 2**15}  # of a table
+_LONG, _MOST_CELLS = 8, 2**18  # of one that is longer along some axes: times n Π b_j, and at most
+_MORE = 3
+_ORDERS = {1: (6, 10), 2: (2, 3), 3: (2, 3)}  # coarse and fine
+_PARTS = {1: 16, 2: 8, 3: 3}  # per axis, of a cell with a jump
+_MOST_ROUGH = {1: 2**8, 2: 2**12, 3: 2**12}
+_ROUGH = 3.0  # variation of g, relative to that of the mean cell, from which on there may be a jump
+_BLOCK = 2**20  # evaluations at a time
+_ROUNDING = 4e-15  # of ∫g², absolute
+_CLEAR, _DOUBT = 2.0, 0.5  # what tables miss of ∫g²: errors it must exceed, and doubt of its weight
+_MOST_ERROR, _NOISE = 0.2, 1e-12  # of the variance, from where on it is refused, and of ∫g²
+
+
+def of_levels(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
+    """Predict the variance of scrambled nets and of strata from means of g over cells.
+
+    Parameters
+    ----------
+    law
+        In 1 to 3 dims: fixed sets with nested or linear scrambling; strata without a random shift.
+    known
+        g, and the tables made for other counts and samplers.
+    stream
+        Not used: nothing is random.
+
+    Raises
+    ------
+    NoClosedForm
+        Another sampler, more dims, g not finite at a node, a set without any randomness, or a result
+        that may be off by more than a fifth.
+
+    References
+    ----------
+    [Owen1997]_, [Haber1967]_, [DickPillichshammer2010]_
+    """
+    if law.fixed:
+        raise NoClosedForm(f"{law.name} {NO_VARIANCE}.")
+    n, dims = law.n, law.dims
+    if dims > _MOST_DIMS:
+        raise NoClosedForm(
+            f"Tables of cells are for at most {_MOST_DIMS} dims; {known.g.spec} has {dims}."
+        )
+    if isinstance(law, Scrambled) and law.nested_pairs and isinstance(law.inner, Fixed):
+        return _scrambled(law.inner, law.bases, known)
+    offset = np.zeros(dims)
+    if isinstance(law, Moved):
+        offset, law = np.array(law.by), law.inner
+    match law:
+        case Strata(sides=sides, motif=AntitheticPair()) if not offset.any():
+            mean = Known(paired(known.g, sides[0]))
+            return _strata(sides, offset, n // 2, mean, "strata, pairs of points", whole=False)
+        case Strata(sides=sides) if law.jittered:
+            return _strata(sides, np.mod(offset, 1.0 / np.array(sides)), n, known, "strata")
+        case PairedAxes() if law.latin and dims == 1 and not offset.any():
+            return _strata((n,), offset, n, known, "strata")
+    raise NoClosedForm(f"No gains by level and no strata are known for {law.name}.")
+
+
+def _scrambled(net: Fixed, bases: tuple[int, ...], known: Known) -> Predicted:
+    """Nested scrambling of a fixed set."""
+    n, dims = net.n, net.dims
+    origin: Any = (0,) * dims
+
+    # Gains, a few digits further than n has: as a rule all coordinates differ there
+    levels = math.ceil(math.log(max(n, 2), min(bases)) - 1e-9) + _MORE
+    try:
+        gains = gains_at(net, bases, levels)
+    except ParameterError as error:
+        raise NoClosedForm(error, " Or use ", *MEASURE_IT, ".") from None
+    wanted = np.abs(gains - 1.0) > 1e-9
+    wanted[origin] = False
+
+    # Σ Γ_l σ²_l and Σ σ²_l over the levels of the tables
+    least = _CELLS[dims]
+    most = max(least, min(_LONG * n * math.prod(bases), _MOST_CELLS))
+    held = list(_tables(wanted, bases, least, most))
+    counted = np.zeros(np.max(held, axis=0) + 1, bool)
+    first, plain, weighed = None, 0.0, 0.0
+    for cells in held:
+        whole = first is None
+        parts, *spread = known.once(
+            ("levels", bases, cells, whole),
+            functools.partial(_table, known.g, bases, cells, whole=whole),
+        )
+        first = first or (parts, *spread)
+        at = tuple(np.indices([level + 1 for level in cells]))
+        new = ~counted[at]
+        new[origin] = False  # the mean, which has no gain
+        ends = tuple(np.minimum(axis, side - 1) for axis, side in zip(at, gains.shape, strict=True))
+        plain = plain + parts[:, new].sum(axis=1)
+        weighed = weighed + (gains[ends][..., None] * parts)[:, new].sum(axis=1)
+        counted[at] = True
+
+    # The rest has weight 1 where no level is missing
+    assert first is not None
+    parts, within, off = first
+    inside = parts.reshape(len(within), -1, within.shape[1]).sum(axis=1)
+    missed = _missed(known, (within + inside)[-1])
+    square = within + inside + missed
+    rest = np.maximum(square - parts[(slice(None), *origin)] - plain, 0.0)
+    missing = wanted.copy()
+    missing[tuple(map(slice, counted.shape))] &= ~counted[tuple(map(slice, wanted.shape))]
+    missing |= wanted & (np.indices(wanted.shape).max(axis=0) == levels)
+    doubt = np.abs(gains[missing] - 1.0).max(initial=0.0) * rest[-1]
+    doubt = off + _DOUBT * missed + doubt
+    return _predicted(weighed + rest, n, square[-1], "gains by level", rest=rest[-1], doubt=doubt)
+
+
+def _tables(wanted: Array, bases: Sequence[int], least: int, most: int) -> Iterator[Levels]:
+    """Levels of tables: one of about cubes, `least` of them, then of `most` until all wanted are held."""
+
+    def grown(levels: Levels, most: int = most) -> Levels:
+        while True:
+            sides = [b**level for b, level in zip(bases, levels, strict=True)]
+            axis = int(np.argmin(sides))
+            if math.prod(sides) * bases[axis] > most:
+                return levels
+            levels = tuple(level + (i == axis) for i, level in enumerate(levels))
+
+    first = grown((0,) * len(bases), least)
+    yield first
+    left = [tuple(map(int, level)) for level in np.argwhere(wanted)]
+    left = [levels for levels in left if math.prod(map(pow, bases, levels)) <= most]
+    found = [first]
+    while left := [v for v in left if any(map(int.__gt__, v, found[-1]))]:
+        # The longest first, and of these the one of most cells
+        found.append(grown(max(left, key=lambda v: (max(v), sum(v)))))
+        yield found[-1]
+
+
+def _table(
+    g: Integrand, bases: Sequence[int], levels: Levels, *, whole: bool
+) -> tuple[Array, Array, Array]:
+    """Parts of g over cells, by a coarse and a fine rule (Q = 2) or exactly (Q = 1).
+
+    σ²_l, (Q, levels + 1 of each axis, channels), that of level 0 the square of the mean; the mean variance
+    within cells, (Q, channels), and twice its standard error.
+    """
+    sides = tuple(map(pow, bases, levels))
+    means, squares = _cell_moments(g, sides, np.zeros(g.dims), refined=whole)
+
+    # Squares of means and the variance within the cells are both off by what the rules err at jumps,
+    # in all by nothing. In long cells without these products are right: errors of two rules are
+    # hardly correlated
+    pairs = ([(0, 0), (-1, -1)] if whole else [(-1, -1), (0, -1)])[: len(means)]
+    halves = [0.5 * (means[a] + sign * means[b]) for a, b in pairs for sign in (1.0, -1.0)]
+    sums, differences = (
+        np.stack([level_variances(h, tuple(bases)) for h in halves[k::2]]) for k in (0, 1)
+    )
+    return sums - differences, *_spread(means, squares)
+
+
+def _spread(means: Array, squares: Array) -> tuple[Array, Array]:
+    """Mean over cells of the variance within, (Q, channels), and twice its standard error.
+
+    Of moments (Q, …, channels); rules err in each cell by itself, and may agree by chance in the mean.
+    """
+    within = np.maximum(squares - means**2, 0.0).reshape(len(means), -1, means.shape[-1])
+    error = 2.0 * np.sqrt(((within[-1] - within[0]) ** 2).sum(axis=0)) / within.shape[1]
+    return within.mean(axis=1), error
+
+
+def _cell_moments(
+    g: Integrand, sides: tuple[int, ...], offset: Array, *, refined: bool = True
+) -> tuple[Array, Array]:
+    """Means of g and of g² over cells, displaced by `offset`, both (Q, *sides, channels).
+
+    `refined` where g varies most, if it is not known in closed form.
+    """
+    dims = g.dims
+    if in_closed_form(g):
+        mean, square = stratum_moments(g, sides, offset, 1)
+        return mean.reshape(1, *sides, -1), square.reshape(1, *sides, -1)
+    # Axes that are cut more finely than those of a cube take a node less
+    fine = np.array([not refined and side**dims > _CELLS[dims] for side in sides])
+    by_order = [stratum_moments(g, sides, offset, order - fine) for order in _ORDERS[dims]]
+    means = np.stack([m for m, _ in by_order]).reshape(2, *sides, -1)
+    squares = np.stack([s for _, s in by_order]).reshape(2, *sides, -1)
+    if not (np.isfinite(means).all() and np.isfinite(squares).all()):
+        raise NoClosedForm(f"{g.spec} is not finite everywhere; use ", *MEASURE_IT, ".")
+    if not refined:
+        return means, squares
+
+    # Find where g varies most, within a cell and to its neighbours, but for cells that breaks cut
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    size = (3,) * dims + (1,)
+    fine = means[-1]
+    varies = maximum_filter(fine, size, mode="nearest") - minimum_filter(fine, size, mode="nearest")
+    varies = varies + np.sqrt(np.maximum(squares[-1] - fine**2, 0.0))
+    rough = (varies / np.maximum(varies.max(axis=tuple(range(dims))), 1e-300)).sum(axis=-1)
+    limit = _ROUGH * rough.mean()
+    edges = (0.0, *((1e-9, 1.0 - 1e-9) if dims <= 2 else ()))  # warps have their poles there
+    for axis, breaks in enumerate(g.breaks):
+        place = (np.array([*edges, *breaks]) - offset[axis]) % 1.0 * sides[axis]
+        cut = place[np.abs(place - np.rint(place)) > 1e-12]
+        rough[(slice(None),) * axis + (np.minimum(cut, sides[axis] - 1).astype(np.int64),)] = 0.0
+    most = min(_MOST_ROUGH[dims], rough.size)
+    chosen = np.argpartition(rough.ravel(), rough.size - most)[rough.size - most :]
+    chosen = np.sort(chosen[rough.ravel()[chosen] > limit])
+
+    # Integrate over parts of these
+    channels = means.shape[-1]
+    for q, order in enumerate(_ORDERS[dims]):
+        node, weight = gauss_rule(order)
+        nodes = ((np.arange(_PARTS[dims])[:, None] + node) / _PARTS[dims]).ravel()
+        weights = np.tile(weight / _PARTS[dims], _PARTS[dims])
+        inside, shares = grid(nodes, dims), grid(weights, dims)
+        shares = shares.prod(axis=1)
+        step = max(1, _BLOCK // len(shares))
+        for start in range(0, len(chosen), step):
+            some = chosen[start : start + step]
+            corner = np.stack(np.unravel_index(some, sides), axis=-1)
+            x = (corner[:, None] + inside) / sides + offset
+            values = g(np.where(x < 1.0, x, x - 1.0)).reshape(len(some), len(shares), channels)
+            means[q].reshape(-1, channels)[some] = shares @ values
+            squares[q].reshape(-1, channels)[some] = shares @ values**2
+    return means, squares
+
+
+def _strata(
+    sides: tuple[int, ...], offset: Array, n: int, known: Known, how: str, *, whole: bool = True
+) -> Predicted:
+    """An independent value of g in each of n equal strata, or n values in one.
+
+    `whole` where g is the same for all n, so that ∫g² is worth to be known by itself.
+    """
+    # Cells of multiples of the sides, up to a number or as many as there are
+    sizes = sides
+    while not in_closed_form(known.g):
+        axis = int(np.argmin(sizes))
+        finer = tuple(cells + (i == axis) * sides[i] for i, cells in enumerate(sizes))
+        if math.prod(finer) > _CELLS[known.g.dims]:
+            break
+        sizes = finer
+    means, squares = known.once(
+        ("moments", sizes, *offset), lambda: _cell_moments(known.g, sizes, offset)
+    )
+    square = squares[-1].reshape(-1, squares.shape[-1]).mean(axis=0)
+    value, error = _spread(_merged(means, sides), _merged(squares, sides))
+    missed = _missed(known, square) if whole else 0.0 * square
+    return _predicted(value + missed, n, square + missed, how, doubt=error + _DOUBT * missed)
+
+
+def _missed(known: Known, square: Array) -> Array:
+    """∫g² less that of a table, at poles at the border, which cells of a table do not resolve."""
+    if in_closed_form(known.g):
+        return 0.0 * square
+    exact, error = known.square
+    return np.where(exact - square > _CLEAR * error, exact - square, 0.0)
+
+
+def _merged(moment: Array, sides: tuple[int, ...]) -> Array:
+    """Means over coarser cells of moments (Q, cells of each axis, channels)."""
+    for axis, side in enumerate(sides, start=1):
+        shape = (*moment.shape[:axis], side, -1, *moment.shape[axis + 1 :])
+        moment = moment.reshape(shape).mean(axis=axis + 1)
+    return np.asarray(moment)
+
+
+def _predicted(
+    scaled: Array, n: int, square: Array, how: str, *, rest: Any = 0.0, doubt: Any = 0.0
+) -> Predicted:
+    """Of n times the variance by each rule, (Q, channels), and ∫g²; the rest is not term by term."""
+    rounding = _ROUNDING * square
+    value = np.where(scaled[-1] > rounding, scaled[-1], 0.0)
+    error = np.abs(scaled[-1] - scaled[0]) + doubt + rounding + 1e-9 * value
+    if ((error > _MOST_ERROR * value) & (error > _NOISE * square)).any():
+        raise NoClosedForm(
+            f"Cells do not resolve the variance: {np.max(value) / n:.3g} may be off by "
+            f"{np.max(error) / n:.2g}; use ",
+            Function("convergence"),
+            ".",
+        )
+    rest = np.broadcast_to(np.asarray(rest, float), value.shape)
+    share = 1.0 - rest / np.maximum(square, 1e-300)
+    return Predicted(value / n, error / n, how, share, np.minimum(rest, value) / n)

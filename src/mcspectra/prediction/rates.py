@@ -1,0 +1,434 @@
+"""Rates predicted from two exponents: how power starts at low frequencies, how an integrand ends.
+
+docs/theory.md, "Rates". γ is fitted to means of |f_m|² over shells half an octave wide. Ripples of the
+spectrum, of frequency one over the distance of two jumps, and terms of higher order scatter these means
+about the line; the interval is that of the scatter, with Student's t.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import final
+
+import numpy as np
+
+from mcspectra.core.checks import MAX_DIMS, Array, as_choice, as_integer
+from mcspectra.core.errors import ParameterError, PreasymptoticWarning, warn
+from mcspectra.core.fits import line_fit
+from mcspectra.core.tally import counting
+from mcspectra.estimators.quadrature import mesh, values_at
+from mcspectra.integrands import Integrand
+from mcspectra.integrands._quadrature import PROBE, probe
+from mcspectra.integrands.registry import as_integrand
+from mcspectra.samplers.law import (
+    Choice,
+    Fixed,
+    Independent,
+    Law,
+    PairedAxes,
+    Shifted,
+    Stationary,
+    Strata,
+    Unknown,
+    leaf_of,
+)
+
+__all__ = ["DECAYS", "DecayFit", "fitted_decay", "integrand_decay", "predicted_rate"]
+
+DECAYS = {"jump": 1.0, "kink": 3.0, "smooth": math.inf}
+"""γ − d by what is not smooth: values, first derivatives across a hypersurface, or nothing."""
+
+_OCTAVES = 3  # at the end of the spectrum, that the decay is fitted to
+_LEAST_WIDTH = 1 << _OCTAVES
+_LEAST_SHELLS = 3  # that show scatter
+_BEND = 1.0  # change of the exponent over these octaves from which on it is no limit
+_WIDTHS = {1: 512}  # default half widths; ripples of 1-D spectra have few frequencies to a shell
+_WIDTH = 64
+_LATE = 4  # octaves at the end of a curve, whose slope is its limit
+_AGREE = 0.2  # slopes within them
+_LEAVES = 0.05  # by which a slope that moves away from an exponent shows that this is no limit
+_STILL = 0.01  # change of slopes that have reached their limit: −1 − (1 − 2a)/d next to a pole t^-a
+# Jumps
+_LOOKED_DIMS = 5
+_LINES, _PLACES = 32, 512  # along each axis
+_LARGEST, _HALVED = 4, 30  # steps that are cut down, and how often
+_BESIDE = 1e-7  # distance from a break
+_JUMPS = 1e-4  # a step, relative to the root mean square of g, that is a jump
+_AT_BORDER = 1e-6  # of a stratum
+
+_CHANGE = 0.3  # of slopes, that is a bend
+_MOST_CHANGE = 4.0
+_BENDS = 101  # places and changes that are tried
+_BETTER = 0.25  # scatter about a curve that bends, relative to that about a line, that shows a bend
+_NOISE = 1e-26  # |f_m|² relative to the largest that double precision knows nothing of
+
+
+def predicted_rate(b: float, decay: float | str, dims: int) -> float:
+    """Predict the exponent of the variance in n.
+
+    Parameters
+    ----------
+    b
+        Low-frequency exponent of the power: 0 for random and Poisson disk sets, 2 for jittered
+        ones, more for those that are optimised to be smooth; infinite for step noise.
+    decay
+        γ: |f_m|², averaged over directions, falls like |m|^-γ; more than `dims` for a finite variance:
+        `integrand_decay` measures it, `fitted_decay` with its interval, which moves the rate by as
+        much over `dims` where γ − d < b. Or ``"jump"``, ``"kink"``, ``"smooth"`` for what the integrand has on the torus: `DECAYS`.
+    dims
+        Number of dims d.
+
+    Returns
+    -------
+    float
+        −1 − min(b, γ − d)/d. Where b = γ − d there is a factor log n besides.
+
+    Raises
+    ------
+    ParameterError
+        A value is out of range: b ≤ −d, γ ≤ d.
+
+    Notes
+    -----
+    For homogeneous sets, whose spectrum is all there is: shifted at random. Jittered sets that are not
+    shifted have no jump at the border of a smooth function: ``"smooth"`` then.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> mcs.prediction.predicted_rate(2, "smooth", 2), mcs.prediction.predicted_rate(2, "jump", 2)
+    (-2.0, -1.5)
+    """
+    d = as_integer("dims", dims, least=1, most=MAX_DIMS)
+    if isinstance(decay, str):
+        excess = DECAYS[as_choice("decay", decay, tuple(DECAYS))]
+    else:
+        excess = _exponent("decay", decay, above=d) - d
+    best = min(_exponent("b", b, above=-d), excess)
+    return -1.0 - best / d
+
+
+@final
+@dataclass(frozen=True)
+class Slowest:
+    """What theory knows of the rate at large n.
+
+    Attributes
+    ----------
+    exponent
+        The limit is at least this; −∞ where nothing is known.
+    sure
+        Whether it is the limit wherever the curve falls at least as fast: else the slopes must agree.
+    """
+
+    exponent: float = -math.inf
+    sure: bool = True
+
+
+def slowest_of_jumps(g: Integrand, laws: Sequence[Law]) -> Slowest:
+    """The rate that jumps of g leave to stratified sets, lattices and nets, of laws at several n.
+
+    Of n^(1 − 1/d) strata that a jump cuts each is as large as the others: −1 − 1/d. Across an axis it cuts
+    one of n strata of sets whose projections are stratified: −2; none where it is at a border of
+    strata at all counts. On the torus g may jump at the border of the cube. Lattices see a straight
+    line as well as an axis, and disks at −1 − 1/d in the mean over n alone.
+    """
+    d, law = g.dims, laws[-1]
+    curves = -1.0 - 1.0 / d
+    if isinstance(law, Independent):
+        return Slowest(-1.0)
+    cells = [_cells_of_axes(each) for each in laws]
+    if not cells[-1] or g.costly or d > _LOOKED_DIMS:
+        return Slowest()
+    across, along = _jumps(g)
+    cut = False
+    for axis, place in across:
+        for each in cells:
+            off = abs(place * each[axis] - round(place * each[axis])) if each[axis] else 1.0
+            cut |= isinstance(law, Shifted) or (0.0 < place < 1.0 and off > _AT_BORDER)
+    set_ = leaf_of(law)
+    regular = isinstance(set_, Fixed) and set_.sides is not None
+    even = isinstance(set_, Stationary) or (isinstance(set_, Fixed) and set_.even)
+    found = []
+    if cut:
+        of_axis = curves if isinstance(set_, Strata) else -2.0 / d if regular else -2.0
+        found.append(Slowest(of_axis))
+    if along and not regular:
+        found.append(Slowest(curves, not even))
+    return max(found, key=lambda each: each.exponent, default=Slowest())
+
+
+def _cells_of_axes(law: Law) -> tuple[int, ...]:
+    """Number of strata along each axis, 0 where there are none; empty where nothing is known."""
+    match leaf_of(law):
+        case Strata(sides=sides):
+            return sides
+        case PairedAxes(strata=strata, parts=parts):
+            return tuple(s * p for s, p in zip(strata, parts, strict=True))
+        case Fixed(sides=tuple() as sides):
+            return sides
+        case Unknown(strata=tuple() as strata):
+            return strata
+        case Fixed(bases=tuple() as bases):
+            return tuple(b ** int(math.log(law.n) / math.log(b) + 1e-9) for b in bases)
+        case Choice(laws=laws):
+            return _cells_of_axes(laws[0])
+        case Fixed(even=True) | Stationary():
+            return (0,) * law.dims
+    return ()
+
+
+@np.errstate(over="ignore", invalid="ignore")  # next to poles
+def _jumps(g: Integrand) -> tuple[list[tuple[int, float]], bool]:
+    """Jumps of g across an axis, at its breaks and the border, as (axis, place), and whether it has others.
+
+    Largest steps along lines are cut down; what stays is a jump, what grows a pole.
+    """
+    x = probe(g.dims)[:: PROBE // _LINES]
+    size = math.sqrt(float(np.nanmean(np.abs(g(x)) ** 2)))
+    across, along = [], False
+    for axis in range(g.dims):
+
+        def at(t: Array, axis: int = axis) -> Array:
+            """Values (lines, places, channels) at places (lines or 1, places)."""
+            points = np.repeat(x[:, None], t.shape[1], axis=1)
+            points[..., axis] = t
+            return values_at(g, points)
+
+        places = [0.0, *g.breaks[axis]]
+        pairs = at(np.array([[b + e for b in places for e in (_BESIDE, -_BESIDE)]]) % 1.0)
+        steps = np.sqrt(np.mean(np.abs(pairs[:, ::2] - pairs[:, 1::2]) ** 2, axis=0)).max(axis=-1)
+        across += [(axis, b) for b, step in zip(places, steps, strict=True) if step > _JUMPS * size]
+
+        grid = np.tile((np.arange(_PLACES) + 0.5) / _PLACES, (len(x), 1))
+        first = np.abs(np.diff(at(grid), axis=1)).max(axis=-1)
+        chosen = np.argsort(first, axis=1)[:, -_LARGEST:]
+        low, high, first = (np.take_along_axis(a, chosen, 1) for a in (grid, grid[:, 1:], first))
+        for _ in range(_HALVED):
+            middle = 0.5 * (low + high)
+            values = [at(t) for t in (low, middle, high)]
+            below, above = (np.abs(b - a).max(axis=-1) for a, b in pairwise(values))
+            left = below >= above
+            low, high = np.where(left, low, middle), np.where(left, middle, high)
+        step = np.maximum(below, above)
+        far = np.abs(low[..., None] - np.array(places)).min(axis=-1) > _BESIDE
+        along |= bool((far & (step > _JUMPS * size) & (step <= 2.0 * first)).any())
+    return across, along
+
+
+def rates_of(
+    n: Array, variance: Array, asked: int, dims: int, slowest: Slowest
+) -> tuple[float, float, float, str]:
+    """Exponents of a predicted curve, and where it bends; each NaN where it is not known.
+
+    Parameters
+    ----------
+    n, variance
+        Ascending counts and variances, (N,); those that are not finite and positive are left out.
+    asked
+        Number of counts, from the first, that the rate is fitted to; the others show the limit alone.
+    dims
+        Number of dims d.
+    slowest
+        What theory knows.
+
+    Returns
+    -------
+    tuple
+        Rate: the slope of a line through the counts that were asked for. Limit: what theory is sure of,
+        if the slope over the last four octaves is no slower. Else, if this hardly changes within them:
+        in up to 3 dims the exponent of theory that is near it, −1 − k/d (k = 0: white power, 1: a jump,
+        2: strata, 3: a kink), −2 or −3, the last with log n to the d − 1. Bend: n where the power of n of
+        the limit meets that of smaller n, if they differ by more than 0.3. And why there is no limit.
+    """
+    there = np.isfinite(variance) & (variance > 0.0)
+    x, y, fitted = np.log(n[there]), np.log(variance[there]), int(there[:asked].sum())
+    rate = limit = bend = math.nan
+    if fitted >= 2:
+        rate = line_fit(x[:fitted], y[:fitted], np.ones(fitted)).slope
+    if fitted and slowest.exponent == -1.0 and slowest.sure:
+        return rate, -1.0, bend, ""
+    if len(x) < 2:
+        return rate, limit, bend, ""
+
+    # The slope over the last octaves, and those between their counts
+    late = min(len(x), max(3, int((x >= x[-1] - _LATE * math.log(2.0) - 1e-9).sum())))
+    end = line_fit(x[-late:], y[-late:], np.ones(late)).slope
+    steps = np.diff(y) / np.diff(x)
+    near_enough, log = min(0.2, 0.4 / dims), (dims - 1) / x[-late:].mean()
+    corners = slowest.exponent == -2.0 and dims in (2, 3)  # of jumps across several axes
+    if end <= slowest.exponent + near_enough + corners * log and slowest.sure:
+        limit = slowest.exponent
+    elif len(x) > 2 and np.ptp(steps[1 - late :]) <= _AGREE:
+        exponents = [(-1.0 - k / dims, 0.0) for k in range(4)]
+        exponents += [(-2.0, 0.0), (-3.0, log), (-3.0, 0.0)]
+        near = min(exponents, key=lambda each: abs(end - sum(each)))
+        away = np.abs(steps[-3:] - sum(near))
+        leaves = len(away) == 3 and (np.diff(away) > 0.0).all() and away[-1] > _LEAVES
+        leaves |= len(away) == 3 and bool(np.ptp(away) <= _STILL and away.min() > _LEAVES)
+        if dims <= 3 and abs(end - sum(near)) <= near_enough and not leaves:
+            limit = near[0]
+        elif len(steps) >= 3 and np.ptp(steps[-max(3, late) :]) <= _LEAVES:
+            limit = end
+        if limit < slowest.exponent - 1e-9:
+            limit = math.nan
+    why = ""
+    if math.isnan(limit):
+        last = ", ".join(f"{step:.2f}".replace("-", "−") for step in steps[-3:])
+        why = f"limit_rate is not known: the last local rates are {last}"
+
+    # Fit two powers of n, the second that of the limit: their sum where the curve flattens, the sum
+    # of their inverses where it gets steeper
+    if len(x) > 3 and abs(steps[0] - limit) > _CHANGE:
+        at = np.linspace(x[0], x[-1], _BENDS)[:, None, None]
+        change = np.linspace(-_MOST_CHANGE, _MOST_CHANGE, _BENDS)[:, None]
+        curve = limit * x - np.sign(change) * np.logaddexp(0.0, np.abs(change) * (at - x))
+        left = (y - curve).var(axis=-1)
+        k, l = np.unravel_index(int(left.argmin()), left.shape)
+        straight = line_fit(x, y, np.ones(len(x))).residuals.var()
+        if 0 < k < _BENDS - 1 and left[k, l] < _BETTER * straight:
+            bend = math.exp(at[k, 0, 0])
+    return rate, limit, bend, why
+
+
+@final
+@dataclass(frozen=True)
+class DecayFit:
+    """A fitted decay of |f_m|².
+
+    Attributes
+    ----------
+    decay, interval
+        γ and its 95 % interval; both infinite where the coefficients are rounding noise. The interval
+        knows of the scatter about a power law, not of laws that set in beyond the half width.
+    bend
+        Change of the local exponent from the first shell of the fit to the last, by a parabola.
+    half_width
+        K: shells up to |m| = K were fitted.
+    """
+
+    decay: float
+    interval: tuple[float, float]
+    bend: float
+    half_width: int
+
+    @property
+    def settled(self) -> bool:
+        """Whether the exponent is about the same over all shells."""
+        return math.isinf(self.decay) or abs(self.bend) <= _BEND
+
+
+def integrand_decay(
+    integrand: Integrand | str,
+    *,
+    half_width: int | None = None,
+    max_evaluations: int | None = None,
+) -> float:
+    """Measure γ, the decay of |f_m|² averaged over directions, at the end of the spectrum.
+
+    Parameters
+    ----------
+    integrand
+        f, or its spec string.
+    half_width
+        K: the slope is fitted over the last three octaves up to |m| = K; at least 8. By default 512
+        in 1-D, where a jump is then found to ±0.06 wherever it lies, and 64 in more dims, where
+        jumps along the axes can be off by more: see the interval of `fitted_decay`.
+    max_evaluations
+        Most evaluations of a user's function: BudgetError where it takes more.
+
+    Returns
+    -------
+    float
+        γ, infinite where the coefficients there are rounding noise. Of several channels the least.
+        `fitted_decay` has its interval.
+
+    Warns
+    -----
+    PreasymptoticWarning
+        The exponent changes by more than 1 over these octaves: K is too small to see how the
+        spectrum ends, as for smooth functions before rounding noise.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> round(mcs.prediction.integrand_decay("disk", half_width=64), 1)
+    3.0
+    """
+    found = fitted_decay(integrand, half_width=half_width, max_evaluations=max_evaluations)
+    if not found.settled:
+        warn(
+            f"The decay {found.decay:.3g} changes by {found.bend:.2g} over the octaves up to "
+            f"|m| = {found.half_width}: it is no limit yet; give a larger half_width, or 'smooth' or "
+            "'jump' for predicted_rate.",
+            PreasymptoticWarning,
+        )
+    return found.decay
+
+
+def fitted_decay(
+    integrand: Integrand | str,
+    *,
+    half_width: int | None = None,
+    max_evaluations: int | None = None,
+) -> DecayFit:
+    """Measure γ like `integrand_decay`, with its interval and how much it still changes.
+
+    Parameters
+    ----------
+    integrand, half_width, max_evaluations
+        As in `integrand_decay`.
+
+    Returns
+    -------
+    DecayFit
+        Of several channels that of the least γ.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> found = mcs.prediction.fitted_decay(mcs.integrand("step(at=0.3)", dims=1))
+    >>> found.interval[0] < 2.0 < found.interval[1], found.settled
+    (True, True)
+    """
+    f = as_integrand(integrand)
+    given = _WIDTHS.get(f.dims, _WIDTH) if half_width is None else half_width
+    width = as_integer("half_width", given, least=_LEAST_WIDTH)
+    with counting("integrand_decay", max_evaluations):
+        power = np.abs(f.fourier_grid(width)) ** 2
+    power = power.reshape(*power.shape[: f.dims], -1)
+    squares = mesh(*[np.arange(-width, width + 1) ** 2] * f.dims)
+    length = np.sqrt(squares.sum(axis=-1))
+    fits = [_decay_fit(power[..., c], length, width) for c in range(power.shape[-1])]
+    return min(fits, key=lambda fit: fit.decay)
+
+
+def _decay_fit(power: Array, length: Array, width: int) -> DecayFit:
+    """Least squares of log mean power against log mean |m| over shells (K/√2, K], (K/2, K/√2], …"""
+    from scipy.special import stdtrit
+
+    edges = width * 0.5 ** (0.5 * np.arange(2 * _OCTAVES, -1, -1))
+    place = np.searchsorted(edges, length, side="left")
+    shells = [place == k for k in range(1, 2 * _OCTAVES + 1) if (place == k).any()]
+    mean = np.array([power[shell].mean() for shell in shells])
+    known = mean > _NOISE * power.max()
+    if not known[-2:].any() or known.sum() < _LEAST_SHELLS:
+        return DecayFit(math.inf, (math.inf, math.inf), 0.0, width)
+    x, y = np.log2([length[shell].mean() for shell in shells])[known], -np.log2(mean[known])
+    slope, level = (float(value) for value in np.polyfit(x, y, 1))
+    degrees = len(x) - 2
+    scatter = float(((y - level - slope * x) ** 2).sum()) / degrees
+    half = float(stdtrit(degrees, 0.975)) * math.sqrt(scatter / ((x - x.mean()) ** 2).sum())
+    bend = 2.0 * float(np.polyfit(x, y, 2)[0]) * float(x[-1] - x[0])
+    return DecayFit(slope, (slope - half, slope + half), bend, width)
+
+
+def _exponent(name: str, value: object, *, above: float) -> float:
+    """A real number above a limit, possibly infinite."""
+    number = isinstance(value, int | float | np.integer | np.floating)
+    if not number or isinstance(value, bool) or not float(value) > above:  # type: ignore[arg-type]
+        raise ParameterError(f"{name} is {value!r}; give a number greater than {above:g}.")
+    return float(value)  # type: ignore[arg-type]

@@ -1,0 +1,629 @@
+"""Variances predicted in many dims: single axes, sums of products, and one law for all pairs of points.
+
+Method
+------
+With g = Σ_v g_v, the ANOVA of g [Owen1997]_, the variance of the mean of g over a set that is
+randomised independently along the axes is a mean over pairs (a, b) of points,
+
+    Var = (1/n²) Σ_{a,b} Σ_v C_v(a, b),    C_v = Cov(g_v(a), g_v(b)) over the randomisation.
+
+It depends on each axis only on one thing: for nested scrambling how many digits of a_i and b_i agree, for
+a digital shift the difference of their digits, for a shift that on the torus. Subsets v of one axis
+are exact. For the others g is fitted by a sum of products Σ_r Π_i h_ri(x_i), for which
+
+    Σ_v C_v = Σ_{r,s} Π_i (μ_ri μ_si + k_i^rs(a_i, b_i)) − I²
+
+holds all subsets at once: μ are the means of the h, k the covariances that the randomisation leaves
+between them. What the fit misses is taken as white, /n; the interval allows for none and for twice as
+much of it, and for a correlation of a half with the fit.
+
+All is found from g at points of our own: profiles g(·, z) along each axis for many z, whose leading
+singular vectors are the basis of h_ri; least squares over scrambled nets, one axis after the other;
+the residual on another net; ∫g² with Student's t. g_i is that of the fit and the mean of what profiles
+have beside it.
+
+Strata of a grid need no model: with x and x' in the same stratum, Var = E (g(x) − g(x'))² / 2n.
+Latin hypercubes have one law for all pairs: different ones of n strata on each axis [Stein1987]_.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+
+from mcspectra.core.checks import BELOW_ONE, Array
+from mcspectra.core.errors import Function, NoClosedForm
+from mcspectra.core.jit import kernel
+from mcspectra.core.streams import Stream
+from mcspectra.estimators.quadrature import values_at
+from mcspectra.integrands import Integrand
+from mcspectra.prediction.known import Known, Predicted, half_interval
+from mcspectra.prediction.torus import lattice_basis
+from mcspectra.samplers import as_sampler
+from mcspectra.samplers.law import (
+    Fixed,
+    Independent,
+    Law,
+    PairedAxes,
+    Scrambled,
+    Shifted,
+    Stationary,
+    Strata,
+)
+from mcspectra.spectra.bases import hadamard
+
+__all__ = ["of_subsets"]
+
+_LEAST_DIMS, _FEW_DIMS = 2, 3
+_OWN = Stream.from_rng(0x5B5E75)  # of our own points, which no sampler shares
+_REPLICATES, _REPLICATE = 16, 1 << 13  # scrambled nets for ∫g², and their points
+_STRATA = 1 << 13  # pairs within strata, of each replicate
+_PROFILE_WORK = 5 << 17  # evaluations along all axes together
+_NODES = 128  # along an axis
+_GROUPS = 4  # of profiles, independent of each other: their spread is the error
+_FITTED = 2  # of the replicates, for the fit; one more tests it
+_BASIS, _NEGLIGIBLE = 8, 1e-8  # functions of an axis at most, and energy that is left out
+_RANK, _SWEEPS, _SETTLED = 6, 30, 0.98  # products at most; sweeps of a fit, and when it has settled
+_FEW_RANK = 3  # in few dims, where jumps across axes come here, which more would not follow either
+_BLOCK = 64  # points
+_RIDGE = 1e-8
+_GOOD = 1e-7  # residual energy that is good enough
+_STANDS_OUT, _HALVINGS = 4.0, 40  # a jump: a change so many times those beside it
+_SHARED = 0.1  # of the mean square of steps: more are a step that profiles have in common
+_GRADED = 0.25 ** np.arange(6.0, 0.0, -1.0)  # of the first step
+_BENT = 0.1  # a kink: a change of the slope of so much of the largest
+_CELLS = 1 << 12  # along an axis, for correlations
+_FINE, _FINEST = 1 << 14, 1 << 18  # and for single axes, where smooth and with jumps
+_TORUS = 1 << 15  # differences on the torus
+_START = 0.3  # spread of what a new product begins with
+_ADDS_UP = 20.0  # times its part of white points, kinks on lattices
+_RESOLVED = (2e-3, 0.01)  # relative error of curves between their nodes: smooth, and with jumps
+_MOST_WORK = 2.0**34  # pairs of points times axes times groups
+_DRAWS = 8  # of a set that is random before its shift or scramble
+_DIGITS = 1 << 13  # cells of an axis that digits tell apart, or more where there are more points
+
+
+def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
+    """Predict the variance from single axes, sums of products and the law of pairs of points.
+
+    Parameters
+    ----------
+    law
+        Independent points, strata, Latin hypercubes; any set that is the same after all translations;
+        nested and linear scrambles, and digital shifts in base 2.
+    known
+        The integrand, two dims or more; about 2^20 evaluations, once for all counts and samplers.
+    stream
+        Of draws of sets that are random before their shift or scramble.
+
+    Returns
+    -------
+    Predicted
+        `share` is that of single axes and of the products, `tail` what they miss.
+
+    Raises
+    ------
+    NoClosedForm
+        One dim, or a law whose pairs of points have no law that is known here.
+    """
+    g = known.g
+    if g.dims < _LEAST_DIMS:
+        raise NoClosedForm("Subsets of axes need two dims; use exact_variance or convergence.")
+    n = law.n
+    if isinstance(law, Strata) and law.jittered:
+        return known.once(f"subsets: strata {law.sides}", lambda: _of_strata(law.sides, g))
+    parts = known.once("subsets: parts", lambda: _all_parts(known))
+    if isinstance(law, Independent):
+        variance, half = np.array([[p.variance, p.half] for p in parts]).T / n
+        return Predicted(variance, half, "energy of g")
+    pairs, codes, rows = _pairs_of(law, stream)
+    work = float(len(rows)) * codes[..., 0].size * _RANK**2
+    if work > _MOST_WORK:
+        raise NoClosedForm(
+            f"The pairs of {n} points of {law.name} in {g.dims} dims are too many; use ",
+            Function("convergence"),
+            ".",
+        )
+    found = []
+    for c, p in enumerate(parts):
+        first, rest, means, weights = known.once(
+            f"subsets: {c} {pairs}", functools.partial(pairs.tables, p)
+        )
+        mode = ("digits", "xor", "torus").index(pairs.kind)
+        sums = [
+            pair_sums(x, rows, mode, pairs.bases[0], first, rest, means, weights) for x in codes
+        ]
+        by_set = np.array(sums).mean(axis=1) / n  # (sets, 1 + groups + 1)
+        sets, mean = by_set[:, 0] + by_set[:, -1], by_set.mean(axis=0)
+        ones, more = mean[:-1], mean[-1]
+        # What the fit misses: white to 100 %, and correlated with the fit by a half either way; where one
+        # offset moves all points, it may add up
+        tail = p.residual / n
+        together = pairs.kind != "digits" and len(codes) == 1
+        half = (_ADDS_UP if together else 1.0) * tail + math.sqrt(max(ones[0] + more, 0.0) * tail)
+        # All that counts of Latin hypercubes but single axes: as points saw it, or of the whole energy
+        single = first[:, -1].sum(axis=0)
+        of_whole = (
+            p.variance - float(single[0]),
+            math.hypot(p.half, float(half_interval(single[1:]))),
+        )
+        joint, joint_half = min(p.joint, of_whole, key=lambda each: each[1])
+        if pairs.latin and joint_half < p.residual:
+            # Its weight is 1 within strata and n/(n − 1) between them
+            joint = max(joint, 0.0) / n
+            either = 0.5 * joint / max(n - 1.0, 1.0)
+            tail, half = joint + either - more, joint_half / n + either
+        value = ones[0] + more + tail
+        drawn = half_interval(sets) if len(sets) > 1 else 0.0
+        seen = p.half / p.variance if p.variance > 0.0 else 0.0  # of peaks, that few points meet
+        rough = any(len(axis.knots) > 2 for axis in p.axes)
+        rough |= pairs.leaves_cells and 32 * n > _FINEST
+        between = _RESOLVED[rough] * value
+        error = math.hypot(float(half_interval(ones[1:])), half, drawn, between, seen * value)
+        share = max(0.0, 1.0 - p.residual / p.variance) if p.variance > 0.0 else 0.0
+        found.append((value, error, share, tail))
+    variance, error, share, tail = np.array(found).T
+    return Predicted(variance, error, "sums of products", share, tail)
+
+
+@final
+@dataclass(frozen=True)
+class _Curves:
+    """How an axis is cut: ends of its smooth pieces, and nodes between them."""
+
+    knots: Array
+    nodes: Array
+
+    def at(self, values: Array, x: Array) -> Array:
+        """Values (…, nodes) interpolated piece by piece at x: (…, len(x))."""
+        out = np.empty((*values.shape[:-1], len(x)))
+        for low, high, line in self._pieces(values):
+            there = (x >= low) & (x <= high)
+            out[..., there] = line(x[there])
+        return out
+
+    def cells(self, values: Array, count: int) -> Array:
+        """Means over equal cells."""
+        ends, total = np.arange(count + 1) / count, np.zeros((*values.shape[:-1], count + 1))
+        for low, high, line in self._pieces(values):
+            total += line.antiderivative()(np.clip(ends, low, high))
+        return np.diff(total) * count
+
+    def _pieces(self, values: Array) -> Iterator[tuple[float, float, Any]]:
+        """Ends of each smooth piece, and its curve: a constant where it has one node or none."""
+        from scipy.interpolate import PchipInterpolator
+
+        for low, high in itertools.pairwise(self.knots):
+            own = (self.nodes > low) & (self.nodes < high)
+            x, y = self.nodes[own], values[..., own]
+            if len(x) < 2:
+                nearest = int(np.abs(self.nodes - 0.5 * (low + high)).argmin())
+                x, y = np.array([low, high]), np.repeat(values[..., [nearest]], 2, axis=-1)
+            yield low, high, PchipInterpolator(x, y, -1)
+
+
+@final
+@dataclass(frozen=True)
+class _Parts:
+    """What is known of one channel of g; arrays of the axes at their nodes."""
+
+    variance: float
+    half: float  # of its 95 % interval
+    axes: list[_Curves]
+    main: list[Array]  # g_i, of all groups and of each: (1 + groups, nodes)
+    factors: list[Array]  # h_ri: (products, nodes)
+    residual: float  # energy that the products miss
+    joint: tuple[float, float]  # energy of several axes, and half of its 95 % interval
+
+
+@final
+@dataclass(frozen=True)
+class _Pairs:
+    """What the covariance of the values at two points depends on, along each axis.
+
+    digits: in how many first digits in `bases` the coordinates agree, `levels` at most. xor and torus:
+    the difference of two multiples of 1/bases, digit by digit or on the torus.
+    """
+
+    kind: str
+    bases: tuple[int, ...]
+    levels: tuple[int, ...]
+    latin: bool = False  # all points differ in the first digit
+
+    @property
+    def leaves_cells(self) -> bool:
+        """Whether what varies within the n-ths of an axis is all that is left of sums over axes."""
+        return self.latin or self.kind != "digits"
+
+    def tables(self, parts: _Parts) -> tuple[Array, Array, Array, Array]:
+        """What `pair_sums` takes: covariances of g_i and of products, their means and weights."""
+        singles, pairs, averages = list[Array](), list[Array](), list[Array]()
+        for base, levels, curves, main, factors in zip(
+            self.bases, self.levels, parts.axes, parts.main, parts.factors, strict=True
+        ):
+            cells = base**levels
+            many = len(curves.knots) > 2 or self.leaves_cells
+            k = max(16, min(64 * many, _FINEST // cells), _FINE // cells)
+            k = 1 if base == _TORUS else k
+            values = curves.cells(np.concatenate([main, factors]), cells * k)
+            mean, own = values.mean(axis=-1, keepdims=True), len(main)
+            values = values - mean
+            # Covariances of g_i (1 + groups, differences), and of pairs of h_ri
+            left, right = np.triu_indices(len(factors))
+            left, right = (np.concatenate([np.arange(own), own + side]) for side in (left, right))
+            if self.kind == "digits":
+                # By how many digits agree, the last for all
+                means = values.reshape(len(values), cells, -1).mean(axis=-1)
+                energy = [(values[left] * values[right]).mean(axis=-1)]
+                while means.shape[-1] > 1:
+                    energy.append((means[left] * means[right]).mean(axis=-1))
+                    means = means.reshape(len(means), -1, base).mean(axis=-1)
+                within = np.stack([np.zeros(len(left)), *reversed(energy)], axis=-1)
+                apart = within[:, :-1] - np.diff(within, axis=-1) / (base - 1)
+                found = np.concatenate([apart, within[:, -1:]], axis=-1)
+            elif self.kind == "xor":
+                spectra = hadamard(values) / (cells * k)
+                found = hadamard(spectra[left] * spectra[right])[:, ::k]
+            else:
+                spectra = np.fft.rfft(values)
+                found = np.fft.irfft(spectra[left] * spectra[right].conj(), cells * k) / (cells * k)
+                found = found[:, ::k]
+            singles.append(found[:own])
+            pairs.append(found[own:])
+            averages.append(mean[own:, 0])
+        width = max(first.shape[-1] for first in singles)
+
+        def stacked(tables: list[Array]) -> Array:
+            # Where fewer digits are known, more that agree are no difference
+            wide = [np.pad(t, ((0, 0), (0, width - t.shape[-1])), "edge") for t in tables]
+            return np.ascontiguousarray(np.stack(wide).transpose(0, 2, 1))
+
+        products = np.stack(averages)
+        left, right = np.triu_indices(products.shape[1])
+        weights = np.where(left == right, 1.0, 2.0)
+        return stacked(singles), stacked(pairs), products[:, left] * products[:, right], weights
+
+
+@kernel
+def pair_sums(
+    codes: Array,
+    rows: Array,
+    mode: int,
+    cells: int,
+    first: Array,
+    rest: Array,
+    means: Array,
+    weights: Array,
+) -> Array:
+    """Sums over all points b of covariances with the points a listed as rows: (rows, variants + 1).
+
+    codes (n, d, digits), rows (rows,), first (d, differences, variants): Σ_i first_i; last, of rest
+    (d, differences, q), means (d, q), weights (q,): Σ_q weight Σ_{|v| ≥ 2} Π_{i∈v} rest_i Π_{i∉v} mean_i.
+    mode 0: digits that agree; 1: bits that differ; 2: the torus of `cells`.
+    """
+    variants, q = first.shape[2], rest.shape[2]
+    out = np.zeros((rows.size, variants + 1))
+    none, one, more = np.empty(q), np.empty(q), np.empty(q)  # products over no, one, more axes of v
+    for r in range(rows.size):
+        a = codes[rows[r]]
+        for k in range(codes.shape[0]):
+            b = codes[k]
+            none[:], one[:], more[:] = 1.0, 0.0, 0.0
+            for i in range(codes.shape[1]):
+                if mode == 0:
+                    place = 0
+                    while place < codes.shape[2] and a[i, place] == b[i, place]:
+                        place += 1
+                    if place == codes.shape[2]:
+                        place = first.shape[1] - 1
+                elif mode == 1:
+                    place = a[i, 0] ^ b[i, 0]
+                else:
+                    place = a[i, 0] - b[i, 0]
+                    if place < 0:
+                        place += cells
+                for v in range(variants):
+                    out[r, v] += first[i, place, v]
+                for j in range(q):
+                    x, m = rest[i, place, j], means[i, j]
+                    more[j] = more[j] * (m + x) + one[j] * x
+                    one[j] = one[j] * m + none[j] * x
+                    none[j] *= m
+            for j in range(q):
+                out[r, variants] += weights[j] * more[j]
+    return out
+
+
+def _of_strata(sides: tuple[int, ...], g: Integrand) -> Predicted:
+    """Half the mean square of differences within strata, by scrambled nets of pairs."""
+    cells = np.array(sides, float)
+    u = _net(2 * g.dims, _STRATA, _REPLICATES, 1)
+    x, other = u[..., : g.dims], u[..., g.dims :]
+    within = (np.floor(x * cells) + other) / cells
+    change = values_at(g, x) - values_at(g, np.minimum(within, BELOW_ONE))
+    spread = 0.5 * (change**2).mean(axis=1) / math.prod(sides)
+    return Predicted(spread.mean(axis=0), half_interval(spread), "pairs in strata")
+
+
+def _all_parts(known: Known) -> list[_Parts]:
+    """Energies, and profiles along all axes through the same points, of each channel."""
+    g, d = known.g, known.g.dims
+    x = _net(d, _REPLICATE, _REPLICATES, 0)
+    values = values_at(g, x)
+    mean = values.mean(axis=(0, 1))
+    squares = ((values - mean) ** 2).mean(axis=1)
+    energy, half = squares.mean(axis=0), half_interval(squares)
+    if d <= _FEW_DIMS:  # a quadrature knows more of poles
+        square, error = known.square
+        error = np.hypot(error, 2.0 * np.abs(mean) * half_interval(values.mean(axis=1)))
+        better = error < half
+        energy, half = np.where(better, (square - mean**2, error), (energy, half))
+    count = max(4, 1 << round(math.log2(_PROFILE_WORK / (_GROUPS * _NODES * d))))
+    through = _net(d, count, _GROUPS, 2)
+
+    def profiles(axis: int, at: Array, through: Array = through) -> Array:
+        """(groups, profiles, nodes, channels)"""
+        points = np.repeat(through[:, :, None], len(at), axis=2)
+        points[..., axis] = at
+        return values_at(g, points)
+
+    axes, found = [], []
+    for axis in range(d):
+        # Equal steps within each piece, and finer ones towards 0 and 1, where warps end
+        ends = np.unique([0.0, 1.0, *(b for b in g.breaks[axis] if 0.0 < b < 1.0)])
+        middles = [
+            low + (np.arange(k) + 0.5) * ((high - low) / k)
+            for low, high in itertools.pairwise(ends.tolist())
+            for k in [max(4, math.ceil(_NODES * (high - low)))]
+        ]
+        at = np.concatenate(middles)
+        at = np.concatenate([at[0] * _GRADED, at, 1.0 - (1.0 - at[-1]) * _GRADED[::-1]])
+        along = profiles(axis, at)
+        even = np.append(np.abs(np.diff(at, 2)) < 1e-9, False)  # the next step is as long
+        # Bisect jumps of the mean that nothing declares: changes that stand out between two nodes, and that
+        # more than a few profiles share, as each has jumps of its own where jumps are not across the axis
+        steps = np.diff(along, axis=2)
+        common = steps.mean(axis=(0, 1))
+        change = np.abs(common).max(axis=-1)
+        shared = (common**2).sum(axis=-1) > _SHARED * (steps**2).mean(axis=(0, 1)).sum(axis=-1)
+        beside = np.maximum(np.append(change[1:], 0.0), np.append(0.0, change[:-1]))
+        jumps = []
+        stands_out = shared & (change > _STANDS_OUT * beside) & (change > 1e-9 * change.sum())
+        for k in np.flatnonzero(stands_out & even & np.append(False, even[:-1])).tolist():
+            low, high = at[k], at[k + 1]
+            if any(low < b < high for b in ends):
+                continue
+            few = through[:, :: max(1, count // 16)]
+            left, right = (profiles(axis, np.array([e]), few).mean((0, 1, 2)) for e in (low, high))
+            channel = int(np.abs(right - left).argmax())
+            for _ in range(_HALVINGS):
+                middle = 0.5 * (low + high)
+                value = profiles(axis, np.array([middle]), few).mean((0, 1, 2))
+                nearer = abs(value - left)[channel] < abs(value - right)[channel]
+                low, high = (middle, high) if nearer else (low, middle)
+            jumps.append(0.5 * (low + high))
+        # Kinks: changes of the slope that stand out; where the lines from both sides meet
+        mean = along.mean(axis=(0, 1))
+        slopes = np.diff(mean, axis=0)
+        bend = np.abs(np.diff(slopes, axis=0)).max(axis=-1)
+        both = bend[1:-2] + bend[2:-1]  # of the four nodes about each interval
+        sharp = both > _STANDS_OUT * np.maximum(bend[:-3], bend[3:])
+        for k in np.flatnonzero(sharp & (both > _BENT * np.abs(slopes).max())).tolist():
+            near = at[k : k + 6]
+            if not even[k : k + 4].all() or any(
+                near[0] <= b <= near[-1] for b in (*ends[1:-1], *jumps)
+            ):
+                continue
+            channel = int(np.abs(slopes[k + 3] - slopes[k + 1]).argmax())
+            before, after = slopes[[k + 1, k + 3], channel]
+            gap = mean[k + 3, channel] - mean[k + 2, channel] - after
+            if before == after:
+                continue
+            place = min(max(float(gap / (before - after)), 1e-6), 1.0 - 1e-6)
+            jumps.append(float(at[k + 2] + place * (at[k + 3] - at[k + 2])))
+        axes.append(_Curves(np.unique([*ends, *jumps]), at))
+        found.append(along)
+    return [
+        _fitted(
+            float(energy[c]),
+            float(half[c]),
+            axes,
+            [along[..., c] for along in found],
+            through,
+            x,
+            values[..., c],
+        )
+        for c in range(values.shape[-1])
+    ]
+
+
+def _fitted(
+    variance: float,
+    half: float,
+    axes: list[_Curves],
+    profiles: list[Array],
+    through: Array,
+    every: Array,
+    all_values: Array,
+) -> _Parts:
+    """Fit a sum of products to values (replicates, n) at points, by least squares along one axis in turn."""
+    x, values = every[: _FITTED + 1], all_values[: _FITTED + 1]
+    # Functions of each axis: 1 and the leading singular vectors of its profiles
+    bases = []
+    for given in profiles:
+        flat = given.reshape(-1, given.shape[-1])
+        flat = flat - flat.mean(axis=1, keepdims=True)
+        size, vectors = np.linalg.eigh(flat.T @ flat)
+        keep = int((size[-_BASIS:] > _NEGLIGIBLE * size.sum()).sum())
+        one = np.ones((1, flat.shape[1]))
+        vectors = vectors.T[::-1][:keep] * math.sqrt(flat.shape[1])
+        bases.append(np.concatenate([one, vectors]))
+    known = [
+        axis.at(basis, x[..., i].ravel()).reshape(len(basis), len(x), -1)
+        for i, (axis, basis) in enumerate(zip(axes, bases, strict=True))
+    ]
+    cells = [axis.cells(basis, _CELLS) for axis, basis in zip(axes, bases, strict=True)]
+    # In blocks, whose products are too small for threads of BLAS: the most of the time goes by waiting for them
+    blocks = [basis[:, :-1].reshape(len(basis), -1, _BLOCK) for basis in known]
+    train = [np.ascontiguousarray(basis.swapaxes(0, 1)) for basis in blocks]
+    scale = float(np.abs(values).max()) or 1.0
+    target = values[:-1].reshape(-1, _BLOCK) / scale
+
+    # One product more after the other, with and without sums of functions of one axis
+    rng = np.random.default_rng(_OWN.child(4).key)
+    best, residual = [np.zeros((1, len(basis))) for basis in bases], variance
+    fits = {False: best, True: best}
+    most = _RANK if len(axes) > _FEW_DIMS else _FEW_RANK
+    for rank, additive in itertools.product(range(most + 1), (False, True)):
+        if residual <= _GOOD * variance or not (rank or additive):
+            continue
+        weights = fits[additive]
+        if rank:
+            new = [_START * rng.standard_normal((1, len(basis))) for basis in bases]
+            for w in new:
+                w[0, 0] = 1.0
+            weights = [np.concatenate([w, v]) for w, v in zip(weights, new, strict=True)]
+        fits[additive] = weights = _least_squares(train, target, weights, additive=additive)
+        tested = [w @ b[:, -1] for w, b in zip(weights, known, strict=True)]
+        sums = np.sum([t[0] for t in tested], axis=0) + np.prod(
+            [t[1:] for t in tested], axis=0
+        ).sum(0)
+        missed = scale**2 * float(((values[-1] / scale - sums) ** 2).mean())
+        # Energy of the fit where no point tested it is missed, too; g shows what chance makes of it
+        curves = [w @ c for w, c in zip(weights, cells, strict=True)]  # (1 + products, cells)
+        averages = np.stack([c.mean(axis=1) for c in curves])
+        squares = np.stack([c @ c.T / c.shape[1] for c in curves])
+        products = np.prod(averages[:, 1:], axis=0)
+        energy = squares[:, 1:, 1:].prod(axis=0).sum() - products.sum() ** 2
+        for i, along in enumerate(squares[:, 0] - averages[:, :1] * averages):
+            others = np.prod(np.delete(averages[:, 1:], i, axis=0), axis=0)
+            energy += along[0] + 2.0 * along[1:] @ others
+        energy = scale**2 * float(energy)
+        untested = energy - scale**2 * float(sums.var())
+        chance = variance - float(values[-1].var())
+        missed += max(abs(untested - chance) - 2.0 * half - energy / _CELLS, 0.0)
+        if missed < residual:
+            best, residual = weights, missed
+
+    # Single axes: of the fit, and what profiles have beside it
+    curves = [w @ b for w, b in zip(best, bases, strict=True)]
+    sums, factors = [scale * f[0] for f in curves], [f[1:] for f in curves]
+    factors[0] = scale * factors[0]
+    means = np.stack(
+        [axis.cells(f, _CELLS).mean(-1) for axis, f in zip(axes, factors, strict=True)]
+    )
+    flat = through.reshape(-1, len(axes))
+    at = np.stack(
+        [axis.at(f, flat[:, i]) for i, (axis, f) in enumerate(zip(axes, factors, strict=True))]
+    )
+    main = []
+    for i, given in enumerate(profiles):
+        others = np.prod(np.delete(at, i, axis=0), axis=0).reshape(-1, *given.shape[:2])
+        # Sums along other axes only move a profile, and all are taken without their means
+        beside = given - np.einsum("rgj,rk->gjk", others, factors[i])
+        beside = (beside - beside.mean(axis=-1, keepdims=True)).mean(axis=1) - sums[i]
+        own = np.prod(np.delete(means, i, axis=0), axis=0) @ factors[i] + sums[i]
+        main.append(own + np.concatenate([beside.mean(axis=0)[None], beside]))
+
+    # Several axes: what single ones leave, less what their own errors add to it
+    at_all = zip(axes, main, np.moveaxis(every, -1, 0), strict=True)
+    alone = np.sum([a.at(m[0], t.ravel()).reshape(t.shape) for a, m, t in at_all], axis=0)
+    left = ((all_values - alone - (all_values - alone).mean()) ** 2).mean(axis=1)
+    spread = [a.cells(m[1:], _CELLS).var(axis=0, ddof=1) for a, m in zip(axes, main, strict=True)]
+    errors = float(np.mean(spread, axis=1).sum()) / _GROUPS
+    joint = float(left.mean()) - errors, float(half_interval(left)) + errors
+    return _Parts(variance, half, axes, main, factors, residual, joint)
+
+
+def _least_squares(
+    bases: list[Array], target: Array, weights: list[Array], *, additive: bool
+) -> list[Array]:
+    """Σ_i f_i(x_i), if `additive`, and Σ_r Π_i h_ri(x_i) nearest to `target` (blocks, size), one axis in turn.
+
+    bases of each axis (blocks, functions, size); weights (1 + products, functions), those of f_i first.
+    """
+    weights = [w.copy() for w in weights]
+    curves = [w @ b for w, b in zip(weights, bases, strict=True)]  # (blocks, 1 + products, size)
+    last = math.inf
+    for _ in range(_SWEEPS):
+        # Products over the axes after each, and as the sweep goes on over those before it
+        after = [np.ones_like(curves[0][:, 1:])]
+        for c in curves[:0:-1]:
+            after.append(after[-1] * c[:, 1:])
+        before = np.ones(after[0].shape)
+        sums = np.sum([c[:, 0] for c in curves], axis=0)
+        for i, basis in enumerate(bases):
+            others = before * after[len(bases) - 1 - i]
+            if additive:
+                others = np.concatenate([np.ones_like(target)[:, None], others], axis=1)
+            sums = sums - curves[i][:, 0]
+            design = (others[:, :, None] * basis[:, None]).reshape(len(target), -1, _BLOCK)
+            gram = (design @ design.swapaxes(1, 2)).sum(axis=0)
+            gram[np.diag_indices(len(gram))] += _RIDGE * np.trace(gram) / len(gram)
+            right = (design @ (target - sums)[..., None]).sum(axis=0)
+            solved = np.linalg.solve(gram, right).reshape(others.shape[1], -1)
+            weights[i] = solved if additive else np.concatenate([0.0 * weights[i][:1], solved])
+            if i < len(bases) - 1:
+                size = np.sqrt(((weights[i][1:] @ basis) ** 2).mean(axis=(0, 2)))
+                weights[i][1:] /= size[:, None] + 1e-300
+            curves[i] = weights[i] @ basis
+            before = before * curves[i][:, 1:]
+            sums = sums + curves[i][:, 0]
+        left = float(((target - sums - before.sum(axis=1)) ** 2).mean())
+        if left > _SETTLED * last:
+            break
+        last = left
+    return weights
+
+
+def _pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
+    """How pairs of points lie; codes of the points (sets, n, d, digits), and rows that show all pairs."""
+    n, d = law.n, law.dims
+    every, one = np.arange(n), np.arange(1)
+    if isinstance(law, PairedAxes) and law.latin:
+        codes = np.arange(n)[None, :, None, None].repeat(d, axis=2)
+        return _Pairs("digits", (n,) * d, (1,) * d, latin=True), codes, one
+    set_ = law.inner if isinstance(law, Shifted | Scrambled) else law
+    unknown = isinstance(law, Scrambled) and not (law.nested_pairs or law.xor)
+    if unknown or not isinstance(law, Shifted | Scrambled | Stationary):
+        raise NoClosedForm(
+            f"No law of pairs of points is known for {law.name} in {d} dims; use ",
+            Function("convergence"),
+            ".",
+        )
+    digital = isinstance(set_, Fixed) and set_.digital
+    x = set_.draw(stream, 0, 1 if set_.fixed else _DRAWS)
+    if not isinstance(law, Scrambled):
+        lattice = np.abs(x * n - np.rint(x * n)).max() < 1e-6
+        cells = n if lattice else _TORUS
+        codes = np.rint(x * cells).astype(np.int64)[..., None] % cells
+        return (
+            _Pairs("torus", (cells,) * d, (1,) * d),
+            codes,
+            one if lattice and lattice_basis(x[0]) is not None else every,
+        )
+    if law.xor:
+        cells = 1 << (n - 1).bit_length()
+        codes = np.floor(x * cells).astype(np.int64)[..., None]
+        return _Pairs("xor", (cells,) * d, (1,) * d), codes, one if digital else every
+    bases = law.bases
+    levels = tuple(math.ceil(math.log(max(n, _DIGITS), b) - 1e-9) for b in bases)
+    codes = np.zeros((*x.shape, max(levels)), np.int64)
+    for axis, (b, most) in enumerate(zip(bases, levels, strict=True)):
+        # Coordinates rounded down to below a digit count as that digit
+        whole = np.floor(x[..., axis] * b**most + (0.0 if b & (b - 1) == 0 else 1e-9))
+        for level in range(most):
+            codes[..., axis, level] = whole // b ** (most - 1 - level) % b
+    binary = digital and set(bases) == {2}
+    return _Pairs("digits", bases, levels), codes, one if binary else every
+
+
+def _net(dims: int, n: int, replicates: int, label: int) -> Array:
+    """Scrambled nets of our own, (replicates, n, dims)."""
+    return as_sampler("sobol | owen", dims).draw_stream(n, _OWN.child(label), 0, replicates)

@@ -1,5 +1,0 @@
-"""Variance of estimators: measured, predicted term by term, exact, and against n."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,1 +1,0 @@
-"""Variances predicted from what is known of an integrand and of a sampler, and their rates."""

@@ -1,1 +1,0 @@
-"""One call for what is wrong with an estimator, why, and what to do: `profile.py` tells how."""

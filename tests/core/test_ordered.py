@@ -1,0 +1,75 @@
+"""Linear algebra in a fixed order: what LAPACK and BLAS find, and the same bits for any threads of BLAS."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from mcspectra.core.ordered import eigenpairs, gram, orthonormal, product, weighted_sum
+
+# BLAS cuts sums of these sizes: modes, cross matrix and sums over frequencies differed by its threads
+RESULTS = """
+import hashlib
+import mcspectra as mcs
+f = mcs.Estimator("gaussian(width=0.1)", dims=2)
+runs = {"engine": "nufft", "workers": 1}
+for found in (
+    mcs.covariance_modes(f, "random", 16, half_width=12, modes=50, realizations=700, **runs),
+    mcs.variance_terms(
+        f, "random", 4, half_width=12, cross_matrix=True, realizations=3000, **runs
+    ),
+    *(
+        mcs.predict(f, "jittered | shift", [16], method=m, half_width=100, realizations=10, workers=1)
+        for m in ("exact", "covariance", "homogenized", "terms")
+    ),
+):
+    print(hashlib.sha256(b"".join(v.values.tobytes() for v in found.values())).hexdigest())
+"""
+
+
+def test_threads_of_blas_do_not_matter():
+    started = [
+        subprocess.Popen(
+            [sys.executable, "-c", RESULTS],
+            env={**os.environ, "OPENBLAS_NUM_THREADS": threads},
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for threads in ("1", "5")
+    ]
+    one, many = (process.communicate()[0].split() for process in started)
+    assert len(one) == 6
+    assert one == many
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 40])
+def test_factorisations_are_those_of_lapack(size):
+    rng = np.random.default_rng(size)
+    a = rng.standard_normal((50, size)) * 1e-200
+    a[:, size // 2] = a[:, 0]  # of less than full rank
+    q, expected = orthonormal(a), np.linalg.qr(a)[0]
+    assert np.allclose(q.T @ q, np.eye(size), atol=1e-14)
+    same = np.abs((q * expected).sum(axis=0))[: size // 2]  # but for signs
+    assert np.allclose(same, 1.0, atol=1e-12)
+    assert np.allclose(a, q @ (q.T @ a), atol=1e-212)
+    matrix = a.T @ (a * 1e200)
+    values, vectors = eigenpairs(matrix)
+    scale = np.abs(matrix).max()
+    assert np.allclose(values, np.linalg.eigvalsh(matrix)[::-1], atol=1e-13 * scale)
+    assert np.allclose(matrix @ vectors, vectors * values, atol=1e-13 * scale)
+    assert np.allclose(vectors.T @ vectors, np.eye(size), atol=1e-13)
+
+
+@pytest.mark.parametrize("is_complex", [False, True])
+def test_products_are_those_of_blas(is_complex):
+    rng = np.random.default_rng(0)
+    x = rng.standard_normal((30, 7)) + 1j * is_complex * rng.standard_normal((30, 7))
+    x = x if is_complex else x.real
+    assert np.allclose(gram(x), np.concatenate([x.T @ x.conj(), x.T @ x], axis=1), atol=1e-13)
+    assert np.allclose(product(x.T, x), x.T @ x, atol=1e-13)
+    weights = rng.standard_normal((5, 6))
+    values = x.reshape(5, 6, 7)
+    assert np.allclose(weighted_sum(weights, values), np.tensordot(weights, values, 2), atol=1e-13)
+    assert weighted_sum(weights[0], values[0, :, 0]).shape == ()

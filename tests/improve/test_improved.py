@@ -1,0 +1,279 @@
+"""Estimators changed by what a pilot shows: unbiased, as good as expected, and found by remedies."""
+
+import itertools
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.special import ndtr, ndtri
+
+import mcspectra as mcs
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.streams import Stream
+from mcspectra.estimators import Mirrored
+from mcspectra.improve import learned
+from mcspectra.improve.improved import CHANGES, Cubic, Evaluations, evaluated, improvements
+from mcspectra.measure.setup import Setup
+
+SIGMAS = 4.0
+SLOPES = np.arange(1.0, 6.0) / 5.0
+
+
+def normal(x):
+    return ndtri(np.clip(x, 1e-300, 1.0 - 2.0**-53))
+
+
+# Of exp(−100 s²) with the density 2 (1 − s) of s = |x − y|
+RIDGE = math.sqrt(math.pi) / 10.0 * math.erf(10.0) - (1.0 - math.exp(-100.0)) / 100.0
+PROBLEMS = {
+    "peak": (3, lambda x: np.exp(-((x - 0.4) ** 2).sum(-1) / 8e-4), (8e-4 * math.pi) ** 1.5),
+    "digital option": (16, lambda x: (normal(x).sum(-1) > 1.0) * 1.0, float(ndtr(-0.25))),
+    "lognormal": (4, lambda x: np.exp(0.5 * normal(x).sum(-1)), math.exp(0.5)),
+    "smooth": (5, lambda x: np.exp(x * SLOPES).prod(-1), (np.expm1(SLOPES) / SLOPES).prod()),
+    "product": (10, lambda x: (3.0 * x - 0.5).prod(-1), 1.0),
+    "half-plane": (2, lambda x: (x @ (0.6, 0.8) < 0.7) * 1.0, 0.5),
+    "ridge": (2, lambda x: np.exp(-100.0 * (x[..., 0] - x[..., 1]) ** 2), RIDGE),
+    "step": (3, lambda x: (x[..., 1] < 0.377) * 1.0, 0.377),
+    "channels": (
+        2,
+        lambda x: np.stack([x[..., 0] ** 2, np.exp(3.0 * x.sum(-1))], axis=-1),
+        np.array([1 / 3, (math.expm1(3.0) / 3.0) ** 2]),
+    ),
+}
+
+
+def estimator(name):
+    dims, function, integral = PROBLEMS[name]
+    return mcs.Estimator(mcs.Integrand.from_function(function, dims=dims, integral=integral))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def short_fits():
+    """A quarter of the steps: what is expected of a density is from evaluations that it was not fitted to."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(learned, "_STEPS", 30)
+        yield
+
+
+@cache
+def changes(name, kind, count=2048):
+    """Evaluations of a problem, and the changes of a kind that they suggest."""
+    e = estimator(name)
+    seen = evaluated(e, count, Stream.from_rng(1), adapt=kind == "fitted")
+    return seen, list(improvements(e, seen, [kind]))
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_all_changes_keep_the_integral(name):
+    """Means of 2^14 random points are within 4 standard errors of it."""
+    dims, _, integral = PROBLEMS[name]
+    u = np.random.default_rng(2).random((2**14, dims))
+    found = [change for kind in CHANGES for change in changes(name, kind)[1]]
+    assert found
+    for change in found:
+        values = change.estimator.primary_values(0, u)
+        error = values.std(axis=0) / math.sqrt(len(u)) + 1e-12
+        assert (np.abs(values.mean(axis=0) - integral) < SIGMAS * error).all(), change.name
+        assert change.estimator.integral == pytest.approx(integral)
+
+
+@pytest.mark.parametrize("kind", ["fitted", "regression"])
+@pytest.mark.parametrize("name", ["peak", "smooth", "product", "half-plane", "ridge"])
+def test_changes_are_as_good_as_expected(name, kind):
+    """No worse than expected within 4 standard errors of both variances; what halves were fitted to
+    tells less than all."""
+    e = estimator(name)
+    seen, found = changes(name, kind)
+    u = np.random.default_rng(3).random((2**16, e.dims))
+    before = e.primary_values(0, u).var()
+    squares = (seen.values[:, 0] - PROBLEMS[name][2]) ** 2 / seen.pdf
+    for change in found:
+        values = change.estimator.primary_values(0, u)
+        own = (values - values.mean()) ** 2
+        spread = math.hypot(squares.std() / squares.mean(), own.std() / own.mean())
+        most = change.ratio * math.exp(SIGMAS * spread / math.sqrt(len(seen.points)))
+        assert values.var() / before < most, change.name
+
+
+def test_a_ridge_across_both_axes_takes_a_flow():
+    """Its marginals are almost flat, so that no product follows it; weights that depend on the other axis do."""
+    found = {c.name: c.ratio for c in changes("ridge", "fitted")[1]}
+    assert found["fitted splines"] < 0.05
+
+
+def test_regression_takes_polynomials_away():
+    dims = 3
+    e = mcs.Estimator(mcs.Integrand.from_function(lambda x: x[..., 0] * x[..., 2], dims=dims))
+    (change,) = improvements(e, evaluated(e, 512, Stream.from_rng(0)), ["regression"])
+    u = np.random.default_rng(0).random((1000, dims))
+    assert change.estimator.primary_values(0, u).var() < 1e-12
+    assert change.ratio < 1e-12
+
+
+def test_fitted_normal_density_moves_to_where_a_lognormal_integrand_is():
+    """|g| φ is φ moved by a: what is left is from the error of the mean, d Var/k e^{|a|²} at most."""
+    found = {c.name: c for c in changes("lognormal", "fitted")[1]}
+    made = found["fitted normal density"].estimator.integrand.density
+    spread = math.sqrt(math.exp(1.0) / 2048)
+    assert np.abs(made.shift - 0.5).max() < SIGMAS * spread
+
+
+def test_the_direction_that_matters_comes_first():
+    """The regression on 16 terms has the error of its residuals: the angle to (1, …, 1) is as small."""
+    _, (change,) = changes("digital option", "order", 4096)
+    first = change.estimator.integrand.density.matrix[:, 0]
+    residual = 0.25 / 4096 * 16  # squared, of all linear coefficients; their own is φ(¼)² = 0.15
+    assert 1.0 - (first.sum() / 4.0) ** 2 < SIGMAS * residual / 0.15
+
+
+def test_preintegration_leaves_the_bracket_of_the_jump_only():
+    """Of a step along an axis: a bracket of width 2^−7, sampled once, with at most a quarter its square."""
+    found = {c.name: c for c in changes("step", "preintegrated")[1]}
+    made = found["preintegrated along axis 1"].estimator
+    u = np.random.default_rng(0).random((4096, 3))
+    assert made.primary_values(0, u).var() < 0.25 * 2.0**-14
+    assert made.evaluations_per_point == 14
+
+
+def test_evaluations_at_points_of_any_density_have_its_weights():
+    """E[g²/p] − I² from points of p: within 4 standard errors of that of uniform points."""
+    e = estimator("smooth")
+    uniform = evaluated(e, 2**14, Stream.from_rng(4))
+    adapted = evaluated(e, 2**14, Stream.from_rng(5), adapt=True)
+    assert adapted.pdf.std() > 0.1
+    assert adapted.variance() == pytest.approx(uniform.variance(), rel=SIGMAS * 3.0 / 2**7)
+
+
+def test_the_pilot_is_charged_and_makes_no_more_calls():
+    calls = 0
+
+    def function(x):
+        nonlocal calls
+        calls += x[..., 0].size
+        return np.exp(-100.0 * ((x - 0.3) ** 2).sum(-1))
+
+    e = mcs.Estimator(mcs.Integrand.from_function(function, dims=2, integral=math.pi / 100))
+    for kind in CHANGES:
+        calls = 0
+        seen = evaluated(e, 500, Stream.from_rng(0), adapt=kind == "fitted")
+        made = list(improvements(e, seen, [kind], charged=500))
+        assert calls == 500
+        assert all(Setup(m.estimator, mcs.sampler("random", dims=2)).overhead == 500 for m in made)
+        assert all(Mirrored(m.estimator).pilot_evaluations == 500 for m in made)
+
+
+@pytest.mark.parametrize(("name", "kind"), [("peak", "fitted"), ("smooth", "regression")])
+def test_remedies_recommend_what_changes_the_estimator(name, kind):
+    found = mcs.remedies(
+        estimator(name), "random", 4096, realizations=100, rng=1, kinds=["mirrored", kind]
+    )
+    best = found.isel(remedy=0)
+    assert (best["kind"], best["verdict"]) == (kind, "better")
+    assert best["error_ratio_ci"].values[1] < 0.02
+    # What is spent before the first point is no part of the rate, which is that of random points
+    assert best["rate_verdict"] == "undecided"
+
+
+def test_what_cannot_be_changed_is_said():
+    mis = mcs.MultipleImportance("gaussian", ["uniform", "linear"], dims=2)
+    with pytest.raises(ParameterError, match="one technique"):
+        evaluated(mis, 100, Stream.from_rng(0))
+    e = estimator("step")
+    with pytest.raises(ParameterError, match="too few"):
+        list(improvements(e, evaluated(e, 4, Stream.from_rng(0))))
+    with pytest.raises(ParameterError, match="0 at all"):
+        list(improvements(e, Evaluations.of(np.full((99, 3), 0.9), np.zeros(99)), ["fitted"]))
+    found = mcs.remedies(e, "random", 256, realizations=100, kinds=["regression"])
+    assert "budget of at least 512" in found.attrs["recommendation"]
+
+
+@pytest.mark.parametrize(
+    ("order", "dims"), [*itertools.product([1, 2, 3, 4, 5], [1, 2]), (2, 3), (3, 3)]
+)
+def test_cubic_stratification_has_its_order(order, dims):
+    """Theory: a variance ∝ n^(−1 − 2r/d). A bump has no derivatives at the border, and corrections of an even
+    power of the side inside: the slope of the last counts is as far from theory as its errors say and
+    as it is from the slope before."""
+    counts = [s**dims for s in {1: (32, 64, 128), 2: (12, 18, 27), 3: (8, 10, 12)}[dims]]
+    f = mcs.Integrand.from_function(
+        lambda x: np.exp(-40.0 * ((x - 0.5) ** 2)).prod(-1),
+        dims=dims,
+        integral=(math.sqrt(math.pi / 40.0) * math.erf(math.sqrt(10.0))) ** dims,
+    )
+    cubic = Cubic.of(mcs.Estimator(f), order)
+    assert cubic.evaluations_per_point == [1, 2, 2, 3, 2][order - 1]
+    variance, error = [], []
+    for n in counts:
+        e = mcs.Estimator(cubic.in_cells(round(n ** (1 / dims))))
+        found = mcs.convergence(e, "jittered", [n], realizations=200, rng=order)
+        assert abs(float(found["bias"][0])) < SIGMAS * float(found["mean_se"][0]) + 1e-15
+        low, high = found["variance_ci"].values[0]
+        variance.append(float(found["variance"][0]))
+        error.append(math.log(high / low) / (2 * 1.96))
+    steps = np.diff(np.log(counts))
+    slopes = np.diff(np.log(variance)) / steps
+    noise = np.hypot(error[1:], error[:-1]) / steps
+    bias = abs(slopes[1] - slopes[0])
+    assert abs(slopes[1] + 1.0 + 2.0 * order / dims) < SIGMAS * noise[1] + bias
+
+
+@pytest.mark.parametrize("order", [2, 3, 4, 5])
+def test_cubic_stratification_is_exact_for_its_polynomials(order):
+    """Of degree order − 1 along each axis (order 2: in all), at the border too, with channels, in any order of points."""
+    f = mcs.Integrand.from_function(
+        lambda x: np.stack([(x ** (order - 1)).prod(-1), 1.0 + x[..., 0]], -1), dims=2
+    )
+    cubic = Cubic.of(mcs.Estimator(f), order).in_cells(order + 2)
+    u = np.random.default_rng(0).random((3, 500, 2))
+    assert cubic(u).shape == (3, 500, 2)
+    cell = np.floor(u * (order + 2))
+    # Within a cell nothing varies: its mean is that of the polynomial, by its antiderivative
+    ends = np.arange(order + 3) / (order + 2)
+    means = np.diff(ends**order) / order * (order + 2)
+    expected = np.outer(means, means)[tuple(cell.astype(int).reshape(-1, 2).T)]
+    if order > 2:
+        assert cubic(u)[..., 0].ravel() == pytest.approx(expected, abs=1e-13)
+    assert cubic(u)[..., 1] == pytest.approx(1.0 + (cell[..., 0] + 0.5) / (order + 2), abs=1e-13)
+    with pytest.raises(ParameterError, match="too few for order"):
+        Cubic.of(mcs.Estimator(f), order).in_cells(order - 1)
+
+
+def test_cubic_stratification_of_even_order_has_one_cell_more_above_than_below():
+    """Of x⁴ y and order 4: y times the cubic through the centres of a cell, of one below it and of two above."""
+    f = mcs.Integrand.from_function(lambda x: x[..., 0] ** 4 * x[..., 1], dims=2)
+    cell, u = np.array([3, 2]), np.array([[0.53, 0.36], [0.61, 0.48]])
+    centres = (np.arange(2, 6) + 0.5) / 6
+    cubic = np.polynomial.Polynomial.fit(centres, centres**4, 3)
+    x, y = np.stack([u, (2 * cell + 1) / 6 - u]).T
+    mean = np.diff(cubic.integ()(np.array([3, 4]) / 6)) * 6 * 2.5 / 6
+    expected = ((x**4 - cubic(x)) * y).mean(axis=1) + mean
+    found = Cubic.of(mcs.Estimator(f), 4).in_cells(6)(u)
+    assert np.asarray(found) == pytest.approx(expected, abs=1e-13)
+
+
+def test_cubic_stratification_is_found_by_remedies_and_charged_for_its_centres():
+    made = 0
+
+    def smooth(x):
+        nonlocal made
+        made += x.size // 2
+        return np.exp(x.sum(-1))
+
+    f = mcs.Integrand.from_function(smooth, dims=2, integral=math.expm1(1.0) ** 2)
+    found = mcs.remedies(f, "sobol | owen", 1024, realizations=100, kinds=["cubic"])
+    best = found.isel(remedy=0)
+    assert str(best["remedy"].values) == "cubic: order 4"
+    assert float(best["rate_difference_ci"][1]) < 0.0
+    cost = best["cost"].values[np.isfinite(best["cost"].values)]
+    assert set(cost % 3) == {0.0}
+    assert cost.max() <= 1024
+    assert made <= 5 * 4 / 3 * 1024 * 100 + 1024 * 100
+    seven = mcs.remedies(
+        mcs.Integrand.from_function(smooth, dims=7, integral=math.expm1(1.0) ** 7),
+        "random",
+        64,
+        realizations=100,
+        kinds=["cubic"],
+    )
+    assert "In 7 dims cubes are too many" in seven.attrs["not_tried"]

@@ -1,0 +1,374 @@
+"""Remedies: the known ones are found at equal cost, the others are not recommended, and why."""
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core.errors import CountError, ParameterError
+from mcspectra.core.streams import Stream
+from mcspectra.explain.diagnosis import diagnose
+from mcspectra.improve import candidates
+from mcspectra.improve.candidates import KINDS, Budget, Counterfactual, other_setups
+from mcspectra.improve.remedy import simultaneous_z
+from mcspectra.measure.setup import Setup, affordable_count
+
+SMOOTH = "christensen-gaussian"
+
+
+def _setup(estimator, sampler):
+    e = mcs.estimators.as_estimator(estimator)
+    return Setup(e, mcs.sampler(sampler, dims=e.dims))
+
+
+def _found(estimator, sampler, *kinds):
+    budget = Budget(256, 100, Stream.from_rng(0))
+    return list(other_setups(_setup(estimator, sampler), kinds or tuple(KINDS), budget))
+
+
+@pytest.fixture(scope="module")
+def shifted():
+    """A smooth integrand that does not wrap around, with a shifted sampler: boundary jumps cost."""
+    kinds = ["unshifted", "mirrored", "aligned", "sampler"]
+    return mcs.remedies(SMOOTH, "jittered | shift", 1024, realizations=400, rng=1, kinds=kinds)
+
+
+def test_leaving_the_shift_out_and_mirroring_restore_the_rate(shifted):
+    """−1.5 shifted, −2 without the shift (DESIGN) and mirrored: intervals of the differences hold."""
+    for name in ("unshifted", "mirrored: integrand"):
+        row = shifted.sel(remedy=name)
+        assert row["verdict"] == row["rate_verdict"] == "better"
+        low, high = row["rate_difference_ci"].values
+        assert low < -0.5 < high
+    assert "wrap-around" in str(shifted.sel(remedy="mirrored: integrand")["reason"].values)
+    assert "opposite faces" in shifted.attrs["diagnosis"]
+
+
+def test_errors_are_in_order_and_the_best_is_recommended(shifted):
+    errors = shifted["error"].values
+    assert (np.diff(errors) >= 0).all()
+    # intervals of the errors and of the rates hold together
+    assert shifted.attrs["simultaneous_z"] == simultaneous_z(2 * (len(errors) - 1))
+    assert (shifted.sel(remedy=["random", "mirrored: random"])["verdict"] == "worse").all()
+    best = shifted.isel(remedy=0)
+    change = str(best["change"].values)
+    assert shifted.attrs["recommendation"].lower().startswith(change.lower())
+    assert (shifted["rank_by_rate"].values == 1).sum() == 1
+    rates = shifted["rate"].values
+    assert shifted["rank_by_rate"].values[np.nanargmin(rates)] == 1
+
+
+def test_costs_never_exceed_the_budget_and_steps_are_comparable(shifted):
+    cost = shifted["cost"].values
+    assert np.nanmax(cost) <= 1024
+    budgets = 1024 / 4.0 ** np.arange(4, -1, -1)
+    assert (np.isnan(cost) | (cost <= budgets)).all()
+    for name in ("sobol | owen", "as given"):
+        np.testing.assert_array_equal(shifted["cost"].sel(remedy=name), budgets)
+
+
+def test_ratios_agree_with_exact_variances():
+    """x in 1-D, jittered 1/(12n³), jittered and shifted 1/(6n²) − 1/(12n³) (ORACLES)."""
+    n = 64
+    f = mcs.Estimator("linear", dims=1)
+    found = mcs.remedies(f, "jittered | shift", n, realizations=2000, kinds=["unshifted"])
+    exact = (1 / (12 * n**3)) / (1 / (6 * n**2) - 1 / (12 * n**3))
+    low, high = found["error_ratio_ci"].sel(remedy="unshifted").values
+    assert low < exact < high
+    assert high / low < 1.5
+
+
+def test_interior_edges_are_not_mended_by_mirroring_but_by_smoothing():
+    found = mcs.remedies(
+        "disk(center=0.47)",
+        "jittered | shift",
+        1024,
+        realizations=300,
+        kinds=["mirrored", "smoothed"],
+    )
+    assert "meet a jump of g" in found.attrs["diagnosis"]
+    mirrored = found.sel(remedy="mirrored: integrand")
+    assert mirrored["verdict"] != "better"
+    assert mirrored["rate_verdict"] != "better"
+    smooth = str(found["remedy"].values[0])
+    assert smooth.startswith("smoothed by")
+    assert found["verdict"].values[0] == "better"
+    assert "bias" in str(found["reason"].values[0])
+
+
+def test_a_known_edge_is_aligned_with_and_leaves_nothing():
+    found = mcs.remedies(
+        mcs.Estimator("step(at=0.3)", dims=1), "jittered", 256, realizations=100, kinds=["aligned"]
+    )
+    assert str(found["remedy"].values[0]) == "aligned with edges"
+    assert float(found["error"][0]) < 1e-30
+    assert "no variance is left" in found.attrs["recommendation"]
+
+
+def test_the_slow_technique_is_named_and_left_out():
+    mis = mcs.MultipleImportance(
+        mcs.integrand("polynomial(coefficients=[0.5, 0, 1])", dims=1),
+        ["uniform", "piecewise-constant(values=[1, 2, 3])"],
+    )
+    found = mcs.remedies(mis, "jittered", 512, realizations=300, kinds=["techniques", "heuristic"])
+    only = found.sel(remedy="only uniform")
+    # smooth f sampled uniformly: −3; the table's jumps: −2
+    assert only["verdict"] == only["rate_verdict"] == "better"
+    assert "meet a jump of g, by" in found.attrs["diagnosis"]
+    assert found.sel(remedy="heuristic: maximum")["verdict"] == "worse"
+
+
+def test_unbounded_weights_are_named():
+    e = mcs.Estimator("polynomial(coefficients=[0, 0, 1])", "linear(slope=2)", dims=1)
+    found = mcs.remedies(e, "random", 64, realizations=200, kinds=["warp"])
+    assert "1/p is unbounded" in found.attrs["diagnosis"]
+    assert any("defensive" in str(name) for name in found["remedy"].values)
+
+
+def test_nothing_is_recommended_where_nothing_is_better():
+    """f is what it is sampled by, but for a constant: every change is worse or undecided."""
+    f = mcs.integrand("linear(gradient=[1], offset=0.5)", dims=1)
+    found = mcs.remedies(
+        mcs.Estimator(f, "linear(slope=0.9)"), "sobol | owen", 256, realizations=200, kinds=["warp"]
+    )
+    assert not (found["verdict"] == "better").any()
+    assert "keep the set-up as given" in found.attrs["recommendation"]
+
+
+def test_colours_by_their_own_densities():
+    e = mcs.Estimator("environment", "environment")
+    found = mcs.remedies(e, "jittered", 256, realizations=200, kinds=["channels"])
+    assert found.sel(remedy="channels: own")["verdict"] == "better"
+
+
+def test_what_cannot_be_tried_is_listed_with_its_reason(shifted):
+    found = mcs.remedies(SMOOTH, "jittered", 64, realizations=100, kinds=["unshifted", "channels"])
+    assert [str(r) for r in found["remedy"].values] == ["as given"]
+    assert "no shift to leave out" in found.attrs["not_tried"]
+
+
+def test_no_set_up_is_tried_twice_and_none_is_the_given_one():
+    found = _found(SMOOTH, "jittered | shift", "unshifted", "sampler")
+    names = [c.setup.sampler.spec for c in found if isinstance(c, Counterfactual)]
+    assert len(names) == len(set(names))
+    assert "jittered | shift" not in names
+
+
+def test_a_sampler_that_is_biased_without_its_shift_keeps_it():
+    (found,) = _found(SMOOTH, "regular | shift", "unshifted")
+    assert isinstance(found, str)
+    assert "biased" in found
+
+
+@pytest.mark.parametrize(
+    ("estimator", "sampler", "budget", "expected"),
+    [
+        (SMOOTH, "jittered", 1000, 31**2),
+        (SMOOTH, "sobol | owen", 1000, 512),
+        (SMOOTH, "random", 1000, 1000),
+        # a count that steps of a part in 256 pass over
+        (SMOOTH, "sobol | owen", 14336, 8192),
+        (mcs.Mirrored(SMOOTH, "uniform", dims=2), "jittered", 1000, 4 * 15**2),
+        (mcs.MultipleImportance(SMOOTH, ["uniform", "linear"], counts=(1, 3)), "random", 1000, 250),
+        # n and 4n are both squares
+        (mcs.MultipleImportance(SMOOTH, ["uniform", "linear"], counts=(1, 4)), "jittered", 100, 16),
+        (SMOOTH, "jittered", 0, None),
+        (
+            mcs.MultipleImportance(SMOOTH, ["uniform", "linear"], counts=(1, 2)),
+            "jittered",
+            99,
+            None,
+        ),
+    ],
+)
+def test_the_largest_count_within_a_budget(estimator, sampler, budget, expected):
+    assert affordable_count(_setup(estimator, sampler), budget) == expected
+
+
+def test_causes_are_not_denied_where_they_were_not_looked_for():
+    """Techniques that share their points have no sets of their own, and few evaluations no nets."""
+    f = mcs.integrand("gaussian", dims=3)
+    shared = mcs.MultipleImportance(f, ["uniform", "truncated-normal(sigma=0.3)"], sets="shared")
+    for estimator, most in ((shared, None), (mcs.estimators.as_estimator(f), 100)):
+        found = diagnose(estimator, mcs.sampler("jittered", dims=3), Stream.from_rng(0), most)
+        assert found.causes == []
+        assert found.text.startswith("What costs precision was not looked for: ")
+
+
+def test_jumps_are_found_in_many_dims():
+    e = mcs.estimators.as_estimator("half-space(normal=[1, 1, 1, 1, 1], offset=2.2)", 5)
+    found = diagnose(e, mcs.sampler("sobol | owen", dims=5), Stream.from_rng(0))
+    assert found.causes[0].name == "interior-jump"
+
+
+def test_an_estimate_without_variance_needs_no_remedy():
+    found = mcs.remedies("constant(value=2)", "random", 64, realizations=100, kinds=["mirrored"])
+    assert "keep the set-up as given" in found.attrs["recommendation"]
+    assert not (found["verdict"] == "better").any()
+
+
+@pytest.mark.parametrize("sampler", ["sobol", "halton", "regular"])
+def test_a_bias_is_an_error(sampler):
+    """Points that are not randomised have no variance, but an error: that of their one estimate."""
+    f = mcs.integrand(SMOOTH)
+    found = mcs.remedies(f, sampler, 256, realizations=100, kinds=["sampler"])
+    n = 256
+    alone = float(np.mean(f(mcs.sampler(sampler, dims=2).draw(n)[0]))) - float(f.integral)
+    given = found.sel(remedy="as given")
+    assert float(given["error"]) == pytest.approx(alone**2, rel=1e-6)
+    assert found.sel(remedy="sobol | owen")["verdict"] == "better"
+
+
+def test_rare_events_that_nobody_met_are_no_absence_of_variance():
+    p = 1e-5
+    f = mcs.Integrand.from_function(
+        lambda x: 1.0 * (np.abs(x[..., 0] - 0.37) < p / 2), dims=1, integral=p
+    )
+    wrong = 0
+    for seed in range(10):
+        # both changes have the very variance of the set-up as given
+        found = mcs.remedies(f, "random", 256, realizations=400, rng=seed, kinds=["mirrored"])
+        same = found.sel(remedy=["mirrored: integrand", "mirrored: random"])
+        wrong += bool((same["verdict"] != "undecided").any())
+    # 5 % of 10 is 0.5, binomial σ 0.7
+    assert wrong <= 0.5 + 3.5 * 0.7
+    never = mcs.Integrand.from_function(
+        lambda x: 1.0 * (np.abs(x[..., 0] - 0.37) < 1e-12), dims=1, integral=2e-12
+    )
+    found = mcs.remedies(never, "random", 64, realizations=100, kinds=["mirrored"])
+    assert "none has met" in found.attrs["recommendation"]
+    assert np.isnan(found["error"]).all()
+
+
+def test_costs_are_evaluations_of_the_function():
+    """Pilots and means over boxes count: the function itself is asked how often it was called."""
+    calls = 0
+
+    def counted(x):
+        nonlocal calls
+        calls += x[..., 0].size
+        return 1.0 * (x.sum(axis=-1) > 1.1)
+
+    f = mcs.Integrand.from_function(counted, dims=2, integral=0.595)
+    smooth = mcs.Estimator(mcs.smoothed(f, 0.25), None)
+    setup = Setup(smooth, mcs.sampler("random", dims=2))
+    n = affordable_count(setup, 4096)
+    points = smooth.draw(setup.sampler, n, Stream.from_rng(0), 0, 1)
+    calls = 0
+    smooth.estimate(points)
+    assert calls == n * setup.cost <= 4096
+    calls = 0
+    mis = mcs.MultipleImportance(f, ["uniform", "linear"], heuristic="optimal(samples=1000)")
+    assert mis.pilot_evaluations == 1000
+    setup = Setup(mis, setup.sampler)
+    assert affordable_count(setup, 1200) == (1200 - 1000) // 2
+    assert affordable_count(setup, 1000) is None
+    found = mcs.remedies(
+        mis.with_heuristic("balance"), "random", 256, realizations=100, kinds=["heuristic"]
+    )
+    assert "pilot alone takes 4096" in found.attrs["not_tried"]
+
+
+def test_what_is_smoothed_to_another_integral_has_no_rate():
+    found = mcs.remedies(
+        "christensen-disk", "sobol | owen", 256, realizations=100, kinds=["smoothed"]
+    )
+    (name,) = (str(n) for n in found["remedy"].values if str(n).startswith("smoothed"))
+    assert np.isnan(found.sel(remedy=name)["rate"])
+    assert found.sel(remedy=name)["rate_verdict"] == "undecided"
+
+
+def test_means_over_boxes_are_not_said_to_be_biased(monkeypatch):
+    monkeypatch.setattr(candidates, "_WIDTHS", (0.1,))
+    f = mcs.integrand("image(values=[[0, 1], [1, 0]])")
+    changes = [
+        c for c in _found(f, "jittered | shift", "smoothed") if isinstance(c, Counterfactual)
+    ]
+    assert [c.biased for c in changes] == [False]
+
+
+def test_mirrored_estimators_keep_their_other_remedies():
+    mis = mcs.MultipleImportance(SMOOTH, ["uniform", "linear"], heuristic="maximum")
+    found = _found(mcs.Mirrored(mis), "jittered | shift", "heuristic", "techniques")
+    names = {c.name for c in found if isinstance(c, Counterfactual)}
+    assert {"heuristic: balance", "only uniform"} <= names
+    assert all(
+        isinstance(c.setup.estimator, mcs.Mirrored) for c in found if isinstance(c, Counterfactual)
+    )
+
+
+def test_tables_beside_other_techniques_are_compensated():
+    """f = p q of a table p with a technique of q: where q samples often p may be 0 [Karlik2019]."""
+    table = mcs.density("piecewise-constant(values=[[1, 1, 9, 1], [1, 1, 1, 1], [1, 9, 1, 1]])")
+    other = mcs.density("product(parts=['linear', 'uniform'])")
+    f = mcs.Integrand.from_function(lambda x: table.pdf(x) * other.pdf(x), dims=2)
+    mis = mcs.MultipleImportance(f, [other, table])
+    found = mcs.remedies(mis, "random", 1024, realizations=400, rng=0, kinds=["compensated"])
+    best = found.isel(remedy=0)
+    assert (best["remedy"], best["verdict"]) == ("compensated: technique 1", "better")
+    (made,) = _found(mis, "random", "compensated")
+    sharp = mcs.densities.compensated(table, [other])
+    assert np.array_equal(made.setup.estimator.densities[1].values, sharp.values)
+    (reason,) = _found(SMOOTH, "random", "compensated")
+    assert reason.startswith("compensated: ")
+
+
+def test_a_kind_that_fails_costs_itself_only(monkeypatch):
+    def broken(given, budget):
+        raise ParameterError("no scan of that.")
+        yield
+
+    monkeypatch.setitem(KINDS, "aligned", broken)
+    found = _found(SMOOTH, "jittered | shift", "aligned", "unshifted")
+    assert [getattr(c, "kind", c) for c in found] == ["aligned: no scan of that.", "unshifted"]
+
+
+def test_where_nothing_can_be_tried_the_reasons_are_said():
+    found = mcs.remedies(SMOOTH, "jittered", 256, realizations=100, kinds=["warp", "channels"])
+    assert found.attrs["recommendation"].startswith("No change could be tried. warp: ")
+
+
+def test_a_budget_too_small_for_two_counts_gets_a_sentence():
+    with pytest.raises((ParameterError, CountError), match="no two counts"):
+        mcs.remedies(
+            SMOOTH, mcs.Sampler.from_points(np.full((100, 8, 2), 0.5)), 16, realizations=100
+        )
+
+
+@pytest.mark.parametrize(
+    ("integrand", "share", "words"),
+    [
+        # x + y: all of it is odd about the centre, though its sides differ as well
+        ("linear(gradient=[1, 1])", 1.0, "g is odd about the centre (100 % of the variance of g)"),
+        # A disk about the centre is its own reflection
+        ("disk(center=0.5)", 0.0, None),
+    ],
+)
+def test_mirroring_names_central_symmetry_as_its_cause(integrand, share, words):
+    estimator = mcs.Estimator(integrand, dims=2)
+    sampler = mcs.sampler("jittered | shift", dims=2)
+    found = diagnose(estimator, sampler, Stream.from_rng(0))
+    assert found.odd == pytest.approx(share, abs=0.02)
+    if words:
+        mirrored = mcs.remedies(estimator, sampler, 256, realizations=100, kinds=["mirrored"])
+        assert words in str(mirrored.sel(remedy="mirrored: uniform")["reason"].values)
+
+
+def test_a_variance_is_not_called_an_error(shifted):
+    """Its ratio goes with that of the RMSE, the square root."""
+    ratio, (low, high) = (shifted[name].values[0] for name in ("error_ratio", "error_ratio_ci"))
+    text = shifted.attrs["recommendation"]
+    assert (
+        f"variance × {ratio:.3g} (RMSE × {np.sqrt(ratio):.2g}; 95 %: {low:.3g} to {high:.3g})"
+        in text
+    )
+    assert "error" not in text
+    assert not any("error" in str(reason) for reason in shifted["reason"].values)
+
+
+def test_images_that_are_too_many_are_not_tried_and_say_why():
+    """2^32 mirror images of a point: the other changes are measured all the same."""
+    g = mcs.Integrand.from_function(lambda u: u.prod(axis=-1), dims=32, integral=2.0**-32)
+    found = mcs.remedies(g, "sobol | owen", 64, realizations=100, kinds=["mirrored", "sampler"])
+    assert "mirrored: uniform: " in found.attrs["not_tried"]
+    assert "use at most 30" in found.attrs["not_tried"]
+    assert {"random", "mirrored: random"} <= set(found["remedy"].values)

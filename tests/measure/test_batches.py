@@ -1,0 +1,146 @@
+"""Standard errors of the terms: as large as the spread over independent runs says."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import mcspectra as mcs
+from mcspectra.core.records import merged
+from mcspectra.measure.sums import RunningSpread, ratio_factors, spread
+
+RUNS = 60
+
+
+@pytest.fixture(scope="module")
+def runs():
+    estimator = mcs.Estimator("gaussian(center=0.3, width=0.3)", "linear(slope=0.8)", dims=1)
+    return [
+        mcs.variance_terms(estimator, "jittered", 8, half_width=16, realizations=160, rng=seed)
+        for seed in range(RUNS)
+    ]
+
+
+@pytest.mark.parametrize("term", ["dc_term", "power_term", "cross_term"])
+def test_errors_of_terms_are_their_spread(runs, term):
+    values = np.array([float(d[term]) for d in runs])
+    claimed = np.sqrt(np.mean([float(d[f"{term}_se"]) ** 2 for d in runs]))
+    # the spread of 60 values is known to 1/√(2·59) = 9 %, the mean of squared errors far better;
+    # batch means of 8 realisations claim up to √(8/7) too much
+    assert 1 - 4 * 0.092 < claimed / np.std(values, ddof=1) < np.sqrt(8 / 7) * (1 + 4 * 0.092)
+
+
+def test_the_interval_of_captured_covers_the_truth(runs):
+    """The truth from 100 times as many realisations; 60 intervals of 95 % miss it at most 11 times."""
+    estimator = mcs.Estimator("gaussian(center=0.3, width=0.3)", "linear(slope=0.8)", dims=1)
+    truth = float(
+        mcs.variance_terms(estimator, "jittered", 8, half_width=16, realizations=16_000, rng=999)[
+            "captured"
+        ]
+    )
+    low, high = np.array([d["captured_ci"].values for d in runs]).T
+    missed = np.count_nonzero((truth < low) | (truth > high))
+    assert missed <= 11  # binomial(60, 0.05): more with probability 1e-5
+    claimed = np.median(np.log(high / low)) / 2 / stats.t.ppf(0.975, 19)
+    spread = np.std(np.log([float(d["captured"]) for d in runs]), ddof=1)
+    # wider where few batches hold most of the error, and on its side, but not twice
+    assert 1 - 4 * 0.092 < claimed / spread < 2
+
+
+def test_ratios_of_heavy_weights_are_covered():
+    """Of 500 simulations with weights of infinite fourth moment; ± t errors covered 75 %.
+
+    f = exp(−x), p = 1.5 √x, and f cut at |m| = 2: variances of means of 8 by quadrature in x = y⁴.
+    """
+    m = np.arange(-2, 3)
+    coefficients = (1 - np.exp(-1)) / (1 + 2j * np.pi * m)
+
+    def values(x):
+        cut = (coefficients * np.exp(2j * np.pi * m * x[..., None])).sum(axis=-1).real
+        return np.stack([cut, np.exp(-x)]) / (1.5 * np.sqrt(x))
+
+    y = (np.arange(2**16) + 0.5) / 2**16
+    density = 1.5 * np.sqrt(y**4) * 4 * y**3
+    first, second = ((values(y**4) ** k * density).mean(axis=1) for k in (1, 2))
+    truth = np.divide(*(second - first**2))
+    rng, inside = np.random.default_rng(1), []
+    for _ in range(500):
+        estimates = values(rng.random((100, 8)) ** (2 / 3)).mean(axis=-1)
+        above, below = estimates.reshape(2, 20, 5).var(axis=-1, ddof=1)
+        ratio = np.divide(*estimates.var(axis=-1, ddof=1))
+        low, high = ratio * ratio_factors(above, below, np.full(20, 0.05))
+        inside.append(low <= truth <= high)
+    assert np.mean(inside) > 0.9 - 4 * np.sqrt(0.1 * 0.9 / 500)
+
+
+def _merged(blocks, weights):
+    """Spread of four blocks: the last two merged first."""
+    a, b, c, d = map(RunningSpread.of, blocks, weights)
+    return merged(merged(a, b), merged(c, d))
+
+
+def test_spread_of_blocks_is_that_of_all_kept():
+    """Against the blocks side by side: weights w, errors about the mean with weights w²."""
+    generator = np.random.default_rng(1)
+    weights = np.array([3.0, 3.0, 3.0, 1.0])
+    values = 50.0 + generator.standard_normal((4, 2, 3)) + 1j * generator.standard_normal((4, 2, 3))
+    for blocks in (values.real, values):
+        running = _merged(blocks, weights)
+        off = blocks - np.average(blocks, axis=0, weights=weights**2)
+        squares = np.tensordot((weights / weights.sum()) ** 2, np.abs(off) ** 2, axes=1)
+        np.testing.assert_allclose(running.error(), np.sqrt(squares * 4 / 3), rtol=1e-10)
+    equal = _merged(values.real, [7] * 4)
+    same = spread(values.real - values.real.mean(axis=0), np.full(4, 0.25))
+    np.testing.assert_allclose(equal.error(), same, rtol=1e-10)
+
+
+def _matrix_runs():
+    return [
+        mcs.variance_terms(
+            "gaussian(center=0.3, width=0.3)", mcs.sampler("jittered | mirror", dims=1), 8,
+            half_width=4, realizations=160, rng=seed, bands="dyadic", cross_matrix=True,
+        )
+        for seed in range(RUNS)
+    ]  # fmt: skip
+
+
+def test_errors_of_maps_bands_and_matrices_are_their_spread():
+    runs = _matrix_runs()
+    names = ("contribution", "band_covariance", "coefficient_covariance", "cross_matrix")
+    for name in names:
+        values = np.array([d[name].values for d in runs])
+        spread_found = (np.abs(values - values.mean(axis=0)) ** 2).sum(axis=0) / (RUNS - 1)
+        claimed = np.mean([d[f"{name}_se"].values ** 2 for d in runs], axis=0)
+        some = spread_found > 1e-6 * spread_found.max()  # S_0 = 1 has no variance
+        assert some.mean() > 0.5
+        ratio = np.sqrt(claimed[some] / spread_found[some])
+        # each spread is known to 9 %; dozens of numbers: 5 σ, and √(8/7) too much at most
+        assert ratio.min() > 1 / (1 + 5 * 0.092), name
+        assert ratio.max() < np.sqrt(8 / 7) / (1 - 5 * 0.092), name
+        assert 1 - 2 * 0.092 < np.median(ratio) < np.sqrt(8 / 7) * (1 + 2 * 0.092), name
+
+
+def test_two_batches_have_one_degree_of_freedom():
+    """R = 4: two batches, a quantile of Student's t of 12.7, where a normal one would be 1.96."""
+    d = mcs.variance_terms("linear", mcs.sampler("random", 1), 4, half_width=4, realizations=4)
+    assert d.attrs["batches"] == 2
+    low, high = d["power_term_ci"].values
+    assert (high - low) / 2 == pytest.approx(12.7062 * float(d["power_term_se"]), rel=1e-5)
+
+
+def test_few_realizations():
+    estimator = mcs.Estimator("gaussian", dims=1)
+    two = mcs.variance_terms(estimator, "jittered", 8, half_width=4, realizations=3)
+    assert np.isnan(float(two["cross_term_se"]))
+    for name in ("captured_ci", "power_term_ci", "contribution_se", "band_covariance_se"):
+        assert np.isnan(two[name]).all()
+    assert two.attrs["batches"] == 1
+    four = mcs.variance_terms(estimator, "jittered", 8, half_width=4, realizations=4)
+    assert float(four["power_term_se"]) > 0
+
+
+def test_channels_have_errors_of_their_own():
+    f = mcs.Integrand.from_function(lambda x: np.concatenate([x, 2 * x], axis=-1), dims=1)
+    d = mcs.variance_terms(f, "random", 8, half_width=4, realizations=40, rng=1)
+    assert d["power_term_se"].dims == ("channel",)
+    np.testing.assert_allclose(d["power_term_se"][1] / d["power_term_se"][0], 4.0)
+    np.testing.assert_allclose(d["captured_ci"][0], d["captured_ci"][1])

@@ -1,0 +1,184 @@
+"""Variances of nets and strata from cells and moved sets, against exact values and measurements."""
+
+import numpy as np
+import pytest
+
+import mcspectra as mcs
+from mcspectra.core.errors import NoClosedForm
+from mcspectra.core.streams import Stream
+from mcspectra.prediction.known import Known
+from mcspectra.prediction.levels import of_levels
+from mcspectra.prediction.torus import of_few_moves
+
+
+def predicted(f, sampler, n):
+    """The prediction for a sampler given as text, or as one."""
+    f = f if isinstance(f, Known) else Known(f)
+    source = mcs.sampler(sampler, f.g.dims)
+    method = of_few_moves if "digital-shift" in source.spec else of_levels
+    return method(source.law(n), f, Stream.from_rng(0))
+
+
+def function(name, dims):
+    """Functions without closed forms, some with jumps across curves."""
+    functions = {
+        "product": lambda x: np.prod(1.0 / (1.0 + 4.0 * (x - 0.4) ** 2), axis=-1),
+        "sum": lambda x: x.sum(axis=-1),
+        "rotated step": lambda x: 1.0 * (x @ np.array([1.0, 0.53, 0.31])[:dims] < 0.7),
+        "disk": lambda x: 1.0 * (((x - 0.5) ** 2).sum(axis=-1) < 0.0625),
+    }
+    return mcs.Integrand.from_function(functions[name], dims=dims)
+
+
+@pytest.mark.parametrize(
+    ("sampler", "dims", "n"),
+    [
+        ("sobol | owen", 1, 64),
+        ("sobol | owen", 2, 32),
+        ("niederreiter | lms", 2, 32),
+        ("halton | owen", 2, 36),
+        ("halton(scramble='owen')", 2, 36),
+        ("faure | owen", 3, 27),
+        ("jittered", 2, 25),
+        ("jittered | strata-shift(offset=0.3)", 2, 25),
+        ("antithetic-jittered", 2, 50),
+        ("latin-hypercube", 1, 9),
+    ],
+)
+def test_exact_values_of_smooth_functions(sampler, dims, n):
+    f = function("product", dims)
+    if "lms" in sampler:  # the pairs of points have the law of owen
+        exact = mcs.exact_variance(mcs.Estimator(f), mcs.sampler("niederreiter | owen", dims), n)
+    elif "scramble" in sampler:
+        exact = mcs.exact_variance(mcs.Estimator(f), mcs.sampler("halton | owen", dims), n)
+    else:
+        exact = mcs.exact_variance(mcs.Estimator(f), mcs.sampler(sampler, dims), n)
+    found = predicted(f, sampler, n)
+    assert found.variance == pytest.approx(exact, rel=1e-5)
+    assert abs(found.variance[0] - exact) <= found.error[0] + 1e-6 * exact  # of exact_variance
+
+
+@pytest.mark.parametrize("n", [16, 64])
+def test_digital_shifts_of_smooth_functions(n):
+    """One shift of our own after the other: the interval covers, and is narrow."""
+    f = function("product", 2)
+    exact = mcs.exact_variance(mcs.Estimator(f), mcs.sampler("sobol | digital-shift", 2), n)
+    found = predicted(f, "sobol | digital-shift", n)
+    assert abs(found.variance[0] - exact) <= found.error[0] < 0.05 * exact
+
+
+@pytest.mark.parametrize("dims", [1, 2, 3])
+@pytest.mark.parametrize("sampler", ["sobol | owen", "sobol | digital-shift"])
+def test_additive_functions_at_large_counts(sampler, dims):
+    """Each axis of these nets has one point in each n-th: jittered with owen, a grid with a shift."""
+    n = 4096 if dims < 3 else 512
+    found = predicted(function("sum", dims), sampler, n)
+    exact = dims / 12.0 / (float(n) ** 3 if "owen" in sampler else float(n) ** 2)
+    assert abs(found.variance[0] - exact) <= found.error[0] + 1e-6 * exact
+    assert found.variance == pytest.approx(exact, rel=0.01)
+
+
+def test_sixty_five_thousand_points():
+    n = 2**16
+    found = predicted(mcs.integrand("linear", dims=2), "sobol | owen", n)
+    at_four = predicted(mcs.integrand("linear", dims=2), "sobol | owen", 4)
+    assert found.variance[0] * float(n) ** 3 == pytest.approx(at_four.variance[0] * 64.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("n", [16, 4096])
+@pytest.mark.parametrize("sampler", ["sobol | owen", "halton | owen", "jittered"])
+def test_sampled_cells_of_curves_agree_with_closed_forms(sampler, n):
+    """A disk that is known by its values only, against one whose shares of cells are exact."""
+    exact = predicted(mcs.integrand("disk", dims=2), sampler, n)
+    found = predicted(KNOWN_DISK, sampler, n)
+    assert found.variance == pytest.approx(exact.variance, rel=0.005)
+    assert abs(found.variance[0] - exact.variance[0]) <= 3.0 * found.error[0]
+
+
+KNOWN_DISK = Known(function("disk", 2))
+
+
+@pytest.mark.parametrize(
+    ("name", "sampler", "dims", "n"),
+    [
+        ("rotated step", "sobol | owen", 2, 1024),
+        ("rotated step", "sobol | digital-shift", 2, 256),
+        ("rotated step", "jittered", 2, 1024),
+        ("rotated step", "halton | owen", 3, 216),
+        ("disk", "sobol | owen", 3, 512),
+        ("disk", "jittered", 3, 512),
+        ("disk", "antithetic-jittered", 2, 512),
+        ("product", "sobol | digital-shift", 2, 1024),
+    ],
+)
+def test_measured_variances(name, sampler, dims, n):
+    f = function(name, dims)
+    found = predicted(f, sampler, n)
+    measured(found, f, sampler, n)
+    assert found.error[0] < 0.1 * found.variance[0]
+
+
+def measured(found, f, sampler, n):
+    """Within five standard errors of a measurement, and the interval of the prediction."""
+    result = mcs.convergence(
+        mcs.Estimator(f), mcs.sampler(sampler, f.dims), [n], realizations=500, rng=3
+    )
+    low, high = result.variance_ci.values.ravel()
+    error = (high - low) / (2.0 * 1.96)
+    difference = abs(found.variance[0] - float(result.variance.values[0]))
+    assert difference <= 5.0 * error + found.error[0]
+
+
+def test_channels_are_predicted_each():
+    f = mcs.Integrand.from_function(
+        lambda x: np.stack([x.sum(axis=-1), np.prod(x, axis=-1)], axis=-1), dims=2
+    )
+    for sampler in ("sobol | owen", "sobol | digital-shift", "jittered"):
+        both = predicted(f, sampler, 16).variance
+        first = predicted(function("sum", 2), sampler, 16).variance
+        assert both.shape == (2,)
+        assert both[0] == pytest.approx(first[0], rel=1e-6)
+
+
+def test_digital_shifts_of_a_jump_along_a_diagonal():
+    f = mcs.integrand("christensen-triangle", dims=2)
+    found = predicted(f, "sobol | digital-shift", 4096)
+    assert found.error[0] < 0.1 * found.variance[0]
+    measured(found, f, "sobol | digital-shift", 4096)
+    with pytest.raises(NoClosedForm, match="too many"):
+        predicted(f, "sobol | digital-shift", 2**18)
+
+
+def test_poles_at_the_border_keep_their_energy():
+    """(x y)^-0.3: cells of a table miss a part of ∫f², which is most of the variance."""
+    f = mcs.Integrand.from_function(
+        lambda x: np.prod(np.maximum(x, 1e-300) ** -0.3, axis=-1), dims=2, integral=1 / 0.49
+    )
+    found = predicted(f, "jittered", 4096)
+    ends = np.arange(65) / 64
+    mean, square = 64 * np.diff(ends**0.7) / 0.7, 64 * np.diff(ends**0.4) / 0.4
+    exact = (square.mean() ** 2 - (mean**2).mean() ** 2) / 4096
+    assert found.variance[0] == pytest.approx(exact, rel=0.02)
+    assert abs(found.variance[0] - exact) <= found.error[0]
+
+
+def test_strata_within_which_nothing_varies_have_no_variance():
+    f = mcs.Integrand.from_function(
+        lambda x: (np.floor(5 * x) % 2).sum(axis=-1) % 2, dims=2, integral=0.48
+    )
+    assert predicted(f, "jittered", 100).variance[0] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("sampler", "dims", "words"),
+    [
+        ("sobol", 2, "no variance"),
+        ("regular", 2, "no variance"),
+        ("sobol | owen", 4, "at most 3 dims"),
+        ("jittered | shift", 2, "No gains"),
+        ("poisson-disk", 2, "No gains"),
+    ],
+)
+def test_refusals(sampler, dims, words):
+    with pytest.raises(NoClosedForm, match=words):
+        predicted(mcs.integrand("linear", dims=dims), sampler, 16)

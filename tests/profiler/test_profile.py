@@ -1,0 +1,658 @@
+"""`mcspectra.profile`: its curves are unbiased, its causes right, its calls within the budget."""
+
+import json
+import math
+import re
+
+import numpy as np
+import pytest
+from scipy.special import ndtri
+
+import mcspectra as mcs
+from mcspectra.core.errors import McspectraError, ParameterError
+from mcspectra.explain.probing import lines_of, pole_of
+from mcspectra.explain.samples import Sets
+
+
+def inner(x):
+    return np.clip(x, 1e-300, 1.0 - 1e-16)
+
+
+def distance(x, place):
+    return np.maximum(np.linalg.norm(x - np.array(place), axis=-1), 1e-150)
+
+
+FUNCTIONS = {
+    "smooth": (2, lambda x: np.exp(x.sum(axis=-1)), {"none"}),
+    "waves": (1, lambda x: np.cos(80 * np.pi * x[..., 0]), {"high-frequency"}),
+    "waves along one of 3": (
+        3,
+        lambda x: np.cos(80 * np.pi * x[..., 1]) + x[..., 0],
+        {"high-frequency"},
+    ),
+    "few waves": (2, lambda x: np.cos(2 + x @ (5.0, 4.0)), {"none"}),
+    "disk": (2, lambda x: ((x**2).sum(axis=-1) < 0.6) * 1.0, {"interior-jump"}),
+    "step": (2, lambda x: (x[..., 0] > 0.377) + x[..., 1], {"axis-parallel-jump"}),
+    "staircase": (2, lambda x: np.floor(7 * x[..., 0]) + x[..., 1] ** 2, {"axis-parallel-jump"}),
+    "checkerboard": (2, lambda x: np.floor(8 * x).sum(axis=-1) % 2, {"axis-parallel-jump"}),
+    "sum over 8 dims": (8, lambda x: (x.sum(axis=-1) > 4.3) * 1.0, {"interior-jump"}),
+    "step near the border": (1, lambda x: (x[..., 0] > 0.02) * 1.0, {"axis-parallel-jump"}),
+    "kink": (1, lambda x: np.abs(x[..., 0] - 0.3), {"kink"}),
+    "call of 5 dims": (5, lambda x: np.maximum(x.sum(axis=-1) - 2.5, 0.0), {"kink"}),
+    "product of 10": (
+        10,
+        lambda x: np.prod(3 * x - 0.5, axis=-1),
+        {"high-dimension", "heavy-tail"},
+    ),
+    "pole": (1, lambda x: 1.0 / (x[..., 0] - 0.5), {"infinite-variance"}),
+    "edge": (2, lambda x: inner(x[..., 0]) ** -0.3, {"border-growth"}),
+    "steep edge": (2, lambda x: inner(x[..., 0]) ** -0.6, {"infinite-variance"}),
+    "lognormal": (1, lambda x: np.exp(1.5 * ndtri(inner(x[..., 0]))), {"border-growth"}),
+    "logarithm": (1, lambda x: -np.log(inner(x[..., 0])), {"border-growth"}),
+    "normal": (1, lambda x: ndtri(inner(x[..., 0])), {"border-growth"}),
+    "normal squared": (2, lambda x: ndtri(inner(x[..., 0])) ** 2, {"border-growth"}),
+    "logarithm of a normal": (
+        1,
+        lambda x: np.log1p(ndtri(inner(x[..., 0])) ** 2),
+        {"border-growth"},
+    ),
+    "narrow lognormal": (1, lambda x: np.exp(0.1 * ndtri(inner(x[..., 0]))), {"border-growth"}),
+    "wider lognormal": (1, lambda x: np.exp(0.3 * ndtri(inner(x[..., 0]))), {"border-growth"}),
+    # Bounded functions that are steep at the border are not rough there
+    "square root": (1, lambda x: np.sqrt(x[..., 0]), {"none"}),
+    "wave of normals": (2, lambda x: np.cos(ndtri(inner(x)).sum(axis=-1)), {"none"}),
+    "weights of a wide normal": (
+        1,
+        lambda x: np.exp(-0.5 * ndtri(inner(x[..., 0])) ** 2) * ndtri(inner(x[..., 0])) ** 2,
+        {"none"},
+    ),
+    "corner": (2, lambda x: 1.0 / x.sum(axis=-1), {"infinite-variance"}),
+    "corner of 3 dims": (3, lambda x: 1.0 / x.sum(axis=-1), {"border-growth"}),
+    "powers of faces": (2, lambda x: (inner(x) ** (-0.45, -0.2)).prod(axis=-1), {"border-growth"}),
+    "powers of 3 faces": (
+        3,
+        lambda x: (inner(x) ** (-0.3, -0.2, -0.4)).prod(axis=-1),
+        {"border-growth"},
+    ),
+    "face and corner": (
+        2,
+        lambda x: inner(x[..., 0]) ** -0.3 * x.sum(axis=-1) ** -0.4,
+        {"border-growth"},
+    ),
+    "face and steep corner": (
+        2,
+        lambda x: inner(x[..., 0]) ** -0.3 * x.sum(axis=-1) ** -0.8,
+        {"infinite-variance"},
+    ),
+    "point": (2, lambda x: distance(x, (0.3, 0.7)) ** -1.0, {"infinite-variance"}),
+    "finite point": (2, lambda x: distance(x, (0.3, 0.7)) ** -0.8, {"heavy-tail"}),
+    "finite place": (1, lambda x: distance(x, 0.32) ** -0.45, {"heavy-tail"}),
+    "peak": (3, lambda x: np.exp(-((x - 0.4) ** 2).sum(axis=-1) / 8e-4), {"heavy-tail"}),
+}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_the_first_cause_is_right_for_every_seed_and_budget(name):
+    dims, function, causes = FUNCTIONS[name]
+    for seed, budget in enumerate((2048, 8192, 2**16)):
+        found = mcs.profile(function, dims=dims, budget=budget, rng=seed)
+        assert found.causes[0].name in causes, (seed, budget, found.text)
+
+
+def test_many_lines_through_a_round_edge_do_not_make_it_straight():
+    """Of places 1/700 apart most are alike to 0.002."""
+    found = mcs.profile(
+        lambda x: (((x - 0.5) ** 2).sum(axis=-1) < 0.16) * 1.0, dims=2, budget=2**18
+    )
+    assert found.causes[0].name == "interior-jump"
+
+
+@pytest.mark.parametrize(
+    ("function", "dims", "rate"),
+    [
+        (lambda x: x[..., 0] < 0.377, 1, -2.0),  # local slopes are −1 to −5
+        (lambda x: x @ (0.6, 0.8) < 0.7, 2, -1.5),
+        (lambda x: inner(x[..., 0]) ** -0.3, 1, -1.4),
+        (lambda x: x.prod(axis=-1), 2, -3.0 + 1.0 / math.log(512)),
+    ],
+)
+def test_rates_of_large_budgets_are_those_of_theory(function, dims, rate):
+    found = mcs.profile(lambda x: function(x) * 1.0, dims=dims, budget=2**18)
+    assert found.samplers["sobol | owen"].rate == pytest.approx(rate, abs=0.1)
+
+
+def test_nothing_is_not_said_to_be_wrong_where_hardly_anything_was_looked_at():
+    found = mcs.profile(lambda x: x[..., 0] ** 2, dims=1, budget=256)
+    assert [cause.name for cause in found.causes] == ["few-realizations"]
+    assert found.causes[0].evidence["lines"] < 4
+
+
+def test_a_jump_that_equal_steps_of_a_line_miss_is_found_at_its_end():
+    """1/x beyond 0.01, 0 before: the steps of a line begin at about twice that."""
+    for seed, budget in enumerate((1024, 16384, 1024)):
+        found = mcs.profile(
+            lambda x: np.where(x[..., 0] > 0.01, 1.0 / inner(x[..., 0]), 0.0),
+            dims=1,
+            budget=budget,
+            rng=seed,
+        )
+        assert found.causes[0].name == "axis-parallel-jump", (seed, budget, found.text)
+    # What is steep there and smooth has no jump
+    for f in (np.sqrt, lambda x: np.exp(-50.0 * x), lambda x: 1.0 / (0.02 + x), lambda x: x**0.1):
+        found = mcs.profile(lambda x, f=f: f(x[..., 0]), dims=1)
+        assert not any("jump" in cause.name for cause in found.causes), found.text
+
+
+@pytest.mark.parametrize(
+    ("matrix", "order", "rank", "border"),
+    [
+        (np.eye(1), 0.45, 1, False),
+        (np.eye(2), 1.0, 2, False),
+        ([[3.0, 1.0], [0.0, 0.5]], 1.3, 2, False),
+        (np.eye(3), 2.0, 3, False),
+        ([[1.0, -1.0]], 0.6, 1, False),
+        (np.eye(3)[:2], 0.7, 2, False),
+        ([[1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]], 2.0, 2, False),
+        ([[1.0, 1.0]], 1.0, 2, True),
+        ([[1.0, 1.0, 0.0]], 0.6, 2, True),
+        ([[1.0, 0.0]], 0.3, 1, True),
+    ],
+)
+def test_poles_are_climbed_to_and_measured(matrix, order, rank, border):
+    """|A(x − c)|^−a, with c in a corner or inside: the rank of A is the codimension, but in a corner."""
+    matrix = np.asarray(matrix)
+    place = np.zeros(matrix.shape[1]) if border else 0.3 + 0.1 * np.arange(matrix.shape[1])
+
+    def function(x):
+        return 3.0 + np.maximum(np.linalg.norm((x - place) @ matrix.T, axis=-1), 1e-150) ** -order
+
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        x = rng.random((3000, len(place)))
+        pole = pole_of(function, x, function(x), 1000, rng)
+        assert pole is not None
+        assert pole.exponent == pytest.approx(order, abs=0.02)
+        assert (pole.codimension, pole.border) == (rank, border)
+
+
+@pytest.mark.parametrize("budget", [256, 10_000])
+@pytest.mark.parametrize(
+    ("sampler", "dims"),
+    [
+        ("random", 20),
+        ("jittered | shift", 2),
+        ("rank1-lattice | shift", 5),
+        ("sobol", 1),
+        ("sobol", 20),
+    ],
+)
+def test_calls_are_counted_and_never_above_the_budget(budget, sampler, dims):
+    made = 0
+
+    def function(x):
+        nonlocal made
+        made += x.size // dims
+        return np.prod(1.0 + 0.5 * x, axis=-1)
+
+    try:
+        found = mcs.profile(function, sampler=sampler, dims=dims, budget=budget)
+    except mcs.McspectraError:  # too little for twenty nets of four points
+        assert made == 0
+        assert budget == 256
+        return
+    assert made == found.calls <= budget
+
+
+@pytest.mark.parametrize(
+    ("dims", "name"), [(1, "sobol | owen"), (2, "sobol | owen"), (2, "jittered")]
+)
+def test_one_array_of_nets_tells_variances_of_all_samplers(dims, name):
+    f = mcs.integrand("gaussian(width=0.3, center=0.4)", dims=dims)
+    source, nets, repeats = mcs.sampler("sobol | owen", dims=dims), 16, 60
+    points = source.draw(64, realizations=nets * repeats, rng=5)
+    values = f(points)
+    curves = [
+        Sets([points[k::repeats]], [values[k::repeats]], (1,)).curves()[name]
+        for k in range(repeats)
+    ]
+    counts = curves[0].counts
+    found = np.array([c.variance for c in curves])
+    reference = mcs.convergence(
+        f, name, [int(n) for n in counts if n > 1], realizations=5000, rng=7
+    )
+    mean, error = found.mean(axis=0), found.std(axis=0, ddof=1) / math.sqrt(repeats)
+    for n, ours, se in zip(counts, mean, error, strict=True):
+        if n > 1:
+            low, high = reference["variance_ci"].sel(n=n).values
+            truth = float(reference["variance"].sel(n=n))
+            assert abs(ours - truth) < 4 * math.hypot(se, (high - low) / 3.92)
+    # The jackknife says what the scatter is
+    scatter = np.log(found).std(axis=0, ddof=1)[1:]
+    said = np.mean([c.relative_se for c in curves], axis=0)[1:]
+    assert (np.abs(np.log(said / scatter)) < 0.5).all()
+
+
+def test_intervals_of_the_integral_cover():
+    hits = 0
+    for seed in range(100):
+        found = mcs.profile(lambda x: np.exp(x.sum(axis=-1)), dims=2, budget=512, rng=seed)
+        low, high = found.interval
+        hits += low < (math.e - 1.0) ** 2 < high
+    assert 95 - 3 * math.sqrt(100 * 0.05 * 0.95) <= hits
+
+
+def test_intervals_of_skewed_estimates_cover_too():
+    """Student's t holds the mean of a lognormal variable in 88 % of 2,000 cases of twenty nets of 16 points."""
+    repeats, nets = 2000, 20
+    x = mcs.sampler("sobol | owen", dims=1).draw(16, realizations=repeats * nets, rng=3)
+    values = np.exp(ndtri(inner(x[..., 0]))).reshape(repeats, nets, 16)
+    ends = [
+        Sets([points], [found], (1,)).interval
+        for points, found in zip(x.reshape(repeats, nets, 16, 1), values, strict=True)
+    ]
+    hits = np.mean([low < math.exp(0.5) < high for low, high in ends])
+    assert hits > 0.93 - 3 * math.sqrt(0.07 * 0.93 / repeats)
+
+
+def test_what_is_infinite_or_rests_on_few_values_has_no_finite_interval():
+    for name in ("pole", "steep edge", "peak"):
+        dims, function, _ = FUNCTIONS[name]
+        found = mcs.profile(function, dims=dims, budget=2048)
+        assert not np.isfinite(found.interval).any(), name
+        assert ("inf   none" in found.text) == (name != "peak")
+    assert mcs.profile(FUNCTIONS["pole"][1], dims=1).answer.startswith("Nothing that was tried")
+
+
+def test_the_given_sampler_is_measured_and_its_wrapping_seen():
+    found = mcs.profile("linear", sampler="jittered | shift", dims=1, budget=8192)
+    assert found.causes[0].name == "border-jump"
+    assert found.rate == pytest.approx(-2.0, abs=0.4)
+    assert found.best.name == "sobol | owen"
+    assert mcs.profile("linear", sampler="sobol", dims=1).causes[0].name == "deterministic-set"
+    assert mcs.profile("linear", sampler="random | shift", dims=1).causes[0].name == "none"
+    periodic = mcs.profile(
+        lambda x: np.sin(2 * np.pi * x.sum(axis=-1)), sampler="rank1-lattice | shift", dims=2
+    )
+    assert periodic.causes[0].name == "none"
+
+
+def test_the_answer_as_text_and_as_data():
+    found = mcs.profile("christensen-disk")
+    assert found.answer.startswith(found.best.change[0].upper())
+    assert "interior-jump" in found.text
+    assert json.loads(json.dumps(found.to_dict()))["causes"][0]["name"] == "interior-jump"
+    assert "<table>" in found._repr_html_()
+    data = found.dataset
+    assert set(data["sampler"].values) == {"random", "jittered", "latin-hypercube", "sobol | owen"}
+    assert json.loads(data.attrs["best"])["name"] == found.best.name
+
+
+@pytest.mark.parametrize("name", ["disk", "lognormal", "sum over 8 dims"])
+def test_the_change_that_is_advised_keeps_the_integral_and_lowers_the_variance(name):
+    dims, function, _ = FUNCTIONS[name]
+    plain = mcs.Estimator(mcs.Integrand.from_function(function, dims=dims, integral=0.0))
+    better = mcs.profile(function, dims=dims, budget=8192, rng=3).best
+    assert better.gain_ci[0] > 1.0
+    cost = better.estimator.evaluations_per_point
+    changed = mcs.convergence(better.estimator, better.sampler, [16], realizations=400, rng=5)
+    given = mcs.convergence(plain, "random", [16 * cost], realizations=400, rng=6)
+    many = mcs.convergence(plain, "sobol | owen", [2**12], realizations=60, rng=7)
+    error = math.hypot(float(changed["mean_se"][0]), float(many["mean_se"][0]))
+    assert abs(float(changed["mean"][0] - many["mean"][0])) < 4 * error
+    assert float(changed["variance"][0]) < float(given["variance"][0])
+
+
+@pytest.mark.parametrize(("exponent", "helps"), [(0.6, True), (0.7, False)])
+def test_an_infinite_variance_is_left_to_densities_that_make_it_finite(exponent, helps):
+    found = mcs.profile(lambda x: inner(x[..., 0]) ** -exponent, dims=1)
+    assert (found.best is not None) == helps
+    if found.best is not None:
+        spread = np.linalg.norm(found.best.estimator.integrand.density.matrix, 2)
+        assert 2 * exponent - (1 - spread**-2) < 1  # ∫g²/q, q ∝ u^(1/s² − 1) to logarithms
+    else:
+        assert found.answer.startswith("Nothing that was tried helps")
+
+
+@pytest.mark.parametrize("budget", [4096, 16384])
+def test_what_is_advised_is_better_than_all_samplers_shown_beside_it(budget):
+    found = mcs.profile(FUNCTIONS["logarithm"][1], dims=1, budget=budget, rng=1)
+    assert found.best.name.startswith("fitted")
+    assert found.best.rmse < float(found.dataset["rmse"].min())
+
+
+def test_a_change_that_misses_where_f_is_is_not_better():
+    """Few means along lines meet a box of 0.0016: they do not vary, and are 0."""
+    found = mcs.profile(lambda x: ((x > 0.4) & (x < 0.6)).all(axis=-1) * 1.0, dims=4, budget=2**16)
+    assert "preintegrated along the active direction" in found.tried
+    assert found.best is None or math.isnan(found.best.gain)
+
+
+def test_pairs_in_strata_are_tried_where_g_is_smooth_and_their_error_is_as_said():
+    f = mcs.Integrand.from_function(smooth, dims=1, integral=math.e - 1.0)
+    for seed in range(2):
+        best = mcs.profile(f, budget=4096, rng=seed).best
+        assert best.name == "antithetic-jittered"
+        measured = mcs.convergence(f, best.sampler, [4096], realizations=100, rng=seed)
+        # Its extrapolation over seven octaves, by a rate known to 0.15: a factor of two in the error
+        ratio = best.rmse / math.sqrt(float(measured["variance"][0]))
+        assert 0.5 < ratio < 2.0, seed
+    assert mcs.profile(smooth, dims=5).best.name == "sobol | owen"
+
+
+def test_the_count_that_is_advised_can_be_drawn():
+    found = mcs.profile(lambda x: np.exp(x[..., 0]), dims=1, budget=5001)
+    n = int(re.search(r"with n = ([\d,]+)", found.best.change)[1].replace(",", ""))
+    assert n <= 5001
+    assert mcs.sampler(found.best.sampler, dims=1).nearest_count(n) == n
+    assert found.dataset["rmse"].sel(sampler=found.best.sampler) < found.best.rmse_given
+
+
+def test_bad_input():
+    with pytest.raises(ParameterError, match="dims is missing"):
+        mcs.profile(lambda x: x[..., 0])
+    with pytest.raises(ParameterError, match="cannot be profiled"):
+        mcs.profile(3.0, dims=1)
+    with pytest.raises(McspectraError, match="budget"):
+        mcs.profile("linear", budget=10)
+
+
+def test_lines_find_where_and_how_rough_a_function_is():
+    found = lines_of(lambda x: np.abs(x[:, 0] - 0.3) ** -0.3, 1, 1000, np.random.default_rng(0))
+    assert np.median(found.exponent) == pytest.approx(-0.3, abs=0.1)
+    assert np.median(found.place) == pytest.approx(0.3, abs=1e-3)
+
+
+def test_what_was_interrupted_is_not_called_again(tmp_path):
+    made = 0
+
+    def slow(x):
+        nonlocal made
+        made += 1
+        return float(np.exp(x[0]))
+
+    def profiled():
+        return mcs.profile(
+            slow, dims=1, budget=512, vectorized=False, cache=tmp_path / "kept.sqlite"
+        ).to_dict()
+
+    first = profiled()
+    # Of eight values that are asked for again the cache has seven; one is held against the function
+    assert made == first["calls"] - 7
+    assert profiled() == first
+    assert made == first["calls"] - 7 + 1
+
+
+def test_draws_of_chains_and_estimates_are_profiled():
+    rng = np.random.default_rng(2)
+    noise = rng.standard_normal((4, 2000))
+    chain = np.empty(noise.shape)
+    last = np.zeros(4)
+    for t in range(noise.shape[1]):
+        chain[:, t] = last = 0.9 * last + noise[:, t]
+    assert mcs.profile(noise).causes[0].name == "none"
+    found = mcs.profile(chain)
+    assert found.causes[0].name == "correlated-replicates"
+    low, high = found.interval
+    assert low < 0.0 < high
+    assert mcs.profile(chain + np.array([[0], [0], [0], [30]])).causes[0].name == "stuck-chain"
+    assert mcs.profile(rng.standard_cauchy((4, 2000))).causes[0].name == "heavy-tail"
+    assert "mean of the draws" in found.text
+    wild = rng.standard_cauchy((4, 2000))
+    wild[1, 500:] = wild[1, 500]
+    assert [cause.name for cause in mcs.profile(wild).causes] == ["stuck-chain", "heavy-tail"]
+
+
+def test_what_never_changes_is_no_reference():
+    found = mcs.profile(FUNCTIONS["disk"][1], sampler="sobol", dims=2, budget=8192)
+    assert found.reference == "random"
+    assert found.best.rmse_given > found.best.rmse > 0.0
+    assert "sobol" not in found.samplers
+    # It leaves what is known of the jump, and of its rate, as it is
+    usual = mcs.profile(FUNCTIONS["disk"][1], sampler="random", dims=2, budget=8192)
+    assert [c.name for c in found.causes] == ["deterministic-set", *(c.name for c in usual.causes)]
+    assert found.best.gain_ci == usual.best.gain_ci
+    wave = mcs.profile(
+        lambda x: np.cos(2 * np.pi * x.sum(axis=-1)), sampler="halton", dims=8, budget=8192
+    )
+    assert wave.answer.startswith("Nothing that was tried is better than random.")
+    assert mcs.profile(FUNCTIONS["pole"][1], dims=1).best is None
+    assert mcs.profile(lambda x: np.ones(len(x)), dims=2).best is None
+
+
+def test_errors_are_at_the_points_that_the_budget_pays_for():
+    two = mcs.MultipleImportance("gaussian(width=0.2)", ["linear(slope=1)", "uniform"])
+    found = mcs.profile(two, budget=4096)
+    assert found.points == 2048
+    nets = found.samplers["sobol | owen"]
+    assert found.best.rmse == pytest.approx(math.sqrt(nets.at(2048)[0]))
+    assert f"{found.best.rmse:.3g}" in found.text
+
+
+def smooth(x):
+    return np.exp(x.sum(axis=-1))
+
+
+def leading(*arguments, **options):
+    return mcs.profile(*arguments, **options).causes[0]
+
+
+def test_a_pdf_that_is_not_normalised_or_not_of_its_sampler_is_a_cause():
+    def ramp(x):
+        return 0.5 + x[..., 0]
+
+    def sample(u):
+        return np.sqrt(0.25 + 2.0 * u) - 0.5
+
+    found = mcs.profile((smooth, ramp, sample), dims=1)
+    assert found.causes[0].name == "none"
+    assert found.interval[0] < math.e - 1.0 < found.interval[1]
+    # 1/pdf is smooth: its mean over a net of 4096 points is known to 1e-4
+    wrong = mcs.profile((smooth, lambda x: 1.5 * ramp(x), sample), dims=1)
+    assert wrong.causes[0].name == "wrong-pdf"
+    assert wrong.causes[0].evidence["of_one"] == pytest.approx(2 / 3, abs=1e-4)
+    assert not np.isfinite(wrong.interval).any()
+    assert wrong.answer.startswith("Mend the density first.")
+    other = leading((smooth, lambda x: np.ones(x.shape[:-1]), sample), dims=1)
+    assert other.name == "wrong-pdf"
+    assert other.evidence["of_one"] == 1.0  # what a constant does not show
+
+
+@pytest.mark.parametrize(("rest", "name"), [(0.0, "none"), (1.0, "wrong-pdf")])
+def test_a_pdf_that_is_0_where_f_is_not_is_a_cause_and_f_is_hardly_called_there(rest, name):
+    made = []
+
+    def f(x):
+        made.append(len(x))
+        return np.where(x[..., 0] < 0.5, 1.0 + x[..., 0], rest)
+
+    given = (f, lambda x: np.where(x[..., 0] < 0.5, 2.0, 0.0), lambda u: 0.5 * u)
+    found = mcs.profile(given, dims=1, budget=2048)
+    assert found.causes[0].name == name
+    assert sum(made) == found.calls <= 2048
+
+
+def test_a_jump_of_a_mixture_whose_parts_are_steep_beside_it_is_along_its_axis():
+    """The first coordinate chooses the part: g jumps where it does, from tail to tail."""
+    places, widths = np.array([0.3, 0.7]), np.array([0.1, 0.2])
+
+    def bells(x):
+        return np.exp(-((x[..., None] - places) ** 2 / widths**2).sum(axis=-2) / 2) @ (1.0, 0.5)
+
+    parts = [f"truncated-normal(mean={m}, sigma={s})" for m, s in zip(places, widths, strict=True)]
+    estimator = mcs.Estimator(
+        mcs.Integrand.from_function(bells, dims=2), f"mixture(parts={parts}, weights=[0.3, 0.7])"
+    )
+    assert leading(estimator, budget=8192).name == "axis-parallel-jump"
+
+
+def test_small_sets_say_nothing_of_larger_ones_that_resolve_the_waves():
+    """RMSE was 0.0057 to 0.0091 along the rate of small sets, and is 5e-4."""
+    f = lambda x: np.sin(600 * np.pi * x[..., 0]) + 1
+    found = mcs.profile(f, dims=2, budget=8192, rng=1)
+    assert found.causes[0].name == "high-frequency"
+    assert found.causes[0].evidence["resolved_by"] <= 8192
+    assert "was not tried" in found.answer
+    rmse = dict(zip(found.dataset["sampler"].values, found.dataset["rmse"].values, strict=True))
+    assert np.isnan(rmse["sobol | owen"])
+    assert rmse["random"] == pytest.approx(np.sqrt(0.5 / 8192), rel=0.1)
+
+
+@pytest.mark.parametrize("sampler", ["random", "sobol | owen"])
+def test_values_that_float32_cannot_hold_are_a_cause(sampler):
+    def waves(size, dtype):
+        return lambda x: (size + np.sin(5.0 * x.sum(axis=-1))).astype(dtype)
+
+    for size, dtype in ((1e4, np.float32), (1e6, np.float32), (1e14, float)):
+        assert leading(waves(size, dtype), dims=2, sampler=sampler).name == "float-drift"
+    drifting = leading(waves(1e4, np.float32), dims=2, sampler=sampler).evidence
+    assert drifting["drift"] > drifting["rmse"]
+    for size, dtype in ((0.0, np.float32), (1e4, float)):
+        assert leading(waves(size, dtype), dims=2, sampler=sampler).name == "none"
+
+
+def test_sets_that_are_few_alike_or_share_an_error_are_a_cause():
+    rng = np.random.default_rng(0)
+    sets, common = rng.random((40, 64, 2)), rng.random((4096, 2))
+    walk = np.linspace(0.1, 1.0, 40)[:, None, None] * rng.random((1, 64, 2))
+    given = {
+        "few-realizations": (sets[:3], {"realizations": 3}),
+        "correlated-replicates": (np.concatenate([sets[:4]] * 4), {"different": 4}),
+        "deterministic-set": (np.concatenate([sets[:1]] * 20), {"different": 1}),
+        "none": (sets, {}),
+    }
+    for name, (points, evidence) in given.items():
+        found = leading(smooth, sampler=mcs.Sampler.from_points(points), dims=2)
+        assert found.name == name
+        assert evidence.items() <= found.evidence.items()
+    following = leading(smooth, sampler=mcs.Sampler.from_points(walk), dims=2, budget=2**14)
+    assert following.evidence["correlation"] > 0.75
+    # Sets of more points than the budget pays for cost nothing to look at; what they share is no variance
+    large = rng.random((20, 2048, 2))
+    shaken = (large[:1] + 1e-3 * rng.standard_normal(large.shape)) % 1.0
+    for name, points in {"none": large, "correlated-replicates": shaken}.items():
+        found = mcs.profile(smooth, sampler=mcs.Sampler.from_points(points), dims=2)
+        assert found.causes[0].name == name
+        assert found.reference == "random"
+    samplers = {
+        "correlated-replicates": lambda n, own: 0.9 * common[:n] + 0.1 * own.random((n, 2)),
+        "none": lambda n, own: own.random((n, 2)),
+    }
+    for name, draw in samplers.items():
+        sampler = mcs.Sampler.from_function(draw, dims=2)
+        found = leading(smooth, sampler=sampler, dims=2)
+        assert found.name == name
+        assert name == "none" or abs(found.evidence["away"]) > 6.0
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0])
+def test_a_function_that_is_random_itself_is_a_cause_and_has_no_shape(size):
+    own = np.random.default_rng(1)
+
+    def noisy(x):
+        return x.sum(axis=-1) + size * own.standard_normal(x.shape[:-1])
+
+    cause, *others = mcs.profile(noisy, dims=2, budget=1024).causes
+    assert cause.name == "noisy-function"
+    assert not others
+    # Of χ² of 8 degrees; g without noise has the variance 1/6
+    share = size**2 / (size**2 + 1 / 6)
+    assert 0.02 * share < cause.evidence["share"] < 5 * share
+
+
+def test_few_values_that_make_the_variance_are_a_cause_without_a_largest_one():
+    """A bump of width w on 2 axes: a kurtosis of 1/(π w), nine tenths in a part 1.15 π w, no pole."""
+    found = mcs.profile(lambda x: np.exp(-((x - 0.4) ** 2).sum(-1) / 0.005), dims=2)
+    (tail,) = (cause for cause in found.causes if cause.name == "heavy-tail")
+    assert tail.evidence["kurtosis"] == pytest.approx(1 / (np.pi * 0.005), rel=0.2)
+    assert tail.evidence["nine_tenths"] == pytest.approx(1.15 * np.pi * 0.005, rel=0.2)
+    assert tail.evidence["largest_share"] < 0.1
+    smooth = mcs.profile(lambda x: np.exp(-((x - 0.4) ** 2).sum(-1) / 0.05), dims=2)
+    assert "heavy-tail" not in [cause.name for cause in smooth.causes]
+
+
+def test_rounded_estimates_are_a_cause():
+    draws = np.random.default_rng(0).random(500)
+    assert mcs.profile(draws.astype(np.float32)).causes[0].name == "none"
+    assert mcs.profile((1e6 + draws).astype(np.float32)).causes[0].name == "float-drift"
+
+
+@pytest.mark.parametrize("dims", [2, 8])
+def test_sets_that_do_not_vary_at_all_have_no_error(dims):
+    """A step at ½ along an axis: from two points on every scrambled net is exact."""
+    found = mcs.profile("step", dims=dims)
+    assert found.best.name == "sobol | owen"
+    assert found.best.rmse == 0.0
+    assert found.best.rmse_given == pytest.approx(0.5 / 64, rel=0.1)
+
+
+def test_what_has_no_error_has_no_rate():
+    """Of two points on the variance of nets is known, of four and more it is 0."""
+    found = mcs.profile(lambda x: np.sign(x - 0.5).prod(axis=-1), dims=2)
+    assert found.best.rmse == 0.0
+    assert np.isnan(found.dataset["rate"].sel(sampler="sobol | owen"))
+    (row,) = (line.split(maxsplit=4) for line in found.text.splitlines() if "  sobol" in line)
+    assert row[3:] == ["0", "no error seen"]
+
+
+@pytest.mark.parametrize("spec", ["half-space", "disk"])
+def test_what_no_point_met_is_not_called_smooth(spec):
+    found = mcs.profile(spec, dims=8)
+    assert found.interval == (-math.inf, math.inf)
+    assert found.causes[0].name == "heavy-tail"
+    assert "was not met" in found.answer
+
+
+def test_the_same_everywhere_is_constant_or_was_not_met():
+    found = mcs.profile(lambda x: 3.0 + 0.0 * x[..., 0], dims=2)
+    assert found.interval == (-math.inf, math.inf)
+    assert "either it is constant" in found.causes[0].sentence
+    assert found.best is None
+    assert found.dataset["rmse"].isnull().all()
+    known = mcs.Integrand.from_function(lambda x: 3.0 + 0.0 * x[..., 0], dims=2, integral=3.0)
+    assert mcs.profile(known).causes[0].name == "none"
+    assert (mcs.profile(known).dataset["rmse"] == 0.0).all()
+    shifted = mcs.profile(lambda x: 0.0 * x[:, 0] + 1.0, dims=2, sampler="jittered | shift")
+    assert shifted.causes[0].name == "few-realizations"
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e8, 1e10])
+def test_an_offset_changes_nothing(offset):
+    def bump(x):
+        return offset + np.exp(-0.5 * ((x - 0.4) ** 2).sum(-1) / 0.15**2)
+
+    found = mcs.profile(bump, dims=2)
+    assert found.best.name == "sobol | owen"
+    assert found.best.rmse == pytest.approx(
+        mcs.profile(lambda x: bump(x) - offset, dims=2).best.rmse, rel=0.2
+    )
+    assert found.samplers["latin-hypercube"].at(4096)[0] > 0.0
+    low, high = (float(end) for end in re.search(r"95 %: (\S+) to (\S+)\)", found.text).groups())
+    assert high > low
+
+
+def test_points_that_are_given_are_left_for_better_ones():
+    sets = np.random.default_rng(0).random((50, 64, 2))
+    found = mcs.profile(lambda x: np.exp(x.sum(-1)), dims=2, sampler=sets)
+    assert found.best.name == "sobol | owen"
+    assert found.best.gain_ci[0] > 1.0
+
+
+def test_no_gain_is_told_of_what_is_not_resolved():
+
+    found = mcs.profile(lambda x: 1.0 * (ndtri(x).sum(-1) > 3 * 8**0.5), dims=8)
+    assert found.interval == (-math.inf, math.inf)
+    assert found.best is None or math.isnan(found.best.gain)
+    assert "RMSE" not in found.answer
+
+
+@pytest.mark.parametrize("size", [1e-160, 1e200])
+def test_values_whose_squares_are_lost_are_refused(size):
+    with pytest.raises(ParameterError, match="divide f by it"):
+        mcs.profile(lambda x: size * np.exp(x.sum(-1)), dims=2)
+
+
+def test_samples_of_another_space_are_refused():
+
+    given = (lambda x: x[..., 0] ** 2, lambda x: np.exp(-(x[..., 0] ** 2) / 2), ndtri)
+    with pytest.raises(McspectraError, match="leaves the unit cube"):
+        mcs.profile(given, dims=1)
