@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import norm, t
 
 import mcspectra as mcs
-from mcspectra.core.fits import fit_rate
+from mcspectra.core.fits import LineFits, fit_rate
 from mcspectra.core.streams import Stream
 from mcspectra.rendering import map_statistics as statistics
 from mcspectra.rendering import map_tiles as prediction
@@ -80,10 +80,10 @@ def test_errors_of_a_line_are_those_of_many_lines():
 
 def test_gain_compares_equal_totals():
     better, worse, mis = lines(0.0, -2.0), lines(1.0, -1.5), lines(0.5, -1.5)
-    single = statistics.LineFits(
+    single = LineFits(
         **{
             name: np.concatenate([getattr(worse, name), getattr(better, name)])
-            for name in statistics.LineFits.__dataclass_fields__
+            for name in LineFits.__dataclass_fields__
         }
     )
     met = np.zeros((2, 1, 1), bool)

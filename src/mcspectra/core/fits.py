@@ -20,8 +20,10 @@ test sees that bend. A curve that is bent to its last count, as of a disk centre
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 
@@ -34,12 +36,14 @@ __all__ = [
     "LACK_OF_FIT",
     "UNRESOLVED",
     "LineFit",
+    "LineFits",
     "RateFit",
     "check_window",
     "fit_rate",
     "fit_rates",
     "is_resolved",
     "line_fit",
+    "line_fits",
     "widening",
 ]
 
@@ -105,6 +109,76 @@ def line_fit(x: Array, y: Array, weight: Array) -> LineFit:
     degrees = len(x) - 2
     chi2 = float((weight * residuals**2).sum() / degrees) if degrees else math.nan
     return LineFit(slope, float(centre), float(level), spread, residuals, chi2)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class LineFits:
+    """Lines log V = level + rate · (log n − centre) by `line_fits`, many at once: arrays (S, …).
+
+    The centre is the weighted mean of log n, where the errors of level and rate are independent. A
+    rate is NaN where fewer than two values were fitted, or where the line is not known. chi2 is the
+    lack of fit per degree of freedom, NaN for two values.
+    """
+
+    rate: Array
+    rate_se: Array
+    level: Array
+    level_se: Array
+    centre: Array
+    chi2: Array
+
+    def of(self, rows: list[int]) -> LineFits:
+        """Return some of the lines."""
+        return LineFits(**{name: getattr(self, name)[rows] for name in self.__dataclass_fields__})
+
+    def at(self, n: float) -> tuple[Array, Array]:
+        """Return log variance at `n` and its standard error."""
+        step = np.log(n) - self.centre
+        return self.level + self.rate * step, np.hypot(self.level_se, self.rate_se * step)
+
+
+def line_fits(x: Array, y: Array, weight: Array, known: Array) -> LineFits:
+    """Fit many lines at once, with standard errors widened by the lack of fit as in `fit_rate`.
+
+    Parameters
+    ----------
+    x, y, weight
+        Coordinates and 1 over the variance of each y, that broadcast to (S, N, …); values of weight 0
+        are left out.
+    known
+        Whether a line can be fitted to the values that are left, (S, …).
+    """
+    from scipy.special import chdtrc, stdtrit
+
+    with np.errstate(invalid="ignore", divide="ignore"):
+        total = _over_values(weight)
+        centre, level = _over_values(weight * x) / total, _over_values(weight * y) / total
+        step = x - centre[:, None]
+        spread = _over_values(weight * step**2)
+        count = (weight > 0).sum(axis=1)
+        enough = (count >= 2) & known
+        rate = np.where(enough, _over_values(weight * step * y) / spread, np.nan)
+        residual = y - level[:, None] - rate[:, None] * step
+        degrees = count - 2
+        chi2 = np.where(degrees > 0, _over_values(weight * residual**2) / degrees, np.nan)
+        some, lack = np.maximum(degrees, 1), np.where(degrees > 0, chi2, 0.0)
+        student = stdtrit(some, 0.975) / CONFIDENCE_Z
+        significant = chdtrc(some, lack * some) < LACK_OF_FIT
+        widened = np.maximum(np.where(significant, student, 1.0) * np.sqrt(lack), 1.0)
+        return LineFits(
+            rate=rate,
+            rate_se=np.where(enough, widened / np.sqrt(spread), np.nan),
+            level=np.where(enough, level, np.nan),
+            level_se=widened / np.sqrt(total),
+            centre=centre,
+            chi2=chi2,
+        )
+
+
+def _over_values(values: Array) -> Array:
+    """Sum over the second axis, one after the other whatever the number of lines."""
+    return np.asarray(functools.reduce(np.add, np.moveaxis(values, 1, 0)))
 
 
 @dataclass(frozen=True)

@@ -36,11 +36,10 @@ from mcspectra.improve.candidates import (
     Budget,
     Counterfactual,
     Kind,
-    Setup,
-    affordable_count,
     other_setups,
 )
 from mcspectra.measure.doors import answer
+from mcspectra.measure.setup import Setup, affordable_count
 from mcspectra.samplers import Sampler
 
 if TYPE_CHECKING:

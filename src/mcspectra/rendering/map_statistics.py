@@ -1,8 +1,7 @@
 """Statistics of variances over an image: rates, the technique that decides them, gains of MIS, shares.
 
-Rates are of one weighted least-squares fit of log variance against log n a pixel, as
-`mcspectra.core.fits` does it for one curve: weights from the relative standard errors, intervals
-widened by the lack of fit with Student's t. Arrays are (strategy, n, y, x) and (strategy, y, x).
+Rates are fitted to log variance against log n at every pixel (`mcspectra.core.fits.line_fits`), with
+weights from the relative standard errors. Arrays are (strategy, n, y, x) and (strategy, y, x).
 
 Shares of a path's variance (`path_shares`) are by requests k for random numbers, in their order:
 Var f = Σ_k (Var E[f | x_1 … x_k] − Var E[f | x_1 … x_{k−1}]), no part of which is negative; what
@@ -15,18 +14,16 @@ order 1/R.
 
 from __future__ import annotations
 
-import functools
-from dataclasses import dataclass
-from typing import Any, final
+from typing import Any
 
 import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.confidence import CONFIDENCE_Z
+from mcspectra.core.fits import LineFits, line_fits
 
 __all__ = [
     "UNDECIDED",
-    "LineFits",
     "dominant",
     "fit_lines",
     "gain",
@@ -40,35 +37,7 @@ __all__ = [
 
 UNDECIDED = -1.0
 
-_LACK_OF_FIT = 0.05  # significance, as in `mcspectra.core.fits`
 _ULPS = 4.0  # of float32: below, variances are the rounding of Mitsuba's values
-
-
-@final
-@dataclass(frozen=True, kw_only=True)
-class LineFits:
-    """Lines log V = level + rate · (log n − centre), one for every strategy and pixel.
-
-    The centre is the weighted mean of log n, where level and rate are independent. A rate is NaN
-    where fewer than two variances could be fitted, or one was left out at a smaller n than others: too few
-    realisations for what is rare. chi2 is the lack of fit per degree of freedom, NaN for two variances.
-    """
-
-    rate: Array
-    rate_se: Array
-    level: Array
-    level_se: Array
-    centre: Array
-    chi2: Array
-
-    def of(self, rows: list[int]) -> LineFits:
-        """Return the lines of some strategies."""
-        return LineFits(**{name: getattr(self, name)[rows] for name in self.__dataclass_fields__})
-
-    def at(self, n: float) -> tuple[Array, Array]:
-        """Return log variance at `n` and its standard error."""
-        step = np.log(n) - self.centre
-        return self.level + self.rate * step, np.hypot(self.level_se, self.rate_se * step)
 
 
 def fit_lines(
@@ -80,39 +49,15 @@ def fit_lines(
     error above `largest_se`: they come of very few realisations that met what is rare, and most
     often they are far too small.
     """
-    from scipy.special import chdtrc, stdtrit
-
     with np.errstate(invalid="ignore", divide="ignore"):
         floor = (_ULPS * np.finfo(np.float32).eps * mean) ** 2
         used = (variance > floor) & (relative_se > 0) & (relative_se <= largest_se)
         weight = np.where(used, relative_se**-2.0, 0.0)
         y = np.where(used, np.log(variance), 0.0)
         x = np.log(ns.astype(float)).reshape(1, -1, *[1] * (variance.ndim - 2))
-        total = _over_counts(weight)
-        centre, level = _over_counts(weight * x) / total, _over_counts(weight * y) / total
-        step = x - centre[:, None]
-        spread = _over_counts(weight * step**2)
         # Left out before a variance that is not: n was too small to meet what is rare.
         missed = np.maximum.accumulate(used[:, ::-1], axis=1)[:, ::-1] & ~used
-        enough = (used.sum(axis=1) >= 2) & ~missed.any(axis=1)
-        rate = np.where(enough, _over_counts(weight * step * y) / spread, np.nan)
-        residual = y - level[:, None] - rate[:, None] * step
-        degrees = used.sum(axis=1) - 2
-        chi2 = np.where(degrees > 0, _over_counts(weight * residual**2) / degrees, np.nan)
-        # Lack of fit widens intervals, as in `mcspectra.core.fits`: what errors do not explain is
-        # known from few counts only, Student's t over the normal quantile.
-        some, lack = np.maximum(degrees, 1), np.where(degrees > 0, chi2, 0.0)
-        student = stdtrit(some, 0.975) / CONFIDENCE_Z
-        significant = chdtrc(some, lack * some) < _LACK_OF_FIT
-        widening = np.maximum(np.where(significant, student, 1.0) * np.sqrt(lack), 1.0)
-        return LineFits(
-            rate=rate,
-            rate_se=np.where(enough, widening / np.sqrt(spread), np.nan),
-            level=np.where(enough, level, np.nan),
-            level_se=widening / np.sqrt(total),
-            centre=centre,
-            chi2=chi2,
-        )
+        return line_fits(x, y, weight, known=np.asarray(~missed.any(axis=1)))
 
 
 def smooth(rate: Array, rate_se: Array, window: int, independent: bool) -> tuple[Array, Array]:
@@ -250,11 +195,6 @@ def gain(single: LineFits, mis: LineFits, total: float, missed: Array) -> tuple[
     level, error = (np.take_along_axis(a, best, axis=0)[0] for a in (levels, errors))
     other, other_error = mis.at(total / 2)
     return ratio(level - other[0], np.hypot(error, other_error[0]))
-
-
-def _over_counts(values: Array) -> Array:
-    """Sum over the second axis, one after the other whatever the number of pixels."""
-    return np.asarray(functools.reduce(np.add, np.moveaxis(values, 1, 0)))
 
 
 def _larger(difference: Array, se: Array, unknown: Any) -> Array:
