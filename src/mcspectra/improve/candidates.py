@@ -35,8 +35,8 @@ from mcspectra.improve.improved import CHANGES, Cubic, evaluated, improvements
 from mcspectra.improve.variants import smoothing_scan
 from mcspectra.integrands.smoothing import BoxSmoothed, smoothed
 from mcspectra.measure.setup import Setup, affordable_count
-from mcspectra.samplers import Jittered, Sampler, Shift, StrataShift
-from mcspectra.samplers.base import Structure
+from mcspectra.samplers import Sampler, Shift, StrataShift
+from mcspectra.samplers.law import PairedAxes, Strata
 from mcspectra.samplers.registry import sampler as make_sampler
 from mcspectra.samplers.stratified import root
 from mcspectra.spectra.bases import parts_of
@@ -44,7 +44,7 @@ from mcspectra.spectra.bases import parts_of
 __all__ = [
     "KINDS",
     "Budget",
-    "Counterfactual",
+    "Candidate",
     "Kind",
     "other_setups",
 ]
@@ -82,8 +82,8 @@ class Budget:
 
 
 @dataclass(frozen=True)
-class Counterfactual:
-    """A set-up that differs from the one given in one respect."""
+class Candidate:
+    """A set-up that differs from the given one in one respect."""
 
     kind: str  # one of `KINDS`, or ``"given"``
     name: str  # short label, unique among those compared
@@ -132,15 +132,13 @@ Kind: TypeAlias = Literal[
 """Kinds of change, in the order in which they are tried."""
 
 
-def other_setups(
-    given: Setup, kinds: Sequence[Kind], budget: Budget
-) -> Iterator[Counterfactual | str]:
+def other_setups(given: Setup, kinds: Sequence[Kind], budget: Budget) -> Iterator[Candidate | str]:
     """All set-ups of the kinds asked for, in the order of `kinds`, none twice; ``name: reason`` of others.
 
     Where a kind fails, that is its reason. Changes of what is inside of a mirrored estimator are
     mirrored again.
     """
-    seen = {Counterfactual("given", "given", "", given).key}
+    seen = {Candidate("given", "given", "", given).key}
     for kind in kinds:
         own = given.estimator
         outer = own if isinstance(own, Mirrored) and kind in _INSIDE else None
@@ -162,7 +160,7 @@ def other_setups(
                 except McspectraError as error:
                     yield f"{offer.name}: {error}"
                     continue
-                found = Counterfactual(kind, offer.name, offer.change, setup, offer.biased)
+                found = Candidate(kind, offer.name, offer.change, setup, offer.biased)
                 if found.key not in seen:
                     yield found
                 seen.add(found.key)
@@ -193,7 +191,9 @@ def _without_shift(sampler: Sampler) -> Sampler | None:
 def align_strata(given: Setup, budget: Budget) -> _Offers:
     """The offset of strata that is best at the budget, and strata with borders at known edges."""
     plain = _without_shift(given.sampler) or given.sampler
-    if plain.structure is not Structure.STRATA or plain.dims > _MOST_ALIGNED or not plain.unbiased:
+    law = plain.law(plain.nearest_count(2**plain.dims))
+    stratified = isinstance(law, Strata | PairedAxes)
+    if not stratified or plain.dims > _MOST_ALIGNED or not plain.unbiased:
         raise ParameterError(
             f"{plain.spec} has no strata in one or two dims that could be aligned."
         )
@@ -201,7 +201,8 @@ def align_strata(given: Setup, budget: Budget) -> _Offers:
     def at_edges() -> Setup:
         """Borders at the breaks that g is known to have."""
         edges = [list(axis) for axis in given.estimator.primary_integrand(0).breaks]
-        if len(given.estimator.counts) > 1 or not any(edges) or not isinstance(plain, Jittered):
+        jittered = isinstance(law, Strata) and law.jittered
+        if len(given.estimator.counts) > 1 or not any(edges) or not jittered:
             raise ParameterError("No edges along the axes are known.")
         at = partial(aligned, given.estimator, edges if plain.dims > 1 else edges[0])
         at(2**plain.dims)  # raises where that cannot be

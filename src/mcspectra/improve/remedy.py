@@ -1,6 +1,6 @@
 """Remedies: what would lower the noise of an estimator at a budget, measured, ranked and explained.
 
-Every counterfactual (`mcspectra.improve.candidates`) is run at the same budgets of integrand
+Every candidate (`mcspectra.improve.candidates`) is run at the same budgets of integrand
 evaluations on the same random numbers as the set-up that is given, and compared with it realisation
 by realisation, by influences (docs/theory.md, "Intervals of variances, and stopping"). Intervals of
 all comparisons hold together: a remedy is recommended only where its interval leaves the set-up that
@@ -34,7 +34,7 @@ from mcspectra.explain.diagnosis import Diagnosis, diagnose, jumps_inside
 from mcspectra.improve.candidates import (
     KINDS,
     Budget,
-    Counterfactual,
+    Candidate,
     Kind,
     Setup,
     affordable_count,
@@ -140,7 +140,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Trials]:
         """The set-up as given, then the changes of a kind after the other."""
         given = Setup(subject.estimator, subject.sampler)
-        start = Counterfactual("given", "as given", "leave everything as it is", given)
+        start = Candidate("given", "as given", "leave everything as it is", given)
         unknown = np.isnan(given.estimator.known_integral()[0]).any()
         search = Budget(self.budget, self.realizations, stream.child(_SEARCH))
         # What the set-up as given leaves of the evaluations is shared by the kinds, whatever runs first
@@ -174,7 +174,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
                                 continue
                         not_tried.append(f"{change.name}: {reason}")
                     except BudgetError as error:
-                        name = change.name if isinstance(change, Counterfactual) else kinds[0]
+                        name = change.name if isinstance(change, Candidate) else kinds[0]
                         not_tried.append(f"{name}: {error}")
             if index:
                 return _Trials(tried, not_tried, None)
@@ -198,7 +198,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
             result=result,
         )
 
-    def _measured(self, change: Counterfactual, given: Setup, stream: Stream) -> Trial | None:
+    def _measured(self, change: Candidate, given: Setup, stream: Stream) -> Trial | None:
         """Errors at the counts that fit into each step's budget; None where two do not."""
         setup = change.setup
         cost: list[int] = []

@@ -24,7 +24,7 @@ from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.densities import Density
 from mcspectra.improve.designs.objectives import as_objective
-from mcspectra.improve.designs.searches import KINDS, Candidate, mean_variances
+from mcspectra.improve.designs.searches import KINDS, Design, mean_variances
 from mcspectra.improve.learned import learned_density
 from mcspectra.samplers import Sampler
 from mcspectra.samplers import sampler as sampler_of
@@ -183,7 +183,7 @@ def design(
 
     # Where nothing is found before an interrupt there is a usual sampler
     usual = sampler_of("korobov | shift", goal.dims)
-    best, finished = Candidate(math.inf, 0.0, lambda _: usual), False
+    best, finished = Design(math.inf, 0.0, lambda _: usual), False
     try:
         for candidate in KINDS[kind](goal, n, stream):
             report(f"design of {kind}, {n} points", candidate.done)

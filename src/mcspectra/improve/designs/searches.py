@@ -39,7 +39,7 @@ from mcspectra.samplers.randomizations import folded
 from mcspectra.samplers.stratified import SharedCells, write_cells
 from mcspectra.spectra.bases import hadamard
 
-__all__ = ["KINDS", "Candidate", "mean_variances"]
+__all__ = ["KINDS", "Design", "mean_variances"]
 
 _MOST = 2**12  # points of nets and trees
 _BITS = 18  # of the codes of all axes together, at most
@@ -58,7 +58,7 @@ _SHAPES, _REALIZATIONS = 12, 32
 _FOLD = " | mirror(mode='fold')"
 
 
-class Candidate(NamedTuple):
+class Design(NamedTuple):
     """A sampler that was found: its expected variance, the share of the search done, and its maker.
 
     `make` is given the path of a .npz file, which it writes where the sampler needs one.
@@ -69,7 +69,7 @@ class Candidate(NamedTuple):
     make: Callable[[Path], Sampler]
 
 
-Search = Callable[[Objective, int, Stream], Iterator[Candidate]]
+Search = Callable[[Objective, int, Stream], Iterator[Design]]
 
 
 def evaluated(values: Values, x: Array) -> Array:
@@ -165,7 +165,7 @@ def _judge(objective: Objective, n: int, stream: Stream) -> Callable[[Sampler], 
     return lambda made: float(mean_variances(values, made, n, sets, seed).sum())
 
 
-def _lattices(objective: Objective, n: int, stream: Stream) -> Iterator[Candidate]:
+def _lattices(objective: Objective, n: int, stream: Stream) -> Iterator[Design]:
     plane, judge = objective.dims <= 2, _judge(objective, n, stream)
     size = _FREQUENCIES if objective.dims <= 3 else 2 * _FREQUENCIES
     values = objective.functions(min(_MEMBERS, _VALUES // size), stream.generator(0))
@@ -182,14 +182,14 @@ def _lattices(objective: Objective, n: int, stream: Stream) -> Iterator[Candidat
             m[:most], power[:most], objective.dims, n, stream.generator(1)
         ):
             if not found:  # what there is if the search is interrupted
-                yield Candidate(math.inf, fold / 2, partial(_as_made, made_of(vector, fold)))
+                yield Design(math.inf, fold / 2, partial(_as_made, made_of(vector, fold)))
             found.append((value, vector))
             report("lattice", (fold + len(found) / _VECTORS) / 2)
         for value, vector in sorted(found, key=lambda each: each[0])[: 1 if plane else _JUDGED]:
             made = made_of(vector, fold)
             if not plane:  # frequencies that are not counted may be those that matter
                 value = judge(made)
-            yield Candidate(value, (fold + 1) / 2, partial(_as_made, made))
+            yield Design(value, (fold + 1) / 2, partial(_as_made, made))
 
 
 def _as_made(made: Sampler, path: Path) -> Sampler:
@@ -244,7 +244,7 @@ def _tables(
 
 def _nets(
     objective: Objective, n: int, stream: Stream, *, polynomial: bool, frames: int | None = None
-) -> Iterator[Candidate]:
+) -> Iterator[Design]:
     dims, bits = objective.dims, _axis_bits(n, objective.dims)
     m = _power_of_two(n, "polynomial-lattice" if polynomial else "digital-net")
     rows, modulus = max(m, bits), next(p for p in _irreducible() if p.bit_length() == m + 1)
@@ -291,10 +291,10 @@ def _nets(
             text = f"digital-net(matrices={columns.tolist()}, digits={rows}){tail}"
             made = sampler(text, dims)
             done = (frame + (start + 1) / _STARTS) / len(tables)
-            yield Candidate(judge(made), done, partial(_as_made, made))
+            yield Design(judge(made), done, partial(_as_made, made))
 
 
-def _trees(objective: Objective, n: int, stream: Stream) -> Iterator[Candidate]:
+def _trees(objective: Objective, n: int, stream: Stream) -> Iterator[Design]:
     _power_of_two(n, "owen")
     dims, bits = objective.dims, _axis_bits(n, objective.dims)
     starts = sampler("sobol | owen", dims).draw_stream(n, stream.child(1), 0, _TREES)
@@ -315,12 +315,12 @@ def _trees(objective: Objective, n: int, stream: Stream) -> Iterator[Candidate]:
     frames = list(_tables(objective, bits, stream, owen=False))
     begun = [(*flipped(table, 0, _TRIED), tail, table) for tail, table in frames]
     energy, sets, tail, table = min(begun, key=lambda each: each[0])
-    yield Candidate(math.inf, _TRIED / _TREES, partial(_of_sets, sets, tail))
+    yield Design(math.inf, _TRIED / _TREES, partial(_of_sets, sets, tail))
     for first in range(_TRIED, _TREES, _TRIED):
         value, more = flipped(table, first, first + _TRIED)
         energy, sets = energy + value, np.concatenate([sets, more])
         report("owen", len(sets) / _TREES)
-    yield Candidate(energy * _TRIED / _TREES, 1.0, partial(_of_sets, sets, tail))
+    yield Design(energy * _TRIED / _TREES, 1.0, partial(_of_sets, sets, tail))
 
 
 def _of_sets(sets: Array, tail: str, path: Path) -> Sampler:
@@ -337,7 +337,7 @@ def _shapes(n: int, dims: int) -> list[tuple[int, ...]]:
     return sorted(found, key=lambda shape: sum(np.log(shape) ** 2))
 
 
-def _shared(objective: Objective, n: int, stream: Stream, *, free: bool) -> Iterator[Candidate]:
+def _shared(objective: Objective, n: int, stream: Stream, *, free: bool) -> Iterator[Design]:
     dims = objective.dims
     if n > _CELLS // 16:
         raise CountError(
@@ -377,7 +377,7 @@ def _shared(objective: Objective, n: int, stream: Stream, *, free: bool) -> Iter
     order = np.lexsort((stream.generator(1).random(len(cells)), place))
     owner = np.empty(len(cells), np.int64)
     owner[order] = np.tile(np.arange(sets), n)
-    yield Candidate(math.inf, 0.0, partial(_of_cells, features, owner.copy(), cells, sides))
+    yield Design(math.inf, 0.0, partial(_of_cells, features, owner.copy(), cells, sides))
     begun = [owner]
     if free and (cosets := _cosets(objective, n, sides, stream)) is not None:
         begun.append(cosets)
@@ -400,7 +400,7 @@ def _shared(objective: Objective, n: int, stream: Stream, *, free: bool) -> Iter
         variance = exchanged(owner, sums, turn)
         finished = turn + 1 == _ROUNDS or variance > (1.0 - _LEAST_GAIN) * last
         done = 1.0 if finished else (turn + 1) / _ROUNDS
-        yield Candidate(variance, done, partial(_of_cells, features, owner.copy(), cells, sides))
+        yield Design(variance, done, partial(_of_cells, features, owner.copy(), cells, sides))
         if finished:
             return
         last = variance
@@ -440,7 +440,7 @@ def _of_cells(features: Array, owner: Array, cells: Array, sides: Array, path: P
     return SharedCells(path=str(path))
 
 
-def _points(objective: Objective, n: int, stream: Stream) -> Iterator[Candidate]:
+def _points(objective: Objective, n: int, stream: Stream) -> Iterator[Design]:
     """Sets that share a grid; then, in up to 3 dims, one set on the torus by its gradient."""
     dims = objective.dims
     if n <= _CELLS // 16 or dims > 3:
@@ -462,7 +462,7 @@ def _points(objective: Objective, n: int, stream: Stream) -> Iterator[Candidate]
             value = function(found_set)[0]
             tail = f" | shift{_FOLD if fold else ''}"
             sets = np.remainder(found_set, 1.0)[None] % 1.0
-            yield Candidate(value, 0.9 + 0.1 * fold, partial(_of_sets, sets, tail))
+            yield Design(value, 0.9 + 0.1 * fold, partial(_of_sets, sets, tail))
 
 
 def _energy(m: Array, power: Array, dims: int) -> Callable[[Array], tuple[float, Array]]:
