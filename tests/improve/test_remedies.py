@@ -7,8 +7,7 @@ import mcspectra as mcs
 from mcspectra.core.errors import CountError, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.explain.diagnosis import diagnose
-from mcspectra.improve import candidates
-from mcspectra.improve.candidates import KINDS, Budget, Candidate, other_setups
+from mcspectra.improve.candidates import KINDS, Budget, Candidate, CandidateSettings, other_setups
 from mcspectra.improve.remedy import simultaneous_z
 from mcspectra.measure.setup import Setup, affordable_count
 
@@ -20,8 +19,8 @@ def _setup(estimator, sampler):
     return Setup(e, mcs.sampler(sampler, dims=e.dims))
 
 
-def _found(estimator, sampler, *kinds):
-    budget = Budget(256, 100, Stream.from_rng(0))
+def _found(estimator, sampler, *kinds, **options):
+    budget = Budget(256, 100, Stream.from_rng(0), **options)
     return list(other_setups(_setup(estimator, sampler), kinds or tuple(KINDS), budget))
 
 
@@ -285,10 +284,11 @@ def test_what_is_smoothed_to_another_integral_has_no_rate():
     assert found.sel(remedy=name)["rate_verdict"] == "undecided"
 
 
-def test_means_over_boxes_are_not_said_to_be_biased(monkeypatch):
-    monkeypatch.setattr(candidates, "_WIDTHS", (0.1,))
+def test_means_over_boxes_are_not_said_to_be_biased():
     f = mcs.integrand("image(values=[[0, 1], [1, 0]])")
-    changes = [c for c in _found(f, "jittered | shift", "smoothed") if isinstance(c, Candidate)]
+    one_width = CandidateSettings(widths=(0.1,))
+    found = _found(f, "jittered | shift", "smoothed", settings=one_width)
+    changes = [c for c in found if isinstance(c, Candidate)]
     assert [c.biased for c in changes] == [False]
 
 
