@@ -456,7 +456,8 @@ def learned_density(
     def follow(points: Array, values: Array, pdf: Array) -> Density | None:
         if not values.any():
             return None
-        return fit_splines(points, values, pdf, first, defensive, stream.generator(_PARTS))
+        places = stream.generator(_PARTS)
+        return fit_splines(points, values, pdf, first, defensive, places, settings=settings)
 
     sizes = [half // 4, half // 4, half - 2 * (half // 4)]
     seen = in_rounds(values_at, d, sizes, follow, stream)
@@ -467,7 +468,8 @@ def learned_density(
         )
     for place, setting in enumerate(LEARNED[kind]):
         report(f"density of {integrand.spec}", 0.3 + 0.1 * place)
-        made.append(fit_splines(*seen, setting, defensive, stream.generator(_PARTS)))
+        places = stream.generator(_PARTS)
+        made.append(fit_splines(*seen, setting, defensive, places, settings=settings))
 
     # Choose by the other evaluations
     left = [Uniform(dims=d), *made]
