@@ -1,7 +1,7 @@
 """Estimators changed after evaluations of g: other densities, control variates, rotations, smoothing.
 
-All changes apply to the primary-space integrand g on the unit cube, so that they work for any estimator
-of one technique. They keep the integral for any evaluations of g:
+All changes apply to the primary-space integrand g on the unit cube, so that they work for any
+estimator of one technique. They keep the integral for any evaluations of g:
 
 * *fitted*: g(T(u))/q(T(u)), u uniform. The density q consists of splines (`mcspectra.improve.learned`),
   or is a normal density of z = Φ⁻¹(u), moved and stretched to the moments of |g|;
@@ -64,8 +64,8 @@ class ChangeSettings:
     most_joint_dims: int = 5
     # Share of the uniform density in a fitted density, which bounds g/q by 20 |g|. CHANGE_DEFENSIVE
     defensive: float = 0.05
-    # Least variance of a fitted normal density along any direction. With less than 1 the density falls
-    # faster than that of z, and g/q grows without bound at the border.
+    # Least variance of a fitted normal density along any direction. A density with less than the
+    # variance 1 of z vanishes at the border of the cube, where g/q then grows without bound.
     least_spread: float = 1.0
     # Settings of the fits of splines
     splines: LearnSettings = field(default_factory=LearnSettings)

@@ -78,8 +78,8 @@ class LearnSettings:
     least_evaluations: int = 256
     # Least number of evaluations by default: with half of them the fit has `most_fitted` evaluations.
     usual_evaluations: int = 2**14
-    # Evaluations by default for each of the n points, in addition to `most_fitted`. 8 n allow six sets
-    # of n/4 points for each of five candidates.
+    # Evaluations by default for each of the n points, in addition to `most_fitted`. With 8 n, each of
+    # five candidates can have six sets of n/4 points.
     evaluations_per_point: int = 8
     # Divisor of n that gives the smallest count at which candidates may be compared. At n/16 the
     # ratios of variances of nets are already near the ratios at n; at smaller counts nets do not
@@ -92,7 +92,7 @@ class LearnSettings:
     block: int = 128
     # Bins of the marginal distributions of |f| that place the knots. LEARN_BINS
     bins: int = 512
-    # Rounds of Lloyd's method that group the points from which parts of a mixture start. LEARN_LLOYD
+    # Rounds of Lloyd's method, which groups points to start the parts of a mixture. LEARN_LLOYD
     lloyd_rounds: int = 8
     # Most steps of L-BFGS in a fit. LEARN_STEPS
     steps: int = 120
@@ -118,7 +118,7 @@ class LearnSettings:
 
 
 _SETTINGS = LearnSettings()
-_PARTS = 2**16  # stream label of the points from which parts start
+_PARTS = 2**16  # stream label of the points that start the parts of a mixture
 
 LEARNED = {"mixture": _SETTINGS.mixture, "spline-flow": _SETTINGS.spline_flow}
 """Kinds of learned densities, with their candidates."""
@@ -145,7 +145,7 @@ def fit_splines(
     defensive
         δ, share of the uniform density.
     generator
-        Random numbers that choose the points from which parts start.
+        Random numbers that choose the points that start the parts of a mixture.
     settings
         Settings of the fit.
     """
@@ -513,8 +513,8 @@ def in_rounds(
 ) -> tuple[Array, Array, Array]:
     """Return points (N, d) that follow a function better and better, their values and densities.
 
-    After each round, `follow` fits the density of the next points to all evaluations so far: an object
-    with `sample` and `pdf`, or None for uniform points. All points are one sample of the mixture of all
+    Before each round but the first, `follow` fits the density of its points to all evaluations: an
+    object with `sample` and `pdf`, or None for uniform points. All points are one sample of the mixture of all
     densities.
     """
     points, values = np.empty((0, dims)), np.empty((0, 1))

@@ -31,16 +31,9 @@ from mcspectra.core.tally import counting
 from mcspectra.estimators import AbstractEstimator
 from mcspectra.estimators.moments import rounding_floor, variance_interval
 from mcspectra.explain.diagnosis import Diagnosis, diagnose, jumps_inside
-from mcspectra.improve.candidates import (
-    KINDS,
-    Budget,
-    Candidate,
-    Kind,
-    Setup,
-    affordable_count,
-    other_setups,
-)
+from mcspectra.improve.candidates import KINDS, Budget, Candidate, Kind, other_setups
 from mcspectra.measure.doors import answer
+from mcspectra.measure.setup import Setup, affordable_count
 from mcspectra.samplers import Sampler
 
 if TYPE_CHECKING:

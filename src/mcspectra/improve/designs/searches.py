@@ -69,8 +69,8 @@ class SearchSettings:
     # Points of the table that estimates the spectrum of the class, twice as many above three dims.
     # SEARCH_FREQUENCIES
     frequencies: int = 2**16
-    # Generating vectors from which the search starts in three dims or more; the first is built axis by
-    # axis, the others are random. SEARCH_VECTORS
+    # Starting vectors of the search of lattices in three dims or more: one that is built axis by axis,
+    # and random ones. SEARCH_VECTORS
     vectors: int = 48
     # Number of the best of these vectors that are measured. SEARCH_JUDGED
     judged: int = 12
@@ -82,7 +82,7 @@ class SearchSettings:
     most_points: int = 2**12
     # Most bits of the codes of all axes together: the Walsh table has 2^18 values for each member.
     table_bits: int = 18
-    # Generator matrices from which the search of nets starts, with the matrices of Sobol' first.
+    # Starting matrices of the search of nets: those of Sobol', and random ones of the same strength.
     # SEARCH_STARTS
     net_starts: int = 6
     # Trees of a design of kind ``owen``: number of independent sets, so that errors can be estimated
