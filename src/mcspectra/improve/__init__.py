@@ -1,4 +1,4 @@
-"""Changes to an estimator or a sampler that lower the variance, compared side by side, and designs."""
+"""Changes to an estimator or a sampler that lower the variance, compared, and designs."""
 
 import lazy_loader
 

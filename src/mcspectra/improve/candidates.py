@@ -1,8 +1,8 @@
 """Candidates: set-ups of an estimator and a sampler that differ from the given one in one respect.
 
-A *kind* of change is a function that takes the given set-up and yields offers, each with an imperative
-that describes the change. A kind that has nothing to offer raises the reason. `other_setups` makes
-the set-ups.
+A *kind* of change is a function that takes the given set-up and yields offers, each with an
+imperative that describes the change. A kind that has nothing to offer raises the reason.
+`other_setups` makes the set-ups.
 """
 
 from __future__ import annotations
@@ -74,28 +74,29 @@ class CandidateSettings:
         "rank1-lattice | shift",
         "sobol | owen",
     )
-    # Most dims in which strata are aligned with edges. In d dims the scan of offsets has 4^d offsets
-    # or more, and exact variances at offsets are known in 1-D and 2-D only.
+    # Most dims in which strata are aligned with edges. In d dims the scan of offsets has 4^d
+    # offsets or more, and exact variances at offsets are known in 1-D and 2-D only.
     most_aligned_dims: int = 2
-    # Most dims in which cubic stratification is tried. Order 4 needs at least 4^d cells, 256 in 4-D,
-    # and its rate n^(−1 − 8/d) gains little over nets there.
+    # Most dims in which cubic stratification is tried. Order 4 needs at least 4^d cells, 256 in
+    # 4-D, and its rate n^(−1 − 8/d) gains little over nets there.
     most_cubic_dims: int = 3
-    # Most dims in which edges are smoothed by means over boxes. A mean takes the more evaluations the
-    # more dims a box has; smoothing by the distance takes one evaluation in any dims.
+    # Most dims in which edges are smoothed by means over boxes. A mean takes the more evaluations
+    # the more dims a box has; smoothing by the distance takes one evaluation in any dims.
     most_boxed_dims: int = 2
-    # Divisor of the budget that gives the evaluations of a pilot. An eighth leaves room for estimates
-    # at the two largest budgets of `mcspectra.remedies`, B/4 and B, so that a rate can be fitted.
+    # Divisor of the budget that gives the evaluations of a pilot. An eighth leaves room for
+    # estimates at the two largest budgets of `mcspectra.remedies`, B/4 and B, so that a rate can be
+    # fitted.
     pilot_divisor: int = 8
     # Least number of points of a pilot. Each half of 32 determines 8 coefficients at 4 evaluations
     # each, as `ChangeSettings.evaluations_per_term` asks.
     least_pilot: int = 64
     # Most points of a pilot. CAND_MOST_PILOT
     most_pilot: int = 4096
-    # Widths of smoothed edges that are scanned, in units of the domain: octaves from 2^-10 to 1/4. A
-    # wider edge covers most of the domain; a narrower edge is a jump at the budgets in use.
+    # Widths of smoothed edges that are scanned, in units of the domain: octaves from 2^-10 to 1/4.
+    # A wider edge covers most of the domain; a narrower edge is a jump at the budgets in use.
     widths: tuple[float, ...] = tuple(2.0**-k for k in range(10, 1, -1))
-    # Most realizations of each variance in the scans for a width and an offset. The relative standard
-    # error √(2/300) = 8 % is small compared with the factor between neighboring widths.
+    # Most realizations of each variance in the scans for a width and an offset. The relative
+    # standard error √(2/300) = 8 % is small compared with the factor between neighboring widths.
     scan_realizations: int = 300
 
 
@@ -104,7 +105,7 @@ _SETTINGS = CandidateSettings()
 
 @dataclass(frozen=True)
 class Budget:
-    """Evaluations, realizations and random numbers for the search of the best change of a family."""
+    """Evaluations, realizations and random numbers of a search for the best change."""
 
     evaluations: int  # evaluations of the integrand in one estimate
     realizations: int  # number of estimates of each measurement
@@ -141,7 +142,7 @@ class _Offer:
 
 
 _Offers: TypeAlias = Iterator[_Offer | str]
-"""Offers, and sentences with the reason why another change could not be made or would do nothing."""
+"""Offers, and sentences with the reason why another change cannot be made or has no effect."""
 
 Kind: TypeAlias = Literal[
     "unshifted",
@@ -164,7 +165,7 @@ Kind: TypeAlias = Literal[
 
 
 def other_setups(given: Setup, kinds: Sequence[Kind], budget: Budget) -> Iterator[Candidate | str]:
-    """Yield the candidates of the given kinds in their order, each once, and ``name: reason`` of others.
+    """Yield the candidates of the given kinds in order, each once, and ``name: reason`` of others.
 
     If a kind raises an error, the error is the reason. A change of the estimator inside a mirrored
     estimator is mirrored again.
@@ -220,7 +221,7 @@ def _without_shift(sampler: Sampler) -> Sampler | None:
 
 
 def align_strata(given: Setup, budget: Budget) -> _Offers:
-    """Offer strata with borders at known edges, and the offset of strata that is best at the budget."""
+    """Offer strata with borders at known edges, and the best offset of strata at the budget."""
     plain = _without_shift(given.sampler) or given.sampler
     law = plain.law(plain.nearest_count(2**plain.dims))
     stratified = isinstance(law, Strata | PairedAxes)
@@ -369,7 +370,7 @@ def change_warp(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
 
 
 def smooth_edges(given: Setup, budget: Budget) -> _Offers:
-    """Offer the width with the least error at the budget, by a scan on the search's random numbers."""
+    """Offer the width with the least error at the budget, by a scan with own random numbers."""
     estimator = given.estimator
     n = affordable_count(given, budget.evaluations)
     if not isinstance(estimator, Estimator) or n is None:

@@ -1,16 +1,17 @@
-"""Estimators changed after evaluations of g: other densities, control variates, rotations, smoothing.
+"""Estimators changed after evaluations of g: densities, control variates, rotations, smoothing.
 
 All changes apply to the primary-space integrand g on the unit cube, so that they work for any
 estimator of one technique. They keep the integral for any evaluations of g:
 
-* *fitted*: g(T(u))/q(T(u)), u uniform. The density q consists of splines (`mcspectra.improve.learned`),
-  or is a normal density of z = Φ⁻¹(u), moved and stretched to the moments of |g|;
-* *order*: the same with an orthogonal matrix, whose q is 1. The directions of z along which g varies
-  most come first ([Liu2023]_), since the first coordinates of nets are the best;
+* *fitted*: g(T(u))/q(T(u)), u uniform. The density q consists of splines
+  (`mcspectra.improve.learned`), or is a normal density of z = Φ⁻¹(u), moved and stretched to the
+  moments of |g|;
+* *order*: the same with an orthogonal matrix, whose q is 1. The directions of z along which g
+  varies most come first ([Liu2023]_), since the first coordinates of nets are the best;
 * *regression*: g minus polynomials of mean 0 that are fitted to it;
-* *preintegrated*: means along the first direction, over both sides of the point where g jumps or leaves
-  0, and over a bracket of this point. The bracket depends on the other coordinates only, so that the
-  sum of means over the parts, each of one or two points, has the expectation of g.
+* *preintegrated*: means along the first direction, over both sides of the point where g jumps or
+  leaves 0, and over a bracket of this point. The bracket depends on the other coordinates only, so
+  that the sum of means over the parts, each of one or two points, has the expectation of g.
 
 `Cubic` needs no pilot: it is g minus polynomials through its values at the centers of cells.
 
@@ -55,8 +56,9 @@ class ChangeSettings:
 
     # Rounds of a pilot whose points follow g. CHANGE_ROUNDS
     rounds: int = 4
-    # Candidates of `fit_splines` (cells of each axis, parts or 0 for a flow, smoothness), joint ones
-    # and products. The first of all candidates also places the points of the rounds. CHANGE_SPLINES
+    # Candidates of `fit_splines` (cells of each axis, parts or 0 for a flow, smoothness), joint
+    # ones and products. The first of all candidates also places the points of the rounds.
+    # CHANGE_SPLINES
     joint: tuple[tuple[int, int, float], ...] = ((16, 0, 1e-4), (12, 4, 1e-3))
     products: tuple[tuple[int, int, float], ...] = ((12, 1, 1e-3), (24, 1, 1e-4))
     # Most dims in which joint densities are tried. A flow of d axes has about 30 d² weights at 16
@@ -69,7 +71,8 @@ class ChangeSettings:
     least_spread: float = 1.0
     # Settings of the fits of splines
     splines: LearnSettings = field(default_factory=LearnSettings)
-    # Largest expected share of the variance, before cost, at which a change is offered. CHANGE_RATIO
+    # Largest expected share of the variance, before cost, at which a change is offered.
+    # CHANGE_RATIO
     most_left: float = 0.8
     # Points that are evaluated at once: a table of 256 polynomials then takes 32 MB. Results do not
     # depend on it.
@@ -81,17 +84,17 @@ class ChangeSettings:
 class RegressionSettings:
     """Settings of regressions of g on polynomials."""
 
-    # Evaluations for each coefficient. A fit of p coefficients to k evaluations increases the variance
-    # that it leaves by the factor 1 + p/k, here at most 1.25.
+    # Evaluations for each coefficient. A fit of p coefficients to k evaluations increases the
+    # variance that it leaves by the factor 1 + p/k, here at most 1.25.
     evaluations_per_term: int = 4
-    # Ridge that is added to the normal equations, relative to the mean squares of the basis, which are
-    # 1. REGRESSION_RIDGE
+    # Ridge that is added to the normal equations, relative to the mean squares of the basis, which
+    # are 1. REGRESSION_RIDGE
     ridge: float = 1e-9
     # Most terms of a basis, which bounds the cost of each evaluation of the control variate.
     # REGRESSION_TERMS
     most_terms: int = 256
-    # Candidates of degrees: of each coordinate alone, and of products of two coordinates in all. They
-    # range from a plane to products of degree 8; evaluations that were not fitted choose one.
+    # Candidates of degrees: of each coordinate alone, and of products of two coordinates in all.
+    # They range from a plane to products of degree 8; evaluations that were not fitted choose one.
     degrees: tuple[tuple[int, int], ...] = (
         (1, 0),
         (2, 2),
@@ -102,8 +105,8 @@ class RegressionSettings:
         (6, 6),
         (8, 8),
     )
-    # Highest degree of Hermite polynomials. Most of the variance of higher degrees lies in tails that
-    # few evaluations reach: half of E z⁸ comes from |z| > 2.9, a region of probability 0.004.
+    # Highest degree of Hermite polynomials. Most of the variance of higher degrees lies in tails
+    # that few evaluations reach: half of E z⁸ comes from |z| > 2.9, a region of probability 0.004.
     most_normal_degree: int = 3
     # Number of first directions of z that also have bases of their own, which may have more terms.
     # REGRESSION_TURNED
@@ -142,7 +145,7 @@ class Evaluations:
 
     @cached_property
     def halves(self) -> tuple[Evaluations, Evaluations]:
-        """Every second evaluation, and the others; both halves have neighbors of each point of a net."""
+        """Every second evaluation, and the others; each half has neighbors of all points of a net."""
         odd = np.arange(len(self.points)) % 2 == 1
         return self.part(odd), self.part(~odd)
 
@@ -189,7 +192,8 @@ class Evaluations:
     def variance(self, pdf: Array | None = None) -> float:
         """Return the variance of g/q at points of density q, by default the uniform density.
 
-        It is a mean of squares about a ratio of means, so that nothing cancels if g/q is almost constant.
+        It is a mean of squares about a ratio of means, so that nothing cancels if g/q is almost
+        constant.
         """
         q = np.ones(len(self.pdf)) if pdf is None else pdf
         weight, values = q / self.pdf, self.values / q[:, None]
@@ -211,9 +215,9 @@ class Improvement:
     estimator
         The changed estimator of the same integral.
     ratio
-        Variance of the changed estimator over the variance of the given one at equal cost, with random
-        points. For *order*, ratio of the variance without main effects, which nets do not remove. It is
-        computed from evaluations that were not used in the fit.
+        Variance of the changed estimator over the variance of the given one at equal cost, with
+        random points. For *order*, ratio of the variance without main effects, which nets do not
+        remove. It is computed from evaluations that were not used in the fit.
     finite_below
         If g grows as t^−a at the border, the variance is finite for a below this number.
     """
@@ -332,7 +336,7 @@ class _Basis:
 
     @staticmethod
     def of(dims: int, normal: bool, alone: int, together: int) -> _Basis:
-        """Return degrees up to `alone` of one coordinate, and total degrees up to `together` of two."""
+        """Return degrees up to `alone` of one coordinate, total degrees up to `together` of two."""
         terms = [(i, i, a, 0) for i in range(dims) for a in range(1, alone + 1)]
         terms += [
             (i, j, a, b)
@@ -409,10 +413,10 @@ class _Controlled(_Changed):
 class Cubic(_Changed):
     """g minus a polynomial of degree r − 1 along each axis in each of side^d cells ([Chopin2024]_).
 
-    The polynomial goes through g at the centers of the r nearest cells along each axis, and its mean over
-    the cell is added again. If r is even, means over a point and its image about the center of the cell
-    contain even powers only, and r = 2 needs no centers. Jittered points in the same cells have a
-    variance ∝ n^(−1 − 2r/d) if g has r derivatives.
+    The polynomial goes through g at the centers of the r nearest cells along each axis, and its
+    mean over the cell is added again. If r is even, means over a point and its image about the
+    center of the cell contain even powers only, and r = 2 needs no centers. Jittered points in the
+    same cells have a variance ∝ n^(−1 − 2r/d) if g has r derivatives.
 
     Attributes
     ----------
@@ -459,8 +463,8 @@ class Cubic(_Changed):
         if self.centers is None:
             return np.asarray(values)
 
-        # Evaluate Lagrange polynomials through nodes 0 … r − 1 along each axis, (…, r), at the points,
-        # and their means over cells
+        # Evaluate Lagrange polynomials through nodes 0 … r − 1 along each axis, (…, r), at the
+        # points, and their means over cells
         nodes = np.arange(self.order)
         first = np.clip(cell - (self.order - 1) // 2, 0, self.side - self.order)
 
@@ -652,9 +656,10 @@ def _order(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _Found:
 def _preintegrated(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _Found:  # noqa: ARG001
     """Take means along the axis that leaves the least variance, and along the first direction.
 
-    The variance that remains is at least the part that a regression assigns to the other coordinates
-    alone, and at most everything but the main effect of this coordinate. The geometric mean of the two
-    is expected. Squares of coefficients are products of the coefficients of two halves.
+    The variance that remains is at least the part that a regression assigns to the other
+    coordinates alone, and at most everything but the main effect of this coordinate. The geometric
+    mean of the two is expected. Squares of coefficients are products of the coefficients of two
+    halves.
     """
     d = g.dims
     if d == 1:

@@ -1,17 +1,18 @@
 """Importance densities learned from evaluations of an integrand, for the sampler that will be used.
 
-A density p of `mcspectra.densities.learned` is fitted to evaluations f(x_k) at points of density π. The
-fit minimizes
+A density p of `mcspectra.densities.learned` is fitted to evaluations f(x_k) at points of density π.
+The fit minimizes
 
     log Σ_k ρ_k p(x_k) − Σ_k w_k log p(x_k) + smoothness,   ρ_k = 1/π(x_k),   w_k ∝ ρ_k |f(x_k)|.
 
-This is the relative entropy of |f| and p, with both integrals estimated from the *same* points. If |f|
-belongs to the family, the minimum is |f| itself for any number of points, whereas the mean of log p alone
-has the noise of the points. Smoothness is a penalty on second differences of the logarithms of the
-splines' weights, as in P-splines [Eilers1996]_. Numbers of cells and parts and the weight of the penalty
-define candidates. Candidates are compared by the variance of f/p with points of the sampler itself, on
-evaluations that were not used in the fit. ∫f²/p alone does not measure how rough f/p is, and roughness is
-the part of the variance that nets and strata do not remove.
+This is the relative entropy of |f| and p, with both integrals estimated from the *same* points. If
+|f| belongs to the family, the minimum is |f| itself for any number of points, whereas the mean of
+log p alone has the noise of the points. Smoothness is a penalty on second differences of the
+logarithms of the splines' weights, as in P-splines [Eilers1996]_. Numbers of cells and parts and
+the weight of the penalty define candidates. Candidates are compared by the variance of f/p with
+points of the sampler itself, on evaluations that were not used in the fit. ∫f²/p alone does not
+measure how rough f/p is, and roughness is the part of the variance that nets and strata do not
+remove.
 """
 
 from __future__ import annotations
@@ -55,8 +56,8 @@ __all__ = ["LEARNED", "LearnSettings", "fit_splines", "in_rounds", "learned_dens
 class LearnSettings:
     """Settings of fits of splines, and of the choice between fitted densities."""
 
-    # Candidates of the two kinds: cells of each axis; parts of a mixture, or 0 for a flow; weight of
-    # the smoothness penalty. The first candidate also places the points of the first rounds. The
+    # Candidates of the two kinds: cells of each axis; parts of a mixture, or 0 for a flow; weight
+    # of the smoothness penalty. The first candidate also places the points of the first rounds. The
     # numbers range from smooth to fine; evaluations that no candidate was fitted to choose one.
     # LEARN_CANDIDATES
     mixture: tuple[tuple[int, int, float], ...] = (
@@ -73,13 +74,14 @@ class LearnSettings:
     )
     # Most dims of a learned density. In 24-D a flow takes 9 s to fit.
     most_dims: int = 24
-    # Least number of evaluations that can be asked for: 128 for the fit, four for each weight of two
-    # axes at the fewest cells.
+    # Least number of evaluations that can be asked for: 128 for the fit, four for each weight of
+    # two axes at the fewest cells.
     least_evaluations: int = 256
-    # Least number of evaluations by default: with half of them the fit has `most_fitted` evaluations.
+    # Least number of evaluations by default: with half of them the fit has `most_fitted`
+    # evaluations.
     usual_evaluations: int = 2**14
-    # Evaluations by default for each of the n points, in addition to `most_fitted`. With 8 n, each of
-    # five candidates can have six sets of n/4 points.
+    # Evaluations by default for each of the n points, in addition to `most_fitted`. With 8 n, each
+    # of five candidates can have six sets of n/4 points.
     evaluations_per_point: int = 8
     # Divisor of n that gives the smallest count at which candidates may be compared. At n/16 the
     # ratios of variances of nets are already near the ratios at n; at smaller counts nets do not
@@ -256,7 +258,7 @@ class _Seen:
         shape, before = (*start.shape, features.shape[1]), np.tri(len(start), k=-1, dtype=bool)
 
         def loss_of(followed: Array) -> tuple[Array, Callable[[Array], tuple[float, Array]]]:
-            """Return a mask of the used gates, where each axis follows some axes (d, d), and their loss."""
+            """Return a mask of the gates if each axis follows some axes (d, d), and their loss."""
             columns = np.insert(np.repeat(followed, DEGREE, axis=1), 0, True, axis=1)
             used = np.broadcast_to(columns[:, None], shape)
             seen = [features[:, c] for c in columns]
@@ -290,7 +292,8 @@ class _Seen:
 
             return used, loss
 
-        # Follow the axes whose gates change the product most, in a number that the points can determine
+        # Follow the axes whose gates change the product most, in a number that the points can
+        # determine
         each = self.settings.evaluations_per_gate
         gates, most = np.zeros(shape), self.rho.size // (each * shape[1] * DEGREE)
         gates[:, :, 0] = start
@@ -370,14 +373,15 @@ def learned_density(
     Returns
     -------
     Density
-        A continuous density with an exact inverse and a continuous warp. Its `spec` reads it from its
-        file. It is ``uniform`` if no candidate halves the variance of uniform points.
+        A continuous density with an exact inverse and a continuous warp. Its `spec` reads it from
+        its file. It is ``uniform`` if no candidate halves the variance of uniform points.
 
     Raises
     ------
     ParameterError
-        The kind is unknown, a value is out of range, or the sampler is not random; f is NaN or infinite
-        at a point, or 0 at all points; evaluations are too few to compare candidates near n.
+        The kind is unknown, a value is out of range, or the sampler is not random; f is NaN or
+        infinite at a point, or 0 at all points; evaluations are too few to compare candidates near
+        n.
     CountError
         The sampler has no sets of n points.
     FileFormatError
@@ -385,10 +389,10 @@ def learned_density(
 
     Notes
     -----
-    Candidates (`mcspectra.improve.learned.LEARNED`), from smooth to fine, are compared by the variance of
-    f/p with at least six realizations of the sampler. The count is n, or the largest count that the
-    evaluations allow: at least n/16, by default usually n/4. `mcspectra.improve.learned` describes the
-    method of fitting.
+    Candidates (`mcspectra.improve.learned.LEARNED`), from smooth to fine, are compared by the
+    variance of f/p with at least six realizations of the sampler. The count is n, or the largest
+    count that the evaluations allow: at least n/16, by default usually n/4.
+    `mcspectra.improve.learned` describes the method of fitting.
 
     Examples
     --------
@@ -514,8 +518,8 @@ def in_rounds(
     """Return points (N, d) that follow a function better and better, their values and densities.
 
     Before each round but the first, `follow` fits the density of its points to all evaluations: an
-    object with `sample` and `pdf`, or None for uniform points. All points are one sample of the mixture of all
-    densities.
+    object with `sample` and `pdf`, or None for uniform points. All points are one sample of the
+    mixture of all densities.
     """
     points, values = np.empty((0, dims)), np.empty((0, 1))
     pdf = np.empty(0)

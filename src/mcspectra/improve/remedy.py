@@ -1,11 +1,11 @@
-"""Remedies: changes that lower the noise of an estimator at a budget, measured, ranked and explained.
+"""Remedies: changes that lower an estimator's noise at a budget, measured, ranked and explained.
 
-Every candidate (`mcspectra.improve.candidates`) is run at the same budgets of integrand evaluations and
-on the same random numbers as the given set-up. It is compared with the given set-up realization by
-realization, by influences (docs/theory.md, "Intervals of variances, and stopping"). Intervals of all
-comparisons hold together: a remedy is recommended only if its interval excludes the given set-up. If
-all estimates are equal, either the estimator has no variance, or no estimate has hit a rare event. If
-equal estimates differ from the integral, their error is unknown (NaN), not 0.
+Every candidate (`mcspectra.improve.candidates`) is run at the same budgets of integrand evaluations
+and on the same random numbers as the given set-up. It is compared with the given set-up realization
+by realization, by influences (docs/theory.md, "Intervals of variances, and stopping"). Intervals of
+all comparisons hold together: a remedy is recommended only if its interval excludes the given
+set-up. If all estimates are equal, either the estimator has no variance, or no estimate has hit a
+rare event. If equal estimates differ from the integral, their error is unknown (NaN), not 0.
 """
 
 from __future__ import annotations
@@ -58,26 +58,31 @@ __all__ = [
 class RemedySettings:
     """Settings of the comparison of remedies."""
 
-    # Number of budgets at which each set-up is measured. Five budgets B/256, B/64, B/16, B/4 and B give
-    # a rate, and three degrees of freedom for the lack of fit.
+    # Number of budgets at which each set-up is measured. Five budgets B/256, B/64, B/16, B/4 and B
+    # give a rate, and three degrees of freedom for the lack of fit.
     steps: int = 5
-    # Ratio of successive budgets. A smaller ratio costs more, in all 1/(1 − 1/ratio) times the largest
-    # budget (4/3 here); a larger ratio leaves two or three budgets that are enough for two counts.
+    # Ratio of successive budgets. A smaller ratio costs more, in all 1/(1 − 1/ratio) times the
+    # largest budget (4/3 here); a larger ratio leaves two or three budgets that are enough for two
+    # counts.
     ratio: int = 4
-    # Expected number of changes of each kind, for the estimate of cost and memory before a run. All 15
-    # kinds together made 30 changes of a function in 2-D.
+    # Expected number of changes of each kind, for the estimate of cost and memory before a run. All
+    # 15 kinds together made 30 changes of a function in 2-D.
     tries: int = 3
     # Largest relative difference between equal estimates and an exact integral that counts as
-    # rounding. Means round to about 1e-15; the rest allows for values that cancel to 1e-6 of their size.
+    # rounding. Means round to about 1e-15; the rest allows for values that cancel to 1e-6 of their
+    # size.
     exact_tolerance: float = 1e-9
-    # The same for an integral by quadrature or by many points, whose error estimates can be too small.
-    # Equal estimates that miss a rare event differ from the integral by all of it, far more than this.
+    # The same for an integral by quadrature or by many points, whose error estimates can be too
+    # small. Equal estimates that miss a rare event differ from the integral by all of it, far more
+    # than this.
     quadrature_tolerance: float = 1e-3
     # Number of standard errors of such an integral that are allowed if they exceed
     # `quadrature_tolerance`. A normal error is beyond 4 standard errors with probability 6e-5.
     sigmas: float = 4.0
-    # Weight, in realizations, of the prior belief that estimates are normal, so that Var(ψ) = 2. It is
-    # used in the fit of rates; comparisons do not use it. REMEDY_PRIOR
+    # Weight, in realizations, of the prior belief that estimates are normal, so that Var(ψ) = 2. It
+    # is used in the fit of rates; comparisons do not use it. At 100 realizations it reduces the
+    # scatter of standard errors of normal estimates from 12 to 10 %; intervals cover 93 to 95 % for
+    # any prior from 0 to 40.
     prior: int = 20
 
 
@@ -218,7 +223,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         )
 
     def _measured(self, change: Candidate, given: Setup, stream: Stream) -> Trial | None:
-        """Measure errors at the counts that fit into the budgets; None for fewer than two counts."""
+        """Measure errors at counts that fit into the budgets; None for fewer than two counts."""
         setup = change.setup
         cost: list[int] = []
         estimates: list[Array] = []
@@ -284,8 +289,8 @@ def remedies(
 ) -> xr.Dataset:
     """Try changes to an estimator and its sampler at equal cost, rank them, and explain the gains.
 
-    All changes together take 10 to 25 times budget · realizations evaluations of a user's function: about
-    20 million at a budget of 1,000 with the default realizations.
+    All changes together take 10 to 25 times budget · realizations evaluations of a user's function:
+    about 20 million at a budget of 1,000 with the default realizations.
 
     Parameters
     ----------
@@ -306,21 +311,21 @@ def remedies(
         Threads; all processors by default. Results do not depend on it.
     max_evaluations
         Most evaluations of the integrand. A limit below the evaluations of the given set-up and its
-        diagnosis is refused before any evaluation. The kinds share the rest equally; a change that does
-        not fit into a share is not tried.
+        diagnosis is refused before any evaluation. The kinds share the rest equally; a change that
+        does not fit into a share is not tried.
 
     Returns
     -------
     xarray.Dataset
         The labels of the dim ``remedy`` are names of changes in the order of their variances at the
-        budget, with ``"as given"`` among them. Variables on ``remedy``: ``error`` (the variance, or the
-        mean squared error of a biased change, summed over channels) with ``error_ci``; ``error_ratio``
-        to the given set-up with ``error_ratio_ci``, which hold together at 95 %; ``rate`` and
-        ``rate_ci``; ``rate_difference`` with ``rate_difference_ci``, likewise; ``rank_by_rate``.
-        Coordinates: ``kind``, ``change`` (an imperative), ``verdict`` and ``rate_verdict`` (better,
-        worse, undecided, given) and ``reason``. Variables on (remedy, step): ``cost`` and
-        ``error_at_cost``. The attributes ``diagnosis`` and ``recommendation`` are sentences, and
-        ``not_tried`` lists changes that could not be tried, with reasons.
+        budget, with ``"as given"`` among them. Variables on ``remedy``: ``error`` (the variance, or
+        the mean squared error of a biased change, summed over channels) with ``error_ci``;
+        ``error_ratio`` to the given set-up with ``error_ratio_ci``, which hold together at 95 %;
+        ``rate`` and ``rate_ci``; ``rate_difference`` with ``rate_difference_ci``, likewise;
+        ``rank_by_rate``. Coordinates: ``kind``, ``change`` (an imperative), ``verdict`` and
+        ``rate_verdict`` (better, worse, undecided, given) and ``reason``. Variables on (remedy,
+        step): ``cost`` and ``error_at_cost``. The attributes ``diagnosis`` and ``recommendation``
+        are sentences, and ``not_tried`` lists changes that could not be tried, with reasons.
 
     Raises
     ------
@@ -329,20 +334,20 @@ def remedies(
 
     Notes
     -----
-    ``fitted``, ``regression``, ``order`` and ``preintegrated`` change the estimator after a pilot of an
-    eighth of the budget (at most 4096 evaluations), and keep its integral.
-    If no count of points costs exactly the budget, the largest count below is measured, and the error is
-    extrapolated to the budget along the fitted rate. The interval includes the uncertainty of the slope.
-    Errors are not extrapolated for changes with a pilot.
-    A user's function is evaluated at most 4/3 · budget · realizations times for each set-up, and 7/3 ·
-    budget · realizations times for the given set-up's diagnosis. Searches for offsets of strata and for
-    widths of smooth edges take more evaluations, so that these changes are not tried for a user's
-    function. Biased changes are not tried if ∫f is unknown.
-    The error of a change that is biased, by smoothing or by a sampler that is not randomized, is taken about
-    the integral of the given estimator. A change to another integral has no rate, since its error
-    converges to the square of the bias. Pilots of heuristics and the values of a mean over a box count as
-    evaluations. If all estimates are equal but differ from the integral, they have missed a rare event:
-    error and ratio are NaN, and the verdict is undecided. Set-ups without a rate are last by rate.
+    ``fitted``, ``regression``, ``order`` and ``preintegrated`` change the estimator after a pilot
+    of an eighth of the budget (at most 4096 evaluations), and keep its integral. If no count of
+    points costs exactly the budget, the largest count below is measured, and the error is
+    extrapolated to the budget along the fitted rate. The interval includes the uncertainty of the
+    slope. Errors are not extrapolated for changes with a pilot. A user's function is evaluated at
+    most 4/3 · budget · realizations times for each set-up, and 7/3 · budget · realizations times
+    for the given set-up's diagnosis. Searches for offsets of strata and for widths of smooth edges
+    take more evaluations, so that these changes are not tried for a user's function. Biased changes
+    are not tried if ∫f is unknown. The error of a change that is biased, by smoothing or by a
+    sampler that is not randomized, is taken about the integral of the given estimator. A change to
+    another integral has no rate, since its error converges to the square of the bias. Pilots of
+    heuristics and the values of a mean over a box count as evaluations. If all estimates are equal
+    but differ from the integral, they have missed a rare event: error and ratio are NaN, and the
+    verdict is undecided. Set-ups without a rate are last by rate.
 
     Examples
     --------
@@ -435,7 +440,7 @@ def ranked(
 
 @dataclass(frozen=True)
 class _Trials:
-    """Measured set-ups, reasons why others could not be measured, and the diagnosis of the given one."""
+    """Measured set-ups, reasons why others were not measured, and the diagnosis of the given one."""
 
     tried: list[Trial]
     not_tried: list[str]
@@ -462,7 +467,7 @@ def _interval(centre: float, half: float) -> list[float]:
 
 
 def _verdict(interval: list[float]) -> str:
-    """Return the verdict that an interval of a logarithm or a difference supports; lower is better."""
+    """Return the verdict of an interval of a logarithm or a difference; lower is better."""
     low, high = interval
     return "better" if high < 0 else "worse" if low > 0 else "undecided"
 
@@ -508,7 +513,7 @@ def _recommendation(columns: list[dict[str, Any]], budget: int, reasons: Sequenc
 
 
 def _later(columns: list[dict[str, Any]], best: dict[str, Any] | None) -> str:
-    """Return a sentence about the change with the best rate, if larger budgets favor it over `best`."""
+    """Return a sentence about the change with the best rate, if larger budgets favor it."""
     found = [
         c
         for c in columns
@@ -559,8 +564,8 @@ class Errors:
     ) -> Errors:
         """Compute errors of estimates (R, C), one array for each cost, of the integral (C,).
 
-        Errors are about the integral if `biased`, else about the mean of the estimates. `tolerance` is
-        the relative tolerance of the integral.
+        Errors are about the integral if `biased`, else about the mean of the estimates. `tolerance`
+        is the relative tolerance of the integral.
         """
         # Compute mean squared errors and influences (R,), about the integral or the mean
         parts = []
@@ -604,7 +609,8 @@ class Errors:
     def rate(self) -> tuple[float, Array]:
         """Fit the slope of log v against log cost without overhead, and its influences (R,).
 
-        The fit is by weighted least squares as in `mcspectra.core.fits`; NaN for fewer than two errors.
+        The fit is by weighted least squares as in `mcspectra.core.fits`; NaN for fewer than two
+        errors.
         """
         used = self.used
         if used.sum() < 2:
@@ -622,8 +628,8 @@ class Errors:
     def at(self, budget: float, *, carry: bool = True) -> tuple[float, Array]:
         """Return log v at a cost of `budget` and its influences (R,), extrapolated along the rate.
 
-        The last error is not extrapolated after a pilot: its evaluations are lost, and nets then often
-        have half the points that would fit into the budget.
+        The last error is not extrapolated after a pilot: its evaluations are lost, and nets then
+        often have half the points that would fit into the budget.
         """
         last = len(self.cost) - 1
         if not self.used[last]:
@@ -641,7 +647,7 @@ class Errors:
 
 @dataclass(frozen=True)
 class Comparison:
-    """One set-up compared with another: the ratio of variances at a budget, and the difference of rates."""
+    """Ratio of the variances of two set-ups at a budget, and the difference of their rates."""
 
     # log(v/v_reference) and its standard error
     log_ratio: float
@@ -689,7 +695,7 @@ def estimates_of(
 
 
 def simultaneous_z(comparisons: int) -> float:
-    """Return the half width, in standard errors, of 95 % intervals that all hold together [Šidák 1967]."""
+    """Return the half width in standard errors of 95 % intervals that hold together [Šidák 1967]."""
     from scipy.special import ndtri
 
     single = 0.95 ** (1.0 / max(1, comparisons))

@@ -1,8 +1,8 @@
 """Convergence of variants of a set-up on the same random numbers: smoothed edges and mirroring.
 
-See docs/theory.md, "Mirroring and smoothing". The bias of a ramp does not fall with n, so that the width
-with the least mean squared error depends on n. The talk on [Singh2019]_ shows six convergence plots:
-original, mirror-random and mirror-uniform, each with and without a shift of the samples.
+See docs/theory.md, "Mirroring and smoothing". The bias of a ramp does not fall with n, so that the
+width with the least mean squared error depends on n. The talk on [Singh2019]_ shows six convergence
+plots: original, mirror-random and mirror-uniform, each with and without a shift of the samples.
 """
 
 from __future__ import annotations
@@ -67,7 +67,8 @@ def smoothing_scan(
     integrand
         f, or its spec.
     sampler, counts
-        A sampler, and one number of points n or several in ascending order. A rate needs at least two.
+        A sampler, and one number of points n or several in ascending order. A rate needs at least
+        two.
     widths
         Widths δ in ascending order; see `mcspectra.smoothed`. A width of 0 is f itself.
     density
@@ -80,12 +81,13 @@ def smoothing_scan(
     Returns
     -------
     xarray.Dataset
-        ``variance(width, n)`` with ``variance_ci``; ``smoothing_bias(width)``, the difference of the
-        integrals, and ``bias_squared(width)`` with ``bias_squared_ci``, from the errors of the integrals;
-        ``mse(width, n)`` = bias² + variance with ``mse_ci``; ``rate(width)`` of the variance with
-        ``rate_ci``; ``best_width(n)``, the width with the least mse, and ``best_width_range(n, bound)``,
-        the range of all widths whose interval of the mse begins below the end of the best interval. Several
-        channels add a dim channel; the best width minimizes the sum over channels.
+        ``variance(width, n)`` with ``variance_ci``; ``smoothing_bias(width)``, the difference of
+        the integrals, and ``bias_squared(width)`` with ``bias_squared_ci``, from the errors of the
+        integrals; ``mse(width, n)`` = bias² + variance with ``mse_ci``; ``rate(width)`` of the
+        variance with ``rate_ci``; ``best_width(n)``, the width with the least mse, and
+        ``best_width_range(n, bound)``, the range of all widths whose interval of the mse begins
+        below the end of the best interval. Several channels add a dim channel; the best width
+        minimizes the sum over channels.
 
     Raises
     ------
@@ -201,15 +203,17 @@ def mirror_study(
     Returns
     -------
     xarray.Dataset
-        ``variance``, ``variance_ci``, ``mean``, ``mean_se``, and with `exact` ``exact_variance`` (NaN
-        if it is not known), on the dims mirroring, homogenized (False, True: with ``shift``) and n;
-        ``rate`` and ``rate_ci`` on the first two dims; and the dim channel if f has several channels.
+        ``variance``, ``variance_ci``, ``mean``, ``mean_se``, and with `exact` ``exact_variance``
+        (NaN if it is not known), on the dims mirroring, homogenized (False, True: with ``shift``)
+        and n; ``rate`` and ``rate_ci`` on the first two dims; and the dim channel if f has several
+        channels.
 
     Raises
     ------
     CountError, ParameterError
-        A sampler has no set of a count (``"uniform"`` needs multiples of 2^d), a mirroring is unknown or
-        listed twice, the sampler already ends with a shift, or `exact` is neither True nor False.
+        A sampler has no set of a count (``"uniform"`` needs multiples of 2^d), a mirroring is
+        unknown or listed twice, the sampler already ends with a shift, or `exact` is neither True
+        nor False.
 
     Examples
     --------

@@ -1,10 +1,10 @@
 """One call that measures an estimator's noise, finds its causes and advises, within a budget.
 
 Most of the budget goes to scrambled nets, which give the variances of several samplers at once
-(`samples`). A fifth goes to lines that detect discontinuities and kinks (`probing`), and a part to the
-given sampler, if the nets do not give its variance. `causes` finds the causes in these evaluations. The
-rest of the budget measures a change that answers the causes, or antithetic pairs in strata if there is no
-cause.
+(`samples`). A fifth goes to lines that detect discontinuities and kinks (`probing`), and a part to
+the given sampler, if the nets do not give its variance. `causes` finds the causes in these
+evaluations. The rest of the budget measures a change that answers the causes, or antithetic pairs
+in strata if there is no cause.
 """
 
 from __future__ import annotations
@@ -103,8 +103,8 @@ class ProfileSettings:
     # nets at which the change is dropped. A normal mean is beyond 4 with probability 6e-5.
     off_sigmas: float = 4.0
     # Number of points of a net below which no rate of a change is taken to be steeper than
-    # `steepest_rate`. Few points are not yet in the range of a steep rate, and the gain at the budget
-    # would be exaggerated. PROFILE_FEW
+    # `steepest_rate`. Few points are not yet in the range of a steep rate, and the gain at the
+    # budget would be exaggerated. PROFILE_FEW
     few_points: int = 16
     steepest_rate: float = -2.0
     # Points of a density's sampler that are tested to lie in the unit cube.
@@ -116,7 +116,8 @@ _PAIRS = "antithetic-jittered"
 _WEIGHTED = 3  # number of functions of a weighted integrand: f, pdf and sample
 # Causes that concern the sets of a sampler, not g
 _OF_SETS = {"deterministic-set", "few-realizations", "correlated-replicates"}
-# Exponents e by cause: variances fall as n^(−1 − e/d) with strata and n^(−1 − e) with nets by theory
+# Exponents e by cause: variances fall as n^(−1 − e/d) with strata and n^(−1 − e) with nets by
+# theory
 _EXPONENTS = {"interior-jump": 1.0, "axis-parallel-jump": 1.0, "none": 2.0}
 _FIGURES = ("rmse", "rmse_given", "gain", "samples_saved")
 
@@ -150,7 +151,7 @@ class Profiling(Analysis, frozen=True, kw_only=True):
     ] = 4096
 
     def need(self, subject: Subject) -> Need:
-        """Check that the budget is enough for several nets, and that techniques have their own sets."""
+        """Check that the budget allows several nets, and that techniques have their own sets."""
         estimator = subject.estimator
         if not isinstance(estimator, AbstractEstimator):
             raise ParameterError("profile takes one estimator at a time.")
@@ -207,13 +208,13 @@ class Profile:
     Attributes
     ----------
     integral, interval
-        The mean of all nets, and its 95 % interval. The interval is infinite if the variance is infinite
-        or rests on a few evaluations.
+        The mean of all nets, and its 95 % interval. The interval is infinite if the variance is
+        infinite or rests on a few evaluations.
     calls, budget
         Number of evaluations of f, and the number that was allowed.
     variance, rate, rate_ci
-        Variance of an estimate of `budget` evaluations with the given sampler, or with nets if the sampler
-        could not be measured; and the slope of the variance.
+        Variance of an estimate of `budget` evaluations with the given sampler, or with nets if the
+        sampler could not be measured; and the slope of the variance.
     points
         Number of points n of such an estimate: the budget over the evaluations of each point.
     reference
@@ -320,7 +321,7 @@ class Profile:
         return rows
 
     def _rmse(self, curve: Curve) -> float:
-        """Return the RMSE at the budget; NaN if no rate is known beyond the counts, or nothing varied."""
+        """Return the RMSE at the budget; NaN without a rate beyond the counts, or if nothing varied."""
         if math.isinf(self.variance):
             return math.inf
         if math.isnan(curve.rate) and max(curve.counts, default=math.inf) < self.points:
@@ -346,7 +347,7 @@ class Profile:
 
     @property
     def dataset(self) -> xr.Dataset:
-        """The curves on (sampler, n), NaN at counts that were not measured, with the answer as attributes."""
+        """The curves on (sampler, n), NaN at other counts, with the answer as attributes."""
         ns = sorted({int(n) for curve in self.samplers.values() for n in curve.counts})
         place = {n: k for k, n in enumerate(ns)}
         shape = (len(self.samplers), len(ns))
@@ -421,23 +422,23 @@ def profile(
     Parameters
     ----------
     f
-        A vectorized function of points (…, d) to values (…), an integrand, an estimator, or a spec. Or
-        three functions (f, pdf, sample) on the unit cube: points are drawn by sample(u) and weighted with
-        1/pdf. Or draws of Markov chains or independent estimates, as in `chain_error`; nothing is sampled
-        then.
+        A vectorized function of points (…, d) to values (…), an integrand, an estimator, or a spec.
+        Or three functions (f, pdf, sample) on the unit cube: points are drawn by sample(u) and
+        weighted with 1/pdf. Or draws of Markov chains or independent estimates, as in
+        `chain_error`; nothing is sampled then.
     sampler
         The sampler in use.
     dims
-        Number of dims of a function or a spec. The default is the number of dims of the sampler, if the
-        sampler is not a spec.
+        Number of dims of a function or a spec. The default is the number of dims of the sampler, if
+        the sampler is not a spec.
     budget
         Most evaluations of f in all, at least 256. With 262,144 evaluations, which take less than a
         second if f is fast, errors of rates are about 0.05 instead of 0.1.
     rng
         Seed (SPEC 7).
     vectorized, workers, cache
-        Options for slow functions; see `mcspectra.integrands.Calls`. An interrupted profile continues from
-        the cache.
+        Options for slow functions; see `mcspectra.integrands.Calls`. An interrupted profile
+        continues from the cache.
 
     Returns
     -------
@@ -543,7 +544,7 @@ def _of_draws(draws: Any) -> Profile:
 
 
 def _shape(causes: Sequence[Cause]) -> str:
-    """Return the first cause that concerns g; faults of a sampler's sets do not change other rates."""
+    """Return the first cause that concerns g rather than the sets of the given sampler."""
     return next((cause.name for cause in causes if cause.name not in _OF_SETS), "none")
 
 
@@ -573,8 +574,8 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
                 evidence = replace(evidence, replicates=_replicates(drawn, np.empty(0)))
 
     causes = causes_of(evidence)
-    # Measure pairs about the centers of strata, which nets do not include. For a smooth g they have the
-    # rate −1 − 4/d: cubic stratification of second order
+    # Measure pairs about the centers of strata, which nets do not include. For a smooth g they have
+    # the rate −1 − 4/d: cubic stratification of second order
     if _shape(causes) == "none" and estimator.counts == (1,) and given.spec != _PAIRS:
         with contextlib.suppress(McspectraError):  # there are too many dims or too few evaluations
             pairs = as_sampler(_PAIRS, estimator.dims)
@@ -610,7 +611,8 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         )
         calls += cost
     curve = curves.get(given.spec, curves[NETS])
-    # The interval is known if the values do not rest on a few of them, or if lines have fitted a pole
+    # The interval is known if the values do not rest on a few of them, or if lines have fitted a
+    # pole
     names = {cause.name for cause in causes}
     infinite = "infinite-variance" in names
     if infinite and best is not None:
@@ -690,8 +692,9 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     first = _shape(causes)
     if name not in {NETS, "jittered"} or first not in _EXPONENTS or not math.isfinite(curve.rate):
         return curve
-    # A jump cuts n^(1 − 1/d) of n strata. For a jump along an axis, or a smooth g, nets have the rate of
-    # 1-D with up to d − 1 logarithms; assume two thirds of them, with a standard error of one third
+    # A jump cuts n^(1 − 1/d) of n strata. For a jump along an axis, or a smooth g, nets have the
+    # rate of 1-D with up to d − 1 logarithms; assume two thirds of them, with a standard error of
+    # one third
     strata = name == "jittered" or first == "interior-jump"
     third = 0.0 if strata else (dims - 1) / (3.0 * math.log(curve.counts[-1]))
     rate = -1.0 - _EXPONENTS[first] / (dims if strata else 1) + 2.0 * third
@@ -732,7 +735,7 @@ def _measured(
 
 
 def _replicates(points: Sequence[Array], estimates: Array) -> Replicates:
-    """Return replicates from sets of each technique's points (R, n, d) and the estimates of some."""
+    """Return replicates from points of each technique (R, n, d) and the estimates of some sets."""
     x = np.concatenate([np.asarray(p) for p in points], axis=1)
     angle = 2.0 * math.pi * x
     waves = [each.mean(axis=1) for each in (x - 0.5, np.cos(angle), np.sin(angle))]
@@ -749,7 +752,7 @@ def _change(
     after: tuple[float, float],
     setup: tuple[AbstractEstimator, str],
 ) -> Change:
-    """Compare the variance after a change, with the error of its logarithm, with the given set-up."""
+    """Compare the variance after a change and the error of its logarithm with the given set-up."""
     (value, error), (other, other_error) = after, curves[given].at(n)
     gain = other / value if value > 0.0 else math.inf
     half = CONFIDENCE_Z * math.hypot(error, other_error)
@@ -779,9 +782,9 @@ def _improved(
 ) -> tuple[Change | None, list[str], int]:
     """Find a change of the estimator that answers its causes; also return tried names and calls.
 
-    The change is fitted to the evaluations at nets, and measured with nets of as many points as the rest of
-    the budget allows. If it is better than the best sampler at the same evaluations, its own curve gives the
-    variance at the budget.
+    The change is fitted to the evaluations at nets, and measured with nets of as many points as the
+    rest of the budget allows. If it is better than the best sampler at the same evaluations, its
+    own curve gives the variance at the budget.
     """
     estimator = evidence.estimator
     kinds = list(dict.fromkeys(k for cause in causes for k in cause.kinds if k in CHANGES))
@@ -825,7 +828,8 @@ def _improved(
         if n < _SETTINGS.few_points:
             curve = replace(curve, rate=max(curve.rate, _SETTINGS.steepest_rate))
         (ours, ours_se), (other, other_se) = curve.at(n), base.at(cost)
-        # Extrapolate by the geometric mean of its rate and its gain, half their difference as the error
+        # Extrapolate by the geometric mean of its rate and its gain, half their difference as the
+        # error
         points_at_budget = budget // estimator.evaluations_per_point
         (value, error), at_best = curve.at(at_budget), base.at(points_at_budget)[0]
         kept = ours / other * at_best if other > 0.0 else 0.0

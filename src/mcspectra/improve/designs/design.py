@@ -45,12 +45,14 @@ _VERSION = 3  # version of the searches; the cache ignores samplers of other ver
 class DesignSettings:
     """Settings of the cache of designs and of certificates."""
 
-    # Points and members whose values identify a class in the cache, together with its text. Functions
-    # have no text that identifies them, and their values may be 0 outside a small region: 64 points
-    # missed disks of radius 0.1, and 8192 points miss a region of volume 1e-3 with probability 3e-4.
+    # Points and members whose values identify a class in the cache, together with its text.
+    # Functions have no text that identifies them, and their values may be 0 outside a small region:
+    # 64 points missed disks of radius 0.1, and 8192 points miss a region of volume 1e-3 with
+    # probability 3e-4.
     cache_points: int = 2**13
     cache_members: int = 256
-    # Samplers that a certificate compares with by default: the usual samplers with the least variance.
+    # Samplers that a certificate compares with by default: the usual samplers with the least
+    # variance.
     rivals: tuple[str, ...] = (
         "sobol | owen",
         "pmj02",
@@ -58,8 +60,8 @@ class DesignSettings:
         "rank1-lattice | shift",
         "fibonacci | shift",
     )
-    # Groups of members of a certificate, each with its own realizations. The errors have 19 degrees of
-    # freedom, so that intervals by Student's t are 7 % wider than with many groups.
+    # Groups of members of a certificate, each with its own realizations. The errors have 19 degrees
+    # of freedom, so that intervals by Student's t are 7 % wider than with many groups.
     groups: int = 20
 
 
@@ -109,53 +111,54 @@ def design(
     defensive: float | None = None,
     settings: SearchSettings | None = None,
 ) -> Sampler | Density:
-    """Search a sampler of small expected variance over a class of integrands, or learn a density for one.
+    """Search a sampler of small expected variance over a class of integrands, or learn a density.
 
     Parameters
     ----------
     kind
         ``"lattice"`` (generating vectors: all in 2-D, else axis by axis), ``"polynomial-lattice"``,
-        ``"digital-net"`` (generator matrices), ``"owen"`` (64 flipped trees of Sobol' points with the
-        same t), ``"strata"`` (their shape, and the combination of points of different strata) or
-        ``"points"`` (sets that divide a grid among them, or one set on the torus by its gradient); or
-        ``"density"``: see `learned_density`.
+        ``"digital-net"`` (generator matrices), ``"owen"`` (64 flipped trees of Sobol' points with
+        the same t), ``"strata"`` (their shape, and the combination of points of different strata)
+        or ``"points"`` (sets that divide a grid among them, or one set on the torus by its
+        gradient); or ``"density"``: see `learned_density`.
     objective
-        The integrand of a density, or the class of a sampler. A class is a spec, whose parameters may be
-        ``uniform(a, b)`` or ``normal(mean, sd)``, drawn for each axis if possible:
+        The integrand of a density, or the class of a sampler. A class is a spec, whose parameters
+        may be ``uniform(a, b)`` or ``normal(mean, sd)``, drawn for each axis if possible:
         ``"gaussian(center=uniform(0, 1), width=uniform(0.1, 0.4))"``; ``"gaussians"`` (this one),
         ``"disks"`` or ``"half-spaces"`` (a uniform direction through a uniform point); a function
-        ``generator -> integrand``; a list of all these, in equal shares, such as the pixels of a scene;
-        ``{"spectrum": P}`` with the powers P(m) = E|f_m|², an array (2h + 1, …) of m = −h … h or, with
-        ``"half_width": h``, a callable of m (k, d); ``{"covariance": C}``, C_ml = E[f_m conj(f_l)] as a
-        matrix of these m in C order, or a callable of m and l.
+        ``generator -> integrand``; a list of all these, in equal shares, such as the pixels of a
+        scene; ``{"spectrum": P}`` with the powers P(m) = E|f_m|², an array (2h + 1, …) of m = −h …
+        h or, with ``"half_width": h``, a callable of m (k, d); ``{"covariance": C}``, C_ml = E[f_m
+        conj(f_l)] as a matrix of these m in C order, or a callable of m and l.
     n
         Number of points. Nets and trees take powers of two.
     dims
-        Number of dims, up to 8. The default is the number of dims of the integrands, or 2 if they fit
-        any number.
+        Number of dims, up to 8. The default is the number of dims of the integrands, or 2 if they
+        fit any number.
     rng
         Seed. The same seed gives the same sampler.
     path
-        File for the sampler or the density, .json. Sets of points go into a .npz file of the same name.
-        The default is the cache folder.
+        File for the sampler or the density, .json. Sets of points go into a .npz file of the same
+        name. The default is the cache folder.
     family, sampler, budget, defensive
-        Options of a density: `kind` (default ``"mixture"``), `sampler` (default ``"sobol | owen"``),
-        `evaluations` and `defensive` of `learned_density`.
+        Options of a density: `kind` (default ``"mixture"``), `sampler` (default ``"sobol |
+        owen"``), `evaluations` and `defensive` of `learned_density`.
     settings
         Settings of the search of a sampler, `mcspectra.improve.designs.searches.SearchSettings`.
 
     Returns
     -------
     Sampler or Density
-        It is unbiased for every integrand. Its `spec` makes it again; kinds with sets name their file.
+        It is unbiased for every integrand. Its `spec` makes it again; kinds with sets name their
+        file.
 
     Raises
     ------
     CountError
         The kind has no sets of n points.
     ParameterError
-        The kind is unknown; an option of densities is given with a sampler or the reverse; the objective
-        is empty, constant or cannot be read; dims are out of range.
+        The kind is unknown; an option of densities is given with a sampler or the reverse; the
+        objective is empty, constant or cannot be read; dims are out of range.
     DomainError
         Values of an integrand are not finite.
     FileFormatError
@@ -163,9 +166,10 @@ def design(
 
     Notes
     -----
-    The objective is the expected variance tr(C_f C_S); see `improve.designs.searches`. For other classes
-    the variances may be larger than the variances of usual samplers: see `certificate`. If the search is
-    interrupted (Ctrl-C), the best sampler found up to then is returned and is not put into the cache.
+    The objective is the expected variance tr(C_f C_S); see `improve.designs.searches`. For other
+    classes the variances may be larger than the variances of usual samplers: see `certificate`. If
+    the search is interrupted (Ctrl-C), the best sampler found up to then is returned and is not put
+    into the cache.
 
     Examples
     --------
@@ -273,8 +277,8 @@ def certificate(
     dims
         Number of dims. The default is the number of dims of the sampler.
     rivals
-        Samplers to compare with. The default is sobol | owen, pmj02, and shifted Korobov, rank-1 and
-        Fibonacci lattices, except those without a set of n points in these dims.
+        Samplers to compare with. The default is sobol | owen, pmj02, and shifted Korobov, rank-1
+        and Fibonacci lattices, except those without a set of n points in these dims.
     members
         Number of members that are drawn, in 20 groups.
     realizations
@@ -285,15 +289,16 @@ def certificate(
     Returns
     -------
     xarray.Dataset
-        `mean_variance(sampler)` with `mean_variance_ci`, and `design_ratio` with `design_ratio_ci`: the mean
-        variance of the sampler over that of the best rival. The rival of each half of the groups is the
-        best in the other half. Intervals at 95 % use Student's t over groups, and the jackknife for the
-        ratio.
+        `mean_variance(sampler)` with `mean_variance_ci`, and `design_ratio` with `design_ratio_ci`:
+        the mean variance of the sampler over that of the best rival. The rival of each half of the
+        groups is the best in the other half. Intervals at 95 % use Student's t over groups, and the
+        jackknife for the ratio.
 
     Raises
     ------
     ParameterError
-        There is no rival, all variances of the best rival vanish, or an argument of `design` is wrong.
+        There is no rival, all variances of the best rival vanish, or an argument of `design` is
+        wrong.
     """
     groups = _SETTINGS.groups
     given = as_sampler(sampler, dims)

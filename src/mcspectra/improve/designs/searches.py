@@ -1,17 +1,18 @@
 """Searches, one for each kind of sampler; each yields better and better samplers.
 
-A set that is shifted at random has the variance Σ_{m≠0} P(m) |S_m|², with P(m) = E|f_m|² of the class. For
-a lattice, this is the sum of P over its dual lattice. Under a digital shift the same holds in the Walsh
-basis: the variance is (1/n²) Σ_ij κ(x_i xor x_j), with κ the Walsh series of P. For a digital net it is
-the mean of κ over the points alone. If sets are folded after the shift, both hold for
-g(x) = f(1 − |2x − 1|), which is continuous on the torus [Hickernell2002]_. Each search tries both and
-keeps the better one.
+A set that is shifted at random has the variance Σ_{m≠0} P(m) |S_m|², with P(m) = E|f_m|² of the
+class. For a lattice, this is the sum of P over its dual lattice. Under a digital shift the same
+holds in the Walsh basis: the variance is (1/n²) Σ_ij κ(x_i xor x_j), with κ the Walsh series of P.
+For a digital net it is the mean of κ over the points alone. If sets are folded after the shift,
+both hold for g(x) = f(1 − |2x − 1|), which is continuous on the torus [Hickernell2002]_. Each
+search tries both and keeps the better one.
 
-Sets that divide the cells of a grid among them need no shift. Let φ_t be features with Σ_t φ_t(x) φ_t(y) =
-Cov(f(x), f(y)) at the centers of cells. The variance is then the mean over sets of Σ_t (mean φ_t)².
-Exchanges of cells between sets lower it. They start from random sets, or from the cosets of a designed
-digital net, if that start is better. The points of a set have the same offset within their cells up to
-reflections, which are chosen so that the sum of the signed slopes is small.
+Sets that divide the cells of a grid among them need no shift. Let φ_t be features with Σ_t φ_t(x)
+φ_t(y) = Cov(f(x), f(y)) at the centers of cells. The variance is then the mean over sets of Σ_t
+(mean φ_t)². Exchanges of cells between sets lower it. They start from random sets, or from the
+cosets of a designed digital net, if that start is better. The points of a set have the same offset
+within their cells up to reflections, which are chosen so that the sum of the signed slopes is
+small.
 """
 
 from __future__ import annotations
@@ -59,8 +60,8 @@ class SearchSettings:
     table_values: int = 2**25
     # Points at which members are evaluated at once: 64 MB in double precision for 1024 members.
     block: int = 2**13
-    # Points and members with which the searches of nets, and of lattices in three dims or more, measure
-    # their samplers. SEARCH_JUDGES
+    # Points and members with which the searches of nets, and of lattices in three dims or more,
+    # measure their samplers. SEARCH_JUDGES
     judge_points: int = 2**16
     judge_members: int = 256
 
@@ -69,8 +70,8 @@ class SearchSettings:
     # Points of the table that estimates the spectrum of the class, twice as many above three dims.
     # SEARCH_FREQUENCIES
     frequencies: int = 2**16
-    # Starting vectors of the search of lattices in three dims or more: one that is built axis by axis,
-    # and random ones. SEARCH_VECTORS
+    # Starting vectors of the search of lattices in three dims or more: one that is built axis by
+    # axis, and random ones. SEARCH_VECTORS
     vectors: int = 48
     # Number of the best of these vectors that are measured. SEARCH_JUDGED
     judged: int = 12
@@ -82,11 +83,11 @@ class SearchSettings:
     most_points: int = 2**12
     # Most bits of the codes of all axes together: the Walsh table has 2^18 values for each member.
     table_bits: int = 18
-    # Starting matrices of the search of nets: those of Sobol', and random ones of the same strength.
-    # SEARCH_STARTS
+    # Starting matrices of the search of nets: those of Sobol', and random ones of the same
+    # strength. SEARCH_STARTS
     net_starts: int = 6
-    # Trees of a design of kind ``owen``: number of independent sets, so that errors can be estimated
-    # from realizations. Their mean variance has a relative error of about 1/√64.
+    # Trees of a design of kind ``owen``: number of independent sets, so that errors can be
+    # estimated from realizations. Their mean variance has a relative error of about 1/√64.
     trees: int = 64
     # Trees that choose whether sets are folded. SEARCH_TRIED
     first_trees: int = 8
@@ -108,9 +109,9 @@ class SearchSettings:
     # Whether exchanges also start from the cosets of a digital net. In 4-D, 64 points end with less
     # variance than from random sets: tests/improve/test_design.py.
     cosets: bool = True
-    # Shapes of strata that are compared, the most even ones, and realizations of each comparison. The
-    # least variance of 32 realizations has a relative error of √(2/31) = 25 %, and differs between
-    # shapes that matter by more.
+    # Shapes of strata that are compared, the most even ones, and realizations of each comparison.
+    # The least variance of 32 realizations has a relative error of √(2/31) = 25 %, and differs
+    # between shapes that matter by more.
     shapes: int = 12
     shape_realizations: int = 32
 
@@ -152,12 +153,12 @@ def mean_variances(values: Values, source: Sampler, n: int, realizations: int, s
 def _fourier_power(
     values: Values, dims: int, fold: bool, size: int, block: int
 ) -> tuple[Array, Array]:
-    """Return frequencies m, one of m and −m, and 2 E|f_m|², the strongest first: int64 (K, d), (K,).
+    """Return frequencies m, one of ±m, and 2 E|f_m|², the strongest first: int64 (K, d), (K,).
 
-    Up to 3 dims they are the frequencies of a grid. In more dims a grid has few frequencies along an
-    axis, but functions that are not periodic have most of their power along the axes. The frequencies are
-    then those of a hyperbolic cross and of a ball, estimated on a lattice. Of frequencies that the
-    lattice cannot distinguish, only the lowest is kept.
+    Up to 3 dims they are the frequencies of a grid. In more dims a grid has few frequencies along
+    an axis, but functions that are not periodic have most of their power along the axes. The
+    frequencies are then those of a hyperbolic cross and of a ball, estimated on a lattice. Of
+    frequencies that the lattice cannot distinguish, only the lowest is kept.
     """
     if dims <= 3:
         side = int(size ** (1.0 / dims) + 1e-9)
@@ -203,7 +204,7 @@ def _fourier_power(
 def _best_vector(
     m: Array, power: Array, dims: int, n: int, generator: np.random.Generator, starts: int
 ) -> Iterator[tuple[float, Array]]:
-    """Yield vectors of small dual sums: the best in 2-D; else axis by axis, again while it helps."""
+    """Yield vectors of small dual sums: the best in 2-D, else axis by axis while it helps."""
     sums = np.empty(n)
     for start in range(starts if dims > 2 else 1):
         vector = np.ones(dims, np.int64)
