@@ -1,5 +1,6 @@
 """Designs: objectives, searches against brute force and measurement, certificates, doors."""
 
+import dataclasses
 import itertools
 import json
 
@@ -19,6 +20,7 @@ from mcspectra.improve.designs import design as doors
 from mcspectra.improve.designs import searches
 from mcspectra.improve.designs._kernels import improve_code
 from mcspectra.improve.designs.objectives import as_objective
+from mcspectra.improve.designs.searches import SearchSettings
 from mcspectra.samplers import SharedCells
 from mcspectra.samplers.stratified import write_cells
 
@@ -26,16 +28,21 @@ GAUSSIANS = "gaussian(center=uniform(0, 1), width=uniform(0.15, 0.4))"
 KINDS = tuple(searches.KINDS)
 
 
+# Searches of a second
+SMALL = SearchSettings(
+    cells=2**12, members=256, trials=2**18, frequencies=2**14, trees=16, net_starts=2
+)
+
+
 @pytest.fixture(autouse=True)
-def small(tmp_path, monkeypatch):
-    """A cache of its own, and searches of a second."""
+def own_cache(tmp_path, monkeypatch):
+    """A cache of its own."""
     monkeypatch.setenv("MCSPECTRA_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(searches, "_CELLS", 2**12)
-    monkeypatch.setattr(searches, "_MEMBERS", 256)
-    monkeypatch.setattr(searches, "_TRIALS", 2**18)
-    monkeypatch.setattr(searches, "_FREQUENCIES", 2**14)
-    monkeypatch.setattr(searches, "_TREES", 16)
-    monkeypatch.setattr(searches, "_STARTS", 2)
+
+
+def design(*arguments, settings=SMALL, **options):
+    """Search a sampler with few members, cells and starts."""
+    return mcs.design(*arguments, settings=settings, **options)
 
 
 def spectrum(m):
@@ -51,7 +58,7 @@ def dual_sum(vector, n, half):
 
 def test_a_lattice_in_2d_has_the_least_dual_sum_of_all():
     n, half = 31, 6
-    sampler = mcs.design("lattice", {"spectrum": spectrum, "half_width": half}, n)
+    sampler = design("lattice", {"spectrum": spectrum, "half_width": half}, n)
     vector = sampler.base.vector
     sums = [dual_sum((1, z), n, half) for z in range(1, n)]
     assert np.ptp(sums) > 0.01
@@ -65,7 +72,7 @@ def test_a_lattice_in_2d_has_the_least_dual_sum_of_all():
 def test_searches_predict_the_variance_that_is_measured(kind, n, tmp_path):
     objective = as_objective(GAUSSIANS, 2)
     stream = Stream.from_rng(3)
-    found = min(searches.KINDS[kind](objective, n, stream), key=lambda each: each.variance)
+    found = min(searches.KINDS[kind](objective, n, stream, SMALL), key=lambda each: each.variance)
     sampler = found.make(tmp_path / "sets.npz")
 
     # The mean over 32 batches of 64 realisations, over the members that the search looked at
@@ -100,7 +107,7 @@ def test_the_gradient_of_sets_on_the_torus_is_that_of_their_energy():
 
 
 def test_flipped_trees_keep_elementary_intervals():
-    sampler = mcs.design("owen", "gaussians", 16)
+    sampler = design("owen", "gaussians", 16)
     assert "points(" in sampler.spec
     sets = np.load(str(sampler.base.path))["points"]
     assert len(sets) == 16
@@ -112,7 +119,7 @@ def test_flipped_trees_keep_elementary_intervals():
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_designs_beat_the_best_rival_where_the_class_is_known(kind):
-    sampler = mcs.design(kind, GAUSSIANS, 64, rng=5)
+    sampler = design(kind, GAUSSIANS, 64, rng=5)
     assert sampler.unbiased
     found = mcs.certificate(sampler, GAUSSIANS, 64, members=400, realizations=32, rng=11)
     assert found["design_ratio_ci"].values[1] < 0.5
@@ -122,11 +129,8 @@ def test_designs_beat_the_best_rival_where_the_class_is_known(kind):
 
 
 @pytest.mark.slow
-def test_lattices_in_three_dims_are_judged_by_more_than_the_frequencies_that_are_counted(
-    monkeypatch,
-):
+def test_lattices_in_three_dims_are_judged_by_more_than_the_frequencies_that_are_counted():
     """Of narrow bells that are turned; by 40 frequencies along an axis alone: 1.5 of sobol | owen, without fold."""
-    monkeypatch.setattr(searches, "_JUDGES", 64)
 
     def bell(generator):
         turn = np.linalg.qr(generator.standard_normal((3, 3)))[0]
@@ -135,7 +139,8 @@ def test_lattices_in_three_dims_are_judged_by_more_than_the_frequencies_that_are
             lambda x: np.exp(-0.5 * (((x - center) @ turn / width) ** 2).sum(axis=-1)), dims=3
         )
 
-    made = mcs.design("lattice", bell, 256, dims=3)
+    few = dataclasses.replace(SMALL, judge_members=64)
+    made = design("lattice", bell, 256, dims=3, settings=few)
     found = mcs.certificate(made, bell, 256, rivals=["sobol | owen"], members=400, realizations=16)
     assert found["design_ratio_ci"].values[1] < 0.9
 
@@ -205,14 +210,14 @@ def test_a_covariance_is_that_of_its_functions():
 
 
 def test_the_same_seed_gives_the_same_sampler_from_the_cache_or_not(tmp_path, monkeypatch):
-    first = mcs.design("strata", "disks", 9, rng=4).draw(9, realizations=5, rng=1)
-    again = mcs.design("strata", "disks", 9, rng=4, path=tmp_path / "mine.json")
+    first = design("strata", "disks", 9, rng=4).draw(9, realizations=5, rng=1)
+    again = design("strata", "disks", 9, rng=4, path=tmp_path / "mine.json")
     np.testing.assert_array_equal(again.draw(9, realizations=5, rng=1), first)
     assert str(tmp_path / "mine.npz") in again.spec
     spec = json.loads((tmp_path / "mine.json").read_text())["spec"]
     np.testing.assert_array_equal(mcs.sampler(spec).draw(9, realizations=5, rng=1), first)
     monkeypatch.setenv("MCSPECTRA_CACHE", str(tmp_path / "other"))
-    fresh = mcs.design("strata", "disks", 9, rng=4)
+    fresh = design("strata", "disks", 9, rng=4)
     np.testing.assert_array_equal(fresh.draw(9, realizations=5, rng=1), first)
 
 
@@ -229,7 +234,7 @@ def test_small_spots_are_classes_of_their_own(tmp_path, monkeypatch):
         ["disk(center=[0.22, 0.30], radius=0.1)", "disk(center=[0.81, 0.12], radius=0.1)"],
         [[spot(0.22, 0.301, 0.09)], [spot(0.809, 0.2, 0.05)]],
     ):
-        first, second = (mcs.design("strata", each, 16) for each in pair)
+        first, second = (design("strata", each, 16) for each in pair)
         assert first.spec != second.spec
 
 
@@ -237,42 +242,38 @@ def test_a_design_in_a_file_loads_from_any_folder(tmp_path, monkeypatch):
     monkeypatch.setenv("MCSPECTRA_CACHE", str(tmp_path / "cache"))
     (tmp_path / "sets").mkdir()
     monkeypatch.chdir(tmp_path)
-    made = mcs.design("strata", "gaussians", 16, path="mine.json").draw(16, rng=3)
+    made = design("strata", "gaussians", 16, path="mine.json").draw(16, rng=3)
     monkeypatch.chdir(tmp_path / "sets")
     spec = json.loads((tmp_path / "mine.json").read_text())["spec"]
     assert np.array_equal(mcs.sampler(spec, dims=2).draw(16, rng=3), made)
 
 
 def test_an_interrupt_keeps_the_best_and_is_not_cached(monkeypatch):
-    def interrupted(objective, n, stream):
-        yield from itertools.islice(searches.KINDS["lattice"](objective, n, stream), 1)
+    def interrupted(*arguments):
+        yield from itertools.islice(searches.KINDS["lattice"](*arguments), 1)
         raise KeyboardInterrupt
 
-    def at_once(objective, n, stream):
+    def at_once(*_):
         raise KeyboardInterrupt
         yield
 
     monkeypatch.setattr(doors, "KINDS", {"lattice": at_once})
-    assert (
-        mcs.design("lattice", "gaussians", 13).spec == "korobov | shift"
-    )  # what it found: nothing
+    assert design("lattice", "gaussians", 13).spec == "korobov | shift"  # what it found: nothing
     real = dict(searches.KINDS)
     monkeypatch.setattr(doors, "KINDS", {"lattice": interrupted})
-    assert mcs.design("lattice", "gaussians", 13).spec.endswith("| shift")  # the first frame only
+    assert design("lattice", "gaussians", 13).spec.endswith("| shift")  # the first frame only
     monkeypatch.setattr(doors, "KINDS", real)
-    assert "fold" in mcs.design("lattice", "gaussians", 13).spec
+    assert "fold" in design("lattice", "gaussians", 13).spec
 
 
-def test_points_begin_with_cosets_of_a_net_where_these_are_better(monkeypatch):
+def test_points_begin_with_cosets_of_a_net_where_these_are_better():
     """Exchanges that begin with a net's cosets end below those that begin with random sets."""
-    monkeypatch.setattr(searches, "_TRIALS", 2**16)
     ratios = []
-    for _ in range(2):
-        found = mcs.design("points", "gaussians", 64, dims=4)
+    for cosets in (True, False):
+        settings = dataclasses.replace(SMALL, trials=2**16, cosets=cosets)
+        found = design("points", "gaussians", 64, dims=4, settings=settings)
         told = mcs.certificate(found, "gaussians", 64, rivals=["sobol | owen"], members=1600)
         ratios.append(told["design_ratio_ci"].values)
-        monkeypatch.setattr(searches, "_cosets", lambda *_: None)
-        monkeypatch.setattr(doors, "_VERSION", -1)  # not from the cache
     assert ratios[0][1] < ratios[1][0]
 
 
@@ -321,7 +322,21 @@ def test_shared_cells_are_uniform_and_refused_else(tmp_path):
 )
 def test_doors_refuse_with_a_sentence(kind, objective, n, dims, error, words):
     with pytest.raises(error, match=words):
-        mcs.design(kind, objective, n, dims=dims)
+        design(kind, objective, n, dims=dims)
+
+
+def test_settings_are_of_searches_of_samplers_and_part_of_what_the_cache_knows():
+    with pytest.raises(ParameterError, match="settings is for samplers"):
+        design("density", "gaussian", 16)
+    with pytest.raises(ParameterError, match="settings is 3; give a SearchSettings"):
+        design("lattice", "gaussian", 16, settings=3)
+    quick = SearchSettings(cells=2**10, members=32, trials=2**12)
+    one, other = (dataclasses.replace(quick, rounds=r) for r in (4, 5))
+    cells = [
+        design("strata", "gaussians", 16, settings=each).draw(16, realizations=4, rng=0)
+        for each in (one, other)
+    ]
+    assert not np.array_equal(*cells)
 
 
 F3 = mcs.Integrand.from_function(lambda x: x.prod(axis=-1), dims=3)
@@ -349,7 +364,7 @@ def test_values_that_are_not_finite_are_refused():
     poles = mcs.Integrand.from_function(lambda x: x[..., 0] ** 2, dims=2)
     object.__setattr__(poles, "function", lambda x: np.where(x[..., 0] > 0.5, np.inf, 1.0))
     with pytest.raises((DomainError, ParameterError), match="finite"):
-        mcs.design("lattice", [f, poles], 16)
+        design("lattice", [f, poles], 16)
 
 
 def test_the_verb_prints_and_writes_spec_and_certificate(tmp_path, capsys):
@@ -358,7 +373,7 @@ def test_the_verb_prints_and_writes_spec_and_certificate(tmp_path, capsys):
     out = tmp_path / "mine.json"
     arguments = [
         "design",
-        "strata",
+        "lattice",
         GAUSSIANS,
         "-n",
         "8",

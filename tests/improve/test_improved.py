@@ -12,8 +12,15 @@ import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import Mirrored
-from mcspectra.improve import learned
-from mcspectra.improve.improved import CHANGES, Cubic, Evaluations, evaluated, improvements
+from mcspectra.improve.improved import (
+    CHANGES,
+    ChangeSettings,
+    Cubic,
+    Evaluations,
+    evaluated,
+    improvements,
+)
+from mcspectra.improve.learned import LearnSettings
 from mcspectra.measure.setup import Setup
 
 SIGMAS = 4.0
@@ -48,20 +55,16 @@ def estimator(name):
     return mcs.Estimator(mcs.Integrand.from_function(function, dims=dims, integral=integral))
 
 
-@pytest.fixture(scope="module", autouse=True)
-def short_fits():
-    """A quarter of the steps: what is expected of a density is from evaluations that it was not fitted to."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(learned, "_STEPS", 30)
-        yield
+# A quarter of the steps of fits, whose expected gain is from evaluations that they were not fitted to
+SHORT = ChangeSettings(splines=LearnSettings(steps=30))
 
 
 @cache
 def changes(name, kind, count=2048):
     """Evaluations of a problem, and the changes of a kind that they suggest."""
     e = estimator(name)
-    seen = evaluated(e, count, Stream.from_rng(1), adapt=kind == "fitted")
-    return seen, list(improvements(e, seen, [kind]))
+    seen = evaluated(e, count, Stream.from_rng(1), adapt=kind == "fitted", settings=SHORT)
+    return seen, list(improvements(e, seen, [kind], settings=SHORT))
 
 
 @pytest.mark.parametrize("name", PROBLEMS)
@@ -140,7 +143,7 @@ def test_evaluations_at_points_of_any_density_have_its_weights():
     """E[g²/p] − I² from points of p: within 4 standard errors of that of uniform points."""
     e = estimator("smooth")
     uniform = evaluated(e, 2**14, Stream.from_rng(4))
-    adapted = evaluated(e, 2**14, Stream.from_rng(5), adapt=True)
+    adapted = evaluated(e, 2**14, Stream.from_rng(5), adapt=True, settings=SHORT)
     assert adapted.pdf.std() > 0.1
     assert adapted.variance() == pytest.approx(uniform.variance(), rel=SIGMAS * 3.0 / 2**7)
 
@@ -156,8 +159,8 @@ def test_the_pilot_is_charged_and_makes_no_more_calls():
     e = mcs.Estimator(mcs.Integrand.from_function(function, dims=2, integral=math.pi / 100))
     for kind in CHANGES:
         calls = 0
-        seen = evaluated(e, 500, Stream.from_rng(0), adapt=kind == "fitted")
-        made = list(improvements(e, seen, [kind], charged=500))
+        seen = evaluated(e, 500, Stream.from_rng(0), adapt=kind == "fitted", settings=SHORT)
+        made = list(improvements(e, seen, [kind], charged=500, settings=SHORT))
         assert calls == 500
         assert all(Setup(m.estimator, mcs.sampler("random", dims=2)).overhead == 500 for m in made)
         assert all(Mirrored(m.estimator).pilot_evaluations == 500 for m in made)
@@ -240,11 +243,11 @@ def test_cubic_stratification_is_exact_for_its_polynomials(order):
 
 
 def test_cubic_stratification_of_even_order_has_one_cell_more_above_than_below():
-    """Of x⁴ y and order 4: y times the cubic through the centres of a cell, of one below it and of two above."""
+    """Of x⁴ y and order 4: y times the cubic through the centers of a cell, of one below it and of two above."""
     f = mcs.Integrand.from_function(lambda x: x[..., 0] ** 4 * x[..., 1], dims=2)
     cell, u = np.array([3, 2]), np.array([[0.53, 0.36], [0.61, 0.48]])
-    centres = (np.arange(2, 6) + 0.5) / 6
-    cubic = np.polynomial.Polynomial.fit(centres, centres**4, 3)
+    centers = (np.arange(2, 6) + 0.5) / 6
+    cubic = np.polynomial.Polynomial.fit(centers, centers**4, 3)
     x, y = np.stack([u, (2 * cell + 1) / 6 - u]).T
     mean = np.diff(cubic.integ()(np.array([3, 4]) / 6)) * 6 * 2.5 / 6
     expected = ((x**4 - cubic(x)) * y).mean(axis=1) + mean
@@ -252,7 +255,7 @@ def test_cubic_stratification_of_even_order_has_one_cell_more_above_than_below()
     assert np.asarray(found) == pytest.approx(expected, abs=1e-13)
 
 
-def test_cubic_stratification_is_found_by_remedies_and_charged_for_its_centres():
+def test_cubic_stratification_is_found_by_remedies_and_charged_for_its_centers():
     made = 0
 
     def smooth(x):

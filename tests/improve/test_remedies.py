@@ -7,8 +7,7 @@ import mcspectra as mcs
 from mcspectra.core.errors import CountError, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.explain.diagnosis import diagnose
-from mcspectra.improve import candidates
-from mcspectra.improve.candidates import KINDS, Budget, Counterfactual, other_setups
+from mcspectra.improve.candidates import KINDS, Budget, Candidate, CandidateSettings, other_setups
 from mcspectra.improve.remedy import simultaneous_z
 from mcspectra.measure.setup import Setup, affordable_count
 
@@ -20,8 +19,8 @@ def _setup(estimator, sampler):
     return Setup(e, mcs.sampler(sampler, dims=e.dims))
 
 
-def _found(estimator, sampler, *kinds):
-    budget = Budget(256, 100, Stream.from_rng(0))
+def _found(estimator, sampler, *kinds, **options):
+    budget = Budget(256, 100, Stream.from_rng(0), **options)
     return list(other_setups(_setup(estimator, sampler), kinds or tuple(KINDS), budget))
 
 
@@ -104,6 +103,14 @@ def test_a_known_edge_is_aligned_with_and_leaves_nothing():
     assert "no variance is left" in found.attrs["recommendation"]
 
 
+def test_strata_are_aligned_if_the_law_of_the_sampler_has_them():
+    """Owen scrambling keeps one uniform point in each stratum; a scrambled net has no strata."""
+    (jittered, _) = _found("step(at=0.3)", "jittered | owen", "aligned")
+    assert jittered.name == "aligned with edges"
+    (net,) = _found("step(at=0.3)", "sobol | owen", "aligned")
+    assert "sobol | owen has no strata" in net
+
+
 def test_the_slow_technique_is_named_and_left_out():
     mis = mcs.MultipleImportance(
         mcs.integrand("polynomial(coefficients=[0.5, 0, 1])", dims=1),
@@ -148,7 +155,7 @@ def test_what_cannot_be_tried_is_listed_with_its_reason(shifted):
 
 def test_no_set_up_is_tried_twice_and_none_is_the_given_one():
     found = _found(SMOOTH, "jittered | shift", "unshifted", "sampler")
-    names = [c.setup.sampler.spec for c in found if isinstance(c, Counterfactual)]
+    names = [c.setup.sampler.spec for c in found if isinstance(c, Candidate)]
     assert len(names) == len(set(names))
     assert "jittered | shift" not in names
 
@@ -277,22 +284,21 @@ def test_what_is_smoothed_to_another_integral_has_no_rate():
     assert found.sel(remedy=name)["rate_verdict"] == "undecided"
 
 
-def test_means_over_boxes_are_not_said_to_be_biased(monkeypatch):
-    monkeypatch.setattr(candidates, "_WIDTHS", (0.1,))
+def test_means_over_boxes_are_not_said_to_be_biased():
     f = mcs.integrand("image(values=[[0, 1], [1, 0]])")
-    changes = [
-        c for c in _found(f, "jittered | shift", "smoothed") if isinstance(c, Counterfactual)
-    ]
+    one_width = CandidateSettings(widths=(0.1,))
+    found = _found(f, "jittered | shift", "smoothed", settings=one_width)
+    changes = [c for c in found if isinstance(c, Candidate)]
     assert [c.biased for c in changes] == [False]
 
 
 def test_mirrored_estimators_keep_their_other_remedies():
     mis = mcs.MultipleImportance(SMOOTH, ["uniform", "linear"], heuristic="maximum")
     found = _found(mcs.Mirrored(mis), "jittered | shift", "heuristic", "techniques")
-    names = {c.name for c in found if isinstance(c, Counterfactual)}
+    names = {c.name for c in found if isinstance(c, Candidate)}
     assert {"heuristic: balance", "only uniform"} <= names
     assert all(
-        isinstance(c.setup.estimator, mcs.Mirrored) for c in found if isinstance(c, Counterfactual)
+        isinstance(c.setup.estimator, mcs.Mirrored) for c in found if isinstance(c, Candidate)
     )
 
 

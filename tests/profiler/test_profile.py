@@ -451,7 +451,7 @@ def test_a_pdf_that_is_not_normalised_or_not_of_its_sampler_is_a_cause():
     assert wrong.causes[0].name == "wrong-pdf"
     assert wrong.causes[0].evidence["of_one"] == pytest.approx(2 / 3, abs=1e-4)
     assert not np.isfinite(wrong.interval).any()
-    assert wrong.answer.startswith("Mend the density first.")
+    assert wrong.answer.startswith("Fix the density first.")
     other = leading((smooth, lambda x: np.ones(x.shape[:-1]), sample), dims=1)
     assert other.name == "wrong-pdf"
     assert other.evidence["of_one"] == 1.0  # what a constant does not show

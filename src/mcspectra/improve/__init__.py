@@ -1,4 +1,4 @@
-"""What lowers the variance: changes to an estimator or a sampler, compared side by side, and designs."""
+"""Changes to an estimator or a sampler that lower the variance, compared, and designs."""
 
 import lazy_loader
 

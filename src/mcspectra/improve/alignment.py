@@ -1,8 +1,9 @@
-"""Alignment of strata with edges: variance against their offset, and the offset that is best.
+"""Alignment of strata with edges: variance against the offset of strata, and the best offset.
 
-A stratum that an edge cuts into shares s and 1 − s has the variance s(1 − s) of the jump, one whose
-border is the edge has none. A fixed offset moves strata on the torus (``strata-shift``), and for edges
-whose places are known `aligned-strata` bends them.
+A stratum that an edge cuts into shares s and 1 − s has the variance s(1 − s) of the jump. A stratum
+whose border is the edge has no variance. A fixed offset moves strata on the torus
+(``strata-shift``). If the positions of the edges are known, `aligned-strata` bends the strata to
+them.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
@@ -37,11 +38,34 @@ if TYPE_CHECKING:
 __all__ = ["aligned", "best_alignment", "strata_shift_scan"]
 
 METHODS = ("auto", "exact", "measured")
-_MOST_OFFSETS = 4096
-_DEFAULT_OFFSETS = {1: 16, 2: 8}
-_EXACT_ROUNDING = 1e-14  # of I²/n: exact variances are differences of means of g² and squared means
-_EXACT_SE = 1e-6  # of exact variances, which weigh alike in the fit of a rate
-_HALVINGS = 8  # of the step of the scan: a part of 256
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class AlignmentSettings:
+    """Settings of scans over the offsets of strata."""
+
+    # Most offsets of one scan, over all axes. A measured scan of 4096 offsets of 64 points with the
+    # default 1000 realizations takes 2.6e8 evaluations.
+    most_offsets: int = 4096
+    # Default number of offsets along each axis in 1, 2 and more dims: 16, 64 and 4^d in all. For
+    # disks and steps in 1-D and 2-D, half or twice as many end at the same variance within 0.1 %,
+    # unless the edge can be aligned almost exactly.
+    usual_offsets: tuple[int, int, int] = (16, 8, 4)
+    # Rounding of an exact variance, as a fraction of I²/n. It is a difference of means of g² and of
+    # squared means, each rounded to 1.1e-16; the factor 100 allows for the sums behind the means.
+    exact_rounding: float = 1e-14
+    # Relative standard error of exact variances in the fit of a rate. All counts have the same
+    # weight for any value. Rates and their intervals agree to 9 digits for values from 1e-9 to
+    # 1e-3.
+    exact_se: float = 1e-6
+    # Number of times that the pattern search halves its step. The last step is 1/256 of the spacing
+    # of the scan. For disks in 1-D at n = 11, 16 halvings lower the variance by 0.02 %, and 4
+    # halvings raise it by 0.3 %.
+    halvings: int = 8
+
+
+_SETTINGS = AlignmentSettings()
 
 
 def strata_shift_scan(
@@ -61,34 +85,37 @@ def strata_shift_scan(
     Parameters
     ----------
     estimator, sampler
-        An estimator, and a sampler without a shift, which would average over all offsets.
+        An estimator, and a sampler without a shift. A shift would average over all offsets.
     counts
-        One number of points n, or ascending ones, in whose number a rate needs two.
+        One number of points n, or several in ascending order. A rate needs at least two.
     dims
-        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
-        that is not a spec.
+        Number of dims of a function, or of a spec that leaves it open. The default is the number of
+        dims of the sampler, if the sampler is not a spec.
     offsets
-        Parts of the side n^(-1/d) of a stratum: ascending in [0, 1), the same along each axis, or how
-        many equally spaced ones from 0; by default 16 in 1-D, 8 in 2-D and 4 in more dims, and 4096
-        in all at most. The same part of a side is another place in the domain for each n.
+        Fractions of the side n^(-1/d) of a stratum: ascending numbers in [0, 1), the same along
+        each axis; or the number of equally spaced offsets from 0. The default is 16 in 1-D, 8 in
+        2-D and 4 in more dims. A scan has at most 4096 offsets. The same fraction of a side is
+        another position in the domain for each n.
     method
-        ``"exact"`` (`mcspectra.exact_variance`), ``"measured"``, with the same random numbers for all
-        offsets, or ``"auto"``: exact where that is known, but for a user's function, as it takes many
-        calls. What was taken is the attribute ``method``.
+        ``"exact"`` (`mcspectra.exact_variance`); ``"measured"``, with the same random numbers for
+        all offsets; or ``"auto"``, which is exact if an exact variance is known and f is not a
+        user's function, since exact variances take many calls. The attribute ``method`` names the
+        choice.
     realizations, rng, workers
-        For measured variances, as for `mcspectra.convergence`.
+        Options of measured variances; see `mcspectra.convergence`.
 
     Returns
     -------
     xarray.Dataset
-        ``variance`` and ``variance_ci`` on offset0, offset1, … and n, ``rate`` and ``rate_ci`` on the
-        offsets; a dim channel where f has several. Intervals of exact variances have no width, those
-        of their rates tell how far from a line they are.
+        ``variance`` and ``variance_ci`` on offset0, offset1, … and n, ``rate`` and ``rate_ci`` on
+        the offsets, and a dim channel if f has several channels. Intervals of exact variances have
+        width 0. Intervals of their rates show how far the variances are from a line.
 
     Raises
     ------
     CountError, ParameterError
-        The sampler cannot do a count, counts or offsets are not ascending, too many offsets.
+        The sampler has no set of a count, counts or offsets are not ascending, or offsets are too
+        many.
     NoClosedForm
         ``method="exact"`` and no exact variance is known.
 
@@ -163,43 +190,45 @@ def best_alignment(
     rng: RngLike = 0,
     workers: int | None = None,
 ) -> xr.Dataset:
-    """Find the offset of strata with the least variance, and measure what it is worth.
+    """Find the offset of strata with the least variance, and measure its effect.
 
     Parameters
     ----------
     estimator, sampler, n
-        What is to be improved; the sampler without a shift, which would average over all offsets.
+        An estimator, a sampler without a shift, and the number of points. A shift would average
+        over all offsets.
     dims
-        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
-        that is not a spec.
+        Number of dims of a function, or of a spec that leaves it open. The default is the number of
+        dims of the sampler, if the sampler is not a spec.
     edges
-        Places of known edges, as for `aligned`: strata with borders there are tried
-        as well. Needs an estimator without a density and n = s^d.
+        Positions of known edges; see `aligned`. If given, strata with borders at the edges are
+        tried too. This needs an estimator without a density and n = s^d.
     offsets, method
-        As for `mcspectra.improve.strata_shift_scan`; the best of the scan is refined by a pattern search,
-        whose step is halved 8 times.
+        Same as in `mcspectra.improve.strata_shift_scan`. A pattern search that halves its step 8
+        times refines the best offset of the scan.
     realizations, rng, workers
-        As for `mcspectra.convergence`; the measurement of each candidate has a stream of its own.
+        Same as in `mcspectra.convergence`. The measurement of each candidate has its own stream.
 
     Returns
     -------
     xarray.Dataset
-        On the dim candidate, ``"unshifted"``, ``"offset"`` and, with `edges`, ``"aligned"``:
-        ``strata_offset(candidate, axis)``, ``predicted_variance``, ``measured_variance`` with
-        ``measured_variance_ci``, ``variance_ratio`` to that of the first with ``variance_ratio_ci``,
-        and ``improvement``: 1 where that interval is below 1, −1 where it is above, else 0. The
-        attribute ``best`` names the candidate with the least predicted variance (measured, where one
-        has no prediction), ``improved`` is yes, no or undecided for it. Variances of several
-        channels are added up.
+        The dim candidate is ``"unshifted"``, ``"offset"`` and, with `edges`, ``"aligned"``.
+        Variables are ``strata_offset(candidate, axis)``, ``predicted_variance``,
+        ``measured_variance`` with ``measured_variance_ci``, ``variance_ratio`` to the first
+        candidate with ``variance_ratio_ci``, and ``improvement``: 1 if that interval is below 1, −1
+        if it is above 1, else 0. The attribute ``best`` names the candidate with the least
+        predicted variance (measured variance, if a candidate has no prediction), and ``improved``
+        is yes, no or undecided for it. Variances of several channels are added.
 
     Raises
     ------
     CountError, ParameterError, NoClosedForm
-        As for `mcspectra.improve.strata_shift_scan` and `aligned`.
+        See `mcspectra.improve.strata_shift_scan` and `aligned`.
 
     Notes
     -----
-    Intervals of ratios are those of independent measurements, for both candidates at once 95 %.
+    Intervals of ratios are for independent measurements. They hold for all candidates together at
+    95 %.
 
     Examples
     --------
@@ -220,18 +249,18 @@ def best_alignment(
     stream, threads = Stream.from_rng(rng), available_workers(workers)
     found = _Offsets.of(plain, source, [n], method, count, stream.child(0), threads)
 
-    # Offset of the least predicted variance: the best of a grid, then a pattern search about it
+    # Find the offset with the least predicted variance: the best of a grid, then a pattern search
     values = {o: found.total(o, n) for o in itertools.product(places, repeat=source.dims)}
     offset = min(values, key=lambda o: values[o])
     value, step = values[offset], 0.5 / len(places)
-    for _ in range(_HALVINGS):
+    for _ in range(_SETTINGS.halvings):
         for axis, sign in itertools.product(range(source.dims), (1.0, -1.0)):
             moved = tuple((o + sign * step * (i == axis)) % 1.0 for i, o in enumerate(offset))
             if (there := found.total(moved, n)) < value:
                 offset, value = moved, there
         step *= 0.5
 
-    # Set-ups, their offsets, and the variances predicted for them (NaN where none is)
+    # List the set-ups with their offsets and predicted variances (NaN without a prediction)
     zero = (0.0,) * source.dims
     candidates = [
         ("unshifted", plain, source, zero, found.total(zero, n)),
@@ -245,7 +274,7 @@ def best_alignment(
         candidates.append(("aligned", bent, source, zero, expected))
     names, estimators, samplers, shifts, predicted = zip(*candidates, strict=True)
 
-    # Measured: variances summed over channels, relative standard errors at most, rounding floors
+    # Measure variances, summed over channels, with upper bounds of relative standard errors
     moments = [
         count_moments(e, s, n, count, stream.child(1 + i), threads)
         for i, (e, s) in enumerate(zip(estimators, samplers, strict=True))
@@ -255,7 +284,7 @@ def best_alignment(
     least = np.array([float(m.relative_se.max()) for m in moments])
     relative = np.divide(error, measured, out=least, where=measured > 0)
 
-    # Ratios of independent measurements; NaN where both are rounding noise
+    # Compute ratios of independent measurements; NaN if both are rounding noise
     z = float(ndtri(1.0 - 0.025 / (len(candidates) - 1)))
     half = z * np.hypot(relative, relative[0])
     floor = float(rounding_floor(moments[0].mean).sum())
@@ -291,21 +320,22 @@ def best_alignment(
 def aligned(
     estimator: AbstractEstimator | Integrand | str, edges: Any, n: int, *, dims: int | None = None
 ) -> Estimator:
-    """Return an estimator of plain sampling with strata of n = s^d points that have borders at edges.
+    """Return an estimator without a density whose n = s^d strata have borders at edges.
 
     Parameters
     ----------
     estimator
-        One without a density, or its integrand.
+        An estimator without a density, or an integrand.
     edges
-        Places of the edges, as for the density ``aligned-strata``: one list in 1-D, else one a dim.
+        Positions of the edges, as in the density ``aligned-strata``: one list in 1-D, else one list
+        for each dim.
     n
-        Number of points it is to be used with, s^d.
+        Number of points that the estimator will be used with, s^d.
 
     Raises
     ------
     ParameterError
-        The estimator has a density, the edges are not in (0, 1), or n is no power s^d.
+        The estimator has a density, the edges are not in (0, 1), or n is not a power s^d.
     """
     given = as_estimator(estimator, dims)
     if not isinstance(given, Estimator) or given.density is not None:
@@ -326,11 +356,12 @@ def aligned(
 class _Offsets:
     """Variance of an estimator as a function of the offset of the sampler's strata."""
 
-    # What is displaced
+    # The estimator and the sampler whose strata are moved
     estimator: AbstractEstimator
     sampler: Sampler
-    exact: bool  # whether variances are exact, else measured on realisations that all offsets share
-    # How they are measured
+    # Whether variances are exact; otherwise all offsets are measured on the same realizations
+    exact: bool
+    # Number of realizations, random numbers and threads of measured variances
     realizations: int
     stream: Stream
     workers: int
@@ -345,7 +376,10 @@ class _Offsets:
         stream: Stream,
         workers: int,
     ) -> _Offsets:
-        """Variances at offsets; ``"auto"`` is exact where that is known for all counts, of no black box."""
+        """Choose exact or measured variances.
+
+        ``"auto"`` is exact if exact variances are known for all counts and f is not a black box.
+        """
         if isinstance(sampler.law(counts[0]), Shifted):
             raise ParameterError(
                 f"{sampler.spec} is shifted at random, which averages over all offsets; leave the "
@@ -356,7 +390,7 @@ class _Offsets:
         found = _Offsets(estimator, sampler, exact, realizations, stream, workers)
         try:
             if exact:
-                # Half a stratum is where edges at multiples of the side cut strata.
+                # At about half a side, edges at multiples of the side cut strata
                 for probe, n in itertools.product((0.0, 0.4375), counts):
                     found.at([probe] * estimator.dims, n)
         except NoClosedForm:
@@ -366,34 +400,36 @@ class _Offsets:
         return found
 
     def displaced(self, offset: Sequence[float]) -> Sampler:
-        """The sampler with its strata moved by parts of their side."""
+        """Return the sampler with its strata moved by fractions of their side."""
         return self.sampler.then(StrataShift(offset=tuple(offset)))
 
     def at(self, offset: Sequence[float], n: int) -> tuple[Array, Array, Array, Array]:
-        """Variances (C,) at an offset, relative errors, rounding floors, intervals (C, 2)."""
+        """Return variances (C,), relative errors, rounding floors, intervals (C, 2) at an offset."""
         source = self.displaced(offset)
         if self.exact:
             size = np.abs(np.atleast_1d(self.estimator.integral))
             value = np.atleast_1d(exact_variance(self.estimator, source, n))
             both = np.stack([value, value], axis=-1)
-            return value, np.full(value.shape, _EXACT_SE), _EXACT_ROUNDING * size**2 / n, both
+            error = np.full(value.shape, _SETTINGS.exact_se)
+            return value, error, _SETTINGS.exact_rounding * size**2 / n, both
         own = count_stream(self.stream, n)
         m = count_moments(self.estimator, source, n, self.realizations, own, self.workers)
         return m.variance, m.relative_se, rounding_floor(m.mean), m.variance_ci
 
     def total(self, offset: Sequence[float], n: int) -> float:
-        """Variance at one offset, summed over channels."""
+        """Return the variance at one offset, summed over channels."""
         return float(self.at(offset, n)[0].sum())
 
 
 def _checked_offsets(offsets: Any, dims: int) -> list[float]:
-    """Return the offsets along an axis, from 0 to below 1."""
+    """Return the offsets along an axis, in [0, 1)."""
     listed = isinstance(offsets, Sequence | np.ndarray) and not isinstance(offsets, str)
-    given = _DEFAULT_OFFSETS.get(dims, 4) if offsets is None else offsets
+    given = _SETTINGS.usual_offsets[min(dims, 3) - 1] if offsets is None else offsets
     number = len(offsets) if listed else as_integer("offsets", given, least=1)
-    if number**dims > _MOST_OFFSETS:
+    most = _SETTINGS.most_offsets
+    if number**dims > most:
         raise ParameterError(
-            f"{number} offsets along each of {dims} axes are more than {_MOST_OFFSETS}; give fewer."
+            f"{number} offsets along each of {dims} axes are more than {most}; give fewer."
         )
     if not listed:
         return [float(o) for o in np.arange(number) / number]

@@ -1,8 +1,8 @@
-"""What else could have been done: an estimator and a sampler, changed in one respect each.
+"""Candidates: set-ups of an estimator and a sampler that differ from the given one in one respect.
 
-A *kind* of change is a function from the set-up that is given to offers, each with the imperative
-that says how; where it has nothing to offer, it raises the reason. `other_setups` makes the
-set-ups.
+A *kind* of change is a function that takes the given set-up and yields offers, each with an
+imperative that describes the change. A kind that has nothing to offer raises the reason.
+`other_setups` makes the set-ups.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, final
 
 from mcspectra.core.errors import McspectraError, ParameterError
 from mcspectra.core.streams import Stream
@@ -35,8 +35,8 @@ from mcspectra.improve.improved import CHANGES, Cubic, evaluated, improvements
 from mcspectra.improve.variants import smoothing_scan
 from mcspectra.integrands.smoothing import BoxSmoothed, smoothed
 from mcspectra.measure.setup import Setup, affordable_count
-from mcspectra.samplers import Jittered, Sampler, Shift, StrataShift
-from mcspectra.samplers.base import Structure
+from mcspectra.samplers import Sampler, Shift, StrataShift
+from mcspectra.samplers.law import PairedAxes, Strata
 from mcspectra.samplers.registry import sampler as make_sampler
 from mcspectra.samplers.stratified import root
 from mcspectra.spectra.bases import parts_of
@@ -44,73 +44,105 @@ from mcspectra.spectra.bases import parts_of
 __all__ = [
     "KINDS",
     "Budget",
-    "Counterfactual",
+    "Candidate",
+    "CandidateSettings",
     "Kind",
     "other_setups",
 ]
 
-_SAMPLERS = (
-    "random",
-    "jittered",
-    "jittered | shift",
-    "antithetic-jittered",
-    "latin-hypercube",
-    "halton | permute",
-    "rank1-lattice | shift",
-    "sobol | owen",
-)
-_MOST_ALIGNED = 2
-_MOST_CUBIC = 3  # dims
-_MOST_BOXED = 2  # dims, in which edges are smoothed by means over boxes
-_PILOT = 8  # it takes one part in so many of the budget, so that the last two of the steps can be measured
-_LEAST_PILOT, _MOST_PILOT = 64, 4096
-_PILOTS = 2  # stream label, after those of the searches
+# Stream label of pilots; the labels 0 and 1 are of the searches for a width and for an offset
+_PILOTS = 2
+# Kinds that change the estimator inside a mirrored estimator, which is mirrored again afterwards
 _INSIDE = frozenset(
     {"smoothed", "warp", "heuristic", "techniques", "compensated", "channels", *CHANGES}
 )
-_WIDTHS = tuple(2.0**-k for k in range(10, 1, -1))
-_SCAN_REALIZATIONS = 300
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class CandidateSettings:
+    """Settings of the changes that are tried."""
+
+    # Samplers that the kind ``sampler`` tries: the usual choice of each family in the package
+    samplers: tuple[str, ...] = (
+        "random",
+        "jittered",
+        "jittered | shift",
+        "antithetic-jittered",
+        "latin-hypercube",
+        "halton | permute",
+        "rank1-lattice | shift",
+        "sobol | owen",
+    )
+    # Most dims in which strata are aligned with edges. In d dims the scan of offsets has 4^d
+    # offsets or more, and exact variances at offsets are known in 1-D and 2-D only.
+    most_aligned_dims: int = 2
+    # Most dims in which cubic stratification is tried. Order 4 needs at least 4^d cells, 256 in
+    # 4-D, and its rate n^(−1 − 8/d) gains little over nets there.
+    most_cubic_dims: int = 3
+    # Most dims in which edges are smoothed by means over boxes. A mean takes the more evaluations
+    # the more dims a box has; smoothing by the distance takes one evaluation in any dims.
+    most_boxed_dims: int = 2
+    # Divisor of the budget that gives the evaluations of a pilot. An eighth leaves room for
+    # estimates at the two largest budgets of `mcspectra.remedies`, B/4 and B, so that a rate can be
+    # fitted.
+    pilot_divisor: int = 8
+    # Least number of points of a pilot. Each half of 32 determines 8 coefficients at 4 evaluations
+    # each, as `ChangeSettings.evaluations_per_term` asks.
+    least_pilot: int = 64
+    # Most points of a pilot. CAND_MOST_PILOT
+    most_pilot: int = 4096
+    # Widths of smoothed edges that are scanned, in units of the domain: octaves from 2^-10 to 1/4.
+    # A wider edge covers most of the domain; a narrower edge is a jump at the budgets in use.
+    widths: tuple[float, ...] = tuple(2.0**-k for k in range(10, 1, -1))
+    # Most realizations of each variance in the scans for a width and an offset. The relative
+    # standard error √(2/300) = 8 % is small compared with the factor between neighboring widths.
+    scan_realizations: int = 300
+
+
+_SETTINGS = CandidateSettings()
 
 
 @dataclass(frozen=True)
 class Budget:
-    """What searches for the best of a family may use."""
+    """Evaluations, realizations and random numbers of a search for the best change."""
 
-    evaluations: int  # of the integrand, in an estimate
-    realizations: int  # estimates to measure with
-    stream: Stream  # random numbers of their own: what was chosen is measured again on others
+    evaluations: int  # evaluations of the integrand in one estimate
+    realizations: int  # number of estimates of each measurement
+    stream: Stream  # the search's own random numbers: the chosen change is measured again on others
+    settings: CandidateSettings = _SETTINGS
 
 
 @dataclass(frozen=True)
-class Counterfactual:
-    """A set-up that differs from the one given in one respect."""
+class Candidate:
+    """A set-up that differs from the given one in one respect."""
 
     kind: str  # one of `KINDS`, or ``"given"``
     name: str  # short label, unique among those compared
-    change: str  # what to do, as an imperative
+    change: str  # an imperative that describes the change
     setup: Setup  # the changed set-up
-    # Whether it estimates something else, so that the error is taken about the given integral
+    # Whether it estimates another integral, so that the error is taken about the given integral
     biased: bool = False
 
     @property
     def key(self) -> str:
-        """The same for changes that make the same set-up."""
+        """Return a text that is the same for changes that make the same set-up."""
         specs = f"{self.setup.estimator.spec} with {self.setup.sampler.spec}"
         return specs if self.setup.at_count is None else f"{specs}, {self.name}"
 
 
 @dataclass(frozen=True)
 class _Offer:
-    """A change that a kind has to offer."""
+    """A change that a kind offers."""
 
     name: str
-    change: str  # as an imperative
-    make: Callable[[], AbstractEstimator | Sampler | Setup]  # may fail
+    change: str  # an imperative that describes the change
+    make: Callable[[], AbstractEstimator | Sampler | Setup]  # may raise the reason
     biased: bool = False
 
 
 _Offers: TypeAlias = Iterator[_Offer | str]
-"""Offers, and sentences that name changes that could not be made, or would change nothing, and say why."""
+"""Offers, and sentences with the reason why another change cannot be made or has no effect."""
 
 Kind: TypeAlias = Literal[
     "unshifted",
@@ -132,15 +164,13 @@ Kind: TypeAlias = Literal[
 """Kinds of change, in the order in which they are tried."""
 
 
-def other_setups(
-    given: Setup, kinds: Sequence[Kind], budget: Budget
-) -> Iterator[Counterfactual | str]:
-    """All set-ups of the kinds asked for, in the order of `kinds`, none twice; ``name: reason`` of others.
+def other_setups(given: Setup, kinds: Sequence[Kind], budget: Budget) -> Iterator[Candidate | str]:
+    """Yield the candidates of the given kinds in order, each once, and ``name: reason`` of others.
 
-    Where a kind fails, that is its reason. Changes of what is inside of a mirrored estimator are
-    mirrored again.
+    If a kind raises an error, the error is the reason. A change of the estimator inside a mirrored
+    estimator is mirrored again.
     """
-    seen = {Counterfactual("given", "given", "", given).key}
+    seen = {Candidate("given", "given", "", given).key}
     for kind in kinds:
         own = given.estimator
         outer = own if isinstance(own, Mirrored) and kind in _INSIDE else None
@@ -157,12 +187,12 @@ def other_setups(
                     setup = made if isinstance(made, Setup) else replace(inner, sampler=made)
                     if outer is not None:
                         setup = replace(setup, estimator=Mirrored(setup.estimator, outer.mode))
-                    # Raises where there are no such points
+                    # This raises an error if there are no such points
                     setup.estimator.randomized(setup.sampler)
                 except McspectraError as error:
                     yield f"{offer.name}: {error}"
                     continue
-                found = Counterfactual(kind, offer.name, offer.change, setup, offer.biased)
+                found = Candidate(kind, offer.name, offer.change, setup, offer.biased)
                 if found.key not in seen:
                     yield found
                 seen.add(found.key)
@@ -171,7 +201,7 @@ def other_setups(
 
 
 def leave_shift_out(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
-    """The sampler without its shift."""
+    """Offer the sampler without its shift."""
     plain = _without_shift(given.sampler)
     if plain is None:
         raise ParameterError(f"{given.sampler.spec} has no shift to leave out.")
@@ -181,7 +211,7 @@ def leave_shift_out(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
 
 
 def _without_shift(sampler: Sampler) -> Sampler | None:
-    """The sampler without its shifts; None where it has none."""
+    """Return the sampler without its shifts, or None if it has no shift."""
     plain, steps = parts_of(sampler)
     if not any(isinstance(step, Shift) for step in steps):
         return None
@@ -191,26 +221,29 @@ def _without_shift(sampler: Sampler) -> Sampler | None:
 
 
 def align_strata(given: Setup, budget: Budget) -> _Offers:
-    """The offset of strata that is best at the budget, and strata with borders at known edges."""
+    """Offer strata with borders at known edges, and the best offset of strata at the budget."""
     plain = _without_shift(given.sampler) or given.sampler
-    if plain.structure is not Structure.STRATA or plain.dims > _MOST_ALIGNED or not plain.unbiased:
+    law = plain.law(plain.nearest_count(2**plain.dims))
+    stratified = isinstance(law, Strata | PairedAxes)
+    if not stratified or plain.dims > budget.settings.most_aligned_dims or not plain.unbiased:
         raise ParameterError(
             f"{plain.spec} has no strata in one or two dims that could be aligned."
         )
 
     def at_edges() -> Setup:
-        """Borders at the breaks that g is known to have."""
+        """Put the borders at the known discontinuities of g along the axes."""
         edges = [list(axis) for axis in given.estimator.primary_integrand(0).breaks]
-        if len(given.estimator.counts) > 1 or not any(edges) or not isinstance(plain, Jittered):
+        jittered = isinstance(law, Strata) and law.jittered
+        if len(given.estimator.counts) > 1 or not any(edges) or not jittered:
             raise ParameterError("No edges along the axes are known.")
         at = partial(aligned, given.estimator, edges if plain.dims > 1 else edges[0])
-        at(2**plain.dims)  # raises where that cannot be
+        at(2**plain.dims)  # raises an error if the estimator cannot be aligned
         return replace(given, sampler=plain, at_count=at)
 
     change = "bend the strata so that their borders are at the edges"
     yield _Offer("aligned with edges", change, at_edges)
 
-    # The best offset
+    # Search the best offset
     if given.is_black_box:
         yield "offset: Its search takes more evaluations than the budget."
         return
@@ -222,7 +255,7 @@ def align_strata(given: Setup, budget: Budget) -> _Offers:
         given.estimator,
         plain,
         n,
-        realizations=min(budget.realizations, _SCAN_REALIZATIONS),
+        realizations=min(budget.realizations, budget.settings.scan_realizations),
         rng=budget.stream.generator(1),
         workers=1,
     )
@@ -237,7 +270,7 @@ def align_strata(given: Setup, budget: Budget) -> _Offers:
 
 
 def mirror(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
-    """All ways of mirroring."""
+    """Offer all ways of mirroring."""
     if isinstance(given.estimator, Mirrored):
         raise ParameterError(f"{given.estimator.spec} is mirrored already.")
     changes = {
@@ -250,15 +283,15 @@ def mirror(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
         yield _Offer(f"mirrored: {mode}", changes[mode], make)
 
 
-def change_sampler(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
-    """Samplers of all families."""
-    for spec in _SAMPLERS:
+def change_sampler(given: Setup, budget: Budget) -> _Offers:
+    """Offer samplers of all families."""
+    for spec in budget.settings.samplers:
         make = partial(make_sampler, spec, given.estimator.dims)
         yield _Offer(spec, f"sample with {spec}", make)
 
 
 def change_heuristic(given: Setup, budget: Budget) -> _Offers:
-    """Other heuristics for the techniques."""
+    """Offer other heuristics for the techniques."""
     estimator = given.estimator
     if not isinstance(estimator, Weighted):
         raise ParameterError(f"{estimator.spec} has no heuristic: it is not weighted.")
@@ -276,7 +309,7 @@ def change_heuristic(given: Setup, budget: Budget) -> _Offers:
 
 
 def single_techniques(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
-    """Each technique alone."""
+    """Offer each technique alone."""
     estimator = given.estimator
     if not isinstance(estimator, Weighted) or len(estimator.counts) < 2:
         raise ParameterError(f"{estimator.spec} has one technique only.")
@@ -286,10 +319,10 @@ def single_techniques(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
 
 
 def compensate(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
-    """Tables less what the other techniques sample ([Karlik2019]_)."""
+    """Offer tables without the part that the other techniques sample ([Karlik2019]_)."""
     estimator = given.estimator
     if not isinstance(estimator, MultipleImportance) or len(estimator.densities) < 2:
-        raise ParameterError(f"{estimator.spec} has no table beside other techniques.")
+        raise ParameterError(f"{estimator.spec} has no table alongside other techniques.")
 
     def sharpened(technique: int) -> AbstractEstimator:
         order = sorted(range(len(estimator.counts)), key=lambda t: t != technique)
@@ -314,14 +347,14 @@ def compensate(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
 
 
 def change_warp(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
-    """Other densities, the same by other warps, and none."""
+    """Offer the same density by other warps, other densities, and the uniform density."""
     estimator = given.estimator
     density = estimator.density if isinstance(estimator, Estimator) else None
     if not isinstance(estimator, Estimator) or density is None:
         raise ParameterError(f"{estimator.spec} has no single density to replace.")
 
-    # The same pdf by other warps, one without its jumps, and one that is bounded from below
-    plain: Any = density  # the parameters looked for are those of some densities only
+    # List the same pdf by other warps, a pdf without jumps, and a pdf that is bounded from below
+    plain: Any = density  # only some densities have the parameters that are read below
     others = [dataclasses.replace(plain, warp=w) for w in density.warps if w != plain.warp]
     if isinstance(density, EnvironmentDensity) and density.interpolation == "constant":
         others.append(dataclasses.replace(density, interpolation="bilinear", warp="marginal"))
@@ -337,7 +370,7 @@ def change_warp(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
 
 
 def smooth_edges(given: Setup, budget: Budget) -> _Offers:
-    """The width with the least error at the budget, found by a scan on random numbers of its own."""
+    """Offer the width with the least error at the budget, by a scan with own random numbers."""
     estimator = given.estimator
     n = affordable_count(given, budget.evaluations)
     if not isinstance(estimator, Estimator) or n is None:
@@ -346,15 +379,16 @@ def smooth_edges(given: Setup, budget: Budget) -> _Offers:
         raise ParameterError("The search for a width takes more evaluations than the budget.")
     if jumps_inside(estimator, given.sampler) is False:
         raise ParameterError("No jump inside was found that could be smoothed.")
-    method = "distance" if estimator.dims > _MOST_BOXED else "auto"
+    settings = budget.settings
+    method = "distance" if estimator.dims > settings.most_boxed_dims else "auto"
     scan = smoothing_scan(
         estimator.integrand,
         given.sampler,
         n,
-        _WIDTHS,
+        settings.widths,
         density=estimator.density,
         method=method,
-        realizations=min(budget.realizations, _SCAN_REALIZATIONS),
+        realizations=min(budget.realizations, settings.scan_realizations),
         rng=budget.stream.generator(0),
         workers=1,
     )
@@ -367,7 +401,7 @@ def smooth_edges(given: Setup, budget: Budget) -> _Offers:
 
 
 def separate_channels(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
-    """Densities for each channel."""
+    """Offer densities for each channel."""
     estimator = given.estimator
     density: Any = estimator.density if isinstance(estimator, Estimator) else None
     parameters = set() if density is None else {f.name for f in dataclasses.fields(density)}
@@ -389,17 +423,17 @@ def separate_channels(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
 
 
 def improve(kind: str, given: Setup, budget: Budget) -> _Offers:
-    """Changes of g that a pilot suggests, which is a small part of the budget and counts as such."""
-    count = min(budget.evaluations // _PILOT, _MOST_PILOT)
-    count //= given.estimator.evaluations_per_point
-    if count < _LEAST_PILOT:
+    """Offer the changes of g that a pilot suggests; its evaluations are part of the budget."""
+    settings, each = budget.settings, given.estimator.evaluations_per_point
+    count = min(budget.evaluations // settings.pilot_divisor, settings.most_pilot) // each
+    if count < settings.least_pilot:
         raise ParameterError(
-            f"A pilot of {max(count, 0)} points tells too little; give a budget of at least "
-            f"{_LEAST_PILOT * _PILOT * given.estimator.evaluations_per_point} evaluations."
+            f"A pilot of {max(count, 0)} points is too small; give a budget of at least "
+            f"{settings.least_pilot * settings.pilot_divisor * each} evaluations."
         )
     stream = budget.stream.child(_PILOTS)
     seen = evaluated(given.estimator, count, stream, adapt=kind == "fitted")
-    charged = given.overhead + count * given.estimator.evaluations_per_point
+    charged = given.overhead + count * each
     found = list(improvements(given.estimator, seen, [kind], charged=charged))
     if not found:
         raise ParameterError(f"{count} evaluations of a pilot show no gain by it.")
@@ -407,12 +441,15 @@ def improve(kind: str, given: Setup, budget: Budget) -> _Offers:
         yield _Offer(made.name, made.change, lambda e=made.estimator: e)  # type: ignore[misc]
 
 
-def stratify_cubes(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
-    """Cubic stratification ([Chopin2024]_) of orders 3 and 4; of 1 and 2 it is samplers: jittered ones."""
-    d = given.estimator.dims
-    if d > _MOST_CUBIC:
+def stratify_cubes(given: Setup, budget: Budget) -> _Offers:
+    """Offer cubic stratification ([Chopin2024]_) of orders 3 and 4.
+
+    Orders 1 and 2 are samplers: ``jittered`` and ``antithetic-jittered``.
+    """
+    d, most = given.estimator.dims, budget.settings.most_cubic_dims
+    if d > most:
         raise ParameterError(
-            f"In {d} dims cubes are too many for higher orders, which are tried in 1 to {_MOST_CUBIC}."
+            f"In {d} dims cubes are too many for higher orders, which are tried in 1 to {most}."
         )
 
     def of_order(order: int) -> Setup:
@@ -441,4 +478,4 @@ KINDS: Mapping[Kind, Callable[[Setup, Budget], _Offers]] = {
     "cubic": stratify_cubes,
     "sampler": change_sampler,
 }
-"""What makes the changes of each kind."""
+"""Kinds of change, with the functions that offer the changes."""

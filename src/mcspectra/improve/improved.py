@@ -1,27 +1,28 @@
-"""Estimators changed by what evaluations show of g: other densities, controls, directions, smoothing.
+"""Estimators changed after evaluations of g: densities, control variates, rotations, smoothing.
 
-All changes are of the primary-space integrand g on the unit cube, so that they apply to any estimator
-of one technique, and leave its integral as it is, whatever was evaluated:
+All changes apply to the primary-space integrand g on the unit cube, so that they work for any
+estimator of one technique. They keep the integral for any evaluations of g:
 
-* *fitted*: g(T(u))/q(T(u)), u uniform, with q of splines (`mcspectra.improve.learned`), or a normal one
-  of z = Φ⁻¹(u), moved and stretched to the moments of |g|;
-* *order*: the same with an orthogonal matrix, whose q is 1: the directions of z along which g varies
-  most come first ([Liu2023]_), where nets are best;
-* *regression*: g less polynomials of mean 0 that are fitted to it;
-* *preintegrated*: along the first direction, means over both sides of where g jumps or leaves 0, and
-  over the bracket of that place. Where the place is depends on the other coordinates only, so that
-  the sum of means over the parts, each of one or two points, has the expectation of g.
+* *fitted*: g(T(u))/q(T(u)), u uniform. The density q consists of splines
+  (`mcspectra.improve.learned`), or is a normal density of z = Φ⁻¹(u), moved and stretched to the
+  moments of |g|;
+* *order*: the same with an orthogonal matrix, whose q is 1. The directions of z along which g
+  varies most come first ([Liu2023]_), since the first coordinates of nets are the best;
+* *regression*: g minus polynomials of mean 0 that are fitted to it;
+* *preintegrated*: means along the first direction, over both sides of the point where g jumps or
+  leaves 0, and over a bracket of this point. The bracket depends on the other coordinates only, so
+  that the sum of means over the parts, each of one or two points, has the expectation of g.
 
-`Cubic` needs no pilot: it is g less polynomials through its values at the centres of cells.
+`Cubic` needs no pilot: it is g minus polynomials through its values at the centers of cells.
 
-What a change is expected to bring is from evaluations that it was not fitted to.
+The expected gain of a change is computed from evaluations that were not used in its fit.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import ClassVar, TypeAlias, final
 
@@ -32,40 +33,101 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.densities import Density
 from mcspectra.estimators import AbstractEstimator, Estimator
-from mcspectra.improve.learned import fit_splines, in_rounds
+from mcspectra.improve.learned import LearnSettings, fit_splines, in_rounds
 from mcspectra.integrands import integral_accuracy
 from mcspectra.integrands.base import Breaks, Derived, Estimate, Integrand
 
-__all__ = ["CHANGES", "Cubic", "Evaluations", "Improvement", "evaluated", "improvements"]
+__all__ = [
+    "CHANGES",
+    "ChangeSettings",
+    "Cubic",
+    "Evaluations",
+    "Improvement",
+    "RegressionSettings",
+    "evaluated",
+    "improvements",
+]
 
-_ROUNDS = 4
-# (cells, parts, smoothness) of `fit_splines`, that of the rounds first
-_JOINT = ((16, 0, 1e-4), (12, 4, 1e-3))
-_PRODUCTS = ((12, 1, 1e-3), (24, 1, 1e-4))
-_MOST_JOINT = 5
-_DEFENSIVE = 0.05  # share of the uniform density
-_LEAST_SPREAD = 1.0  # of variances: narrower densities make g/q grow at the border
-_EACH = 4  # evaluations of each coefficient
-_RIDGE = 1e-9
-_MOST_TERMS = 256
-_DEGREES = ((1, 0), (2, 2), (3, 0), (3, 3), (4, 4), (6, 0), (6, 6), (8, 8))
-_MOST_NORMAL = 3  # degree; of higher ones most of the variance is where few evaluations are
-_TURNED = 2  # directions that have more terms than others
-_WORTH = 0.8  # of the variance left, before cost
-_BLOCK = 2**14
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class ChangeSettings:
+    """Settings of changed estimators, and of the densities that are fitted to g."""
+
+    # Rounds of a pilot whose points follow g. CHANGE_ROUNDS
+    rounds: int = 4
+    # Candidates of `fit_splines` (cells of each axis, parts or 0 for a flow, smoothness), joint
+    # ones and products. The first of all candidates also places the points of the rounds.
+    # CHANGE_SPLINES
+    joint: tuple[tuple[int, int, float], ...] = ((16, 0, 1e-4), (12, 4, 1e-3))
+    products: tuple[tuple[int, int, float], ...] = ((12, 1, 1e-3), (24, 1, 1e-4))
+    # Most dims in which joint densities are tried. A flow of d axes has about 30 d² weights at 16
+    # cells; in 6-D a pilot of 4096 evaluations has fewer than four for each.
+    most_joint_dims: int = 5
+    # Share of the uniform density in a fitted density, which bounds g/q by 20 |g|. CHANGE_DEFENSIVE
+    defensive: float = 0.05
+    # Least variance of a fitted normal density along any direction. A density with less than the
+    # variance 1 of z vanishes at the border of the cube, where g/q then grows without bound.
+    least_spread: float = 1.0
+    # Settings of the fits of splines
+    splines: LearnSettings = field(default_factory=LearnSettings)
+    # Largest expected share of the variance, before cost, at which a change is offered.
+    # CHANGE_RATIO
+    most_left: float = 0.8
+    # Points that are evaluated at once: a table of 256 polynomials then takes 32 MB. Results do not
+    # depend on it.
+    block: int = 2**14
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class RegressionSettings:
+    """Settings of regressions of g on polynomials."""
+
+    # Evaluations for each coefficient. A fit of p coefficients to k evaluations increases the
+    # variance that it leaves by the factor 1 + p/k, here at most 1.25.
+    evaluations_per_term: int = 4
+    # Ridge that is added to the normal equations, relative to the mean squares of the basis, which
+    # are 1. REGRESSION_RIDGE
+    ridge: float = 1e-9
+    # Most terms of a basis, which bounds the cost of each evaluation of the control variate.
+    # REGRESSION_TERMS
+    most_terms: int = 256
+    # Candidates of degrees: of each coordinate alone, and of products of two coordinates in all.
+    # They range from a plane to products of degree 8; evaluations that were not fitted choose one.
+    degrees: tuple[tuple[int, int], ...] = (
+        (1, 0),
+        (2, 2),
+        (3, 0),
+        (3, 3),
+        (4, 4),
+        (6, 0),
+        (6, 6),
+        (8, 8),
+    )
+    # Highest degree of Hermite polynomials. Most of the variance of higher degrees lies in tails
+    # that few evaluations reach: half of E z⁸ comes from |z| > 2.9, a region of probability 0.004.
+    most_normal_degree: int = 3
+    # Number of first directions of z that also have bases of their own, which may have more terms.
+    # REGRESSION_TURNED
+    turned: int = 2
+
+
+_SETTINGS = ChangeSettings()
+_REGRESSION = RegressionSettings()
 
 
 @final
 @dataclass(frozen=True)
 class Evaluations:
-    """What is known of g.
+    """Evaluations of g.
 
     Attributes
     ----------
     points, values
-        (k, d) in the unit cube, and (k, channels or 1).
+        Points (k, d) in the unit cube, and values (k, channels or 1).
     pdf
-        Density of the points, (k,): 1 of uniform ones, scrambled nets among them.
+        Density of the points, (k,); 1 for uniform points and for scrambled nets.
     """
 
     points: Array
@@ -74,16 +136,16 @@ class Evaluations:
 
     @staticmethod
     def of(points: Array, values: Array) -> Evaluations:
-        """Values (k,) or (k, channels) at uniform points."""
+        """Return evaluations with values (k,) or (k, channels) at uniform points."""
         return Evaluations(points, values.reshape(len(points), -1), np.ones(len(points)))
 
     def part(self, which: Array) -> Evaluations:
-        """Some of them."""
+        """Return some of the evaluations."""
         return Evaluations(self.points[which], self.values[which], self.pdf[which])
 
     @cached_property
     def halves(self) -> tuple[Evaluations, Evaluations]:
-        """Each second one, and the others; neighbours in a net are in both."""
+        """Every second evaluation, and the others; each half has neighbors of all points of a net."""
         odd = np.arange(len(self.points)) % 2 == 1
         return self.part(odd), self.part(~odd)
 
@@ -93,12 +155,12 @@ class Evaluations:
         return _quantiles(self.points)
 
     def turned(self, matrix: Array) -> Evaluations:
-        """The same values at the points that a rotation takes to these."""
+        """Return the same values at the points that a rotation maps to these points."""
         return replace(self, points=_Normal(matrix.T).sample(self.points))
 
     @cached_property
     def directions(self) -> Array:
-        """Orthonormal directions of z (columns), those along which g varies most first."""
+        """Orthonormal directions of z (columns), sorted by the variation of g, largest first."""
         d = self.points.shape[1]
         basis = _Basis.of(d, True, 2, 2).cut(len(self.points))
         slopes = np.zeros((d, d))
@@ -114,7 +176,7 @@ class Evaluations:
 
     @cached_property
     def weights(self) -> Array:
-        """|g| over the density, of sum 1; a lower power of |g| where few points would make the sum."""
+        """|g| over the density, of sum 1; a lower power of |g| if few points dominate the sum."""
         size = np.abs(self.values).sum(axis=1)
         if not size.any():
             raise ParameterError("g is 0 at all points that were tried; give a larger budget.")
@@ -128,9 +190,10 @@ class Evaluations:
         return np.asarray(found)
 
     def variance(self, pdf: Array | None = None) -> float:
-        """Variance of g/q at points of q with these values at the points, the uniform one by default.
+        """Return the variance of g/q at points of density q, by default the uniform density.
 
-        A mean of squares about a ratio of means: nothing cancels where g/q is almost constant.
+        It is a mean of squares about a ratio of means, so that nothing cancels if g/q is almost
+        constant.
         """
         q = np.ones(len(self.pdf)) if pdf is None else pdf
         weight, values = q / self.pdf, self.values / q[:, None]
@@ -146,16 +209,17 @@ class Improvement:
     Attributes
     ----------
     kind
-        Of `CHANGES`.
+        One of `CHANGES`.
     name, change
         A short label, and an imperative.
     estimator
-        Of the same integral.
+        The changed estimator of the same integral.
     ratio
-        Its variance over that of the one given at equal cost, with random points; for *order* what main
-        effects leave over, which is what nets do not remove. From evaluations that it was not fitted to.
+        Variance of the changed estimator over the variance of the given one at equal cost, with
+        random points. For *order*, ratio of the variance without main effects, which nets do not
+        remove. It is computed from evaluations that were not used in the fit.
     finite_below
-        Where g grows as t^−a at the border its variance is finite for a below this.
+        If g grows as t^−a at the border, the variance is finite for a below this number.
     """
 
     kind: str
@@ -168,14 +232,14 @@ class Improvement:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Changed(Derived):
-    """g changed, with the same integral."""
+    """A changed g with the same integral."""
 
     integrand: Integrand
     pilot_evaluations: int = 0
 
     @property
     def finite_below(self) -> float:
-        """Of `Improvement`."""
+        """See `Improvement`."""
         return 0.5
 
     @property
@@ -184,7 +248,8 @@ class _Changed(Derived):
 
     def _evaluate(self, x: Array) -> Array:
         flat, shape = x.reshape(-1, self.dims), x.shape[:-1]
-        blocks = [self._at(flat[i : i + _BLOCK]) for i in range(0, len(flat), _BLOCK)]
+        block = _SETTINGS.block
+        blocks = [self._at(flat[i : i + block]) for i in range(0, len(flat), block)]
         found = np.concatenate(blocks) if blocks else self.integrand(flat)
         return found.reshape(*shape, *found.shape[1:])
 
@@ -194,7 +259,7 @@ class _Changed(Derived):
 
     @abstractmethod
     def _at(self, u: Array) -> Array:
-        """Values at points (k, d)."""
+        """Return values at points (k, d)."""
 
 
 @final
@@ -211,7 +276,7 @@ class _Warped(_Changed):
     def finite_below(self) -> float:
         if not isinstance(self.density, _Normal):
             return 0.5
-        # It grows as t^−(1 − 1/s²) along the direction of its largest spread s
+        # q grows as t^−(1 − 1/s²) along the direction of the largest spread s of its normal density
         return 1.0 - 0.5 / float(np.linalg.norm(self.density.matrix, 2) ** 2)
 
     def _at(self, u: Array) -> Array:
@@ -223,7 +288,7 @@ class _Warped(_Changed):
 @final
 @dataclass(frozen=True, eq=False)
 class _Normal:
-    """z → A z + b of z = Φ⁻¹(u), on the cube."""
+    """The map z → A z + b of z = Φ⁻¹(u), on the cube."""
 
     matrix: Array
     shift: Array | float = 0.0
@@ -256,11 +321,12 @@ class _Basis:
     Attributes
     ----------
     normal
-        Whether of z = Φ⁻¹(u) (Hermite), else of u (Legendre), or Φ of directions of z.
+        Whether polynomials are Hermite polynomials of z = Φ⁻¹(u); otherwise they are Legendre
+        polynomials of u, or of Φ of directions of z.
     axes, degrees
-        (terms, 2).
+        Two coordinates and two degrees for each term, (terms, 2).
     turn
-        (d, ·), directions of z instead of its coordinates.
+        Directions of z that replace the coordinates, (d, ·).
     """
 
     normal: bool
@@ -270,7 +336,7 @@ class _Basis:
 
     @staticmethod
     def of(dims: int, normal: bool, alone: int, together: int) -> _Basis:
-        """Degrees up to `alone` of each coordinate, and up to `together` in all of each two."""
+        """Return degrees up to `alone` of one coordinate, total degrees up to `together` of two."""
         terms = [(i, i, a, 0) for i in range(dims) for a in range(1, alone + 1)]
         terms += [
             (i, j, a, b)
@@ -283,14 +349,14 @@ class _Basis:
         return _Basis(normal, found[:, :2], found[:, 2:])
 
     def cut(self, count: int) -> _Basis:
-        """Itself where so many evaluations are enough for it, else its linear terms."""
-        if len(self.axes) * _EACH <= count:
+        """Return the basis if `count` evaluations are enough for it, else its linear terms."""
+        if len(self.axes) * _REGRESSION.evaluations_per_term <= count:
             return self
         linear = self.degrees.sum(axis=1) == 1
         return _Basis(self.normal, self.axes[linear], self.degrees[linear])
 
     def __call__(self, u: Array) -> Array:
-        """Values at points (k, d): (k, terms)."""
+        """Return values at points (k, d): (k, terms)."""
         from scipy.special import ndtr
 
         if self.turn is not None:
@@ -315,13 +381,14 @@ class _Basis:
         return np.asarray(table[a, :, i] * table[b, :, j]).T
 
     def fit(self, seen: Evaluations) -> Array:
-        """Coefficients of least squares, (terms, channels)."""
+        """Return coefficients by least squares, (terms, channels)."""
         columns = np.column_stack([np.ones(len(seen.points)), self(seen.points)])
-        square = columns.T @ columns + _RIDGE * len(columns) * np.eye(columns.shape[1])
+        ridge = _REGRESSION.ridge * len(columns)
+        square = columns.T @ columns + ridge * np.eye(columns.shape[1])
         return np.asarray(np.linalg.solve(square, columns.T @ seen.values)[1:])
 
     def left(self, fitted: Evaluations, other: Evaluations) -> float:
-        """Share of the variance of other evaluations that what is fitted leaves."""
+        """Return the share of the variance of other evaluations that a fit leaves."""
         rest = other.values - self(other.points) @ self.fit(fitted)
         return float(rest.var(axis=0).sum() / max(other.values.var(axis=0).sum(), 1e-300))
 
@@ -329,7 +396,7 @@ class _Basis:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Controlled(_Changed):
-    """g less a control variate of integral 0."""
+    """g minus a control variate of integral 0."""
 
     name: ClassVar[str] = "controlled"
     text = "{0.integrand.spec} less its regression on {0.basis.axes.shape[0]} polynomials"
@@ -344,32 +411,32 @@ class _Controlled(_Changed):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cubic(_Changed):
-    """g less a polynomial of degree r − 1 along each axis in each of side^d cells ([Chopin2024]_).
+    """g minus a polynomial of degree r − 1 along each axis in each of side^d cells ([Chopin2024]_).
 
-    The polynomial goes through g at the centres of the r nearest cells along each axis; its mean over the
-    cell is added again. Where r is even, means over a point and its image about the centre of
-    the cell leave even powers only, and r = 2 takes no centres. Jittered points in the same cells have
-    a variance ∝ n^(−1 − 2r/d) if g has r derivatives.
+    The polynomial goes through g at the centers of the r nearest cells along each axis, and its
+    mean over the cell is added again. If r is even, means over a point and its image about the
+    center of the cell contain even powers only, and r = 2 needs no centers. Jittered points in the
+    same cells have a variance ∝ n^(−1 − 2r/d) if g has r derivatives.
 
     Attributes
     ----------
     order
-        r.
+        The order r.
     side
-        Cells along each axis; 0 until `in_cells`.
-    centres
-        g at the centres, (side^d, channels or 1).
+        Cells along each axis; 0 before `in_cells`.
+    centers
+        g at the centers, (side^d, channels or 1).
     """
 
     name: ClassVar[str] = "cubic"
     text = "{0.integrand.spec}, stratified to order {0.order} in cells of 1/{0.side}"
     order: int
     side: int = 0
-    centres: Array | None = None
+    centers: Array | None = None
 
     @staticmethod
     def of(estimator: AbstractEstimator, order: int) -> Cubic:
-        """Of the primary-space integrand of an estimator of one technique."""
+        """Return the change of the primary-space integrand of an estimator of one technique."""
         return Cubic(integrand=_single(estimator), order=order)
 
     @property
@@ -377,7 +444,7 @@ class Cubic(_Changed):
         return self.integrand.evaluations_per_point * (1 + (self.order % 2 == 0) + (self.order > 2))
 
     def in_cells(self, side: int) -> Cubic:
-        """The same in so many cells along each axis, at whose centres g is evaluated."""
+        """Return the same with `side` cells along each axis, and evaluate g at their centers."""
         if side < self.order:
             raise ParameterError(
                 f"{side} cells along an axis are too few for order {self.order}; give as many."
@@ -385,7 +452,7 @@ class Cubic(_Changed):
         if self.order <= 2:
             return replace(self, side=side)
         grid = (np.indices((side,) * self.dims).reshape(self.dims, -1).T + 0.5) / side
-        return replace(self, side=side, centres=self.integrand(grid).reshape(len(grid), -1))
+        return replace(self, side=side, centers=self.integrand(grid).reshape(len(grid), -1))
 
     def _at(self, u: Array) -> Array:
         cell, places = np.minimum((u * self.side).astype(np.int64), self.side - 1), [u]
@@ -393,11 +460,11 @@ class Cubic(_Changed):
             image = (2 * cell + 1) / self.side - u
             places.append(np.clip(image, 0.0, BELOW_ONE))
         values = np.mean([self.integrand(x) for x in places], axis=0)
-        if self.centres is None:
+        if self.centers is None:
             return np.asarray(values)
 
-        # Polynomials of Lagrange through nodes 0 … r − 1 along each axis, (…, r): at the points, and their
-        # means over cells
+        # Evaluate Lagrange polynomials through nodes 0 … r − 1 along each axis, (…, r), at the
+        # points, and their means over cells
         nodes = np.arange(self.order)
         first = np.clip(cell - (self.order - 1) // 2, 0, self.side - self.order)
 
@@ -408,7 +475,7 @@ class Cubic(_Changed):
         at, weights = np.polynomial.legendre.leggauss(self.order)
         means = lagrange((cell - first)[..., None] + 0.5 * at).swapaxes(-1, -2) @ (0.5 * weights)
 
-        # Their products over the axes, less the products of means: (k, r^d)
+        # Multiply them over the axes, and subtract the products of means: (k, r^d)
         stencil = np.indices((self.order,) * self.dims).reshape(self.dims, -1)
         axes = np.arange(self.dims)
         found = [lagrange(x * self.side - 0.5 - first) for x in places]
@@ -417,14 +484,23 @@ class Cubic(_Changed):
         place = np.ravel_multi_index(
             tuple(first.T[:, :, None] + stencil[:, None, :]), (self.side,) * self.dims
         )
-        taken = np.einsum("kj,kjc->kc", shares, self.centres[place])
+        taken = np.einsum("kj,kjc->kc", shares, self.centers[place])
         return np.asarray(values - taken.reshape(values.shape))
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Preintegrated(_Changed):
-    """Means of g along an axis over the sides of a jump, or of where g leaves 0, that is looked for."""
+    """Means of g along an axis, over both sides of a point where g jumps or leaves 0.
+
+    Attributes
+    ----------
+    axis
+        The axis.
+    halvings
+        Number of halvings of the bracket of the point. After 7 a fraction 2^-7 of the axis remains,
+        sampled by one point, whose variance is at most 2^-16 of the squared jump.
+    """
 
     name: ClassVar[str] = "preintegrated"
     text = "{0.integrand.spec}, preintegrated along axis {0.axis}"
@@ -441,7 +517,7 @@ class _Preintegrated(_Changed):
             x[:, self.axis] = np.clip(t, 0.0, BELOW_ONE)
             return self.integrand(x).reshape(len(u), -1)
 
-        # Bracket the place where g leaves 0, else the half with the larger difference
+        # Bracket the point where g leaves 0, else the half with the larger difference
         low = np.full(len(u), 2.0**-12)
         high = 1.0 - low
         at_low, at_high = g(low), g(high)
@@ -467,20 +543,25 @@ _Found: TypeAlias = Iterator[tuple[str, str, _Changed, float]]
 """Names, changes, changed integrands, and the shares of the variance that they leave."""
 
 
-def _fitted(g: Integrand, seen: Evaluations, *, roughly: bool = False) -> _Found:
-    """The best density of each family, with what it is expected to leave; `roughly`, of few candidates."""
-    joint = _JOINT if 1 < g.dims <= _MOST_JOINT else ()  # in few dims only
-    settings = (*joint, *_PRODUCTS)[: 1 if roughly else None]
+def _fitted(
+    g: Integrand, seen: Evaluations, settings: ChangeSettings, *, roughly: bool = False
+) -> _Found:
+    """Fit the best density of each family; if `roughly`, only the first candidate of splines."""
+    joint = settings.joint if 1 < g.dims <= settings.most_joint_dims else ()
+    splines = (*joint, *settings.products)[: 1 if roughly else None]
     families: list[tuple[str, str, list[Callable[[Evaluations], _Map]]]] = [
         (
             "splines",
             "sample by a density of splines fitted to the integrand",
-            [partial(_splines, setting=s) for s in settings],
+            [partial(_splines, setting=s, settings=settings) for s in splines],
         ),
         (
             "normal density",
             "move and stretch the normal quantiles Φ⁻¹(u) of the inputs to where the integrand is large",
-            [partial(_normal, stretch=s) for s in ("move", "axes", "all")],
+            [
+                partial(_normal, stretch=s, least_spread=settings.least_spread)
+                for s in ("move", "axes", "all")
+            ],
         ),
     ]
     both = seen.halves
@@ -495,19 +576,26 @@ def _fitted(g: Integrand, seen: Evaluations, *, roughly: bool = False) -> _Found
         yield label, change, _Warped(integrand=g, density=density, label=label), left
 
 
-def _splines(seen: Evaluations, setting: tuple[int, int, float]) -> _Map:
-    """Splines that follow |g|, or the power of it that the points are enough for."""
+def _splines(seen: Evaluations, setting: tuple[int, int, float], settings: ChangeSettings) -> _Map:
+    """Fit splines to |g|, or to the power of |g| that the points can determine."""
     size = (seen.weights * seen.pdf)[:, None]
-    places = np.random.default_rng(0)
-    return fit_splines(seen.points, size, seen.pdf, setting, _DEFENSIVE, places)
+    return fit_splines(
+        seen.points,
+        size,
+        seen.pdf,
+        setting,
+        settings.defensive,
+        np.random.default_rng(0),
+        settings=settings.splines,
+    )
 
 
-def _normal(seen: Evaluations, stretch: str) -> _Map:
-    """The normal density with the mean of z under |g|, and with its variances or covariance."""
+def _normal(seen: Evaluations, stretch: str, least_spread: float) -> _Map:
+    """Fit the normal density with the mean of z under |g|, and with its variances or covariance."""
     z, weights = seen.normal, seen.weights
     d, effective = z.shape[1], 1.0 / float((weights**2).sum())
     mean = weights @ z
-    # Draw means and variances that few points tell of towards those of z itself
+    # Shrink means and variances from few points towards the mean 0 and the variance 1 of z
     size = float(mean @ mean)
     mean = mean * max(0.0, 1.0 - d / (effective * size)) if size > 0.0 else mean
     covariance = np.eye(d)
@@ -517,22 +605,23 @@ def _normal(seen: Evaluations, stretch: str) -> _Map:
         share = effective / (effective + (d if stretch == "all" else 1.0))
         covariance = share * found + (1.0 - share) * covariance
     values, vectors = np.linalg.eigh(covariance)
-    root = vectors * np.sqrt(np.maximum(values, _LEAST_SPREAD)) @ vectors.T
+    root = vectors * np.sqrt(np.maximum(values, least_spread)) @ vectors.T
     return _Normal(root, mean)
 
 
-def _regression(g: Integrand, seen: Evaluations) -> _Found:
-    """The basis that leaves least."""
+def _regression(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _Found:  # noqa: ARG001
+    """Fit the basis that leaves the least variance."""
     first, second = seen.halves
-    d = seen.points.shape[1]
-    few = min(d, _TURNED)
+    d, own = seen.points.shape[1], _REGRESSION
+    few = min(d, own.turned)
+    most = min(len(first.points) // own.evaluations_per_term, own.most_terms)
     fits: list[Callable[[Evaluations], _Basis]] = []
     for normal in (False, True):
-        for degrees in _DEGREES:
-            if normal and max(degrees) > _MOST_NORMAL:
+        for degrees in own.degrees:
+            if normal and max(degrees) > own.most_normal_degree:
                 continue
             basis, turned = _Basis.of(d, normal, *degrees), _Basis.of(few, normal, *degrees)
-            if len(basis.axes) <= min(len(first.points) // _EACH, _MOST_TERMS):
+            if len(basis.axes) <= most:
                 fits.append(lambda _, b=basis: b)  # type: ignore[misc]
             fits.append(lambda e, b=turned: replace(b, turn=e.directions[:, :few]))  # type: ignore[misc]
     halves = ((first, second), (second, first))
@@ -547,8 +636,8 @@ def _regression(g: Integrand, seen: Evaluations) -> _Found:
     )
 
 
-def _order(g: Integrand, seen: Evaluations) -> _Found:
-    """Directions in the order of how much g varies along them."""
+def _order(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _Found:  # noqa: ARG001
+    """Sort directions by the variation of g."""
     d = g.dims
     if d == 1:
         raise ParameterError("One dim has no order.")
@@ -564,12 +653,13 @@ def _order(g: Integrand, seen: Evaluations) -> _Found:
     )
 
 
-def _preintegrated(g: Integrand, seen: Evaluations) -> _Found:
-    """Along the axis that leaves least, and along the direction that g depends on most.
+def _preintegrated(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _Found:  # noqa: ARG001
+    """Take means along the axis that leaves the least variance, and along the first direction.
 
-    At least what a regression finds of the other coordinates alone is left, at most all but the
-    effect of this one alone; between these, their geometric mean is expected. Squares of coefficients
-    are products of those of two halves.
+    The variance that remains is at least the part that a regression assigns to the other
+    coordinates alone, and at most everything but the main effect of this coordinate. The geometric
+    mean of the two is expected. Squares of coefficients are products of the coefficients of two
+    halves.
     """
     d = g.dims
     if d == 1:
@@ -601,13 +691,13 @@ def _preintegrated(g: Integrand, seen: Evaluations) -> _Found:
         )
 
 
-CHANGES: dict[str, Callable[[Integrand, Evaluations], _Found]] = {
+CHANGES: dict[str, Callable[[Integrand, Evaluations, ChangeSettings], _Found]] = {
     "fitted": _fitted,
     "regression": _regression,
     "order": _order,
     "preintegrated": _preintegrated,
 }
-"""What makes the changes of each kind."""
+"""Kinds of change, with the functions that make the changes."""
 
 
 def improvements(
@@ -616,19 +706,22 @@ def improvements(
     kinds: Sequence[str] = tuple(CHANGES),
     *,
     charged: int = 0,
+    settings: ChangeSettings = _SETTINGS,
 ) -> Iterator[Improvement]:
-    """Changed estimators of the same integral, from evaluations of g; none is made.
+    """Yield changed estimators of the same integral, without new evaluations of g.
 
     Parameters
     ----------
     estimator
-        Of one technique.
+        An estimator of one technique.
     seen
         Evaluations of its `primary_integrand`; all kinds but ``fitted`` take uniform points.
     kinds
-        Of `CHANGES`.
+        Some of `CHANGES`.
     charged
-        Evaluations that count as their pilots: 0 where they were needed anyway.
+        Evaluations that count as the pilot of each change; 0 if they were needed anyway.
+    settings
+        Settings of the changes.
 
     Raises
     ------
@@ -636,30 +729,35 @@ def improvements(
         Several techniques, or too few evaluations.
     """
     g = _single(estimator)
-    if len(seen.points) < 2 * _EACH:
+    if len(seen.points) < 2 * _REGRESSION.evaluations_per_term:
         raise ParameterError(f"{len(seen.points)} evaluations are too few to fit anything.")
     for kind in kinds:
-        for name, change, changed, left in CHANGES[kind](g, seen):
-            if left < _WORTH:
+        for name, change, changed, left in CHANGES[kind](g, seen, settings):
+            if left < settings.most_left:
                 own = replace(changed, pilot_evaluations=charged)
                 cost = own.evaluations_per_point / g.evaluations_per_point
                 yield Improvement(kind, name, change, Estimator(own), left * cost, own.finite_below)
 
 
 def evaluated(
-    estimator: AbstractEstimator, count: int, stream: Stream, *, adapt: bool = False
+    estimator: AbstractEstimator,
+    count: int,
+    stream: Stream,
+    *,
+    adapt: bool = False,
+    settings: ChangeSettings = _SETTINGS,
 ) -> Evaluations:
-    """Evaluations of g at random points: uniform ones, or in rounds by densities fitted to the last."""
+    """Evaluate g at random points: uniform points, or in rounds that follow fitted densities."""
     g = _single(estimator)
-    rounds = _ROUNDS if adapt else 1
+    rounds = settings.rounds if adapt else 1
     sizes = [count // rounds] * (rounds - 1) + [count - (rounds - 1) * (count // rounds)]
 
     def follow(points: Array, values: Array, pdf: Array) -> _Map | None:
-        """Uniform ones until g is seen."""
+        """Fit a density; None, for uniform points, until both halves have a value that is not 0."""
         seen = Evaluations(points, values, pdf)
         if not all(half.values.any() for half in seen.halves):
             return None
-        best = min(_fitted(g, seen, roughly=True), key=lambda found: found[3])[2]
+        best = min(_fitted(g, seen, settings, roughly=True), key=lambda found: found[3])[2]
         return best.density if isinstance(best, _Warped) else None
 
     return Evaluations(*in_rounds(g, g.dims, sizes, follow, stream))
@@ -678,7 +776,7 @@ def _single(estimator: AbstractEstimator) -> Integrand:
 
 
 def _quantiles(u: Array) -> Array:
-    """Φ⁻¹, finite."""
+    """Return finite values of Φ⁻¹."""
     from scipy.special import ndtri
 
     return np.asarray(ndtri(np.clip(u, np.finfo(float).tiny, BELOW_ONE)))

@@ -1,16 +1,18 @@
 """Importance densities learned from evaluations of an integrand, for the sampler that will be used.
 
-A density p of `mcspectra.densities.learned` is fitted to evaluations f(x_k) at points of density π, by
-the least of
+A density p of `mcspectra.densities.learned` is fitted to evaluations f(x_k) at points of density π.
+The fit minimizes
 
-    log Σ_k ρ_k p(x_k) − Σ_k w_k log p(x_k) + smoothness,   ρ_k = 1/π(x_k),   w_k ∝ ρ_k |f(x_k)|,
+    log Σ_k ρ_k p(x_k) − Σ_k w_k log p(x_k) + smoothness,   ρ_k = 1/π(x_k),   w_k ∝ ρ_k |f(x_k)|.
 
-the relative entropy of |f| and p with both integrals as seen by the *same* points: where |f| is of the
-family, the least is |f| itself at any number of points, whereas the mean of log p alone has the noise of
-the points. Smoothness is a penalty on second differences of the logarithms of the splines' weights
-(as of P-splines, [Eilers1996]_). Numbers of cells and parts and the weight of the penalty make candidates, and
-those are compared by the variance of f/p with points of the sampler itself, of evaluations not fitted to:
-∫f²/p alone does not see how rough f/p is, which is what nets and strata do not remove.
+This is the relative entropy of |f| and p, with both integrals estimated from the *same* points. If
+|f| belongs to the family, the minimum is |f| itself for any number of points, whereas the mean of
+log p alone has the noise of the points. Smoothness is a penalty on second differences of the
+logarithms of the splines' weights, as in P-splines [Eilers1996]_. Numbers of cells and parts and
+the weight of the penalty define candidates. Candidates are compared by the variance of f/p with
+points of the sampler itself, on evaluations that were not used in the fit. ∫f²/p alone does not
+measure how rough f/p is, and roughness is the part of the variance that nets and strata do not
+remove.
 """
 
 from __future__ import annotations
@@ -20,7 +22,6 @@ import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from os import PathLike
 from typing import Any, final
 
@@ -47,36 +48,82 @@ from mcspectra.samplers import Sampler
 from mcspectra.samplers.optimised import minimize
 from mcspectra.samplers.registry import as_sampler
 
-__all__ = ["LEARNED", "fit_splines", "in_rounds", "learned_density"]
+__all__ = ["LEARNED", "LearnSettings", "fit_splines", "in_rounds", "learned_density"]
 
-_MOST_DIMS = 24
-_LEAST, _USUAL = 256, 2**14  # evaluations
-_EACH = 8  # evaluations for each of n points, beside those to fit to: sets of n/4 at least
-_FEWEST = 16  # n over the least count to compare candidates at
-_MOST_FITTED = 2**13
-_BLOCK = 128
-_BINS = 512  # of the marginals that the knots come from
-_STEPS = 120  # of L-BFGS
-_LONGEST = 1.0  # step of a logarithm
-_GAIN = 2e-9  # of the function, below which fits end
-# Dims up to which flows take them; with more, longer fits cost more and are no better
-_ALL_STEPS = 4
-_REPLICATES = 6  # at least, of each candidate
-_LEAST_WEIGHT = 1e-6  # of a spline to start from
-_WORTH = 0.5  # of the variance of uniform points: six sets tell no better, and these are safe
-_EACH_GATE = 4  # evaluations of each weight of a flow
-_PARTS = 2**16  # stream label of where parts start
 
-# (cells, parts, smoothness) of the candidates of each kind, the one for the first rounds first; 0 parts: a flow
-LEARNED: dict[str, tuple[tuple[int, int, float], ...]] = {
-    "mixture": ((12, 4, 1e-3), (8, 4, 1e-1), (12, 4, 1e-2), (12, 8, 1e-3)),
-    "spline-flow": ((12, 0, 1e-3), (8, 0, 1e-1), (8, 0, 1e-2), (16, 0, 1e-4)),
-}
+@final
+@dataclass(frozen=True, kw_only=True)
+class LearnSettings:
+    """Settings of fits of splines, and of the choice between fitted densities."""
+
+    # Candidates of the two kinds: cells of each axis; parts of a mixture, or 0 for a flow; weight
+    # of the smoothness penalty. The first candidate also places the points of the first rounds. The
+    # numbers range from smooth to fine; evaluations that no candidate was fitted to choose one.
+    # LEARN_CANDIDATES
+    mixture: tuple[tuple[int, int, float], ...] = (
+        (12, 4, 1e-3),
+        (8, 4, 1e-1),
+        (12, 4, 1e-2),
+        (12, 8, 1e-3),
+    )
+    spline_flow: tuple[tuple[int, int, float], ...] = (
+        (12, 0, 1e-3),
+        (8, 0, 1e-1),
+        (8, 0, 1e-2),
+        (16, 0, 1e-4),
+    )
+    # Most dims of a learned density. In 24-D a flow takes 9 s to fit.
+    most_dims: int = 24
+    # Least number of evaluations that can be asked for: 128 for the fit, four for each weight of
+    # two axes at the fewest cells.
+    least_evaluations: int = 256
+    # Least number of evaluations by default: with half of them the fit has `most_fitted`
+    # evaluations.
+    usual_evaluations: int = 2**14
+    # Evaluations by default for each of the n points, in addition to `most_fitted`. With 8 n, each
+    # of five candidates can have six sets of n/4 points.
+    evaluations_per_point: int = 8
+    # Divisor of n that gives the smallest count at which candidates may be compared. At n/16 the
+    # ratios of variances of nets are already near the ratios at n; at smaller counts nets do not
+    # resolve the splines.
+    fewest_divisor: int = 16
+    # Most evaluations in a fit. LEARN_FITTED
+    most_fitted: int = 2**13
+    # Points of a block of the sums of a fit. Products of blocks of 128 points are too small for the
+    # threads of BLAS, so that all machines compute the same bits.
+    block: int = 128
+    # Bins of the marginal distributions of |f| that place the knots. LEARN_BINS
+    bins: int = 512
+    # Rounds of Lloyd's method, which groups points to start the parts of a mixture. LEARN_LLOYD
+    lloyd_rounds: int = 8
+    # Most steps of L-BFGS in a fit. LEARN_STEPS
+    steps: int = 120
+    # Longest move of a logarithm of a weight in one step of L-BFGS: a factor e. LEARN_LONGEST
+    longest: float = 1.0
+    # A step of L-BFGS that lowers the entropy by less is the last one. LEARN_GAIN
+    gain: float = 2e-9
+    # Most dims in which a flow is fitted with all `steps`; in d more dims the steps fall as 4/d.
+    # Longer fits in many dims cost more and the densities are no better.
+    most_dims_of_all_steps: int = 4
+    # Least number of sets for the variance of each candidate. The logarithm of a ratio of two
+    # variances of 6 sets has a standard error of √(4/5) = 0.9.
+    least_replicates: int = 6
+    # Weight that is added to every spline at the start of a fit, so that logarithms are finite.
+    # LEARN_WEIGHT
+    least_weight: float = 1e-6
+    # Largest ratio of variances to uniform points at which a density is kept. A smaller gain is
+    # within the errors of six sets, and uniform points cannot fail.
+    most_ratio: float = 0.5
+    # Evaluations for each weight of a flow. With fewer, weights follow the noise of the points; see
+    # `evaluations_per_term` of `mcspectra.improve.improved.RegressionSettings`. LEARN_GATE
+    evaluations_per_gate: int = 4
+
+
+_SETTINGS = LearnSettings()
+_PARTS = 2**16  # stream label of the points that start the parts of a mixture
+
+LEARNED = {"mixture": _SETTINGS.mixture, "spline-flow": _SETTINGS.spline_flow}
 """Kinds of learned densities, with their candidates."""
-
-
-# The L-BFGS of samplers: scipy's asks BLAS for threads at each step, which takes 15 times as long as all else
-_least = partial(minimize, longest=_LONGEST, gain=_GAIN)
 
 
 def fit_splines(
@@ -86,67 +133,79 @@ def fit_splines(
     setting: tuple[int, int, float],
     defensive: float,
     generator: np.random.Generator,
+    *,
+    settings: LearnSettings = _SETTINGS,
 ) -> SplineDensity:
     """Fit a density of splines to values at points.
 
     Parameters
     ----------
     points, values, pdf
-        (N, d); (N, channels), not all 0; density of the points, (N,).
+        Points (N, d); values (N, channels), not all 0; density of the points, (N,).
     setting
         Cells of each axis; parts of a mixture, or 0 for a flow; weight of the smoothness.
     defensive
         δ, share of the uniform density.
     generator
-        Of the places that parts start from.
+        Random numbers that choose the points that start the parts of a mixture.
+    settings
+        Settings of the fit.
     """
     cells, parts, smooth = setting
-    # In blocks, whose products are too small for threads: the same bits on every machine's cores
-    points, pdf = _padded(points, 0.5), _padded(pdf, np.inf)
-    values = _padded(values, 0.0)
+    # Pad to whole blocks with points of weight 0
+    points, values, pdf = (
+        _padded(given, by, settings.block)
+        for given, by in ((points, 0.5), (values, 0.0), (pdf, np.inf))
+    )
     rho = 1.0 / pdf
     w = rho * np.abs(values / np.abs(values).max()).sum(axis=1)
     w, rho = w / w.sum(), rho / rho.sum()
 
-    # Half of the knots where |f| has its mass, and half of them equally spaced
-    at, knots = np.linspace(0.0, 1.0, _BINS + 1), np.empty((points.shape[1], cells + 1))
+    # Place half of the knots by the mass of |f|, and half of them equally spaced
+    bins = settings.bins
+    at, knots = np.linspace(0.0, 1.0, bins + 1), np.empty((points.shape[1], cells + 1))
     for line, x in zip(knots, points.T, strict=True):
-        mass = np.bincount(np.minimum((x * _BINS).astype(int), _BINS - 1), w, _BINS)
+        mass = np.bincount(np.minimum((x * bins).astype(int), bins - 1), w, bins)
         blend = 0.5 * (at + np.concatenate([[0.0], np.cumsum(mass)]))
         line[:] = np.interp(np.linspace(0.0, 1.0, cells + 1), blend, at)
     knots[:, 0], knots[:, -1] = 0.0, 1.0
 
     seen = _Seen(
-        basis=[_columns(spline_basis(line, x)) for line, x in zip(knots, points.T, strict=True)],
-        rho=_in_blocks(rho),
-        weight=_in_blocks(w),
+        basis=[
+            _columns(spline_basis(line, x), settings.block)
+            for line, x in zip(knots, points.T, strict=True)
+        ],
+        rho=rho.reshape(-1, settings.block),
+        weight=w.reshape(-1, settings.block),
         uniform=np.log([spline_lengths(line) for line in knots]),
         defensive=defensive,
         smooth=smooth,
+        settings=settings,
     )
 
-    # Groups of points with the mass of |f|, by Lloyd's method, from which parts start
+    # Group points with the mass of |f| by Lloyd's method; parts start from these groups
     own = np.zeros(len(points), np.int64)
     if parts > 1:
         known = min(parts, int(np.count_nonzero(w)))
         seeds = points[generator.choice(len(points), known, p=w, replace=False)]
-        for _ in range(8):
+        for _ in range(settings.lloyd_rounds):
             own = ((points[:, None] - seeds) ** 2).sum(axis=-1).argmin(axis=1)
             heavy = np.bincount(own, w, known)
             for j, x in enumerate(points.T):
                 sums = np.bincount(own, w * x, known)
                 seeds[:, j] = np.where(heavy > 0.0, sums / np.maximum(heavy, 1e-300), seeds[:, j])
-    shares, tables = seen.mixture(own, max(parts, 1), _STEPS if parts else _STEPS // 4)
+    steps = settings.steps if parts else settings.steps // 4
+    shares, tables = seen.mixture(own, max(parts, 1), steps)
     if parts:
         return SplineDensity(knots=knots, defensive=defensive, shares=shares, tables=np.exp(tables))
-    gates = seen.flow(_columns(flow_features(points)), tables[0])
+    gates = seen.flow(_columns(flow_features(points), settings.block), tables[0])
     return SplineDensity(knots=knots, defensive=defensive, gates=gates)
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Seen:
-    """What fits minimise, of points in blocks."""
+    """The function that fits minimize, of points in blocks."""
 
     basis: list[Array]  # splines of each axis at the points, (blocks, M, size)
     rho: Array  # ρ and w, (blocks, size), both of sum 1
@@ -154,25 +213,26 @@ class _Seen:
     uniform: Array  # logarithms of the weights of the uniform density, (d, M)
     defensive: float
     smooth: float
+    settings: LearnSettings = _SETTINGS
 
     def mixture(self, own: Array, count: int, steps: int) -> tuple[Array, Array]:
-        """Shares (K,) and logarithms of the tables (K, d, M), from groups of points."""
+        """Fit shares (K,) and logarithms of the tables (K, d, M), from groups of points."""
         from scipy.special import log_softmax, softmax
 
-        # Start from the splines' means over the groups
+        # Start from the means of the splines over the groups
         tables = np.empty((count, *self.uniform.shape))
         whole = np.maximum(np.bincount(own, self.weight.ravel(), count), 0.1 / count)
         for k in range(count):
-            mine = self.weight * _in_blocks(own == k)
+            mine = self.weight * (own == k).reshape(self.weight.shape)
             for i, b in enumerate(self.basis):
                 found = (mine[:, None] * b).sum(axis=(0, 2)) * np.exp(self.uniform[i])
                 found = found / max(found.sum(), 1e-300) + np.exp(self.uniform[i])
-                tables[k, i] = np.log(found + _LEAST_WEIGHT)
+                tables[k, i] = np.log(found + self.settings.least_weight)
 
         def loss(given: Array) -> tuple[float, Array]:
             shares, logits = log_softmax(given[:count]), given[count:].reshape(tables.shape)
             c = softmax(logits, axis=-1)
-            inner = [  # of parts, at the points
+            inner = [  # densities of the parts at the points
                 np.maximum(np.moveaxis(c[:, i] @ b, 1, 0), 1e-300).copy()
                 for i, b in enumerate(self.basis)
             ]
@@ -190,15 +250,15 @@ class _Seen:
             by_shares = held - np.exp(shares) * held.sum()
             return value + penalty, np.concatenate([by_shares, gradient.ravel()])
 
-        best = _least(loss, np.concatenate([np.log(whole), tables.ravel()]), iterations=steps)
+        best = self._least(loss, np.concatenate([np.log(whole), tables.ravel()]), steps)
         return softmax(best[:count]), log_softmax(best[count:].reshape(tables.shape), axis=-1)
 
     def flow(self, features: Array, start: Array) -> Array:
-        """Gates (d, M, 1 + d·DEGREE), from the logarithms of a product's tables (d, M)."""
+        """Fit gates (d, M, 1 + d·DEGREE), from the logarithms of a product's tables (d, M)."""
         shape, before = (*start.shape, features.shape[1]), np.tri(len(start), k=-1, dtype=bool)
 
         def loss_of(followed: Array) -> tuple[Array, Callable[[Array], tuple[float, Array]]]:
-            """Which gates are used, where each axis follows these axes (d, d), and the loss of them."""
+            """Return a mask of the gates if each axis follows some axes (d, d), and their loss."""
             columns = np.insert(np.repeat(followed, DEGREE, axis=1), 0, True, axis=1)
             used = np.broadcast_to(columns[:, None], shape)
             seen = [features[:, c] for c in columns]
@@ -232,8 +292,10 @@ class _Seen:
 
             return used, loss
 
-        # Follow the axes whose gates would change the product most, as many as the points are enough for
-        gates, most = np.zeros(shape), self.rho.size // (_EACH_GATE * shape[1] * DEGREE)
+        # Follow the axes whose gates change the product most, in a number that the points can
+        # determine
+        each = self.settings.evaluations_per_gate
+        gates, most = np.zeros(shape), self.rho.size // (each * shape[1] * DEGREE)
         gates[:, :, 0] = start
         used, loss = loss_of(before)
         slopes = np.zeros(shape)
@@ -241,12 +303,23 @@ class _Seen:
         gain = (slopes[:, :, 1:].reshape(*start.shape, -1, DEGREE) ** 2).sum(axis=(1, 3))
         followed = before & (gain >= np.sort(gain, axis=None)[-min(max(most, 1), gain.size)])
         used, loss = loss_of(followed)
-        steps = min(_STEPS, _STEPS * _ALL_STEPS // len(start))
-        gates[used] = _least(loss, gates[used], iterations=steps)
+        steps = self.settings.steps
+        steps = min(steps, steps * self.settings.most_dims_of_all_steps // len(start))
+        gates[used] = self._least(loss, gates[used], steps)
         return gates
 
+    def _least(
+        self, loss: Callable[[Array], tuple[float, Array]], start: Array, steps: int
+    ) -> Array:
+        """Minimize by the package's L-BFGS.
+
+        SciPy's L-BFGS calls threads of BLAS at each step, which takes 15 times as long as the rest.
+        """
+        longest, gain = self.settings.longest, self.settings.gain
+        return minimize(loss, start, iterations=steps, longest=longest, gain=gain)
+
     def _entropy(self, logarithm: Array) -> tuple[float, Array]:
-        """The entropy, and its derivatives by log q at the points."""
+        """Return the entropy, and its derivatives by log q at the points."""
         q = np.exp(logarithm)
         p = (1.0 - self.defensive) * q + self.defensive
         mass = float((self.rho * p).sum())
@@ -254,7 +327,7 @@ class _Seen:
         return math.log(mass) - float((self.weight * np.log(p)).sum()), slope
 
     def _bent(self, logits: Array, axis: int) -> tuple[float, Array]:
-        """The penalty, and its derivatives."""
+        """Return the penalty, and its derivatives."""
         bend = np.diff(logits, 2, axis=axis)
         back = np.moveaxis(np.zeros_like(logits), axis, 0)
         for shift, factor in enumerate((1.0, -2.0, 1.0)):
@@ -281,33 +354,34 @@ def learned_density(
     f
         An integrand, also of several channels, its spec, or a function of points (k, d) to (k,).
     kind
-        ``"mixture"`` (of products of splines) or ``"spline-flow"`` (splines of each coordinate whose
-        weights depend on those before).
+        ``"mixture"`` (a mixture of products of splines) or ``"spline-flow"`` (splines of each
+        coordinate whose weights depend on the coordinates before it).
     sampler, n
-        The points that will be used. The sampler is random.
+        The sampler and the number of points that will be used. The sampler is random.
     dims
-        Number of dims, up to 24, where neither f nor the sampler say it.
+        Number of dims, up to 24; needed if neither f nor the sampler has one.
     evaluations
-        Most evaluations of f, 256 or more: half of them, 8192 at most, to fit to, the others to choose by.
-        By default 8 n + 8192, 16384 at least.
+        Most evaluations of f, at least 256. Half of them, at most 8192, are for the fit, and the
+        others for the choice between candidates. The default is 8 n + 8192, and at least 16384.
     defensive
-        Least value δ of the density, above 0, below 1: |f|/p is at most |f|/δ.
+        Least value δ of the density, above 0 and below 1: |f|/p is at most |f|/δ.
     rng
         Seed. The same seed gives the same density.
     path
-        File to keep the density in, .json. By default in the cache folder.
+        File for the density, .json. The default is a file in the cache folder.
 
     Returns
     -------
     Density
-        Continuous, with an exact inverse and a continuous warp; its `spec` makes it again from its file.
-        ``uniform`` where no candidate halves its variance.
+        A continuous density with an exact inverse and a continuous warp. Its `spec` reads it from
+        its file. It is ``uniform`` if no candidate halves the variance of uniform points.
 
     Raises
     ------
     ParameterError
-        Unknown kind; a value out of range; a sampler that is not random; f is NaN or infinite at a point,
-        or 0 wherever it was tried; evaluations too few to compare candidates near n.
+        The kind is unknown, a value is out of range, or the sampler is not random; f is NaN or
+        infinite at a point, or 0 at all points; evaluations are too few to compare candidates near
+        n.
     CountError
         The sampler has no sets of n points.
     FileFormatError
@@ -315,9 +389,10 @@ def learned_density(
 
     Notes
     -----
-    Candidates (`mcspectra.improve.learned.LEARNED`), from smooth to fine, are compared by the variance of f/p with
-    six realisations or more of the sampler, at n or the largest count that the evaluations allow: n/16 or more, by
-    default usually n/4. The method of fitting is described in `mcspectra.improve.learned`.
+    Candidates (`mcspectra.improve.learned.LEARNED`), from smooth to fine, are compared by the
+    variance of f/p with at least six realizations of the sampler. The count is n, or the largest
+    count that the evaluations allow: at least n/16, by default usually n/4.
+    `mcspectra.improve.learned` describes the method of fitting.
 
     Examples
     --------
@@ -343,11 +418,13 @@ def learned_density(
             Parameter("dims"),
             " is missing; give the number of dims of the function's points.",
         )
-    d = as_integer("dims", given, least=1, most=_MOST_DIMS)
+    settings = _SETTINGS
+    d = as_integer("dims", given, least=1, most=settings.most_dims)
     source = as_sampler(sampler, d)
     n = source.check_count(n)
-    asked = max(_USUAL, _EACH * n + _MOST_FITTED) if evaluations is None else evaluations
-    evaluations = as_integer("evaluations", asked, least=_LEAST, most=2**28)
+    usual = settings.evaluations_per_point * n + settings.most_fitted
+    asked = max(settings.usual_evaluations, usual) if evaluations is None else evaluations
+    evaluations = as_integer("evaluations", asked, least=settings.least_evaluations, most=2**28)
     if source.fixed:
         raise ParameterError(
             f"{source.spec} is the same every time, so that it has no variance; add owen or shift."
@@ -360,29 +437,31 @@ def learned_density(
     stream = Stream.from_rng(rng)
 
     def values_at(x: Array) -> Array:
-        """f at points (k, d): (k, channels or 1)."""
+        """Return f at points (k, d): (k, channels or 1)."""
         return integrand(x).reshape(len(x), -1)
 
-    # Share out the evaluations: a part to fit to, the rest for sets of the sampler for each candidate
-    half, candidates = min(evaluations // 2, _MOST_FITTED), 1 + len(LEARNED[kind])
-    allowed = (evaluations - half) // (_REPLICATES * candidates)
+    # Divide the evaluations between the fit and sets of the sampler for each candidate
+    half, candidates = min(evaluations // 2, settings.most_fitted), 1 + len(LEARNED[kind])
+    allowed = (evaluations - half) // (settings.least_replicates * candidates)
     size = min(n, max(allowed, 1))
     while (count := source.nearest_count(size)) > allowed and size > 1:
         size //= 2
-    if count > allowed or allowed < n / _FEWEST:
+    if count > allowed or allowed < n / settings.fewest_divisor:
         raise ParameterError(
-            f"{evaluations} evaluations are too few to compare {candidates} candidates by {_REPLICATES} "
-            f"sets of n/{_FEWEST} points of {source.spec}, n = {n}, or more; give {4 * n} or more."
+            f"{evaluations} evaluations are too few to compare {candidates} candidates by "
+            f"{settings.least_replicates} sets of n/{settings.fewest_divisor} points of {source.spec}, "
+            f"n = {n}, or more; give {4 * n} or more."
         )
 
-    # Fit the candidates to their part, from densities that follow f better and better
+    # Fit the candidates to points of densities that follow f better and better
     made = list[Density]()
     first = LEARNED[kind][0]
 
     def follow(points: Array, values: Array, pdf: Array) -> Density | None:
         if not values.any():
             return None
-        return fit_splines(points, values, pdf, first, defensive, stream.generator(_PARTS))
+        places = stream.generator(_PARTS)
+        return fit_splines(points, values, pdf, first, defensive, places, settings=settings)
 
     sizes = [half // 4, half // 4, half - 2 * (half // 4)]
     seen = in_rounds(values_at, d, sizes, follow, stream)
@@ -393,9 +472,10 @@ def learned_density(
         )
     for place, setting in enumerate(LEARNED[kind]):
         report(f"density of {integrand.spec}", 0.3 + 0.1 * place)
-        made.append(fit_splines(*seen, setting, defensive, stream.generator(_PARTS)))
+        places = stream.generator(_PARTS)
+        made.append(fit_splines(*seen, setting, defensive, places, settings=settings))
 
-    # Choose by the rest
+    # Choose by the other evaluations
     left = [Uniform(dims=d), *made]
     replicates = (evaluations - half) // (count * len(left))
     u = source.draw_stream(count, stream.child(1), 0, replicates).reshape(-1, d)
@@ -407,7 +487,7 @@ def learned_density(
     scale = np.abs(means).max() or 1.0  # squares of 1e200 would overflow
     variances = (np.array(means) / scale).var(axis=1, ddof=1).sum(axis=-1)
     place = int(np.argmin(variances))
-    best = left[place if variances[place] < _WORTH * variances[0] else 0]
+    best = left[place if variances[place] < settings.most_ratio * variances[0] else 0]
     report(f"density of {integrand.spec}", 1.0)
     if not isinstance(best, SplineDensity):
         if chosen is None:
@@ -419,7 +499,7 @@ def learned_density(
             tables=np.full((1, d, 3), 1.0 / 3.0),
         )
 
-    # Keep it in a file named by what it holds
+    # Keep the density in a file named by a hash of its content
     text = json.dumps(best.to_dict()) + "\n"
     name = hashlib.sha256(text.encode()).hexdigest()[:32]
     target = cached / f"{name}.json" if chosen is None else chosen
@@ -435,10 +515,11 @@ def in_rounds(
     follow: Callable[[Array, Array, Array], Any],
     stream: Stream,
 ) -> tuple[Array, Array, Array]:
-    """Points (N, d), values and densities of points that follow a function better and better.
+    """Return points (N, d) that follow a function better and better, their values and densities.
 
-    After a round `follow` makes of all that is known what the next points come from, with `sample` and
-    `pdf`, or None for uniform ones. All points are one sample of the mixture of all densities.
+    Before each round but the first, `follow` fits the density of its points to all evaluations: an
+    object with `sample` and `pdf`, or None for uniform points. All points are one sample of the
+    mixture of all densities.
     """
     points, values = np.empty((0, dims)), np.empty((0, 1))
     pdf = np.empty(0)
@@ -455,16 +536,12 @@ def in_rounds(
     return points, values, pdf
 
 
-def _padded(given: Array, by: float) -> Array:
-    """With further entries, so that their number is one of whole blocks."""
-    more = [(0, -len(given) % _BLOCK)] + [(0, 0)] * (given.ndim - 1)
+def _padded(given: Array, by: float, block: int) -> Array:
+    """Append entries to fill whole blocks."""
+    more = [(0, -len(given) % block)] + [(0, 0)] * (given.ndim - 1)
     return np.pad(given, more, constant_values=by)
 
 
-def _in_blocks(given: Array) -> Array:
-    return given.reshape(-1, _BLOCK)
-
-
-def _columns(given: Array) -> Array:
-    """Functions at points (N, M), in blocks: (blocks, M, size)."""
-    return np.ascontiguousarray(given.reshape(-1, _BLOCK, given.shape[1]).swapaxes(1, 2))
+def _columns(given: Array, block: int) -> Array:
+    """Return functions at points (N, M), in blocks: (blocks, M, size)."""
+    return np.ascontiguousarray(given.reshape(-1, block, given.shape[1]).swapaxes(1, 2))

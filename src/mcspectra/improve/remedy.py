@@ -1,11 +1,11 @@
-"""Remedies: what would lower the noise of an estimator at a budget, measured, ranked and explained.
+"""Remedies: changes that lower an estimator's noise at a budget, measured, ranked and explained.
 
-Every counterfactual (`mcspectra.improve.candidates`) is run at the same budgets of integrand
-evaluations on the same random numbers as the set-up that is given, and compared with it realisation
-by realisation, by influences (docs/theory.md, "Intervals of variances, and stopping"). Intervals of
-all comparisons hold together: a remedy is recommended only where its interval leaves the set-up that
-is given out. Estimates that are all alike have no variance, or none of them has met what makes it: a
-rare event. Where they miss the integral their error is unknown (NaN), not 0.
+Every candidate (`mcspectra.improve.candidates`) is run at the same budgets of integrand evaluations
+and on the same random numbers as the given set-up. It is compared with the given set-up realization
+by realization, by influences (docs/theory.md, "Intervals of variances, and stopping"). Intervals of
+all comparisons hold together: a remedy is recommended only if its interval excludes the given
+set-up. If all estimates are equal, either the estimator has no variance, or no estimate has hit a
+rare event. If equal estimates differ from the integral, their error is unknown (NaN), not 0.
 """
 
 from __future__ import annotations
@@ -31,13 +31,7 @@ from mcspectra.core.tally import counting
 from mcspectra.estimators import AbstractEstimator
 from mcspectra.estimators.moments import rounding_floor, variance_interval
 from mcspectra.explain.diagnosis import Diagnosis, diagnose, jumps_inside
-from mcspectra.improve.candidates import (
-    KINDS,
-    Budget,
-    Counterfactual,
-    Kind,
-    other_setups,
-)
+from mcspectra.improve.candidates import KINDS, Budget, Candidate, Kind, other_setups
 from mcspectra.measure.doors import answer
 from mcspectra.measure.setup import Setup, affordable_count
 from mcspectra.samplers import Sampler
@@ -49,6 +43,7 @@ __all__ = [
     "Comparison",
     "Errors",
     "Remedies",
+    "RemedySettings",
     "Trial",
     "compare",
     "estimates_of",
@@ -57,13 +52,43 @@ __all__ = [
     "simultaneous_z",
 ]
 
-_STEPS = 5  # budgets B/256, B/64, B/16, B/4, B
-_RATIO = 4
-_SEARCH = _STEPS  # stream label of searches; those below are of the steps
-_TRIES = 3  # changes of a kind, about
-_EXACT, _BY_QUADRATURE = 1e-9, 1e-3  # how well integrals are known, relative to them
-_SIGMAS = 4.0  # or so many of the errors that they say of themselves
-_PRIOR = 20  # realisations' worth of the belief that estimates are normal: Var(ψ) = 2
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class RemedySettings:
+    """Settings of the comparison of remedies."""
+
+    # Number of budgets at which each set-up is measured. Five budgets B/256, B/64, B/16, B/4 and B
+    # give a rate, and three degrees of freedom for the lack of fit.
+    steps: int = 5
+    # Ratio of successive budgets. A smaller ratio costs more, in all 1/(1 − 1/ratio) times the
+    # largest budget (4/3 here); a larger ratio leaves two or three budgets that are enough for two
+    # counts.
+    ratio: int = 4
+    # Expected number of changes of each kind, for the estimate of cost and memory before a run. All
+    # 15 kinds together made 30 changes of a function in 2-D.
+    tries: int = 3
+    # Largest relative difference between equal estimates and an exact integral that counts as
+    # rounding. Means round to about 1e-15; the rest allows for values that cancel to 1e-6 of their
+    # size.
+    exact_tolerance: float = 1e-9
+    # The same for an integral by quadrature or by many points, whose error estimates can be too
+    # small. Equal estimates that miss a rare event differ from the integral by all of it, far more
+    # than this.
+    quadrature_tolerance: float = 1e-3
+    # Number of standard errors of such an integral that are allowed if they exceed
+    # `quadrature_tolerance`. A normal error is beyond 4 standard errors with probability 6e-5.
+    sigmas: float = 4.0
+    # Weight, in realizations, of the prior belief that estimates are normal, so that Var(ψ) = 2. It
+    # is used in the fit of rates; comparisons do not use it. At 100 realizations it reduces the
+    # scatter of standard errors of normal estimates from 12 to 10 %; intervals cover 93 to 95 % for
+    # any prior from 0 to 40.
+    prior: int = 20
+
+
+_SETTINGS = RemedySettings()
+# Stream label of searches; the labels below are of the steps
+_SEARCH = _SETTINGS.steps
 
 _DIMS: dict[str, tuple[str, ...]] = {
     "error": ("remedy",),
@@ -82,7 +107,7 @@ _TEXTS = ("kind", "change", "verdict", "rate_verdict", "reason")
 
 @final
 class Remedies(Counted, frozen=True, kw_only=True):
-    """What would lower the noise at equal cost: measured, ranked, explained."""
+    """Changes that lower the noise at equal cost: measured, ranked, explained."""
 
     function = "remedies"
     verb = "remedies"
@@ -110,15 +135,15 @@ class Remedies(Counted, frozen=True, kw_only=True):
         Meta(
             ge=100,
             le=100_000,
-            description="Realisations of each change at each of five budgets: some 20 × budget × realizations evaluations in all.",
+            description="Realizations of each change at each of five budgets: about 20 × budget × realizations evaluations in all.",
             extra={"flag": "-m", "metavar": "R"},
         ),
     ] = 1000
 
     def need(self, subject: Subject) -> Need:
-        """The budget is enough for two counts of the set-up as given."""
-        given = Setup(subject.estimator, subject.sampler)
-        as_integer("budget", self.budget, least=_RATIO * given.cost)
+        """Check that the budget is enough for two counts of the given set-up."""
+        given, ratio = Setup(subject.estimator, subject.sampler), _SETTINGS.ratio
+        as_integer("budget", self.budget, least=ratio * given.cost)
         counts = _affordable(given, self.budget).values()
         if len(counts) < 2:
             raise ParameterError(
@@ -126,23 +151,23 @@ class Remedies(Counted, frozen=True, kw_only=True):
                 f"{given.estimator.spec}, which a rate takes; give a larger budget, or a sampler of "
                 "more counts."
             )
-        tries = 1 + _TRIES * len(self._kinds)
+        tries = 1 + _SETTINGS.tries * len(self._kinds)
         evaluations = self.realizations * given.cost * sum(counts)
-        if given.is_black_box:  # and those of its diagnosis, at most
+        if given.is_black_box:  # the diagnosis may take as many again
             evaluations += self.budget * self.realizations
         return Need(
-            cost=float(self.budget * self.realizations * tries) * _RATIO / (_RATIO - 1),
+            cost=float(self.budget * self.realizations * tries) * ratio / (ratio - 1),
             memory=memory_of(self.budget, subject.estimator.dims) + 16 * tries * self.realizations,
             evaluations=evaluations,
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Trials]:
-        """The set-up as given, then the changes of a kind after the other."""
+        """Measure the given set-up, then the changes of one kind after another."""
         given = Setup(subject.estimator, subject.sampler)
-        start = Counterfactual("given", "as given", "leave everything as it is", given)
+        start = Candidate("given", "as given", "leave everything as it is", given)
         unknown = np.isnan(given.estimator.known_integral()[0]).any()
         search = Budget(self.budget, self.realizations, stream.child(_SEARCH))
-        # What the set-up as given leaves of the evaluations is shared by the kinds, whatever runs first
+        # Divide the evaluations that the given set-up leaves equally among the kinds
         limit = self.max_evaluations
         first = self.need(subject).evaluations
         share = None if limit is None else max(1, (limit - first) // len(self._kinds))
@@ -173,7 +198,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
                                 continue
                         not_tried.append(f"{change.name}: {reason}")
                     except BudgetError as error:
-                        name = change.name if isinstance(change, Counterfactual) else kinds[0]
+                        name = change.name if isinstance(change, Candidate) else kinds[0]
                         not_tried.append(f"{name}: {error}")
             if index:
                 return _Trials(tried, not_tried, None)
@@ -182,7 +207,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
             return _Trials(tried, [], found)
 
         def result(found: _Trials) -> xr.Dataset:
-            """All set-ups, in the order of their variances; what two kinds make alike counts once."""
+            """Rank all set-ups by their variances; a set-up that two kinds make counts once."""
             assert found.diagnosis is not None
             first: dict[str, Trial] = {}
             for trial in found.tried:
@@ -197,15 +222,15 @@ class Remedies(Counted, frozen=True, kw_only=True):
             result=result,
         )
 
-    def _measured(self, change: Counterfactual, given: Setup, stream: Stream) -> Trial | None:
-        """Errors at the counts that fit into each step's budget; None where two do not."""
+    def _measured(self, change: Candidate, given: Setup, stream: Stream) -> Trial | None:
+        """Measure errors at counts that fit into the budgets; None for fewer than two counts."""
         setup = change.setup
         cost: list[int] = []
         estimates: list[Array] = []
         for step, n in _affordable(setup, self.budget).items():
             try:
                 estimator = setup.at(n)
-            except McspectraError:  # strata too few for the edges
+            except McspectraError:  # there are fewer strata than edges
                 continue
             cost.append(n * setup.cost + setup.overhead)
             own = stream.child(step)
@@ -213,12 +238,13 @@ class Remedies(Counted, frozen=True, kw_only=True):
         if len(cost) < 2:
             return None
 
-        # How well the integral is known, relative to it
+        # Compute the relative tolerance of the integral
         value, error, source = given.estimator.known_integral()
-        integral, tolerance = np.atleast_1d(np.asarray(value, float)), _EXACT
+        integral, tolerance = np.atleast_1d(np.asarray(value, float)), _SETTINGS.exact_tolerance
         if source != "exact":
             size = float(np.abs(integral).max())
-            tolerance = max(_BY_QUADRATURE, _SIGMAS * error / size if size else 0.0)
+            errors_allowed = _SETTINGS.sigmas * error / size if size else 0.0
+            tolerance = max(_SETTINGS.quadrature_tolerance, errors_allowed)
         biased = not np.isnan(integral).any() and (change.biased or not setup.unbiased)
         errors = Errors.of(
             cost,
@@ -261,64 +287,67 @@ def remedies(
     max_evaluations: int | None = None,
     workers: int | None = None,
 ) -> xr.Dataset:
-    """Try changes to an estimator and its sampler at equal cost, rank them and say why they help.
+    """Try changes to an estimator and its sampler at equal cost, rank them, and explain the gains.
 
-    All changes together take 10 to 25 times budget · realizations evaluations of a user's function: some
-    20 million at a budget of 1,000 with the default realizations.
+    All changes together take 10 to 25 times budget · realizations evaluations of a user's function:
+    about 20 million at a budget of 1,000 with the default realizations.
 
     Parameters
     ----------
     estimator, sampler
-        The set-up as given.
+        The given set-up.
     budget
-        Evaluations of the integrand an estimate may take: what n costs is Σ counts · n.
+        Evaluations of the integrand in one estimate. An estimate with n points takes Σ counts · n.
     dims
-        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
-        that is not a spec.
+        Number of dims of a function, or of a spec that leaves it open. The default is the number of
+        dims of the sampler, if the sampler is not a spec.
     realizations
-        Realisations of each set-up at each of five budgets, from 100 to 100 000.
+        Realizations of each set-up at each of five budgets, from 100 to 100 000.
     rng
         Seed (SPEC 7), common to all set-ups.
     kinds
-        Which changes to try; all by default: see `mcspectra.improve.candidates.KINDS`.
+        Kinds of change to try; all by default. See `mcspectra.improve.candidates.KINDS`.
     workers
         Threads; all processors by default. Results do not depend on it.
     max_evaluations
-        Most evaluations of the integrand: less than the set-up as given and its diagnosis take is refused before
-        any is made; the rest is shared by the kinds, and what does not fit into a share is not tried.
+        Most evaluations of the integrand. A limit below the evaluations of the given set-up and its
+        diagnosis is refused before any evaluation. The kinds share the rest equally; a change that
+        does not fit into a share is not tried.
 
     Returns
     -------
     xarray.Dataset
-        On the dim ``remedy``, whose labels are names of changes in the order of their variances at the
-        budget, with ``"as given"`` among them: ``error`` (variance, mean squared error for what
-        is biased, summed over channels) with ``error_ci``; ``error_ratio`` to the set-up as given with
-        ``error_ratio_ci``, all of which hold together at 95 %; ``rate``, ``rate_ci``;
-        ``rate_difference`` with ``rate_difference_ci``, likewise; ``rank_by_rate``; the coordinates
-        ``kind``, ``change`` (an imperative), ``verdict`` and ``rate_verdict`` (better, worse,
-        undecided, given) and ``reason``; on (remedy, step): ``cost`` and ``error_at_cost``. The attributes
-        ``diagnosis`` and ``recommendation`` are sentences, ``not_tried`` lists what could not be and why.
+        The labels of the dim ``remedy`` are names of changes in the order of their variances at the
+        budget, with ``"as given"`` among them. Variables on ``remedy``: ``error`` (the variance, or
+        the mean squared error of a biased change, summed over channels) with ``error_ci``;
+        ``error_ratio`` to the given set-up with ``error_ratio_ci``, which hold together at 95 %;
+        ``rate`` and ``rate_ci``; ``rate_difference`` with ``rate_difference_ci``, likewise;
+        ``rank_by_rate``. Coordinates: ``kind``, ``change`` (an imperative), ``verdict`` and
+        ``rate_verdict`` (better, worse, undecided, given) and ``reason``. Variables on (remedy,
+        step): ``cost`` and ``error_at_cost``. The attributes ``diagnosis`` and ``recommendation``
+        are sentences, and ``not_tried`` lists changes that could not be tried, with reasons.
 
     Raises
     ------
     ParameterError, CountError
-        A value is out of range, a kind is unknown, or the budget is below what the set-up needs.
+        A value is out of range, a kind is unknown, or the budget is too small for the set-up.
 
     Notes
     -----
-    ``fitted``, ``regression``, ``order`` and ``preintegrated`` change the estimator by what a pilot shows,
-    an eighth of the budget (4096 evaluations at most), and keep its integral.
-    Where no count of points costs exactly the budget, the largest below is measured and the error is
-    carried to the budget along the fitted rate; the interval knows of the slope's uncertainty. Beside a
-    pilot no error is carried.
-    A user's function is evaluated at most 4/3 · budget · realizations times for each set-up, and 7/3 times
-    budget · realizations more for what costs precision as given; offsets of strata and widths of smooth
-    edges, whose search takes more, are not tried then, nor is what is biased where ∫f is unknown.
-    What is biased, by smoothing or by a sampler that is not randomised, has its error taken about the
-    integral of the given estimator; what is smoothed to another integral has no rate, as its error
-    ends at the square of the bias. Pilots of heuristics and the values that a mean over a box takes count
-    as evaluations. Where all estimates are alike but not the integral, they have missed what is rare:
-    error and ratio are NaN, and the verdict is undecided. Set-ups without a rate are last by rate.
+    ``fitted``, ``regression``, ``order`` and ``preintegrated`` change the estimator after a pilot
+    of an eighth of the budget (at most 4096 evaluations), and keep its integral. If no count of
+    points costs exactly the budget, the largest count below is measured, and the error is
+    extrapolated to the budget along the fitted rate. The interval includes the uncertainty of the
+    slope. Errors are not extrapolated for changes with a pilot. A user's function is evaluated at
+    most 4/3 · budget · realizations times for each set-up, and 7/3 · budget · realizations times
+    for the given set-up's diagnosis. Searches for offsets of strata and for widths of smooth edges
+    take more evaluations, so that these changes are not tried for a user's function. Biased changes
+    are not tried if ∫f is unknown. The error of a change that is biased, by smoothing or by a
+    sampler that is not randomized, is taken about the integral of the given estimator. A change to
+    another integral has no rate, since its error converges to the square of the bias. Pilots of
+    heuristics and the values of a mean over a box count as evaluations. If all estimates are equal
+    but differ from the integral, they have missed a rare event: error and ratio are NaN, and the
+    verdict is undecided. Set-ups without a rate are last by rate.
 
     Examples
     --------
@@ -334,23 +363,23 @@ def remedies(
 
 @dataclass(frozen=True)
 class Trial:
-    """A set-up that was measured, at five costs at most, and what was seen of it."""
+    """A set-up that was measured at up to five costs, and its errors."""
 
     kind: str
     name: str
     change: str
-    setup: str  # texts of estimator and sampler, and the name of a change that depends on n
+    setup: str  # specs of estimator and sampler, and the name of a change that depends on n
     biased: bool
     errors: Errors
-    # Of other warps: whether ∫1/p diverges, and whether g jumps inside, if that was looked for
+    # For other warps: whether ∫1/p diverges, and whether g jumps inside; None if it was not tested
     unbounded: bool = False
     jumps: bool | None = None
-    # Evaluations of a pilot beyond the budget, which the set-up as given is allowed, too
+    # Evaluations of a pilot beyond the budget, which are added to the budget of the given set-up
     pilot: int = 0
-    note: str = ""  # said after the reason
+    note: str = ""  # a sentence after the reason
 
     def column(self, reference: Errors, budget: int, z: float) -> dict[str, Any]:
-        """All that is said of it, beside the set-up as given."""
+        """Return all results of the set-up, compared with the given set-up."""
         errors, found = self.errors, compare(self.errors, reference, budget, self.pilot)
         log_error, influence = errors.at(budget)
         spread = max(math.sqrt(float(np.mean(influence**2)) / len(influence)), 1e-9)
@@ -382,9 +411,9 @@ class Trial:
 def ranked(
     tried: Sequence[Trial], not_tried: Sequence[str], budget: int, diagnosis: Diagnosis
 ) -> xr.Dataset:
-    """Compare all trials with the first, the set-up as given, and order them as `remedies` does."""
+    """Compare all trials with the first, the given set-up, and sort them; see `remedies`."""
     start = tried[0]
-    z = simultaneous_z(2 * (len(tried) - 1))  # of the errors and of the rates
+    z = simultaneous_z(2 * (len(tried) - 1))  # one comparison of errors and one of rates each
     columns = [t.column(start.errors, budget, z) for t in tried]
     columns.sort(key=lambda c: float(np.nan_to_num(c["error_ratio"], nan=np.inf)))
     for column in columns:
@@ -399,7 +428,7 @@ def ranked(
             "remedy": [c["name"] for c in columns],
             **{name: ("remedy", [c[name] for c in columns]) for name in _TEXTS},
             "bound": ["low", "high"],
-            "step": np.arange(_STEPS),
+            "step": np.arange(_SETTINGS.steps),
         },
         simultaneous_z=z,
         diagnosis=diagnosis.text,
@@ -411,23 +440,23 @@ def ranked(
 
 @dataclass(frozen=True)
 class _Trials:
-    """Set-ups that were measured, and why others could not; the diagnosis of that given."""
+    """Measured set-ups, reasons why others were not measured, and the diagnosis of the given one."""
 
     tried: list[Trial]
     not_tried: list[str]
     diagnosis: Diagnosis | None
 
     def merge(self, other: _Trials) -> _Trials:
-        """Those of both, in their order."""
+        """Return the trials of both, in their order."""
         diagnosis = self.diagnosis or other.diagnosis
         return _Trials(self.tried + other.tried, self.not_tried + other.not_tried, diagnosis)
 
 
 def _affordable(setup: Setup, budget: int) -> dict[int, int]:
-    """The counts that fit into the budgets of the steps, each larger than the last."""
+    """Return the ascending counts that fit into the budgets of the steps, by step."""
     found: dict[int, int] = {}
-    for step in range(_STEPS):
-        n = affordable_count(setup, budget // _RATIO ** (_STEPS - 1 - step))
+    for step in range(_SETTINGS.steps):
+        n = affordable_count(setup, budget // _SETTINGS.ratio ** (_SETTINGS.steps - 1 - step))
         if n and n > max(found.values(), default=0):
             found[step] = n
     return found
@@ -438,18 +467,18 @@ def _interval(centre: float, half: float) -> list[float]:
 
 
 def _verdict(interval: list[float]) -> str:
-    """What an interval of a logarithm or a difference supports; lower is better."""
+    """Return the verdict of an interval of a logarithm or a difference; lower is better."""
     low, high = interval
     return "better" if high < 0 else "worse" if low > 0 else "undecided"
 
 
 def _padded(values: Array) -> list[float]:
-    """Values of the last steps, NaN for those whose budget was too small."""
-    return [math.nan] * (_STEPS - len(values)) + [float(v) for v in values]
+    """Return the values of all steps, NaN for the first steps, whose budget was too small."""
+    return [math.nan] * (_SETTINGS.steps - len(values)) + [float(v) for v in values]
 
 
 def _recommendation(columns: list[dict[str, Any]], budget: int, reasons: Sequence[str]) -> str:
-    """What to do, as far as the intervals support it."""
+    """Return the recommendation that the intervals support."""
     if _given(columns)["blind"]:
         return (
             "All estimates of the set-up as given are alike and miss the integral: none has met what "
@@ -484,7 +513,7 @@ def _recommendation(columns: list[dict[str, Any]], budget: int, reasons: Sequenc
 
 
 def _later(columns: list[dict[str, Any]], best: dict[str, Any] | None) -> str:
-    """What pays at larger budgets: the best rate, where it is better and not that of the best."""
+    """Return a sentence about the change with the best rate, if larger budgets favor it."""
     found = [
         c
         for c in columns
@@ -502,7 +531,7 @@ def _later(columns: list[dict[str, Any]], best: dict[str, Any] | None) -> str:
 
 
 def _rate(value: float) -> str:
-    """A rate as tables write it, with a proper minus."""
+    """Return a rate with two digits and a proper minus, as in tables."""
     return f"{value:.2f}".replace("-", "−")
 
 
@@ -519,8 +548,8 @@ class Errors:
     bias: Array  # mean estimate minus the integral, (N, C)
     influence: Array  # ψ, (N, R)
     noise: Array  # v below which the estimates differ by rounding only, (N,)
-    blind: Array  # whether the estimates are all alike, but not the integral, (N,)
-    # Of the cost, before the first point: it does not grow, and is no part of the rate
+    blind: Array  # whether the estimates are all equal, but differ from the integral, (N,)
+    # Evaluations before the first point; the rate leaves them out, since they do not grow
     overhead: int = 0
 
     @staticmethod
@@ -533,12 +562,12 @@ class Errors:
         tolerance: float = 1e-9,
         overhead: int = 0,
     ) -> Errors:
-        """Errors of estimates (R, C), one array for each cost, of the integral (C,).
+        """Compute errors of estimates (R, C), one array for each cost, of the integral (C,).
 
-        What is `biased` has its error about the integral, else about the mean of the estimates;
-        `tolerance` is how well the integral is known, relative to it.
+        Errors are about the integral if `biased`, else about the mean of the estimates. `tolerance`
+        is the relative tolerance of the integral.
         """
-        # Mean squared errors and influences (R,), about the integral or the mean
+        # Compute mean squared errors and influences (R,), about the integral or the mean
         parts = []
         for values in estimates:
             count = len(values)
@@ -578,9 +607,10 @@ class Errors:
         return np.array([_standard_error(psi) for psi in self.influence])
 
     def rate(self) -> tuple[float, Array]:
-        """Slope of log v against log cost without overhead, and the influence of each realisation on it, (R,).
+        """Fit the slope of log v against log cost without overhead, and its influences (R,).
 
-        Weighted least squares as in `mcspectra.core.fits`; NaN where fewer than two can be fitted.
+        The fit is by weighted least squares as in `mcspectra.core.fits`; NaN for fewer than two
+        errors.
         """
         used = self.used
         if used.sum() < 2:
@@ -592,13 +622,14 @@ class Errors:
         return float((slope * y).sum()), weighted_sum(slope, self.influence[used])
 
     def fit(self) -> RateFit:
-        """The rate with its interval and lack of fit, as `mcspectra.convergence` gives it."""
+        """Fit the rate with its interval and lack of fit; see `mcspectra.convergence`."""
         return fit_rate(self.cost - self.overhead, self.error, self.relative_se, self.noise)
 
     def at(self, budget: float, *, carry: bool = True) -> tuple[float, Array]:
-        """log v at a cost of `budget`, and its influences (R,): the last error, carried by the rate.
+        """Return log v at a cost of `budget` and its influences (R,), extrapolated along the rate.
 
-        Beside a pilot it is not: what that takes is lost, and counts of nets are half of what else fits.
+        The last error is not extrapolated after a pilot: its evaluations are lost, and nets then
+        often have half the points that would fit into the budget.
         """
         last = len(self.cost) - 1
         if not self.used[last]:
@@ -616,27 +647,27 @@ class Errors:
 
 @dataclass(frozen=True)
 class Comparison:
-    """One set-up against another: the ratio of variances at a budget, and the difference of rates."""
+    """Ratio of the variances of two set-ups at a budget, and the difference of their rates."""
 
     # log(v/v_reference) and its standard error
     log_ratio: float
     log_ratio_se: float
-    # Rate minus the reference's, and its standard error; NaN where a rate is
+    # Difference of the rate and the reference's rate, and its standard error; NaN if a rate is NaN
     rate_difference: float
     rate_difference_se: float
 
 
 def compare(errors: Errors, reference: Errors, budget: float, pilot: int = 0) -> Comparison:
-    """Compare two set-ups of as many realisations on the same random numbers.
+    """Compare two set-ups with the same number of realizations on the same random numbers.
 
-    The reference has the budget and what a pilot of the other took beyond it.
+    The budget of the reference includes `pilot` evaluations that the other set-up took beyond it.
     """
     carry = not errors.overhead and not reference.overhead
     own, own_influence = errors.at(budget, carry=carry)
     other, other_influence = reference.at(budget + pilot, carry=carry)
     rate, slope = errors.rate()
     other_rate, other_slope = reference.rate()
-    # Curves that bend or wobble know their slope less well than their scatter says
+    # Widen the error of the slope if the curves do not follow a line within their scatter
     points = ((e, int(e.used.sum()) - 2) for e in (errors, reference))
     bend = max(widening(free, e.fit().chi2) if free > 0 else 1.0 for e, free in points)
     return Comparison(
@@ -654,7 +685,7 @@ def estimates_of(
     realizations: int,
     stream: Stream,
 ) -> Array:
-    """Estimates of realisations 0 … realizations − 1, (R, channels or 1)."""
+    """Return the estimates of realizations 0 … realizations − 1, (R, channels or 1)."""
 
     def block(part: Block) -> Array:
         return estimator.estimate(estimator.draw(sampler, n, stream, *part)).reshape(part[1], -1)
@@ -664,15 +695,15 @@ def estimates_of(
 
 
 def simultaneous_z(comparisons: int) -> float:
-    """Half width, in standard errors, of 95 % intervals that all hold together [Šidák 1967]."""
+    """Return the half width in standard errors of 95 % intervals that hold together [Šidák 1967]."""
     from scipy.special import ndtri
 
     single = 0.95 ** (1.0 / max(1, comparisons))
     return float(ndtri(0.5 * (1.0 + single)))
 
 
-def _standard_error(influence: Array, prior: int = _PRIOR) -> float:
-    """Root of the mean square over √R; few values are drawn towards those of normal estimates."""
+def _standard_error(influence: Array, prior: int = _SETTINGS.prior) -> float:
+    """Return the root mean square over √R, with a prior of normal estimates for few values."""
     count = len(influence)
     square = (np.square(influence).sum() + 2.0 * prior) / (count + prior)
     return math.sqrt(square / count)

@@ -1,14 +1,15 @@
-"""Convergence of variants of a set-up, on the same random numbers: edges smoothed, or mirrored.
+"""Convergence of variants of a set-up on the same random numbers: smoothed edges and mirroring.
 
-docs/theory.md, "Mirroring and smoothing". The bias of a ramp does not go down with n, so that the width
-with the least mean squared error depends on n. The talk to [Singh2019]_ shows six convergence plots:
-original, mirror-random and mirror-uniform, each with and without a shift of the samples.
+See docs/theory.md, "Mirroring and smoothing". The bias of a ramp does not fall with n, so that the
+width with the least mean squared error depends on n. The talk on [Singh2019]_ shows six convergence
+plots: original, mirror-random and mirror-uniform, each with and without a shift of the samples.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
@@ -31,8 +32,20 @@ if TYPE_CHECKING:
 
 __all__ = ["mirror_study", "smoothing_scan"]
 
-_MOST_WIDTHS = 256
 _ORIGINAL = "original"
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class SmoothingSettings:
+    """Settings of scans over the widths of smoothed edges."""
+
+    # Most widths of one scan. A scan of 256 widths of 64 points with the default 1000 realizations
+    # takes 1.6e7 evaluations.
+    most_widths: int = 256
+
+
+_SETTINGS = SmoothingSettings()
 
 
 def smoothing_scan(
@@ -52,32 +65,34 @@ def smoothing_scan(
     Parameters
     ----------
     integrand
-        f, or its spec string.
+        f, or its spec.
     sampler, counts
-        A sampler and one number of points n or ascending ones, in whose number the rate needs two.
+        A sampler, and one number of points n or several in ascending order. A rate needs at least
+        two.
     widths
-        δ, ascending, each as for `mcspectra.smoothed`; 0 is f itself.
+        Widths δ in ascending order; see `mcspectra.smoothed`. A width of 0 is f itself.
     density
-        Importance density, as for `mcspectra.Estimator`.
+        Importance density; see `mcspectra.Estimator`.
     method
-        As for `mcspectra.smoothed`.
+        Same as in `mcspectra.smoothed`.
     realizations, rng, workers
-        As for `mcspectra.convergence`; all widths share random numbers.
+        Same as in `mcspectra.convergence`. All widths share random numbers.
 
     Returns
     -------
     xarray.Dataset
-        ``variance(width, n)`` with ``variance_ci``; ``smoothing_bias(width)``, of the integrals, and
-        ``bias_squared(width)`` with ``bias_squared_ci``, by how well the integrals are known;
-        ``mse(width, n)`` = bias² + variance with ``mse_ci``; ``rate(width)`` of the variance with
-        ``rate_ci``; ``best_width(n)``, that of the least mse, and ``best_width_range(n, bound)``, of all
-        widths whose interval reaches below the top of that interval. Several channels add a dim
-        channel; the best width is that of the sum over them.
+        ``variance(width, n)`` with ``variance_ci``; ``smoothing_bias(width)``, the difference of
+        the integrals, and ``bias_squared(width)`` with ``bias_squared_ci``, from the errors of the
+        integrals; ``mse(width, n)`` = bias² + variance with ``mse_ci``; ``rate(width)`` of the
+        variance with ``rate_ci``; ``best_width(n)``, the width with the least mse, and
+        ``best_width_range(n, bound)``, the range of all widths whose interval of the mse begins
+        below the end of the best interval. Several channels add a dim channel; the best width
+        minimizes the sum over channels.
 
     Raises
     ------
     CountError, ParameterError
-        The sampler cannot do a count, widths are not ascending or cannot be done, dims disagree.
+        The sampler has no set of a count, widths are not ascending or impossible, or dims disagree.
 
     Examples
     --------
@@ -90,8 +105,10 @@ def smoothing_scan(
     given: Any = widths
     if not isinstance(given, Sequence | np.ndarray) or isinstance(given, str):
         raise ParameterError(f"widths is {widths!r:.80}; give a list of ascending widths.")
-    if len(widths) > _MOST_WIDTHS:
-        raise ParameterError(f"widths has {len(widths)} values; give {_MOST_WIDTHS} at most.")
+    if len(widths) > _SETTINGS.most_widths:
+        raise ParameterError(
+            f"widths has {len(widths)} values; give {_SETTINGS.most_widths} at most."
+        )
     places = [as_real(f"widths[{i}]", w, least=0.0) for i, w in enumerate(widths)]
     if not places or sorted(set(places)) != places:
         raise ParameterError(f"widths is {widths!r:.80}; give one or more, ascending.")
@@ -105,7 +122,7 @@ def smoothing_scan(
         workers=workers,
     ).rename(estimator="width")
 
-    # ∫ f_δ − ∫ f, (W[, channels]), and the interval of its square by what is known of both
+    # Compute ∫ f_δ − ∫ f, (W[, channels]), and the interval of its square from the errors of both
     kept = [g is f or isinstance(g, BoxSmoothed) for g in functions]  # boxes keep the integral
     pairs = list(zip(functions, kept, strict=True))
     accuracy = [0.0 if k else integral_accuracy(f)[1] + integral_accuracy(g)[1] for g, k in pairs]
@@ -116,7 +133,7 @@ def smoothing_scan(
     low, high = np.maximum(np.abs(bias) - error, 0.0), np.abs(bias) + error
     square_ci = np.stack([low, high], axis=-1) ** 2
 
-    # Widths of the least error for each n, and the least and largest of those that may have it
+    # Find the width of the least error for each n, and the range of widths that may have it
     mse = measured["variance"].values + np.expand_dims(bias**2, 1)
     mse_ci = measured["variance_ci"].values + np.expand_dims(square_ci, 1)
     total, ci = (mse.sum(axis=2), mse_ci.sum(axis=2)) if f.channels else (mse, mse_ci)
@@ -164,36 +181,39 @@ def mirror_study(
     max_evaluations: int | None = None,
     workers: int | None = None,
 ) -> xr.Dataset:
-    """Measure variances and rates with and without mirroring and homogenisation.
+    """Measure variances and rates with and without mirroring and homogenization.
 
     Parameters
     ----------
     estimator, sampler, counts
-        As for `mcspectra.convergence`; the sampler without a shift at its end. n counts evaluations
-        of the integrand, so that variances at one n are at equal cost.
+        Same as in `mcspectra.convergence`, with a sampler that does not end with a shift. n is the
+        number of evaluations of the integrand, so that variances at one n are at equal cost.
     dims
-        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
-        that is not a spec.
+        Number of dims of a function, or of a spec that leaves it open. The default is the number of
+        dims of the sampler, if the sampler is not a spec.
     mirrorings
-        Which of ``"original"``, ``"integrand"``, ``"random"``, ``"uniform"``
-        (`mcspectra.Mirrored`); the slides' six plots leave out ``"integrand"``.
+        Some of ``"original"``, ``"integrand"``, ``"random"``, ``"uniform"`` (`mcspectra.Mirrored`).
+        The six plots of the slides do not include ``"integrand"``.
     exact
-        Also return exact variances: fast in 1-D, up to minutes a count for shifted sets in 2-D.
+        Whether to return exact variances too. They are fast in 1-D, and take up to minutes for each
+        count of shifted sets in 2-D.
     realizations, rng, max_evaluations, workers
-        As for `mcspectra.convergence`; all curves share random numbers.
+        Same as in `mcspectra.convergence`. All curves share random numbers.
 
     Returns
     -------
     xarray.Dataset
-        ``variance``, ``variance_ci``, ``mean``, ``mean_se``, and with `exact` ``exact_variance`` (NaN
-        where it is not known), on the dims mirroring, homogenized (False, True: with ``shift``) and
-        n; ``rate`` and ``rate_ci`` on the first two; and the dim channel where f has several.
+        ``variance``, ``variance_ci``, ``mean``, ``mean_se``, and with `exact` ``exact_variance``
+        (NaN if it is not known), on the dims mirroring, homogenized (False, True: with ``shift``)
+        and n; ``rate`` and ``rate_ci`` on the first two dims; and the dim channel if f has several
+        channels.
 
     Raises
     ------
     CountError, ParameterError
-        A sampler cannot do a count (``"uniform"`` needs multiples of 2^d), a mirroring is unknown or
-        listed twice, the sampler ends with a shift already, `exact` is neither True nor False.
+        A sampler has no set of a count (``"uniform"`` needs multiples of 2^d), a mirroring is
+        unknown or listed twice, the sampler already ends with a shift, or `exact` is neither True
+        nor False.
 
     Examples
     --------
@@ -217,7 +237,7 @@ def mirror_study(
         )
     if source.spec.endswith("| shift"):
         raise ParameterError(
-            f"{source.spec} is homogenised already; give it without the shift at its end."
+            f"{source.spec} is homogenized already; give it without the shift at its end."
         )
     samplers = [source, source.then(Shift())]
     estimators = [plain if name == _ORIGINAL else Mirrored(plain, name) for name in names]
@@ -257,5 +277,5 @@ def mirror_study(
 
 
 def _of(measured: xr.Dataset, *names: str) -> Variables:
-    """Some of the variables that were measured, to be part of another dataset."""
+    """Return some of the measured variables, to be part of another dataset."""
     return {name: (tuple(map(str, measured[name].dims)), measured[name].values) for name in names}

@@ -1,9 +1,10 @@
-"""One call: what an estimator's noise is, why, and what to do, within a budget of evaluations.
+"""One call that measures an estimator's noise, finds its causes and advises, within a budget.
 
-Most of the budget goes to scrambled nets, which tell the variance of several samplers at once (`samples`), a
-fifth to lines that show what is rough (`probing`), some to the sampler that is given, where the nets do
-not tell of it. From these the causes are read (`causes`); what is left measures a change that answers
-them, or antithetic pairs in strata where there is none.
+Most of the budget goes to scrambled nets, which give the variances of several samplers at once
+(`samples`). A fifth goes to lines that detect discontinuities and kinks (`probing`), and a part to
+the given sampler, if the nets do not give its variance. `causes` finds the causes in these
+evaluations. The rest of the budget measures a change that answers the causes, or antithetic pairs
+in strata if there is no cause.
 """
 
 from __future__ import annotations
@@ -67,32 +68,63 @@ from mcspectra.samplers import Sampler, as_sampler
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Change", "Profile", "Profiling", "profile"]
+__all__ = ["Change", "Profile", "ProfileSettings", "Profiling", "profile"]
 
-_LEAST = 256  # evaluations
-_WIDTH = 100  # columns of the text of a cause
-_FITTED = 64  # points of each net, that changes are fitted to
-_DEPENDENT = 0.7  # of all draws: fewer effective ones are a cause
-_LEAST_CHECKED = 4  # points that a change is measured at
-_GIVEN_COUNTS = 5
-_LEAST_SETS = 3
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class ProfileSettings:
+    """Settings of a profile."""
+
+    # Least budget in evaluations. Twenty nets of four points and the lines need about as many.
+    least_budget: int = 256
+    # Columns of the text of a cause: one line of a usual terminal or page.
+    width: int = 100
+    # Points of each net to which changes are fitted: with 20 nets 1280 evaluations. PROFILE_FITTED
+    fitted_points: int = 64
+    # Largest ratio of effective to all draws of a chain at which dependence is named a cause. The
+    # upper end of its interval is compared, and standard errors at this ratio are 20 % larger.
+    dependent: float = 0.7
+    # Least points of each net at which a change is measured. Nets of two points have no rate.
+    least_checked: int = 4
+    # Most counts at which a sampler is measured, in octaves: B/2, B/4, …, B/32 of its evaluations.
+    # PROFILE_COUNTS
+    counts: int = 5
+    # Least number of sets for a variance; with three the jackknife has two degrees of freedom.
+    least_sets: int = 3
+    # Standard error of a rate by theory, which holds for large counts only. PROFILE_THEORY
+    theory_error: float = 0.08
+    # Standard error of a slope over few octaves at a jump along an axis, as ends of strata fall
+    # anywhere next to the jump and the curve is a saw. PROFILE_TEETH
+    teeth_error: float = 0.5
+    # Standard error of the belief that a change of the estimator keeps the rate. PROFILE_ALIKE
+    alike_error: float = 0.4
+    # Number of standard errors between the mean of a change without variance and the mean of the
+    # nets at which the change is dropped. A normal mean is beyond 4 with probability 6e-5.
+    off_sigmas: float = 4.0
+    # Number of points of a net below which no rate of a change is taken to be steeper than
+    # `steepest_rate`. Few points are not yet in the range of a steep rate, and the gain at the
+    # budget would be exaggerated. PROFILE_FEW
+    few_points: int = 16
+    steepest_rate: float = -2.0
+    # Points of a density's sampler that are tested to lie in the unit cube.
+    tested_points: int = 64
+
+
+_SETTINGS = ProfileSettings()
 _PAIRS = "antithetic-jittered"
-_THEORY = 0.08  # of a rate, at counts of points that are not large
-# Causes that are of a sampler's sets alone
+_WEIGHTED = 3  # number of functions of a weighted integrand: f, pdf and sample
+# Causes that concern the sets of a sampler, not g
 _OF_SETS = {"deterministic-set", "few-realizations", "correlated-replicates"}
-_EXPONENTS = {"interior-jump": 1.0, "axis-parallel-jump": 1.0, "none": 2.0}  # beyond random points
-_TEETH = 0.5  # of a slope over few octaves, as ends of strata fall anywhere beside a jump
-_ALIKE = 0.4  # rates of estimators before and after a change, unless they are seen to differ
-_OFF = 4.0  # standard errors
-_FEW_POINTS, _STEEPEST = 16, -2.0
-_WEIGHTED = 3  # functions: f, pdf and sample
+# Exponents e by cause: variances fall as n^(−1 − e/d) with strata and n^(−1 − e) with nets by
+# theory
+_EXPONENTS = {"interior-jump": 1.0, "axis-parallel-jump": 1.0, "none": 2.0}
 _FIGURES = ("rmse", "rmse_given", "gain", "samples_saved")
-_SEEN = 64  # points of a density that are looked at
 
 
 @final
 class Profiling(Analysis, frozen=True, kw_only=True):
-    """What an estimator's noise is, why, and what to do."""
+    """Size and causes of an estimator's noise, and the change that lowers it."""
 
     function = "profile"
     verb = "profile"
@@ -111,7 +143,7 @@ class Profiling(Analysis, frozen=True, kw_only=True):
     budget: Annotated[
         int,
         Meta(
-            ge=_LEAST,
+            ge=_SETTINGS.least_budget,
             le=2**30,
             description="Evaluations of the integrand, at most and in all.",
             extra={"metavar": "B"},
@@ -119,7 +151,7 @@ class Profiling(Analysis, frozen=True, kw_only=True):
     ] = 4096
 
     def need(self, subject: Subject) -> Need:
-        """The budget is enough for a few points of several nets; techniques have sets of their own."""
+        """Check that the budget allows several nets, and that techniques have their own sets."""
         estimator = subject.estimator
         if not isinstance(estimator, AbstractEstimator):
             raise ParameterError("profile takes one estimator at a time.")
@@ -134,27 +166,27 @@ class Profiling(Analysis, frozen=True, kw_only=True):
         return Need(cost=float(self.budget), memory=memory)
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[xr.Dataset]:
-        """In one block: what is tried depends on what is found."""
+        """Run in one block, since later steps depend on earlier results."""
         return whole(lambda: _profiled(subject, self.budget, stream).dataset, self.budget)
 
 
 @final
 @dataclass(frozen=True)
 class Change:
-    """What to do, and what it is expected to bring.
+    """A change of the set-up, and its expected gain.
 
     Attributes
     ----------
     name, change
         A short label, and an imperative.
     rmse, rmse_given
-        Root mean square error at the budget after the change, and as given.
+        Root mean square error at the budget after the change, and with the given set-up.
     gain, gain_ci
-        Variance as given over that after the change, and its 95 % interval.
+        Variance with the given set-up over the variance after the change, and its 95 % interval.
     samples_saved
-        Evaluations that the set-up as given takes for the same error, less the budget.
+        Evaluations that the given set-up needs for the same error, minus the budget.
     estimator, sampler
-        The set-up after the change, for `mcspectra.convergence` and its like.
+        The set-up after the change, for `mcspectra.convergence` and similar functions.
     """
 
     name: str
@@ -171,31 +203,31 @@ class Change:
 @final
 @dataclass(frozen=True)
 class Profile:
-    """What was found; `text` says it.
+    """The results of a profile; `text` prints them.
 
     Attributes
     ----------
     integral, interval
-        The mean of all nets, and its 95 % interval; infinite where the variance is, or where a few
-        evaluations make it.
+        The mean of all nets, and its 95 % interval. The interval is infinite if the variance is
+        infinite or rests on a few evaluations.
     calls, budget
-        Evaluations of f that were made, and that were allowed.
+        Number of evaluations of f, and the number that was allowed.
     variance, rate, rate_ci
-        Of an estimate of `budget` evaluations with the sampler that is given, with nets where that could
-        not be measured; and the slope of its variance.
+        Variance of an estimate of `budget` evaluations with the given sampler, or with nets if the
+        sampler could not be measured; and the slope of the variance.
     points
-        n of such an estimate: the budget over what each point takes.
+        Number of points n of such an estimate: the budget over the evaluations of each point.
     reference
-        What `best` is held against: the sampler that is given, or random points where that is the same
-        set every time or could not be measured.
+        The sampler with which `best` is compared: the given sampler, or random points if the given
+        sampler always draws the same set or could not be measured.
     causes
-        Most important first.
+        Causes of the noise, the most important first.
     best
-        What to do; None where nothing is better than what is given.
+        The recommended change; None if no change is better than the given set-up.
     samplers
         Curves of variance by sampler.
     tried, not_tried
-        What was compared, and what could not be and why.
+        Names of the set-ups that were compared, and of others with the reason.
     """
 
     subject: str
@@ -217,14 +249,14 @@ class Profile:
 
     @property
     def answer(self) -> str:
-        """What to do and why, in two or three sentences."""
+        """The advice and its reason, in two or three sentences."""
         cause = self.causes[0]
         why = "" if cause.name == "none" else f" Cause: {cause.name}. {cause.sentence}"
         if not self.samplers:
             low, high = self.interval
             return f"The mean of the draws is {_shown(self.integral, low, high)}.{why}"
         if cause.name == "wrong-pdf":
-            return f"Mend the density first.{why}"
+            return f"Fix the density first.{why}"
         if self.best is None and math.isinf(self.variance):
             return f"Nothing that was tried helps.{why}"
         if self.best is None:
@@ -252,7 +284,7 @@ class Profile:
 
     @property
     def text(self) -> str:
-        """All of it, as lines of text."""
+        """All results, as lines of text."""
         low, high = self.interval
         found = [
             # The causes follow with their sentences
@@ -263,7 +295,9 @@ class Profile:
         found.append("causes")
         for cause in self.causes:
             line = f"{cause.name}: {cause.sentence}"
-            found += textwrap.wrap(line, _WIDTH, initial_indent="  ", subsequent_indent="    ")
+            found += textwrap.wrap(
+                line, _SETTINGS.width, initial_indent="  ", subsequent_indent="    "
+            )
         if not self.samplers:
             return "\n".join(found)
         found.append(f"calls      {self.calls} of {self.budget}")
@@ -287,7 +321,7 @@ class Profile:
         return rows
 
     def _rmse(self, curve: Curve) -> float:
-        """At the budget; NaN where nothing is known beyond the counts, or nothing was met that varies."""
+        """Return the RMSE at the budget; NaN without a rate beyond the counts, or if nothing varied."""
         if math.isinf(self.variance):
             return math.inf
         if math.isnan(curve.rate) and max(curve.counts, default=math.inf) < self.points:
@@ -313,7 +347,7 @@ class Profile:
 
     @property
     def dataset(self) -> xr.Dataset:
-        """The curves on (sampler, n), NaN where a sampler was not looked at, and the answer as attributes."""
+        """The curves on (sampler, n), NaN at other counts, with the answer as attributes."""
         ns = sorted({int(n) for curve in self.samplers.values() for n in curve.counts})
         place = {n: k for k, n in enumerate(ns)}
         shape = (len(self.samplers), len(ns))
@@ -349,7 +383,7 @@ class Profile:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers, texts and lists."""
+        """Return plain numbers, texts and lists."""
         found = {
             name: getattr(self, name)
             for name in (
@@ -383,27 +417,28 @@ def profile(
     workers: int = 1,
     cache: str | os.PathLike[str] | None = None,
 ) -> Profile:
-    """Find what an estimator's noise is, why, and what to do.
+    """Measure an estimator's noise, find its causes, and recommend a change.
 
     Parameters
     ----------
     f
-        A vectorised function of points (…, d) to values (…), an integrand, an estimator, or a spec; three
-        functions (f, pdf, sample) on the unit cube, where points are drawn by sample(u) and weighted with
-        1/pdf; or draws of Markov chains, or independent estimates, as `chain_error` takes them, which are
-        not sampled further.
+        A vectorized function of points (…, d) to values (…), an integrand, an estimator, or a spec.
+        Or three functions (f, pdf, sample) on the unit cube: points are drawn by sample(u) and
+        weighted with 1/pdf. Or draws of Markov chains or independent estimates, as in
+        `chain_error`; nothing is sampled then.
     sampler
-        What is used today.
+        The sampler in use.
     dims
-        Number of dims, of functions and specs; by default those of a sampler that is not a spec.
+        Number of dims of a function or a spec. The default is the number of dims of the sampler, if
+        the sampler is not a spec.
     budget
-        Evaluations of f, at most and in all, from 256. Where f is quick, 262,144 tell rates to about 0.05 instead
-        of 0.1, in less than a second.
+        Most evaluations of f in all, at least 256. With 262,144 evaluations, which take less than a
+        second if f is fast, errors of rates are about 0.05 instead of 0.1.
     rng
         Seed (SPEC 7).
     vectorized, workers, cache
-        Of functions that are slow: as of `mcspectra.integrands.Calls`. What was interrupted goes on from the
-        cache.
+        Options for slow functions; see `mcspectra.integrands.Calls`. An interrupted profile
+        continues from the cache.
 
     Returns
     -------
@@ -413,7 +448,7 @@ def profile(
     Raises
     ------
     ParameterError
-        No function, or the budget is too small for it.
+        f is not a function, or the budget is too small for it.
 
     Examples
     --------
@@ -425,11 +460,11 @@ def profile(
     weighted = isinstance(f, tuple) and len(f) == _WEIGHTED and all(map(callable, f))
     if not (isinstance(f, AbstractEstimator | Integrand | str) or callable(f) or weighted):
         return _of_draws(f)
-    limit = as_integer("budget", budget, least=_LEAST, most=2**30)
+    limit = as_integer("budget", budget, least=_SETTINGS.least_budget, most=2**30)
     given, *density = f if weighted else (f,)
     calls = given.function if isinstance(given, FunctionIntegrand) else None
     if is_function(given):
-        # A function goes behind the door that counts its calls
+        # Wrap a function in an object that counts its calls
         known = sampler.dims if dims is None and isinstance(sampler, Sampler) else dims
         calls = Calls(
             given,
@@ -442,12 +477,12 @@ def profile(
         given = FunctionIntegrand(function=calls, dims=calls.dims)
     with calls if isinstance(calls, Calls) else contextlib.nullcontext():
         estimator = as_estimator(given, dims)
-        if density:  # not checked here, as what it does wrong is a cause
+        if density:  # the density is not checked here, since its faults are causes
             pdf, sample = density
             own = FunctionDensity(dims=estimator.dims, pdf_function=pdf, sample_function=sample)
-            u = as_sampler("random", own.primary_dims).draw(_SEEN)[0]
+            u = as_sampler("random", own.primary_dims).draw(_SETTINGS.tested_points)[0]
             x = np.zeros(1)
-            with contextlib.suppress(Exception):  # which is a cause, as all that is wrong with it
+            with contextlib.suppress(Exception):  # an exception is reported as a cause later
                 x = np.asarray(sample(u), float)
             if np.isfinite(x).all() and not in_unit_cube(x):
                 raise DomainError(
@@ -460,12 +495,12 @@ def profile(
         Profiling(budget=limit).need(subject)
         found = _profiled(subject, limit, Stream.from_rng(rng))
     if isinstance(calls, Calls):
-        calls.budget = sys.maxsize  # what is advised can be used
+        calls.budget = sys.maxsize  # the recommended estimator can be used without a limit
     return found
 
 
 def _of_draws(draws: Any) -> Profile:
-    """What chains say of themselves; draws that depend on each other are a cause, too."""
+    """Profile the draws of chains; dependence between draws is also a cause."""
     try:
         found = chain_error(draws)
     except McspectraError as error:
@@ -481,14 +516,14 @@ def _of_draws(draws: Any) -> Profile:
     name, (sentence, *others) = names[0], [f"{each[0].upper()}{each[1:]}." for each in said]
     count, effective = found.attrs["chains"] * found.attrs["draws"], float(found["ess"])
     evidence = {"draws": float(count), "effective": effective}
-    if name == "none" and float(found["ess_ci"][1]) < _DEPENDENT * count:
+    if name == "none" and float(found["ess_ci"][1]) < _SETTINGS.dependent * count:
         name = "correlated-replicates"
         sentence = f"The {count} draws depend on each other and count as {effective:.0f}."
     step = grain(draws) if isinstance(draws, np.ndarray) else 0.0
     spread = float(found["mcse"]) * math.sqrt(effective)
     if name == "none" and step > COARSE * spread:
         name, evidence = "float-drift", {"step": step, "spread": spread}
-        sentence = f"Draws are rounded to steps of {step:.2g}, beside a spread of {spread:.2g}."
+        sentence = f"Draws are rounded to steps of {step:.2g}; their spread is {spread:.2g}."
     low, high = found["mean_ci"].values.tolist()
     return Profile(
         subject="draws",
@@ -509,7 +544,7 @@ def _of_draws(draws: Any) -> Profile:
 
 
 def _shape(causes: Sequence[Cause]) -> str:
-    """The first cause that is of g itself: what is wrong with the sets of a sampler leaves the rates of others."""
+    """Return the first cause that concerns g rather than the sets of the given sampler."""
     return next((cause.name for cause in causes if cause.name not in _OF_SETS), "none")
 
 
@@ -520,7 +555,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     each = sum(estimator.counts) * estimator.evaluations_per_point
     points = budget // each
 
-    # The sampler as given
+    # Measure the given sampler
     curves, not_tried = dict(evidence.curves), []
     evidence = replace(evidence, curves=curves)
     if is_apart(estimator, given):
@@ -539,10 +574,10 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
                 evidence = replace(evidence, replicates=_replicates(drawn, np.empty(0)))
 
     causes = causes_of(evidence)
-    # Pairs about the centres of strata, which nets do not tell of, have the exponent −1 − 4/d where g is
-    # smooth: cubic stratification of second order
+    # Measure pairs about the centers of strata, which nets do not include. For a smooth g they have
+    # the rate −1 − 4/d: cubic stratification of second order
     if _shape(causes) == "none" and estimator.counts == (1,) and given.spec != _PAIRS:
-        with contextlib.suppress(McspectraError):  # too many dims, or too few evaluations
+        with contextlib.suppress(McspectraError):  # there are too many dims or too few evaluations
             pairs = as_sampler(_PAIRS, estimator.dims)
             curve, _, cost = _measured(estimator, pairs, budget - calls, stream.child(97))
             calls += cost
@@ -551,15 +586,15 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         name: _by_theory(name, curve, causes, estimator.dims, points)
         for name, curve in curves.items()
     }
-    # What is the same every time, or was not measured, is no reference
+    # Use random points as the reference if the given sampler is fixed or was not measured
     fixed = any(cause.name in {"deterministic-set", "correlated-replicates"} for cause in causes)
     if any(cause.name == "deterministic-set" for cause in causes):
-        curves.pop(given.spec, None)  # by which it has no error
+        curves.pop(given.spec, None)  # its curve has no error
     reference = "random" if fixed or given.spec not in curves else given.spec
     best, changed = None, list[str]()
-    if all(c.name != "infinite-variance" or c.kinds for c in causes):  # there is an integral
+    if all(c.name != "infinite-variance" or c.kinds for c in causes):  # the integral exists
         usable = {name: c for name, c in curves.items() if name == reference or name != given.spec}
-        # The sampler of least variance, if its interval leaves the one that is given out
+        # Recommend the sampler of least variance if its interval excludes the given one
         sizes = {name: curve.at(points) for name, curve in usable.items()}
         name = min(sizes, key=lambda c: sizes[c][0] * math.exp(sizes[c][1]))
         varies = len(usable[reference].counts) > 0  # else there is no variance to lower
@@ -576,7 +611,8 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         )
         calls += cost
     curve = curves.get(given.spec, curves[NETS])
-    # Values that rest on few of them say nothing of what they missed, unless lines have seen how g grows
+    # The interval is known if the values do not rest on a few of them, or if lines have fitted a
+    # pole
     names = {cause.name for cause in causes}
     infinite = "infinite-variance" in names
     if infinite and best is not None:
@@ -586,7 +622,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     resolved = bool(Moments.of(sets.pooled, tails=True).resolved)
     known = not infinite and "wrong-pdf" not in names
     known &= resolved or "border-growth" in names
-    # What is to be said where all values are the same
+    # Explain values that are all equal
     if len(sets.values) == 1 and not np.ptp(sets.pooled) > 0.0:
         value, count = float(sets.pooled[0]), sets.pooled.size
         exact = estimator.primary_integrand(0)._integral()
@@ -608,7 +644,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
                 {"integral": mean},
             )
         causes, best, known = [cause], None, known and cause.name == "none"
-    # What was not resolved may be anything: that a change is better was measured, not by how much
+    # Leave out the size of a gain if the variance is not resolved; only its sign was measured
     if best is not None and not infinite and (not known or best.gain_ci[0] <= 1.0):
         best = replace(best, **dict.fromkeys(_FIGURES, math.nan), gain_ci=(math.nan, math.nan))  # type: ignore[arg-type]
     return Profile(
@@ -632,7 +668,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
 
 
 def _shown(value: float, low: float, high: float) -> str:
-    """A number and its interval, with the digits that tell the ends apart."""
+    """Return a number and its interval, with enough digits to distinguish the ends."""
     digits = 6
     if math.isfinite(high - low) and high > low:
         digits = max(digits, math.ceil(math.log10(max(abs(low), abs(high)) / (high - low))) + 2)
@@ -640,15 +676,15 @@ def _shown(value: float, low: float, high: float) -> str:
 
 
 def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, points: int) -> Curve:
-    """A curve with what its causes say of its rate, up to so many points."""
+    """Return a curve whose rate is combined with theory by its causes, for use up to `points`."""
     names = {cause.name: cause for cause in causes}
     if "infinite-variance" in names:
         return replace(curve, rate=math.nan, rate_se=math.nan)
-    # Sets seldom reach what grows without bound
+    # Bound the rate by theory if g grows without bound, since few sets reach the pole
     for cause in causes:
         if cause.name in {"border-growth", "heavy-tail"} and "exponent" in cause.evidence:
             return replace(curve, rate=max(curve.rate, -2.0 * (1.0 - cause.evidence["exponent"])))
-    # Small sets do not tell of larger ones that resolve the waves
+    # Small sets give no rate for larger sets that resolve the waves
     waves = names.get("high-frequency")
     resolved_by = math.inf if waves is None else waves.evidence["resolved_by"]
     if name != "random" and max(curve.counts, default=math.inf) < resolved_by <= points:
@@ -656,28 +692,29 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     first = _shape(causes)
     if name not in {NETS, "jittered"} or first not in _EXPONENTS or not math.isfinite(curve.rate):
         return curve
-    # Of n strata n^(1 − 1/d) meet a jump; nets see one along axes as in 1-D, and so what is smooth, but for at
-    # most d − 1 logarithms: two thirds of them, give or take one
+    # A jump cuts n^(1 − 1/d) of n strata. For a jump along an axis, or a smooth g, nets have the
+    # rate of 1-D with up to d − 1 logarithms; assume two thirds of them, with a standard error of
+    # one third
     strata = name == "jittered" or first == "interior-jump"
     third = 0.0 if strata else (dims - 1) / (3.0 * math.log(curve.counts[-1]))
     rate = -1.0 - _EXPONENTS[first] / (dims if strata else 1) + 2.0 * third
-    if first == "axis-parallel-jump":  # the curve is a saw
-        curve = replace(curve, rate_se=math.hypot(curve.rate_se, _TEETH))
-    return curve.towards(rate, math.hypot(_THEORY, third))
+    if first == "axis-parallel-jump":
+        curve = replace(curve, rate_se=math.hypot(curve.rate_se, _SETTINGS.teeth_error))
+    return curve.towards(rate, math.hypot(_SETTINGS.theory_error, third))
 
 
 def _measured(
     estimator: AbstractEstimator, sampler: Sampler, evaluations: int, stream: Stream
 ) -> tuple[Curve, Replicates, int]:
-    """The curve of a sampler by sets of its own, within so many evaluations, and how many it took."""
-    each = sum(estimator.counts) * estimator.evaluations_per_point
+    """Measure the curve of a sampler within `evaluations`; also return replicates and the cost."""
+    each, least = sum(estimator.counts) * estimator.evaluations_per_point, _SETTINGS.least_sets
     sets = drawn = int(min(FEW_NETS, sets_of(sampler)))
-    if sets < _LEAST_SETS:
-        raise CountError(f"{sampler.spec} has {sets} sets; give {_LEAST_SETS} or more.")
+    if sets < least:
+        raise CountError(f"{sampler.spec} has {sets} sets; give {least} or more.")
     setup, counts = Setup(estimator, sampler), list[int]()
-    while sets > _LEAST_SETS and affordable_count(setup, evaluations // (2 * sets)) is None:
+    while sets > least and affordable_count(setup, evaluations // (2 * sets)) is None:
         sets -= 1
-    for k in range(_GIVEN_COUNTS):
+    for k in range(_SETTINGS.counts):
         n = affordable_count(setup, evaluations // (sets << k + 1))
         if n is not None and n not in counts:
             counts.append(n)
@@ -698,7 +735,7 @@ def _measured(
 
 
 def _replicates(points: Sequence[Array], estimates: Array) -> Replicates:
-    """Sets of each technique's points (R, n, d), which cost no evaluations, and what is known of some of them."""
+    """Return replicates from points of each technique (R, n, d) and the estimates of some sets."""
     x = np.concatenate([np.asarray(p) for p in points], axis=1)
     angle = 2.0 * math.pi * x
     waves = [each.mean(axis=1) for each in (x - 0.5, np.cos(angle), np.sin(angle))]
@@ -715,7 +752,7 @@ def _change(
     after: tuple[float, float],
     setup: tuple[AbstractEstimator, str],
 ) -> Change:
-    """What a change brings: the variance after it and the error of its logarithm, beside what is given."""
+    """Compare the variance after a change and the error of its logarithm with the given set-up."""
     (value, error), (other, other_error) = after, curves[given].at(n)
     gain = other / value if value > 0.0 else math.inf
     half = CONFIDENCE_Z * math.hypot(error, other_error)
@@ -743,54 +780,56 @@ def _improved(
     left: int,
     stream: Stream,
 ) -> tuple[Change | None, list[str], int]:
-    """The change of the estimator that answers its causes, measured with nets; names and calls of what was tried.
+    """Find a change of the estimator that answers its causes; also return tried names and calls.
 
-    It is fitted to the evaluations at nets, and measured at as many points as what is left allows; where it is
-    better than the best sampler at as many evaluations, its own curve tells of the budget.
+    The change is fitted to the evaluations at nets, and measured with nets of as many points as the
+    rest of the budget allows. If it is better than the best sampler at the same evaluations, its
+    own curve gives the variance at the budget.
     """
     estimator = evidence.estimator
     kinds = list(dict.fromkeys(k for cause in causes for k in cause.kinds if k in CHANGES))
     if not kinds or len(estimator.counts) > 1 or estimator.channels:
         return best, [], 0
     points, values = (
-        np.concatenate(list(each[0][:, :_FITTED]))
+        np.concatenate(list(each[0][:, : _SETTINGS.fitted_points]))
         for each in (evidence.sets.points, evidence.sets.values)
     )
     offers, seen = list[Improvement](), Evaluations.of(points, values)
     for kind in kinds:
-        with contextlib.suppress(McspectraError):  # it has nothing to offer here
+        with contextlib.suppress(McspectraError):  # the kind has nothing to offer
             offers += improvements(estimator, seen, [kind])
-    # Few densities make an infinite variance finite
+    # Keep the densities that make an infinite variance finite
     for cause in causes:
         if cause.name == "infinite-variance":
             index = cause.evidence.get("exponent", cause.evidence.get("tail_index", 0.0))
             offers = [offer for offer in offers if offer.finite_below > index]
-    # What takes a jump away gains with nets, which its variance at random points does not tell: it is first
+    # Try the removal of a jump first: its gain with nets is larger than its gain at random points
     jumps = _shape(causes) == "interior-jump"
     offers.sort(key=lambda offer: (not (jumps and offer.kind == "preintegrated"), offer.ratio))
     sampler, tried, calls = as_sampler(NETS, estimator.dims), list[str](), 0
-    base = evidence.curves[given if best is None else best.name]
+    base, least = evidence.curves[given if best is None else best.name], _SETTINGS.least_checked
     for offer in offers:
         each, wanted = offer.estimator.evaluations_per_point, FEW_NETS
-        if jumps and not tried and offer is not offers[-1]:  # leave as much for another one
-            wanted = FEW_NETS if left >= 2 * _LEAST_CHECKED * each * FEW_NETS else FEW_NETS // 2
+        if jumps and not tried and offer is not offers[-1]:  # leave evaluations for another change
+            wanted = FEW_NETS if left >= 2 * least * each * FEW_NETS else FEW_NETS // 2
         n = affordable_count(Setup(offer.estimator, sampler), (left - calls) // wanted)
-        if n is None or n < _LEAST_CHECKED:
+        if n is None or n < least:
             continue
         tried.append(offer.name)
         calls += n * wanted * each
         cost, at_budget = n * each / estimator.evaluations_per_point, budget // each
         made = Sets.of(offer.estimator, n, wanted, stream.child(len(tried)))
-        # What never met where g is does not vary, and has another mean
+        # Drop a change that does not vary and has another mean: its points missed the peak of g
         seen_sets = evidence.sets.estimates
         off = abs(float(made.estimates.mean() - seen_sets.mean())) * math.sqrt(len(seen_sets))
-        if not np.ptp(made.estimates) > 0.0 and off > _OFF * float(seen_sets.std()):
+        if not np.ptp(made.estimates) > 0.0 and off > _SETTINGS.off_sigmas * float(seen_sets.std()):
             continue
-        curve = made.curves()[NETS].towards(base.rate, _ALIKE)
-        if n < _FEW_POINTS:  # which show no steep rate yet
-            curve = replace(curve, rate=max(curve.rate, _STEEPEST))
+        curve = made.curves()[NETS].towards(base.rate, _SETTINGS.alike_error)
+        if n < _SETTINGS.few_points:
+            curve = replace(curve, rate=max(curve.rate, _SETTINGS.steepest_rate))
         (ours, ours_se), (other, other_se) = curve.at(n), base.at(cost)
-        # Few points carry neither its rate nor its gain far: the mean of both, half their difference unsure
+        # Extrapolate by the geometric mean of its rate and its gain, half their difference as the
+        # error
         points_at_budget = budget // estimator.evaluations_per_point
         (value, error), at_best = curve.at(at_budget), base.at(points_at_budget)[0]
         kept = ours / other * at_best if other > 0.0 else 0.0

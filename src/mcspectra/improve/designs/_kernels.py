@@ -71,7 +71,7 @@ def flip_tree(table: Array, codes: Array, axes: int, bits: int) -> bool:
     for axis in range(axes):
         low = (axes - 1 - axis) * bits
         for level in range(bits):
-            node = low + bits - level  # bits from here on, within the axis, are the prefix
+            node = low + bits - level  # position of the bits of the prefix within the axis
             flip = 1 << (node - 1)
             done = np.zeros(n, np.bool_)
             for first in range(n):

@@ -1,4 +1,4 @@
-"""Samplers designed for a class of integrands, and certificates of what they gain."""
+"""Samplers designed for a class of integrands, and certificates of their gain."""
 
 from __future__ import annotations
 
@@ -8,15 +8,17 @@ import math
 import shutil
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, final, overload
 from uuid import uuid4
 
 import numpy as np
 
 from mcspectra.core.cache import cache_folder
 from mcspectra.core.checks import as_choice, as_integer
+from mcspectra.core.confidence import student_t
 from mcspectra.core.decoding import path_to_write
 from mcspectra.core.errors import FileFormatError, McspectraError, Parameter, ParameterError
 from mcspectra.core.progress import report
@@ -24,7 +26,7 @@ from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.densities import Density
 from mcspectra.improve.designs.objectives import as_objective
-from mcspectra.improve.designs.searches import KINDS, Candidate, mean_variances
+from mcspectra.improve.designs.searches import KINDS, Design, SearchSettings, mean_variances
 from mcspectra.improve.learned import learned_density
 from mcspectra.samplers import Sampler
 from mcspectra.samplers import sampler as sampler_of
@@ -35,19 +37,35 @@ if TYPE_CHECKING:
 
 __all__ = ["certificate", "design"]
 
-_VERSION = 3  # of the searches: samplers of another one are not taken from the cache
-# Points and members whose values name a class in the cache, beside its text: of functions alone the
-# values tell, and they may be 0 but for a small spot
-_PROBES, _MEMBERS = 2**13, 256
-_RIVALS = (
-    "sobol | owen",
-    "pmj02",
-    "korobov | shift",
-    "rank1-lattice | shift",
-    "fibonacci | shift",
-)
-_GROUPS = 20  # of members, each with realisations of its own
-_T95 = 2.0930240544082634  # 97.5 % quantile of Student's t, 19 degrees of freedom
+_VERSION = 3  # version of the searches; the cache ignores samplers of other versions
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class DesignSettings:
+    """Settings of the cache of designs and of certificates."""
+
+    # Points and members whose values identify a class in the cache, together with its text.
+    # Functions have no text that identifies them, and their values may be 0 outside a small region:
+    # 64 points missed disks of radius 0.1, and 8192 points miss a region of volume 1e-3 with
+    # probability 3e-4.
+    cache_points: int = 2**13
+    cache_members: int = 256
+    # Samplers that a certificate compares with by default: the usual samplers with the least
+    # variance.
+    rivals: tuple[str, ...] = (
+        "sobol | owen",
+        "pmj02",
+        "korobov | shift",
+        "rank1-lattice | shift",
+        "fibonacci | shift",
+    )
+    # Groups of members of a certificate, each with its own realizations. The errors have 19 degrees
+    # of freedom, so that intervals by Student's t are 7 % wider than with many groups.
+    groups: int = 20
+
+
+_SETTINGS = DesignSettings()
 
 
 @overload
@@ -75,6 +93,7 @@ def design(
     dims: int | None = None,
     rng: RngLike = 0,
     path: str | PathLike[str] | None = None,
+    settings: SearchSettings | None = None,
 ) -> Sampler: ...
 
 
@@ -90,48 +109,56 @@ def design(
     sampler: Sampler | str | None = None,
     budget: int | None = None,
     defensive: float | None = None,
+    settings: SearchSettings | None = None,
 ) -> Sampler | Density:
-    """Search a sampler of small expected variance over a class of integrands, or learn a density for one.
+    """Search a sampler of small expected variance over a class of integrands, or learn a density.
 
     Parameters
     ----------
     kind
-        ``"lattice"`` (generating vectors: all in 2-D, else axis after axis), ``"polynomial-lattice"``,
-        ``"digital-net"`` (generator matrices), ``"owen"`` (64 trees of Sobol' points, flipped; t stays),
-        ``"strata"`` (shape, and how points of different strata go together) or ``"points"`` (free sets: sets that share
-        out a grid, or one on the torus by its gradient); or ``"density"``: `learned_density`.
+        ``"lattice"`` (generating vectors: all in 2-D, else axis by axis), ``"polynomial-lattice"``,
+        ``"digital-net"`` (generator matrices), ``"owen"`` (64 flipped trees of Sobol' points with
+        the same t), ``"strata"`` (their shape, and the combination of points of different strata)
+        or ``"points"`` (sets that divide a grid among them, or one set on the torus by its
+        gradient); or ``"density"``: see `learned_density`.
     objective
-        Of a density the integrand. Of a sampler the class. A spec, parameters of which may be ``uniform(a, b)`` or ``normal(mean, sd)``, drawn for
-        each axis where they can be: ``"gaussian(center=uniform(0, 1), width=uniform(0.1, 0.4))"``;
-        ``"gaussians"`` (that one), ``"disks"`` or ``"half-spaces"`` (a uniform direction through a uniform
-        point); a function ``generator -> integrand``; a list of all these, in equal shares, such as the
-        pixels of a scene; ``{"spectrum": P}`` with the powers P(m) = E|f_m|², an array (2h + 1, …) of
-        m = −h … h or, with ``"half_width": h``, a callable of m (k, d); ``{"covariance": C}``,
-        C_ml = E[f_m conj(f_l)] as a matrix of these m in C order, or a callable of m and l.
+        The integrand of a density, or the class of a sampler. A class is a spec, whose parameters
+        may be ``uniform(a, b)`` or ``normal(mean, sd)``, drawn for each axis if possible:
+        ``"gaussian(center=uniform(0, 1), width=uniform(0.1, 0.4))"``; ``"gaussians"`` (this one),
+        ``"disks"`` or ``"half-spaces"`` (a uniform direction through a uniform point); a function
+        ``generator -> integrand``; a list of all these, in equal shares, such as the pixels of a
+        scene; ``{"spectrum": P}`` with the powers P(m) = E|f_m|², an array (2h + 1, …) of m = −h …
+        h or, with ``"half_width": h``, a callable of m (k, d); ``{"covariance": C}``, C_ml = E[f_m
+        conj(f_l)] as a matrix of these m in C order, or a callable of m and l.
     n
         Number of points. Nets and trees take powers of two.
     dims
-        Number of dims, up to 8; by default those of the integrands, or 2 where they have any.
+        Number of dims, up to 8. The default is the number of dims of the integrands, or 2 if they
+        fit any number.
     rng
         Seed. The same seed gives the same sampler.
     path
-        File to keep the sampler or the density in, .json; sets, where there are any, go into a .npz file of the
-        same name. By default the cache folder.
+        File for the sampler or the density, .json. Sets of points go into a .npz file of the same
+        name. The default is the cache folder.
     family, sampler, budget, defensive
-        Of a density alone: `kind` (by default ``"mixture"``), `sampler` (``"sobol | owen"``), `evaluations` and
-        `defensive` of `learned_density`.
+        Options of a density: `kind` (default ``"mixture"``), `sampler` (default ``"sobol |
+        owen"``), `evaluations` and `defensive` of `learned_density`.
+    settings
+        Settings of the search of a sampler, `mcspectra.improve.designs.searches.SearchSettings`.
 
     Returns
     -------
     Sampler or Density
-        Unbiased for every integrand. Its `spec` makes it again; kinds with sets name their file.
+        It is unbiased for every integrand. Its `spec` makes it again; kinds with sets name their
+        file.
 
     Raises
     ------
     CountError
         The kind has no sets of n points.
     ParameterError
-        Unknown kind; an option of densities with a sampler; an objective that is empty, constant or cannot be read; dims out of range.
+        The kind is unknown; an option of densities is given with a sampler or the reverse; the
+        objective is empty, constant or cannot be read; dims are out of range.
     DomainError
         Values of an integrand are not finite.
     FileFormatError
@@ -139,9 +166,10 @@ def design(
 
     Notes
     -----
-    The objective is the expected variance tr(C_f C_S), by `improve.designs.searches`. Variances for
-    other classes may be larger than those of usual samplers: see `certificate`. Interrupting the search
-    (Ctrl-C) keeps the best sampler so far, and leaves it out of the cache.
+    The objective is the expected variance tr(C_f C_S); see `improve.designs.searches`. For other
+    classes the variances may be larger than the variances of usual samplers: see `certificate`. If
+    the search is interrupted (Ctrl-C), the best sampler found up to then is returned and is not put
+    into the cache.
 
     Examples
     --------
@@ -152,6 +180,10 @@ def design(
     kind = as_choice("kind", kind, (*KINDS, "density"))
     of_densities = {"family": family, "sampler": sampler, "budget": budget, "defensive": defensive}
     if kind == "density":
+        if settings is not None:
+            raise ParameterError(
+                Parameter("settings"), " is for samplers; leave it out with density."
+            )
         return learned_density(
             objective,
             family or "mixture",
@@ -166,29 +198,34 @@ def design(
     for name, value in of_densities.items():
         if value is not None:
             raise ParameterError(Parameter(name), f" is for densities; leave it out with {kind}.")
+    settings = SearchSettings() if settings is None else settings
+    if not isinstance(settings, SearchSettings):
+        raise ParameterError(
+            Parameter("settings"), f" is {settings!r:.80}; give a SearchSettings, or leave it out."
+        )
     n = as_integer("n", n, least=1, most=2**16)
     goal = as_objective(objective, dims)
     stream = Stream.from_rng(rng)
     chosen = path_to_write(path, "a file for the sampler", (".json",))
 
-    # Take it from the cache, where a class is known by its values
-    probes = Stream(0).uniforms(0, _PROBES, goal.dims)
-    values = goal.functions(_MEMBERS, Stream(0).generator(0))(probes)
-    words = f"{_VERSION} {kind} {n} {stream.key} {values.shape} {goal.text} ".encode()
+    # Look for the sampler in the cache, in which values identify a class
+    probes = Stream(0).uniforms(0, _SETTINGS.cache_points, goal.dims)
+    values = goal.functions(_SETTINGS.cache_members, Stream(0).generator(0))(probes)
+    words = (f"{_VERSION} {kind} {n} {stream.key} {settings} {values.shape} {goal.text} ").encode()
     name = hashlib.sha256(words + np.round(values, 12).astype("<f8").tobytes()).hexdigest()
     kept = cache_folder() / "designs" / f"{name[:32]}.json"
     with suppress(OSError, ValueError, KeyError, McspectraError):
         found = sampler_of(json.loads(kept.read_text())["spec"], goal.dims)
         return found if chosen is None else _saved(found, chosen)
 
-    # Where nothing is found before an interrupt there is a usual sampler
+    # Return a usual sampler if an interrupt comes before the first result
     usual = sampler_of("korobov | shift", goal.dims)
-    best, finished = Candidate(math.inf, 0.0, lambda _: usual), False
+    best, finished = Design(math.inf, 0.0, lambda _: usual), False
     try:
-        for candidate in KINDS[kind](goal, n, stream):
-            report(f"design of {kind}, {n} points", candidate.done)
-            if candidate.variance <= best.variance:
-                best = candidate
+        for found_design in KINDS[kind](goal, n, stream, settings):
+            report(f"design of {kind}, {n} points", found_design.done)
+            if found_design.variance <= best.variance:
+                best = found_design
         finished = True
     except KeyboardInterrupt:
         pass
@@ -207,11 +244,11 @@ def design(
 
 
 def _saved(found: Sampler, target: Path) -> Sampler:
-    """Copy a sampler from the cache, with its sets, to a file of the user's."""
+    """Copy a sampler and its sets from the cache to a file of the user."""
     spec = found.spec
     source = next((w for w in spec.split("'") if w.endswith(".npz")), None)
     if source is not None:
-        copy = str(target.with_suffix(".npz").resolve())  # it loads from any folder
+        copy = str(target.with_suffix(".npz").resolve())  # an absolute path works in any folder
         shutil.copyfile(source, copy)
         spec = spec.replace(repr(source), repr(copy))
     target.write_text(json.dumps({"spec": spec, "dims": found.dims}) + "\n")
@@ -229,47 +266,50 @@ def certificate(
     realizations: int = 32,
     rng: RngLike = 1,
 ) -> xr.Dataset:
-    """Measure the mean variance over fresh members of a class, beside that of other samplers.
+    """Measure the mean variance over fresh members of a class, and compare it with other samplers.
 
     Parameters
     ----------
     sampler
         The designed sampler, or any other.
     objective, n
-        As of `design`. Of a class that is a list all integrands are measured: there are no others.
+        Same as in `design`. If the class is a list, all its integrands are measured.
     dims
-        Number of dims; by default that of the sampler.
+        Number of dims. The default is the number of dims of the sampler.
     rivals
-        Samplers to compare with. By default sobol | owen, pmj02, and shifted Korobov, rank-1 and
-        Fibonacci lattices: those that can make n points in these dims.
+        Samplers to compare with. The default is sobol | owen, pmj02, and shifted Korobov, rank-1
+        and Fibonacci lattices, except those without a set of n points in these dims.
     members
-        How many members are drawn, in 20 groups.
+        Number of members that are drawn, in 20 groups.
     realizations
         Independent sets for each group.
     rng
-        Seed, another one than that of the design.
+        Seed. Use another seed than in the design.
 
     Returns
     -------
     xarray.Dataset
-        `mean_variance(sampler)` with `mean_variance_ci`, and `design_ratio`, `design_ratio_ci`: that of the
-        sampler over that of the best rival, chosen for each half of the groups by the other. 95 % intervals
-        by Student's t over groups, of the ratio by the jackknife.
+        `mean_variance(sampler)` with `mean_variance_ci`, and `design_ratio` with `design_ratio_ci`:
+        the mean variance of the sampler over that of the best rival. The rival of each half of the
+        groups is the best in the other half. Intervals at 95 % use Student's t over groups, and the
+        jackknife for the ratio.
 
     Raises
     ------
     ParameterError
-        There is no rival, all variances of the best one vanish, or as of `design`.
+        There is no rival, all variances of the best rival vanish, or an argument of `design` is
+        wrong.
     """
+    groups = _SETTINGS.groups
     given = as_sampler(sampler, dims)
     goal = as_objective(objective, given.dims)
     n = given.check_count(n)
-    members = as_integer("members", members, least=_GROUPS)
+    members = as_integer("members", members, least=groups)
     realizations = as_integer("realizations", realizations, least=2)
     samplers = [given]
     if rivals is not None and (isinstance(rivals, str | bytes) or not isinstance(rivals, Sequence)):
         raise ParameterError(f"rivals is {rivals!r:.80}; give a list of samplers.")
-    for rival in _RIVALS if rivals is None else rivals:
+    for rival in _SETTINGS.rivals if rivals is None else rivals:
         with suppress(*([McspectraError] if rivals is None else [])):
             made = as_sampler(rival, given.dims)
             made.check_count(n)
@@ -277,27 +317,28 @@ def certificate(
     if len(samplers) == 1:
         raise ParameterError("There is no rival; give one sampler at least.")
 
-    # Groups of members, each with its own realisations, are independent of one another
+    # Measure groups of members with their own realizations, which are independent of one another
     stream = Stream.from_rng(rng)
-    sums = np.empty((len(samplers), _GROUPS))
-    for group in range(_GROUPS):
-        values = goal.draw(members // _GROUPS, stream.generator(group))
+    sums = np.empty((len(samplers), groups))
+    for group in range(groups):
+        values = goal.draw(members // groups, stream.generator(group))
         for place, each in enumerate(samplers):
             seed = int(stream.child(group).child(place).key)
             sums[place, group] = mean_variances(values, each, n, realizations, seed).sum()
-            report("certificate", (group + (place + 1) / len(samplers)) / _GROUPS)
+            report("certificate", (group + (place + 1) / len(samplers)) / groups)
     means = sums.mean(axis=1)
     best = 1 + int(means[1:].argmin())
     if not means[best] > 0.0:
         raise ParameterError(f"The variance of {samplers[best].spec} vanishes; there is no ratio.")
-    spread = _T95 * sums.std(axis=1, ddof=1) / math.sqrt(_GROUPS)
-    # The least of several estimates is too small: each half of the groups has the rival that is best in the other
+    quantile = student_t(groups)
+    spread = quantile * sums.std(axis=1, ddof=1) / math.sqrt(groups)
+    # The least of several estimates is biased, so choose the rival of each half by the other half
     halves = sums.reshape(len(samplers), -1, 2)
     chosen = 1 + halves.sum(axis=1)[1:, ::-1].argmin(axis=0)
     beaten = halves[chosen, :, (0, 1)].T.ravel()
     ratio = sums[0].sum() / beaten.sum()
     left = (sums[0].sum() - sums[0]) / (beaten.sum() - beaten)
-    width = _T95 * float(np.sqrt((_GROUPS - 1) / _GROUPS * ((left - left.mean()) ** 2).sum()))
+    width = quantile * float(np.sqrt((groups - 1) / groups * ((left - left.mean()) ** 2).sum()))
     return dataset(
         {
             "mean_variance": (("sampler",), means),

@@ -1,9 +1,10 @@
-"""Objectives of a design: classes of integrands, drawn from or known entirely.
+"""Objectives of a design: classes of integrands, drawn at random or known entirely.
 
-The expected variance over a class is tr(C_f C_S), C_f = E[f_m conj(f_l)]: a sum of the variances of
-functions g_t with Σ_t g_t(x) g_t(y) = E[f(x) f(y)]. These are the members themselves, by 1/√M of M of
-them; of a covariance of coefficients its eigenvectors times the roots of its eigenvalues; of a spectrum
-the waves √(2 P(m)) cos(2π m·x) and sin.
+The expected variance over a class is tr(C_f C_S), C_f = E[f_m conj(f_l)]. It is the sum of the
+variances of functions g_t with Σ_t g_t(x) g_t(y) = E[f(x) f(y)]. For M members, these functions are
+the members times 1/√M. For a covariance of coefficients, they are its eigenvectors times the roots
+of its eigenvalues. For a spectrum, they are the waves √(2 P(m)) cos(2π m·x) and √(2 P(m)) sin(2π
+m·x).
 """
 
 from __future__ import annotations
@@ -34,12 +35,30 @@ from mcspectra.samplers.stratified import Random
 __all__ = ["Objective", "Values", "as_objective"]
 
 Values: TypeAlias = Callable[[Array], Array]
-"""Functions whose variances add up to the expected one: points (N, d) to (M, N)."""
+"""Functions whose variances add up to the expected variance: points (N, d) to (M, N)."""
 
-_MAX_DIMS = 8
-_MOST_WAVES = 1024
-_PROBE_MEMBERS, _PROBE_POINTS = 16, 8192
 
+@final
+@dataclass(frozen=True, kw_only=True)
+class ObjectiveSettings:
+    """Settings of classes of integrands."""
+
+    # Most dims of a class. The tables of the searches have 2^18 values, in 8-D 2^2 along each axis.
+    most_dims: int = 8
+    # Most waves of a spectrum, and most eigenvectors of a covariance; the largest ones are kept.
+    # Each wave is two functions, so that searches handle twice as many functions.
+    most_waves: int = 1024
+    # Members and points that are tested for a class in which all members are constant. A class is
+    # refused by mistake if its members vary in less than about 1/8192 of the volume only.
+    probe_members: int = 16
+    probe_points: int = 2**13
+    # Default and largest half width h of a spectrum or a covariance that is a function. A spectrum
+    # has (2h + 1)^d values: 2.1e6 of h = 64 in 3-D.
+    usual_half_width: int = 8
+    most_half_width: int = 64
+
+
+_SETTINGS = ObjectiveSettings()
 _FAMILIES = {
     "gaussians": "gaussian(center=uniform(0, 1), width=uniform(0.1, 0.4))",
     "disks": "disk(center=uniform(0, 1), radius=uniform(0.1, 0.4))",
@@ -56,11 +75,12 @@ class Objective:
     Attributes
     ----------
     text
-        What it is, for messages.
+        A name for messages.
     draw
-        Makes M random members, or the whole class where it is a list, of M and a generator.
+        Function of M and a generator that makes M random members, or the whole class if it is a
+        list.
     whole
-        The functions of the whole class where it is known entirely, else None.
+        The functions of the whole class if it is known entirely, else None.
     """
 
     text: str
@@ -69,26 +89,26 @@ class Objective:
     whole: Values | None = None
 
     def functions(self, members: int, rng: np.random.Generator) -> Values:
-        """The whole class, or so many members drawn at random."""
+        """Return the whole class, or `members` random members."""
         return self.whole or self.draw(members, rng)
 
 
 def as_objective(given: object, dims: int | None = None) -> Objective:
-    """Read an objective; see `design`. Without dims it has those of its integrands, else 2.
+    """Read an objective; see `design`. The default of dims is that of its integrands, else 2.
 
     Raises
     ------
     ParameterError
-        It is none of those, is empty, or all its members are constant, or dims are not 1 to 8.
+        The objective cannot be read, is empty, has constant members only, or dims are not 1 to 8.
     DomainError
         Values are not finite.
     """
     if dims is not None:
-        dims = as_integer("dims", dims, least=1, most=_MAX_DIMS)
+        dims = as_integer("dims", dims, least=1, most=_SETTINGS.most_dims)
     objective = _read(given, dims)
-    as_integer("dims", objective.dims, least=1, most=_MAX_DIMS)
-    probe = objective.draw(_PROBE_MEMBERS, np.random.default_rng(0))
-    values = probe(Random(dims=objective.dims).draw(_PROBE_POINTS, rng=0)[0])
+    as_integer("dims", objective.dims, least=1, most=_SETTINGS.most_dims)
+    probe = objective.draw(_SETTINGS.probe_members, np.random.default_rng(0))
+    values = probe(Random(dims=objective.dims).draw(_SETTINGS.probe_points, rng=0)[0])
     if not np.ptp(values, axis=1).any():
         raise ParameterError(
             f"All members of {objective.text} looked at are constant, so that every sampler has a "
@@ -105,10 +125,10 @@ def _read(given: Any, dims: int | None) -> Objective:
     if isinstance(given, Mapping):
         return _of_waves(given, dims)
     if isinstance(given, Sequence):
-        # Each part has the same share; a list of single integrands is the whole class
+        # Give each part the same share; a list of single integrands is the whole class
         if not given:
             raise ParameterError("The objective is an empty list; give one integrand at least.")
-        # Specs take the dims of the others
+        # Specs take the dims of the other parts
         dims = dims or _read(min(given, key=lambda part: isinstance(part, str)), None).dims
         parts = [_read(part, dims) for part in given]
         if len(parts) == 1:
@@ -134,7 +154,7 @@ def _read(given: Any, dims: int | None) -> Objective:
                 found = given(rng)
             except McspectraError:
                 raise
-            except (AttributeError, TypeError, ValueError) as error:  # one of points, perhaps
+            except (AttributeError, TypeError, ValueError) as error:  # perhaps a function of points
                 raise ParameterError(
                     f"{name} raised {type(error).__name__} of a generator: {error}; give a function of "
                     "a generator that makes an integrand, or for one function Integrand.from_function."
@@ -155,12 +175,12 @@ def _of_one(f: Integrand) -> Objective:
 
 
 def _of_text(text: str, dims: int | None) -> Objective:
-    """A family or an integrand spec, parameters of which may be uniform(a, b) or normal(mean, sd)."""
+    """Read a family, or a spec with uniform(a, b) or normal(mean, sd) as parameters."""
     if text == _HALF_SPACES:
         d = dims or 2
 
         def half_space(rng: np.random.Generator) -> Integrand:
-            """The border goes through a uniform point, in a uniform direction."""
+            """Draw a border through a uniform point, in a uniform direction."""
             normal = rng.standard_normal(d)
             normal /= np.sqrt(normal @ normal)
             arguments = {"normal": normal.tolist(), "offset": float(normal @ rng.random(d))}
@@ -201,7 +221,7 @@ def _of_text(text: str, dims: int | None) -> Objective:
 
     dims = dims or make(dict.fromkeys(laws, 1), np.random.default_rng(0)).dims
 
-    # A parameter takes a number for each axis if it can
+    # Draw a parameter for each axis if the integrand takes a list
     error: Exception | None = None
     for sizes in itertools.product((dims, 1), repeat=len(laws)):
         size = dict(zip(laws, sizes, strict=True))
@@ -220,7 +240,7 @@ def _drawn(text: str, dims: int, one: Callable[[np.random.Generator], Integrand]
 
 
 def _members(integrands: Sequence[Integrand], x: Array) -> Array:
-    """Values of all channels of integrands, so that mean squares are sums."""
+    """Return the values of all channels of integrands, scaled so that mean squares are sums."""
     rows = []
     for f in integrands:
         values = f(x)
@@ -231,7 +251,7 @@ def _members(integrands: Sequence[Integrand], x: Array) -> Array:
 
 
 def _of_waves(given: Mapping[str, Any], dims: int | None) -> Objective:
-    """{'spectrum': P} or {'covariance': C}, arrays or callables of frequencies, and 'half_width'."""
+    """Read {'spectrum': P} or {'covariance': C}, arrays or callables, with 'half_width'."""
     kinds = [kind for kind in ("spectrum", "covariance") if kind in given]
     if len(kinds) != 1 or set(given) - {*kinds, "half_width"}:
         raise ParameterError(
@@ -242,7 +262,8 @@ def _of_waves(given: Mapping[str, Any], dims: int | None) -> Objective:
     source = given[kind]
     if callable(source):
         dims = dims or 2
-        half = as_integer("half_width", given.get("half_width", 8), least=1, most=64)
+        half = given.get("half_width", _SETTINGS.usual_half_width)
+        half = as_integer("half_width", half, least=1, most=_SETTINGS.most_half_width)
     else:
         source = np.asarray(source)
         dims = dims or (source.ndim if kind == "spectrum" else 2)
@@ -256,7 +277,7 @@ def _of_waves(given: Mapping[str, Any], dims: int | None) -> Objective:
                 + ("." if kind == "spectrum" else ", in C order, as rows and as columns.")
             )
 
-    # Waves of a spectrum, the strongest ones; or eigenvectors
+    # Compute the strongest waves of a spectrum, or the eigenvectors of a covariance
     if kind == "spectrum":
         power = np.asarray(source(m) if callable(source) else source).reshape(-1)
         _check_numbers(kind, power, (len(m),))
@@ -266,21 +287,24 @@ def _of_waves(given: Mapping[str, Any], dims: int | None) -> Objective:
             )
         power = 0.5 * (power + power[::-1])
         later = np.arange(len(m) // 2 + 1, len(m))  # one of m and −m
-        kept = later[np.argsort(-power[later], kind="stable")[:_MOST_WAVES]]
+        kept = later[np.argsort(-power[later], kind="stable")[: _SETTINGS.most_waves]]
         kept = kept[power[kept] > 0]
         vectors, m = np.diag(np.sqrt(2.0 * power[kept])), m[kept]
     else:
-        if len(m) > 2 * _MOST_WAVES:
+        most = 2 * _SETTINGS.most_waves
+        if len(m) > most:
             raise ParameterError(
-                f"A covariance of {len(m)} frequencies is too large; give at most {2 * _MOST_WAVES}: "
+                f"A covariance of {len(m)} frequencies is too large; give at most {most}: "
                 "lower half_width, or give a spectrum."
             )
         matrix = np.asarray(source(m[:, None], m[None]) if callable(source) else source)
         _check_numbers(kind, matrix, (len(m), len(m)))
         sizes, found = np.linalg.eigh(0.5 * (matrix + matrix.conj().T))
         if sizes.min() < -1e-8 * np.abs(sizes).max() or not np.allclose(matrix, matrix.conj().T):
-            raise ParameterError("The covariance is not Hermitian with eigenvalues from 0 on.")
-        kept = np.argsort(-sizes)[:_MOST_WAVES]
+            raise ParameterError(
+                "The covariance is not Hermitian and positive semidefinite; give E[f_m conj(f_l)]."
+            )
+        kept = np.argsort(-sizes)[: _SETTINGS.most_waves]
         kept = kept[sizes[kept] > 1e-12 * sizes.max()]
         vectors = (found[:, kept] * np.sqrt(sizes[kept])).T
 

@@ -1,16 +1,18 @@
-"""Searches, one for each kind of sampler: each yields better and better ones.
+"""Searches, one for each kind of sampler; each yields better and better samplers.
 
-A set that is shifted at random has the variance Σ_{m≠0} P(m) |S_m|², P(m) = E|f_m|² of the class: for a
-lattice the sum of P over its dual lattice. Under a digital shift it is the same in the Walsh basis, or
-(1/n²) Σ_ij κ(x_i xor x_j), κ the Walsh series of P; for a digital net the mean of κ over its points
-alone. Both hold for g(x) = f(1 − |2x − 1|), too, for sets that are folded after the shift, whose
-functions are continuous on the torus [Hickernell2002]_; each search takes what is better.
+A set that is shifted at random has the variance Σ_{m≠0} P(m) |S_m|², with P(m) = E|f_m|² of the
+class. For a lattice, this is the sum of P over its dual lattice. Under a digital shift the same
+holds in the Walsh basis: the variance is (1/n²) Σ_ij κ(x_i xor x_j), with κ the Walsh series of P.
+For a digital net it is the mean of κ over the points alone. If sets are folded after the shift,
+both hold for g(x) = f(1 − |2x − 1|), which is continuous on the torus [Hickernell2002]_. Each
+search tries both and keeps the better one.
 
-Sets that share out the cells of a grid need no shift. With features φ_t, Σ_t φ_t(x) φ_t(y) =
-Cov(f(x), f(y)) at the centres of cells, their variance is the mean over sets of Σ_t (mean φ_t)²,
-which exchanges of cells between sets lower, from the cosets of a designed digital net where that is a
-better start than random sets. What is left are offsets within cells, alike in a set but for
-reflections: these are chosen so that the sum of the signed slopes is small.
+Sets that divide the cells of a grid among them need no shift. Let φ_t be features with Σ_t φ_t(x)
+φ_t(y) = Cov(f(x), f(y)) at the centers of cells. The variance is then the mean over sets of Σ_t
+(mean φ_t)². Exchanges of cells between sets lower it. They start from random sets, or from the
+cosets of a designed digital net, if that start is better. The points of a set have the same offset
+within their cells up to reflections, which are chosen so that the sum of the signed slopes is
+small.
 """
 
 from __future__ import annotations
@@ -18,9 +20,10 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, final
 
 import numpy as np
 
@@ -39,29 +42,90 @@ from mcspectra.samplers.randomizations import folded
 from mcspectra.samplers.stratified import SharedCells, write_cells
 from mcspectra.spectra.bases import hadamard
 
-__all__ = ["KINDS", "Candidate", "mean_variances"]
+__all__ = ["KINDS", "Design", "SearchSettings", "mean_variances"]
 
-_MOST = 2**12  # points of nets and trees
-_BITS = 18  # of the codes of all axes together, at most
-_FREQUENCIES = 2**16  # points of a table of them
-_MEMBERS, _VALUES = 1024, 2**25  # members at most, and values of a table of them
-_BLOCK = 2**13  # points at once
-_STARTS, _VECTORS, _JUDGED = 6, 48, 12  # of nets; of lattices in many dims, and those measured
-_TREES, _TRIED = 64, 8
-_MEASURED, _JUDGES = 2**16, 256  # points and members that samplers are measured with
-_TORUS = 2**14  # frequencies of sets on the torus
-_CELLS = 2**16
-_FEATURES = 160
-_TRIALS = 2**20
-_FIRST_ROUNDS, _ROUNDS, _LEAST_GAIN = 4, 24, 0.003
-_SHAPES, _REALIZATIONS = 12, 32
 _FOLD = " | mirror(mode='fold')"
 
 
-class Candidate(NamedTuple):
+@final
+@dataclass(frozen=True, kw_only=True)
+class SearchSettings:
+    """Settings of the searches. Larger numbers give better samplers and longer searches."""
+
+    # Classes
+
+    # Most random members that represent a class. SEARCH_MEMBERS
+    members: int = 1024
+    # Most values of a table of all members at the points of a grid: 128 MB in single precision.
+    table_values: int = 2**25
+    # Points at which members are evaluated at once: 64 MB in double precision for 1024 members.
+    block: int = 2**13
+    # Points and members with which the searches of nets, and of lattices in three dims or more,
+    # measure their samplers. SEARCH_JUDGES
+    judge_points: int = 2**16
+    judge_members: int = 256
+
+    # Lattices
+
+    # Points of the table that estimates the spectrum of the class, twice as many above three dims.
+    # SEARCH_FREQUENCIES
+    frequencies: int = 2**16
+    # Starting vectors of the search of lattices in three dims or more: one that is built axis by
+    # axis, and random ones. SEARCH_VECTORS
+    vectors: int = 48
+    # Number of the best of these vectors that are measured. SEARCH_JUDGED
+    judged: int = 12
+
+    # Nets and trees
+
+    # Most points of a net or of trees. Exchanges in trees compare all pairs of points, and their
+    # number grows as n².
+    most_points: int = 2**12
+    # Most bits of the codes of all axes together: the Walsh table has 2^18 values for each member.
+    table_bits: int = 18
+    # Starting matrices of the search of nets: those of Sobol', and random ones of the same
+    # strength. SEARCH_STARTS
+    net_starts: int = 6
+    # Trees of a design of kind ``owen``: number of independent sets, so that errors can be
+    # estimated from realizations. Their mean variance has a relative error of about 1/√64.
+    trees: int = 64
+    # Trees that choose whether sets are folded. SEARCH_TRIED
+    first_trees: int = 8
+
+    # Sets that share a grid
+
+    # Cells of the grid. The sets of n points are cells/n in number, at least 16. SEARCH_CELLS
+    cells: int = 2**16
+    # Features of the covariance, or n if n is larger, up to twice this number. SEARCH_FEATURES
+    features: int = 160
+    # Exchanges of cells that are tried in a round. SEARCH_TRIALS
+    trials: int = 2**20
+    # Most rounds of exchanges. SEARCH_ROUNDS
+    rounds: int = 24
+    # Rounds after which the better of several starts is chosen. SEARCH_FIRST
+    first_rounds: int = 4
+    # A round that lowers the variance by a smaller fraction is the last. SEARCH_GAIN
+    least_gain: float = 0.003
+    # Whether exchanges also start from the cosets of a digital net. In 4-D, 64 points end with less
+    # variance than from random sets: tests/improve/test_design.py.
+    cosets: bool = True
+    # Shapes of strata that are compared, the most even ones, and realizations of each comparison.
+    # The least variance of 32 realizations has a relative error of √(2/31) = 25 %, and differs
+    # between shapes that matter by more.
+    shapes: int = 12
+    shape_realizations: int = 32
+
+    # Sets on the torus
+
+    # Points of the table that estimates the spectrum, which bounds the time of each gradient.
+    # SEARCH_TORUS
+    torus_frequencies: int = 2**14
+
+
+class Design(NamedTuple):
     """A sampler that was found: its expected variance, the share of the search done, and its maker.
 
-    `make` is given the path of a .npz file, which it writes where the sampler needs one.
+    `make` takes the path of a .npz file, and writes the file if the sampler needs one.
     """
 
     variance: float
@@ -69,29 +133,32 @@ class Candidate(NamedTuple):
     make: Callable[[Path], Sampler]
 
 
-Search = Callable[[Objective, int, Stream], Iterator[Candidate]]
+Search = Callable[[Objective, int, Stream, SearchSettings], Iterator[Design]]
 
 
-def evaluated(values: Values, x: Array) -> Array:
-    """Values in single precision, by blocks of points: float32 (M, N)."""
-    blocks = [values(x[start : start + _BLOCK]) for start in range(0, len(x), _BLOCK)]
+def evaluated(values: Values, x: Array, block: int) -> Array:
+    """Return values in single precision, computed by blocks of points: float32 (M, N)."""
+    blocks = [values(x[start : start + block]) for start in range(0, len(x), block)]
     return np.concatenate([block.astype(np.float32) for block in blocks], axis=1)
 
 
 def mean_variances(values: Values, source: Sampler, n: int, realizations: int, seed: int) -> Array:
-    """Variance over realisations of the mean of each function: (M,)."""
+    """Return the variance over realizations of the mean of each function: (M,)."""
     points = source.draw(n, realizations=realizations, rng=seed)
     found = values(points.reshape(-1, source.dims))
     means = found.reshape(len(found), realizations, n).mean(axis=2)
     return np.asarray(means.var(axis=1, ddof=1))
 
 
-def _fourier_power(values: Values, dims: int, fold: bool, size: int) -> tuple[Array, Array]:
-    """Frequencies m, one of each m and −m, and 2 E|f_m|², the strongest first: int64 (K, d), (K,).
+def _fourier_power(
+    values: Values, dims: int, fold: bool, size: int, block: int
+) -> tuple[Array, Array]:
+    """Return frequencies m, one of ±m, and 2 E|f_m|², the strongest first: int64 (K, d), (K,).
 
-    Up to 3 dims from a grid. In more dims a grid has few frequencies along an axis, where functions that are not
-    periodic have theirs: there from a lattice, frequencies of a hyperbolic cross and of a ball, the
-    lowest of those that the lattice cannot tell apart.
+    Up to 3 dims they are the frequencies of a grid. In more dims a grid has few frequencies along
+    an axis, but functions that are not periodic have most of their power along the axes. The
+    frequencies are then those of a hyperbolic cross and of a ball, estimated on a lattice. Of
+    frequencies that the lattice cannot distinguish, only the lowest is kept.
     """
     if dims <= 3:
         side = int(size ** (1.0 / dims) + 1e-9)
@@ -119,9 +186,9 @@ def _fourier_power(values: Values, dims: int, fold: bool, size: int) -> tuple[Ar
         m = m[np.argsort(weight, kind="stable")]
         found, first = np.unique(m @ vector % size, return_index=True)
         m = m[first]
-    table = evaluated(values, folded(x) if fold else x)
+    table = evaluated(values, folded(x) if fold else x, block)
 
-    # Two functions a transform: |F(m)|² + |F(−m)|² of g + ih is 2 |g_m|² + 2 |h_m|²
+    # Transform two functions at once: |F(m)|² + |F(−m)|² of g + ih is 2 |g_m|² + 2 |h_m|²
     power = np.zeros(shape)
     for k in range(0, len(table), 2):
         second = table[k + 1] if k + 1 < len(table) else 0.0
@@ -135,11 +202,11 @@ def _fourier_power(values: Values, dims: int, fold: bool, size: int) -> tuple[Ar
 
 
 def _best_vector(
-    m: Array, power: Array, dims: int, n: int, generator: np.random.Generator
+    m: Array, power: Array, dims: int, n: int, generator: np.random.Generator, starts: int
 ) -> Iterator[tuple[float, Array]]:
-    """Vectors of small dual sums: all in 2-D; else axis after axis, then again while it helps."""
+    """Yield vectors of small dual sums: the best in 2-D, else axis by axis while it helps."""
     sums = np.empty(n)
-    for start in range(_VECTORS if dims > 2 else 1):
+    for start in range(starts if dims > 2 else 1):
         vector = np.ones(dims, np.int64)
         if start:
             vector[1:] = generator.integers(1, max(n, 2), dims - 1)
@@ -147,7 +214,7 @@ def _best_vector(
         for sweep in range(6):
             for axis in range(1, dims):
                 seen = np.ones(len(m), bool)
-                if start == sweep == 0:  # components that there are so far
+                if start == sweep == 0:  # use the components that are already chosen
                     seen = (m[:, axis + 1 :] == 0).all(axis=1)
                 _kernels.best_multiple(m[seen], power[seen], vector, axis, n, sums)
                 vector[axis] = sums.argmin()
@@ -158,38 +225,44 @@ def _best_vector(
         yield best, vector.copy()
 
 
-def _judge(objective: Objective, n: int, stream: Stream) -> Callable[[Sampler], float]:
-    """Measures samplers with members and random numbers that are the same for all."""
-    values = objective.functions(_JUDGES, stream.generator(4))
-    sets, seed = max(2, min(64, _MEASURED // n)), stream.child(4).key
+def _judge(
+    objective: Objective, n: int, stream: Stream, settings: SearchSettings
+) -> Callable[[Sampler], float]:
+    """Return a function that measures samplers with the same members and random numbers."""
+    values = objective.functions(settings.judge_members, stream.generator(4))
+    sets, seed = max(2, min(64, settings.judge_points // n)), stream.child(4).key
     return lambda made: float(mean_variances(values, made, n, sets, seed).sum())
 
 
-def _lattices(objective: Objective, n: int, stream: Stream) -> Iterator[Candidate]:
-    plane, judge = objective.dims <= 2, _judge(objective, n, stream)
-    size = _FREQUENCIES if objective.dims <= 3 else 2 * _FREQUENCIES
-    values = objective.functions(min(_MEMBERS, _VALUES // size), stream.generator(0))
+def _lattices(
+    objective: Objective, n: int, stream: Stream, settings: SearchSettings
+) -> Iterator[Design]:
+    plane, judge = objective.dims <= 2, _judge(objective, n, stream, settings)
+    size = settings.frequencies if objective.dims <= 3 else 2 * settings.frequencies
+    members = min(settings.members, settings.table_values // size)
+    values = objective.functions(members, stream.generator(0))
 
     def made_of(vector: Array, fold: bool) -> Sampler:
         text = f"rank1-lattice(vector={vector.tolist()}) | shift{_FOLD if fold else ''}"
         return sampler(text, objective.dims)
 
     for fold in (False, True):
-        m, power = _fourier_power(values, objective.dims, fold, size)
+        m, power = _fourier_power(values, objective.dims, fold, size, settings.block)
         most = max(2**12, 2**27 // n)
         found = list[tuple[float, Array]]()
         for value, vector in _best_vector(
-            m[:most], power[:most], objective.dims, n, stream.generator(1)
+            m[:most], power[:most], objective.dims, n, stream.generator(1), settings.vectors
         ):
-            if not found:  # what there is if the search is interrupted
-                yield Candidate(math.inf, fold / 2, partial(_as_made, made_of(vector, fold)))
+            if not found:  # the result if the search is interrupted
+                yield Design(math.inf, fold / 2, partial(_as_made, made_of(vector, fold)))
             found.append((value, vector))
-            report("lattice", (fold + len(found) / _VECTORS) / 2)
-        for value, vector in sorted(found, key=lambda each: each[0])[: 1 if plane else _JUDGED]:
+            report("lattice", (fold + len(found) / settings.vectors) / 2)
+        kept = 1 if plane else settings.judged
+        for value, vector in sorted(found, key=lambda each: each[0])[:kept]:
             made = made_of(vector, fold)
-            if not plane:  # frequencies that are not counted may be those that matter
+            if not plane:  # frequencies that are not in the table may matter
                 value = judge(made)
-            yield Candidate(value, (fold + 1) / 2, partial(_as_made, made))
+            yield Design(value, (fold + 1) / 2, partial(_as_made, made))
 
 
 def _as_made(made: Sampler, path: Path) -> Sampler:
@@ -197,41 +270,41 @@ def _as_made(made: Sampler, path: Path) -> Sampler:
     return made
 
 
-def _power_of_two(n: int, kind: str) -> int:
+def _power_of_two(n: int, kind: str, most: int) -> int:
     m = n.bit_length() - 1
-    if n != 1 << m or not 2 <= n <= _MOST:
-        above = min(max(2, 1 << m + 1), _MOST)
+    if n != 1 << m or not 2 <= n <= most:
+        above = min(max(2, 1 << m + 1), most)
         raise CountError(
-            f"A design of kind {kind!r} cannot have {n} points; give a power of two from 2 to {_MOST}, "
+            f"A design of kind {kind!r} cannot have {n} points; give a power of two from 2 to {most}, "
             f"e.g. {above}.",
             (above,),
         )
     return m
 
 
-def _axis_bits(n: int, dims: int) -> int:
-    """Digits of each axis that tables know: two more than the points need."""
-    return max(1, min(_BITS // dims, n.bit_length() + 1))
+def _axis_bits(n: int, dims: int, most: int) -> int:
+    """Return the digits of each axis in a table of `most` bits: two more than the points need."""
+    return max(1, min(most // dims, n.bit_length() + 1))
 
 
 def _tables(
-    objective: Objective, bits: int, stream: Stream, *, owen: bool
+    objective: Objective, bits: int, stream: Stream, settings: SearchSettings, *, owen: bool
 ) -> Iterator[tuple[str, Array]]:
-    """Randomisations, and the kernel κ of each over codes."""
+    """Yield randomizations, and the kernel κ of each over codes."""
     dims = objective.dims
-    members = min(_MEMBERS, _VALUES >> dims * bits)
+    members = min(settings.members, settings.table_values >> dims * bits)
     values = objective.functions(members, stream.generator(0))
     for fold in (False, True):
-        # E|f_m|² of Walsh functions of all axes' bits together, 0 at m = 0: (2^(d bits),)
+        # Compute E|f_m|² of Walsh functions of the bits of all axes, 0 at m = 0: (2^(d bits),)
         x = grid((np.arange(1 << bits) + 0.5) / (1 << bits), dims)
-        table, power = evaluated(values, folded(x) if fold else x), np.zeros(len(x))
+        table, power = evaluated(values, folded(x) if fold else x, settings.block), np.zeros(len(x))
         for start in range(0, len(table), 16):
             rows = hadamard(table[start : start + 16])
             power += (rows.astype(np.float64) ** 2).sum(axis=0)
         power[0], tail = 0.0, _FOLD if fold else ""
         power = power / float(len(x)) ** 2
         yield f" | digital-shift{tail}", hadamard(power)
-        if owen:  # power is the same within levels: those of the last digit that counts
+        if owen:  # power is averaged over the Walsh functions with the same last digits of all axes
             codes = np.arange(len(power))
             level = np.zeros(len(power), np.int64)
             for axis in range(dims):
@@ -243,29 +316,37 @@ def _tables(
 
 
 def _nets(
-    objective: Objective, n: int, stream: Stream, *, polynomial: bool, frames: int | None = None
-) -> Iterator[Candidate]:
-    dims, bits = objective.dims, _axis_bits(n, objective.dims)
-    m = _power_of_two(n, "polynomial-lattice" if polynomial else "digital-net")
+    objective: Objective,
+    n: int,
+    stream: Stream,
+    settings: SearchSettings,
+    *,
+    polynomial: bool,
+    frames: int | None = None,
+) -> Iterator[Design]:
+    dims, bits = objective.dims, _axis_bits(n, objective.dims, settings.table_bits)
+    m = _power_of_two(
+        n, "polynomial-lattice" if polynomial else "digital-net", settings.most_points
+    )
     rows, modulus = max(m, bits), next(p for p in _irreducible() if p.bit_length() == m + 1)
     span = np.empty(n, np.int64)
     sobol = (_sobol_directions()[:dims, :m] >> np.uint32(32 - rows)).astype(np.int64)
 
     def code(columns: Array) -> Array:
-        """Columns int64 (d, m) of `rows` digits as the first bits of all axes."""
+        """Return columns int64 (d, m) of `rows` digits as the first bits of all axes."""
         top = columns >> rows - bits
         return np.asarray(sum(top[j] << (dims - 1 - j) * bits for j in range(dims)))
 
     def hankel(q: int) -> Array:
-        """Columns of the matrix of q / modulus."""
+        """Return the columns of the matrix of q / modulus."""
         series = _quotient(q << (rows + m), modulus)
         return np.array([series >> m - c & (1 << rows) - 1 for c in range(m)])
 
-    judge = _judge(objective, n, stream)
-    tables = list(itertools.islice(_tables(objective, bits, stream, owen=True), frames))
+    judge = _judge(objective, n, stream, settings)
+    tables = list(itertools.islice(_tables(objective, bits, stream, settings, owen=True), frames))
     for frame, (tail, table) in enumerate(tables):
         generator = stream.generator(1)
-        for start in range(_STARTS):
+        for start in range(settings.net_starts):
             if polynomial:
                 q = np.concatenate([[1], generator.integers(1, n, dims - 1)])
                 best, columns = math.inf, np.stack([hankel(int(x)) for x in q])
@@ -278,11 +359,13 @@ def _nets(
                             best, columns = value, trial
             else:
                 columns = sobol.copy()
-                if start > 1:  # other matrices of the same strength: add higher rows to lower ones
+                if (
+                    start > 1
+                ):  # adding higher rows to lower rows gives matrices of the same strength
                     for j, r in itertools.product(range(dims), range(1, rows)):
                         mixed = columns[j] >> rows - r & generator.integers(0, 1 << r)
                         columns[j] ^= (np.bitwise_count(mixed) & 1).astype(np.int64) << rows - 1 - r
-                if start:  # the first candidate is Sobol' itself
+                if start:  # the first net is Sobol' itself
                     flat = code(columns)
                     _kernels.improve_code(table, flat, dims * bits, span)
                     for j in range(dims):
@@ -290,18 +373,21 @@ def _nets(
                         columns[j] = top << rows - bits | columns[j] & (1 << rows - bits) - 1
             text = f"digital-net(matrices={columns.tolist()}, digits={rows}){tail}"
             made = sampler(text, dims)
-            done = (frame + (start + 1) / _STARTS) / len(tables)
-            yield Candidate(judge(made), done, partial(_as_made, made))
+            done = (frame + (start + 1) / settings.net_starts) / len(tables)
+            yield Design(judge(made), done, partial(_as_made, made))
 
 
-def _trees(objective: Objective, n: int, stream: Stream) -> Iterator[Candidate]:
-    _power_of_two(n, "owen")
-    dims, bits = objective.dims, _axis_bits(n, objective.dims)
-    starts = sampler("sobol | owen", dims).draw_stream(n, stream.child(1), 0, _TREES)
+def _trees(
+    objective: Objective, n: int, stream: Stream, settings: SearchSettings
+) -> Iterator[Design]:
+    _power_of_two(n, "owen", settings.most_points)
+    dims, bits = objective.dims, _axis_bits(n, objective.dims, settings.table_bits)
+    trees, tried = settings.trees, settings.first_trees
+    starts = sampler("sobol | owen", dims).draw_stream(n, stream.child(1), 0, trees)
     places = (dims - 1 - np.arange(dims)) * bits
 
     def flipped(table: Array, first: int, last: int) -> tuple[float, Array]:
-        """The mean variance of some trees, and their sets."""
+        """Return the mean variance of some trees, and their sets."""
         codes = ((starts[first:last] * 2.0**bits).astype(np.int64) << places).sum(axis=2)
         energy = 0.0
         for tree in codes:
@@ -311,16 +397,16 @@ def _trees(objective: Objective, n: int, stream: Stream) -> Iterator[Candidate]:
         top = codes[..., None] >> places & (1 << bits) - 1
         return energy, (top + starts[first:last] * 2.0**bits % 1.0) / 2.0**bits
 
-    # The better randomisation by the first trees; all of them count, once they are there
-    frames = list(_tables(objective, bits, stream, owen=False))
-    begun = [(*flipped(table, 0, _TRIED), tail, table) for tail, table in frames]
+    # Choose the randomization by the first trees; the variance is the mean over all trees
+    frames = list(_tables(objective, bits, stream, settings, owen=False))
+    begun = [(*flipped(table, 0, tried), tail, table) for tail, table in frames]
     energy, sets, tail, table = min(begun, key=lambda each: each[0])
-    yield Candidate(math.inf, _TRIED / _TREES, partial(_of_sets, sets, tail))
-    for first in range(_TRIED, _TREES, _TRIED):
-        value, more = flipped(table, first, first + _TRIED)
+    yield Design(math.inf, tried / trees, partial(_of_sets, sets, tail))
+    for first in range(tried, trees, tried):
+        value, more = flipped(table, first, first + tried)
         energy, sets = energy + value, np.concatenate([sets, more])
-        report("owen", len(sets) / _TREES)
-    yield Candidate(energy * _TRIED / _TREES, 1.0, partial(_of_sets, sets, tail))
+        report("owen", len(sets) / trees)
+    yield Design(energy * tried / trees, 1.0, partial(_of_sets, sets, tail))
 
 
 def _of_sets(sets: Array, tail: str, path: Path) -> Sampler:
@@ -329,7 +415,7 @@ def _of_sets(sets: Array, tail: str, path: Path) -> Sampler:
 
 
 def _shapes(n: int, dims: int) -> list[tuple[int, ...]]:
-    """Ways to write n as a product of `dims` numbers in order, the most even ones first."""
+    """Return the ways to write n as an ordered product of `dims` numbers, the most even first."""
     found: list[tuple[int, ...]] = [(n,)] if dims == 1 else []
     if dims > 1:
         divisors = (k for k in range(1, n + 1) if n % k == 0)
@@ -337,80 +423,89 @@ def _shapes(n: int, dims: int) -> list[tuple[int, ...]]:
     return sorted(found, key=lambda shape: sum(np.log(shape) ** 2))
 
 
-def _shared(objective: Objective, n: int, stream: Stream, *, free: bool) -> Iterator[Candidate]:
-    dims = objective.dims
-    if n > _CELLS // 16:
+def _shared(
+    objective: Objective, n: int, stream: Stream, settings: SearchSettings, *, free: bool
+) -> Iterator[Design]:
+    dims, most = objective.dims, settings.cells // 16
+    if n > most:
         raise CountError(
-            f"Sets that share a grid have at most {_CELLS // 16} points, not {n}; give fewer, or use "
+            f"Sets that share a grid have at most {most} points, not {n}; give fewer, or use "
             "kind='lattice'.",
-            (_CELLS // 16,),
+            (most,),
         )
-    members = min(2 * _MEMBERS, max(_MEMBERS, 8 * n))  # n points can do justice to some n features
+    # n points can balance about n features, which take some n members
+    members = min(2 * settings.members, max(settings.members, 8 * n))
     values = objective.functions(members, stream.generator(0))
 
-    # The shape of strata with the least variance by themselves
+    # Choose the shape of strata with the least variance of jittered points
     def jittered(shape: tuple[int, ...]) -> float:
-        corners = np.stack(np.unravel_index(np.arange(n), shape), axis=-1)
-        x = (corners + stream.uniforms(0, _REALIZATIONS, n * dims).reshape(-1, n, dims)) / shape
-        found = values(x.reshape(-1, dims)).reshape(-1, _REALIZATIONS, n)
+        corners, sets = (
+            np.stack(np.unravel_index(np.arange(n), shape), axis=-1),
+            settings.shape_realizations,
+        )
+        x = (corners + stream.uniforms(0, sets, n * dims).reshape(-1, n, dims)) / shape
+        found = values(x.reshape(-1, dims)).reshape(-1, sets, n)
         return float(found.mean(axis=2).var(axis=1).sum())
 
-    shape = np.array(min(_shapes(n, dims)[:_SHAPES], key=jittered))
-    wanted = np.full(dims, _CELLS ** (1.0 / dims))
-    if free and n & (n - 1) == 0:  # a grid that cosets of nets share out
-        wanted = 2.0 ** ((_CELLS.bit_length() + dims - 2 - np.arange(dims)) // dims)
+    shape = np.array(min(_shapes(n, dims)[: settings.shapes], key=jittered))
+    wanted = np.full(dims, settings.cells ** (1.0 / dims))
+    if free and n & (n - 1) == 0:  # the cosets of a net need a grid of powers of two
+        wanted = 2.0 ** ((settings.cells.bit_length() + dims - 2 - np.arange(dims)) // dims)
     parts = np.maximum(1, np.rint(wanted / shape)).astype(np.int64)
     sides, sets = shape * parts, int(parts.prod())
     cells = np.stack(np.unravel_index(np.arange(sides.prod()), sides), axis=-1)
 
-    # Features: as many combinations of members as matter
-    table = evaluated(values, (cells + 0.5) / sides)
+    # Compute features: the combinations of members with the largest variances
+    table = evaluated(values, (cells + 0.5) / sides, settings.block)
     table -= table.mean(axis=1, keepdims=True)
     sizes, turned = np.linalg.eigh((table @ table.T).astype(np.float64))
-    kept = np.argsort(-sizes)[: min(max(_FEATURES, n), 2 * _FEATURES)]
+    kept = np.argsort(-sizes)[: min(max(settings.features, n), 2 * settings.features)]
     kept = kept[sizes[kept] > 1e-9 * sizes.max()]
     features = np.ascontiguousarray((turned[:, kept].T.astype(np.float32) @ table).T)
     del table
 
-    # Begin with one random cell of each stratum in each set, or with cosets of a net, which are sets
+    # Start with one random cell of each stratum in each set, or with the cosets of a net
     place = np.ravel_multi_index(tuple((cells // parts).T), tuple(shape))
     order = np.lexsort((stream.generator(1).random(len(cells)), place))
     owner = np.empty(len(cells), np.int64)
     owner[order] = np.tile(np.arange(sets), n)
-    yield Candidate(math.inf, 0.0, partial(_of_cells, features, owner.copy(), cells, sides))
+    yield Design(math.inf, 0.0, partial(_of_cells, features, owner.copy(), cells, sides))
     begun = [owner]
-    if free and (cosets := _cosets(objective, n, sides, stream)) is not None:
-        begun.append(cosets)
-    keys = stream.child(2).keys(0, _ROUNDS)
+    if free and settings.cosets:
+        cosets = _cosets(objective, n, sides, stream, settings)
+        begun += [] if cosets is None else [cosets]
+    rounds, keys = settings.rounds, stream.child(2).keys(0, settings.rounds)
 
     def exchanged(owner: Array, sums: Array, turn: int) -> float:
-        """The variance after a round of exchanges."""
-        _kernels.swap_cells(features, owner, place, sums, sides, free, keys[turn], _TRIALS)
+        """Exchange cells for a round, and return the variance."""
+        _kernels.swap_cells(features, owner, place, sums, sides, free, keys[turn], settings.trials)
         return float((sums.astype(np.float64) ** 2).sum()) / (sets * n**2)
 
-    # The one that is better after some rounds goes on
+    # Continue with the start that is better after some rounds
     tried = []
     for owner in begun:
         sums = np.zeros((sets, len(kept)), np.float32)
         np.add.at(sums, owner, features)
-        first = min(exchanged(owner, sums, turn) for turn in range(_FIRST_ROUNDS))
+        first = min(exchanged(owner, sums, turn) for turn in range(settings.first_rounds))
         tried.append((first, owner, sums))
     last, owner, sums = min(tried, key=lambda each: each[0])
-    for turn in range(_FIRST_ROUNDS, _ROUNDS):
+    for turn in range(settings.first_rounds, rounds):
         variance = exchanged(owner, sums, turn)
-        finished = turn + 1 == _ROUNDS or variance > (1.0 - _LEAST_GAIN) * last
-        done = 1.0 if finished else (turn + 1) / _ROUNDS
-        yield Candidate(variance, done, partial(_of_cells, features, owner.copy(), cells, sides))
+        finished = turn + 1 == rounds or variance > (1.0 - settings.least_gain) * last
+        done = 1.0 if finished else (turn + 1) / rounds
+        yield Design(variance, done, partial(_of_cells, features, owner.copy(), cells, sides))
         if finished:
             return
         last = variance
 
 
-def _cosets(objective: Objective, n: int, sides: Array, stream: Stream) -> Array | None:
-    """Which coset of a designed digital net each cell is in, (N,); None where the grid is no power of two."""
+def _cosets(
+    objective: Objective, n: int, sides: Array, stream: Stream, settings: SearchSettings
+) -> Array | None:
+    """Return the coset of a designed digital net for each cell, (N,), on grids of powers of two."""
     if n < 4 or (np.append(sides, n) & np.append(sides, n) - 1).any():
         return None
-    nets = (c for c in _nets(objective, n, stream, polynomial=False, frames=1))
+    nets = _nets(objective, n, stream, settings, polynomial=False, frames=1)
     spec = min(nets, key=lambda c: c.variance).make(Path()).spec
     points = sampler(spec.partition(" | ")[0], len(sides)).draw(n)[0]
     codes = np.ravel_multi_index(tuple((points * sides).astype(np.int64).T), tuple(sides))
@@ -440,19 +535,21 @@ def _of_cells(features: Array, owner: Array, cells: Array, sides: Array, path: P
     return SharedCells(path=str(path))
 
 
-def _points(objective: Objective, n: int, stream: Stream) -> Iterator[Candidate]:
-    """Sets that share a grid; then, in up to 3 dims, one set on the torus by its gradient."""
+def _points(
+    objective: Objective, n: int, stream: Stream, settings: SearchSettings
+) -> Iterator[Design]:
+    """Search sets that share a grid; then, up to 3 dims, one set on the torus by its gradient."""
     dims = objective.dims
-    if n <= _CELLS // 16 or dims > 3:
-        for found in _shared(objective, n, stream, free=True):
+    if n <= settings.cells // 16 or dims > 3:
+        for found in _shared(objective, n, stream, settings, free=True):
             yield found._replace(done=0.8 * found.done)
     if dims > 3:
         return
-    values = objective.functions(_MEMBERS, stream.generator(0))
+    values = objective.functions(settings.members, stream.generator(0))
     for fold in (False, True):
-        m, power = _fourier_power(values, dims, fold, _TORUS)
+        m, power = _fourier_power(values, dims, fold, settings.torus_frequencies, settings.block)
         ((value, vector),) = itertools.islice(
-            _best_vector(m[: 2**14], power[: 2**14], dims, n, stream.generator(1)), 1
+            _best_vector(m[: 2**14], power[: 2**14], dims, n, stream.generator(1), 1), 1
         )
         lattice = np.arange(n)[:, None] * vector % n / n
         moved = lattice + 0.02 / n ** (1 / dims) * stream.generator(2).standard_normal((n, dims))
@@ -462,11 +559,11 @@ def _points(objective: Objective, n: int, stream: Stream) -> Iterator[Candidate]
             value = function(found_set)[0]
             tail = f" | shift{_FOLD if fold else ''}"
             sets = np.remainder(found_set, 1.0)[None] % 1.0
-            yield Candidate(value, 0.9 + 0.1 * fold, partial(_of_sets, sets, tail))
+            yield Design(value, 0.9 + 0.1 * fold, partial(_of_sets, sets, tail))
 
 
 def _energy(m: Array, power: Array, dims: int) -> Callable[[Array], tuple[float, Array]]:
-    """Σ_m P(m) |S_m|² and its gradient, through transforms and their adjoints."""
+    """Return a function of Σ_m P(m) |S_m|² and its gradient, by transforms and their adjoints."""
     import finufft
 
     side = 2 * int(np.abs(m).max()) + 1
@@ -474,19 +571,20 @@ def _energy(m: Array, power: Array, dims: int) -> Callable[[Array], tuple[float,
     for sign in (1, -1):
         weights[tuple((sign * m + side // 2).T)] = 0.5 * power
     along = np.arange(side) - side // 2
-    settings = {"eps": 1e-9, "nthreads": 1, "upsampfac": 1.25}
+    # The energy then agrees with a direct sum to 1e-8: tests/improve/test_design.py
+    options = {"eps": 1e-9, "nthreads": 1, "upsampfac": 1.25}
     forward = getattr(finufft, f"nufft{dims}d1")
     backward = getattr(finufft, f"nufft{dims}d2")
 
     def function(points: Array) -> tuple[float, Array]:
         n = len(points)
         axes = [np.ascontiguousarray(2.0 * np.pi * np.remainder(x, 1.0)) for x in points.T]
-        s = forward(*axes, np.ones(n, np.complex128), weights.shape, isign=-1, **settings) / n
+        s = forward(*axes, np.ones(n, np.complex128), weights.shape, isign=-1, **options) / n
         gradient = np.empty(points.shape)
         for j in range(dims):
             slope = along.reshape([-1 if i == j else 1 for i in range(dims)])
             coefficients = weights * s.conj() * (-4j * np.pi / n) * slope
-            gradient[:, j] = backward(*axes, coefficients, isign=-1, **settings).real
+            gradient[:, j] = backward(*axes, coefficients, isign=-1, **options).real
         return float((weights * np.abs(s) ** 2).sum()), gradient
 
     return function
@@ -500,4 +598,4 @@ KINDS: dict[str, Search] = {
     "strata": partial(_shared, free=False),
     "points": _points,
 }
-"""Kinds of samplers, to their searches."""
+"""Kinds of samplers, with their searches."""
