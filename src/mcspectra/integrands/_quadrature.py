@@ -19,16 +19,13 @@ import functools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, final
+from typing import Protocol, final
 
 import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.streams import Stream, golden_vector
-
-if TYPE_CHECKING:
-    from mcspectra.integrands.base import Integrand
 
 __all__ = [
     "PROBE",
@@ -82,6 +79,21 @@ _STAYS = 0.5  # part of a step that is left of a jump
 _ASIDE, _ABOUT = 2.0**-20, 2.0**-30  # to a second line, and distance from the jump there
 _SAME_BREAK = 2.0**-40
 _FOUND = 2.0**-46  # width within which they lie
+
+
+class Function(Protocol):
+    """The parts of a `mcspectra.integrands.Integrand` that quadrature uses."""
+
+    @property
+    def dims(self) -> int: ...
+    @property
+    def channels(self) -> int: ...
+    @property
+    def spec(self) -> str: ...
+    @property
+    def breaks(self) -> tuple[tuple[float, ...], ...]: ...
+    def __call__(self, x: Array, /) -> Array: ...
+    def box_moments(self, lo: Array, hi: Array, /) -> tuple[Array, Array] | None: ...
 
 
 @functools.lru_cache(maxsize=32)
@@ -157,7 +169,7 @@ class AxisRule:
         return np.asarray(found)
 
 
-def refined_coefficients(function: Integrand, m: Sequence[Array]) -> Estimate:
+def refined_coefficients(function: Function, m: Sequence[Array]) -> Estimate:
     """Coefficients at the tensor product of the integers m[i] (U_i,): (U_0, …, U_{d−1}[, channels]).
 
     Starts with 16 nodes a wavelength of the highest frequency (8 from 3-D on, 4 where more would
@@ -194,7 +206,7 @@ def refined_coefficients(function: Integrand, m: Sequence[Array]) -> Estimate:
         coarse, counts = fine, [2 * c for c in counts]
 
 
-def grid_coefficients(function: Integrand, counts: Sequence[int], m: Sequence[Array]) -> Array:
+def grid_coefficients(function: Function, counts: Sequence[int], m: Sequence[Array]) -> Array:
     """One tensor grid, transformed slab by slab along all axes but the first, and then along that."""
     rules = [
         AxisRule.make(count, min(_ORDER, count), breaks)
@@ -211,7 +223,7 @@ def grid_coefficients(function: Integrand, counts: Sequence[int], m: Sequence[Ar
     return np.moveaxis(found, 0, -1) if function.channels else found[0]
 
 
-def slabs(function: Integrand, rules: Sequence[AxisRule]) -> Iterator[tuple[int, Array]]:
+def slabs(function: Function, rules: Sequence[AxisRule]) -> Iterator[tuple[int, Array]]:
     """Values on slabs of the product of the nodes, along the first axis: start, (C, p, P_1, …)."""
     first, rest = rules[0].nodes, [rule.nodes for rule in rules[1:]]
     step = max(1, _BLOCK // math.prod(nodes.size for nodes in rest))
@@ -225,12 +237,12 @@ def _tensor(axes: Sequence[Array]) -> Array:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
 
-def _columns(function: Integrand, x: Array) -> Array:
+def _columns(function: Function, x: Array) -> Array:
     values = function(x)
     return values if function.channels else values[..., None]
 
 
-def adaptive_integral(function: Integrand) -> Estimate:
+def adaptive_integral(function: Function) -> Estimate:
     """∫ f in up to 5 dims by boxes that split until their halves agree: value (C,), C ≥ 1 channels.
 
     Gauss-Legendre tensor rules on cells cut at `found_breaks`; a cell is replaced by its 2^d parts, while
@@ -340,7 +352,7 @@ def adaptive_integral(function: Integrand) -> Estimate:
     return Estimate(total, float(error.max()), method)
 
 
-def found_breaks(function: Integrand) -> tuple[Array, ...]:
+def found_breaks(function: Function) -> tuple[Array, ...]:
     """For each axis the breaks that f declares, and jumps and poles across it that lines see.
 
     Lines along each axis go through two points of the probe, and through those with the least and
@@ -439,7 +451,7 @@ def _uniform(dims: int) -> Array:
     return np.linspace(0.0, 1.0, _CELLS[dims] + 1)
 
 
-def _at_points(function: Integrand, points: Array) -> Array:
+def _at_points(function: Function, points: Array) -> Array:
     """Values (K, C) at points (K, d)."""
     steps = range(0, len(points), _BLOCK)
     return np.concatenate([_columns(function, points[i : i + _BLOCK]) for i in steps])
@@ -516,7 +528,7 @@ def _residuals(
     return found
 
 
-def _cell_values(function: Integrand, low: Array, size: Array, order: int) -> tuple[Array, Array]:
+def _cell_values(function: Function, low: Array, size: Array, order: int) -> tuple[Array, Array]:
     """Values at the nodes of boxes (N, d), and next to their corners: (N, q^d or 2^d, C)."""
     dims = low.shape[1]
     nodes = _tensor([gauss_rule(order)[0]] * dims).reshape(-1, dims)
@@ -558,7 +570,7 @@ def _slivers(values: Array, corners: Array) -> Array:
     return np.asarray(missed.sum(axis=1) * node[0] * 2.0 ** (1 - dims))
 
 
-def lattice_integral(function: Integrand) -> Estimate:
+def lattice_integral(function: Function) -> Estimate:
     """∫ f in any number of dims by the mean over 2^20 points of a Kronecker sequence: value (C,).
 
     Points ½ + k α mod 1 with the steps α of `golden_vector`. The error is three standard errors of 16
@@ -574,7 +586,7 @@ def lattice_integral(function: Integrand) -> Estimate:
     return Estimate(value, float(_SIGMAS * spread.max()), method)
 
 
-def axis_rules(f: Integrand, half_width: int) -> list[AxisRule]:
+def axis_rules(f: Function, half_width: int) -> list[AxisRule]:
     """Composite Gauss-Legendre rules, 16 nodes to a wave of the half width (fewer beyond 2-D).
 
     Raises
@@ -596,7 +608,7 @@ def axis_rules(f: Integrand, half_width: int) -> list[AxisRule]:
 
 
 def product_coefficients(
-    f: Integrand, rules: Sequence[AxisRule], functions: Sequence[Array]
+    f: Function, rules: Sequence[AxisRule], functions: Sequence[Array]
 ) -> Array:
     """∫ f Π_i φ_i for all products of real functions of one variable.
 
@@ -625,7 +637,7 @@ def product_coefficients(
     return np.asarray(total).reshape(max(1, f.channels), -1)
 
 
-def cell_integrals(f: Integrand, size: int) -> tuple[Array, str]:
+def cell_integrals(f: Function, size: int) -> tuple[Array, str]:
     """∫ f over each of size^d equal cells: float64 (channels or 1, size^d), and how it was found.
 
     Raises
