@@ -34,13 +34,13 @@ __all__ = [
     "adaptive_integral",
     "axis_rules",
     "cell_integrals",
-    "found_breaks",
     "gauss_rule",
     "grid_coefficients",
     "lattice_integral",
     "probe",
     "product_coefficients",
     "refined_coefficients",
+    "search_breaks",
     "slabs",
 ]
 
@@ -106,11 +106,21 @@ def gauss_rule(order: int) -> tuple[Array, Array]:
 @final
 @dataclass(frozen=True)
 class Estimate:
-    """A computed value, an estimate of its absolute error (its largest entry), how it was made."""
+    """A computed value.
+
+    Attributes
+    ----------
+    value, error, method
+        The value, an estimate of its absolute error (its largest entry), and how it was made.
+    unseen
+        Part of the error, by channel, that stands for regions that only the probe met; None where
+        nodes resolve all that the probe met.
+    """
 
     value: Array
     error: float
     method: str
+    unseen: Array | None = None
 
 
 @final
@@ -242,10 +252,13 @@ def _columns(function: Function, x: Array) -> Array:
     return values if function.channels else values[..., None]
 
 
-def adaptive_integral(function: Function) -> Estimate:
+def adaptive_integral(
+    function: Function, breaks: tuple[Array, ...], probed: Array | None = None
+) -> Estimate:
     """∫ f in up to 5 dims by boxes that split until their halves agree: value (C,), C ≥ 1 channels.
 
-    Gauss-Legendre tensor rules on cells cut at `found_breaks`; a cell is replaced by its 2^d parts, while
+    Gauss-Legendre tensor rules on cells cut at `breaks` of each axis; `probed` are the values at the
+    points of `probe`, where they are known already. A cell is replaced by its 2^d parts, while
     2^21 evaluations last, if they differ from it by more than its share of 1e-12 of ∫|f|, or if
     the polynomial through their nodes is not what f is at a point of `probe`, each of which stands
     for 2^-17 of the volume. The error is the sum of the last differences and of those that they would
@@ -257,7 +270,6 @@ def adaptive_integral(function: Function) -> Estimate:
     order = _CELL_ORDER[dims]
 
     # Cut the first cells at the breaks: lower corners and sizes (N, d)
-    breaks = found_breaks(function)
     edges = [np.union1d(_uniform(dims), axis) for axis in breaks]
     low = _tensor([e[:-1] for e in edges]).reshape(-1, dims)
     size = _tensor([np.diff(e) for e in edges]).reshape(-1, dims)
@@ -269,9 +281,7 @@ def adaptive_integral(function: Function) -> Estimate:
     # Values at the points of the probe, and the cell of each
     points = probe(dims)
     cell = cells_of(points)
-    seen = probed = function.__dict__.pop("_probed", None)
-    if seen is None:
-        seen = probed = _at_points(function, points)
+    seen = probed = _at_points(function, points) if probed is None else probed
 
     weights = _tensor([gauss_rule(order)[1]] * dims).reshape(-1, dims).prod(axis=-1)
     coarse = weights @ _cell_values(function, low, size, order)[0] * size.prod(axis=-1)[:, None]
@@ -345,28 +355,27 @@ def adaptive_integral(function: Function) -> Estimate:
     largest = np.maximum(np.abs(rest).max(axis=0), surprises / len(again))
     unseen = largest if dims > 1 else np.where(rest.any(axis=0), largest, 0.0)
     unseen = _SIGMAS * np.sqrt((rest**2).sum(axis=0) + unseen**2)
-    function.__dict__["_unseen"] = np.maximum(np.abs(alone), np.abs(rest.sum(axis=0))) + unseen
     error += unseen
     shift = rest.sum(axis=0)
     total += np.where(np.abs(shift) > np.sqrt((rest**2).sum(axis=0)), shift, 0.0)
-    return Estimate(total, float(error.max()), method)
+    unseen = np.maximum(np.abs(alone), np.abs(shift)) + unseen
+    return Estimate(total, float(error.max()), method, unseen)
 
 
-def found_breaks(function: Function) -> tuple[Array, ...]:
+def search_breaks(function: Function) -> tuple[tuple[Array, ...], Array]:
     """For each axis the breaks that f declares, and jumps and poles across it that lines see.
+
+    Also returns the values at the points of `probe`, which the search begins with.
 
     Lines along each axis go through two points of the probe, and through those with the least and
     the greatest value. Their largest steps are cut down to 2^-46: what stays is a jump, or a
     pole, and it lies across the axis if it is at the same place on a line beside. Boxes whose nodes
     and tables whose cells would miss a thin slab are then cut at its faces. Of breaks that would make
-    too many boxes the highest are kept. Found once for each f.
+    too many boxes the highest are kept.
     """
-    if "_found_breaks" in function.__dict__:
-        known: tuple[Array, ...] = function.__dict__["_found_breaks"]
-        return known
     dims, points = function.dims, probe(function.dims)
     breaks = [np.array([b for b in axis if 0.0 < b < 1.0]) for axis in function.breaks]
-    seen = function.__dict__["_probed"] = _at_points(function, points)
+    seen = _at_points(function, points)
     spread = np.where(seen.std(axis=0) > 0.0, seen.std(axis=0), np.inf)
     lines = points[np.unique([0, 1, *seen.argmin(axis=0), *seen.argmax(axis=0)])]
     rows, steps = np.arange(len(lines))[:, None], (np.arange(_LINE) + math.sqrt(0.5)) / _LINE
@@ -441,9 +450,7 @@ def found_breaks(function: Function) -> tuple[Array, ...]:
             boxes = math.prod(len(np.union1d(_uniform(dims), b)) - 1 for b in more)
             if boxes * (2 * _CELL_ORDER[dims]) ** dims <= 2 * _INTEGRAL_BUDGET:
                 breaks = more
-    found_now = tuple(np.sort(b) for b in breaks)
-    function.__dict__["_found_breaks"] = found_now
-    return found_now
+    return tuple(np.sort(b) for b in breaks), seen
 
 
 def _uniform(dims: int) -> Array:
