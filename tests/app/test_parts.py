@@ -132,7 +132,7 @@ def test_coefficients_are_computed_once_for_all_rounds_and_samplers(changes, mon
         return Estimate(np.zeros([len(axis) for axis in m], complex), 0.0, "none")
 
     monkeypatch.setattr(base, "refined_coefficients", counted)
-    monkeypatch.setattr(base, "adaptive_integral", lambda _: Estimate(np.zeros(1), 0.0, "none"))
+    monkeypatch.setattr(base, "adaptive_integral", lambda *_: Estimate(np.zeros(1), 0.0, "none"))
     setup = replace(SMALL, half_width=3, **changes)
     compute("terms", setup, 4)
     first = len(calls)

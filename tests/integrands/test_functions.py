@@ -1,6 +1,8 @@
 """Callables as integrands: what is accepted, what is refused and how."""
 
+import dataclasses
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -116,3 +118,28 @@ def test_every_call_is_checked():
     g = make(lambda x: x[..., 0] if len(x) == 4 else x[..., :1], dims=2)
     with pytest.raises(ParameterError, match=r"shape \(3, 1\)"):
         g(np.zeros((3, 2)))
+
+
+def wave(x):
+    return np.cos(3.0 * x).sum(axis=-1)
+
+
+def test_what_is_found_out_stays_in_one_cache():
+    f = make(wave, dims=2)
+    mcs.predict(f, ["jittered", "rank1-lattice | shift"], [16])
+    mcs.exact_variance(f, "random", 4)
+    f.fourier_grid(1)
+    fields = {field.name for field in dataclasses.fields(f)}
+    assert set(vars(f)) - fields == {"_cache"}
+    for name in ("integral", "coefficients", "breaks", "cut", "moments", "square"):
+        assert getattr(f._cache, name) is not None, name
+
+
+def test_pickles_keep_what_was_found_out():
+    f = make(wave, dims=2)
+    integral = f.integral
+    calls = []
+    again = pickle.loads(pickle.dumps(f))
+    object.__setattr__(again, "function", calls.append)
+    assert again.integral == integral
+    assert not calls

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
 from mcspectra.core.checks import BELOW_ONE, Array
 from mcspectra.core.errors import DensityError, point_in_words
 from mcspectra.densities.adaptive import CELLS, SET_SIZE, SETS, integrate, recurrences
-
-if TYPE_CHECKING:
-    from mcspectra.densities.base import Density
 
 __all__ = ["check_density"]
 
@@ -29,7 +26,25 @@ _JACOBIAN = 1e-3
 _OUTLIERS = 0.02  # of the points may lie next to a jump of the warp
 
 
-def check_density(density: Density) -> None:
+class Checkable(Protocol):
+    """The parts of a `mcspectra.densities.Density` that are compared with each other."""
+
+    @property
+    def dims(self) -> int: ...
+    @property
+    def primary_dims(self) -> int: ...
+    @property
+    def spec(self) -> str: ...
+    @property
+    def has_inverse(self) -> bool: ...
+    @property
+    def one_to_one(self) -> bool: ...
+    def _pdf(self, x: Array, /) -> Array: ...
+    def _sample(self, u: Array, /) -> Array: ...
+    def _invert(self, x: Array, /) -> Array: ...
+
+
+def check_density(density: Checkable) -> None:
     """Test that pdf, sample and invert belong together.
 
     Parameters
@@ -98,7 +113,7 @@ def check_density(density: Density) -> None:
             raise DensityError(f"{loop}; sample and pdf agree, so invert is wrong.")
 
 
-def _round_trip(density: Density, u: Array, x: Array) -> str | None:
+def _round_trip(density: Checkable, u: Array, x: Array) -> str | None:
     """A sentence where invert(sample(u)) is not u, else None."""
     if not density.has_inverse:
         return None
@@ -115,7 +130,7 @@ def _round_trip(density: Density, u: Array, x: Array) -> str | None:
     )
 
 
-def _mass_problem(density: Density, x: Array) -> str | None:
+def _mass_problem(density: Checkable, x: Array) -> str | None:
     """A sentence where masses of cells by pdf and by samples differ, else None."""
     dims = density.dims
     side = CELLS[dims]
@@ -154,7 +169,7 @@ def _doubled(cells: Array, side: int, dims: int) -> Array:
     return np.asarray(sums.reshape(*cells.shape[:-1], -1))
 
 
-def _slab_problem(density: Density, x: Array) -> str | None:
+def _slab_problem(density: Checkable, x: Array) -> str | None:
     """A sentence where shares of samples and of the pdf in slabs of an axis differ, else None."""
     y = recurrences(density.dims)
     p = density._pdf(y)
@@ -175,7 +190,7 @@ def _slab_problem(density: Density, x: Array) -> str | None:
     return None
 
 
-def _jacobian_problem(density: Density, u: Array) -> str | None:
+def _jacobian_problem(density: Checkable, u: Array) -> str | None:
     """A sentence where |det ∂T/∂u| p(T(u)) is not 1, or the pdf holds more than 1, else None."""
     u = np.clip(u[2:514], 2 * _STEP, 1.0 - 2 * _STEP)
     steps = _STEP * np.eye(density.dims)
@@ -194,7 +209,7 @@ def _jacobian_problem(density: Density, u: Array) -> str | None:
     return None
 
 
-def _mean(density: Density) -> tuple[float, float]:
+def _mean(density: Checkable) -> tuple[float, float]:
     """Mean of p over low-discrepancy points, and what it may be off by."""
     means = density._pdf(recurrences(density.dims)).mean(axis=1)
     return float(means.mean()), _SPREADS * float(means.std(ddof=1)) / math.sqrt(SETS)

@@ -21,8 +21,8 @@ from mcspectra.densities.adaptive import positive_integral
 from mcspectra.estimators import Estimator
 from mcspectra.estimators.base import PrimaryIntegrand
 from mcspectra.integrands import Integrand
-from mcspectra.integrands._quadrature import PROBE, found_breaks, gauss_rule, probe
-from mcspectra.integrands.base import Breaks, Derived, integral_accuracy, numeric_integral
+from mcspectra.integrands._quadrature import PROBE, gauss_rule, probe
+from mcspectra.integrands.base import Breaks, Derived, found_breaks, integral_estimate
 
 __all__ = [
     "MOST_EVALUATIONS",
@@ -128,15 +128,14 @@ def looked_at(g: Integrand) -> Integrand:
     Integrands of costly calls, in closed form, with a rule of their own or in over 5 dims are taken
     as they are.
     """
-    if "_looked_at" not in g.__dict__:
+    cache = g._cache
+    if cache.cut is None:
         as_it_is = isinstance(g, _Cut) or g.costly or g.dims > _LOOKED_DIMS or in_closed_form(g)
-        found = g
+        more = 0
         if not as_it_is and g._estimated_integral() is None:
             more = sum(map(len, found_breaks(g))) - sum(map(len, g.breaks))
-            found = _Cut(g) if more > 0 else g
-        g.__dict__["_looked_at"] = found
-    cut: Integrand = g.__dict__["_looked_at"]
-    return cut
+        cache.cut = _Cut(g) if more > 0 else g
+    return cache.cut
 
 
 def blindness(g: Integrand, means: Array, squares: Array) -> Array:
@@ -179,7 +178,8 @@ def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
     In closed form, else by the rule that looks for what nodes miss; found once for each g. Of f by a learned
     density over the domain, where its knots lie across the axes: those of g lie along curves.
     """
-    if "_moments" not in g.__dict__:
+    cache = g._cache
+    if cache.moments is None:
         exact = closed_moments(g)
         if exact is None:
             middle = g(probe(g.dims)[:_CENTER]).reshape(_CENTER, -1).mean(axis=0)
@@ -198,17 +198,17 @@ def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
             label, width = f"moments of {g.spec}", 2 * len(middle)
             both = Pointwise(g, centered, breaks, label, width)
             if g.dims <= _LOOKED_DIMS and not over_domain:  # in more there are no boxes to cut
-                both.__dict__["_found_breaks"] = found_breaks(g)
-            first, second = np.split(numeric_integral(both), 2)
-            error = np.full(middle.shape, integral_accuracy(both)[1])
-            if "_unseen" in both.__dict__:
-                g.__dict__["_unseen_square"] = both.__dict__["_unseen"][len(middle) :]
+                both._cache.breaks = found_breaks(g)
+            found = integral_estimate(both)
+            first, second = np.split(found.value, 2)
+            error = np.full(middle.shape, found.error)
+            if found.unseen is not None:
+                cache.unseen_square = found.unseen[len(middle) :]
         else:
             middle, square = exact
             first, second, error = 0.0 * middle, square - middle**2, 0.0 * middle
-        g.__dict__["_moments"] = middle, first, second, error
-    found: tuple[Array, Array, Array, Array] = g.__dict__["_moments"]
-    return found
+        cache.moments = middle, first, second, error
+    return cache.moments
 
 
 @final
@@ -241,10 +241,11 @@ def orders_of(cells: int, dims: int) -> tuple[int, int]:
 
 def unseen(g: Integrand) -> Array:
     """What ∫g² may be off by for regions that nodes do not see, (channels or 1,): `moments`."""
+    none = np.zeros(max(1, g.channels))
     if g.costly or g.dims > _LOOKED_DIMS or in_closed_form(g):
-        return np.zeros(max(1, g.channels))
+        return none
     moments(g)
-    return np.asarray(g.__dict__.get("_unseen_square", np.zeros(max(1, g.channels))))
+    return none if g._cache.unseen_square is None else g._cache.unseen_square
 
 
 def constant(g: Integrand) -> str:
@@ -412,9 +413,9 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
     The integral is infinite where that does not shrink, but for poles across an axis; else the smaller
     error counts. In more dims other poles show as a large error at best.
     """
-    kept: dict[str, tuple[Array, Array]] = g.__dict__
-    if "_square" in kept:
-        return kept["_square"]
+    cache = g._cache
+    if cache.square is not None:
+        return cache.square
     width = max(1, g.channels)
     by_levels, level_errors = np.full(width, np.nan), np.full(width, np.inf)
     inside, warped = _inside(g)
@@ -450,7 +451,8 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
         if math.isfinite(level[0]) or (pole and not grows[c] > 0.0):
             by_levels[c], level_errors[c] = level
     if np.isinf(by_levels).all():
-        return kept.setdefault("_square", (by_levels, np.zeros(width)))
+        cache.square = by_levels, np.zeros(width)
+        return cache.square
 
     # By the rule that looks for what nodes miss
     middle, first, second, error = moments(g)
@@ -467,7 +469,8 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
     if not isinstance(g, _Cut):
         error = np.where((more > 0.0) & ~better, error + more, error)
     value, error = np.where(better, by_levels, value), np.where(better, level_errors, error)
-    return kept.setdefault("_square", (value, error))
+    cache.square = value, error
+    return cache.square
 
 
 def _inside(g: Integrand) -> tuple[Integrand, bool]:

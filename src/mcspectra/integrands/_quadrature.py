@@ -19,16 +19,13 @@ import functools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, final
+from typing import Protocol, final
 
 import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.streams import Stream, golden_vector
-
-if TYPE_CHECKING:
-    from mcspectra.integrands.base import Integrand
 
 __all__ = [
     "PROBE",
@@ -37,13 +34,13 @@ __all__ = [
     "adaptive_integral",
     "axis_rules",
     "cell_integrals",
-    "found_breaks",
     "gauss_rule",
     "grid_coefficients",
     "lattice_integral",
     "probe",
     "product_coefficients",
     "refined_coefficients",
+    "search_breaks",
     "slabs",
 ]
 
@@ -84,6 +81,21 @@ _SAME_BREAK = 2.0**-40
 _FOUND = 2.0**-46  # width within which they lie
 
 
+class Function(Protocol):
+    """The parts of a `mcspectra.integrands.Integrand` that quadrature uses."""
+
+    @property
+    def dims(self) -> int: ...
+    @property
+    def channels(self) -> int: ...
+    @property
+    def spec(self) -> str: ...
+    @property
+    def breaks(self) -> tuple[tuple[float, ...], ...]: ...
+    def __call__(self, x: Array, /) -> Array: ...
+    def box_moments(self, lo: Array, hi: Array, /) -> tuple[Array, Array] | None: ...
+
+
 @functools.lru_cache(maxsize=32)
 def gauss_rule(order: int) -> tuple[Array, Array]:
     """Nodes and weights (order,) of Gauss-Legendre quadrature on [0,1]."""
@@ -94,11 +106,21 @@ def gauss_rule(order: int) -> tuple[Array, Array]:
 @final
 @dataclass(frozen=True)
 class Estimate:
-    """A computed value, an estimate of its absolute error (its largest entry), how it was made."""
+    """A computed value.
+
+    Attributes
+    ----------
+    value, error, method
+        The value, an estimate of its absolute error (its largest entry), and how it was made.
+    unseen
+        Part of the error, by channel, that stands for regions that only the probe met; None where
+        nodes resolve all that the probe met.
+    """
 
     value: Array
     error: float
     method: str
+    unseen: Array | None = None
 
 
 @final
@@ -157,7 +179,7 @@ class AxisRule:
         return np.asarray(found)
 
 
-def refined_coefficients(function: Integrand, m: Sequence[Array]) -> Estimate:
+def refined_coefficients(function: Function, m: Sequence[Array]) -> Estimate:
     """Coefficients at the tensor product of the integers m[i] (U_i,): (U_0, …, U_{d−1}[, channels]).
 
     Starts with 16 nodes a wavelength of the highest frequency (8 from 3-D on, 4 where more would
@@ -194,7 +216,7 @@ def refined_coefficients(function: Integrand, m: Sequence[Array]) -> Estimate:
         coarse, counts = fine, [2 * c for c in counts]
 
 
-def grid_coefficients(function: Integrand, counts: Sequence[int], m: Sequence[Array]) -> Array:
+def grid_coefficients(function: Function, counts: Sequence[int], m: Sequence[Array]) -> Array:
     """One tensor grid, transformed slab by slab along all axes but the first, and then along that."""
     rules = [
         AxisRule.make(count, min(_ORDER, count), breaks)
@@ -211,7 +233,7 @@ def grid_coefficients(function: Integrand, counts: Sequence[int], m: Sequence[Ar
     return np.moveaxis(found, 0, -1) if function.channels else found[0]
 
 
-def slabs(function: Integrand, rules: Sequence[AxisRule]) -> Iterator[tuple[int, Array]]:
+def slabs(function: Function, rules: Sequence[AxisRule]) -> Iterator[tuple[int, Array]]:
     """Values on slabs of the product of the nodes, along the first axis: start, (C, p, P_1, …)."""
     first, rest = rules[0].nodes, [rule.nodes for rule in rules[1:]]
     step = max(1, _BLOCK // math.prod(nodes.size for nodes in rest))
@@ -225,15 +247,18 @@ def _tensor(axes: Sequence[Array]) -> Array:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
 
-def _columns(function: Integrand, x: Array) -> Array:
+def _columns(function: Function, x: Array) -> Array:
     values = function(x)
     return values if function.channels else values[..., None]
 
 
-def adaptive_integral(function: Integrand) -> Estimate:
+def adaptive_integral(
+    function: Function, breaks: tuple[Array, ...], probed: Array | None = None
+) -> Estimate:
     """∫ f in up to 5 dims by boxes that split until their halves agree: value (C,), C ≥ 1 channels.
 
-    Gauss-Legendre tensor rules on cells cut at `found_breaks`; a cell is replaced by its 2^d parts, while
+    Gauss-Legendre tensor rules on cells cut at `breaks` of each axis; `probed` are the values at the
+    points of `probe`, where they are known already. A cell is replaced by its 2^d parts, while
     2^21 evaluations last, if they differ from it by more than its share of 1e-12 of ∫|f|, or if
     the polynomial through their nodes is not what f is at a point of `probe`, each of which stands
     for 2^-17 of the volume. The error is the sum of the last differences and of those that they would
@@ -245,7 +270,6 @@ def adaptive_integral(function: Integrand) -> Estimate:
     order = _CELL_ORDER[dims]
 
     # Cut the first cells at the breaks: lower corners and sizes (N, d)
-    breaks = found_breaks(function)
     edges = [np.union1d(_uniform(dims), axis) for axis in breaks]
     low = _tensor([e[:-1] for e in edges]).reshape(-1, dims)
     size = _tensor([np.diff(e) for e in edges]).reshape(-1, dims)
@@ -257,9 +281,7 @@ def adaptive_integral(function: Integrand) -> Estimate:
     # Values at the points of the probe, and the cell of each
     points = probe(dims)
     cell = cells_of(points)
-    seen = probed = function.__dict__.pop("_probed", None)
-    if seen is None:
-        seen = probed = _at_points(function, points)
+    seen = probed = _at_points(function, points) if probed is None else probed
 
     weights = _tensor([gauss_rule(order)[1]] * dims).reshape(-1, dims).prod(axis=-1)
     coarse = weights @ _cell_values(function, low, size, order)[0] * size.prod(axis=-1)[:, None]
@@ -333,28 +355,27 @@ def adaptive_integral(function: Integrand) -> Estimate:
     largest = np.maximum(np.abs(rest).max(axis=0), surprises / len(again))
     unseen = largest if dims > 1 else np.where(rest.any(axis=0), largest, 0.0)
     unseen = _SIGMAS * np.sqrt((rest**2).sum(axis=0) + unseen**2)
-    function.__dict__["_unseen"] = np.maximum(np.abs(alone), np.abs(rest.sum(axis=0))) + unseen
     error += unseen
     shift = rest.sum(axis=0)
     total += np.where(np.abs(shift) > np.sqrt((rest**2).sum(axis=0)), shift, 0.0)
-    return Estimate(total, float(error.max()), method)
+    unseen = np.maximum(np.abs(alone), np.abs(shift)) + unseen
+    return Estimate(total, float(error.max()), method, unseen)
 
 
-def found_breaks(function: Integrand) -> tuple[Array, ...]:
+def search_breaks(function: Function) -> tuple[tuple[Array, ...], Array]:
     """For each axis the breaks that f declares, and jumps and poles across it that lines see.
+
+    Also returns the values at the points of `probe`, which the search begins with.
 
     Lines along each axis go through two points of the probe, and through those with the least and
     the greatest value. Their largest steps are cut down to 2^-46: what stays is a jump, or a
     pole, and it lies across the axis if it is at the same place on a line beside. Boxes whose nodes
     and tables whose cells would miss a thin slab are then cut at its faces. Of breaks that would make
-    too many boxes the highest are kept. Found once for each f.
+    too many boxes the highest are kept.
     """
-    if "_found_breaks" in function.__dict__:
-        known: tuple[Array, ...] = function.__dict__["_found_breaks"]
-        return known
     dims, points = function.dims, probe(function.dims)
     breaks = [np.array([b for b in axis if 0.0 < b < 1.0]) for axis in function.breaks]
-    seen = function.__dict__["_probed"] = _at_points(function, points)
+    seen = _at_points(function, points)
     spread = np.where(seen.std(axis=0) > 0.0, seen.std(axis=0), np.inf)
     lines = points[np.unique([0, 1, *seen.argmin(axis=0), *seen.argmax(axis=0)])]
     rows, steps = np.arange(len(lines))[:, None], (np.arange(_LINE) + math.sqrt(0.5)) / _LINE
@@ -429,9 +450,7 @@ def found_breaks(function: Integrand) -> tuple[Array, ...]:
             boxes = math.prod(len(np.union1d(_uniform(dims), b)) - 1 for b in more)
             if boxes * (2 * _CELL_ORDER[dims]) ** dims <= 2 * _INTEGRAL_BUDGET:
                 breaks = more
-    found_now = tuple(np.sort(b) for b in breaks)
-    function.__dict__["_found_breaks"] = found_now
-    return found_now
+    return tuple(np.sort(b) for b in breaks), seen
 
 
 def _uniform(dims: int) -> Array:
@@ -439,7 +458,7 @@ def _uniform(dims: int) -> Array:
     return np.linspace(0.0, 1.0, _CELLS[dims] + 1)
 
 
-def _at_points(function: Integrand, points: Array) -> Array:
+def _at_points(function: Function, points: Array) -> Array:
     """Values (K, C) at points (K, d)."""
     steps = range(0, len(points), _BLOCK)
     return np.concatenate([_columns(function, points[i : i + _BLOCK]) for i in steps])
@@ -516,7 +535,7 @@ def _residuals(
     return found
 
 
-def _cell_values(function: Integrand, low: Array, size: Array, order: int) -> tuple[Array, Array]:
+def _cell_values(function: Function, low: Array, size: Array, order: int) -> tuple[Array, Array]:
     """Values at the nodes of boxes (N, d), and next to their corners: (N, q^d or 2^d, C)."""
     dims = low.shape[1]
     nodes = _tensor([gauss_rule(order)[0]] * dims).reshape(-1, dims)
@@ -558,7 +577,7 @@ def _slivers(values: Array, corners: Array) -> Array:
     return np.asarray(missed.sum(axis=1) * node[0] * 2.0 ** (1 - dims))
 
 
-def lattice_integral(function: Integrand) -> Estimate:
+def lattice_integral(function: Function) -> Estimate:
     """∫ f in any number of dims by the mean over 2^20 points of a Kronecker sequence: value (C,).
 
     Points ½ + k α mod 1 with the steps α of `golden_vector`. The error is three standard errors of 16
@@ -574,7 +593,7 @@ def lattice_integral(function: Integrand) -> Estimate:
     return Estimate(value, float(_SIGMAS * spread.max()), method)
 
 
-def axis_rules(f: Integrand, half_width: int) -> list[AxisRule]:
+def axis_rules(f: Function, half_width: int) -> list[AxisRule]:
     """Composite Gauss-Legendre rules, 16 nodes to a wave of the half width (fewer beyond 2-D).
 
     Raises
@@ -596,7 +615,7 @@ def axis_rules(f: Integrand, half_width: int) -> list[AxisRule]:
 
 
 def product_coefficients(
-    f: Integrand, rules: Sequence[AxisRule], functions: Sequence[Array]
+    f: Function, rules: Sequence[AxisRule], functions: Sequence[Array]
 ) -> Array:
     """∫ f Π_i φ_i for all products of real functions of one variable.
 
@@ -625,7 +644,7 @@ def product_coefficients(
     return np.asarray(total).reshape(max(1, f.channels), -1)
 
 
-def cell_integrals(f: Integrand, size: int) -> tuple[Array, str]:
+def cell_integrals(f: Function, size: int) -> tuple[Array, str]:
     """∫ f over each of size^d equal cells: float64 (channels or 1, size^d), and how it was found.
 
     Raises

@@ -3,8 +3,8 @@
 Conventions: f_m = ∫ f(x) exp(−2πi m·x) dx over [0,1)^d, integer m. Implementations write
 `_evaluate`, and `_integral` and `_fourier` where they are known exactly; otherwise composite
 Gauss-Legendre quadrature (with an FFT for the coefficients) stands in and `integral_source` and
-`fourier_source` say so. Results of quadrature are kept in the integrand itself, the last few sets of
-frequencies each: an integrand must always give the same values.
+`fourier_source` say so. Each integrand has an `IntegrandCache` for what quadrature found out about it:
+an integrand must always give the same values.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, ClassVar, final
 
 import numpy as np
@@ -45,6 +46,7 @@ from mcspectra.integrands._quadrature import (
     adaptive_integral,
     lattice_integral,
     refined_coefficients,
+    search_breaks,
 )
 
 __all__ = [
@@ -54,12 +56,15 @@ __all__ = [
     "Estimate",
     "FunctionIntegrand",
     "Integrand",
+    "IntegrandCache",
     "NamedFunction",
     "any_dims",
     "axis_number",
+    "found_breaks",
     "fourier_accuracy",
     "fourier_grid",
     "integral_accuracy",
+    "integral_estimate",
     "numeric_integral",
     "per_axis",
 ]
@@ -103,6 +108,46 @@ def per_axis(default: float | None, **limits: float) -> Any:
     return checked(check, default, using="dims")
 
 
+@final
+@dataclass(slots=True, eq=False, repr=False)
+class IntegrandCache:
+    """What was found out about one integrand, each fact at its first use; None before.
+
+    Attributes
+    ----------
+    integral
+        ∫ f by quadrature, or by a rule of the integrand's own (`numeric_integral`).
+    coefficients
+        Fourier coefficients by the tensor product of frequencies that they were asked for, the
+        last four.
+    breaks
+        Places along each axis where f is declared to jump, or seen to (`found_breaks`).
+    probed
+        Values at the points of `mcspectra.integrands._quadrature.probe`, which the search for breaks
+        leaves for the integral; they are let go there.
+    cut
+        The integrand with these breaks, or itself where there are no more than it declares
+        (`mcspectra.estimators.quadrature.looked_at`).
+    moments
+        A number a near to ∫ f, ∫ (f − a), ∫ (f − a)² and the error of both
+        (`mcspectra.estimators.quadrature.moments`).
+    unseen_square
+        Error of ∫ (f − a)² for regions that only the probe met
+        (`mcspectra.estimators.quadrature.unseen`).
+    square
+        ∫ f² and its absolute error (`mcspectra.estimators.quadrature.square_integral`).
+    """
+
+    integral: Estimate | None = None
+    coefficients: dict[tuple[bytes, ...], Estimate] = field(default_factory=dict)
+    breaks: tuple[Array, ...] | None = None
+    probed: Array | None = None
+    cut: Integrand | None = None
+    moments: tuple[Array, Array, Array, Array] | None = None
+    unseen_square: Array | None = None
+    square: tuple[Array, Array] | None = None
+
+
 class Integrand(Component, ABC):
     """A real function on [0,1]^d, with one or more channels.
 
@@ -116,6 +161,11 @@ class Integrand(Component, ABC):
 
     dims: int
     channels: int = 0
+
+    @cached_property
+    def _cache(self) -> IntegrandCache:
+        """What was found out about this integrand; it goes when the integrand goes."""
+        return IntegrandCache()
 
     def __call__(self, x: object) -> Array:
         """Values at points x of shape (..., d): float64 (...) or (..., channels).
@@ -528,7 +578,7 @@ def numeric_integral(integrand: Integrand) -> Any:
     trusted to three to six digits. An integrand that has a rule of its own, as pixels have, is
     integrated by that. `integral_accuracy` estimates the error.
     """
-    value = _integral_estimate(integrand).value
+    value = integral_estimate(integrand).value
     return value.copy() if integrand.channels else float(value[0])
 
 
@@ -536,7 +586,7 @@ def integral_accuracy(integrand: Integrand) -> tuple[str, float]:
     """Say how `integral` is found, and an estimate of its largest absolute error (0 if exact)."""
     if _as_integrand(integrand)._integral() is not None:
         return "exact", 0.0
-    found = _integral_estimate(integrand)
+    found = integral_estimate(integrand)
     return found.method, found.error
 
 
@@ -558,8 +608,8 @@ def _check_size(integrand: Integrand, sizes: list[int]) -> None:
 
 
 def _quadrature(integrand: Integrand, m: Sequence[Array]) -> Estimate:
-    """Coefficients on a tensor product of frequencies, remembered by the integrand."""
-    kept = _memory(integrand)
+    """Coefficients on a tensor product of frequencies, found once."""
+    kept = integrand._cache.coefficients
     key = tuple(axis.tobytes() for axis in m)
     if key in kept:
         return kept[key]
@@ -578,18 +628,28 @@ def _quadrature(integrand: Integrand, m: Sequence[Array]) -> Estimate:
     return found
 
 
-def _integral_estimate(integrand: Integrand) -> Estimate:
-    kept = _memory(integrand)
-    if "integral" not in kept:
-        rule = adaptive_integral if integrand.dims <= _ADAPTIVE_DIMS else lattice_integral
-        kept["integral"] = integrand._estimated_integral() or rule(integrand)
-    return kept["integral"]
+def integral_estimate(integrand: Integrand) -> Estimate:
+    """∫ f by quadrature as in `numeric_integral`, with its error; found once."""
+    cache = integrand._cache
+    if cache.integral is None:
+        found = integrand._estimated_integral()
+        if found is None and integrand.dims <= _ADAPTIVE_DIMS:
+            breaks = found_breaks(integrand)
+            probed, cache.probed = cache.probed, None
+            found = adaptive_integral(integrand, breaks, probed)
+        cache.integral = found or lattice_integral(integrand)
+    return cache.integral
 
 
-def _memory(integrand: Integrand) -> dict[Any, Estimate]:
-    """What was computed for an integrand: kept in it, so that it goes when the integrand goes."""
-    kept: dict[Any, Estimate] = integrand.__dict__.setdefault("_computed", {})
-    return kept
+def found_breaks(integrand: Integrand) -> tuple[Array, ...]:
+    """For each axis the breaks that f declares and those that lines see; found once.
+
+    See `mcspectra.integrands._quadrature.search_breaks`.
+    """
+    cache = integrand._cache
+    if cache.breaks is None:
+        cache.breaks, cache.probed = search_breaks(integrand)
+    return cache.breaks
 
 
 def _probe(function: Callable[[Any], Any], dims: int) -> int:

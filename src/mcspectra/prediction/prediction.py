@@ -135,7 +135,8 @@ def of_table(law: Law, known: Known, stream: Stream) -> Predicted:
         raise NoClosedForm("A table takes 1 to 3 dims.")
     if np.isinf(known.square[0]).any():
         raise NoClosedForm("∫g² diverges.")
-    if law.source is None:
+    sampler = law.source
+    if not isinstance(sampler, Sampler):
         raise NoClosedForm("These points have no sampler.")
     g, n = known.g, law.n
 
@@ -157,7 +158,7 @@ def of_table(law: Law, known: Known, stream: Stream) -> Predicted:
 
     table, missed, miss = known.once("table", tabulated)
     sets = min(max(_POINTS // n, _LEAST_SETS), _MOST_SETS)
-    moments = count_moments(Estimator(table), law.source, n, sets, stream)
+    moments = count_moments(Estimator(table), sampler, n, sets, stream)
     if not (moments.resolved & (moments.variance > rounding_floor(moments.mean))).all():
         raise NoClosedForm(f"{sets} sets do not resolve the variance of {law.name}.")
     tail = missed / n
@@ -169,7 +170,7 @@ def of_table(law: Law, known: Known, stream: Stream) -> Predicted:
 
 def of_measurements(law: Law, known: Known, stream: Stream) -> Predicted:
     """Extrapolate the variances of the sampler's small sets."""
-    if law.source is None:
+    if not isinstance(law.source, Sampler):
         raise NoClosedForm("These points have no sampler.")
     return extrapolated(Estimator(known.g), law.source, law.n, known, stream)
 

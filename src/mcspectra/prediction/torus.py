@@ -34,8 +34,7 @@ from mcspectra.estimators.quadrature import mesh
 from mcspectra.integrands import Integrand
 from mcspectra.integrands._quadrature import grid_coefficients
 from mcspectra.prediction.known import Known, Predicted, half_interval
-from mcspectra.samplers import Sampler
-from mcspectra.samplers.law import Independent, Law, Scrambled, Shifted
+from mcspectra.samplers.law import Independent, Law, Scrambled, Shifted, Source
 from mcspectra.spectra.closed_forms import moments_of
 
 __all__ = ["lattice_basis", "of_few_moves", "of_moves", "of_torus"]
@@ -503,7 +502,7 @@ def _drawn(
 
 
 @lru_cache(maxsize=32)
-def _sets(sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> Array:
+def _sets(sampler: Source, n: int, stream: Stream, first: int, count: int) -> Array:
     """Sets that are expensive to make, kept for other integrands."""
     return sampler.draw_stream(n, stream, first, count)
 

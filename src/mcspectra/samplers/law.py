@@ -35,16 +35,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, Literal, Self, TypeAlias, final
+from typing import ClassVar, Literal, Protocol, Self, TypeAlias, final
 
 import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import Function, NoClosedForm, ParameterError
 from mcspectra.core.streams import Stream
-
-if TYPE_CHECKING:
-    from mcspectra.samplers.base import Sampler
 
 __all__ = [
     "AntitheticPair",
@@ -63,6 +60,7 @@ __all__ = [
     "Scramble",
     "Scrambled",
     "Shifted",
+    "Source",
     "Stationary",
     "Strata",
     "UniformPoint",
@@ -89,6 +87,17 @@ _TERMS_AT_ONCE = 2**22
 """Terms that are in memory together: 64 MB of complex numbers."""
 
 
+class Source(Protocol):
+    """What a law uses of the `mcspectra.samplers.Sampler` whose law it is."""
+
+    @property
+    def spec(self) -> str: ...
+    @property
+    def max_count(self) -> int: ...
+    def draw_stream(self, n: int, stream: Stream, first: int, count: int, /) -> Array: ...
+    def __hash__(self) -> int: ...
+
+
 @dataclass(frozen=True, kw_only=True)
 class Law(ABC):
     """The joint distribution of the n points of one realization.
@@ -112,7 +121,7 @@ class Law(ABC):
     stationary: ClassVar[bool] = False
     n: int
     dims: int
-    source: Sampler | None = field(default=None, compare=False, repr=False)
+    source: Source | None = field(default=None, compare=False, repr=False)
 
     def draw(self, stream: Stream, first: int, count: int) -> Array:
         """Draw realizations first … first + count − 1: float64 (count, n, dims)."""
@@ -124,7 +133,7 @@ class Law(ABC):
         """What sentences call it: the spec of the sampler, or the class of the law."""
         return type(self).__name__ if self.source is None else self.source.spec
 
-    def of(self, source: Sampler) -> Self:
+    def of(self, source: Source) -> Self:
         """Return this law as that of `source`."""
         return replace(self, source=source)
 
