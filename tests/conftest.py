@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 from collections import Counter
 from importlib.util import find_spec
 
@@ -10,6 +11,11 @@ import pytest
 # Before workers, one a core, load numpy: two threads of BLAS in each wait for one another, which was three
 # quarters of the processor time of fits.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# Tests, and the processes that they start, keep compiled modules although PYTHONDONTWRITEBYTECODE is set:
+# to rewrite the assert statements of all tests again is most of the time of collection, in each worker.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 from mcspectra.core import trust
 from mcspectra.samplers import external

@@ -92,9 +92,14 @@ FUNCTIONS = {
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_the_first_cause_is_right_for_every_seed_and_budget(name):
+@pytest.mark.parametrize(
+    "runs",
+    [((0, 2048), (1, 8192)), pytest.param(((2, 2**16),), marks=pytest.mark.slow)],
+    ids=["small", "large"],
+)
+def test_the_first_cause_is_right_for_every_seed_and_budget(name, runs):
     dims, function, causes = FUNCTIONS[name]
-    for seed, budget in enumerate((2048, 8192, 2**16)):
+    for seed, budget in runs:
         found = mcs.profile(function, dims=dims, budget=budget, rng=seed)
         assert found.causes[0].name in causes, (seed, budget, found.text)
 

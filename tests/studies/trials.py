@@ -26,6 +26,7 @@ from collections import Counter
 from pathlib import Path
 
 import msgspec
+import pytest
 from tests.processes import python
 from tests.report.conftest import words_alone
 
@@ -167,21 +168,29 @@ def with_faults(*arguments, **faults):
     return python(*arguments, cwd=ROOT, env=environment)
 
 
-def prepared():
-    """Make runs of this process record much, commit often, and draw nothing."""
-    schedule._TARGET, schedule._RECORDED_AFTER = 1e-9, 0.0
-    ledger_module._COMMIT_SECONDS = 0.005
-    report_page._drawn = words_alone
-
-
 def command(study, out, *more):
-    """The command line of a run, in tasks of one block."""
-    prepared()
-    return main(["run", str(study), "--out", str(out), "--workers", "1", "--quiet", *more])
+    """The command line of a run that records much, commits often and draws no pictures."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(schedule, "_TARGET", 1e-9)
+        patch.setattr(schedule, "_RECORDED_AFTER", 0.0)
+        patch.setattr(ledger_module, "_COMMIT_SECONDS", 0.005)
+        patch.setattr(report_page, "_drawn", words_alone)
+        return main(["run", str(study), "--out", str(out), "--workers", "1", "--quiet", *more])
+
+
+def straight_run(study, out):
+    """The digest of a run that nothing disturbs.
+
+    The run loads all modules and kernels, which takes four times as long as the run: forks need not
+    load them again.
+    """
+    with contextlib.redirect_stdout(None):
+        assert command(study, out) == 0
+    return digest_of(out)
 
 
 def forked(*arguments, begin=lambda: None):
-    """The command in a fork, which has everything imported: its exit code."""
+    """The exit code of the command in a fork of this process."""
     child = os.fork()
     if child == 0:
         silent = os.open(os.devnull, os.O_WRONLY)
@@ -288,10 +297,11 @@ def power(folder, trials, seed=1):
     """Lose power between any two changes of a run's files, and resume; of twice as many, twice."""
     study, chosen = folder / "study.toml", random.Random(seed)
     study.write_text(FEW)
-    log, out = folder / "log", folder / "straight"
+    log, out = folder / "log", folder / "logged"
     ended = with_faults("-m", "tests.studies.trials", "run", study, out, log=log)
     assert ended.returncode == 0, ended.stderr
-    disk, expected = Disk(log), digest_of(out)
+    disk, expected = Disk(log), straight_run(study, folder / "straight")
+    assert digest_of(out) == expected
     found = Counter(changes=len(disk.changes), held=0, broken=0, nothing_there=0)
     for number in range(trials):
         work = folder / f"power{number}"
@@ -323,8 +333,7 @@ def memory_inside(folder, trials, seed):
     study.write_text(FEW)
     library = ctypes.CDLL(None)
     library.faults_memory.restype = ctypes.c_long
-    forked(study, folder / "straight")
-    expected = digest_of(folder / "straight")
+    expected = straight_run(study, folder / "straight")
     found = Counter(held=0, broken=0)
     for number in range(trials):
         out = folder / f"memory{number}"
@@ -362,7 +371,6 @@ def clocks(folder, trials, seed=1):
     """Have the clock of the day jump by years while a run is killed, and while it is resumed."""
     study = folder / "study.toml"
     study.write_text(FEW)
-    prepared()
     program = ("-m", "tests.studies.killed_runs", study, folder / "runs")
     ended = with_faults(*program, trials, seed, clock=seed)
     assert ended.returncode == 0, ended.stderr[-2000:]
