@@ -16,10 +16,9 @@ from typing import Any
 from mcspectra.core.errors import McspectraError, SpecError
 from mcspectra.core.pointfiles import matching_files
 from mcspectra.core.spec import Call, parse, parse_chain
-from mcspectra.core.trust import process_trust
+from mcspectra.core.trust import FILE_KEYS, process_trust
 from mcspectra.samplers.external import check_code
 from mcspectra.samplers.registry import RUN_CODE
-from mcspectra.studies.vetting import FILE_KEYS
 
 __all__ = [
     "FORMULA",

@@ -479,7 +479,7 @@ def map_(options: argparse.Namespace) -> Answer:
         for k, (each, part) in enumerate(zip(samplers, parts, strict=True))
     )
     study = StudyConfig(title=f"Map of {options.scene}", seed=options.seed or 0, scenes=entries)
-    trust = process_trust().widened(folders=(Path(options.scene).parent,))
+    trust = process_trust().widened(folders=(Path(Path.cwd().anchor),))  # who gives it may read it
     folder = options.out or "out/map"
     run_study(study, folder, resume=options.resume, workers=options.workers, trust=trust)
     tree = open_results(folder)

@@ -17,13 +17,32 @@ from pathlib import Path
 from typing import Any, final
 
 from mcspectra.core.display import shown
-from mcspectra.core.errors import ConfigError
-from mcspectra.core.spec import Call
+from mcspectra.core.errors import ConfigError, McspectraError
+from mcspectra.core.spec import Call, parse_chain
 
-__all__ = ["CODE", "FUNCTION", "Trust", "allow", "process_trust", "words_of"]
+__all__ = [
+    "CODE",
+    "FILE_KEYS",
+    "FUNCTION",
+    "Trust",
+    "allow",
+    "process_trust",
+    "reach_of",
+    "words_of",
+]
 
 CODE = {"command": "run", "python": "function"}
 """Samplers that run code, and the parameter that names it."""
+
+FILE_KEYS = (
+    "path",
+    "filename",
+    "matrices",
+    "directions",
+    "generating_matrices",
+    "generating_vector",
+)
+"""Parameters that name files: point sets and images, Mitsuba's plugins, digital nets, QMCPy's generators."""
 
 FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 """How a function is written: ``module:function``."""
@@ -108,6 +127,69 @@ class Trust:
             return any(place.is_relative_to(root.resolve()) for root in self.folders)
         except (OSError, RuntimeError, ValueError):  # a loop of links, or no path
             return False
+
+    @property
+    def reads_all(self) -> bool:
+        """Whether every file of this machine may be read."""
+        return self.reads(Path.cwd().anchor)
+
+    def check_scene_file(self, file: Path, named: str, where: str) -> None:
+        """Refuse a file that a scene names, whether it exists or not, outside the folders.
+
+        Parameters
+        ----------
+        file
+            Where it would be.
+        named
+            The name in the scene.
+        where
+            The element and the file that name it.
+
+        Raises
+        ------
+        ConfigError
+            The message says how to allow it.
+        """
+        if not self.reads(file):
+            raise ConfigError(
+                f"{where} names {shown(named)}, which is outside the folders that a study may read: move "
+                f"the file beside the scene, or allow its folder by --allow-path {shlex.quote(str(file.parent))}."
+            )
+
+    def check_scene_spec(self, text: str, where: str) -> None:
+        """Refuse a spec in a scene that names files or code, also in a spec inside it.
+
+        Raises
+        ------
+        ConfigError
+            The message says what to do.
+        """
+        if (what := reach_of(text)) is not None:
+            raise ConfigError(
+                f"{where} has the spec {shown(text)}, which names {what}; a scene of a study may not: give "
+                "the sampler in the study file."
+            )
+
+
+def reach_of(value: Any, key: str = "") -> str | None:
+    """What a value of a spec names, also in a spec inside it: a file, code, or nothing (None)."""
+    if isinstance(value, dict):
+        found = [reach_of(each, str(inner)) for inner, each in value.items()]
+    elif isinstance(value, list | tuple | set):
+        found = [reach_of(each, key) for each in value]
+    elif not isinstance(value, str):
+        found = []
+    elif key in FILE_KEYS:
+        return "a file"
+    else:
+        try:
+            calls = parse_chain(value)
+        except McspectraError:
+            return None
+        if any(call.name in CODE for call in calls):
+            return "code"
+        found = [reach_of(call.arguments) for call in calls]
+    return next((each for each in found if each), None)
 
 
 def words_of(command: object) -> list[str]:

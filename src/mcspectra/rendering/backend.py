@@ -11,6 +11,7 @@ start pays for the trial.
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import importlib.util
 import json
@@ -39,6 +40,7 @@ __all__ = [
     "find_library",
     "import_mitsuba",
     "load_mitsuba",
+    "mitsuba_folder",
 ]
 
 VARIANT = "llvm_ad_rgb"
@@ -72,9 +74,13 @@ _SYSTEM_FOLDERS = {
     ),
     "Windows": (("C:/Program Files/LLVM/bin", "LLVM-C*.dll"),),
 }
+_OWN_PLUGINS = """
+import mitsuba as mi, os
+mi.file_resolver().clear()
+mi.file_resolver().append(os.path.dirname(mi.__file__))
+"""  # the current folder, where Mitsuba would look first, may be a stranger's
 # Minimum, ray tracing and a rough conductor are what broke under unsuitable versions.
-_PROBE = f"""
-import mitsuba as mi
+_PROBE = f"""{_OWN_PLUGINS}
 mi.set_variant({VARIANT!r})
 import drjit as dr
 scene = mi.load_dict({{"type": "scene", "ball": {{
@@ -89,8 +95,7 @@ numbers = [ctypes.c_uint() for _ in range(3)]
 ctypes.CDLL(os.environ[{_LIBRARY_VARIABLE!r}]).LLVMGetVersion(*map(ctypes.byref, numbers))
 print("version", ".".join(str(number.value) for number in numbers))
 """
-_SCALAR_PROBE = f"""
-import mitsuba as mi
+_SCALAR_PROBE = f"""{_OWN_PLUGINS}
 mi.set_variant({SCALAR_VARIANT!r})
 print("works", mi.load_dict({{"type": "independent"}}).next_1d() < 1)
 """
@@ -239,11 +244,25 @@ def _check_mapped() -> None:
 
 
 def _imported() -> Any:
+    ours = "mitsuba" not in sys.modules
     try:
         import mitsuba
     except ImportError as error:
         raise MissingDependency(f"Mitsuba is installed but cannot be imported: {error}.") from error
+    if ours:
+        # Mitsuba would look for its plugins, which are code, in the current folder first. Files that
+        # are not in its own folder are still opened in the current one.
+        resolver = mitsuba.file_resolver()
+        resolver.clear()
+        resolver.append(str(mitsuba_folder()))
     return mitsuba
+
+
+@functools.cache
+def mitsuba_folder() -> Path | None:
+    """Return the folder of the package Mitsuba, with its plugins and data; None without it."""
+    spec = importlib.util.find_spec("mitsuba")
+    return None if spec is None or spec.origin is None else Path(spec.origin).resolve().parent
 
 
 def _already_running() -> bool:
@@ -350,8 +369,8 @@ def _probe(library: str) -> tuple[Verdict, bool]:
 
 
 def _tried(program: str, variables: Mapping[str, str] | None = None) -> _Run:
-    """Run a program in a process of its own."""
-    command = [sys.executable, "-c", program]
+    """Run a program in a process of its own, which imports nothing from the current folder."""
+    command = [sys.executable, "-P", "-c", program]
     kept: dict[str, Any] = {"capture_output": True, "text": True, "timeout": _PROBE_SECONDS}
     return subprocess.run(command, env={**os.environ, **(variables or {})}, check=False, **kept)
 

@@ -9,11 +9,10 @@ import contextlib
 import functools
 import gc
 import hashlib
-import itertools
 import math
 import re
 import stat
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias, final
@@ -22,6 +21,7 @@ from xml.parsers.expat import ExpatError, ParserCreate
 import numpy as np
 
 from mcspectra.core.checks import Array, as_instance, as_integer, as_path, as_reals
+from mcspectra.core.display import shown
 from mcspectra.core.errors import (
     FileFormatError,
     McspectraError,
@@ -33,7 +33,14 @@ from mcspectra.core.errors import (
 from mcspectra.core.images import check_picture_size
 from mcspectra.core.registry import Registry
 from mcspectra.core.spec import parse
-from mcspectra.rendering.backend import LOCK, VARIANT, import_mitsuba, load_mitsuba
+from mcspectra.core.trust import Trust, reach_of
+from mcspectra.rendering.backend import (
+    LOCK,
+    VARIANT,
+    import_mitsuba,
+    load_mitsuba,
+    mitsuba_folder,
+)
 from mcspectra.rendering.plugin import PLUGIN, register_samplers
 from mcspectra.samplers import as_sampler
 
@@ -45,6 +52,7 @@ __all__ = [
     "DictScene",
     "Scene",
     "as_scene",
+    "check_plugin",
     "emitter_name",
     "emitter_names",
     "film_size",
@@ -302,9 +310,13 @@ def integrator_plugin(spec: str) -> dict[str, Any]:
     # Names of Mitsuba's plugins may have underscores, which those of specs have not
     plugin, bracket, rest = spec.strip().partition("(")
     try:
-        return {"type": plugin, **parse(f"integrator{bracket}{rest}").arguments}
+        found = {"type": plugin, **parse(f"integrator{bracket}{rest}").arguments}
     except SpecError as error:
         raise ParameterError(f"The integrator {spec!r} cannot be read: {error}") from None
+    if reach_of(found) is not None:
+        raise ParameterError(f"The integrator {spec!r:.200} names a file or code; remove it.")
+    _copied(found)  # checked as a dictionary is
+    return found
 
 
 def named_pixels(scene: Scene) -> dict[str, tuple[int, int]]:
@@ -528,6 +540,12 @@ def _copied(value: Any, depth: int = 0) -> Any:
                 )
         if isinstance(name := value.get("filename"), str) and len(name) <= _LONGEST_PATH:
             _regular(Path(name), Path("dict"))
+        if isinstance(name := value.get("type"), str):
+            check_plugin(name, [Path.cwd()])
+        if isinstance(name := value.get("material"), str) and "/" in name:
+            raise ParameterError(
+                f"A material of the scene dictionary is {shown(name, 80)}; give a name such as 'Au'."
+            )
         return {name: _copied(entry, depth + 1) for name, entry in value.items()}
     if isinstance(value, list | tuple):
         return [_copied(entry, depth + 1) for entry in value]
@@ -566,10 +584,14 @@ MOST_XML = 2**26
 """Bytes of an XML file: a million elements take about 32 MB."""
 
 _INCLUDES = 16  # levels of includes; Mitsuba refuses more than 15
-_MOST_NAMES = 64  # of files, that values of parameters make of one
+_MOST_NAMES = 64  # values of one text with parameters
+_MOST_ROUNDS = 64  # over all names: each follows one more include or default
 _LONGEST_PATH = 4096  # characters, of Linux; a longer text names no file
+_LONGEST_PARAMETER, _LONGEST_TEXT = 64, 2**20  # characters, of a parameter's name and of its values
+_PARAMETER = re.compile(rf"\w{{1,{_LONGEST_PARAMETER}}}", re.ASCII)
+_PLUGIN_NAME = re.compile(r"[\w-]+")
+_LIBRARIES = (".so", ".dylib", ".dll")
 _COMMENT = re.compile(rb"<!--(.*?)-->", re.DOTALL)
-_REFERENCE = re.compile(r"\$(\w+)")
 _watched: dict[Path, State] = {}
 
 
@@ -586,21 +608,38 @@ def watched_state(scene: Path) -> State:
     return known
 
 
-def referenced_files(scene: Path, definitions: Mapping[str, str] | None = None) -> set[Path]:
+def referenced_files(
+    scene: Path, definitions: Mapping[str, str] | None = None, trust: Trust | None = None
+) -> set[Path]:
     """Return the files that exist among those that a scene's XML names, included XML too.
 
     A name is looked for in the folders of the scene, of the file that names it, and of every
     ``<path>``; if it is in none of them, in the folder where the process runs. A file that is no XML
     refers to nothing. Everything that Mitsuba would parse is checked on the way.
 
+    Parameters
+    ----------
+    scene
+        The XML file.
+    definitions
+        Values of its ``$name``; those of ``<default>`` are added.
+    trust
+        What a scene of a stranger may reach; without it every file, as for a scene that a person names.
+
     Raises
     ------
     FileFormatError
         A file is larger, or has more or deeper elements, than the limits of this module; it has a document
         type with entities; it is no well-formed XML but long; a name is that of a device or a pipe; a
-        picture takes too much memory (see `mcspectra.core.decoding`).
+        picture takes too much memory (see `mcspectra.core.decoding`); a plugin is not Mitsuba's own.
+    ConfigError
+        A name, or a link, leads out of the folders of `trust`, whether there is a file or not.
     """
     first = scene.resolve()
+    if trust is not None and trust.reads_all:
+        trust = None
+    own = mitsuba_folder()
+    own_too = (trust or Trust()).widened(folders=[] if own is None else [own])
     values: dict[str, dict[str, None]] = {k: {v: None} for k, v in (definitions or {}).items()}
     folders, here = {first.parent: None}, Path.cwd()
     files: dict[Path, _SceneFile] = {}
@@ -608,38 +647,82 @@ def referenced_files(scene: Path, definitions: Mapping[str, str] | None = None) 
     found: set[Path] = set()
 
     @functools.cache
-    def places(name: str, where: tuple[Path, ...]) -> list[Path]:
+    def places(name: str, where: tuple[Path, ...], named_in: str) -> list[Path]:
+        """Where files of this name are; with a trust, none may be outside of it."""
         beside = [place for folder in where if (place := _regular(folder / name, first))]
-        return beside or [place for place in [_regular(here / name, first)] if place]
+        if not beside and (elsewhere := _regular(here / name, first)):
+            beside = [elsewhere]
+        if trust is not None:
+            for folder in where:
+                trust.check_scene_file(folder / name, name, named_in)
+            # Mitsuba looks for the others in its own folder, and where the process runs
+            if not _exists(first.parent / name):
+                if _exists(here / name):
+                    trust.check_scene_file(here / name, name, named_in)
+                if own is not None and _exists(own / name):
+                    own_too.check_scene_file(own / name, name, named_in)
+        return beside
 
-    waiting: list[Path] = [first]
-    while waiting:
-        for file in waiting:
-            files[file] = _parsed(file)
-            for name, value in files[file].defaults:
-                values.setdefault(name, {})[value] = None
-        waiting = []
-        # All names again in each round: a file that was read may have named a folder or a value
+    before = (-1, -1, -1)
+    rounds = 0
+    # All names again in each round: a file that was read may have named a folder or a value
+    while before != (now := (len(files), len(folders), sum(map(len, values.values())))):
+        before, rounds = now, rounds + 1
+        if rounds > _MOST_ROUNDS:
+            raise FileFormatError(
+                f"The scene {str(scene)!r} has defaults that refer to later ones; define each before it is used."
+            )
+        if first not in files:
+            files[first] = _parsed(first)
         for file, parsed in list(files.items()):
-            for number, (tag, _, text) in enumerate(parsed.names):
+            if trust is not None and parsed.unclear:
+                raise FileFormatError(
+                    f"The scene file {str(file)!r} {parsed.unclear}; a scene of a study must be plain XML in "
+                    "UTF-8: correct it."
+                )
+            for parameter, text in parsed.defaults:
+                if trust is not None and not _PARAMETER.fullmatch(parameter):
+                    raise FileFormatError(
+                        f"The scene file {str(file)!r} has the parameter {parameter[:80]!r}; its name must be "
+                        "letters, digits and underscores."
+                    )
+                known = values.setdefault(parameter, {})
+                known.update(dict.fromkeys(_expanded(text, values, file)))
+                if len(known) > _MOST_NAMES:
+                    raise _too_many(file, text)
+            for number, (tag, _, text, line) in enumerate(parsed.names):
+                where = f"The scene file {str(file)!r}, <{tag}> in line {line},"
                 for name in _expanded(text, values, file):
+                    around = tuple(folders | {file.parent: None})
+                    if trust is not None and tag == "string":
+                        trust.check_scene_spec(name, where)
+                        for ending in ("eta", "k"):  # of a material, which Mitsuba looks up
+                            places(f"data/ior/{name}.{ending}.spd", around, where)
                     if tag == "path":
-                        folders.setdefault(file.parent / name)
+                        for folder in (*around, here):
+                            place = folder / name
+                            if trust is not None and (folder != here or _exists(place)):
+                                trust.check_scene_file(place, name, where)
+                            if _exists(place, stat.S_ISDIR):
+                                folders.setdefault(place.resolve())
                         continue
-                    for place in places(name, tuple(folders | {file.parent: None})):
+                    for place in places(name, around, where if trust else ""):
                         places_of.setdefault((file, number), {})[place] = None
                         is_xml = tag == "include" or place.suffix.lower() == ".xml"
-                        if is_xml and place not in files and place not in waiting:
-                            waiting.append(place)
+                        if is_xml and place not in files:
+                            files[place] = _parsed(place)
                         elif place not in found and not is_xml:
                             check_picture_size(place)
                         found.add(place)
+            for text in parsed.plugins:
+                for name in _expanded(text, values, file):
+                    check_plugin(name, (*folders, file.parent, here))
 
     # Elements, and how deep they are, with all includes in their places
     @functools.cache
     def extent(file: Path, level: int) -> tuple[int, int]:
         count, deepest = files[file].elements, files[file].depth
-        for number, (tag, depth, _) in enumerate(files[file].names):
+        for number, (tag, depth, *_) in enumerate(files[file].names):
             if tag == "include" and level < _INCLUDES:
                 inner = [extent(place, level + 1) for place in places_of.get((file, number), ())]
                 count += max((elements for elements, _ in inner), default=0)
@@ -661,12 +744,22 @@ def referenced_files(scene: Path, definitions: Mapping[str, str] | None = None) 
 
 @dataclass
 class _SceneFile:
-    """What matters of an XML file: ``<default>`` values, and names of files with their elements."""
+    """What matters of an XML file: its ``<default>`` values, files and plugins.
+
+    Attributes
+    ----------
+    names
+        Element, depth, text and line of all that may name a file.
+    unclear
+        Why Mitsuba's parser may read another text than this one; empty if it does not.
+    """
 
     elements: int = 0
     depth: int = 0
     defaults: list[tuple[str, str]] = field(default_factory=list)
-    names: list[tuple[str, int, str]] = field(default_factory=list)
+    names: list[tuple[str, int, str, int]] = field(default_factory=list)
+    plugins: set[str] = field(default_factory=set)
+    unclear: str = ""
 
 
 def _parsed(file: Path) -> _SceneFile:
@@ -692,7 +785,7 @@ def _parsed(file: Path) -> _SceneFile:
             return _elements(file, plain)
     if data.count(b"<") > DEEPEST:
         raise FileFormatError(f"The scene file {str(file)!r} is not XML: {wrong}; correct it.")
-    return _SceneFile()
+    return _SceneFile(unclear=f"is not XML ({wrong})")
 
 
 def _elements(file: Path, data: bytes) -> _SceneFile:
@@ -707,10 +800,14 @@ def _elements(file: Path, data: bytes) -> _SceneFile:
         name = attributes.get("filename") or (value if tag in ("string", "path") else "")
         if found.depth > DEEPEST or found.elements > MOST_ELEMENTS:
             return  # too much already: counted on, for the message
+        if "\\$" in name or "\\$" in value:
+            found.unclear = "has the escape \\$"
+        if "type" in attributes:
+            found.plugins.add(attributes["type"])
         if tag == "default":
             found.defaults.append((attributes.get("name", ""), value))
-        elif name and "\0" not in name and len(name) <= _LONGEST_PATH:
-            found.names.append((tag, depth, name))
+        elif name and ("$" in name or len(name) <= _LONGEST_PATH):
+            found.names.append((tag, depth, name, parser.CurrentLineNumber))
 
     def end(_: str) -> None:
         nonlocal depth
@@ -721,30 +818,80 @@ def _elements(file: Path, data: bytes) -> _SceneFile:
             raise FileFormatError(
                 f"The scene file {str(file)!r} has a document type with declarations; remove it."
             )
+        found.unclear = "has a document type"
+
+    def declaration(_: str, encoding: str | None, __: int) -> None:
+        if (encoding or "utf-8").lower() not in ("utf-8", "us-ascii"):
+            found.unclear = f"has the encoding {encoding!r:.40}"
 
     parser = ParserCreate()
     parser.StartElementHandler, parser.EndElementHandler = start, end
-    parser.StartDoctypeDeclHandler = doctype
+    parser.StartDoctypeDeclHandler, parser.XmlDeclHandler = doctype, declaration
+    if b"\0" in data or data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        found.unclear = "has the encoding UTF-16"
     parser.Parse(data, True)
     return found
 
 
 def _expanded(text: str, values: Mapping[str, Iterable[str]], file: Path) -> list[str]:
-    """The text with each value of its ``$name``; one without a value stays."""
-    names = list(dict.fromkeys(_REFERENCE.findall(text)))
-    if not names:
-        return [text]
-    choices = [tuple(values.get(name, (f"${name}",))) for name in names]
-    if math.prod(map(len, choices)) > _MOST_NAMES:
-        raise FileFormatError(
-            f"The scene file {str(file)!r} has more than {_MOST_NAMES} files for {text[:80]!r}; give its "
-            "parameters one value each."
-        )
-    found = []
-    for chosen in itertools.product(*choices):
-        given = dict(zip(names, chosen, strict=True))
-        found.append(_REFERENCE.sub(lambda m: given[m[1]], text))  # noqa: B023 - called here
+    """The text with each value of its ``$name``; one without a value stays.
+
+    Mitsuba replaces what is known when it comes to the text: in ``$ab`` the value of ``a`` if there is
+    none of ``ab`` yet.
+    """
+    beginning, *rest = text.split("$")
+    found = [beginning]
+    for part in rest:
+        names = (part[:k] for k in range(1, min(len(part), _LONGEST_PARAMETER) + 1))
+        choices = [
+            value + part[len(name) :] for name in names for value in values.get(name, ())
+        ] or [f"${part}"]
+        found = list(dict.fromkeys(before + each for before in found for each in choices))
+        if len(found) > _MOST_NAMES or max(map(len, found)) > _LONGEST_TEXT:
+            raise _too_many(file, text)
     return found
+
+
+def _too_many(file: Path, text: str) -> FileFormatError:
+    return FileFormatError(
+        f"The scene file {str(file)!r} has more than {_MOST_NAMES} values for {text[:80]!r}, or longer ones "
+        f"than {_LONGEST_TEXT} characters; give its parameters one value each."
+    )
+
+
+def check_plugin(name: str, folders: Iterable[Path]) -> None:
+    """Refuse a plugin that is a library in one of these folders: Mitsuba would run its code.
+
+    Raises
+    ------
+    FileFormatError
+        There is such a library, or the name is that of a path.
+    """
+    if "$" in name:  # a parameter without a value, which Mitsuba refuses
+        return
+    if not _PLUGIN_NAME.fullmatch(name):
+        raise FileFormatError(
+            f"A scene has the plugin {shown(name, 80)}; names of plugins have letters, digits, hyphens and "
+            "underscores."
+        )
+    home = mitsuba_folder()
+    own = None if home is None else home / "plugins"
+    for folder in dict.fromkeys(folders):
+        for ending in _LIBRARIES:
+            place = folder / "plugins" / f"{name}{ending}"
+            if _exists(place) and place.resolve().parent != own:
+                raise FileFormatError(
+                    f"The plugin {name!r} is in {str(place)!r}; a scene's own libraries are not run: remove it, "
+                    "or put it into Mitsuba's folder of plugins."
+                )
+
+
+def _exists(place: Path, kind: Callable[[int], bool] = bool) -> bool:
+    """Whether there is a file, of this kind, at a place, whose name may be too long for one."""
+    try:
+        return kind(place.stat().st_mode)
+    except (OSError, ValueError):
+        return False
 
 
 def _regular(place: Path, scene: Path) -> Path | None:

@@ -28,23 +28,14 @@ from mcspectra.core.errors import (
 )
 from mcspectra.core.pointfiles import matching_files
 from mcspectra.core.spec import Call, parse_chain
-from mcspectra.core.trust import FUNCTION, Trust
+from mcspectra.core.trust import FILE_KEYS, FUNCTION, Trust
 from mcspectra.samplers.external import allow_own_code, loaded_function
 
-__all__ = ["FILE_KEYS", "Inputs", "Trust", "Vetting", "changed_inputs", "check_inputs"]
+__all__ = ["Inputs", "Trust", "Vetting", "changed_inputs", "check_inputs"]
 
 Inputs: TypeAlias = tuple[str, ...]
 """Names of files, ascending."""
 
-# Files of point sets and images, of Mitsuba's plugins, of digital nets, and of QMCPy's generators.
-FILE_KEYS = (
-    "path",
-    "filename",
-    "matrices",
-    "directions",
-    "generating_matrices",
-    "generating_vector",
-)
 _NAMED = 3  # in a message
 
 
@@ -171,7 +162,7 @@ class Vetting:
         name = value.partition("(")[0]  # of a scene, with parameters after it, unless it is a file
         is_file = value.lower().endswith(".xml") or "/" in name or "\\" in name
         if key in FILE_KEYS or (key == "scene" and is_file):
-            file = self._file(value, files)
+            file = self._file(value, files, scene=key == "scene")
             if key == "path" and not file.is_file():
                 with suppress(FileFormatError):  # there are no such files
                     for each, _ in matching_files(file):
@@ -186,13 +177,13 @@ class Vetting:
             return value
         return " | ".join(map(str, found))
 
-    def _file(self, path: str, files: dict[Path, str]) -> Path:
+    def _file(self, path: str, files: dict[Path, str], *, scene: bool = False) -> Path:
         """The file, found from the folder; links are followed to see where it is.
 
         A study may not look around on the disk of who runs it.
         """
-        if "\0" in path:
-            raise ConfigError(f"{path!r} is not the name of a file.")
+        if "\0" in path or path.startswith("~"):  # a folder of the user's
+            raise ConfigError(f"{path!r} is not the name of a file; write it without ~.")
         file = self._folder / path
         if not self._reach.reads(file):
             raise ConfigError(
@@ -200,10 +191,10 @@ class Vetting:
                 f"by --allow-path {file.parent}."
             )
         files[file] = ""
-        if file.suffix.lower() == ".xml":
+        if scene or file.suffix.lower() == ".xml":
             from mcspectra.rendering.scenes import referenced_files
 
-            files.update(dict.fromkeys(referenced_files(file), ""))
+            files.update(dict.fromkeys(referenced_files(file, trust=self._reach), ""))
         return file
 
     def _names(self, files: Mapping[Path, str]) -> Inputs:
