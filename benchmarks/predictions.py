@@ -313,7 +313,7 @@ def groups() -> dict[str, Group]:
 
     # New: unbounded
     found["new sums"] = Group(
-        [Unbounded("t3", 2), Unbounded("root", 2), Unbounded("lognormal", 4)],
+        [Unbounded("t3", 2), Unbounded("root", 2)],
         (
             *("random", "jittered", "jittered | shift", "jittered | strata-shift"),
             *(
@@ -324,6 +324,11 @@ def groups() -> dict[str, Group]:
             ),
             "rank1-lattice | shift",
         ),
+        (64, 256),
+    )
+    found["new sums, 5-D"] = Group(
+        [Unbounded("lognormal", 5)],
+        ("random", "latin-hypercube | shift", "sobol | lms", "sobol | digital-shift"),
         (64, 256),
     )
     found["new products"] = Group(
@@ -366,7 +371,7 @@ IN_MANY_DIMS = (
 
 
 def measure(group: Group, sampler: str) -> tuple[tuple[int, ...], Array, Array]:
-    """Counts (N,), reference variances (problems, N) and their standard errors."""
+    """Counts (N,), reference variances (problems, N) and their standard errors; all of one dims."""
     many = _DEAR.get(sampler.partition(" ")[0], group.realizations)
     variances, errors, counts = [], [], ()
     for problem in group.problems:
