@@ -68,6 +68,7 @@ __all__ = [
     "UniformPoint",
     "Unknown",
     "as_scrambled",
+    "bases_to_scramble",
     "independent_sets",
     "is_power",
     "latin_hypercube",
@@ -494,11 +495,14 @@ class Unknown(Law):
         Number of different sets that exist, None if every realization is a new one.
     strata
         Number of strata of each axis that hold a point each, where this is known.
+    bases
+        Base of the digits of each coordinate in which every set is a net, where this is known.
     """
 
     is_uniform: bool = True
     sets: int | None = None
     strata: tuple[int, ...] | None = None
+    bases: tuple[int, ...] | None = None
 
     @property
     def uniform(self) -> bool:  # type: ignore[override]
@@ -699,6 +703,18 @@ def leaf_of(law: Law) -> Law:
     while isinstance(law, Shifted | Moved | Scrambled | Folded | Mirrored):
         law = law.inner
     return law
+
+
+def bases_to_scramble(laws: Sequence[Law]) -> tuple[int, ...] | None:
+    """Bases in which sets of all these laws are nets, so that scrambling suits them best.
+
+    None for lattices, which scrambling breaks, and for sets that are not nets: a shift suits them.
+    Sets of a few points can be nets and lattices; they follow the others.
+    """
+    found = {law.bases if isinstance(law, Fixed | Unknown) else None for law in laws}
+    if len(found) > 1 or all(isinstance(law, Fixed) and law.even for law in laws):
+        return None
+    return found.pop()
 
 
 def is_power(n: int, base: int) -> bool:
