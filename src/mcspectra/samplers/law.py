@@ -748,8 +748,9 @@ def mean_of_terms(n: int, nu: Array, terms: Callable[[Array], Array]) -> Array:
 def independent_sets(law: Law) -> int | None:
     """Number of sets that are truly independent, None if every realization is a new one.
 
-    Randomizations make new realizations of few sets, but power spectra and distances of points are
-    those of the sets: their standard errors follow this number.
+    Randomizations make new realizations of few sets, but power spectra, distances of points and
+    variances are those of the sets: their standard errors follow this number. Realization r uses the
+    set r modulo the number.
     """
     match law:
         case Stationary() | Choice() | Unknown():
