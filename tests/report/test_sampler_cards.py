@@ -100,7 +100,7 @@ def test_markdown_has_a_picture_and_the_facts_of_each(tmp_path):
     for name in re.findall(r"\]\((.*?\.png)\)", text):
         assert (tmp_path / name).read_bytes().startswith(PNG)
     assert text.count("## `") == text.count(".png)") == 2
-    assert "* Rate on gaussian (randomised): −" in text
+    assert "* Rate on gaussian (randomized by owen(base=[2, 3])): −" in text
     assert "* Counts: any" in text
 
 

@@ -21,15 +21,18 @@ from mcspectra.core.errors import (
 )
 from mcspectra.core.pointfiles import write_points
 from mcspectra.core.spec import short_spec
+from mcspectra.quality.nets import net_t_value
 from mcspectra.samplers import (
     CommandSampler,
     FunctionSampler,
     GivenPoints,
+    Owen,
     PythonSampler,
     ScipySampler,
     Shift,
     sampler,
 )
+from mcspectra.samplers.law import bases_to_scramble
 from mcspectra.testing import check_sampler
 
 FALSE_ALARMS = 1e-6
@@ -659,3 +662,86 @@ def test_scipy_stats_is_imported_only_for_engines():
     )
     done = python("-c", code, check=True)
     assert done.stdout.strip() == "False"
+
+
+class TestRecognition:
+    """What given sets are, by their points alone."""
+
+    @staticmethod
+    def law(spec, dims, n, seed=1):
+        points = mcs.sampler(spec, dims=dims).draw(n, rng=seed)[0]
+        return mcs.Sampler.from_points(points).law(n)
+
+    @pytest.mark.parametrize(
+        ("spec", "dims", "n", "base"),
+        [
+            ("sobol", 2, 16, 2),
+            ("sobol", 8, 256, 2),
+            ("sobol | owen", 3, 256, 2),
+            ("hammersley", 2, 64, 2),
+            ("pmj02", 2, 64, 2),
+            ("faure", 3, 81, 3),
+            ("faure | owen", 5, 125, 5),
+        ],
+    )
+    def test_nets(self, spec, dims, n, base):
+        law = self.law(spec, dims, n)
+        assert (law.bases, law.even) == ((base,) * dims, False)
+        assert law.digital == (base == 2 and "owen" not in spec and spec != "pmj02")
+
+    @pytest.mark.parametrize(
+        ("spec", "dims", "n"),
+        [
+            ("rank1-lattice", 2, 256),
+            ("korobov", 4, 1024),
+            ("fibonacci", 2, 233),
+            ("rank1-lattice | shift", 3, 128),
+            ("regular", 2, 64),
+        ],
+    )
+    def test_lattices(self, spec, dims, n):
+        law = self.law(spec, dims, n)
+        assert law.even
+        assert bases_to_scramble([law]) is None
+        assert (law.vector is not None) == ("shift" not in spec and spec != "regular")
+        if law.vector is not None:
+            points = np.arange(n)[:, None] * np.array(law.vector) % n
+            drawn = np.rint(n * mcs.sampler(spec, dims=dims).draw(n)[0])
+            assert {tuple(p) for p in points} == {tuple(p) for p in drawn}
+
+    @pytest.mark.parametrize("n", [16, 64])
+    @pytest.mark.parametrize(
+        "spec",
+        ["random", "poisson-disk", "latin-hypercube", "bnot(sets=40)", "kronecker", "halton"],
+    )
+    def test_other_sets_are_neither(self, spec, n):
+        many = mcs.sampler(spec, dims=2).draw(n, realizations=40, rng=1)
+        laws = [mcs.Sampler.from_points(points).law(n) for points in many]
+        assert not any(law.bases or law.even for law in laws)
+
+    def test_small_sets_of_a_sequence_follow_the_largest(self):
+        """16 points of Sobol' in 8 dims fill halves alone, and so do many sets that are not nets."""
+        sets = {n: mcs.sampler("sobol", dims=8).draw(n)[0] for n in (16, 64, 256, 1024)}
+        both = mcs.samplers.GivenPoints.from_sets(sets.values(), "both")
+        assert all(both.law(n).bases == (2,) * 8 for n in sets)
+        assert mcs.Sampler.from_points(sets[16]).law(16).bases is None
+        sets[64] = np.random.default_rng(1).random((64, 8))
+        mixed = mcs.samplers.GivenPoints.from_sets(sets.values(), "mixed")
+        assert mixed.law(64).bases is None
+        assert bases_to_scramble([mixed.law(n) for n in sets]) is None
+
+    def test_digits_are_scrambled_in_the_base_of_the_net(self):
+        """Nets in base 3 were scrambled in base 2, which breaks them."""
+        source = mcs.Sampler.from_points(mcs.sampler("faure", dims=3).draw(81)[0])
+        scrambled = source.then(Owen()).draw(81, realizations=3, rng=1)
+        assert all(net_t_value(points, 3) == 0 for points in scrambled)
+
+    def test_predictions_follow_the_recognized_set(self):
+        f = mcs.integrand("genz-gaussian(a=3.5)", dims=2)
+        for spec, step, n in (("sobol", "owen", 256), ("rank1-lattice", "shift", 128)):
+            plain = mcs.sampler(spec, dims=2)
+            given = mcs.Sampler.from_points(plain.draw(n)[0])
+            step = mcs.samplers.RANDOMIZATIONS.load(step)()
+            expected = mcs.predict(f, plain.then(step), [n])["predicted_variance"]
+            found = mcs.predict(f, given.then(step), [n])["predicted_variance"]
+            np.testing.assert_allclose(found, expected, rtol=1e-9)

@@ -71,10 +71,14 @@ class MeanSums:
         """Sums of no realisations, for arrays (size,)."""
         return MeanSums(np.zeros(size), np.zeros(size), 0)
 
-    def mean_and_error(self) -> tuple[Array, Array]:
-        """Mean over realisations and its standard error, NaN for a single one."""
-        mean = self.total / self.count
-        return mean, standard_error(self.squares / self.count - mean * mean, self.count)
+    def mean_and_error(self, sets: int | None = None) -> tuple[Array, Array]:
+        """Mean over realizations and its standard error, NaN for a single one.
+
+        With `sets` realizations repeat the arrays of that many sets, each as often.
+        """
+        mean, count = self.total / self.count, self.count
+        independent = count if sets is None else min(count, sets)
+        return mean, standard_error(self.squares / count - mean * mean, independent)
 
 
 _MAGIC = b"mcs1"

@@ -39,6 +39,7 @@ from mcspectra.integrands.base import Breaks, Derived, Integrand
 if TYPE_CHECKING:
     from mcspectra.densities import Density
     from mcspectra.samplers.base import Sampler
+from mcspectra.samplers.law import Law
 
 __all__ = [
     "AbstractEstimator",
@@ -184,6 +185,10 @@ class AbstractEstimator(ABC):
     def randomized(self, sampler: Sampler) -> Sampler:
         """The sampler that `draw` uses: `sampler`, or `sampler` with randomisations added."""
         return sampler
+
+    def law(self, sampler: Sampler, n: int) -> Law:
+        """The law of the points of the first technique."""
+        return self.randomized(sampler).law(set_sizes(self.sets, self.counts, n)[0])
 
     def check_sampler(self, sampler: Sampler, n: int) -> None:
         """Raise unless `sampler` fits in dims and can draw every technique's count."""

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Measured",
     "Moments",
+    "StoredSets",
     "mean_interval",
     "rounding_floor",
     "variance_interval",
@@ -34,6 +35,7 @@ _CLUMPS = 4.0  # kurtosis, up to which far values are no tail
 _LEAST_POINTS = 3000  # whose 256 farthest are the tail
 _BEYOND = {16: 0.005, 64: 0.02, 256: 0.15}  # of the variance, by so many: what ends has a low one
 _MOST_ERROR = 2.0  # squared: fewer than one degree of freedom, an upper end above 100 s²
+_GROUPS = 32  # of stored sets, at most, that are left out in turn
 
 
 @final
@@ -100,6 +102,71 @@ class Measured:
         return low, high
 
 
+@final
+@dataclass(frozen=True)
+class StoredSets:
+    """Moments by groups of stored sets, where realizations use few sets again and again.
+
+    Realization r uses the set r mod `sets`. Realizations of one set are not independent, so that errors
+    follow from leaving out one group of sets after the other (jackknife).
+    """
+
+    sets: int
+    count: Array  # values of each group, (G,)
+    mean: Array  # (G, …)
+    m2: Array
+
+    @staticmethod
+    def of(values: Array, first: int, sets: int) -> StoredSets:
+        """Moments of values (R, …) of the realizations from `first` on, by groups of sets."""
+        groups = min(sets, _GROUPS)
+        label = (first + np.arange(len(values))) % sets % groups
+        count = np.bincount(label, minlength=groups).astype(float)
+        mean = np.zeros((groups, *values.shape[1:]))
+        m2 = np.zeros_like(mean)
+        for group in np.flatnonzero(count):
+            own = values[label == group]
+            mean[group] = own.mean(axis=0)
+            m2[group] = ((own - mean[group]) ** 2).sum(axis=0)
+        return StoredSets(sets, count, mean, m2)
+
+    def merge(self, other: StoredSets) -> StoredSets:
+        """Moments of both, group by group."""
+        count = self.count + other.count
+        part = self._by_group(np.divide(other.count, count, out=0.0 * count, where=count > 0))
+        delta = other.mean - self.mean
+        m2 = self.m2 + other.m2 + self._by_group(self.count) * part * delta**2
+        return StoredSets(self.sets, count, self.mean + part * delta, m2)
+
+    def errors(self) -> tuple[Array, Array]:
+        """Standard errors of the variance of all values, relative to it, and of their mean.
+
+        Both are infinite for a single set. All groups must have values.
+        """
+        groups, total = len(self.count), self.count.sum()
+        if groups < 2:
+            infinite = np.full(self.mean.shape[1:], np.inf)
+            return infinite, infinite
+        count = self._by_group(self.count)
+        mean = (count * self.mean).sum(axis=0) / total
+        away = count * (self.mean - mean) ** 2
+        m2 = (self.m2 + away).sum(axis=0)
+        left = total - count
+        variances = (m2 - self.m2 - away * total / left) / np.maximum(left - 1.0, 1.0)
+        means = (total * mean - count * self.mean) / left
+        factor = (groups - 1) / groups
+        spreads = [
+            np.sqrt(factor * ((each - each.mean(axis=0)) ** 2).sum(axis=0))
+            for each in (variances, means)
+        ]
+        variance = m2 / max(total - 1.0, 1.0)
+        relative = np.divide(spreads[0], variance, out=np.zeros_like(variance), where=variance > 0)
+        return relative, spreads[1]
+
+    def _by_group(self, values: Array) -> Array:
+        return values.reshape(-1, *[1] * (self.mean.ndim - 1))
+
+
 @dataclass(frozen=True)
 class Moments:
     """Count, mean and sums of 2nd, 3rd and 4th powers of deviations, for each column."""
@@ -114,10 +181,22 @@ class Moments:
     kept: int = field(default=_TAIL, kw_only=True)  # of each
     # Of the values at single points that these are means of: they show tails that means hide
     points: Moments | None = field(default=None, kw_only=True)
+    # By stored sets, where a sampler has only so many; errors follow these once they are used again
+    stored: StoredSets | None = field(default=None, kw_only=True)
 
     @staticmethod
-    def of(values: Array, *, tails: bool = False, kept: int = _TAIL) -> Moments:
-        """Moments of values (R, ...) over their first axis, and with `tails` what `tail_index` needs."""
+    def of(
+        values: Array,
+        *,
+        tails: bool = False,
+        kept: int = _TAIL,
+        first: int = 0,
+        sets: int | None = None,
+    ) -> Moments:
+        """Moments of values (R, ...) over their first axis, and with `tails` what `tail_index` needs.
+
+        With `sets` the values are those of the realizations from `first` on of a sampler with as many sets.
+        """
         mean = values.mean(axis=0)
         deviation = values - mean
         square = deviation * deviation
@@ -129,6 +208,7 @@ class Moments:
             m4=(square * square).sum(axis=0),
             extremes=_outermost(values, kept) if tails else None,
             kept=kept,
+            stored=None if sets is None else StoredSets.of(values, first, sets),
         )
 
     @staticmethod
@@ -148,10 +228,14 @@ class Moments:
         points = self.points
         if points is not None and other.points is not None:
             points = points.merge(other.points)
+        stored = None
+        if self.stored is not None and other.stored is not None:
+            stored = self.stored.merge(other.stored)
         return Moments(
             extremes=extremes,
             kept=self.kept,
             points=points,
+            stored=stored,
             count=n,
             mean=self.mean + delta * (b / n),
             m2=self.m2 + other.m2 + d2 * (a * b / n),
@@ -184,8 +268,37 @@ class Moments:
         """Standard error of the variance relative to it, from the kurtosis of the values.
 
         Var(s²)/σ⁴ = (κ − (R−3)/(R−1))/R [Kenney & Keeping 1951]. Few values understate κ: it is
-        drawn towards a normal's 3 with the weight of 20 values.
+        drawn towards a normal's 3 with the weight of 20 values. At least the jackknife's of few sets that
+        are used again.
         """
+        return np.maximum(self._alone_se, self._stored_errors()[0])
+
+    @property
+    def widening(self) -> Array:
+        """Factor, at least 1, by which few stored sets raise the error of the variance."""
+        alone = self._alone_se
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(alone > 0, np.maximum(self.relative_se / alone, 1.0), 1.0)
+
+    @property
+    def degrees(self) -> int:
+        """Number of independent values, or groups of stored sets, that errors rest on."""
+        return len(self.stored.count) if self.stored is not None and self._reused else self.count
+
+    @property
+    def _reused(self) -> bool:
+        return self.stored is not None and self.count > self.stored.sets
+
+    def _stored_errors(self) -> tuple[Array, Array]:
+        """Errors by the stored sets of variance, relative to it, and mean; 0 where none is used again."""
+        if self.stored is None or not self._reused:
+            none = np.zeros_like(self.m2)
+            return none, none
+        return self.stored.errors()
+
+    @property
+    def _alone_se(self) -> Array:
+        """`relative_se` of independent values."""
         n = self.count
         if n < 2:
             return np.full_like(self.m2, np.nan)
@@ -211,8 +324,11 @@ class Moments:
         coverage``); what they add vanishes as R grows.
         """
         low, high = self._log_errors()
-        down = -CONFIDENCE_Z * low * np.maximum(1.0 - low / 4, 0.5)
-        up = np.where(self.resolved, CONFIDENCE_Z * high * (1.0 + high / 2), np.inf)
+        few = student_t(self.degrees) * self._stored_errors()[0]
+        down = -np.maximum(CONFIDENCE_Z * low * np.maximum(1.0 - low / 4, 0.5), few)
+        up = np.where(
+            self.resolved, np.maximum(CONFIDENCE_Z * high * (1.0 + high / 2), few), np.inf
+        )
         variance = self.variance
         return np.stack([variance * np.exp(down), variance * np.exp(up)], axis=-1)
 
@@ -294,7 +410,8 @@ class Moments:
     @property
     def mean_se(self) -> Array:
         """Standard error of the mean."""
-        return np.asarray(np.sqrt(self.variance / self.count))
+        alone = np.sqrt(self.variance / self.count)
+        return np.asarray(np.maximum(alone, self._stored_errors()[1]))
 
 
 def _outermost(values: Array, kept: int) -> Array:

@@ -27,7 +27,8 @@ from mcspectra.measure.converge import convergence
 from mcspectra.quality import quality_figures
 from mcspectra.quality.figures import different_realizations
 from mcspectra.samplers import GivenPoints, Owen, Sampler, Shift, as_sampler
-from mcspectra.samplers.base import Randomized, Structure
+from mcspectra.samplers.base import Randomized
+from mcspectra.samplers.law import bases_to_scramble
 from mcspectra.samplers.optimised import OptimisedSampler
 from mcspectra.spectra.bases import parts_of
 from mcspectra.spectra.pairs import pair_correlation
@@ -113,8 +114,8 @@ def sampler_bench(
     samplers
         Samplers, spec strings, arrays of points: all that `as_sampler` takes. Spec strings are made
         in all dims, other samplers count in their own only. Sets that are the same every time are
-        randomised by owen (nets) or shift where variances are measured, and so are fewer than 16 given
-        sets of a count.
+        randomized by owen (digital nets) or shift where variances are measured, and so are fewer than 16
+        given sets of a count: points of files are recognized as nets in base 2, 3 or 5.
     counts
         Numbers of points; each sampler takes the nearest that it can make.
     dims
@@ -134,7 +135,9 @@ def sampler_bench(
         ``points_per_second`` of one thread that makes them, NaN where they are read; on (sampler,
         m0, …) and (sampler, radius): ``power``, ``radial_power``, ``anisotropy_db`` (1 to 3 dims); on
         (sampler, r): ``pair_correlation``, ``pair_correlation_ci``; on (sampler, point, axis): ``points``, one
-        set in the most dims that the sampler can do; ``pictured_n`` is the count of spectra. NaN where a sampler cannot do the dims or the count. ``note`` says what was randomised.
+        set in the most dims that the sampler can do; ``pictured_n`` is the count of spectra. NaN where a sampler cannot do the dims or the count. The coordinate
+        ``randomization`` of a sampler names what was applied to it where variances are measured, as the
+        attribute ``note`` does.
 
     Raises
     ------
@@ -193,21 +196,22 @@ def sampler_bench(
 
     tasks = [task for d in wanted for task in standard_tasks(d)]
     titles = [task.title for task in tasks]
-    measured, notes = [], list[str]()
+    measured, notes, applied = [], list[str](), list[str]()
     for k, (label, (spec, sources)) in enumerate(zip(labels, made, strict=True)):
         report("bench", k / len(made))
+        added = dict[str, None]()
         own = np.random.SeedSequence([seed, zlib.crc32(spec.encode())])
         parts = [_look(sources[wanted[0]], asked, own, seed)] if wanted[0] in sources else []
         for d, source in sources.items():
-            free = free_of(source)
-            if free is source:  # a function may use no generator
-                n = max(_nearest(source, asked).values())
+            made_counts = sorted(set(_nearest(source, asked).values()))
+            free, step = free_of(source, made_counts)
+            if not step:  # a function may use no generator
+                n = made_counts[-1]
                 if different_realizations(source, n, Stream.from_rng(own), 2) == 1:
-                    free = randomized(source)
-            if free.spec != source.spec and not (
-                notes and notes[-1].startswith(f"variances of {label} ")
-            ):
+                    free, step = randomized(source, made_counts)
+            if step and step not in added:
                 notes.append(f"variances of {label} are those of {short_spec(free.spec)}")
+            added |= {step: None} if step else {}
             # Convergence on the tasks at the counts nearest to those asked for
             nearest, own_tasks = _nearest(free, asked), [t for t in tasks if t.dims == d]
             numbers, sets = sorted({*nearest.values()}), many
@@ -228,6 +232,7 @@ def sampler_bench(
         at = {"point": range(len(one)), "axis": range(most.dims)}
         parts.append(dataset({"points": (("point", "axis"), one)}, {**at, "integrand": titles}))
         measured.append(_joined(parts))
+        applied.append(", ".join(added))
     report("bench", 1.0)
 
     # Side by side, on the places of all; then ranks
@@ -245,6 +250,7 @@ def sampler_bench(
     found = found.assign_coords(
         sampler=[spec for spec, _ in made],
         label=("sampler", labels),
+        randomization=("sampler", applied),
         integrand_spec=("integrand", [task.spec for task in tasks]),
         integrand_dims=("integrand", [task.dims for task in tasks]),
     )
@@ -365,15 +371,20 @@ def shared_sets(source: Sampler) -> Sampler:
     return source
 
 
-def free_of(source: Sampler) -> Sampler:
-    """Return a sampler whose variance can be measured: sets that do not vary enough are randomised."""
+def free_of(source: Sampler, counts: Sequence[int]) -> tuple[Sampler, str]:
+    """Return a sampler whose variance can be measured at these counts, and what was added, or "".
+
+    Sets that do not vary enough are randomized.
+    """
     few = isinstance(source, GivenPoints) and min(map(len, source.sets.values())) < _ENOUGH_SETS
-    return randomized(source) if source.fixed or few else source
+    return randomized(source, counts) if source.fixed or few else (source, "")
 
 
-def randomized(source: Sampler) -> Sampler:
-    """Return a sampler with the randomisation that suits its structure: owen of nets, else shift."""
-    return source.then(Owen() if source.structure is Structure.DIGITS else Shift())
+def randomized(source: Sampler, counts: Sequence[int]) -> tuple[Sampler, str]:
+    """Return a sampler with the randomization that suits its laws at these counts, and its name."""
+    nets = bases_to_scramble([source.law(n) for n in counts]) is not None
+    step = Owen() if nets else Shift()
+    return source.then(step), step.name
 
 
 def making_seconds(source: Sampler, n: int, rng: int) -> float:

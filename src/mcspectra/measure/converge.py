@@ -44,6 +44,7 @@ from mcspectra.estimators.tails import tail_note
 from mcspectra.measure.blindness import blindness, is_fixed
 from mcspectra.measure.doors import answer, counted
 from mcspectra.samplers import Sampler
+from mcspectra.samplers.law import independent_sets
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -375,7 +376,8 @@ def convergence(
         follow a power law that has much of their variance beyond all of them), the mean is five standard errors off the
         integral, ∫g² diverges or is more than random points met, or most of it lies where no
         sample falls (`mcspectra.estimators.tails`). The upper end of ``variance_ci`` is then infinite, and
-        both ends of ``rate_ci``. Lists add the dims estimator and sampler, several channels the dim
+        both ends of ``rate_ci``. Where a sampler has fewer stored sets than realizations, which
+        translations use again, errors are at least those of leaving out one group of sets after the other. Lists add the dims estimator and sampler, several channels the dim
         channel. Counts whose variance is rounding noise are left out of the fit; the rate of fewer
         than two others is NaN.
 
@@ -476,6 +478,7 @@ class MomentsCell:
         evaluations = self.n * sum(self.estimators[0].counts)
         numbers = evaluations * self.estimators[0].dims  # of a realisation
         blocks = realization_blocks(realizations, _PARTS * numbers, first=first)
+        sets = independent_sets(self.estimators[0].law(self.sampler, self.n))
 
         def estimates(block: Block) -> list[tuple[Array, Moments | None]]:
             points = self.estimators[0].draw(self.sampler, self.n, self.stream, *block)
@@ -494,7 +497,8 @@ class MomentsCell:
             found = []
             for each in parts:
                 values, points = zip(*each, strict=True)
-                whole = Moments.of(np.concatenate(values), tails=True)
+                start = blocks[index][0]
+                whole = Moments.of(np.concatenate(values), tails=True, first=start, sets=sets)
                 alone = None if points[0] is None else functools.reduce(Moments.merge, points)
                 found.append(replace(whole, points=alone))
             return found

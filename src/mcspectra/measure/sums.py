@@ -4,11 +4,13 @@ The power term, the contribution map and the band covariance follow from them (d
 "Contributions and bands"). Errors are by batch means: every block of realisations says by itself what
 the spectra say, without bias, so that the spread over B blocks gives the error of their mean, with the
 quantile of Student's t for B − 1 degrees of freedom. What all realisations together say is a little
-more precise than that mean: the errors are on the safe side.
+more precise than that mean: the errors are on the safe side. Where realizations use few stored sets again
+and again, groups of these sets take the place of the blocks.
 """
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
@@ -17,9 +19,10 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.confidence import student_t
 from mcspectra.core.ordered import gram, weighted_sum
-from mcspectra.core.records import JOIN, SUM
+from mcspectra.core.records import JOIN, SUM, merged
 from mcspectra.estimators.moments import Moments
 from mcspectra.measure._kernels import accumulate, band_estimates, term_sums
+from mcspectra.samplers.law import Law, independent_sets
 
 __all__ = [
     "BATCHES",
@@ -27,6 +30,7 @@ __all__ = [
     "Partition",
     "RunningSpread",
     "SpectralSums",
+    "StoredGroups",
     "TermSums",
     "Variables",
     "ratio_factors",
@@ -42,18 +46,84 @@ BATCHES = 20
 
 
 @dataclass(frozen=True)
+class StoredGroups:
+    """How realizations that use few stored sets again and again are grouped: r uses the set r mod `sets`.
+
+    Attributes
+    ----------
+    first
+        Number of the first realization of a block.
+    sets, groups
+        Number of sets, and of groups of them: errors are those of the spread over groups.
+    """
+
+    first: int
+    sets: int
+    groups: int
+
+    @staticmethod
+    def of(law: Law, realizations: int, first: int) -> StoredGroups | None:
+        """Return the groups of the sets of a law; None where no set is used twice."""
+        sets = independent_sets(law)
+        if sets is None or sets >= realizations:
+            return None
+        # A group varies by two realizations: translations of one set, or else two sets
+        alone = law.stationary and realizations >= 2 * sets
+        return StoredGroups(first, sets, min(sets if alone else max(sets // 2, 1), BATCHES))
+
+    def labels(self, count: int) -> Array:
+        """Groups of the realizations of a block."""
+        return np.asarray((self.first + np.arange(count)) % self.sets % self.groups)
+
+
+@dataclass(frozen=True)
 class TermSums:
     """Sums over realisations, and what each block of them says by itself."""
 
     sums: SpectralSums
     measured: Moments
     batches: Batches | None  # None if no block has two realisations
+    # By group of stored sets, "0", "1", …, which take the place of blocks; None where no set is used twice
+    by_group: dict[str, TermSums] | None = None
 
     @staticmethod
-    def of(spectra: Array, estimates: Array, partition: Partition) -> TermSums:
+    def of(
+        spectra: Array, estimates: Array, partition: Partition, stored: StoredGroups | None = None
+    ) -> TermSums:
         """Sums of a block: spectra (R, H), real or complex like the coefficients, estimates (R, C)."""
-        sums, measured = SpectralSums.of(spectra, partition), Moments.of(estimates, tails=True)
-        return TermSums(sums, measured, Batches.of(sums, measured, partition))
+        sums = SpectralSums.of(spectra, partition)
+        if stored is None:
+            measured = Moments.of(estimates, tails=True)
+            return TermSums(sums, measured, Batches.of(sums, measured, partition))
+        first, sets = stored.first, stored.sets
+        measured = Moments.of(estimates, tails=True, first=first, sets=sets)
+        label, groups = stored.labels(len(spectra)), {}
+        for group in np.unique(label):
+            own = label == group
+            part = SpectralSums.of(spectra[own], partition)
+            groups[str(group)] = TermSums(part, Moments.of(estimates[own]), None)
+        return TermSums(sums, measured, None, groups)
+
+    def merge(self, other: TermSums) -> TermSums:
+        """Sums of both, group by group."""
+        groups = None
+        if self.by_group is not None and other.by_group is not None:
+            groups = dict(self.by_group)
+            for name, sums in other.by_group.items():
+                groups[name] = groups[name].merge(sums) if name in groups else sums
+        batches = self.batches if other.batches is None else other.batches
+        if self.batches is not None and other.batches is not None:
+            batches = merged(self.batches, other.batches)
+        sums, measured = self.sums.merge(other.sums), self.measured.merge(other.measured)
+        return TermSums(sums, measured, batches, groups)
+
+    def all_batches(self, partition: Partition) -> Batches | None:
+        """What blocks say, or groups of stored sets; None where none has two realizations."""
+        if self.by_group is None:
+            return self.batches
+        each = (Batches.of(g.sums, g.measured, partition) for g in self.by_group.values())
+        known = [batches for batches in each if batches is not None]
+        return functools.reduce(merged, known) if known else None
 
 
 @dataclass(frozen=True)

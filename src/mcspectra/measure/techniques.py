@@ -36,6 +36,7 @@ from mcspectra.measure.doors import NO_VARIANCE, answer, counted
 from mcspectra.measure.sums import BATCHES, Variables, ratio_factors, spread
 from mcspectra.measure.views import Frequencies, View
 from mcspectra.samplers import Sampler
+from mcspectra.samplers.law import independent_sets
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -127,9 +128,9 @@ class Techniques(Counted, frozen=True, kw_only=True):
             blocks = realization_blocks(self.realizations, numbers, multiple=2, least=BATCHES)
 
             def block(index: int) -> _Total:
-                sums = TechniqueSums.of(
-                    view, estimator.draw(subject.sampler, n, own, *blocks[index])
-                )
+                points = estimator.draw(subject.sampler, n, own, *blocks[index])
+                sets = independent_sets(estimator.law(subject.sampler, n))
+                sums = TechniqueSums.of(view, points, blocks[index][0], sets)
                 # A block of one realisation has no covariance and says nothing
                 some = slice(0, int(sums.count > 1))
                 values = sums.covariances(view)[None]
@@ -288,7 +289,10 @@ def _variables(total: _Total, view: View) -> Variables:
     """Result variables of one count, with a leading channel axis."""
     found, moments = total.sums.covariances(view), total.sums.moments
     share = total.weights / total.weights.sum()
+    # As many times as large as few stored sets make the error of the whole variance
+    wider = moments.widening[:, -1]
     errors = spread(total.values - weighted_sum(share, total.values), share)
+    errors = errors * wider[:, None, None]
     predicted = found[:3].sum(axis=(0, 2, 3))
     # Of each block: predicted and measured variance of the whole estimate, (B, 2, C)
     whole = total.values.sum(axis=(-2, -1))
@@ -310,7 +314,8 @@ def _variables(total: _Total, view: View) -> Variables:
         "captured": (("channel",), predicted / real),
         "captured_ci": (
             ("channel", "bound"),
-            (predicted / real)[:, None] * ratio_factors(sides[:, 0], sides[:, 1], share),
+            (predicted / real)[:, None]
+            * ratio_factors(sides[:, 0], sides[:, 1], share) ** wider[:, None],
         ),
         "mean": (("channel",), mean),
         "technique_variance": (each, moments.variance[:, :-1]),
@@ -330,8 +335,10 @@ class TechniqueSums:
     moments: Moments  # of the full estimates of the techniques, and of their sum: (C, T + 1)
 
     @staticmethod
-    def of(view: View, points: list[Array]) -> TechniqueSums:
-        """Sums of a block."""
+    def of(
+        view: View, points: list[Array], first: int = 0, sets: int | None = None
+    ) -> TechniqueSums:
+        """Sums of a block; `first` and `sets` are as in `Moments.of`."""
         parts = view.spectra(points)
         # What each technique adds to the estimate, (R, C, T), truncated and in full
         weighted = view.integrand_coefficients.conj() * view.basis.double
@@ -348,7 +355,7 @@ class TechniqueSums:
             products=np.einsum("rth,rsh->tsh", deviation, deviation.conj()),
             values_mean=values_mean,
             values_products=np.einsum("rkct,rkcs->kcts", off, off),
-            moments=Moments.of(full, tails=True),
+            moments=Moments.of(full, tails=True, first=first, sets=sets),
         )
 
     def merge(self, other: TechniqueSums) -> TechniqueSums:

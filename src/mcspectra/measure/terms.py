@@ -16,6 +16,7 @@ from mcspectra.core.analysis import Counted, Need, Reduction, Subject
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.memory import memory_of
+from mcspectra.core.ordered import weighted_sum
 from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
@@ -23,8 +24,18 @@ from mcspectra.estimators.moments import rounding_floor
 from mcspectra.measure.bands import check_bands, make_bands
 from mcspectra.measure.blindness import blindness_of, is_fixed
 from mcspectra.measure.doors import answer
-from mcspectra.measure.sums import BATCHES, Partition, TermSums, Variables, student_t
+from mcspectra.measure.sums import (
+    BATCHES,
+    Batches,
+    Partition,
+    StoredGroups,
+    TermSums,
+    Variables,
+    spread,
+    student_t,
+)
 from mcspectra.measure.views import Frequencies, View
+from mcspectra.samplers import Sampler
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -107,11 +118,13 @@ class Terms(Counted, frozen=True, kw_only=True):
         blocks = realization_blocks(self.realizations, numbers, multiple=2, least=BATCHES)
 
         def block(index: int) -> list[TermSums]:
-            return [sums_of(estimator.draw(s, n, stream, *blocks[index])) for s in samplers]
+            return [sums_of(s, *blocks[index]) for s in samplers]
 
-        def sums_of(points: list[Array]) -> TermSums:
+        def sums_of(source: Sampler, first: int, count: int) -> TermSums:
+            points = estimator.draw(source, n, stream, first, count)
             estimates = estimator.estimate(points).reshape(len(points[0]), -1)
-            return TermSums.of(view.coefficients(points), estimates, partition)
+            stored = StoredGroups.of(estimator.law(source, n), self.realizations, first)
+            return TermSums.of(view.coefficients(points), estimates, partition, stored)
 
         def result(totals: list[TermSums]) -> xr.Dataset:
             # The variables of every sampler, then all of them on a dim sampler
@@ -148,6 +161,7 @@ class Terms(Counted, frozen=True, kw_only=True):
                     ("dc_term", "power_term", "tail_term"),
                 )
             techniques, basis = len(view.transforms), view.basis
+            batches = totals[0].all_batches(partition)
 
             # Frequencies along m and l: themselves in 1-D, else a running number with m_0, m_1 … beside it
             matrix: dict[str, Any] = {}
@@ -184,7 +198,7 @@ class Terms(Counted, frozen=True, kw_only=True):
                     **({} if single else {"sampler": [each.spec for each in samplers]}),
                 },
                 drop=[dim for dim, dropped in alone.items() if dropped],
-                batches=totals[0].batches.count if totals[0].batches else 0,
+                batches=0 if batches is None else batches.count,
                 basis=basis.name,
                 space=view.space,
                 coefficients=view.source,
@@ -315,7 +329,8 @@ def variance_terms(
 
 def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
     """All result variables with a leading channel axis; errors are NaN where no two blocks say them."""
-    sums, measured, batches, basis = total.sums, total.measured, total.batches, view.basis
+    sums, measured, basis = total.sums, total.measured, view.basis
+    batches = total.all_batches(partition)
     assert batches is not None  # the first block has two realisations at least
     f, degrees = partition.coefficients, sums.count - 1
     shape = (len(f), len(view.transforms), basis.stored)
@@ -330,7 +345,7 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
     predicted = terms[0] + terms[1] + terms[2]
     variables: Variables = {
         "predicted_variance": (("channel",), predicted),
-        "predicted_variance_ci": (("channel", "bound"), sums.truncated.variance_ci[:, -1]),
+        "predicted_variance_ci": (("channel", "bound"), _predicted_ci(total, batches)),
         "measured_variance": (("channel",), measured.variance),
         "measured_variance_ci": (("channel", "bound"), measured.variance_ci),
         "mean": (("channel",), measured.mean),
@@ -381,6 +396,22 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
             "cross_matrix_se": (triple, size[:, :, None] * size[:, None, :] * error),
         }
     return variables
+
+
+def _predicted_ci(total: TermSums, batches: Batches) -> Array:
+    """95 % interval of the sum of the terms, (C, 2); of few stored sets at least that of their spread."""
+    truncated = total.sums.truncated
+    interval = truncated.variance_ci[:, -1]
+    if total.by_group is None or batches.count < 2:
+        return interval if total.by_group is None else np.full_like(interval, np.nan)
+    value, sums = truncated.variance[:, -1], batches.values[:, :3].sum(axis=1)
+    error = spread(sums - weighted_sum(batches.share, sums), batches.share)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        factor = np.exp(student_t(batches.count) * error / value)
+    ends = np.stack([value / factor, value * factor], axis=-1)
+    return np.stack(
+        [np.fmin(interval[:, 0], ends[:, 0]), np.fmax(interval[:, 1], ends[:, 1])], axis=-1
+    )
 
 
 def _signed(stored: Array, index: Array, flip: Array) -> Array:

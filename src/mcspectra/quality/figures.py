@@ -27,6 +27,7 @@ from mcspectra.quality.sets import (
     star_discrepancy,
 )
 from mcspectra.samplers import GivenPoints, Sampler, as_sampler
+from mcspectra.samplers.law import independent_sets
 
 __all__ = [
     "FIGURES",
@@ -75,7 +76,8 @@ def quality_figures(
     xarray.Dataset
         A variable for each figure on dim ``realization``. A figure that cannot be computed
         (too many points, too many dims, not a power of the base) is NaN, with the reason in its
-        attribute ``missing``. Attribute ``projections`` states the pairs of axes that were used.
+        attribute ``missing``. Attribute ``sets`` is the number of different sets, where the sampler has
+        only so many, ``projections`` states the pairs of axes that were used.
 
     Raises
     ------
@@ -136,6 +138,7 @@ def quality_figures(
         n=n,
         dims=sampler.dims,
         base=base,
+        sets=independent_sets(sampler.law(n)),
         projections=looked_at if sampler.dims > 2 else None,
     )
     for name, values in columns.items():
@@ -172,6 +175,10 @@ def summarize(figures: xr.Dataset) -> list[FigureSummary]:
     found = []
     for name, figure in figures.data_vars.items():
         values = figure.values
+        # Realizations that translate stored sets again are those of the sets
+        sets = int(figures.attrs.get("sets", len(values)))
+        if sets < len(values):
+            values = np.array([np.mean(values[k::sets]) for k in range(sets)])
         count = len(values)
         error = float(np.std(values, ddof=1)) / math.sqrt(count) if count > 1 else math.nan
         found.append(

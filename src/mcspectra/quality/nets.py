@@ -2,21 +2,16 @@
 
 A set of n = b^m points is a (t, m, d)-net in base b if every elementary interval of volume b^(t−m),
 a box of sides b^-k_j at multiples of them, holds b^t points.
-
-The shapes of the intervals of volume b^-level are the ways to write `level` as a sum of d ordered
-parts k_j ≥ 0. They are gone through in the order of Nijenhuis and Wilf's NEXCOM.
 """
 
 from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import CountError, ParameterError
-from mcspectra.core.jit import kernel
 from mcspectra.quality.sets import as_set
+from mcspectra.samplers._digital_kernels import all_balanced, leading_digits
 from mcspectra.samplers._primes import LARGEST_BASE, power_from
 
 __all__ = ["elementary_intervals", "net_t_value"]
@@ -55,10 +50,10 @@ def net_t_value(points: object, base: int = 2) -> int | None:
     x, base, places = _as_net(points, base)
     if base**places != len(x):
         return None
-    digits = _leading_digits(x, base, places)
+    digits = leading_digits(x, base, places)
     for level in range(1, places + 1):
         _check_work(len(x), x.shape[1], level)
-        if not _all_balanced(digits, base, places, level):
+        if not all_balanced(digits, base, places, level):
             return places - level + 1
     return 0
 
@@ -75,8 +70,8 @@ def elementary_intervals(points: object, base: int = 2, t: int = 0) -> bool:
         )
     level = places - as_integer("t", t, least=0, most=places)
     _check_work(len(x), x.shape[1], level)
-    digits = _leading_digits(x, base, places)
-    return bool(_all_balanced(digits, base, places, level))
+    digits = leading_digits(x, base, places)
+    return bool(all_balanced(digits, base, places, level))
 
 
 def _as_net(points: object, base: int) -> tuple[Array, int, int]:
@@ -86,13 +81,6 @@ def _as_net(points: object, base: int) -> tuple[Array, int, int]:
     return x, base, power_from(len(x), base)
 
 
-def _leading_digits(x: Array, base: int, places: int) -> Array:
-    """First digits of each coordinate as a whole number: int64 (d, n)."""
-    scale = float(base**places)
-    nudge = 0.0 if base & (base - 1) == 0 else scale * 2.0**-52
-    return np.minimum(np.floor(x.T * scale + nudge), scale - 1.0).astype(np.int64)
-
-
 def _check_work(size: int, dims: int, level: int) -> None:
     shapes = math.comb(level + dims - 1, level)
     if size * shapes > _MOST_WORK:
@@ -100,54 +88,3 @@ def _check_work(size: int, dims: int, level: int) -> None:
             f"Checking {shapes:.3g} shapes of elementary intervals would take too long; "
             "give fewer points or dims."
         )
-
-
-@kernel
-def _next_parts(parts: Array) -> bool:
-    # The next composition, in place; False after the last, (0, …, 0, level).
-    h = 0
-    while parts[h] == 0:
-        h += 1
-    if h == parts.size - 1:
-        return False
-    first = parts[h]
-    parts[h] = 0
-    parts[0] = first - 1
-    parts[h + 1] += 1
-    return True
-
-
-@kernel
-def _balanced(digits: Array, base: int, places: int, parts: Array, cells: Array) -> bool:
-    # Whether all intervals of one shape hold equally many points.
-    cells[:] = 0
-    boxes = 1
-    for j in range(parts.size):
-        if parts[j]:
-            below = base ** (places - parts[j])
-            width = base ** parts[j]
-            boxes *= width
-            for i in range(cells.size):
-                cells[i] = cells[i] * width + digits[j, i] // below
-    room = np.full(boxes, cells.size // boxes)
-    for i in range(cells.size):
-        room[cells[i]] -= 1
-        if room[cells[i]] < 0:
-            return False
-    return True
-
-
-@kernel
-def _all_balanced(digits: Array, base: int, places: int, level: int) -> bool:
-    """Whether every elementary interval of volume base^-level holds n/base^level points.
-
-    digits int64 (d, n): the first `places` ≥ level digits of each coordinate, as a whole number.
-    """
-    parts = np.zeros(digits.shape[0], np.int64)
-    parts[0] = level
-    cells = np.empty(digits.shape[1], np.int64)
-    while True:
-        if not _balanced(digits, base, places, parts, cells):
-            return False
-        if level == 0 or not _next_parts(parts):
-            return True

@@ -144,7 +144,7 @@ def bench_table(bench: xr.Dataset) -> tuple[list[str], list[list[str]]]:
 
 
 def _sampler_table(bench: xr.Dataset) -> tuple[list[str], list[list[tuple[str, float]]]]:
-    """What is known of each sampler alone: n, figures of quality at the largest n, and speed.
+    """Each sampler alone: what randomizes it, n, figures of quality at the largest n, and speed.
 
     A row holds texts, each with the number that it is sorted by; the first column is that of the names.
     """
@@ -155,8 +155,10 @@ def _sampler_table(bench: xr.Dataset) -> tuple[list[str], list[list[tuple[str, f
         speed = float(last["points_per_second"][k]) if "points_per_second" in bench else math.nan
         n = float(bench["pictured_n"][k]) if "pictured_n" in bench else math.nan
         count = (f"{n:.0f}" if n > 0 else MISSING, n)
-        rows.append([count, *((number(v), v) for v in values), (number(speed, 2), speed)])
-    return ["Sampler", "n", *(_HEADS[name] for name in names), "Points/s"], rows
+        applied = str(bench["randomization"].values[k]) or MISSING
+        row = [(applied, math.nan), count, *((number(v), v) for v in values)]
+        rows.append([*row, (number(speed, 2), speed)])
+    return ["Sampler", "Randomized by", "n", *(_HEADS[name] for name in names), "Points/s"], rows
 
 
 def _labels(bench: xr.Dataset) -> list[str]:

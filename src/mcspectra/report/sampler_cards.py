@@ -243,8 +243,9 @@ def measure_card(spec: str, *, effort: Effort = FULL, rng: int = 0) -> Card:
     name = parse_chain(spec)[0].name
     source = _in_two_dims(spec)
     light = shared_sets(source)
-    free = light if light.unbiased else randomized(light)
     n = source.nearest_count(effort.n)
+    counts = {light.nearest_count(each) for each in effort.counts or (n,)}
+    free = light if light.unbiased else randomized(light, sorted(counts))[0]
     slow = light != source
     wide = round(2.0 * n ** (1.0 / light.dims))
     several, few = (
@@ -350,7 +351,8 @@ def _card_plot(card: Card) -> Plot:
 
 def _card_facts(card: Card) -> list[tuple[str, str]]:
     """What a card says in words, by what it is about."""
-    measured = " (randomised)" if card.randomized not in ("", card.spec) else ""
+    step = card.randomized.rpartition(" | ")[2]
+    measured = f" (randomized by {step})" if card.randomized not in ("", card.spec) else ""
     rates = card.rates
     if card.randomized and not rates:
         rates = dict.fromkeys(_INTEGRANDS.get(card.points.shape[1], ("gaussian",)), (math.nan,) * 3)

@@ -1,4 +1,4 @@
-"""Numba kernels of digital nets: points from generator matrices, in base 2 and in any base.
+"""Numba kernels of digital nets: points from generator matrices, in base 2 and in any base; balance.
 
 Legend: n points, d dims; ``directions`` uint32 (d, 32): column k of each generator matrix, its
 first digit the highest bit, so that 2^31 stands for ½; ``out`` float64 (n, d).
@@ -11,7 +11,14 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.jit import kernel
 
-__all__ = ["direction_numbers", "double_words", "fill_base", "fill_binary"]
+__all__ = [
+    "all_balanced",
+    "direction_numbers",
+    "double_words",
+    "fill_base",
+    "fill_binary",
+    "leading_digits",
+]
 
 
 @kernel
@@ -87,3 +94,64 @@ def fill_base(columns: Array, base: int, out: Array) -> None:
             for r in range(rows):
                 v = v * base + y[j, r]
             out[i, j] = v / scale
+
+
+def leading_digits(x: Array, base: int, places: int) -> Array:
+    """First digits of each coordinate as a whole number: int64 (d, n)."""
+    scale = float(base**places)
+    nudge = 0.0 if base & (base - 1) == 0 else scale * 2.0**-52
+    return np.minimum(np.floor(x.T * scale + nudge), scale - 1.0).astype(np.int64)
+
+
+@kernel
+def _next_parts(parts: Array) -> bool:
+    # The next composition, in place; False after the last, (0, …, 0, level).
+    h = 0
+    while parts[h] == 0:
+        h += 1
+    if h == parts.size - 1:
+        return False
+    first = parts[h]
+    parts[h] = 0
+    parts[0] = first - 1
+    parts[h + 1] += 1
+    return True
+
+
+@kernel
+def _balanced(digits: Array, base: int, places: int, parts: Array, cells: Array) -> bool:
+    # Whether all intervals of one shape hold equally many points.
+    cells[:] = 0
+    boxes = 1
+    for j in range(parts.size):
+        if parts[j]:
+            below = base ** (places - parts[j])
+            width = base ** parts[j]
+            boxes *= width
+            for i in range(cells.size):
+                cells[i] = cells[i] * width + digits[j, i] // below
+    room = np.full(boxes, cells.size // boxes)
+    for i in range(cells.size):
+        room[cells[i]] -= 1
+        if room[cells[i]] < 0:
+            return False
+    return True
+
+
+@kernel
+def all_balanced(digits: Array, base: int, places: int, level: int) -> bool:
+    """Whether every elementary interval of volume base^-level holds n/base^level points.
+
+    The shapes of these intervals are the ways to write `level` as a sum of d ordered parts k_j ≥ 0,
+    in the order of Nijenhuis and Wilf's NEXCOM.
+
+    digits int64 (d, n): the first `places` ≥ level digits of each coordinate, as a whole number.
+    """
+    parts = np.zeros(digits.shape[0], np.int64)
+    parts[0] = level
+    cells = np.empty(digits.shape[1], np.int64)
+    while True:
+        if not _balanced(digits, base, places, parts, cells):
+            return False
+        if level == 0 or not _next_parts(parts):
+            return True

@@ -182,9 +182,9 @@ class Sampler(Component, ABC):
 
     def _law(self, n: int) -> Law:
         """Return the law of `n` points, a possible count; by default no more than what is declared."""
-        if not self.fixed:
-            return Unknown(n=n, dims=self.dims, is_uniform=self.unbiased)
         bases = self.digit_bases if self.structure is Structure.DIGITS else None
+        if not self.fixed:
+            return Unknown(n=n, dims=self.dims, is_uniform=self.unbiased, bases=bases)
         return Fixed(n=n, dims=self.dims, bases=bases)
 
     def as_chain(self, n: int) -> Sampler:  # noqa: ARG002

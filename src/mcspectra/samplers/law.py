@@ -66,6 +66,7 @@ __all__ = [
     "UniformPoint",
     "Unknown",
     "as_scrambled",
+    "bases_to_scramble",
     "independent_sets",
     "is_power",
     "latin_hypercube",
@@ -503,11 +504,14 @@ class Unknown(Law):
         Number of different sets that exist, None if every realization is a new one.
     strata
         Number of strata of each axis that hold a point each, where this is known.
+    bases
+        Base of the digits of each coordinate in which every set is a net, where this is known.
     """
 
     is_uniform: bool = True
     sets: int | None = None
     strata: tuple[int, ...] | None = None
+    bases: tuple[int, ...] | None = None
 
     @property
     def uniform(self) -> bool:  # type: ignore[override]
@@ -710,6 +714,18 @@ def leaf_of(law: Law) -> Law:
     return law
 
 
+def bases_to_scramble(laws: Sequence[Law]) -> tuple[int, ...] | None:
+    """Bases in which sets of all these laws are nets, so that scrambling suits them best.
+
+    None for lattices, which scrambling breaks, and for sets that are not nets: a shift suits them.
+    Sets of a few points can be nets and lattices; they follow the others.
+    """
+    found = {law.bases if isinstance(law, Fixed | Unknown) else None for law in laws}
+    if len(found) > 1 or all(isinstance(law, Fixed) and law.even for law in laws):
+        return None
+    return found.pop()
+
+
 def is_power(n: int, base: int) -> bool:
     """Whether n is a power of the base, 1 among them."""
     while n % base == 0:
@@ -741,8 +757,9 @@ def mean_of_terms(n: int, nu: Array, terms: Callable[[Array], Array]) -> Array:
 def independent_sets(law: Law) -> int | None:
     """Number of sets that are truly independent, None if every realization is a new one.
 
-    Randomizations make new realizations of few sets, but power spectra and distances of points are
-    those of the sets: their standard errors follow this number.
+    Randomizations make new realizations of few sets, but power spectra, distances of points and
+    variances are those of the sets: their standard errors follow this number. Realization r uses the
+    set r modulo the number.
     """
     match law:
         case Stationary() | Choice() | Unknown():

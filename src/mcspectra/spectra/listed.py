@@ -48,6 +48,7 @@ from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.densities import Density
 from mcspectra.samplers import Sampler
+from mcspectra.samplers.law import independent_sets
 from mcspectra.spectra._listed_kernels import phase_sum, product_sum
 from mcspectra.spectra.closed_forms import points_at
 from mcspectra.spectra.power import PowerSums, spectrum_attributes, weighted_points
@@ -113,7 +114,7 @@ def power_at(
     -------
     xarray.Dataset
         ``power``, ``power_se``, ``mean_coefficient`` (complex) and ``mean_coefficient_se`` on dim
-        frequency, with coordinates m_0, m_1, …
+        frequency, with coordinates m_0, m_1, … Errors are as those of `power_spectrum`.
 
     Raises
     ------
@@ -157,7 +158,10 @@ def power_at(
     for part in map_in_order(block_sums, blocks, available_workers(workers)):
         sums = merged(sums, part)
     names = ("power", "power_se", "mean_coefficient", "mean_coefficient_se")
-    found = zip(names, (*sums.power.mean_and_error(), *sums.coefficient()), strict=True)
+    law = source.law(n)
+    sets = independent_sets(law)
+    mean = sums.coefficient(None if law.stationary else sets)
+    found = zip(names, (*sums.power.mean_and_error(sets), *mean), strict=True)
     labels = {"long_name": "frequency", "units": "cycles per unit"}
     return dataset(
         {name: (("frequency",), values) for name, values in found},

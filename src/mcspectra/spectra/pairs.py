@@ -18,7 +18,7 @@ from mcspectra.core.records import MeanSums
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.samplers import Sampler, as_sampler
-from mcspectra.samplers.law import Independent, Strata
+from mcspectra.samplers.law import Independent, Strata, independent_sets
 from mcspectra.spectra._pair_kernels import count_distances, count_ordered_pairs
 
 if TYPE_CHECKING:
@@ -70,7 +70,8 @@ def pair_correlation(
     xarray.Dataset
         ``pair_correlation``, ``pair_correlation_se`` on dim r (bin centres), and
         ``pair_correlation_ci``, the 95 % interval by Student's t of the logarithm; 0 to 0 where no
-        pair was seen.
+        pair was seen. Where the sampler has fewer sets than realizations, errors and t are those of the
+        number of sets.
 
     Notes
     -----
@@ -135,7 +136,10 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
             return MeanSums.of(count_pairs(points, edges, wrap=wrap) / expected)
 
         def result(total: MeanSums) -> xr.Dataset:
-            mean, se = total.mean_and_error()
+            # Translations keep distances: realizations that repeat few sets have those of the sets
+            sets = independent_sets(source.law(n))
+            count = self.realizations if sets is None else min(self.realizations, sets)
+            mean, se = total.mean_and_error(sets)
             center = 0.5 * (edges[1:] + edges[:-1])
             return dataset(
                 {
@@ -143,7 +147,7 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
                     "pair_correlation_se": (("r",), se),
                     "pair_correlation_ci": (
                         ("r", "bound"),
-                        log_mean_interval(mean, se, self.realizations),
+                        log_mean_interval(mean, se, count),
                     ),
                 },
                 {

@@ -255,14 +255,10 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
 
         def result(total: _SpectrumSums) -> xr.Dataset:
             # Realizations that repeat a few sets under other translations have the power of these
-            count = self.realizations
-            sets = independent_sets(source.law(self.n))
-            widened = 1.0
-            if sets is not None and sets < count:
-                widened = math.sqrt(count / (sets - 1)) if sets > 1 else math.nan
-                count = sets
-            power, power_se = total.frequencies.power.mean_and_error()
-            power_se = widened * power_se
+            law = source.law(self.n)
+            sets = independent_sets(law)
+            count = self.realizations if sets is None else min(self.realizations, sets)
+            power, power_se = total.frequencies.power.mean_and_error(sets)
             found: dict[str, tuple[tuple[str, ...], Array]] = {
                 "power": (grid.names, grid.full(power)),
                 "power_se": (grid.names, grid.full(power_se)),
@@ -280,12 +276,12 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
                 parts.append(("wedge_power", "angle", slice(rings, None)))
                 coords["angle"] = wedge_angles(self.wedges)
             for name, dim, part in parts:
-                mean, se = (values[part] for values in total.polar.mean_and_error())
-                se = widened * se
+                mean, se = (values[part] for values in total.polar.mean_and_error(sets))
                 found[name], found[f"{name}_se"] = ((dim,), mean), ((dim,), se)
                 found[f"{name}_ci"] = (dim, "bound"), log_mean_interval(mean, se, count)
             if self.mean:
-                mean, mean_se = total.frequencies.coefficient()
+                # Translations give each realization a coefficient of its own
+                mean, mean_se = total.frequencies.coefficient(None if law.stationary else sets)
                 found["mean_coefficient"] = grid.names, grid.full(mean, conjugate=True)
                 found["mean_coefficient_se"] = grid.names, grid.full(mean_se)
             about = spectrum_attributes(source, p, self.n, self.realizations, stream)
@@ -405,12 +401,13 @@ class PowerSums:
             self.mean += s
         self.power.count += 1
 
-    def coefficient(self) -> tuple[Array, Array]:
-        """Mean S and its standard error, the root of the mean |error|²."""
+    def coefficient(self, sets: int | None = None) -> tuple[Array, Array]:
+        """Mean S and its standard error, the root of the mean |error|²; `sets` as in `MeanSums`."""
         assert self.mean is not None
         count = self.power.count
         mean = self.mean / count
-        return mean, standard_error(self.power.total / count - np.abs(mean) ** 2, count)
+        independent = count if sets is None else min(count, sets)
+        return mean, standard_error(self.power.total / count - np.abs(mean) ** 2, independent)
 
 
 @final
