@@ -90,7 +90,9 @@ class CandidateSettings:
     # Least number of points of a pilot. Each half of 32 determines 8 coefficients at 4 evaluations
     # each, as `ChangeSettings.evaluations_per_term` asks.
     least_pilot: int = 64
-    # Most points of a pilot. CAND_MOST_PILOT
+    # Most points of a pilot. Regressions on 2048, 4096 and 8192 evaluations leave 1.08, 0.93 and
+    # 0.89 % of the variance of an Asian option in 16-D, and fitted densities differ by 3 %
+    # (`benchmarks improvements`).
     most_pilot: int = 4096
     # Widths of smoothed edges that are scanned, in units of the domain: octaves from 2^-10 to 1/4.
     # A wider edge covers most of the domain; a narrower edge is a jump at the budgets in use.
