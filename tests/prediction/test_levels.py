@@ -8,14 +8,14 @@ from mcspectra.core.errors import NoClosedForm
 from mcspectra.core.streams import Stream
 from mcspectra.prediction.known import Known
 from mcspectra.prediction.levels import of_levels
-from mcspectra.prediction.torus import of_few_moves
+from mcspectra.prediction.torus import of_moves
 
 
 def predicted(f, sampler, n):
     """The prediction for a sampler given as text, or as one."""
     f = f if isinstance(f, Known) else Known(f)
     source = mcs.sampler(sampler, f.g.dims)
-    method = of_few_moves if "digital-shift" in source.spec else of_levels
+    method = of_moves if "digital-shift" in source.spec else of_levels
     return method(source.law(n), f, Stream.from_rng(0))
 
 

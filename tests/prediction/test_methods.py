@@ -8,11 +8,14 @@ import pytest
 from scipy import stats
 
 import mcspectra as mcs
+from mcspectra.core.analysis import Subject
 from mcspectra.core.errors import NoClosedForm, ParameterError
-from mcspectra.prediction.prediction import METHODS
+from mcspectra.core.streams import Stream
+from mcspectra.prediction.known import Known
+from mcspectra.prediction.prediction import METHODS, NAMES, Prediction, predicted
 
-PREDICTIONS = list(METHODS)[1:7]
-CHECKS = {"exact", *list(METHODS)[7:]}
+PREDICTIONS = list(NAMES)[1:7]
+CHECKS = {"exact", *list(NAMES)[7:]}
 
 REALIZATIONS = 1500
 WAVE, WAVES = "cosine(frequency=3)", "cosine(frequency=[1, 2])"
@@ -48,7 +51,7 @@ def _table(estimator, sampler, n, **options):
 
 
 def _values(table):
-    return dict(zip(METHODS, table["predicted_variance"].values.tolist(), strict=True))
+    return dict(zip(NAMES, table["predicted_variance"].values.tolist(), strict=True))
 
 
 def _of(table, name, method):
@@ -59,7 +62,7 @@ def _standard_errors(table):
     """Half widths of the 95 % intervals, the longer part on either side, as standard errors."""
     ends = table["predicted_variance_ci"].values
     half = np.abs(ends - table["predicted_variance"].values[:, None]).max(axis=1)
-    return dict(zip(METHODS, half / stats.norm.ppf(0.975), strict=True))
+    return dict(zip(NAMES, half / stats.norm.ppf(0.975), strict=True))
 
 
 @pytest.mark.parametrize(("f", "p", "spec", "dims", "n", "methods"), CASES)
@@ -182,7 +185,7 @@ def test_several_samplers_and_counts_by_all_methods():
     assert found.equals(threads)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", NAMES)
 def test_one_method_is_its_row_of_all(method):
     """Up to rounding: measured alone draws no spectra, whose blocks may be others."""
     arguments = ("gaussian", ["jittered", "jittered | shift", "sobol | digital-shift"], [16])
@@ -240,7 +243,7 @@ def test_a_method_that_does_not_apply_is_refused(sampler, method, words):
 
 
 def test_the_docstring_lists_all_names():
-    assert all(f'``"{name}"``: ' in mcs.predict.__doc__ for name in METHODS)
+    assert all(f'``"{name}"``: ' in mcs.predict.__doc__ for name in NAMES)
 
 
 def test_names_and_frequencies_are_refused_in_a_sentence():
@@ -252,3 +255,55 @@ def test_names_and_frequencies_are_refused_in_a_sentence():
     table = mcs.predict(*six, method="all", half_width=32, realizations=8)
     assert "frequencies" in table["how"].sel({"method": "terms"}).item()
     assert float(table["predicted_variance"].sel({"method": "measured", "n": 4})) > 0.0
+
+
+def _silent(dims):
+    """A function that may be asked about, but not evaluated."""
+
+    def values(x):
+        if made:
+            raise AssertionError("the function was called")
+        return x[..., 0]
+
+    made = []
+    f = mcs.Integrand.from_function(values, dims=dims)
+    made.append(f)
+    return f
+
+
+SAMPLERS = ["random", "jittered | shift", "latin-hypercube", "sobol | owen", "sobol | digital-shift",
+            "rank1-lattice | shift", "jittered | mirror", "poisson-disk"]  # fmt: skip
+
+
+@pytest.mark.parametrize("dims", [2, 4])
+def test_what_methods_apply_to_and_cost_is_known_without_evaluations(dims):
+    f = _silent(dims)
+    samplers = SAMPLERS[: -1 if dims > 2 else None]
+    for spec in samplers:
+        law, known = mcs.sampler(spec, dims).law(256), Known(f)
+        usable = [method for method in METHODS if method.applies(law, known)]
+        assert usable, spec
+        assert all(method.predict is not None for method in usable)
+        assert all(method.cost(law, known) >= 0.0 for method in METHODS)
+        assert any(method.ahead(law, known) for method in METHODS)
+        subject = Subject(mcs.Estimator(f), mcs.sampler(spec, dims))
+        for name in ("auto", *NAMES[:7]):
+            assert Prediction(counts=(256,), method=name).need(subject).cost >= 1e6
+
+
+def test_auto_takes_the_first_that_is_narrow_enough_else_the_narrowest():
+    """In four dims products miss a ball: offsets of the lattice are tried as well."""
+    ball = mcs.Integrand.from_function(
+        lambda x: 1.0 * (((x - 0.5) ** 2).sum(axis=-1) < 0.2), dims=4
+    )
+    law, known = mcs.sampler("rank1-lattice | shift", 4).law(64), Known(ball)
+    by_name = {
+        name: predicted(law, known, Stream.from_rng(0), name) for name in ("subsets", "moves")
+    }
+    assert (by_name["subsets"].error > 0.03 * by_name["subsets"].variance).all()
+    best = predicted(law, known, Stream.from_rng(0), "auto")
+    narrowest = min(by_name.values(), key=lambda each: each.error.sum())
+    assert best.method == narrowest.method
+    np.testing.assert_array_equal(best.variance, narrowest.variance)
+    smooth = Known(mcs.Integrand.from_function(lambda x: np.exp(x.sum(axis=-1)), dims=4))
+    assert predicted(law, smooth, Stream.from_rng(0), "auto").method == "subsets"

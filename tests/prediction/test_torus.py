@@ -6,7 +6,7 @@ import pytest
 import mcspectra as mcs
 from mcspectra.core.streams import Stream
 from mcspectra.prediction.known import Known
-from mcspectra.prediction.torus import of_few_moves, of_torus
+from mcspectra.prediction.torus import of_moves, of_torus
 
 DISK = "disk(center=(0.45, 0.52), radius=0.27)"
 HALF = "half-space(normal=(0.8, 0.6), offset=0.63)"
@@ -19,7 +19,7 @@ def predicted(f, sampler, n):
 
 def moved(f, sampler, n):
     source = mcs.sampler(sampler, f.dims).as_chain(n)
-    return of_few_moves(source.law(n), Known(f), Stream.from_rng(0))
+    return of_moves(source.law(n), Known(f), Stream.from_rng(0))
 
 
 def unknown(f):

@@ -1,6 +1,6 @@
 """What methods of prediction share: facts about an integrand, and the result of a method.
 
-A method is a function ``(sampler, n, known, stream) -> Predicted`` that raises `NoClosedForm` where it
+A method predicts by a function ``(law, known, stream) -> Predicted`` that raises `NoClosedForm` where it
 does not apply. It may evaluate g anywhere except at the sampler's own points.
 """
 
@@ -127,13 +127,24 @@ class Cells:
 class Known:
     """An integrand in primary space and facts about it that serve all methods, counts and samplers.
 
-    All of them cut it at the jumps that lines see across an axis (`looked_at`).
+    All of them cut it at the jumps that lines see across an axis (`looked_at`). What quadrature finds
+    out about it is in its own `mcspectra.integrands.base.IntegrandCache`.
     """
 
-    def __init__(self, g: Integrand) -> None:
-        self.g = looked_at(g)
+    def __init__(self, given: Integrand) -> None:
+        self.given = given
         self._made: dict[Hashable, object] = {}
         self._lock = threading.RLock()
+
+    @cached_property
+    def g(self) -> Integrand:
+        """The integrand, cut at jumps."""
+        return looked_at(self.given)
+
+    @property
+    def costly(self) -> bool:
+        """Whether evaluations take so long that few methods are worth theirs."""
+        return self.given.costly
 
     @cached_property
     def square(self) -> tuple[Array, Array]:

@@ -1,8 +1,10 @@
 """Predictions: the variance at every n by the most trusted method, by one method, or by all of them.
 
-The first seven of `METHODS` work in primary space: each technique has its own integrand on the unit cube, and
-independent techniques add up. The method ``auto`` tries them in their order of trust; the last one measures
-small sets of the sampler and extrapolates, and its name says so. The others check a prediction.
+`METHODS` lists the methods in their order of trust. Those up to ``extrapolated`` work in primary space:
+each technique has its own integrand on the unit cube, and independent techniques add up. The method
+``auto`` tries those that apply and takes the first whose interval is narrow enough, else the narrowest.
+The last of them measures small sets of the sampler and extrapolates, and its name says so. The other
+methods check a prediction.
 """
 
 from __future__ import annotations
@@ -10,9 +12,9 @@ from __future__ import annotations
 import contextlib
 import functools
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, final
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any, final
 
 import msgspec
 import numpy as np
@@ -30,7 +32,7 @@ from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, Estimator
 from mcspectra.estimators.mirrored import FoldedIntegrand, SymmetrizedIntegrand
 from mcspectra.estimators.moments import Moments, rounding_floor
-from mcspectra.estimators.quadrature import Pointwise, in_closed_form, looked_at, mesh
+from mcspectra.estimators.quadrature import Pointwise, in_closed_form, looked_at, mesh, orders_of
 from mcspectra.integrands import Integrand
 from mcspectra.measure.converge import count_moments, count_stream
 from mcspectra.measure.doors import NO_VARIANCE, VANISHES, answer, counted
@@ -48,7 +50,13 @@ from mcspectra.prediction.known import Cells, Known, Predicted
 from mcspectra.prediction.levels import of_levels
 from mcspectra.prediction.rates import Slowest, rates_of, slowest_of_jumps
 from mcspectra.prediction.subsets import of_subsets
-from mcspectra.prediction.torus import of_few_moves, of_moves, of_torus
+from mcspectra.prediction.torus import (
+    cost_of_moves,
+    moves_at_once,
+    moves_resolve,
+    of_moves,
+    of_torus,
+)
 from mcspectra.samplers import Sampler
 from mcspectra.samplers.law import (
     Choice,
@@ -68,11 +76,14 @@ from mcspectra.samplers.law import (
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["METHODS", "Prediction", "Predictor", "predict"]
+__all__ = ["METHODS", "NAMES", "Method", "Prediction", "Predictor", "predict"]
 
 _TOLERANCE = 0.01  # relative error of a quadrature that `auto` takes before all other methods
 _MOST_BREAKS = 8  # of an integrand, with each of which offsets of strata are cut
 _EVALUATIONS = 2.0**22  # of a quadrature, about a second; beyond, other methods come first
+# Evaluations that integrals, coefficients, and tables of cells or of products take, about
+_SQUARE, _COEFFICIENTS, _TABLES = 2.0**21, 2.0**20, 2.0**20
+_OVERHEAD = 1e6  # of any prediction, in evaluations
 _MEMORY = 2**29  # bytes: coefficients and transforms of all regions
 
 # Counts beyond the last one, that show the limit of rates
@@ -108,21 +119,13 @@ def of_quadrature(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa:
     return Predicted(*of_integrand(law, g, _TOLERANCE, _EVALUATIONS), "quadrature")
 
 
-def of_limits(law: Law, known: Known, stream: Stream) -> Predicted:
-    """Many points at little cost: no sets are drawn, and shifted strata have one offset, not all."""
-    if np.isinf(known.square[0]).any():
-        raise NoClosedForm("∫g² diverges.")
-    alone = isinstance(law, Independent) or (isinstance(law, Shifted) and law.inner.fixed)
-    if alone or not isinstance(law, Shifted):
-        with contextlib.suppress(NoClosedForm):
-            return of_few_moves(law, known, stream)
-    if alone:
-        return of_torus(law, known, stream)
-    if isinstance(law, Shifted) and isinstance(law.inner, Strata):
-        law = moved(law.inner, [_OFFSET * law.n ** (-1.0 / law.dims)] * law.dims)
-    if isinstance(law, PairedAxes) and law.latin and law.dims > 1:
-        return of_subsets(law, known, stream)
-    return of_levels(law, known, stream)
+def of_divergence(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
+    """The variance of points that are each uniform, where ∫g² diverges: infinite."""
+    diverges = np.isinf(known.square[0])
+    if not diverges.any():
+        raise NoClosedForm("∫g² is finite.")
+    infinite = np.where(diverges, math.inf, math.nan)
+    return Predicted(infinite, infinite, "∫g² = ∞", 0.0, infinite)
 
 
 def of_table(law: Law, known: Known, stream: Stream) -> Predicted:
@@ -229,56 +232,221 @@ def extrapolated(
     return Predicted(variance, error, f"from measurements at {listed}", 0.0, variance)
 
 
-Method: TypeAlias = Callable[[Law, Known, Stream], Predicted]
-Methods: TypeAlias = Sequence[tuple[str, Method]]
+@final
+@dataclass(frozen=True, kw_only=True)
+class Method:
+    """A way to find the variance.
 
-_AUTO: Methods = (
-    ("exact", of_quadrature),
-    ("moves", of_few_moves),
-    ("torus", of_torus),
-    ("levels", of_levels),
-    ("subsets", of_subsets),
-    ("moves", of_moves),
-    ("table", of_table),
-    ("extrapolated", of_measurements),
+    Attributes
+    ----------
+    name, summary
+        Its name, and how it finds the variance.
+    predict
+        Predicts the mean of g over the points of a law, for one technique. Raises `NoClosedForm`
+        where it does not apply. None for methods that answer for whole estimators only.
+    applies
+        Whether ``auto`` tries it for a law and an integrand; nothing is evaluated to find out.
+        A method that is asked for by its name is tried always.
+    ahead
+        Whether ``auto`` tries it at counts beyond those that were asked for, which show the limit of
+        rates: it draws no sets, and is cheap at large n.
+    enough
+        Half interval, relative to the variance, up to which ``auto`` takes its prediction without
+        trying the next method.
+    cost
+        Evaluations of g that it takes at most, or about, where no other count has taken them before.
+    of_estimator
+        Answers for an estimator, where the method is asked for by its name and does not work
+        technique by technique.
+    realized
+        Whether it takes realizations of the estimates, which methods share.
+    """
+
+    name: str
+    summary: str
+    predict: Callable[[Law, Known, Stream], Predicted] | None = None
+    applies: Callable[[Law, Known], bool] = lambda *_: False
+    ahead: Callable[[Law, Known], bool] = lambda *_: False
+    enough: Callable[[Law, Known], float] = lambda *_: math.inf
+    cost: Callable[[Law, Known], float] = lambda *_: 0.0
+    of_estimator: Callable[[AbstractEstimator, Sampler, int, Prediction, Stream], Cells] | None = (
+        None
+    )
+    realized: bool = False
+
+
+def _mirrored(law: Law) -> bool:
+    """Whether the set inside, with another integrand, has the same variance."""
+    return isinstance(law, Folded | Mirrored) and not law.inner.fixed
+
+
+def _one_offset(law: Law) -> bool:
+    """Whether `of_torus` is cheap at large n: no sets are drawn."""
+    return isinstance(law, Independent) or (isinstance(law, Shifted) and law.inner.fixed)
+
+
+def _latin(law: Law) -> bool:
+    """Whether points are a Latin hypercube in several dims, for which sums over axes are exact."""
+    return isinstance(law, PairedAxes) and law.latin and law.dims > 1
+
+
+def _moves_apply(law: Law, known: Known) -> bool:
+    """Whether offsets of a set are worth their evaluations."""
+    return moves_resolve(law, known) or (not known.costly and moves_at_once(law))
+
+
+def _enough_of_sums(law: Law, known: Known) -> float:
+    """Where products miss jumps and kinks across many axes, other methods may be narrower."""
+    if _moves_apply(law, known):
+        return 0.03
+    leaf = leaf_of(law)  # a count of a lattice tells nothing about the counts next to it
+    return math.inf if isinstance(leaf, Fixed) and leaf.even else 0.2
+
+
+def _cost_of_quadrature(law: Law, known: Known) -> float:  # noqa: ARG001
+    orders = orders_of(law.n, law.dims)
+    return min(_EVALUATIONS, law.n * float(sum(order**law.dims for order in orders)))
+
+
+def _exactly(
+    estimator: AbstractEstimator, sampler: Sampler, n: int, asked: Prediction, _: Stream
+) -> Cells:
+    """`exact_variance`, with the error of its quadrature."""
+    value, error = estimated_variance(estimator, sampler, n, asked.tolerance)
+    low, high = np.maximum(value - error, 0.0), value + error
+    width = max(1, estimator.channels)
+    return Cells.row("exact", "quadrature", value, low, high, channels=width)
+
+
+def _checked(
+    check: Callable[[AbstractEstimator, Sampler, int, Terms, Stream], Cells],
+) -> Callable[[AbstractEstimator, Sampler, int, Prediction, Stream], Cells]:
+    """A check of `mcspectra.prediction.cross_checks` with the options of a prediction."""
+
+    def of_estimator(
+        estimator: AbstractEstimator, sampler: Sampler, n: int, asked: Prediction, stream: Stream
+    ) -> Cells:
+        terms = terms_for(estimator, n, asked.half_width, asked.realizations)
+        return check(estimator, sampler, n, terms, stream)
+
+    return of_estimator
+
+
+_QUADRATURE = Method(
+    name="exact",
+    summary="closed form, or quadrature over strata or levels, as in `exact_variance`",
+    predict=of_quadrature,
+    applies=lambda _, known: not known.costly,
+    cost=_cost_of_quadrature,
+    of_estimator=_exactly,
 )
-"""What `auto` tries, in the order of trust: `moves` first where it resolves a set better than the others."""
 
-_OF_COSTLY: Methods = (*_AUTO[1:4], _AUTO[0], _AUTO[4], _AUTO[-1])
-"""A quadrature evaluates an integrand anew at every count; tables, as precise, serve all counts."""
+METHODS: tuple[Method, ...] = (
+    _QUADRATURE,
+    Method(
+        name="exact",
+        summary="infinite where ∫g² diverges",
+        predict=of_divergence,
+        applies=lambda law, _: law.uniform,
+        ahead=lambda law, _: law.uniform,
+        cost=lambda *_: _SQUARE,
+    ),
+    Method(
+        name="torus",
+        summary="sum of |g_m|² times the power, for points that are the same after any translation",
+        predict=of_torus,
+        applies=lambda law, known: law.stationary and not moves_resolve(law, known),
+        ahead=lambda law, known: _one_offset(law) and not moves_resolve(law, known),
+        cost=lambda _, known: _SQUARE + _COEFFICIENTS * (known.given.fourier_source != "exact"),
+    ),
+    Method(
+        name="levels",
+        summary="means of g over cells, for strata and scrambled nets",
+        predict=of_levels,
+        applies=lambda law, known: not moves_resolve(law, known),
+        ahead=lambda law, known: not (_one_offset(law) or _latin(law) or moves_resolve(law, known)),
+        cost=lambda *_: _TABLES,
+    ),
+    # A quadrature evaluates g anew at every count; tables, as precise, serve all counts
+    replace(
+        _QUADRATURE,
+        applies=lambda law, known: (
+            known.costly and not (_mirrored(law) or moves_resolve(law, known))
+        ),
+    ),
+    Method(
+        name="subsets",
+        summary="single axes and sums of products of functions of one axis",
+        predict=of_subsets,
+        applies=lambda law, known: not (_mirrored(law) or moves_resolve(law, known)),
+        ahead=lambda law, _: _latin(law),
+        enough=_enough_of_sums,
+        cost=lambda *_: _TABLES,
+    ),
+    Method(
+        name="moves",
+        summary="offsets or digital shifts of one set, by a quadrature of our own",
+        predict=of_moves,
+        applies=_moves_apply,
+        ahead=moves_resolve,
+        cost=cost_of_moves,
+    ),
+    Method(
+        name="table",
+        summary="sets of the sampler on a table of g",
+        predict=of_table,
+        applies=lambda law, known: not (known.costly or _mirrored(law)),
+        cost=lambda law, _: float(_TABLE.get(law.dims, 0) ** law.dims + _PROBE),
+    ),
+    Method(
+        name="extrapolated",
+        summary="a line through variances measured at other counts",
+        predict=of_measurements,
+        applies=lambda law, _: not _mirrored(law),
+        cost=lambda *_: float(_FITTED * max(_NEAR_POINTS, _REALIZATIONS * _SMALL[-1])),
+    ),
+    Method(
+        name="pair-correlation",
+        summary="pairs of points, known or counted, without frequencies",
+        of_estimator=_checked(of_pairs),
+    ),
+    Method(
+        name="covariance",
+        summary="sum over pairs of frequencies, the covariance of coefficients in closed form",
+        of_estimator=_checked(of_covariance),
+    ),
+    Method(
+        name="homogenized",
+        summary="sum of |f_m|² times the power, in closed form or from realizations",
+        of_estimator=_checked(of_homogenized),
+        realized=True,
+    ),
+    Method(name="terms", summary="dc, power and cross term of `variance_terms`", realized=True),
+    Method(name="measured", summary="sample variance of the estimates at n", realized=True),
+)
+"""All methods, the most trusted prediction first; one name may stand at several places."""
 
-_LIMITS: Methods = (("limits", of_limits),)
+NAMES = tuple(dict.fromkeys(method.name for method in METHODS))
+"""Names of methods in the order of `METHODS`."""
 
-_CHECKS = {
-    "pair-correlation": of_pairs,
-    "covariance": of_covariance,
-    "homogenized": of_homogenized,
-}
-_SAMPLED = ("homogenized", "terms", "measured")  # from the realizations of `variance_terms`
+_LIMIT = "limit"
+"""Stands for ``auto`` at counts beyond those that were asked for."""
 
-METHODS: Mapping[str, str] = {
-    "exact": "closed form, or quadrature over strata or levels, as in `exact_variance`",
-    "torus": "sum of |g_m|² times the power, for points that are the same after any translation",
-    "levels": "means of g over cells, for strata and scrambled nets",
-    "subsets": "single axes and sums of products of functions of one axis",
-    "moves": "offsets or digital shifts of one set, by a quadrature of our own",
-    "table": "sets of the sampler on a table of g",
-    "extrapolated": "a line through variances measured at other counts",
-    "pair-correlation": "pairs of points, known or counted, without frequencies",
-    "covariance": "sum over pairs of frequencies, the covariance of coefficients in closed form",
-    "homogenized": "sum of |f_m|² times the power, in closed form or from realizations",
-    "terms": "dc, power and cross term of `variance_terms`",
-    "measured": "sample variance of the estimates at n",
-}
-"""Names of methods, the most trusted prediction first, and how each finds the variance."""
 
-_WORTH = {"moves": 0.03, "table": 0.2, "extrapolated": 0.2}
-"""Half intervals of sums of products, relative to the variance, that a method may narrow."""
+def tried(name: str, law: Law, known: Known) -> list[Method]:
+    """The methods that answer to a name for one technique, in their order of trust."""
+    usable = [method for method in METHODS if method.predict is not None]
+    if name == "auto":
+        return [method for method in usable if method.applies(law, known)]
+    if name == _LIMIT:
+        return [method for method in usable if method.ahead(law, known)]
+    return [method for method in usable if method.name == name]
+
 
 _METHOD = Meta(
     description="auto: the most trusted method that applies; all: every method, side by side; else one "
     "by its name.",
-    extra={"choices": ("auto", "all", *METHODS)},
+    extra={"choices": ("auto", "all", *NAMES)},
 )
 
 
@@ -323,25 +491,42 @@ class Prediction(Counted, frozen=True, kw_only=True):
     ] = 1000
 
     @property
-    def _methods(self) -> tuple[str, ...]:
-        return tuple(METHODS) if self.method == "all" else (self.method,)
+    def _names(self) -> tuple[str, ...]:
+        return NAMES if self.method == "all" else (self.method,)
+
+    @property
+    def _realized(self) -> bool:
+        return any(method.realized for method in METHODS if method.name in self._names)
 
     def need(self, subject: Subject) -> Need:
         """Every sampler can do every count, and the spectra fit."""
-        estimator, samplers, methods = subject.estimator, subject.samplers, self._methods
+        estimator, samplers, names = subject.estimator, subject.samplers, self._names
         each, sampled = sum(estimator.counts), 0
-        cost, memory = 1e6 * len(samplers) * len(self.counts) * each, 0
+        cost, memory, known = 0.0, 0, knowledge(estimator)
         for sampler in samplers:
             for n in self.counts:
                 estimator.check_sampler(sampler, n)
-                if "pair-correlation" in methods:
+                cost += self._cost(estimator, sampler, n, known)
+                if "pair-correlation" in names:
                     cost += 0.1 * self.realizations * each * n**2
-                if not set(_SAMPLED).isdisjoint(methods):
+                if self._realized:
                     _, need, _ = self._terms(Subject(estimator, sampler), n)
                     cost, memory = cost + need.cost, max(memory, need.memory)
                     sampled += 0 if self.method == "homogenized" else need.evaluations
         memory += _MEMORY + memory_of(self.counts[-1], estimator.dims, each)
         return Need(cost=cost, memory=memory, evaluations=sampled)
+
+    def _cost(
+        self, estimator: AbstractEstimator, sampler: Sampler, n: int, known: Sequence[Known]
+    ) -> float:
+        """Evaluations of the methods that are asked for, of `auto` of the one that is tried first."""
+        source, cost = estimator.randomized(sampler), 0.0
+        for count, each in zip(estimator.counts, known, strict=True):
+            law = source.law(n * count)
+            for name in self._names:
+                first = tried(name, law, each)[:1]
+                cost += max([_OVERHEAD, *(method.cost(law, each) for method in first)])
+        return cost
 
     def _terms(self, subject: Subject, n: int) -> tuple[Terms, Need, str]:
         """The analysis behind the sampled methods, its need, and why it has no frequencies, or empty."""
@@ -358,44 +543,41 @@ class Prediction(Counted, frozen=True, kw_only=True):
 
     def reduction(self, subject: Subject, stream: Stream) -> Steps:
         """A block for each sampler, method and count; the sampled methods share realizations."""
-        estimator, samplers, methods = subject.estimator, subject.samplers, self._methods
+        estimator, samplers, names = subject.estimator, subject.samplers, self._names
         auto, channels = self.method == "auto", max(1, estimator.channels)
+        of_estimator = {method.name: method.of_estimator for method in reversed(METHODS)}
         predictor = Predictor(estimator, stream)
         own, other = (Stream.from_rng(np.random.SeedSequence([stream.key, k])) for k in (0, 1))
 
         # Counts of a sampler: with auto others, too, which show rates and their limit; 0 is none
         counts = [_places(s, self.counts) if auto else [0, *self.counts, 0, 0] for s in samplers]
-        wanted = [(s, m, n) for s, each in enumerate(counts) for m in methods for n in each]
-        places = [place for place in wanted if auto or (place[2] and place[1] not in _SAMPLED[1:])]
+        wanted = [(s, name, n) for s, each in enumerate(counts) for name in names for n in each]
+        alone = {method.name for method in METHODS if method.predict or method.of_estimator}
+        places = [place for place in wanted if auto or (place[2] and place[1] in alone)]
 
         def of_place(index: int) -> Cells:
-            place, method, n = places[index]
-            sampler = samplers[place]
+            place, name, n = places[index]
+            sampler, answer = samplers[place], of_estimator.get(name)
             if auto:
-                return predictor.at(sampler, n, _AUTO if n <= self.counts[-1] else _LIMITS)
+                return predictor.at(sampler, n, name if n <= self.counts[-1] else _LIMIT)
+            if answer is None:
+                return predictor.at(sampler, n, name)
             try:
-                if method == "exact":
-                    value, error = estimated_variance(estimator, sampler, n, self.tolerance)
-                    low, high = np.maximum(value - error, 0.0), value + error
-                    return Cells.row(method, "quadrature", value, low, high, channels=channels)
-                if method in _CHECKS:
-                    asked = terms_for(estimator, n, self.half_width, self.realizations)
-                    return _CHECKS[method](estimator, sampler, n, asked, other)
+                return answer(estimator, sampler, n, self, other)
             except (NoClosedForm, ParameterError) as refusal:  # arguments were checked before
                 return Cells.unknown(str(refusal), channels)
-            return predictor.at(sampler, n, [each for each in _AUTO if each[0] == method][-1:])
 
         # Spectra and estimates of realizations, for each sampler and count
         sampled = {}
         for s, sampler in enumerate(samplers):
-            for n in self.counts if not set(_SAMPLED).isdisjoint(methods) else ():
+            for n in self.counts if self._realized else ():
                 terms, _, refusal = self._terms(Subject(estimator, sampler), n)
                 if self.method != "homogenized" or draws_power(estimator, sampler, n):
                     reduction = terms.reduction(Subject(estimator, sampler), own)
                     sampled[s, n] = replace(reduction, key=f"{s} {n}"), refusal
         step: list[Reduction[Any]] = [reduction for reduction, _ in sampled.values()]
         if places:
-            cost = 1e6 * len(places) * sum(estimator.counts)
+            cost = _OVERHEAD * len(places) * sum(estimator.counts)
             step.append(
                 Reduction(kind=Cells, block=of_place, blocks=len(places), cost=cost, key="places")
             )
@@ -426,7 +608,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
         notes: list[str],
     ) -> xr.Dataset:
         """The dataset of cells by sampler, method and count, with rates along the counts."""
-        estimator, samplers, methods = subject.estimator, subject.samplers, self._methods
+        estimator, samplers, methods = subject.estimator, subject.samplers, self._names
         auto, alone = self.method == "auto", subject.sampler is samplers[0]
         channels = max(1, estimator.channels)
         shape = (len(samplers) * len(methods), -1, channels)
@@ -642,21 +824,29 @@ def predict(
     return answer(Prediction, locals())
 
 
+def knowledge(estimator: AbstractEstimator) -> list[Known]:
+    """What there is to know of the integrand of each technique; nothing is evaluated yet."""
+    return [Known(estimator.primary_integrand(t)) for t in range(len(estimator.counts))]
+
+
 @final
 class Predictor:
     """Predicts one estimator at many counts; what is known of its integrands is found once."""
 
     def __init__(self, estimator: AbstractEstimator, stream: Stream) -> None:
         self.estimator = estimator
-        self._known = [Known(estimator.primary_integrand(t)) for t in range(len(estimator.counts))]
+        self._known = knowledge(estimator)
         self._stream = stream
 
-    def at(self, sampler: Sampler, n: int, methods: Methods = _AUTO) -> Cells:
-        """The prediction of one count: the sum over the techniques; NaN where no method applies."""
+    def at(self, sampler: Sampler, n: int, name: str = "auto") -> Cells:
+        """The prediction of one count: the sum over the techniques; NaN where no method applies.
+
+        By the methods that answer to `name`: see `tried`.
+        """
         estimator = self.estimator
         source, width = estimator.randomized(sampler), max(1, estimator.channels)
         total = np.full((4, width), math.nan)
-        note, name, how = "", "none", ""
+        note, used, how = "", "none", ""
         try:
             if not n:
                 raise NoClosedForm("there is no such count")
@@ -670,21 +860,21 @@ class Predictor:
             try:
                 estimator.check_independent()
             except NoClosedForm:
-                if methods[-1][0] != "extrapolated":
+                if name not in ("auto", "extrapolated"):
                     raise
                 found = extrapolated(estimator, source, n, known[0], stream)
                 parts = [replace(found, method="extrapolated")]
             else:
                 places = enumerate(zip(estimator.counts, known, strict=True))
                 parts = [
-                    _by_methods(source.law(n * c), each, stream.child(t), methods)
+                    predicted(source.law(n * c), each, stream.child(t), name)
                     for t, (c, each) in places
                 ]
             # What their shares weigh
             squares = [np.ones(len(parts[0].variance))]
             if len(parts) > 1:
                 squares = [each.square[0] for each in known]
-            name, how = (
+            used, how = (
                 "; ".join(dict.fromkeys(texts))
                 for texts in ([part.method for part in parts], [part.how for part in parts])
             )
@@ -712,7 +902,7 @@ class Predictor:
             low = np.where(np.isinf(variance), np.inf, np.maximum(variance - error, 0.0))
         high = variance + error
         return Cells.row(
-            name, how, variance, low, high, share=share, tail=tail, note=note, channels=width
+            used, how, variance, low, high, share=share, tail=tail, note=note, channels=width
         )
 
     def slowest(self, sampler: Sampler, counts: Sequence[int]) -> Slowest:
@@ -728,63 +918,67 @@ class Predictor:
         return max(found, key=lambda each: each.exponent, default=Slowest())
 
 
-def _by_methods(law: Law, known: Known, stream: Stream, methods: Methods) -> Predicted:
-    """The first method that applies to a law; mirrored points see another integrand."""
-    n = law.n
-    if n == 1 and law.uniform:  # one point, which is as at random
+def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
+    """The prediction of one technique by the methods that answer to a name: see `tried`.
+
+    The first whose interval is narrow enough, else the narrowest.
+    """
+    if law.n == 1 and law.uniform:  # one point, which is as at random
         law = Independent(n=1, dims=law.dims)
     law = as_scrambled(law)
+    if name == _LIMIT and isinstance(law, Shifted) and isinstance(law.inner, Strata):
+        law = moved(law.inner, [_OFFSET * law.n ** (-1.0 / law.dims)] * law.dims)
     if isinstance(law, Choice):
-        parts = [_by_methods(one, known, stream, methods) for one in law.laws]
+        parts = [predicted(one, known, stream, name) for one in law.laws]
         values = np.array([part.variance for part in parts])
         spread = student_t(len(parts)) * values.std(axis=0, ddof=1) / math.sqrt(len(parts))
         error = np.hypot(np.mean([part.error for part in parts], axis=0), spread)
         return replace(parts[0], variance=values.mean(axis=0), error=error)
-    if methods is _AUTO and known.g.costly:
-        methods = _OF_COSTLY
     if known.constant:  # a technique of several
         none = 0.0 * known.square[0]
-        return Predicted(none, none, "the same at all points", method=methods[0][0])
-    best, leaf = None, leaf_of(law)
-    lattice = isinstance(leaf, Fixed) and leaf.even
-    for place, (name, method) in enumerate(methods):
-        # Where products miss jumps and kinks across many axes the narrower interval counts; but of
-        # lattices, a count tells nothing of those next to it
-        if best is not None:
-            good = (best.error <= _WORTH.get(name, math.inf) * best.variance).all()
-            if good or (lattice and name == "extrapolated"):
-                continue
+        used = name if name in NAMES else NAMES[0]
+        return Predicted(none, none, "the same at all points", method=used)
+
+    best: Predicted | None = None
+    reason = NoClosedForm(f"No method predicts {law.name}.")
+    for method in tried(name, law, known):
+        assert method.predict is not None
         try:
-            found = replace(method(law, known, stream), method=name)
-            # One method may see what others do not: none knows more than the probe
-            if np.isfinite(found.variance).all():
-                found = replace(found, error=np.maximum(found.error, known.unseen / n))
-            if best is None or found.error.sum() < best.error.sum():
-                best = found
-            if name != "subsets":
-                return best
+            found = replace(method.predict(law, known, stream), method=method.name)
         except NoClosedForm as error:
             reason = error
-        if place == 0 and best is None:
-            chosen = len(methods) == 1 and methods is not _LIMITS  # by its name
-            if law.uniform and not chosen and np.isinf(known.square[0]).any():
-                infinite = np.where(np.isinf(known.square[0]), math.inf, math.nan)
-                return Predicted(infinite, infinite, "∫g² = ∞", 0.0, infinite, "exact")
-            if isinstance(law, Folded | Mirrored) and not law.inner.fixed:
-                # The prediction of the set inside with another integrand (`mcspectra.prediction.exact`)
-                if isinstance(law, Folded):
-                    folded = known.once("folded", lambda: Known(FoldedIntegrand(known.g)))
-                    return _by_methods(law.inner, folded, stream, methods)
-                average = known.once("symmetrized", lambda: Known(SymmetrizedIntegrand(known.g)))
-                found = _by_methods(law.inner, average, stream, methods)
-                if law.mode == "uniform":
-                    return found
-                coins = np.maximum(known.square[0] - average.square[0], 0.0) / n
-                rounding = np.hypot(found.error, (known.square[1] + average.square[1]) / n)
-                return replace(found, variance=found.variance + coins, error=rounding)
+            continue
+        # One method may see what others do not: none knows more than the probe
+        if np.isfinite(found.variance).all():
+            found = replace(found, error=np.maximum(found.error, known.unseen / law.n))
+        if best is None or found.error.sum() < best.error.sum():
+            best = found
+        enough = method.enough(law, known)
+        if math.isinf(enough) or (best.error <= enough * best.variance).all():
+            break
     if best is not None:
         return best
-    raise reason
+    if not _mirrored(law):
+        raise reason
+    return _of_the_set_inside(law, known, stream, name)
+
+
+def _of_the_set_inside(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
+    """The prediction of a set before it was folded or mirrored, with another integrand.
+
+    See `mcspectra.prediction.exact`.
+    """
+    assert isinstance(law, Folded | Mirrored)
+    if isinstance(law, Folded):
+        folded = known.once("folded", lambda: Known(FoldedIntegrand(known.g)))
+        return predicted(law.inner, folded, stream, name)
+    average = known.once("symmetrized", lambda: Known(SymmetrizedIntegrand(known.g)))
+    found = predicted(law.inner, average, stream, name)
+    if law.mode == "uniform":
+        return found
+    coins = np.maximum(known.square[0] - average.square[0], 0.0) / law.n
+    rounding = np.hypot(found.error, (known.square[1] + average.square[1]) / law.n)
+    return replace(found, variance=found.variance + coins, error=rounding)
 
 
 def _places(sampler: Sampler, counts: Sequence[int]) -> list[int]:

@@ -37,7 +37,14 @@ from mcspectra.prediction.known import Known, Predicted, half_interval
 from mcspectra.samplers.law import Independent, Law, Scrambled, Shifted, Source
 from mcspectra.spectra.closed_forms import moments_of
 
-__all__ = ["lattice_basis", "of_few_moves", "of_moves", "of_torus"]
+__all__ = [
+    "cost_of_moves",
+    "lattice_basis",
+    "moves_at_once",
+    "moves_resolve",
+    "of_moves",
+    "of_torus",
+]
 
 
 @dataclass(frozen=True)
@@ -387,7 +394,7 @@ def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:
     """
     g, n = known.g, law.n
     count = min(_OFFSETS, _MOST_EVALUATIONS // n)
-    if not _moves_at_once(law) or count < _LEAST_OFFSETS:
+    if not moves_at_once(law):
         raise NoClosedForm(f"{law.name} does not move {n} points at once, or too many of them.")
     assert isinstance(law, Shifted | Scrambled)
     shifted, points = isinstance(law, Shifted), law.inner.draw(Stream.from_rng(0), 0, 1)[0]
@@ -419,28 +426,31 @@ def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:
     return Predicted(value, half_interval(np.array(spreads)), how)
 
 
-def _moves_at_once(law: Law) -> bool:
-    """Whether one random offset, or one digital shift in base 2, moves a fixed set."""
-    return (isinstance(law, Shifted) or (isinstance(law, Scrambled) and law.xor)) and (
-        law.inner.fixed
-    )
+def moves_at_once(law: Law) -> bool:
+    """Whether one random offset, or one digital shift in base 2, moves a fixed set of not too many points."""
+    if not (isinstance(law, Shifted) or (isinstance(law, Scrambled) and law.xor)):
+        return False
+    return law.inner.fixed and law.n <= _MOST_EVALUATIONS // _LEAST_OFFSETS
 
 
-def of_few_moves(law: Law, known: Known, stream: Stream) -> Predicted:
-    """`of_moves` for the sets of 1 to 3 dims that it resolves better than other methods do.
+def moves_resolve(law: Law, known: Known) -> bool:
+    """Whether `of_moves` resolves a set of 1 to 3 dims better than other methods do.
 
     These are shifted lattices, where the coefficients of g are not exact, and nets in base 2 with a
     digital shift, whose weights depend on g.
     """
-    if law.dims <= 3 and _moves_at_once(law):
-        if isinstance(law, Scrambled):
-            return of_moves(law, known, stream)
-        few = law.n <= _MOST_EVALUATIONS // _LEAST_OFFSETS and known.g.fourier_source != "exact"
-        if isinstance(law, Shifted) and few:
-            points = law.inner.draw(Stream.from_rng(0), 0, 1)[0]
-            if lattice_basis(points) is not None and np.isfinite(known.square[0]).all():
-                return of_moves(law, known, stream)
-    raise NoClosedForm(f"Other methods resolve {law.name} in {law.dims} dims better.")
+    if law.dims > 3 or not moves_at_once(law):
+        return False
+    if not isinstance(law, Shifted):
+        return True
+    if known.given.fourier_source == "exact":
+        return False
+    return lattice_basis(law.inner.draw(Stream.from_rng(0), 0, 1)[0]) is not None
+
+
+def cost_of_moves(law: Law, known: Known) -> float:  # noqa: ARG001
+    """Evaluations of g by `of_moves`."""
+    return float(min(_OFFSETS * law.n, _MOST_EVALUATIONS))
 
 
 def _drawn(
