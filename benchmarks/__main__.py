@@ -20,6 +20,7 @@ NAMES = (
     "coverage",
     "predictions",
     "battery",
+    "settings",
     "improvements",
     "contribution",
     "listed",

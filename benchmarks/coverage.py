@@ -9,7 +9,7 @@ import numpy as np
 
 import mcspectra as mcs
 from mcspectra.estimators.moments import Moments
-from mcspectra.measure.sums import BATCHES, ratio_factors
+from mcspectra.measure.sums import BATCH_SETTINGS, ratio_factors
 
 REPETITIONS = 2_000
 COUNTS = (20, 100, 1000)
@@ -85,8 +85,10 @@ def _of_captured() -> Iterator[tuple[str, ...]]:
             for _ in range(REPETITIONS):
                 x = rng.random((count, 8)) ** (1 / (1 + power))
                 estimates = _weighted(x, f, power, m, c).mean(axis=-1)
-                blocks = estimates.reshape(2, BATCHES, -1).var(axis=-1, ddof=1)
-                factors = ratio_factors(*blocks, np.full(BATCHES, 1 / BATCHES))
+                blocks = estimates.reshape(2, BATCH_SETTINGS.least, -1).var(axis=-1, ddof=1)
+                factors = ratio_factors(
+                    *blocks, np.full(BATCH_SETTINGS.least, 1 / BATCH_SETTINGS.least)
+                )
                 low, high = np.divide(*estimates.var(axis=-1, ddof=1)) * factors
                 inside.append(low <= truth <= high)
                 widths.append(high / low)

@@ -1,7 +1,8 @@
-"""What can be wrong with an estimator: each cause has a detector, evidence in numbers and a sentence.
+"""Causes of noise in an estimator: each cause has a detector, evidence in numbers and a sentence.
 
-`Evidence.of` evaluates; detectors look at what it found, evaluate nothing, and return a `Cause` or None.
-`CAUSES` has them in the order of what hurts most; what is found is listed in that order.
+`Evidence.of` evaluates the integrand. Detectors evaluate nothing: they read the evidence and return
+a `Cause` or None. `CAUSES` lists the detectors with the most harmful cause first, and `causes_of`
+keeps that order.
 """
 
 from __future__ import annotations
@@ -22,23 +23,26 @@ from mcspectra.estimators import AbstractEstimator, Estimator, Mirrored
 from mcspectra.estimators.moments import Moments
 from mcspectra.estimators.support import uncovered
 from mcspectra.explain.probing import (
-    COARSE,
+    LINE_SETTINGS,
+    POLE_SETTINGS,
     Lines,
+    LineSettings,
     Pole,
+    PoleSettings,
     grain,
     lines_of,
     mean_dimension,
     pole_of,
 )
-from mcspectra.explain.samples import NETS, Curve, Sets, scalar
+from mcspectra.explain.samples import CURVE_SETTINGS, NETS, Curve, CurveSettings, Sets, scalar
 from mcspectra.samplers import GivenPoints, Sampler, as_sampler
 from mcspectra.samplers import law as laws
 
 __all__ = [
     "CAUSES",
-    "FEW_NETS",
-    "GIVEN",
+    "CAUSE_SETTINGS",
     "Cause",
+    "CauseSettings",
     "Evidence",
     "Name",
     "Replicates",
@@ -48,12 +52,6 @@ __all__ = [
     "shares_of",
     "technique_name",
 ]
-
-FEW_NETS = 20
-"""At least: fewer tell little of errors."""
-
-GIVEN = 0.25
-"""Of the budget, for a sampler that nets do not tell of."""
 
 Name: TypeAlias = Literal[
     "wrong-pdf",
@@ -76,39 +74,149 @@ Name: TypeAlias = Literal[
     "none",
 ]
 
-_MORE_FROM = 16384  # points, from which on there are more nets
-_LINES, _CHECK = 0.2, 0.15  # of the budget
-_LAW_AT = 64  # points at which a shift is looked up; it is the same at all n
-_AGAIN = 8  # points whose values are asked for twice
-_SAME_VALUE = 1e-6  # of the size of values: rounding of sums whose order changes
-_POLES = 0.8  # of what lines may take
-_CLIMBED = 300.0  # variances, of the largest square
-_SIZES = 1e-120, 1e120  # of g, whose fourth powers float64 holds
-_MANY = 4  # dims, from which on it matters how many g varies with at once
 
-_HALF = 0.5  # exponent of a pole, and tail index, from which on the variance is infinite
-_ALL = 0.95  # from which on there is no integral
-_GROWS = 0.08  # exponent at the border
-_HEAVY = 30.0  # kurtosis
-_LARGE = 0.2  # of all squares, by one value
-_FEW, _VERY_FEW = 0.05, 0.01  # of the values, that make nine tenths of the variance
-_ALIKE = 0.05  # of all evaluations, as different values: a function in steps
-_LOOKED = 4  # lines that show what is rough
-_STRAIGHT = 0.7  # of the lines that meet a jump
-_TURNS = 0.33  # of the places along a line, as extremes: of noise two thirds
-_WAVES = 6.0  # along a line
-_RESOLVED = 4.0  # gain of nets over random points, from which on they see what g does
-_COARSE_CUBE = 16.0  # times 2 for each axis: points that resolve what is smooth
-_MOST_DIMENSION = 1.8
-_LITTLE_GAIN = 8.0  # by nets, over random points
-_OPPOSITE = 1e-3  # of the variance, by what g differs between faces
-_SEEN_OF_PDF = 4096  # points
-_FEW_SETS = 8
-_SERIAL = 4.5  # standard errors of the correlation of sets that follow each other
-_ROUNDING = 1e-9  # of means that are the same for all sets
-_GRAINS = 32.0  # of the numbers that estimates are: less is rounding
-_AWAY = 6.0  # standard errors; by Student's t of nineteen degrees a chance of 1e-5
-# What else is said of a function that is noise itself, whose lines show no shape
+@final
+@dataclass(frozen=True)
+class CauseSettings:
+    """How a budget of evaluations is spent, and the thresholds above which causes are named.
+
+    "Insensitive between a and b" means that the first cause is right with a and with b in all of
+    the 152 cases of ``python -m benchmarks settings``, as with the value itself.
+    """
+
+    # Least number of scrambled nets. The standard error of a variance of 20 normal estimates is a
+    # third of it. With 40 nets, of half the size, one of 152 causes is wrong; 10 nets are enough.
+    nets: int = 20
+    # Evaluations of the integrand above which the number of nets grows as their square root. Nets
+    # then have 512 points or more, so that a curve has ten counts, and more nets improve the rate
+    # more than more counts do.
+    more_from: int = 16384
+    # Fraction of the budget that is spent on lines and poles. Insensitive between 0.1 and 0.4.
+    lines_share: float = 0.2
+    # Fraction of the budget that is left to check a change of the estimator. Insensitive between
+    # 0.075 and 0.15; with 0.3, which leaves less for nets, one of 152 causes is wrong.
+    check_share: float = 0.15
+    # Fraction of the budget that is spent on the given sampler if nets cannot estimate its
+    # variance. It leaves 40 % to nets. Insensitive between 0.125 and 0.5.
+    given_share: float = 0.25
+    # Most of the evaluations for lines that the search for a pole may take. Insensitive between 0.4
+    # and 0.8; without any lines four of 152 causes are wrong.
+    pole_share: float = 0.8
+    # Fraction of the evaluations for lines that estimate the mean dimension. Insensitive between
+    # 0.125 and 0.25; with 0.5, which leaves less for lines, four causes are wrong.
+    dimension_share: float = 0.25
+    # Points whose values are evaluated twice to find noise. A function that is random at half of
+    # its points is found with probability 1 − 2^−8 = 0.996.
+    again: int = 8
+    # Difference of two values at a point that counts as rounding, as a fraction of the largest
+    # value: sums of 1e6 terms in float64, or of a few terms in float32, whose order changes, differ
+    # by less.
+    same_value: float = 1e-6
+    # Largest square of a deviation, in units of the variance, above which a pole is looked for in
+    # many dims. Insensitive between 150 and 600.
+    climbed: float = 300.0
+    # Smallest and largest value of g whose squares, summed over any number of points, are within
+    # the range of float64 from 1e-308 to 1e308.
+    smallest: float = 1e-120
+    largest: float = 1e120
+    # Least number of dims in which the mean dimension is estimated. In 1 to 3 dims points fill the
+    # cube well enough for interactions of all axes. Insensitive between 4 and 8; with 2 one of 152
+    # causes is wrong.
+    many_dims: int = 4
+    # Number of points at which the law of the sampler is read. The kind of a law is the same for
+    # all n (tried: 32 and 128).
+    law_at: int = 64
+    # Error of a measured exponent of growth: the variance counts as infinite above 0.48. The limit
+    # is ½, and exponents of poles are right to 0.02 in all of 18 cases. Insensitive between 0.01
+    # and 0.04.
+    exponent_error: float = 0.02
+    # Error of the order of a pole inside that only the bends of lines show. Insensitive between
+    # 0.04 and 0.16.
+    bend_error: float = 0.08
+    # Tail index above which the integral does not exist. The limit is 1; a pole of order 1 is
+    # measured as 0.95 or more. It changes the sentence and the remedies only.
+    no_integral: float = 0.95
+    # Exponent of growth at the border above which it is a main cause; slower growth is listed after
+    # all others. With 0.04 two of 152 causes are wrong; insensitive between 0.08 and 0.16.
+    grows: float = 0.08
+    # Kurtosis of the values of g above which a tail is heavy if few values hold most of the
+    # variance: 3 is normal, 9 is exponential, 114 is lognormal with σ = 1. Insensitive between 15
+    # and 60.
+    heavy_kurtosis: float = 30.0
+    # Fraction of the sum of squares in one value above which a tail is heavy. Insensitive between
+    # 0.1 and 0.4; the same share as in `measure/blindness.py`.
+    large_share: float = 0.2
+    # Fractions of the values that hold nine tenths of the variance: a tail is heavy below the
+    # first, and is the main cause below the second. Insensitive between 0.025 and 0.1, and between
+    # 0.005 and 0.01; with 0.02 two of 152 causes are wrong.
+    few_values: float = 0.05
+    very_few_values: float = 0.01
+    # Number of different values, as a fraction of all evaluations, below which g is a function in
+    # steps. Insensitive between 0.025 and 0.1.
+    few_different: float = 0.05
+    # Least number of lines for a conclusion that nothing costs precision: with 4 lines a feature
+    # that half of all lines meet is missed with probability 1/16. Insensitive between 2 and 8.
+    least_lines: int = 4
+    # Fraction of the lines with a jump on which the jump stays in place on a parallel line: above
+    # it, jumps are parallel to axes. Insensitive between 0.35 and 0.7; above 1 no jump is parallel
+    # to an axis.
+    straight: float = 0.7
+    # Fraction of the places along a line that are extremes, above which g oscillates. Noise has ⅔.
+    # Insensitive between 0.165 and 0.33; with 0.66, the value of noise, four causes are wrong.
+    turns: float = 0.33
+    # Least number of waves along a line for an oscillation. The 16 steps of a line resolve fewer
+    # waves. Insensitive between 3 and 12.
+    waves: float = 6.0
+    # Gain of nets over random points above which nets resolve g. Insensitive between 2 and 8.
+    resolved: float = 4.0
+    # Points that resolve a smooth function, before a factor of 2 for each axis with waves.
+    # Insensitive between 8 and 32.
+    coarse_cube: float = 16.0
+    # Mean dimension above which g varies with many axes at once: 1 is additive, 2 has pairs of
+    # axes. Insensitive between 0.9 and 3.6.
+    low_dimension: float = 1.8
+    # Gain of nets over random points above which the number of dims is not a problem. Insensitive
+    # between 4 and 16.
+    little_gain: float = 8.0
+    # Mean squared difference between opposite faces, as a fraction of the variance of g, above
+    # which a shift around the torus costs precision. Insensitive between 5e-4 and 2e-3.
+    opposite: float = 1e-3
+    # Points at which the integral of a wrong density is measured. A net of this size gives the four
+    # digits that the sentence shows if 1/p is smooth; no decision depends on it.
+    pdf_points: int = 4096
+    # Least number of sets whose spread gives a variance: 8 sets give it to a factor of 0.44 to 4.1,
+    # with 95 %.
+    few_sets: int = 8
+    # Standard errors of the correlation between consecutive sets, or of the mean over sets, that
+    # cannot be chance. For 4.5 the probability of a false alarm is 3e-6. For 6, by Student's t with
+    # 19 degrees of freedom, it is 1e-5.
+    serial: float = 4.5
+    away: float = 6.0
+    # Standard deviation of means over sets below which they count as equal. Their rounding is about
+    # 1e-16, and the mean of x along an axis of a scrambled net differs by 0.29 n^−1.5, which is
+    # above 1e-9 for up to 400,000 points.
+    rounding: float = 1e-9
+    # Distance between floating-point numbers that matters, as a fraction of the spread of g: steps
+    # of 1 % of the spread change its variance by 1e-5. Also the least variance along a line, as a
+    # fraction of the largest one. Insensitive between 0.005 and 0.02.
+    coarse: float = 1e-2
+    # Part of the variance above which a technique is the cause, and above which it is so if its
+    # rate is also slower. Insensitive between 0.4 and 1.6 for the first, and between 0.25 and 1 for
+    # the second.
+    dominant: float = 0.8
+    largest_part: float = 0.5
+    # Standard errors by which the rate of a technique must be slower: 95 % of a normal law.
+    slower: float = 2.0
+    # Settings of lines, of the search for poles, and of curves of variance.
+    lines: LineSettings = LINE_SETTINGS
+    poles: PoleSettings = POLE_SETTINGS
+    curves: CurveSettings = CURVE_SETTINGS
+
+
+CAUSE_SETTINGS = CauseSettings()
+"""Settings of all searches for causes, unless others are passed."""
+
+# Causes that are also reported for a noisy function: its lines have no shape
 _SHAPELESS = frozenset(
     {
         "wrong-pdf",
@@ -123,18 +231,18 @@ _SHAPELESS = frozenset(
 @final
 @dataclass(frozen=True)
 class Cause:
-    """What was found.
+    """A cause of noise that was found.
 
     Attributes
     ----------
     name
         One of `Name`.
     sentence
-        What it is and what it does, with its numbers.
+        The cause and its effect in words, with its numbers.
     evidence
         The numbers, by name.
     kinds
-        Kinds of remedies that answer it (`mcspectra.improve.candidates.KINDS`).
+        Kinds of remedies for this cause (`mcspectra.improve.candidates.KINDS`).
     """
 
     name: Name
@@ -151,12 +259,12 @@ class Replicates:
     Attributes
     ----------
     estimates
-        Of some of them, from none on: (R,).
+        Estimates of the first sets, (R,), possibly none.
     waves
-        Means over each set of x − ½, cos 2πx and sin 2πx of every axis, whose means over uniform points are
-        0: (R, 3d).
+        Means over each set of x − ½, cos 2πx and sin 2πx along every axis, (R, 3d). Their means
+        over uniform points are 0.
     different
-        How many sets are different.
+        Number of different sets.
     """
 
     estimates: Array
@@ -167,30 +275,32 @@ class Replicates:
 @final
 @dataclass(frozen=True)
 class Evidence:
-    """What was looked at.
+    """Evaluations that the detectors read.
 
     Attributes
     ----------
     estimator, sampler
-        What was given.
+        The estimator, and the sampler that is used with it.
     sets
         Evaluations at scrambled nets.
     curves
         Variances of samplers.
     lines
-        Of each technique.
+        Lines through the integrand g of each technique.
     pole
-        Of a single technique, if g has one.
+        The pole of g, if one was found; only for a single technique.
     mean_dimension
-        Of g, NaN where it was not looked for.
+        Mean dimension of g, NaN if it was not estimated.
     replicates
-        Sets of the sampler, where these were drawn.
+        Sets of the sampler, if some were drawn.
     noise
-        Variance of g at one and the same point, where values at a point differ; else 0.
+        Variance of g at a point, if repeated evaluations differ; else 0.
     calls
-        Evaluations of the integrand that it took.
+        Number of evaluations of the integrand.
     missed
-        A place where a density of the user's own is 0 and f is not, in words; else empty.
+        A place, in words, where a density of the user is 0 and f is not; else empty.
+    settings
+        Thresholds of the detectors.
     """
 
     estimator: AbstractEstimator
@@ -204,32 +314,39 @@ class Evidence:
     noise: float = 0.0
     calls: int = 0
     missed: str = ""
+    settings: CauseSettings = CAUSE_SETTINGS
 
     @staticmethod
-    def of(estimator: AbstractEstimator, sampler: Sampler, budget: int, stream: Stream) -> Evidence:
-        """What nets and lines tell within a budget of evaluations; `sampler` is not drawn.
+    def of(
+        estimator: AbstractEstimator,
+        sampler: Sampler,
+        budget: int,
+        stream: Stream,
+        settings: CauseSettings = CAUSE_SETTINGS,
+    ) -> Evidence:
+        """Evaluate nets and lines within a budget of evaluations; `sampler` is not drawn.
 
         Raises
         ------
         ParameterError
             The budget is too small, or values are too large or too small for their powers.
         """
-        each, n, nets = shares_of(estimator, sampler, budget)
+        each, n, nets = shares_of(estimator, sampler, budget, settings)
         sets = Sets.of(estimator, n, nets, stream.child(0))
         calls = nets * n * each
         size = max(float(np.abs(v).max()) for v in sets.values)
         if not math.isfinite(size):  # f gives finite numbers
             raise ParameterError("The pdf is no number at some samples; give one that is finite.")
-        if size and not _SIZES[0] <= size <= _SIZES[1]:
+        if size and not settings.smallest <= size <= settings.largest:
             raise ParameterError(
                 f"The values of f are of the size {size:.1g}, whose powers float64 does not hold; divide f by it."
             )
 
-        # Whether a density of the user's own is 0 where f is not
+        # A place where a density of the user is 0 and f is not
         missed = ""
         if isinstance(estimator, Estimator) and isinstance(estimator.density, FunctionDensity):
             places = uncovered(estimator.integrand, [estimator.density])
-            places = places[:: max(1, len(places) // _AGAIN)][:_AGAIN]
+            places = places[:: max(1, len(places) // settings.again)][: settings.again]
             calls += len(places) * each
             if len(places) and (met := scalar(estimator, estimator.integrand(places)) != 0.0).any():
                 missed = point_in_words(places[met][0])
@@ -237,7 +354,11 @@ class Evidence:
         # The mean dimension and a pole of a single technique, then lines of each
         lines: list[Lines] = []
         mean, pole, noise = math.nan, None, 0.0
-        allowed = int(_LINES * budget) // len(estimator.counts) // estimator.evaluations_per_point
+        allowed = (
+            int(settings.lines_share * budget)
+            // len(estimator.counts)
+            // estimator.evaluations_per_point
+        )
         for t in range(len(estimator.counts)):
             made = 0
 
@@ -246,30 +367,35 @@ class Evidence:
                 made += len(u)
                 return np.asarray(scalar(estimator, estimator.primary_values(t, u[None]))[0])
 
-            # Values at some of the points again
+            # Evaluate g again at some of the points
             points, values = sets.points[t].reshape(-1, estimator.dims), sets.values[t].ravel()
-            again = max(1, min(_AGAIN, allowed // _AGAIN))
+            again = max(1, min(settings.again, allowed // settings.again))
             off, before = np.abs(g(points[:again]) - values[:again]), values[:again]
-            if off.max(initial=0.0) > _SAME_VALUE * max(np.ptp(sets.pooled), np.abs(before).max()):
+            size = max(np.ptp(sets.pooled), np.abs(before).max())
+            if off.max(initial=0.0) > settings.same_value * size:
                 noise = max(noise, 0.5 * float((off**2).mean()))
 
-            own, beside = stream.child(1 + t).generator(0), allowed // 4 // estimator.dims
+            own = stream.child(1 + t).generator(0)
+            some = int(settings.dimension_share * allowed) // estimator.dims
             if len(estimator.counts) == 1:
-                if estimator.dims >= _MANY and beside > 1:
-                    step = max(1, nets * n // beside)
-                    mean = mean_dimension(g, points[::step][:beside], values[::step][:beside], own)
-                # In many dims a pole that matters makes few evaluations matter
+                if estimator.dims >= settings.many_dims and some > 1:
+                    step = max(1, nets * n // some)
+                    mean = mean_dimension(g, points[::step][:some], values[::step][:some], own)
+                # A pole that matters in many dims dominates the variance with few evaluations
                 squares = (values - values.mean()) ** 2
-                if estimator.dims < _MANY or squares.max() > _CLIMBED * squares.mean():
-                    pole = pole_of(g, points, values, int(_POLES * allowed), own)
-            lines.append(lines_of(g, estimator.dims, allowed - made, own))
+                peaked = squares.max() > settings.climbed * squares.mean()
+                if estimator.dims < settings.many_dims or peaked:
+                    most = int(settings.pole_share * allowed)
+                    pole = pole_of(g, points, values, most, own, settings.poles)
+            lines.append(lines_of(g, estimator.dims, allowed - made, own, settings.lines))
             calls += made * estimator.evaluations_per_point
-        seen = Evidence(estimator, sampler, sets, sets.curves(), tuple(lines), pole, mean)
-        return replace(seen, noise=noise, calls=calls, missed=missed)
+        curves = sets.curves(settings.curves)
+        seen = Evidence(estimator, sampler, sets, curves, tuple(lines), pole, mean)
+        return replace(seen, noise=noise, calls=calls, missed=missed, settings=settings)
 
     @property
     def scale(self) -> float:
-        """Spread of g."""
+        """Standard deviation of g."""
         return math.sqrt(float(self.sets.pooled.var()))
 
     @property
@@ -279,12 +405,12 @@ class Evidence:
 
     @property
     def wraps(self) -> bool:
-        """Whether the sampler shifts points around the torus, to whose order that matters."""
-        law = self.sampler.law(self.sampler.nearest_count(_LAW_AT))
+        """Whether the sampler shifts points around the torus, so that opposite faces meet."""
+        law = self.sampler.law(self.sampler.nearest_count(self.settings.law_at))
         while isinstance(law, laws.Folded | laws.Mirrored):
             law = law.inner
         shifted = isinstance(law, laws.Shifted)
-        # What is mirrored is shifted before it is folded
+        # A mirrored estimator folds points after the shift, so that faces do not meet
         return shifted and not isinstance(self.estimator, Mirrored)
 
     def each(self, name: str) -> Array:
@@ -293,13 +419,18 @@ class Evidence:
 
 
 def is_apart(estimator: AbstractEstimator, sampler: Sampler) -> bool:
-    """Whether a sampler has a variance of which nets do not tell."""
+    """Whether the variance of a sampler cannot be estimated from nets."""
     told = sampler.spec in {NETS, "random", "jittered", "latin-hypercube"}
     return not told and not estimator.randomized(sampler).fixed
 
 
-def shares_of(estimator: AbstractEstimator, sampler: Sampler, budget: int) -> tuple[int, int, int]:
-    """Evaluations of a point, points of a net, and number of nets.
+def shares_of(
+    estimator: AbstractEstimator,
+    sampler: Sampler,
+    budget: int,
+    settings: CauseSettings = CAUSE_SETTINGS,
+) -> tuple[int, int, int]:
+    """Evaluations of a point, points of a net, and number of nets within a budget.
 
     Raises
     ------
@@ -307,21 +438,23 @@ def shares_of(estimator: AbstractEstimator, sampler: Sampler, budget: int) -> tu
         The budget is too small for nets of four points.
     """
     each = sum(estimator.counts) * estimator.evaluations_per_point
-    share = 1.0 - _LINES - _CHECK - (GIVEN if is_apart(estimator, sampler) else 0.0)
-    # The error of a rate falls with the number of nets alone, that of the integral with their size, too
-    nets = int(FEW_NETS * max(1.0, math.sqrt(budget / (each * _MORE_FROM))))
+    share = 1.0 - settings.lines_share - settings.check_share
+    share -= settings.given_share if is_apart(estimator, sampler) else 0.0
+    # The error of a rate falls with the number of nets only; that of the integral falls with their
+    # size also
+    nets = int(settings.nets * max(1.0, math.sqrt(budget / (each * settings.more_from))))
     n = int(share * budget) // (nets * each)
     if n < 4:
         raise ParameterError(
             f"A budget of {budget} evaluations is too small where each point takes {each}; give at least "
-            f"{math.ceil(4 * FEW_NETS * each / share)}."
+            f"{math.ceil(4 * settings.nets * each / share)}."
         )
     n = 1 << (n.bit_length() - 1)
     return each, n, min(int(share * budget) // (n * each), 2 * nets)
 
 
 def technique_name(estimator: AbstractEstimator, technique: int) -> str:
-    """Its own name where techniques have some, else its number."""
+    """The name of a technique, or its number if techniques have no names."""
     return str(getattr(estimator, "technique_name", lambda t: f"technique {t}")(technique))
 
 
@@ -333,7 +466,7 @@ def _wrong_pdf(seen: Evidence) -> Cause | None:
             if density is not None:
                 density.check()
         except DensityError as error:
-            u = as_sampler(NETS, density.primary_dims).draw(_SEEN_OF_PDF)[0]
+            u = as_sampler(NETS, density.primary_dims).draw(seen.settings.pdf_points)[0]
             with np.errstate(all="ignore"):
                 found = float((1.0 / density.pdf(density.sample(u))).mean())
             return Cause(
@@ -362,27 +495,31 @@ def _noisy_function(seen: Evidence) -> Cause | None:
 
 
 def _infinite_variance(seen: Evidence) -> Cause | None:
-    # Where no pole was climbed to, the bends of lines tell of one, less well
+    # Without a pole from the climb, the bends of lines estimate its order, less precisely
     poles = np.concatenate([lines.poles() for lines in seen.lines])
     order = -float(np.median(seen.each("exponent")[poles])) if poles.any() else 0.0
-    found = [(seen.growth, 0.02, f"grows as t^−{seen.growth:.2f} at the border", True)]
+    known = seen.settings
+    found = [
+        (seen.growth, known.exponent_error, f"grows as t^−{seen.growth:.2f} at the border", True)
+    ]
     if seen.pole is None:
-        found.append((order, 0.08, f"has a pole of order {order:.2f} inside", False))
+        what = f"has a pole of order {order:.2f} inside"
+        found.append((order, known.bend_error, what, False))
     else:
-        found.append((seen.pole.tail, 0.02, _said(seen.pole), seen.pole.border))
+        found.append((seen.pole.tail, known.exponent_error, _said(seen.pole), seen.pole.border))
     for index, near, what, border in found:
-        if index >= _HALF - near:
+        if index >= 0.5 - near:
             said = (
                 "from ½ on ∫g² is infinite: errors fall more slowly than n^−½ and no interval holds"
             )
-            said = "from 1 on it has no integral" if index >= _ALL else said
+            said = "from 1 on it has no integral" if index >= known.no_integral else said
             return Cause(
                 "infinite-variance",
                 f"g {what}, and {said}.",
                 {"exponent": index},
-                ("fitted", "warp") if border and index < _ALL else (),
+                ("fitted", "warp") if border and index < known.no_integral else (),
             )
-    if seen.estimator.infinite_weights and _tail(seen)[1] > _HALF:
+    if seen.estimator.infinite_weights and _tail(seen)[1] > 0.5:
         return Cause(
             "infinite-variance",
             f"1/p has no bound, and the tail index of the estimates is {_tail(seen)[1]:.2f}: from ½ on "
@@ -394,7 +531,7 @@ def _infinite_variance(seen: Evidence) -> Cause | None:
 
 
 def _said(pole: Pole) -> str:
-    """What g does at a pole, with its tail index."""
+    """The growth of g at a pole in words, with its tail index."""
     k, d = pole.codimension, len(pole.place)
     where = "a point" if k == d else f"a set of {d - k} dims"
     side = "of the border" if pole.border else "inside"
@@ -422,7 +559,9 @@ def _heavy_tail(seen: Evidence) -> Cause | None:
     if pole is not None:
         inside = not pole.border
     few = _sorted_share(seen.sets.pooled)
-    if not (share > _LARGE or (kurtosis > _HEAVY and few < _FEW) or inside):
+    known = seen.settings
+    heavy = kurtosis > known.heavy_kurtosis and few < known.few_values
+    if not (share > known.large_share or heavy or inside):
         return None
     found = "" if not inside else "g has a pole inside. " if pole is None else f"g {_said(pole)}. "
     said = (
@@ -441,7 +580,7 @@ def _heavy_tail(seen: Evidence) -> Cause | None:
 
 
 def _sorted_share(values: Array) -> float:
-    """Share of the values that make nine tenths of the variance."""
+    """Fraction of the values that hold nine tenths of the variance."""
     squares = np.sort((values - values.mean()) ** 2)[::-1].cumsum()
     return float(np.searchsorted(squares, 0.9 * squares[-1]) + 1) / len(values)
 
@@ -460,7 +599,7 @@ def _deterministic(seen: Evidence) -> Cause | None:
 
 
 def sets_of(sampler: Sampler) -> float:
-    """How many sets of an n a sampler has: no end of them, but of points that are given."""
+    """Number of sets of n points that a sampler has: infinite, except for given points."""
     if isinstance(sampler, GivenPoints) and not sampler.cycle:
         return min(map(len, sampler.sets.values()))
     return math.inf
@@ -468,7 +607,7 @@ def sets_of(sampler: Sampler) -> float:
 
 def _few_realizations(seen: Evidence) -> Cause | None:
     count = sets_of(seen.sampler)
-    if count >= _FEW_SETS:
+    if count >= seen.settings.few_sets:
         return None
     from scipy.stats import chi2
 
@@ -485,7 +624,8 @@ def _few_realizations(seen: Evidence) -> Cause | None:
 
 def _correlated(seen: Evidence) -> Cause | None:
     made = seen.replicates
-    if made is None or not made.different > 1 or len(made.waves) < _FEW_SETS:
+    known = seen.settings
+    if made is None or not made.different > 1 or len(made.waves) < known.few_sets:
         return None
     count, sampler = len(made.waves), seen.sampler.spec
     if made.different < count:
@@ -496,10 +636,10 @@ def _correlated(seen: Evidence) -> Cause | None:
             {"different": float(made.different), "realizations": float(count)},
         )
     mean, spread = made.waves.mean(axis=0), made.waves.std(axis=0, ddof=1)
-    varies = spread > _ROUNDING
+    varies = spread > known.rounding
     rest = (made.waves[:, varies] - mean[varies]) / spread[varies]
     serial = float((rest[1:] * rest[:-1]).sum()) / max(rest.size, 1)
-    if serial > _SERIAL / math.sqrt(count * seen.sets.dims):
+    if serial > known.serial / math.sqrt(count * seen.sets.dims):
         return Cause(
             "correlated-replicates",
             f"Each set of {sampler} is like the one before: the correlation of their means is {serial:.2f}.",
@@ -507,11 +647,11 @@ def _correlated(seen: Evidence) -> Cause | None:
         )
     away = mean[varies] / spread[varies] * math.sqrt(count)
     found, nets = made.estimates, seen.sets.estimates
-    if len(found) >= _FEW_SETS and found.std() > _GRAINS * grain(found):
+    if len(found) >= known.few_sets and found.std() > known.lines.grains * grain(found):
         error = math.sqrt(found.var(ddof=1) / len(found) + nets.var(ddof=1) / len(nets))
         away = np.append(away, (found.mean() - nets.mean()) / error)
     most = float(np.abs(away).max(initial=0.0))
-    if most < _AWAY:
+    if most < known.away:
         return None
     return Cause(
         "correlated-replicates",
@@ -531,7 +671,7 @@ def _float_drift(seen: Evidence) -> Cause | None:
     error = math.sqrt(curve.at(len(values))[0])
     if seen.scale == 0.0:
         return None
-    rounded = step > COARSE * seen.scale
+    rounded = step > seen.settings.coarse * seen.scale
     if not rounded and (error == 0.0 or drift <= error):
         return None
     return Cause(
@@ -546,7 +686,8 @@ def _float_drift(seen: Evidence) -> Cause | None:
 
 
 def _slow_technique(seen: Evidence) -> Cause | None:
-    curves = seen.sets.technique_curves()
+    known = seen.settings
+    curves = seen.sets.technique_curves(known.curves)
     if len(curves) < 2:
         return None
     n = seen.sets.n
@@ -555,10 +696,10 @@ def _slow_technique(seen: Evidence) -> Cause | None:
     share = float(parts[worst] / parts.sum()) if parts.sum() > 0 else 0.0
     others = [curve for t, curve in enumerate(curves) if t != worst]
     slower = all(
-        curves[worst].rate - c.rate > 2 * math.hypot(curves[worst].rate_se, c.rate_se)
+        curves[worst].rate - c.rate > known.slower * math.hypot(curves[worst].rate_se, c.rate_se)
         for c in others
     )
-    if share < 0.8 and not (slower and share > 0.5):
+    if share < known.dominant and not (slower and share > known.largest_part):
         return None
     name = technique_name(seen.estimator, worst)
     return Cause(
@@ -572,12 +713,13 @@ def _slow_technique(seen: Evidence) -> Cause | None:
 
 def _jumps(seen: Evidence) -> Cause | None:
     meets = np.concatenate([lines.jumps(seen.scale) for lines in seen.lines])
-    if seen.pole is not None and not seen.pole.border:  # about which lines bend as at a jump
+    # Lines bend at a pole inside of codimension 1 as they do at a jump
+    if seen.pole is not None and not seen.pole.border:
         meets &= seen.pole.codimension > 1
     height = seen.each("height")
     alike = len(np.unique(seen.sets.pooled))
     if not meets.any():
-        if not 1 < alike <= _ALIKE * seen.sets.pooled.size:
+        if not 1 < alike <= seen.settings.few_different * seen.sets.pooled.size:
             return None
         return Cause(
             "interior-jump",
@@ -589,9 +731,9 @@ def _jumps(seen: Evidence) -> Cause | None:
     share = float(meets.mean())
     along = seen.each("axis") >= 0
     rough = meets & along
-    if not rough.any():  # told only by chords from what is steep beside it
+    if not rough.any():  # only chords found the jump next to a steep part
         rough = along & np.concatenate([lines.kinks() for lines in seen.lines])
-    straight = rough.any() and seen.each("straight")[rough].mean() > _STRAIGHT
+    straight = rough.any() and seen.each("straight")[rough].mean() > seen.settings.straight
     evidence = {"met_by": share, "height": size}
     met = f"{100 * share:.0f} % of all lines through the cube meet a jump of g, by {size:.2g} of its spread"
     if straight or seen.sets.dims == 1:
@@ -616,7 +758,7 @@ def _border_jump(seen: Evidence) -> Cause | None:
     ends = seen.each("ends")
     ends = ends[np.isfinite(ends)]
     size = float(np.mean(ends**2)) / max(seen.scale**2, 1e-300) if ends.size else 0.0
-    if not size > _OPPOSITE:
+    if not size > seen.settings.opposite:
         return None
     return Cause(
         "border-jump",
@@ -629,11 +771,11 @@ def _border_jump(seen: Evidence) -> Cause | None:
 
 def _border_growth(seen: Evidence, *, slow: bool) -> Cause | None:
     pole = seen.pole if seen.pole is not None and seen.pole.border else None
-    index = max(pole.tail if pole else 0.0, seen.growth)
-    if (index <= _GROWS) != slow or (pole is None and not index):
+    index, grows = max(pole.tail if pole else 0.0, seen.growth), seen.settings.grows
+    if (index <= grows) != slow or (pole is None and not index):
         return None
     said = f"grows without bound at the border, about as t^−{index:.2f}"
-    if pole is not None and (slow or seen.growth <= _GROWS):
+    if pole is not None and (slow or seen.growth <= grows):
         said = _said(pole)
     what = "those of bounded functions have not" if slow else "no refinement inside removes"
     return Cause(
@@ -645,17 +787,18 @@ def _border_growth(seen: Evidence, *, slow: bool) -> Cause | None:
 
 
 def _high_frequency(seen: Evidence) -> Cause | None:
-    share = seen.each("spread")
+    known, share = seen.settings, seen.each("spread")
     turns, waves = (
         seen.each(name) @ share / max(share.sum(), 1e-300) for name in ("turns", "waves")
     )
-    varies = (seen.each("turns") > _TURNS) & (share > COARSE * share.max(initial=0.0))
+    varies = (seen.each("turns") > known.turns) & (share > known.coarse * share.max(initial=0.0))
     axes = len(np.unique(seen.each("axis")[varies & (seen.each("axis") >= 0)]))
     nets, random = seen.curves[NETS], seen.curves["random"]
     gains = np.array([random.at(n)[0] / nets.at(n)[0] for n in nets.counts])
-    seeing = nets.counts[gains > _RESOLVED]
+    seeing = nets.counts[gains > known.resolved]
     needed = float(seeing[0]) if len(seeing) else math.inf
-    if not (turns > _TURNS and waves > _WAVES and needed > _COARSE_CUBE * 2.0**axes):
+    many = turns > known.turns and waves > known.waves
+    if not (many and needed > known.coarse_cube * 2.0**axes):
         return None
     if math.isinf(needed):
         needed = max((4.0 * waves) ** max(axes, 1), 2.0 * seen.sets.n)
@@ -670,13 +813,13 @@ def _high_frequency(seen: Evidence) -> Cause | None:
 
 def _high_dimension(seen: Evidence) -> Cause | None:
     d = seen.sets.dims
-    if d < 4:
+    if d < seen.settings.many_dims:
         return None
     n = seen.sets.n
     nets, random = seen.curves[NETS], seen.curves["random"]
     mean = min(seen.mean_dimension, float(d))
     gain = random.at(n)[0] / max(nets.at(n)[0], 1e-300)
-    if gain > _LITTLE_GAIN or not mean > _MOST_DIMENSION:
+    if gain > seen.settings.little_gain or not mean > seen.settings.low_dimension:
         return None
     return Cause(
         "high-dimension",
@@ -718,39 +861,41 @@ CAUSES: tuple[Callable[[Evidence], Cause | None], ...] = (
     _kink,
     partial(_border_growth, slow=True),
 )
-"""All detectors."""
+"""All detectors, in the order in which causes are listed."""
 
 
 def causes_of(seen: Evidence) -> list[Cause]:
-    """All causes that are found, at least one: `none` where nothing is."""
+    """All causes that are found, or the single cause `none`."""
     found = [cause for detect in CAUSES if (cause := detect(seen)) is not None]
     names = {cause.name for cause in found}
-    # Steps between numbers are no jumps, and noise has no shape
+    # Steps between floating-point numbers are not jumps, and noise has no shape
     if "float-drift" in names:
         found = [c for c in found if c.name not in {"interior-jump", "axis-parallel-jump"}]
     if "noisy-function" in names:
         found = [c for c in found if c.name in _SHAPELESS]
-    # What is left of a tail is said by its cause
+    # A heavy tail follows from growth without bound, which is reported
     if names & {"infinite-variance", "border-growth"}:
         found = [c for c in found if c.name != "heavy-tail"]
-    # Few values matter because many dims must agree or g is 0 beyond a plane, unless very few do
+    # A tail follows from many dims, or from a plane beyond which g is 0, unless very few values
+    # matter
     heavy = next((c for c in found if c.name == "heavy-tail"), None)
     if (
         heavy is not None
         and names & {"high-dimension", "axis-parallel-jump"}
-        and heavy.evidence["nine_tenths"] > _VERY_FEW
+        and heavy.evidence["nine_tenths"] > seen.settings.very_few_values
     ):
         found = sorted(found, key=lambda c: c.name == "heavy-tail")
     if found:
         return found
-    # Half of what is wrong shows on lines alone
-    looked = len(seen.each("axis"))
-    if looked < _LOOKED:
+    # Half of the causes show only on lines
+    looked, least = len(seen.each("axis")), seen.settings.least_lines
+    if looked < least:
         return [
             Cause(
                 "few-realizations",
                 f"Nothing was found that costs precision, but {looked or 'no'} line{'s' * (looked != 1)} through the "
-                f"cube {'were' if looked != 1 else 'was'} looked at: give {math.ceil(_LOOKED / max(looked, 1))} times the evaluations.",
+                f"cube {'were' if looked != 1 else 'was'} looked at: give {math.ceil(least / max(looked, 1))} times "
+                "the evaluations.",
                 {"lines": float(looked)},
             )
         ]

@@ -1,7 +1,7 @@
-"""Why a set-up is as noisy as it is, and why a change to it helps: by the causes that a profile names.
+"""Causes of the noise of an estimator with its sampler, and reasons why a change helps.
 
-Looked for besides are weights 1/p without bound, and what of the primary-space integrand g is odd about
-the centre of the cube.
+The causes are those of a profile. Unbounded weights 1/p, and the part of the primary-space
+integrand g that is odd about the center of the cube, are two more reasons.
 """
 
 from __future__ import annotations
@@ -24,25 +24,44 @@ from mcspectra.samplers import Sampler
 
 __all__ = ["Diagnosis", "diagnose", "jumps_inside"]
 
-_EVALUATIONS = 8192  # of g, by which causes are looked for
-_MOSTLY, _FEW = 0.9, 0.1  # shares of the variance that are the reason, or one of several
-_ODD_DIMS, _ODD_POINTS = 4, 2**12
+
+@dataclass(frozen=True)
+class DiagnosisSettings:
+    """Evaluations of a diagnosis, and the parts of the variance that count as a reason."""
+
+    # Evaluations of g for the causes: the smallest budget at which `python -m benchmarks battery`
+    # names them.
+    evaluations: int = 8192
+    # Fraction of the variance of g above which its odd part is the reason for a gain, and above
+    # which it is one of several reasons: the other part of the variance is then below 10 %, or at
+    # least a tenth is explained.
+    mostly: float = 0.9
+    partly: float = 0.1
+    # Most dims in which the odd part is measured: all 2^d reflections of each point are evaluated.
+    odd_dims: int = 4
+    # Points of that measurement. The odd part of the variance is then known to about 1 %, enough
+    # for both limits.
+    odd_points: int = 2**12
+
+
+_SETTINGS = DiagnosisSettings()
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What was found about a set-up."""
+    """Causes of noise, and other reasons why a change may help."""
 
-    causes: list[Cause]  # most important first; empty where they were not looked for
-    unseen: str = ""  # why they were not
+    causes: list[Cause]  # most important first; empty if they could not be found
+    unseen: str = ""  # why causes could not be found
     unbounded: bool = False  # whether ∫1/p diverges
-    slow: str = ""  # the technique that makes most of the variance, if one does
-    # Share of the variance of g that its mean over all reflections lacks; None where not looked for
+    slow: str = ""  # name of the technique with most of the variance, if there is one
+    # Fraction of the variance of g that its mean over all reflections lacks; None if it is not
+    # known
     odd: float | None = None
 
     @property
     def text(self) -> str:
-        """What costs precision, in sentences."""
+        """The causes in sentences."""
         found = [cause.sentence for cause in self.causes] or [self.unseen]
         if self.unbounded:
             found.insert(
@@ -53,7 +72,7 @@ class Diagnosis:
         return " ".join(found)
 
     def reason(self, column: Mapping[str, Any]) -> str:
-        """Why a change that was measured is better; what the measurement says where it is not."""
+        """Why a measured change is better, or how the measurement ended if it is not."""
         if column["verdict"] == "given":
             return ""
         if column["blind"]:
@@ -63,19 +82,19 @@ class Diagnosis:
         if column["verdict"] == "worse":
             return f"Its {'mean squared error' if column['biased'] else 'variance'} is larger."
 
-        # What a kind of change mends that was found; which property of a sampler it is, is not known
+        # The cause that this kind of change removes
         name, inside = str(column["name"]), _jumps(self.causes)
         wrapped = any(cause.name == "border-jump" for cause in self.causes)
         odd = f"{100 * (self.odd or 0.0):.0f} % of the variance of g"
         uniform = name.endswith("uniform")
         match column["kind"]:
-            case "mirrored" if uniform and (self.odd or 0.0) >= _MOSTLY:
+            case "mirrored" if uniform and (self.odd or 0.0) >= _SETTINGS.mostly:
                 return f"g is odd about the centre ({odd}): the images of a sample cancel it."
             case "unshifted" if wrapped:
                 return "Without the shift no stratum holds the jump between opposite sides."
             case "mirrored" if wrapped:
                 return "Reflected, g is continuous across the sides, and wrap-around meets no jump."
-            case "mirrored" if uniform and (self.odd or 0.0) >= _FEW:
+            case "mirrored" if uniform and (self.odd or 0.0) >= _SETTINGS.partly:
                 return f"The images of a sample cancel what is odd about the centre, {odd}."
             case "aligned" if inside:
                 return "Borders of strata lie where g jumps, so that fewer strata hold a jump."
@@ -126,15 +145,18 @@ class Diagnosis:
 def diagnose(
     estimator: AbstractEstimator, sampler: Sampler, stream: Stream, most: int | None = None
 ) -> Diagnosis:
-    """Look for the causes of noise, by so many evaluations of a user's function at most."""
+    """Look for the causes of noise, within `most` evaluations of a user's function."""
     with counting("The diagnosis", most):
         causes, unseen = _looked_for(estimator, sampler, stream, most)
-        # Share of the variance of g that cancels in its mean over all 2^d reflections about the centre, from
-        # means over fixed points; None in more than four dims, or where g is constant or has no values
+        # Fraction of the variance of g that cancels in its mean over all 2^d reflections about the
+        # center, from means over fixed points; None in many dims, or if g is constant or cannot be
+        # evaluated
         odd, whole, even = None, 0.0, 0.0
         with suppress(McspectraError):
-            for t, count in enumerate(estimator.counts if estimator.dims <= _ODD_DIMS else ()):
-                g, u = estimator.primary_integrand(t), probe_points(estimator.dims, _ODD_POINTS)
+            few = estimator.dims <= _SETTINGS.odd_dims
+            for t, count in enumerate(estimator.counts if few else ()):
+                g = estimator.primary_integrand(t)
+                u = probe_points(estimator.dims, _SETTINGS.odd_points)
                 whole += float(g(u).var(axis=0).sum()) / count
                 even += float(SymmetrizedIntegrand(g)(u).var(axis=0).sum()) / count
             odd = max(1.0 - even / whole, 0.0) if whole > 0 else None
@@ -149,7 +171,7 @@ def diagnose(
 
 
 def jumps_inside(estimator: AbstractEstimator, sampler: Sampler) -> bool | None:
-    """Whether g jumps inside the cube; None where that could not be looked for."""
+    """Whether g jumps inside the cube; None if g could not be evaluated."""
     causes, unseen = _looked_for(estimator, sampler, Stream.from_rng(0), None)
     return None if unseen else _jumps(causes)
 
@@ -161,8 +183,8 @@ def _jumps(causes: list[Cause]) -> bool:
 def _looked_for(
     estimator: AbstractEstimator, sampler: Sampler, stream: Stream, most: int | None
 ) -> tuple[list[Cause], str]:
-    """The causes, or why they could not be looked for."""
-    budget = _EVALUATIONS if most is None else min(most, _EVALUATIONS)
+    """The causes, or the reason why they could not be found."""
+    budget = _SETTINGS.evaluations if most is None else min(most, _SETTINGS.evaluations)
     try:
         estimator.check_independent()
         return causes_of(Evidence.of(estimator, sampler, budget, stream)), ""

@@ -1,11 +1,12 @@
-"""The primary-space integrand as a picture with its jumps: why a rate is slow.
+"""The primary-space integrand as a picture with its jumps, which explain slow rates.
 
-Jumps inside the square and jumps between opposite sides cost correlated samplers their rate in
-different ways: those at the boundary are undone by mirroring, those inside are not.
+Jumps inside the square and jumps between opposite sides reduce the rate of correlated samplers.
+Mirroring removes the jumps between opposite sides, but not the jumps inside.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,13 +27,37 @@ if TYPE_CHECKING:
 __all__ = ["KINDS", "primary_picture"]
 
 KINDS = ("interior", "boundary")
-"""Where jumps are: within the square, or between opposite sides."""
+"""Kinds of jumps: within the square, or between opposite sides."""
 
-_NEAR, _NEARER = 2.0**-26, 2.0**-40  # of the sides
-_STAYS, _GROWS = 0.5, 2.0
-_NEGLIGIBLE = 1e-7
-_PROBES = 65
-_ZERO = 1e-9  # of the largest p
+
+@dataclass(frozen=True)
+class PictureSettings:
+    """How jumps between opposite faces, and densities that reach zero, are recognized."""
+
+    # Distances from a face at which g is evaluated. The square root of float64's spacing, 2^−26,
+    # balances the rounding of u against the change of a smooth g; 2^−40 is 2^14 times nearer and
+    # still exact next to 1.
+    near: float = 2.0**-26
+    nearer: float = 2.0**-40
+    # A difference of opposite faces is a jump if this part of it remains at the nearer distance.
+    # All of a jump remains; without one, 2^−14 of the difference of a smooth g remains and 2^−7 of
+    # that of a square root.
+    stays: float = 0.5
+    # g has a pole at a face if it grows by more than this factor from the near to the nearer
+    # distance. The power t^−a grows so for a > 1/14, and no bounded function does near its bound.
+    grows: float = 2.0
+    # Difference of opposite faces that counts as rounding, as a fraction of the range of g. The
+    # near distance changes a smooth g by about 1e-8 of its range.
+    negligible: float = 1e-7
+    # Points along each axis of the grid on which a density is searched for zeros. 64 steps hold all
+    # dyadic places down to 1/64, where densities in pieces and textures have their zeros.
+    probes: int = 65
+    # Value of p, as a fraction of its largest value on the grid, that counts as zero: 1/p is then
+    # 1e9 times its least.
+    zero: float = 1e-9
+
+
+_SETTINGS = PictureSettings()
 
 
 def primary_picture(
@@ -42,7 +67,7 @@ def primary_picture(
     technique: int = 0,
     resolution: int = 256,
 ) -> xr.Dataset:
-    """Draw up g(u) of an estimator in one or two dims with its jumps.
+    """Evaluate g(u) of an estimator on a grid in one or two dims, and find its jumps.
 
     Parameters
     ----------
@@ -51,22 +76,22 @@ def primary_picture(
     dims
         Number of dims of a function, and of a spec that leaves it open.
     technique
-        Which technique's g.
+        Number of the technique whose g is evaluated.
     resolution
         Cells along each axis, 4 to 1024.
 
     Returns
     -------
     xarray.Dataset
-        ``primary_value`` (u0, u1[, channel]): g at the centres of cells. ``primary_jump``
-        (axis, u0, u1): size of the jump to the next cell along each axis, 0 where g is continuous.
-        ``face_jump`` (axis[, along]): size of the jump from u_axis = 0 to u_axis = 1, which a
-        sampler that wraps around sees, at centres along the other axis; infinite at poles.
+        ``primary_value`` (u0, u1[, channel]): g at the centers of cells. ``primary_jump`` (axis,
+        u0, u1): size of the jump to the next cell along each axis, 0 where g is continuous.
+        ``face_jump`` (axis[, along]): size of the jump from u_axis = 0 to u_axis = 1, at centers
+        along the other axis; it matters to samplers that wrap around, and is infinite at poles.
         ``primary_jump_length`` and ``primary_jump_height`` (kind): length of the curves of jumps
-        (their number in 1-D) and their mean height, of kind ``interior`` and ``boundary``; infinite
-        where g is unbounded there, which ``primary_pole`` (kind) says. ``reciprocal_unbounded``:
-        whether 1/p is unbounded, that is p reaches 0, as found by probing. Jumps of several channels
-        are Euclidean lengths.
+        (their number in 1-D) and their mean height, for the kinds ``interior`` and ``boundary``.
+        The height is infinite if g is unbounded there; ``primary_pole`` (kind) is then 1.
+        ``reciprocal_unbounded``: 1 if 1/p is unbounded because p reaches 0 on a grid. Jumps of
+        several channels are Euclidean lengths.
 
     Raises
     ------
@@ -92,7 +117,7 @@ def primary_picture(
     jumps = find_jumps(g, found.dims, side, scale=scale)
     line = (np.arange(side) + 0.5) / side
 
-    # Jumps (dims[, side]) between opposite faces, and which faces have a pole
+    # Jumps (dims[, side]) between opposite faces, and places of faces with a pole
     faces = np.zeros((found.dims, side ** (found.dims - 1)))
     face_poles = np.zeros(faces.shape, bool)
     along = grid_centers(side, found.dims - 1) if found.dims > 1 else np.empty((1, 0))
@@ -100,24 +125,25 @@ def primary_picture(
         # Values (2, k, channels) next to both faces, and nearer to them
         near, nearer = (
             np.stack([g(np.insert(along, axis, end, axis=1)) for end in (gap, 1.0 - gap)])
-            for gap in (_NEAR, _NEARER)
+            for gap in (_SETTINGS.near, _SETTINGS.nearer)
         )
         before, after = (norm(ends[1] - ends[0], axis=-1) for ends in (near, nearer))
-        jump = (after > _STAYS * before) & (after > _NEGLIGIBLE * scale)
+        least = _SETTINGS.negligible * scale
+        jump = (after > _SETTINGS.stays * before) & (after > least)
         sizes, growing = (norm(ends, axis=-1).max(axis=0) for ends in (near, nearer))
-        face_poles[axis] = (growing > _GROWS * sizes) & (growing > _NEGLIGIBLE * scale)
+        face_poles[axis] = (growing > _SETTINGS.grows * sizes) & (growing > least)
         faces[axis] = np.where(face_poles[axis], np.inf, np.where(jump, after, 0.0))
     finite = faces[(faces > 0) & np.isfinite(faces)]
     poles = np.array([jumps.poles.any(), face_poles.any()])
     heights = [jumps.mean_height, float(finite.mean()) if finite.size else 0.0]
 
-    # Whether the technique's density is 0 somewhere, by probing a grid that holds the sides
+    # Evaluate the technique's density on a grid that includes the sides
     reaches_zero = False
     density: Density | None = getattr(found.primary_integrand(number), "density", None)
     if density is not None:
-        probes = grid(np.linspace(0.0, 1.0, _PROBES), density.dims)
+        probes = grid(np.linspace(0.0, 1.0, _SETTINGS.probes), density.dims)
         p = density.pdf(np.concatenate([probes, density.zero_points()]))
-        reaches_zero = bool(p.min() <= _ZERO * p.max())
+        reaches_zero = bool(p.min() <= _SETTINGS.zero * p.max())
 
     cells = tuple(f"u{axis}" for axis in range(found.dims))
     return dataset(

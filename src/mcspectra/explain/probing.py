@@ -1,18 +1,20 @@
-"""What is rough about a black-box function: along lines, zoomed in on where it bends most, and at its poles.
+"""Roughness of a black-box function: discontinuities and kinks along lines, and poles.
 
-A line is looked at in equal steps, and close to its ends. Where the second difference is largest the steps
-are halved, two evaluations each time: it shrinks with the square of the step where the function is smooth,
-with the step at a kink, not at all at a jump, and grows at a pole. Towards the ends of lines along the axes steps
-shrink faster: the slope of log |g| there is how fast g grows at the border.
+A line is evaluated in equal steps, and close to its ends. The steps are halved about the largest
+second difference, with two evaluations for each halving. There the second difference shrinks with
+the square of the step where the function is smooth and with the step at a kink. It stays at a jump
+and grows at a pole. Towards the ends of lines along the axes the steps shrink faster: the slope of
+log |g| is the exponent of the growth of g at the border.
 
-Poles are climbed to: from the largest or the smallest value that was seen, steps in random directions are
-taken where they climb, and halved where they do not; the ellipsoid of directions learns from the moves
-([Hansen2001]_). A function that is bounded ends its climb; one that grows as r^−a towards a set of
-codimension k leads to it. Along rays from the top the differences
-g(r) − g(4r) ∝ r^−a tell a, whatever constant is added. |g|^(−2/a) is a quadratic form of the distance: its
-rank is k, with one for each face that the top lies on. The volume where |g| > λ is ∝ λ^(−k/a): ∫g² is
-infinite where a/k ≥ ½, and there is no integral where a/k ≥ 1. Where faces meet, a product of powers of
-distances to some of them has a tail of the largest power towards one, or of the mean of all.
+A search climbs to poles. It begins at the largest or the smallest known value, takes steps in
+random directions where they climb, and halves the step where none climbs. The ellipsoid of
+directions adapts to the moves ([Hansen2001]_). The climb ends early on a bounded function. A
+function that grows as r^−a towards a set of codimension k leads the climb to that set. Along rays
+from the top the differences g(r) − g(4r) ∝ r^−a give a, whatever constant is added. |g|^(−2/a) is a
+quadratic form of the distance: its rank is k, with one for each face that the top lies on. The
+volume where |g| > λ is ∝ λ^(−k/a): ∫g² is infinite where a/k ≥ ½, and the integral does not exist
+where a/k ≥ 1. Where faces meet, a product of powers of distances to some of them has the tail of
+the largest power towards one face, or of the mean power of all.
 """
 
 from __future__ import annotations
@@ -26,44 +28,151 @@ import numpy as np
 
 from mcspectra.core.checks import BELOW_ONE, Array
 
-__all__ = ["COARSE", "Lines", "Pole", "grain", "lines_of", "mean_dimension", "pole_of"]
+__all__ = [
+    "LINE_SETTINGS",
+    "POLE_SETTINGS",
+    "LineSettings",
+    "Lines",
+    "Pole",
+    "PoleSettings",
+    "grain",
+    "lines_of",
+    "mean_dimension",
+    "pole_of",
+]
 
-STEPS = 16  # of a line, before it is zoomed
-HALVINGS = 12
-_LATE = 6  # halvings that an exponent is fitted to
-_POLE, _JUMP, _KINK = -0.15, 0.4, 1.6  # exponents below which there is one
-_NEGLIGIBLE = 1e-9  # of the spread of g: rounding
-_GRAINS = 32.0  # of the numbers that values are: rounding, too
-_GOES_ON = 0.65  # of the last gain towards an end: what is bounded gains 2^-10 of it
-_BESIDE = 0.005  # of the cube, away from a line
-_ENDS = 2.0 ** -np.array([4.0, 12.0, 20.0, 30.0, 40.0])
 
-# Poles
-_CLIMBS = 16  # halvings of the step of a climb, at most
-_SLACK = 6  # climbs of one length of step, but the first
-_LOOK = 3  # halvings, by whose gain a climb is judged
-_BOUNDED = 0.3  # of the gain before: the value is bounded
-_RAYS = 6
-_LEARNS = 0.4  # of the shape of a climb, from each move
-_RADII = 2.0 ** np.arange(4.0, 14.0, 2.0)  # of the last step
-_NEAR = _RADII[:3]  # of a face
-_FORM = 2.0**10  # of the last step: where the form is looked at
-_ASIDE = 2.0**15  # of the last step, from all faces but one
-_ALONE = 0.05  # exponent, towards one face
-_RANK = 0.004  # of its largest eigenvalue
-_BETTER = 1.005  # height, after a move
-_FAR = 16, 0.1  # the largest of so many heights stands out from them by so much of itself
-_LEAST = -0.02  # exponent
+@final
+@dataclass(frozen=True)
+class LineSettings:
+    """How lines are evaluated, and the exponents that distinguish a pole, a jump and a kink.
+
+    Numbers of cases are those of ``python -m benchmarks settings``, as in `CauseSettings`.
+    """
+
+    # Equal steps of a line before it is zoomed. Insensitive between 8 and 16; with 32, which leave
+    # half the lines, two of 152 causes are wrong.
+    steps: int = 16
+    # Halvings of the steps about the roughest place. 2^−12 of a step is 1.5e-5 of the line: far
+    # above rounding, and far below the distance between features that 16 steps can find. With 6
+    # halvings 29 of 152 causes are wrong; insensitive between 12 and 24.
+    halvings: int = 12
+    # Number of last halvings whose second differences give the exponent. Insensitive between 3 and
+    # 6; with 12 two of 152 causes are wrong.
+    late: int = 6
+    # Exponent below which the roughest place is a pole. A jump has 0 and a pole r^−a has −a.
+    # Insensitive between −0.3 and −0.075.
+    pole: float = -0.15
+    # Exponent below which the roughest place is a jump. A jump has 0 and a kink has 1. Insensitive
+    # between 0.2 and 0.8.
+    jump: float = 0.4
+    # Exponent below which the roughest place is a kink. A kink has 1 and a smooth function has 2.
+    # With 0.8 14 of 152 causes are wrong, and with 3.2, which makes smooth functions kinks, 36.
+    kink: float = 1.6
+    # Smallest height of a jump, as a fraction of the spread of g. A jump of 1e-4 of the spread has
+    # 1e-8 of the variance, which no count in reach of a profile shows. Insensitive between 5e-5 and
+    # 2e-4.
+    least_jump: float = 1e-4
+    # Second difference that counts as rounding, as a fraction of the spread of g. After 12 halvings
+    # a smooth g has about 1e-9 of its spread left. Insensitive between 5e-10 and 2e-9.
+    negligible: float = 1e-9
+    # Second difference that counts as rounding, in spacings of floating-point numbers at the values
+    # of g. A sum of a thousand terms, in random order, is off by about √1000 = 32 spacings.
+    # Insensitive between 16 and 64.
+    grains: float = 32.0
+    # Growth goes on towards an end if the last gain is more than this part of the gain before. A
+    # bounded function gains 2^−10 of it, ln t gains 1, and t^−a gains 2^(10a). Insensitive between
+    # 0.33 and 0.65; with 1.3 growth as a logarithm is missed, and six of 152 causes are wrong.
+    goes_on: float = 0.65
+    # Largest distance of the parallel line that tests whether a discontinuity is normal to the
+    # axis. It moves an edge with a slope of 1 by 0.0025 or more, a hundred times the resolution of
+    # the zoom. Insensitive between 0.0025 and 0.01.
+    aside: float = 0.005
+    # Distances from both ends of a line along an axis at which g is evaluated. The last ones are
+    # 2^10 apart, so that even t^−0.08 grows by 1.7 between them, and 2^−40 is still exact next to
+    # 1. Insensitive between half and double.
+    ends: tuple[float, ...] = (2.0**-4, 2.0**-12, 2.0**-20, 2.0**-30, 2.0**-40)
+
+    @property
+    def line(self) -> int:
+        """Evaluations of a line along an axis."""
+        return self.chord + 2 * len(self.ends) + 2
+
+    @property
+    def chord(self) -> int:
+        """Evaluations of any other line."""
+        return self.steps + 2 * self.halvings
+
+
+LINE_SETTINGS = LineSettings()
+"""Settings of all lines, unless others are passed."""
+
+
+@final
+@dataclass(frozen=True)
+class PoleSettings:
+    """How a search climbs to a pole, and how the pole is measured.
+
+    Numbers of cases are those of ``python -m benchmarks settings``, as in `CauseSettings`.
+    """
+
+    # Most halvings of the step of a climb. The largest radius below is then 1/16 of the first step,
+    # the distance between neighboring points. With 8 halvings 30 of 152 causes and 10 of 18 poles
+    # are wrong; insensitive between 16 and 32.
+    halvings: int = 16
+    # Most moves with one step before it is halved in any case. Insensitive between 3 and 12.
+    moves: int = 6
+    # Halvings in a group: the climb is judged by the medians of its last three groups. With 2
+    # one of 18 poles is wrong; insensitive between 3 and 6.
+    group: int = 3
+    # The climb ends as bounded if the last gain is less than this part of the gain before. Near a
+    # smooth top the gains of three halvings fall to 4^−3, and towards ln r they stay equal.
+    # Insensitive between 0.15 and 0.6.
+    bounded: float = 0.3
+    # Rays from the top, whose median exponent is taken. Insensitive between 3 and 12.
+    rays: int = 6
+    # Weight of the last move in the ellipsoid of directions, from 0 to 1. Insensitive
+    # between 0.2 and 0.4; with 0.8 one of 18 poles is wrong.
+    learning_rate: float = 0.4
+    # Radii along the rays, in units of the last step, each 4 times the one before. The smallest is
+    # 16, so that an error of the top by one step changes the distance by 6 % at most. Insensitive
+    # between half and double.
+    radii: tuple[float, ...] = (2.0**4, 2.0**6, 2.0**8, 2.0**10, 2.0**12)
+    # How many of these radii are evaluated towards each face alone: three give one exponent with
+    # any constant added. With 2 four of 152 causes are wrong; insensitive between 3 and 6.
+    near: int = 3
+    # Fraction of the rays that may rise outwards; more of them mean that the top is not a pole.
+    # Insensitive between 0.125 and 0.5.
+    rising: float = 0.25
+    # Distance from all faces but one at which growth towards that face alone is measured, in units
+    # of the last step. It is half of the first step, and 2^7 times the largest of the first three
+    # radii. Insensitive between 2^14 and 2^16.
+    away: float = 2.0**15
+    # Exponent above which a function grows towards one face alone. Insensitive between 0.025 and
+    # 0.1.
+    alone: float = 0.05
+    # Eigenvalues of the quadratic form above this part of the largest one count for the
+    # codimension. Insensitive between 0.002 and 0.008.
+    rank: float = 0.004
+    # A move is taken if the height grows by more than this factor; smaller gains are not worth the
+    # step. Insensitive down to 0.5; with 2 few moves are taken, and 15 of 18 poles are missed.
+    better: float = 1.005
+    # Number of the largest heights that are compared before a climb. Insensitive between 8 and 32.
+    compared: int = 16
+    # A climb starts if the largest height exceeds the last of these by more than this part of
+    # itself. Insensitive between 0.05 and 0.2.
+    stands_out: float = 0.1
+    # Exponent below which growth counts as logarithmic; exponents below the negative of it mean no
+    # pole. Measured exponents are right to 0.02 (`test_poles_are_climbed_to_and_measured`).
+    # Insensitive between 0.01 and 0.04.
+    least_exponent: float = 0.02
+
+
+POLE_SETTINGS = PoleSettings()
+"""Settings of all climbs, unless others are passed."""
+
+# Distance of the top from a face that it lies on: the spacing of float64 below 1
 _EDGE = 2.0**-53
-
-LINE = STEPS + 2 * HALVINGS + 2 * len(_ENDS) + 2
-"""Evaluations of a line along an axis."""
-
-CHORD = STEPS + 2 * HALVINGS
-"""Evaluations of any other line."""
-
-COARSE = 1e-2
-"""Of a spread: a distance between numbers that matters."""
 
 Function = Callable[[Array], Array]
 
@@ -71,30 +180,34 @@ Function = Callable[[Array], Array]
 @final
 @dataclass(frozen=True)
 class Lines:
-    """What was seen on K lines.
+    """Measurements on K lines.
 
     Attributes
     ----------
     axis
-        Which axis each runs along, −1 for chords: (K,).
+        Axis that each line runs along, −1 for chords: (K,).
     exponent
-        Of the step, in the second difference about the roughest place: (K,).
+        Exponent of the step in the second difference about the roughest place: (K,).
     place
-        Where that is, (K,), from 0 to 1 along the line.
+        The roughest place, (K,), from 0 to 1 along the line.
     height
-        Change of g there: (K,).
+        Change of g at the roughest place: (K,).
     straight
-        Whether the change of g stays at that place on a parallel line close by: (K,); true of chords.
-    growth
-        Exponents a of g ~ t^−a at both ends of lines along axes, 0 where it does not grow: (K, 2); NaN of
+        Whether the change of g stays at that place on a parallel line close by: (K,); true for
         chords.
+    growth
+        Exponents a of g ~ t^−a at both ends of lines along axes, 0 where g does not grow: (K, 2);
+        NaN for chords.
     ends
-        Difference of g between both ends: (K,); NaN of chords.
-    waves, turns
-        Of a cosine of the same spread as steep in its bend, how many there are along the line: (K,); and
-        the share of places that are higher or lower than those beside: (K,).
+        Difference of g between both ends: (K,); NaN for chords.
+    waves
+        Number of periods along the line of a cosine with the same variance and the same bend: (K,).
+    turns
+        Fraction of the places that are higher, or lower, than both neighbors: (K,).
     spread
         Variance along the line: (K,).
+    settings
+        The exponents that distinguish a pole, a jump and a kink.
     """
 
     axis: Array
@@ -107,46 +220,56 @@ class Lines:
     waves: Array
     turns: Array
     spread: Array
+    settings: LineSettings = LINE_SETTINGS
 
     def jumps(self, scale: float) -> Array:
-        """Which lines meet a jump that matters beside this spread of g, and nothing worse."""
-        between = (self.exponent >= _POLE) & (self.exponent < _JUMP)
-        return np.asarray(between & (self.height > 1e-4 * scale))
+        """Lines whose roughest place is a jump that is large enough for a spread `scale` of g."""
+        between = (self.exponent >= self.settings.pole) & (self.exponent < self.settings.jump)
+        return np.asarray(between & (self.height > self.settings.least_jump * scale))
 
     def poles(self) -> Array:
-        """Which lines meet a pole."""
-        return np.asarray(self.exponent < _POLE)
+        """Lines whose roughest place is a pole."""
+        return np.asarray(self.exponent < self.settings.pole)
 
     def kinks(self) -> Array:
-        """Which lines have nothing rougher than a kink, and have one."""
-        return np.asarray((self.exponent >= _JUMP) & (self.exponent < _KINK))
+        """Lines whose roughest place is a kink."""
+        return np.asarray(
+            (self.exponent >= self.settings.jump) & (self.exponent < self.settings.kink)
+        )
 
 
 def grain(values: Array) -> float:
-    """Distance between numbers of the largest size among values: of float32 where all of them are such."""
+    """Spacing of floating-point numbers at the largest value: of float32 if float32 holds all values."""
     size = np.abs(values).max(initial=0.0)
     with np.errstate(over="ignore"):
         single = (values.astype(np.float32) == values).all()
     return float(np.spacing(np.float32(size) if single else size))
 
 
-def lines_of(g: Function, dims: int, evaluations: int, rng: np.random.Generator) -> Lines:
-    """Look at lines along axes in turn and, in several dims, as many chords.
+def lines_of(
+    g: Function,
+    dims: int,
+    evaluations: int,
+    rng: np.random.Generator,
+    settings: LineSettings = LINE_SETTINGS,
+) -> Lines:
+    """Evaluate lines along each axis in turn and, in several dims, an equal number of chords.
 
     Parameters
     ----------
     g
-        Points (k, d) to values (k,).
+        Function of points (k, d) with values (k,).
     dims
-        d.
+        Number of dims d.
     evaluations
-        At most.
+        Most evaluations of g.
     """
-    pairs = evaluations // (LINE + (CHORD if dims > 1 else 0))
+    pairs = evaluations // (settings.line + (settings.chord if dims > 1 else 0))
     if not pairs:
         none = np.empty(0)
         return Lines(
-            none.astype(int), none, none, none, none, np.empty((0, 2)), none, none, none, none
+            *(none.astype(int), none, none, none, none, np.empty((0, 2)), none, none, none, none),
+            settings,
         )
     order = np.concatenate([rng.permutation(dims) for _ in range(pairs // dims + 1)])[:pairs]
     axis = np.concatenate([order, np.full(pairs if dims > 1 else 0, -1)]).astype(int)
@@ -154,7 +277,7 @@ def lines_of(g: Function, dims: int, evaluations: int, rng: np.random.Generator)
     for k, i in enumerate(axis):
         if i >= 0:
             start[k, i], way[k, i] = 0.0, 1.0
-        else:  # through a point, in any direction, from face to face
+        else:  # a chord in any direction through a point, from face to face
             direction = rng.standard_normal(dims)
             with np.errstate(divide="ignore"):
                 near, far = np.sort([-start[k] / direction, (1 - start[k]) / direction], axis=0)
@@ -164,44 +287,48 @@ def lines_of(g: Function, dims: int, evaluations: int, rng: np.random.Generator)
             )
 
     def at(t: Array, which: Any = slice(None)) -> Array:
-        """Values at places (K, m) along the lines, or some of them."""
+        """Values at places (K, m) along all lines, or along some."""
         x = start[which, None] + t[..., None] * way[which, None]
         return g(np.clip(x, 0.0, BELOW_ONE).reshape(-1, dims)).reshape(t.shape)
 
-    # Equal steps, of a size and at an offset of the line's own, so that none is in step with all waves
+    # Equal steps. Each line has a step and an offset of its own, so that no wave is in step with
+    # all lines
     part = rng.uniform(0.75, 1.0, (len(axis), 1))
-    t = part * (np.arange(STEPS) + rng.uniform(0.2, 0.8, (len(axis), 1))) / STEPS
+    t = part * (np.arange(settings.steps) + rng.uniform(0.2, 0.8, (len(axis), 1)))
+    t /= settings.steps
     t += rng.random((len(axis), 1)) * (1.0 - part)
     y = at(t)
     spread = y.var(axis=1)
     turns = (np.diff(np.sign(np.diff(y, axis=1)), axis=1) != 0).mean(axis=1)
     rows = np.arange(len(axis))
 
-    # The ends of lines along the axes; what grows there grows all the way, and beyond what is usual
+    # The ends of lines along the axes. Growth counts if it goes on to the end and exceeds all
+    # values inside
     usual, straight = np.abs(y).max(), axis >= 0
     growth, ends = np.full((len(axis), 2), np.nan), np.full(len(axis), np.nan)
-    near = np.broadcast_to(_ENDS, (straight.sum(), len(_ENDS)))
+    gaps = np.array(settings.ends)
+    near = np.broadcast_to(gaps, (straight.sum(), len(gaps)))
     outer = np.stack([at(t, straight) for t in (near, 1.0 - near)])
     size = np.maximum(np.abs(outer), 1e-300)
-    slope = np.log(size[..., -1] / size[..., -2]) / math.log(_ENDS[-2] / _ENDS[-1])
+    slope = np.log(size[..., -1] / size[..., -2]) / math.log(gaps[-2] / gaps[-1])
     gains = np.diff(size, axis=-1)
     grows = (gains > 0).all(axis=-1) & (size[..., -1] > usual)
-    grows &= gains[..., -1] > _GOES_ON * gains[..., -2]
+    grows &= gains[..., -1] > settings.goes_on * gains[..., -2]
     growth[straight] = np.where(grows, slope, 0.0).T
     ends[straight] = outer[1, :, 1] - outer[0, :, 1]
 
-    # Halve the steps about the largest second difference, places near an end that does not grow included; for
-    # every other line of an axis where it stands out from those beside it, as at a kink of a function that is
-    # steep elsewhere
+    # Halve the steps about the largest second difference; places near an end count where g does not
+    # grow. Every other line takes the largest fourth difference: a kink stands out there although g
+    # is steep elsewhere
     wide = np.full((2, len(axis)), np.nan)
     wide[:, straight] = np.where(grows, np.nan, outer[..., 1])
-    t = np.column_stack([np.full(len(axis), _ENDS[1]), t, np.full(len(axis), 1.0 - _ENDS[1])])
+    t = np.column_stack([np.full(len(axis), gaps[1]), t, np.full(len(axis), 1.0 - gaps[1])])
     y = np.column_stack([wide[0], y, wide[1]])
     middle = 1 + np.argmax(np.nan_to_num(_bends(t, y), nan=-1.0), axis=1)
     middle[1::2] = 3 + np.argmax(np.abs(np.diff(y[1::2, 1:-1], 4, axis=1)), axis=1)
     window, values = (a[rows[:, None], middle[:, None] + (-1, 0, 1)] for a in (t, y))
     sizes = [_bends(window, values)[:, 0]]
-    for _ in range(HALVINGS):
+    for _ in range(settings.halvings):
         between = 0.5 * (window[:, 1:] + window[:, :-1])
         new = at(between)
         five = np.stack([window[:, 0], between[:, 0], window[:, 1], between[:, 1], window[:, 2]], 1)
@@ -211,20 +338,23 @@ def lines_of(g: Function, dims: int, evaluations: int, rng: np.random.Generator)
         sizes.append(second[rows, chosen])
         pick = chosen[:, None] + np.arange(3)
         window, values = five[rows[:, None], pick], y5[rows[:, None], pick]
-    size = np.array(sizes)[-_LATE - 1 :]
+    size = np.array(sizes)[-settings.late - 1 :]
     scale = max(float(np.sqrt(spread.mean())), 1e-300)
-    rough = size[-1] > max(_NEGLIGIBLE * scale, _GRAINS * grain(y[:, 1:-1]))
-    slope = -np.polyfit(np.arange(_LATE + 1), np.log2(np.maximum(size, 1e-300)), 1)[0]
+    rough = size[-1] > max(settings.negligible * scale, settings.grains * grain(y[:, 1:-1]))
+    slope = -np.polyfit(np.arange(settings.late + 1), np.log2(np.maximum(size, 1e-300)), 1)[0]
     exponent = np.where(rough, slope, 2.0)
-    # What is steep at an end, as bounded functions of normal quantiles, is neither a jump nor a kink
-    edge = np.abs(window[:, 1] - 0.5) > 0.5 - 4.0 * _ENDS[1]
-    exponent[edge & (exponent >= _POLE)] = 2.0
+    # Steepness at an end is neither a jump nor a kink: bounded functions of normal quantiles have
+    # it
+    edge = np.abs(window[:, 1] - 0.5) > 0.5 - 4.0 * gaps[1]
+    exponent[edge & (exponent >= settings.pole)] = 2.0
 
-    # Beside lines along axes, inwards, where an edge that is not normal to the axis lies elsewhere
+    # Parallel lines close by, inwards: a discontinuity that is not normal to the axis lies
+    # elsewhere on them
     height = np.abs(np.diff(values, axis=1)).max(axis=1)
     stays = np.ones(len(axis), bool)
     if dims > 1:
-        steps = _BESIDE * rng.uniform(0.5, 1.0, (straight.sum(), dims))  # of which none cancel
+        # Random lengths, so that steps along a slanted edge do not cancel
+        steps = settings.aside * rng.uniform(0.5, 1.0, (straight.sum(), dims))
         aside = start[straight] + np.where(start[straight] < 0.5, steps, -steps)
         pair = np.stack([aside, aside], axis=1)
         pair[np.arange(len(aside))[:, None], (0, 1), axis[straight, None]] = window[straight][
@@ -248,19 +378,21 @@ def lines_of(g: Function, dims: int, evaluations: int, rng: np.random.Generator)
         waves=waves,
         turns=turns,
         spread=spread,
+        settings=settings,
     )
 
 
 def _bends(t: Array, y: Array) -> Array:
-    """Second differences of values at places (K, m), as if these were in equal steps: (K, m − 2)."""
+    """Second differences of values at places (K, m), scaled to equal steps: (K, m − 2)."""
     span = t[:, 2:] - t[:, :-2]
     return np.asarray(0.5 * span * np.abs(np.diff(np.diff(y) / np.diff(t))))
 
 
 def mean_dimension(g: Function, points: Array, values: Array, rng: np.random.Generator) -> float:
-    """Mean dimension Σ_i T_i/Var g: half the mean squared change where one coordinate is drawn again.
+    """Mean dimension Σ_i T_i/Var g; T_i is half the mean squared change when coordinate i is drawn again.
 
-    Evaluates g at d places beside each of the points (k, d), at which it has these values (k,).
+    g has the given values (k,) at the points (k, d), and is evaluated at d more points for each of
+    them.
     """
     k, d = points.shape
     total = 0.0
@@ -275,18 +407,18 @@ def mean_dimension(g: Function, points: Array, values: Array, rng: np.random.Gen
 @final
 @dataclass(frozen=True)
 class Pole:
-    """Where a function grows without bound.
+    """A place where a function grows without bound.
 
     Attributes
     ----------
     place
-        A point of it, (d,).
+        A point of the pole, (d,).
     exponent
-        a of r^−a, with r the distance.
+        a of r^−a, where r is the distance to the pole.
     codimension
-        k of the set that it grows towards: 1 of a surface, d of a point.
+        Codimension k of the pole: 1 for a surface, d for a point.
     border
-        Whether that set lies in faces of the cube.
+        Whether the pole lies in faces of the cube.
     """
 
     place: Array
@@ -301,18 +433,23 @@ class Pole:
 
 
 def pole_of(
-    g: Function, points: Array, values: Array, evaluations: int, rng: np.random.Generator
+    g: Function,
+    points: Array,
+    values: Array,
+    evaluations: int,
+    rng: np.random.Generator,
+    settings: PoleSettings = POLE_SETTINGS,
 ) -> Pole | None:
-    """The pole that the value furthest from the median leads to, or else that on the other side.
+    """Climb to a pole from the value furthest from the median, then from the other extreme.
 
     Parameters
     ----------
     g
-        Points (k, d) to values (k,).
+        Function of points (k, d) with values (k,).
     points, values
-        Where it is known, (k, d) and (k,).
+        Points (k, d) at which g is known, and its values (k,).
     evaluations
-        At most.
+        Most evaluations of g.
     """
     d = points.shape[1]
     centre, left = float(np.median(values)), evaluations
@@ -320,17 +457,19 @@ def pole_of(
     def height(x: Array) -> Array:
         return np.abs(g(x) - centre)
 
-    # Of what is bounded the largest values are alike
-    measure = _RAYS * len(_RADII) + d * len(_NEAR) + d * (d + 1) // 2
+    # The largest values of a bounded function are alike
+    measure = settings.rays * len(settings.radii) + d * settings.near + d * (d + 1) // 2
     order = np.argsort(values)
     for largest in sorted((order[::-1], order), key=lambda k: -abs(values[k[0]] - centre)):
-        top, least = np.abs(values[largest[[0, min(_FAR[0], len(values)) - 1]]] - centre)
-        if not top - least > _FAR[1] * top:
+        top, least = np.abs(values[largest[[0, min(settings.compared, len(values)) - 1]]] - centre)
+        if not top - least > settings.stands_out * top:
             continue
         step = len(points) ** (-1.0 / d)
-        place, step, made = _climbed(height, points[largest[0]], step, left - measure, rng)
+        place, step, made = _climbed(
+            height, points[largest[0]], step, left - measure, rng, settings
+        )
         left -= made
-        pole = _measured(height, place, step, rng) if step > 0.0 else None
+        pole = _measured(height, place, step, rng, settings) if step > 0.0 else None
         if pole is not None:
             return pole
         left -= measure if step > 0.0 else 0
@@ -338,84 +477,94 @@ def pole_of(
 
 
 def _climbed(
-    g: Function, x: Array, step: float, evaluations: int, rng: np.random.Generator
+    g: Function,
+    x: Array,
+    step: float,
+    evaluations: int,
+    rng: np.random.Generator,
+    settings: PoleSettings,
 ) -> tuple[Array, float, int]:
-    """The top, the last step to it, 0 where g is bounded, and the number of evaluations."""
+    """The top, the last step (0 if g is bounded), and the number of evaluations."""
     d, made, moves, value = len(x), 0, 0, 0.0
     heights, shape = list[float](), np.eye(d)
-    while len(heights) < _CLIMBS:
+    while len(heights) < settings.halvings:
         if made + 2 * d > evaluations:
             return x, 0.0, made
         ways = np.linalg.qr(rng.standard_normal((d, d)))[0] @ np.linalg.cholesky(shape).T
-        size = step * rng.uniform(0.8, 1.25)  # no place twice
+        size = step * rng.uniform(0.8, 1.25)  # so that no place comes twice
         around = np.clip(x + size * np.concatenate([ways, -ways]), 0.5 * step, 1.0 - 0.5 * step)
         new = g(around)
         made += 2 * d
-        if new.max() > _BETTER * value:
-            # Learn the shape of the climb by its moves
+        if new.max() > settings.better * value:
+            # Adapt the ellipsoid of directions to the move
             best = around[np.argmax(new)]
-            shape = (1.0 - _LEARNS) * shape + _LEARNS * np.outer(best - x, best - x) / size**2
+            own = settings.learning_rate * np.outer(best - x, best - x) / size**2
+            shape = (1.0 - settings.learning_rate) * shape + own
             shape /= np.linalg.det(shape) ** (1.0 / d)
             x, value, moves = best, float(new.max()), moves + 1
-            if moves <= _SLACK:
+            if moves <= settings.moves:
                 continue
         heights.append(float(np.median(new)))
         step, moves = 0.5 * step, 0
-        if len(heights) >= 3 * _LOOK:
-            first, second, third = np.median(np.reshape(heights[-3 * _LOOK :], (3, -1)), axis=1)
-            if not third - second > _BOUNDED * (second - first):
+        recent = 3 * settings.group
+        if len(heights) >= recent:
+            first, second, third = np.median(np.reshape(heights[-recent:], (3, -1)), axis=1)
+            if not third - second > settings.bounded * (second - first):
                 return x, 0.0, made
     return x, step, made
 
 
-def _measured(g: Function, top: Array, step: float, rng: np.random.Generator) -> Pole | None:
-    """What rays from the top and the quadratic form about it tell."""
-    d = len(top)
+def _measured(
+    g: Function, top: Array, step: float, rng: np.random.Generator, settings: PoleSettings
+) -> Pole | None:
+    """Measure a pole by rays from its top and by the quadratic form about the top."""
+    d, radii = len(top), np.array(settings.radii)
     top = np.where(top < 2.0 * step, _EDGE, np.where(top > 1.0 - 2.0 * step, 1.0 - _EDGE, top))
     inward = np.where(top < 0.5, 1.0, -1.0)
-    side = np.minimum(top, 1.0 - top) < _RADII[-1] * step
-    ways = rng.standard_normal((_RAYS, d))
+    side = np.minimum(top, 1.0 - top) < radii[-1] * step
+    ways = rng.standard_normal((settings.rays, d))
     ways = np.where(side, np.abs(ways) * inward, ways)
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    rays = top + step * _RADII[:, None, None] * ways
-    values = g(rays.reshape(-1, d)).reshape(len(_RADII), _RAYS)
-    if (np.diff(values, axis=0) >= 0.0).any(axis=0).mean() > 0.25:
+    rays = top + step * radii[:, None, None] * ways
+    values = g(rays.reshape(-1, d)).reshape(len(radii), settings.rays)
+    if (np.diff(values, axis=0) >= 0.0).any(axis=0).mean() > settings.rising:
         return None
     exponent = float(np.median(_slopes(values)[1:]))
-    if exponent < _LEAST:
+    if exponent < -settings.least_exponent:
         return None
-    if exponent < -_LEAST:
+    if exponent < settings.least_exponent:
         return Pole(top, 0.0, 1, bool(side.any()))
-    if side.sum() > 1:  # towards each face, away from the others
+    if side.sum() > 1:  # growth towards each face alone, away from the others
         faces = np.flatnonzero(side)
-        aside = np.where(side, top + _ASIDE * step * inward, top)
-        near = np.tile(aside, (len(_NEAR), len(faces), 1))
-        near[:, np.arange(len(faces)), faces] = (top + step * _NEAR[:, None] * inward)[:, faces]
-        values = g(near.reshape(-1, d)).reshape(len(_NEAR), -1)
+        aside = np.where(side, top + settings.away * step * inward, top)
+        close = radii[: settings.near]
+        near = np.tile(aside, (len(close), len(faces), 1))
+        near[:, np.arange(len(faces)), faces] = (top + step * close[:, None] * inward)[:, faces]
+        values = g(near.reshape(-1, d)).reshape(len(close), -1)
         alone = float(_slopes(values).mean(axis=0).max())
-        if alone > _ALONE:
+        if alone > settings.alone:
             together = Pole(top, exponent, len(faces), True)
             return together if together.tail > alone else Pole(top, alone, 1, True)
-    # Take away the constant that is added; a quadratic form by its values at sums of two axes
+    # Subtract the additive constant. Values at sums of two axes give the quadratic form
     factor = 4.0**exponent
     rest = float(np.median((factor * values[-1] - values[-2]) / (factor - 1.0)))
     first, second = np.triu_indices(d)
     axes = np.eye(d) * inward
     ways = np.where((first == second)[:, None], axes[first], axes[first] + axes[second])
     least = 1e-3 * max(float(np.median(values[-2])) - rest, 1e-300)
-    size = np.maximum((g(top + _FORM * step * ways) - rest) / least, 1.0) ** (-2.0 / exponent)
+    size = np.maximum((g(top + radii[-2] * step * ways) - rest) / least, 1.0) ** (-2.0 / exponent)
     table = np.zeros((d, d))
     table[first, second] = table[second, first] = size
     own = np.diag(table)
     form = 0.5 * (table - own[:, None] - own) + 1.5 * np.diag(own)
-    # A face counts unless the set goes on from it inwards
-    side &= own > _RANK * own.max()
+    # A face counts unless the pole continues from it inwards
+    side &= own > settings.rank * own.max()
     free = np.linalg.eigvalsh(form[np.ix_(~side, ~side)])
-    rank = int(side.sum() + (free > _RANK * own.max()).sum())
+    rank = int(side.sum() + (free > settings.rank * own.max()).sum())
     return Pole(top, exponent, max(rank, 1), bool(side.any()))
 
 
 def _slopes(values: Array) -> Array:
-    """Exponents a of values ∝ r^−a, but for a constant, at radii r, 4r, …, (m, k): (m − 2, k)."""
+    """Exponents a of values c + b r^−a at radii r, 4r, …, (m, k): (m − 2, k)."""
     falls = np.maximum(values[:-1] - values[1:], 1e-300)
     return np.asarray(np.log(falls[:-1] / falls[1:]) / math.log(4.0))

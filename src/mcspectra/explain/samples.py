@@ -1,14 +1,15 @@
 """Variances of several samplers at all counts, from one array of evaluations.
 
 R scrambled nets of N points are evaluated once. Each run of 2^k of their points that starts at a
-multiple of 2^k is a scrambled net, so that means over runs have the variance of nets of all
-sizes; the variance between evaluations of different nets in one cell is what jittering leaves; that
-between nets in one slab of an axis what Latin hypercubes leave; that of all what random points leave.
-Products of values of one net are left out where it would make them unlike independent ones.
+multiple of 2^k is a scrambled net, so that means over runs have the variance of nets of all sizes.
+The variance between evaluations of different nets in one cell is the variance of jittered points.
+In the same way, slabs of an axis give the variance of Latin hypercubes, and the whole cube gives
+that of random points. Products of values of one net are left out where they are correlated.
 
-Errors are jackknifed over the nets: the estimates at all counts move together, and the rate knows. It is
-one over the last octaves; before them it drifts by a random walk from octave to octave, whose step is as
-likely as the curve makes it: what is straight is known by all its counts, what bends by the last ones.
+Errors come from a jackknife over the nets, so that the error of the rate includes the correlation
+between counts. The rate is constant over the last octaves. Before them it drifts by a random walk
+from octave to octave, and the likelihood of the curve weights several sizes of its step. Therefore
+all counts of a straight curve determine its rate, and only the last counts of a bent one do.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import final
 
 import numpy as np
@@ -28,16 +29,58 @@ from mcspectra.estimators import AbstractEstimator
 from mcspectra.estimators.moments import mean_interval, rounding_floor
 from mcspectra.samplers import as_sampler
 
-__all__ = ["NETS", "Curve", "Sets", "curve_of", "scalar"]
+__all__ = [
+    "CURVE_SETTINGS",
+    "NETS",
+    "Curve",
+    "CurveSettings",
+    "Sets",
+    "curve_of",
+    "scalar",
+]
 
 NETS = "sobol | owen"
-_SLABS = 32  # along an axis, of Latin hypercubes
-_JITTERED_DIMS = 3
-_OCTAVES = 3  # at the end, of one rate
-_DRIFTS = 0.05, 0.1, 0.2, 0.4  # of the rate, an octave
-_UNKNOWN = 0.5  # error of a rate that is not known
-_FLOOR = 0.02  # of a logarithm: no curve is straighter
-_AGREES = 2.0  # standard errors
+"""The scrambled nets that are evaluated."""
+
+
+@final
+@dataclass(frozen=True)
+class CurveSettings:
+    """How curves of variance are estimated from nets, and how their rates are fitted.
+
+    "Insensitive" refers to ``python -m benchmarks settings``, as in `CauseSettings`. Numbers for
+    rates are those of ``python -m benchmarks settings --rates``: five functions with known rates,
+    50 times each.
+    """
+
+    # Slabs along an axis that stand for the strata of a Latin hypercube. Insensitive between 16 and
+    # 64; the variance of an additive function with n > 32 points is estimated (n/32)² times too
+    # large, as a bound.
+    slabs: int = 32
+    # Most dims in which the variance of jittered points is estimated; insensitive between 2 and 6.
+    # In 4 dims a net of 256 points, the most that 8,192 evaluations pay for, has 4 cells along an
+    # axis, so that the curve would have three counts.
+    jittered_dims: int = 3
+    # Number of last octaves over which the rate is constant. With 2 intervals of rates are 1.4
+    # times as wide and hold as often; with 6 they hold in 63 instead of 93 % of cases.
+    octaves: int = 3
+    # Standard deviations of the drift of the rate in an octave, whose likelihoods are the weights
+    # of the fits: from a straight curve (1/20) to a rate that changes by its usual range, 1 to 3,
+    # in a few octaves. Half of them, double and 0.2 alone give intervals that hold in 94, 92 and 92
+    # % of cases.
+    drifts: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4)
+    # Standard error of a rate that is not known and is taken as −1: rates from −2 to 0 are within
+    # two of them.
+    unknown: float = 0.5
+    # Least standard error of a logarithm of the variance: real curves are not straighter than 2 %.
+    # 0.01 and 0.04 give the same rates to 0.01.
+    floor: float = 0.02
+    # Standard errors within which a measured rate and a rate of theory agree: 95 % of a normal law.
+    agrees: float = 2.0
+
+
+CURVE_SETTINGS = CurveSettings()
+"""Settings of all curves, unless others are passed."""
 
 
 @final
@@ -50,13 +93,15 @@ class Curve:
     counts, variance, relative_se
         (N,); the standard error is that of log variance.
     rate, rate_se
-        Slope over the last octaves and its standard error; NaN where there is none, as of what vanishes.
+        Slope over the last octaves and its standard error; NaN if it cannot be fitted, for example
+        because the variance vanishes.
     degrees
         Degrees of freedom of the errors.
     drift
-        By what the slope changes in an octave, as far as the curve tells: it goes on beyond.
+        Estimated standard deviation of the change of the slope in an octave; it continues beyond
+        the counts.
     vanishes
-        Count from which on the sets did not vary at all.
+        Smallest count at which the sets did not vary at all.
     """
 
     counts: Array
@@ -69,7 +114,7 @@ class Curve:
     vanishes: float = math.inf
 
     def at(self, n: float) -> tuple[float, float]:
-        """The variance at n and the standard error of its logarithm; beyond the counts along the rate."""
+        """The variance at n and the standard error of its logarithm; the rate extrapolates beyond the counts."""
         if n >= self.vanishes or not len(self.counts):
             return 0.0, 0.0
         if n <= self.counts[-1]:
@@ -79,15 +124,15 @@ class Curve:
                 float(np.interp(math.log(n), x, self.relative_se)),
             )
         known = math.isfinite(self.rate)
-        slope, error = (self.rate, self.rate_se) if known else (-1.0, _UNKNOWN)
+        slope, error = (self.rate, self.rate_se) if known else (-1.0, CURVE_SETTINGS.unknown)
         away = math.log(n / self.counts[-1])
         value = float(self.variance[-1]) * math.exp(slope * away)
         walk = self.drift * math.sqrt(away**3 / (3.0 * math.log(2.0)))
         return value, math.hypot(float(self.relative_se[-1]), away * error, walk)
 
     def towards(self, rate: float, error: float) -> Curve:
-        """The mean of its rate and one of theory, to so much, unless they contradict each other."""
-        if not abs(self.rate - rate) <= _AGREES * math.hypot(self.rate_se, error):
+        """This curve with the weighted mean of its rate and a rate of theory, unless the two disagree."""
+        if not abs(self.rate - rate) <= CURVE_SETTINGS.agrees * math.hypot(self.rate_se, error):
             return self
         share = error**2 / (error**2 + self.rate_se**2)
         mean = share * self.rate + (1.0 - share) * rate
@@ -116,7 +161,7 @@ class _Part:
     values: Array
 
     def between(self, cell: Array, cells: int) -> Array:
-        """Mean over cells of the square of their means, without products within a net."""
+        """Mean over cells of their squared means, without products of two values of one net."""
         r = len(self.values)
         place = (np.arange(r)[:, None] * cells + cell).ravel()
         sums = np.bincount(place, self.values.ravel(), r * cells).reshape(r, cells)
@@ -126,18 +171,18 @@ class _Part:
         return np.asarray(np.mean(products / np.maximum(pairs, 1), axis=1, where=pairs > 0))
 
 
-# Of all nets, then without each of them: (1 + R,)
+# An estimate from all nets, then from all nets but each one: (1 + R,)
 _Estimate = Callable[[_Part, int], Array]
 
 
 def _sums(x: Array) -> Array:
-    """Sums over all nets, then over all but each of them: (1 + R, …) of (R, …)."""
+    """Sums over all nets, then over all nets but each one: (1 + R, …) from (R, …)."""
     whole = x.sum(axis=0)
     return np.concatenate([whole[None], whole - x])
 
 
 def _means(x: Array) -> Array:
-    """Means over all nets, then over all but each of them: (1 + R,) of (R,)."""
+    """Means over all nets, then over all nets but each one: (1 + R,) from (R,)."""
     return np.asarray(_sums(x) / _sums(np.ones(len(x))))
 
 
@@ -149,9 +194,9 @@ class Sets:
     Attributes
     ----------
     points, values
-        Of each technique t: (R, N·c_t, d) and (R, N·c_t), N a power of two.
+        Points and values of each technique t: (R, N·c_t, d) and (R, N·c_t), with N a power of two.
     counts
-        c_t.
+        Counts c_t of the techniques.
     """
 
     points: Sequence[Array]
@@ -176,7 +221,7 @@ class Sets:
 
     @property
     def n(self) -> int:
-        """Points of each net, for each of a technique's count."""
+        """N, the number of points of each net."""
         return int(self.values[0].shape[1]) // self.counts[0]
 
     @cached_property
@@ -186,7 +231,7 @@ class Sets:
 
     @cached_property
     def pooled(self) -> Array:
-        """All values of g, those of the technique that varies most."""
+        """All values of g for the technique that varies most."""
         return np.asarray(max(self.values, key=lambda v: float(v.var()))).ravel()
 
     @property
@@ -194,31 +239,39 @@ class Sets:
         """95 % interval of the mean over all nets."""
         return mean_interval(self.estimates)
 
-    def curves(self) -> dict[str, Curve]:
-        """The variance of each sampler that the evaluations tell of."""
+    def curves(self, settings: CurveSettings = CURVE_SETTINGS) -> dict[str, Curve]:
+        """The variance of each sampler that the evaluations can estimate."""
         counts = 2 ** np.arange(self.n.bit_length())
         found = {
-            NETS: self._curve(_of_strata if self.dims == 1 else _of_nets, counts),
-            "random": self._curve(lambda part, n: _of_nets(part, 1) / n, counts, -1.0),
+            NETS: self._curve(_of_strata if self.dims == 1 else _of_nets, counts, settings),
+            "random": self._curve(lambda part, n: _of_nets(part, 1) / n, counts, settings, -1.0),
         }
-        if set(self.counts) == {1} and 1 < self.dims <= _JITTERED_DIMS:
+        if set(self.counts) == {1} and 1 < self.dims <= settings.jittered_dims:
             sides = 2 ** np.arange((self.n.bit_length() - 1) // self.dims + 1)
-            found["jittered"] = self._curve(_of_strata, sides**self.dims)
-        if self.dims > 1 and self.n >= _SLABS:
-            found["latin-hypercube"] = self._curve(_of_slabs, counts[counts >= _SLABS], -1.0)
-        # What is left between strata is a difference: where it is lost in the errors nothing is known
+            found["jittered"] = self._curve(_of_strata, sides**self.dims, settings)
+        if self.dims > 1 and self.n >= settings.slabs:
+            of_slabs = partial(_of_slabs, slabs=settings.slabs)
+            many = counts[counts >= settings.slabs]
+            found["latin-hypercube"] = self._curve(of_slabs, many, settings, -1.0)
+        # The variance between strata is a difference: a curve without counts is lost in its errors
         if len(found["random"].counts):
             found = {name: curve for name, curve in found.items() if len(curve.counts)}
         return found
 
-    def technique_curves(self) -> list[Curve]:
-        """The variance of each technique with scrambled nets, by the points of all techniques."""
+    def technique_curves(self, settings: CurveSettings = CURVE_SETTINGS) -> list[Curve]:
+        """The variance of each technique with scrambled nets, against N."""
         counts = 2 ** np.arange(self.n.bit_length())
         parts = zip(self.points, self.values, self.counts, strict=True)
-        return [Sets((p,), (v,), (c,))._curve(_of_nets, counts) for p, v, c in parts]
+        return [Sets((p,), (v,), (c,))._curve(_of_nets, counts, settings) for p, v, c in parts]
 
-    def _curve(self, estimate: _Estimate, counts: Array, rate: float | None = None) -> Curve:
-        """Values of an estimate and its jackknife."""
+    def _curve(
+        self,
+        estimate: _Estimate,
+        counts: Array,
+        settings: CurveSettings,
+        rate: float | None = None,
+    ) -> Curve:
+        """The curve of an estimate, with errors by its jackknife."""
         parts = [_Part(p, v - v.mean()) for p, v in zip(self.points, self.values, strict=True)]
 
         found = np.stack([
@@ -226,7 +279,9 @@ class Sets:
             for n in counts
         ], axis=1)  # fmt: skip
         size = float(self.estimates.mean())
-        return _fitted(counts, found[0], found[1:], size, rate, exact=estimate is _of_nets)
+        return _fitted(
+            counts, found[0], found[1:], size, rate, settings, exact=estimate is _of_nets
+        )
 
 
 def scalar(estimator: AbstractEstimator, values: Array) -> Array:
@@ -247,15 +302,25 @@ def curve_of(counts: Sequence[int], estimates: Sequence[Array]) -> Curve:
     left = np.stack([
         [np.delete(e, r).var(ddof=1) for e in estimates] for r in range(len(estimates[0]))
     ])  # fmt: skip
-    return _fitted(np.array(counts), found, left, float(estimates[-1].mean()), None, exact=True)
+    return _fitted(
+        np.array(counts), found, left, float(estimates[-1].mean()), None, CURVE_SETTINGS, exact=True
+    )
 
 
 def _fitted(
-    counts: Array, found: Array, left: Array, size: float, rate: float | None, *, exact: bool
+    counts: Array,
+    found: Array,
+    left: Array,
+    size: float,
+    rate: float | None,
+    settings: CurveSettings,
+    *,
+    exact: bool,
 ) -> Curve:
-    """Errors from what is `left` without each realisation, (R, N), and a rate, unless it is known.
+    """The curve of variances `found`, (N,); `left` are the variances without each realization, (R, N).
 
-    With `exact` variances none at all is a finding, not a difference of others that is lost in errors.
+    The rate is fitted unless it is given. With `exact`, a variance of zero is a result; otherwise
+    variances are differences, and zero means that one is lost in its errors.
     """
     degrees = len(left) - 1
     floor = rounding_floor(np.array(size))
@@ -274,12 +339,12 @@ def _fitted(
         return Curve(counts, found, error, math.nan, math.nan, degrees, 0.0, vanishes)
     x, y = np.log(counts / counts[-1]), np.log(found)
     line, octave = np.stack([np.ones_like(x), x], axis=1), math.log(2.0)
-    turns = octave * np.arange(_OCTAVES, max(round(-x[0] / octave), _OCTAVES))
+    turns = octave * np.arange(settings.octaves, max(round(-x[0] / octave), settings.octaves))
     bends = np.maximum(-x[:, None] - turns, 0.0)
-    fits = np.empty((3, len(_DRIFTS)))
-    for k, drift in enumerate(_DRIFTS):
+    fits = np.empty((3, len(settings.drifts)))
+    for k, drift in enumerate(settings.drifts):
         bent = drift**2 * bends @ bends.T
-        inverse = np.linalg.inv(np.diag(error**2 + _FLOOR**2) + bent)
+        inverse = np.linalg.inv(np.diag(error**2 + settings.floor**2) + bent)
         square = np.linalg.inv(line.T @ inverse @ line)
         weights = square @ line.T @ inverse
         rest = y - line @ weights @ y
@@ -290,7 +355,7 @@ def _fitted(
     share /= share.sum()
     slope = float(share @ fits[1])
     spread = float(share @ (fits[2] + (fits[1] - slope) ** 2))
-    drift = math.sqrt(share @ np.square(_DRIFTS))
+    drift = math.sqrt(share @ np.square(settings.drifts))
     return Curve(counts, found, error, slope, math.sqrt(spread), degrees, drift, vanishes)
 
 
@@ -315,11 +380,11 @@ def _of_strata(part: _Part, n: int) -> Array:
     return np.asarray(np.maximum(rest, 0.0) / n)
 
 
-def _of_slabs(part: _Part, n: int) -> Array:
+def _of_slabs(part: _Part, n: int, slabs: int) -> Array:
     """Variance of the mean over a Latin hypercube of n points, many more than slabs."""
     whole = _of_nets(part, 1)
     mean = part.between(np.zeros(part.values.shape, np.int64), 1)
     for axis in range(part.points.shape[2]):
-        slab = np.floor(part.points[..., axis] * _SLABS).astype(np.int64)
-        whole -= np.maximum(part.between(slab, _SLABS) - mean, 0.0)
+        slab = np.floor(part.points[..., axis] * slabs).astype(np.int64)
+        whole -= np.maximum(part.between(slab, slabs) - mean, 0.0)
     return np.asarray(np.maximum(whole, 0.0) / n)

@@ -1,13 +1,13 @@
 """Numba kernels of the variance terms and of pairs of points: arrays only, no checks.
 
-Legend: r realisations of a block, h coefficients (half spectra of all techniques, one after the
+Legend: r realizations of a block, h coefficients (half spectra of all techniques, one after the
 other), c channels, a bands, k half widths, j the real numbers of the coefficients (2 each where they
 are complex). `double[h]` is 2 for a coefficient that also stands for −m, else 1.
 All sums over h with conj(f_h) S_h are real because the full spectrum is Hermitian.
 
-Coefficients are taken in tiles that stay in the first cache while all realisations pass: the sums
-are the same, term after term. Tiles are slices, as loops over them from 0 become vector code and those
-from a variable start, whose sign Numba does not know, do not.
+Coefficients are taken in tiles that stay in the first cache while all realizations pass: the sums
+are the same, term after term. Tiles are slices: loops from 0 become vector code, and loops with a
+variable start, whose sign Numba cannot infer, do not.
 """
 
 from __future__ import annotations
@@ -23,6 +23,9 @@ __all__ = [
     "term_sums",
 ]
 
+# Coefficients of a tile. It is compiled into the kernels, and sums do not depend on it. A tile's
+# complex spectrum, coefficient, weight and two labels take 512 · 56 bytes = 28 KiB, which fits into
+# a first cache of 32 KiB.
 _TILE = 512
 
 

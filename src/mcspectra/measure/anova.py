@@ -1,12 +1,13 @@
 """ANOVA of a variance in many dims: which axes, alone or together, the noise comes from.
 
-docs/theory.md, "Analysis by axes", derives both ways. `anova_variances`: pick-freeze [Sobol2001]_ of
-whole point sets. The part of the empty set of axes is 0, but its sample is taken off all others: most
-of their errors are in it too, and shares near 1 are then precise.
+docs/theory.md, "Analysis by axes", derives both methods. `anova_variances` is pick-freeze
+[Sobol2001]_ with whole point sets. The part of the empty set of axes is 0, but its sample is
+subtracted from all others: it contains most of their errors, so that shares near 1 are precise.
 
-`anova_spectrum`: frequencies drawn with a probability q(m) = Π_{i∈u} q_1(m_i), q_1(k) ∝ 1/k² up to K,
-since |f_m|² of a function with jumps or a boundary term falls like 1/m_i² on each axis, so that the
-terms |f_m|² ⟨|S_m|²⟩ / q(m) are bounded.
+`anova_spectrum` draws frequencies with a probability q(m) = Π_{i∈u} q_1(m_i), q_1(k) ∝ 1/k² up to
+K. The
+|f_m|² of a function with jumps or a boundary term falls like 1/m_i² along each axis, so that the terms
+|f_m|² ⟨|S_m|²⟩ / q(m) are bounded.
 """
 
 from __future__ import annotations
@@ -46,14 +47,33 @@ if TYPE_CHECKING:
 __all__ = ["EFFECTIVE_SHARE", "Anova", "AnovaSpectrum", "anova_spectrum", "anova_variances"]
 
 EFFECTIVE_SHARE = 0.99
-"""Share of the variance that effective dimensions hold."""
+"""Share of the variance that effective dimensions hold, by their definition [Caflisch1997]_."""
 
-_MAX_DIMS = 64
-_MAX_VALUES = 2**26  # estimates kept: 0.5 GiB
-_MAX_FREQUENCIES = 2**24  # in all
-_LEAST = 4  # realisations that show an error, as of `variance_terms`
-_BATCHES = 16  # of frequencies, independent of each other: their spread is the error
-_Group = Annotated[int, Meta(ge=0, lt=_MAX_DIMS)]
+
+@dataclass(frozen=True)
+class AnovaSettings:
+    """Limits of memory, and the numbers of realizations and batches that give errors."""
+
+    # Most axes, or groups of axes: the pairs of 64 axes are 2,016 subsets, each with an estimate
+    # for every realization.
+    most_dims: int = 64
+    # Most estimates that are kept, over all subsets and realizations: they take 0.5 GiB in float64.
+    most_values: int = 2**26
+    # Most frequencies in all: with the four numbers that each has in 1-D (its component,
+    # probability, power and coefficient) they take 0.6 GiB.
+    most_frequencies: int = 2**24
+    # Least number of realizations that give a standard error. With two, both products of deviations
+    # are equal, so that the error would be 0; `variance_terms` also needs four.
+    least: int = 4
+    # Independent batches of frequencies, whose spread gives the standard error. Student's t with 15
+    # degrees of freedom makes intervals 9 % wider than a normal law; twice the batches would gain 4
+    # %, half of them lose 11 %.
+    batches: int = 16
+
+
+_SETTINGS = AnovaSettings()
+
+_Group = Annotated[int, Meta(ge=0, lt=_SETTINGS.most_dims)]
 _PARTNER, _ORDER, _UNIFORM = 0x616E6F, 0x616E70, 0x616E71  # stream labels
 
 
@@ -91,11 +111,11 @@ class Anova(Counted, frozen=True, kw_only=True):
         estimator.check_sampler(subject.sampler, self.n)
         subsets = len(_frozen(max(self._group_of_axes(estimator.dims)) + 1, self.order))
         values = subsets * max(1, estimator.channels) * self.realizations
-        if values > _MAX_VALUES:
+        if values > _SETTINGS.most_values:
             raise ParameterError(
                 f"{self.realizations} realisations of {values // self.realizations} subsets take "
                 f"{8 * values / 2**30:.3g} GiB; ask for at most "
-                f"{_MAX_VALUES * self.realizations // values} realisations, or for ",
+                f"{_SETTINGS.most_values * self.realizations // values} realisations, or for ",
                 Parameter("order", 1),
                 ".",
             )
@@ -108,7 +128,7 @@ class Anova(Counted, frozen=True, kw_only=True):
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Estimates]:
-        """The estimates of every realisation: covariances need the means of all."""
+        """The estimates of every realization: covariances need the means of all."""
         e, sampler, n = subject.estimator, subject.sampler, self.n
         partner = stream.child(_PARTNER)
         groups = self._group_of_axes(e.dims)
@@ -118,7 +138,7 @@ class Anova(Counted, frozen=True, kw_only=True):
 
         @functools.cache
         def same_always() -> bool:
-            """Whether any stream gives the same set, which has no independent partner."""
+            """Whether all streams give the same set, so that it has no independent partner."""
             one, other = (sampler.draw_stream(n, s, 0, 1) for s in (stream, partner))
             return np.array_equal(one, other)
 
@@ -126,7 +146,7 @@ class Anova(Counted, frozen=True, kw_only=True):
             """Estimates with the axes of each subset kept and the others replaced."""
             block = blocks[index]
             kept = e.draw(sampler, n, stream, *block)
-            # Independent sets, each in an order of its own; random ones where there are none
+            # Independent sets, each in an order of its own; random points if all sets are the same
             if same_always():
                 random = as_sampler("random", sampler.dims)
                 others = e.draw(random, n, stream.child(_UNIFORM), *block)
@@ -150,7 +170,7 @@ class Anova(Counted, frozen=True, kw_only=True):
         )
 
     def _group_of_axes(self, dims: int) -> tuple[int, ...]:
-        """The group of each axis: what the analysis takes for an axis."""
+        """The group of each axis, which the analysis treats as one axis."""
         given = tuple(range(dims)) if self.groups is None else self.groups
         if len(given) != dims or {*given} != {*range(max(given) + 1)}:
             raise ParameterError(
@@ -159,18 +179,22 @@ class Anova(Counted, frozen=True, kw_only=True):
                 "without gaps.",
             )
         as_integer(
-            "dims" if self.groups is None else "groups", max(given) + 1, least=1, most=_MAX_DIMS
+            "dims" if self.groups is None else "groups",
+            max(given) + 1,
+            least=1,
+            most=_SETTINGS.most_dims,
         )
         return given
 
     def _labelled(self, estimates: Array, subject: Subject) -> xr.Dataset:
         """Linear combinations of the covariances of all subsets with the first, as a dataset."""
         moments, count = Moments.of(estimates[0], tails=True), estimates.shape[1]
-        # Products of deviations, whose means over realisations are covariances: (S, R, channels)
+        # Products of deviations, whose means over realizations are covariances: (S, R, channels)
         deviation = estimates - estimates.mean(axis=1, keepdims=True)
         products = deviation * (deviation[0] * (count / (count - 1)))
-        # Both of two products are equal, of deviations from a mean of their own
-        per_root = count**-0.5 if count >= _LEAST else math.nan
+        # With two realizations both products are equal, so that their spread is no error
+        least = _SETTINGS.least
+        per_root = count**-0.5 if count >= least else math.nan
         dims = max(self._group_of_axes(subject.estimator.dims)) + 1
         frozen, listed, axes = _frozen(dims, self.order), _subsets(dims, self.order), range(dims)
         weight = dict(zip(frozen, np.eye(len(frozen)), strict=True))
@@ -183,7 +207,7 @@ class Anova(Counted, frozen=True, kw_only=True):
             below(*u) - sum((below(a) for a in u if len(u) > 1), np.zeros(len(frozen)))
             for u in listed
         ]
-        # The variance by the same pairs, and each realisation's part of it
+        # The variance by the same pairs, and each realization's part of it
         varies = moments.variance > rounding_floor(moments.mean)
         every = weighted_sum(below(*axes), products)
         whole = np.where(varies, every.mean(axis=0), np.nan)
@@ -215,9 +239,7 @@ class Anova(Counted, frozen=True, kw_only=True):
         *_, by_size, by_size_ci = combined(up_to)
         *_, mean_size, mean_size_ci = combined([np.sum(totals, axis=0)])
         alone = ("channel",)
-        few = (
-            f"{count} realisations show no error; {_LEAST} are the least" if count < _LEAST else ""
-        )
+        few = f"{count} realisations show no error; {least} are the least" if count < least else ""
         return dataset(
             {
                 "anova_variance": (("subset", "channel"), own),
@@ -270,7 +292,9 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
     frequencies: Annotated[
         int,
         Meta(
-            ge=2 * _BATCHES, le=_MAX_FREQUENCIES, description="Frequencies sampled of each subset."
+            ge=2 * _SETTINGS.batches,
+            le=_SETTINGS.most_frequencies,
+            description="Frequencies sampled of each subset.",
         ),
     ] = 1024
     half_width: Annotated[
@@ -279,7 +303,7 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
     realizations: Annotated[
         int,
         Meta(
-            ge=2 * _BATCHES,
+            ge=2 * _SETTINGS.batches,
             le=10**9,
             description="Point sets in all, where no power is known.",
             extra={"flag": "-m", "metavar": "R"},
@@ -304,16 +328,16 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
                 Function("anova_variances"),
                 ".",
             )
-        dims = as_integer("dims", estimator.dims, least=1, most=_MAX_DIMS)
+        dims = as_integer("dims", estimator.dims, least=1, most=_SETTINGS.most_dims)
         subsets = len(_subsets(dims, self.order))
         total = self.frequencies * subsets
-        if total > _MAX_FREQUENCIES:
+        if total > _SETTINGS.most_frequencies:
             raise ParameterError(
                 f"{self.frequencies} frequencies of {subsets} subsets are more than "
-                f"{_MAX_FREQUENCIES:.3g} in all; ask for fewer frequencies or a lower order."
+                f"{_SETTINGS.most_frequencies:.3g} in all; ask for fewer frequencies or a lower order."
             )
         return Need(
-            cost=float(total * self.n * self.realizations) / _BATCHES,
+            cost=float(total * self.n * self.realizations) / _SETTINGS.batches,
             memory=memory_of(self.n, dims, frequencies=total * max(1, estimator.channels)),
         )
 
@@ -321,7 +345,8 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
         """Batches of frequencies and sets, independent of each other."""
         f, n, dims = subject.estimator.integrand, self.n, subject.estimator.dims
         subsets = _subsets(dims, self.order)
-        count = self.frequencies // _BATCHES
+        batches = _SETTINGS.batches
+        count = self.frequencies // batches
         # Law of one component: ±k with probability ∝ 1/k², k = 1 … K
         cumulative = np.cumsum(np.arange(1.0, self.half_width + 1) ** -2)
 
@@ -341,16 +366,16 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
             try:
                 power, source = closed_form_power(subject.sampler, n, m), "closed form"
             except NoClosedForm:
-                sets = self.realizations // _BATCHES
+                sets = self.realizations // batches
                 rng = np.random.SeedSequence(stream.child(2 * index + 1).key)
                 found = power_at(subject.sampler, n, m, realizations=sets, rng=rng)
-                power, source = found["power"].to_numpy(), f"{_BATCHES * sets} realisations"
+                power, source = found["power"].to_numpy(), f"{batches * sets} realisations"
             energy = np.abs(f.fourier(m).reshape(len(m), -1)) ** 2
             terms = energy * (power / q)[:, None]
             return _Batches(terms.reshape(1, len(subsets), count, -1).mean(axis=2), source)
 
         def result(found: _Batches) -> xr.Dataset:
-            se = found.means.std(axis=0, ddof=1) / math.sqrt(_BATCHES)
+            se = found.means.std(axis=0, ddof=1) / math.sqrt(batches)
             return dataset(
                 {
                     "anova_variance": (("subset", "channel"), found.means.mean(axis=0)),
@@ -365,7 +390,7 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
             )
 
         cost = self.need(subject).cost
-        return Reduction(kind=_Batches, block=batch, blocks=_BATCHES, cost=cost, result=result)
+        return Reduction(kind=_Batches, block=batch, blocks=batches, cost=cost, result=result)
 
 
 def anova_variances(
@@ -386,40 +411,42 @@ def anova_variances(
     Parameters
     ----------
     estimator, sampler, n
-        What is analysed, in up to 64 dims or groups. Random sampling with n = 1, the default, gives the ANOVA
-        variances σ²_u of the integrand itself.
+        The estimator with its sampler and number of points, in up to 64 dims or groups. Random
+        sampling with n = 1, the default, gives the ANOVA variances σ²_u of the integrand itself.
     dims
         Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
         that is not a spec.
     order
-        1 or 2: list subsets of up to so many axes.
+        Most axes of a subset, 1 or 2.
     realizations
         Independent pairs of point sets, at least 2.
     groups
         Group of each axis, numbered from 0 without gaps: subsets, ``axis`` and ``axes`` are then of
-        groups, as of the bounces of a path. By default every axis is one.
+        groups, for example the bounces of a path. By default every axis is one.
     rng
-        Seed (SPEC 7). Realisation r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
+        Seed (SPEC 7). Realization r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
     workers
         Threads; all processors by default. Results do not depend on it.
     max_evaluations
-        Most evaluations of the integrand: what takes more is refused, where that is known before it starts.
+        Most evaluations of the integrand. An analysis that takes more is refused, before it starts
+        if possible.
 
     Returns
     -------
     xarray.Dataset
-        ``anova_variance(subset)`` c_u, with ``_se``, and ``anova_share(subset)`` of the variance (as the
-        same pairs give it, so that all shares sum to 1): of single axes the first-order Sobol' indices;
-        ``total_variance(axis)``, the sum of c_u of all u that hold the axis, with ``_se``, and
-        ``total_share(axis)``, the total Sobol' indices;
-        ``higher_order_variance``, what subsets beyond `order` have, with ``_se``, and
-        ``higher_order_share``; ``truncation_share(axes)`` of the first so many axes;
-        ``effective_dimension_truncation``, ``effective_dimension_superposition`` (NaN beyond `order`)
-        and ``mean_dimension``, the mean of |u| weighted by c_u; ``variance``. Shares and dimensions
-        have 95 % intervals ``_ci``, not cut at 0 and 1: of ratios of means (delta method, Student's
-        t); of effective dimensions, where the ends of the shares cross 99 %, inf where the lower
-        one does not. Errors and intervals are NaN of fewer than 4 realisations. A dim channel where f
-        has several.
+        ``anova_variance(subset)`` c_u, with ``_se``, and ``anova_share(subset)``, its share of the
+        variance of the same pairs, so that all shares sum to 1. The shares of single axes are the
+        first-order Sobol' indices. ``total_variance(axis)``, the sum of c_u over all u that hold
+        the axis, with ``_se``, and ``total_share(axis)``, the total Sobol' indices.
+        ``higher_order_variance``, the part of subsets beyond `order`, with ``_se``, and
+        ``higher_order_share``. ``truncation_share(axes)``, the share of the first axes.
+        ``effective_dimension_truncation``, ``effective_dimension_superposition`` (NaN beyond
+        `order`) and ``mean_dimension``, the mean of
+        |u| weighted by c_u. ``variance``. Shares and dimensions have 95 % intervals ``_ci``, not cut at
+        0 and 1. Intervals of ratios of means come from the delta method with Student's t. Those of
+        effective dimensions end where the ends of the shares cross 99 %, or at infinity if the
+        lower one does not. Errors and intervals of fewer than 4 realizations are NaN. An integrand
+        with several channels adds a dim channel.
 
     Raises
     ------
@@ -428,9 +455,9 @@ def anova_variances(
 
     Notes
     -----
-    O(R n d²) evaluations for order 2, O(R n d) for 1. c_u may be negative: of correlated parts, or by
-    noise within its standard error. Sets that are given (`Sampler.from_points`) have no
-    independent partners; random points take their part, with larger errors.
+    The cost is O(R n d²) evaluations for order 2 and O(R n d) for order 1. c_u may be negative if
+    parts are correlated, or by noise within its standard error. Given sets (`Sampler.from_points`)
+    have no independent partners; random points replace the partners, with larger errors.
 
     Examples
     --------
@@ -459,18 +486,19 @@ def anova_spectrum(
     Parameters
     ----------
     estimator
-        Of one integrand with exact Fourier coefficients and uniform points, in up to 64 dims.
+        An estimator of one integrand with exact Fourier coefficients and uniform points, in up to
+        64 dims.
     sampler, n
         Points that are the same after any translation: random, or with shift.
     dims
         Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
         that is not a spec.
     order
-        Subsets of up to so many axes, 1 to 3.
+        Most axes of a subset, 1 to 3.
     frequencies
         Frequencies sampled of each subset, at least 32.
     half_width
-        Largest |m_i|: what is beyond is left out.
+        Largest |m_i|; higher frequencies are left out.
     realizations
         Point sets in all, at least 32, where ⟨|S_m|²⟩ is not known in closed form.
     rng
@@ -513,14 +541,14 @@ class _Estimates:
 
 @dataclass(frozen=True)
 class _Batches:
-    """Means of the terms of batches, (B, U, channels), and how the power was found."""
+    """Means of the terms of batches, (B, U, channels), and the source of the power."""
 
     means: JOIN
     power: Annotated[str, "same"]
 
 
 def _subsets(dims: int, order: int) -> list[tuple[int, ...]]:
-    """Those of 1 to `order` axes, by size."""
+    """The subsets of 1 to `order` axes, by size."""
     return [u for s in range(1, order + 1) for u in itertools.combinations(range(dims), s)]
 
 
@@ -533,13 +561,13 @@ def _frozen(dims: int, order: int) -> list[tuple[int, ...]]:
 
 
 def _least(shares: Array) -> Array:
-    """Least number, from 1, whose share (s, ...) is enough; NaN where none is."""
+    """Smallest number, counted from 1, whose share (s, ...) is enough; NaN if no share is."""
     enough = shares >= EFFECTIVE_SHARE
     return np.where(enough.any(axis=0), enough.argmax(axis=0) + 1.0, np.nan)
 
 
 def _least_ci(ends: Array) -> Array:
-    """Interval of it from those of the shares, (s, channels, 2) → (channels, 2)."""
+    """Interval of that number from the intervals of the shares, (s, channels, 2) → (channels, 2)."""
     least = _least(ends)[..., ::-1]
     unknown = np.asarray(np.isnan(ends).any(axis=(0, 2)))[:, None]
     return np.where(unknown, np.nan, np.nan_to_num(least, nan=np.inf))

@@ -18,14 +18,27 @@ from mcspectra.spectra.bases import Basis
 __all__ = ["PARTITIONS", "Bands", "check_bands", "make_bands"]
 
 PARTITIONS = ("radial", "anova", "wedge", "dyadic")
-_MAX_BANDS = 4096
-_WEDGES = 12
+"""Names of the partitions."""
+
+
+@dataclass(frozen=True)
+class BandSettings:
+    """Limits and numbers of bands."""
+
+    # Most bands of a user's labels: the covariance of 4,096 bands takes 128 MiB for each channel.
+    most: int = 4096
+    # Sectors of the directions of ±m, 15° each: both axes and both diagonals are centers of
+    # sectors, with two other sectors between them.
+    wedges: int = 12
+
+
+_SETTINGS = BandSettings()
 
 
 @final
 @dataclass(frozen=True)
 class Bands:
-    """A band for every stored coefficient, and what each band is called.
+    """The band of every stored coefficient, and the name of each band.
 
     Attributes
     ----------
@@ -34,7 +47,7 @@ class Bands:
     labels
         Text for each band.
     meaning
-        What the labels are, for the axis of a plot.
+        Meaning of the labels, for the axis of a plot.
     """
 
     of: Array
@@ -80,18 +93,21 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
         case "wedge":
             m = basis.directions()
             angle = np.arctan2(m[:, 1], m[:, 0]) % np.pi  # ±m are one direction
-            sector = np.rint(angle / np.pi * _WEDGES).astype(np.int64) % _WEDGES  # on the axes
+            wedges = _SETTINGS.wedges
+            sector = (
+                np.rint(angle / np.pi * wedges).astype(np.int64) % wedges
+            )  # centered on the axes
             of = np.where((m == 0).all(axis=1), 0, 1 + sector)
-            labels = ["constant", *(f"{180 * k / _WEDGES:g}°" for k in range(_WEDGES))]
+            labels = ["constant", *(f"{180 * k / wedges:g}°" for k in range(wedges))]
             meaning = "wedge: direction of m"
         case _:
             given = np.asarray(bands)
             integer = given.shape == basis.shape and given.dtype.kind in "iu"
-            if not integer or given.min() < 0 or given.max() >= _MAX_BANDS:
+            if not integer or given.min() < 0 or given.max() >= _SETTINGS.most:
                 raise ParameterError(
                     Parameter("bands"),
                     f" has shape {given.shape} and type {given.dtype}; give "
-                    f"{', '.join(map(repr, PARTITIONS))} or integer labels from 0 to {_MAX_BANDS - 1} of "
+                    f"{', '.join(map(repr, PARTITIONS))} or integer labels from 0 to {_SETTINGS.most - 1} of "
                     f"shape {basis.shape}.",
                 )
             of, meaning = basis.pick(given).astype(np.int64), "given"
@@ -105,7 +121,7 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
 
 
 def check_bands(bands: str | Array, basis: Basis) -> None:
-    """Raise what `make_bands` would, as far as that takes no work."""
+    """Raise the errors of `make_bands` that do not need its result."""
     if isinstance(bands, str):
         as_choice("bands", bands, PARTITIONS)
         if bands == "wedge" and basis.dims != 2:

@@ -1,7 +1,8 @@
 """The bench: samplers side by side on standard integrands, by variance, rank, spectrum, quality, speed.
 
-A composition of `convergence`, `power_spectrum`, `pair_correlation` and `quality_figures`. It is no
-`Analysis`: speed is measured, and a result of an analysis is the same bits every time.
+The bench combines `convergence`, `power_spectrum`, `pair_correlation` and `quality_figures`. It is
+not an `Analysis`, because it measures speed, and the result of an analysis has the same bits every
+time.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import math
 import time
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -63,15 +64,38 @@ BENCH_QUALITY = (
 """Figures of quality that are measured at every count."""
 
 SHARED_SETS = 8
-"""Optimised sets of a sampler, used again under random translations."""
+"""Optimized sets of a sampler, used again under random translations: making one takes seconds to minutes."""
 
-_ENOUGH_SETS = 16  # given sets of each count that stand for themselves, without a randomisation
-_HALF_WIDTHS = {1: 256, 2: 64, 3: 20}  # of spectra; in more dims there are none
-_QUALITY_SETS = 8
-_FEW_SETS = 8  # for intervals of the pair correlation
-_MOST_PICTURED = 1024
-_MOST_DIMS = 64
-_LEVEL = 0.95
+
+@dataclass(frozen=True)
+class BenchSettings:
+    """Numbers of sets, and sizes of spectra and pictures, of a bench."""
+
+    # Given sets of each count that are measured without a randomization: their spread gives a
+    # variance to 35 %.
+    enough_sets: int = 16
+    # Half widths of the spectra in 1, 2 and 3 dims, for 513, 16,641 and 68,921 frequencies: maps of
+    # these sizes are printed in full. Spectra in more dims are left out.
+    half_widths: tuple[int, ...] = (256, 64, 20)
+    # Sets whose figures of quality are averaged. At 256 points in 2-D single figures of scrambled
+    # nets differ by 1 to 5 % and those of random points by 11 to 27 %, so that means of 8 sets are
+    # known to 2 % and 10 %.
+    quality_sets: int = 8
+    # Least number of sets for an interval of the pair correlation. Student's t with 7 degrees of
+    # freedom makes it a fifth wider than a normal law, and fewer sets hide the curve in a plot.
+    few_sets: int = 8
+    # Most sets over which the pair correlation is averaged: at 256 points in 2-D 8, 16 and 32 sets
+    # give half widths of 0.05, 0.03 and 0.02.
+    pair_sets: int = 16
+    # Most points of the set that is drawn as a picture: more dots overlap.
+    most_pictured: int = 1024
+    # Most dims of the integrands. The difficulty of Genz's functions is shared by all dims, so that
+    # in more dims they are nearly linear along each axis.
+    most_dims: int = 64
+
+
+_SETTINGS = BenchSettings()
+_LEVEL = 0.95  # level of the simultaneous intervals of ranks
 
 # Genz's difficulty, the sum of a_i over the dims
 _GENZ = {
@@ -86,7 +110,7 @@ _KINDS = {"continuous": "kink", "discontinuous": "jump"}
 
 
 class Task(NamedTuple):
-    """A standard integrand: what is hard about it (``smooth``, ``kink``, ``jump``), spec, dims."""
+    """A standard integrand: its difficulty (``smooth``, ``kink``, ``jump``), spec and dims."""
 
     kind: str
     spec: str
@@ -122,7 +146,7 @@ def sampler_bench(
         Number of dims, or several: the integrands are made in all of them; spectra, pair correlations,
         quality and speed are of the first, projections of all.
     realizations
-        Of each variance, at most the given sets.
+        Realizations for each variance; for given sets at most their number.
     rng
         A whole number: seed.
 
@@ -158,7 +182,9 @@ def sampler_bench(
         ):
             raise ParameterError(f"{name} is {given!r:.80}; give a list.")
     listed = dims if isinstance(dims, list | tuple | range) else [dims]
-    wanted = tuple(dict.fromkeys(as_integer("dims", d, least=1, most=_MOST_DIMS) for d in listed))
+    wanted = tuple(
+        dict.fromkeys(as_integer("dims", d, least=1, most=_SETTINGS.most_dims) for d in listed)
+    )
     asked = tuple(sorted({as_integer("counts", n, least=1) for n in counts}))
     many = as_integer("realizations", realizations, least=2)
     seed = as_integer("rng", rng, least=0)
@@ -228,7 +254,7 @@ def sampler_bench(
         if lacking := [f"{d}-D" for d in wanted if d not in sources]:
             notes.append(f"{label} cannot do {' and '.join(lacking)}")
         most = sources[max(sources)]
-        one = most.draw(most.nearest_count(min(asked[-1], _MOST_PICTURED)), rng=seed)[0]
+        one = most.draw(most.nearest_count(min(asked[-1], _SETTINGS.most_pictured)), rng=seed)[0]
         at = {"point": range(len(one)), "axis": range(most.dims)}
         parts.append(dataset({"points": (("point", "axis"), one)}, {**at, "integrand": titles}))
         measured.append(_joined(parts))
@@ -278,7 +304,7 @@ def ranks(variance: Array, variance_ci: Array, n: Array) -> tuple[Array, Array]:
     Parameters
     ----------
     variance, variance_ci, n
-        (sampler, task), with 95 % intervals (sampler, task, 2); NaN where there is none.
+        Arrays (sampler, task), with 95 % intervals (sampler, task, 2); NaN for a missing result.
 
     Returns
     -------
@@ -305,7 +331,7 @@ def ranks(variance: Array, variance_ci: Array, n: Array) -> tuple[Array, Array]:
 
 
 def standard_tasks(dims: int) -> Iterator[Task]:
-    """Yield the standard integrands in so many dims."""
+    """Yield the standard integrands in a number of dims."""
     for family, difficulty in _GENZ.items():
         if family != "discontinuous" or dims > 1:
             spec = f"genz-{family}(a={difficulty / dims:.4g})"
@@ -331,19 +357,19 @@ def _look(source: Sampler, asked: Sequence[int], own: Any, seed: int) -> xr.Data
     slow = isinstance(parts_of(source)[0], OptimisedSampler)
     sets = different_realizations(source, n, stream, SHARED_SETS if slow else 100)
     parts = []
-    if source.dims in _HALF_WIDTHS:
-        wide = _HALF_WIDTHS[source.dims]
+    if source.dims <= len(_SETTINGS.half_widths):
+        wide = _SETTINGS.half_widths[source.dims - 1]
         spectrum = power_spectrum(source, n, half_width=wide, realizations=sets, rng=own)
         rings = radial_statistics(spectrum)[["anisotropy_db", "anisotropy_noise_db"]]
         parts += [spectrum[["power", "radial_power"]], rings]
     if n > 1:
-        pairs = pair_correlation(source, n, realizations=min(sets, 16), rng=own)
-        if sets < _FEW_SETS:  # whose intervals would hide all else
+        pairs = pair_correlation(source, n, realizations=min(sets, _SETTINGS.pair_sets), rng=own)
+        if sets < _SETTINGS.few_sets:  # intervals would hide the curve
             pairs["pair_correlation_ci"][:] = np.nan
         parts.append(pairs[["pair_correlation", "pair_correlation_ci"]])
     means: dict[str, list[float]] = {name: [] for name in (*BENCH_QUALITY, "points_per_second")}
     for count in nearest.values():
-        some = different_realizations(source, count, stream, _QUALITY_SETS)
+        some = different_realizations(source, count, stream, _SETTINGS.quality_sets)
         figures = quality_figures(source, count, figures=BENCH_QUALITY, realizations=some, rng=own)
         for name, values in figures.data_vars.items():
             means[str(name)].append(float(values.mean(skipna=False)))
@@ -363,7 +389,7 @@ def _joined(parts: Sequence[xr.Dataset]) -> xr.Dataset:
 
 
 def shared_sets(source: Sampler) -> Sampler:
-    """Make do with a few sets of an optimised sampler, each used many times."""
+    """Make do with a few sets of an optimized sampler, each used many times."""
     if isinstance(source, OptimisedSampler):
         return replace(source, sets=source.sets or SHARED_SETS)
     if isinstance(source, Randomized) and isinstance(source.base, OptimisedSampler):
@@ -376,7 +402,10 @@ def free_of(source: Sampler, counts: Sequence[int]) -> tuple[Sampler, str]:
 
     Sets that do not vary enough are randomized.
     """
-    few = isinstance(source, GivenPoints) and min(map(len, source.sets.values())) < _ENOUGH_SETS
+    few = (
+        isinstance(source, GivenPoints)
+        and min(map(len, source.sets.values())) < _SETTINGS.enough_sets
+    )
     return randomized(source, counts) if source.fixed or few else (source, "")
 
 

@@ -1,13 +1,15 @@
-"""Where estimates missed what makes their variance, and what is said of it.
+"""Estimates that missed the source of their variance, and the sentences that report it.
 
-Estimates that show no spread, whose mean is off the integral, or of which one makes the variance bound
-nothing from above: `blindness` finds them by what is known of the integrand besides them.
+Estimates without spread, estimates whose mean is off the integral, and estimates of which one makes
+most of the variance give no upper bound. `blindness` finds them with the help of the known
+integral, ∫g² and poles.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,15 +24,35 @@ from mcspectra.samplers import Random, Sampler
 
 __all__ = ["blindness", "blindness_of", "is_fixed"]
 
-_LARGE_SHARE = 0.2  # of Σ (estimate − mean)², in one square: the tail is not resolved
-_RARELY = 1e-3  # normal estimates have a larger square this often; of few, one is always large
-_PEAKED = 9.0  # κ − 1 of estimates whose variance may be infinite: it is worth a quadrature
-_NO_KURTOSIS = 0.2495  # exponent of poles whose ∫g⁴ diverges, less what slopes are off by
-_FAR = 5.0  # standard errors from the integral that are no chance
+
+@dataclass(frozen=True)
+class BlindnessSettings:
+    """Thresholds above which estimates are taken to have missed the source of their variance."""
+
+    # Part of Σ (estimate − mean)² in one square above which the tail is not resolved. In samples of
+    # 1,000 exponential numbers the largest square has 4 % (median), and 17 % once in a thousand
+    # samples; normal ones have 1.2 and 2.4 %.
+    large_share: float = 0.2
+    # Probability that the largest square of a few normal estimates exceeds the share that is used
+    # for them.
+    rarely: float = 1e-3
+    # κ − 1 of estimates above which ∫g² is computed to see whether the variance is infinite. It is
+    # 2 for normal and 8 for exponential estimates. A smaller value costs time only, a larger one
+    # leaves more poles to other tests.
+    peaked: float = 9.0
+    # Exponent of a pole above which ∫g⁴ diverges. The limit is ¼, and fitted slopes are right to
+    # 5e-4.
+    no_kurtosis: float = 0.2495
+    # Standard errors between the mean and the integral that cannot be chance: a normal law has a
+    # probability of 6e-7, which stays small over the many counts of a study.
+    far: float = 5.0
+
+
+_SETTINGS = BlindnessSettings()
 
 
 def is_fixed(estimator: AbstractEstimator, sampler: Sampler) -> bool:
-    """Whether all estimates are of the same points."""
+    """Whether all estimates have the same points."""
     dealt = estimator.sets == "joint" and len(estimator.counts) > 1 and not sampler.sequence
     return estimator.randomized(sampler).fixed and not dealt
 
@@ -42,34 +64,35 @@ def blindness(
     realizations: int,
     measured: dict[str, Array],
 ) -> tuple[Array, list[str]]:
-    """Where estimates missed what makes their variance, and sentences that say why.
+    """Estimates that missed the source of their variance, and sentences that explain it.
 
     Parameters
     ----------
     measured
-        By name, each (estimator, sampler, n, channel): ``realizations``, ``variance``, its
-        ``relative_se``, the ``largest_share`` of a square in it, whether it is ``resolved`` and the
+        Arrays (estimator, sampler, n, channel) by name: ``realizations``, ``variance``, its
+        ``relative_se``, the ``largest_share`` of a square in it, whether it is ``resolved``, the
         ``tail_index``, ``bias``, ``bias_se`` and the ``floor`` of rounding.
 
     Returns
     -------
     tuple
-        Which variances have no finite upper end, in the shape of ``variance``; the sentences.
+        Whether each variance has no finite upper end, in the shape of ``variance``; the sentences.
     """
     from scipy.special import gammainc, ndtr, stdtrit
 
     r = measured["realizations"]
-    # More points lighten tails: those that are heavy at n are so at smaller counts, seen there or not
+    # More points lighten tails: a tail that is heavy at n is heavy at smaller counts, observed
+    # there or not
     heavy, unresolved = (
         np.logical_or.accumulate(found[:, :, ::-1], axis=2)[:, :, ::-1]
         for found in (measured["largest_share"] > _large_share(r), ~measured["resolved"])
     )
-    suspect = heavy | unresolved | (r * measured["relative_se"] ** 2 > _PEAKED)
+    suspect = heavy | unresolved | (r * measured["relative_se"] ** 2 > _SETTINGS.peaked)
     with np.errstate(divide="ignore", invalid="ignore"):
         pull = measured["bias"] / measured["bias_se"]
     noise = 4 * np.sqrt(measured["floor"])
-    missed = np.abs(measured["bias"]) > noise + _FAR * measured["bias_se"]
-    rare = float(ndtr(-_FAR))
+    missed = np.abs(measured["bias"]) > noise + _SETTINGS.far * measured["bias_se"]
+    rare = float(ndtr(-_SETTINGS.far))
     far = missed & (np.abs(pull) > -stdtrit(r - 1, rare))
     varies = measured["variance"] > measured["floor"]
 
@@ -81,8 +104,8 @@ def blindness(
         # Largest exponent of poles of any technique; black boxes are not called for it
         techniques = range(len(e.counts) if not e.is_black_box else 0)
         peaks = np.max([growth(e.primary_integrand(t)) for t in techniques], axis=0, initial=0.0)
-        # n times the variance of random points, Σ_t (∫g_t² − (∫g_t)²)/counts[t]: NaN where no closed form is
-        # known; where it may be infinite, which a quadrature tells, that is tried
+        # n times the variance of random points, Σ_t (∫g_t² − (∫g_t)²)/counts[t]: NaN without a
+        # closed form. If the variance may be infinite, a quadrature of ∫g² is tried
         doubtful, of_random = bool((suspect & varies)[i].any()), np.zeros(max(1, e.channels))
         for t, count in enumerate(e.counts):
             g, unknown = e.primary_integrand(t), np.full(of_random.shape, np.nan)
@@ -108,7 +131,8 @@ def blindness(
             agrees = ~missed[at] & (varies[at].any(axis=0) | (e.integral_source == "exact"))
             excess = true / np.where(varies[at], of["variance"], np.nan)
 
-            # A count has the first of these that holds, and the sentence its worst value
+            # The first condition that holds at a count is reported, with the worst value over
+            # counts
             everywhere = np.ones_like(low)
             for text, where, size in (
                 ("∫g² diverges, the variance is infinite", everywhere & np.isinf(of_random), excess),
@@ -119,7 +143,7 @@ def blindness(
                 ("the mean is {worst:+.3g} standard errors off the integral{at}: what is rare was not met",
                  far[at] & source.unbiased, pull[at]),
                 ("∫g⁴ diverges, g grows as t^-{worst:.2g}: no estimates bound the variance",
-                 everywhere & (peaks >= _NO_KURTOSIS), everywhere * peaks),
+                 everywhere & (peaks >= _SETTINGS.no_kurtosis), everywhere * peaks),
                 ("tails not resolved{at}: a single estimate makes {worst:.3g} % of the variance",
                  heavy[at] & varies[at], 100 * of["largest_share"]),
                 ("tails not resolved{at}: few estimates make the variance, tail index k̂ = {worst:.2f}",
@@ -142,7 +166,7 @@ def blindness(
 def blindness_of(
     estimator: AbstractEstimator, sampler: Sampler, n: int, moments: Moments
 ) -> tuple[Array, list[str]]:
-    """The same of one sampler and count: of each channel, and the sentences; a constant has one, too."""
+    """`blindness` for one sampler and count, by channel; estimates without variance also have a sentence."""
     integral, error, _ = estimator.known_integral()
     bias = moments.mean - np.atleast_1d(integral)
     measured = {
@@ -164,11 +188,12 @@ def blindness_of(
 def _large_share(realizations: Array) -> Array:
     """Share of the variance in one square, above which the tail of the estimates is not resolved.
 
-    A fifth; of few realisations more, which normal ones exceed once in a thousand times [Grubbs 1950].
+    A fifth, or more for few realizations: normal ones exceed it once in a thousand times [Grubbs
+    1950].
     """
     from scipy.special import stdtrit
 
     r = np.maximum(realizations, 3)
-    t2 = stdtrit(r - 2, _RARELY / (2 * r)) ** 2
+    t2 = stdtrit(r - 2, _SETTINGS.rarely / (2 * r)) ** 2
     normal = (r - 1) / r * t2 / (r - 2 + t2)
-    return np.where(realizations > 2, np.maximum(normal, _LARGE_SHARE), 1.0)
+    return np.where(realizations > 2, np.maximum(normal, _SETTINGS.large_share), 1.0)

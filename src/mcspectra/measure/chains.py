@@ -4,11 +4,12 @@ A stationary chain with the spectral density S(ν), ν in cycles per draw, has a
 
     Var = ∫ S(ν) |W(ν)|² dν = (1/n) ∫ S(ν) F_n(ν) dν,    F_n(ν) = sin²(πnν) / (n sin²(πν)),
 
-the power term with the Fejér kernel of the window W of equal weights; stationarity makes dc and cross term
-vanish. S is that of an autoregression, chosen by AIC as in [Thompson2010]_, whose autocovariances are
-corrected for the mean that was subtracted: removing a mean of variance V lowers all of them by V. The
-scatter of the chains' means is a second, independent estimate; both are pooled by degrees of freedom. Where
-they disagree the chains have not met, and nothing bounds the error.
+the power term with the Fejér kernel of the window W of equal weights; stationarity makes dc and
+cross term vanish. S comes from an autoregression whose order is chosen by AIC, as in
+[Thompson2010]_. Its autocovariances are corrected for the mean that was subtracted: removing a mean
+of variance V lowers all of them by V. The scatter of the chains' means is a second, independent
+estimate. Both are pooled by degrees of freedom. If they disagree, the chains are in different parts
+of the distribution, and the error has no upper bound.
 """
 
 from __future__ import annotations
@@ -27,20 +28,61 @@ from mcspectra.core.results import dataset
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["chain_error"]
+__all__ = ["CHAIN_SETTINGS", "ChainSettings", "chain_error", "quantity_error"]
 
-_LEAST_DRAWS = 10
-_SCORE = 5.0  # standard errors from what independent chains have
-_ALARM = 1e-4  # probability that a test names a cause where there is none
-_FORGOTTEN = 8.0  # autocorrelation times; a random walk seems to have fewer in 95 % of cases
-_RUN = 0.1  # share of the draws that repeat one value, in a chain of more than _VALUES values
-_VALUES = 20
-_TWO_LEVELS = 0.85  # share of the variance between the two sides of the mean; normal: 0.64
-_SWITCHES = 20
-_HEAVY = 0.6  # tail index, known to ±0.1 from 2000 draws; beyond ½ the variance is infinite
-_LEAST_TAIL = 20  # draws in a tail that is looked at
-_SMALLEST = 1e-100  # size of the draws whose squares have squares
-_FEW_DEGREES = 6.0  # the error is known to ±30 %
+
+@dataclass(frozen=True)
+class ChainSettings:
+    """Thresholds of the causes that are named for chains.
+
+    Numbers of cases are those of ``python -m benchmarks settings --chains``.
+    """
+
+    # Least number of draws of a chain: fewer leave an autoregression of order 2 at most (a quarter
+    # of the draws).
+    least_draws: int = 10
+    # Standard errors of the power of the mean chain above which chains are correlated: a normal law
+    # has a probability of 6e-7. Half of it has 2 false alarms in 475; double misses all of 50 sets
+    # of chains with a common part of 0.3.
+    score: float = 5.0
+    # Probability that a test names a cause for chains that have none. Two tests of drift and one of
+    # means are made for each quantity, so that a model of 100 quantities has a false alarm in 2 %
+    # of runs. With 1e-2 there are 4 false alarms in 475; 1e-6 finds the same faults.
+    alarm: float = 1e-4
+    # Length of a chain, in autocorrelation times, below which it has not forgotten its start. Half
+    # of it misses 43 of 50 chains with ρ = 0.99, and double takes 21 of 25 short chains for stuck.
+    forgotten: float = 8.0
+    # Fraction of the draws that repeat one value in a row, above which a chain is stuck.
+    # Insensitive between 0.05 and 0.1; 0.2 misses a run of 110 draws in 1,000.
+    run: float = 0.1
+    # Number of different values above which repeated draws are a fault: a count or a flag repeats
+    # its values.
+    values: int = 20
+    # Part of the variance between the two sides of the mean, above which draws lie on two levels.
+    # It is 0.64 for a normal law, 0.75 for a uniform one and 1 for two values. 0.7 takes 22 of 50
+    # random walks for levels; 0.95 misses levels that are 8 standard deviations apart.
+    two_levels: float = 0.85
+    # Most moves of each chain from one level to the other: with 20 of them the share of time on a
+    # level is known to about 1/√20 = 22 %. Insensitive between 10 and 40.
+    switches: int = 20
+    # Tail index above which a tail is heavy. The variance is infinite from ½ on, and an index from
+    # 2,000 draws has a standard error of about 0.1. 0.5 finds 49 of 50 chains with infinite
+    # variance, 0.6 finds 47 and 0.8 finds 25.
+    heavy: float = 0.6
+    # Least number of draws in a tail whose index is fitted: 20 draws give it to about 0.3. With 10
+    # there is a false alarm in 475; 20 and 40 have none and find the same tails.
+    least_tail: int = 20
+    # Smallest size of the largest draw of a quantity; its inverse is the largest. Squares of both,
+    # summed over any number of draws, are within the range of float64.
+    smallest: float = 1e-100
+    # Degrees of freedom of the error below which realizations are few: with 6 the error is known to
+    # 1/√12 = 29 %. With 3 one of 25 chains of 12 draws is missed, and with 12 there are 12 false
+    # alarms in 475.
+    few_degrees: float = 6.0
+
+
+CHAIN_SETTINGS = ChainSettings()
+"""Settings of all chains, unless others are passed."""
 
 _VARIABLES: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("mean", "mcse", "ess", "spectrum_at_zero"), ()),
@@ -48,21 +90,21 @@ _VARIABLES: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("error_share", "draw_share", "chain_spectrum", "fitted_spectrum"), ("band",)),
     "chain_spectrum_ci": ("band", "bound"),
 }
-"""Variables of the result and their dims, besides quantity."""
+"""Variables of the result with their dims, without the dim quantity."""
 
 
 def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
-    """Error of the means of Markov chains, its frequencies in time, and what is wrong with the chains.
+    """Error of the means of Markov chains, its frequencies in time, and faults of the chains.
 
     Parameters
     ----------
     draws
-        Real numbers: (n,) of one chain, (chain, draw), or (chain, draw, quantity); a DataArray or
-        Dataset with the dims chain and draw; or what has such a Dataset as its group posterior, as
-        ArviZ's InferenceData and DataTree.
+        Real numbers: (n,) for one chain, (chain, draw), or (chain, draw, quantity); a DataArray or
+        Dataset with the dims chain and draw; or an object with such a Dataset as its group
+        posterior, for example ArviZ's InferenceData or DataTree.
     weights
         Importance weights or multiplicities of the draws, (n,) or (chain, draw), not negative; by
-        default all alike. The error is that of the ratio estimate Σwx/Σw, linearised.
+        default all alike. The error is that of the ratio estimate Σwx/Σw, linearized.
 
     Returns
     -------
@@ -115,13 +157,14 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
         w = w / w.mean()
 
     sizes = np.abs(values).max(axis=(1, 2))
-    if ((sizes > 1 / _SMALLEST) | ((sizes > 0) & (sizes < _SMALLEST))).any():
+    smallest = CHAIN_SETTINGS.smallest
+    if ((sizes > 1 / smallest) | ((sizes > 0) & (sizes < smallest))).any():
         raise DomainError(
             f"draws are as large as {sizes.max():.3g} and as small as {sizes.min():.3g}; scale each "
-            f"quantity to a size between {_SMALLEST:g} and {1 / _SMALLEST:g}."
+            f"quantity to a size between {smallest:g} and {1 / smallest:g}."
         )
 
-    found = [_error(each, w) for each in values]
+    found = [quantity_error(each, w) for each in values]
     note = None
     if chains == 1:
         note = "One chain cannot show a mode that it never met: run several from scattered starts."
@@ -153,14 +196,14 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
 
 
 def _quantities(draws: Any) -> tuple[list[str], Array]:
-    """Names of the quantities, none of a single array's one, and values (quantity, chain, draw)."""
+    """Names of the quantities (empty for an array with one quantity) and values (quantity, chain, draw)."""
     import xarray as xr
 
-    # Take the posterior of what has groups, and its variables
+    # Take the variables of the posterior if there are groups
     given = getattr(draws, "posterior", draws)
     if isinstance(given, xr.DataTree):
         given = given.to_dataset()
-    parts = {"": given}
+    parts, least = {"": given}, CHAIN_SETTINGS.least_draws
     if isinstance(given, xr.Dataset):
         parts = {str(name): each for name, each in given.data_vars.items()}
     names, found = [], []
@@ -178,9 +221,9 @@ def _quantities(draws: Any) -> tuple[list[str], Array]:
             labels, part = [part[dim].values for dim in part.dims[2:]], part.values
         x = as_real_array(what, part)
         shape, x = x.shape, x[None] if x.ndim == 1 else x
-        if x.ndim < 2 or (x.ndim > 3 and not name) or not x.size or x.shape[1] < _LEAST_DRAWS:
+        if x.ndim < 2 or (x.ndim > 3 and not name) or not x.size or x.shape[1] < least:
             raise ParameterError(
-                f"{what} have shape {shape}; give {_LEAST_DRAWS} draws or more, of shape (n,), "
+                f"{what} have shape {shape}; give {least} draws or more, of shape (n,), "
                 "(chain, draw) or (chain, draw, quantity)."
             )
         if bad := int(np.count_nonzero(~np.isfinite(x))):
@@ -200,15 +243,15 @@ def _quantities(draws: Any) -> tuple[list[str], Array]:
 class _Fit:
     """An autoregression of chains that share its law, and the error of a chain's mean by it."""
 
-    coefficients: Array  # of the draws, 1 first, whose sum is white noise
-    variance: float  # of a chain's mean, ∫ S F_n / n
+    coefficients: Array  # coefficients of the draws, 1 first, whose sum is white noise
+    variance: float  # variance of a chain's mean, ∫ S F_n / n
     spread: float  # variance of a draw
-    at_zero: float
-    degrees: float  # of freedom of the variance
-    spectrum: Array  # S at j / length cycles per draw, from 0 to ½
-    error: Array  # parts of the variance at these frequencies
-    power: Array  # measured, of S
-    frequency: Array
+    at_zero: float  # S(0)
+    degrees: float  # degrees of freedom of the variance
+    spectrum: Array  # S at the frequencies
+    error: Array  # parts of the variance at the frequencies
+    power: Array  # periodogram at the frequencies
+    frequency: Array  # j / length cycles per draw, from 0 to ½
 
 
 def _fitted(z: Array) -> _Fit:
@@ -226,7 +269,7 @@ def _fitted(z: Array) -> _Fit:
         kernel = (np.sin(np.pi * n * frequency) / np.sin(np.pi * frequency)) ** 2 / n
     kernel[0] = n
 
-    # Fit to the covariances, and again to these with the variance of the mean that was subtracted
+    # Fit to the covariances, then again after adding the variance of the mean that was subtracted
     centred = z - z.mean(axis=1, keepdims=True)
     power = np.mean([np.abs(rfft(row, length)) ** 2 for row in centred], axis=0)
     most = int(min(n // 4, 10 * math.log10(n * chains)))
@@ -250,8 +293,9 @@ def _fitted(z: Array) -> _Fit:
         error = both * spectrum * kernel / n
         variance = float(error.sum())
 
-    # The error of log S(0) by the delta method: that of the coefficients has Γ⁻¹ in it. AIC tries two
-    # more than it needs: they cost as much where all are 0
+    # The error of log S(0) by the delta method; the covariance of the coefficients contains Γ⁻¹.
+    # AIC tries two orders more than it needs, so that the error includes one more coefficient
+    # although it may be 0
     order = len(chosen) + 1
     sums = solve_toeplitz(covariance[:order], np.ones(order)).sum() * innovation
     square = (2.0 + 4.0 * max(float(sums), 0.0) / float(chosen.sum()) ** 2) / (n * chains)
@@ -260,8 +304,8 @@ def _fitted(z: Array) -> _Fit:
     return _Fit(chosen, variance, spread, at_zero, degrees, spectrum, error, power, frequency)
 
 
-def _error(x: Array, w: Array) -> dict[str, Any]:
-    """All that is said of one quantity (chain, draw)."""
+def quantity_error(x: Array, w: Array, settings: ChainSettings = CHAIN_SETTINGS) -> dict[str, Any]:
+    """The variables of the result for one quantity (chain, draw) with weights of the same shape."""
     from scipy.signal import lfilter
     from scipy.stats import chi2, f, t
 
@@ -278,8 +322,8 @@ def _error(x: Array, w: Array) -> dict[str, Any]:
         return {**nothing, **ends, "mean": mean, "cause": "stuck-chain", "evidence": said}
     causes: dict[str, str] = {}
 
-    # Chains that move together have the error of their mean chain. Of whitened chains that do not, the
-    # power of the mean chain over theirs is Beta(1, m − 1) at each frequency
+    # Chains that move together have the error of their mean chain. For independent whitened chains
+    # the power of the mean chain over the power of all is Beta(1, m − 1) at each frequency
     fit = own = _fitted(z)
     series, remark = z, ""
     if chains > 1:
@@ -288,14 +332,14 @@ def _error(x: Array, w: Array) -> dict[str, Any]:
         each = np.maximum((np.abs(waves) ** 2).sum(axis=0), np.finfo(float).tiny)
         together = np.abs(waves.sum(axis=0)) ** 2 / each
         score = (together.mean() - 1) * math.sqrt(each.size * (chains + 1) / (chains - 1))
-        if abs(score) > _SCORE:
+        if abs(score) > settings.score:
             remark = (
                 f"the mean of the {chains} chains varies {together.mean():.2g} times as much as "
             )
             remark += "that of independent ones"
             series = z.mean(axis=0, keepdims=True)
             own = _fitted(series)
-        if score > _SCORE:
+        if score > settings.score:
             causes["correlated-replicates"] = f"{remark}, as chains of one seed or one start do"
     rows, means = len(series), series.mean(axis=1)
     tau = n * own.variance / own.spread
@@ -303,7 +347,7 @@ def _error(x: Array, w: Array) -> dict[str, Any]:
     between = float(means.var(ddof=1)) / rows if rows > 1 else 0.0
     variance = (degrees * within + (rows - 1) * between) / (degrees + rows - 1)
 
-    # Chains that disagree, repeat a value, drift or remember their start
+    # Find chains that disagree, repeat a value, drift or depend on their start
     stuck = ""
     ratio = between / within
     time = np.arange(n) - (n - 1) / 2
@@ -311,20 +355,24 @@ def _error(x: Array, w: Array) -> dict[str, Any]:
     slopes = series @ time
     flat = _fitted(series - slopes.mean() * time)
     shared = f.sf(rows * slopes.mean() ** 2 / flat.at_zero, 1, flat.degrees)
-    drift = min(shared, f.sf((slopes**2).mean() / flat.at_zero, rows, flat.degrees)) < _ALARM / 2
+    drift = (
+        min(shared, f.sf((slopes**2).mean() / flat.at_zero, rows, flat.degrees))
+        < settings.alarm / 2
+    )
     moves = np.diff(x, axis=1, prepend=math.nan, append=math.nan) != 0
     run = int(np.diff(np.flatnonzero(moves)).max())
-    if run >= max(_RUN * n, _LEAST_DRAWS) and np.unique(x).size > _VALUES:
+    repeats = run >= max(settings.run * n, settings.least_draws)
+    if repeats and np.unique(x).size > settings.values:
         stuck = f"a chain repeats one value for {run} of {n} draws"
-    elif rows > 1 and f.sf(ratio, rows - 1, degrees) < _ALARM:
+    elif rows > 1 and f.sf(ratio, rows - 1, degrees) < settings.alarm:
         stuck = f"the means of the chains differ {math.sqrt(ratio):.2g} times as much as the draws "
         stuck += "within a chain explain: they are in different parts of the distribution"
-    elif n < _FORGOTTEN * tau or drift:
+    elif n < settings.forgotten * tau or drift:
         side = x > x.mean(axis=1, keepdims=True)
         low, high = x[~side], x[side]
         share = side.mean() * (1 - side.mean()) * (high.mean() - low.mean()) ** 2 / x.var()
         switches = int(np.count_nonzero(np.diff(side, axis=1)))
-        if share > _TWO_LEVELS and switches <= _SWITCHES * chains:
+        if share > settings.two_levels and switches <= settings.switches * chains:
             stuck = f"the draws lie on two levels, with {switches} moves from one to the other"
         else:
             stuck = "the chain drifts: its mean moves with time by more than its error explains"
@@ -334,15 +382,15 @@ def _error(x: Array, w: Array) -> dict[str, Any]:
         causes["stuck-chain"] = stuck
         variance = max(variance, between)
 
-    # Tails of draws so far apart that they hardly know each other
-    index = _tail_index(z[:, :: max(1, math.ceil(tau))].ravel())
-    if index > _HEAVY:
+    # Fit the tail of draws that are an autocorrelation time apart
+    index = _tail_index(z[:, :: max(1, math.ceil(tau))].ravel(), settings.least_tail)
+    if index > settings.heavy:
         causes["heavy-tail"] = f"the tail index is {index:.2f}: beyond ½ the variance is infinite"
     degrees += rows - 1
-    if not stuck and degrees < _FEW_DEGREES:
+    if not stuck and degrees < settings.few_degrees:
         causes["few-realizations"] = "the draws are too few to know their error to 30 %"
 
-    # Intervals: Student's t and χ², without an end where nothing bounds the error
+    # Intervals by Student's t and χ²; they have no end if the error has no upper bound
     bounded = not {"stuck-chain", "heavy-tail"} & set(causes)
     mcse = math.sqrt(variance)
     half = float(t.ppf(0.975, degrees)) * mcse if bounded else math.inf
@@ -353,7 +401,7 @@ def _error(x: Array, w: Array) -> dict[str, Any]:
     cells = np.bincount(of_grid, minlength=size)
     error = np.bincount(of_grid, own.error, size)
     fitted, power = (np.bincount(of_grid, v, size) / cells for v in (fit.spectrum, fit.power))
-    # Below 1/n what is measured is the scatter of the chains' means
+    # The band below 1/n is measured by the scatter of the chains' means
     freedom = 2.0 * rows * n * np.diff(edges)
     power[0], freedom[0] = (n * means.var(ddof=1), rows - 1) if rows > 1 else (math.nan, math.nan)
     chances = chi2.ppf([0.975, 0.025], freedom[:, None])
@@ -376,10 +424,10 @@ def _error(x: Array, w: Array) -> dict[str, Any]:
     }
 
 
-def _tail_index(z: Array) -> float:
-    """k̂ of a generalised Pareto law of the largest |z − median|, by [Vehtari2024]_; NaN of few draws."""
+def _tail_index(z: Array, least: int) -> float:
+    """k̂ of a generalized Pareto law of the largest |z − median| [Vehtari2024]_; NaN below `least` draws."""
     most = int(min(z.size / 10, 3 * math.sqrt(z.size)))
-    if most < _LEAST_TAIL:
+    if most < least:
         return math.nan
     excess = np.sort(np.abs(z - np.median(z)))[-most - 1 :]
     excess = excess[1:] - excess[0]
@@ -393,7 +441,7 @@ def _tail_index(z: Array) -> float:
     likelihood = most * (np.log(-b / k) - k - 1)
     weight = np.exp(likelihood - likelihood.max())
     index = float(np.log1p(-(b @ weight) / weight.sum() * excess).mean())
-    return (most * index + 5) / (most + 10)  # as if ten further draws had ½
+    return (most * index + 5) / (most + 10)  # prior of the reference: ten more draws with ½
 
 
 def _edges(n: int) -> Array:

@@ -1,14 +1,14 @@
 """Convergence: measured variance against n and its fitted rate.
 
-How many realisations: a given number, or until the variance is known well enough (docs/theory.md,
-"Intervals of variances, and stopping"), in stages fixed by what was seen so far, hence the same bits
-for any number of workers. What has not been seen cannot be counted: a stop is believed only when the
-next stage, at least a quarter longer, confirms it, because the first stop of a skewed sample tends to
-be a moment at which its kurtosis is underestimated; and estimates that have shown no spread at all
-are no evidence of none: 10 000 are tried, then the error is NaN, and the goal not reached.
+The number of realizations is given, or grows until the variance is known well enough
+(docs/theory.md, "Intervals of variances, and stopping"). It grows in stages that depend only on
+earlier estimates, so that the result has the same bits for any number of workers. A stop counts
+only if the next stage, at least a quarter longer, confirms it: a skewed sample tends to stop first
+when its kurtosis is underestimated. Estimates without any spread do not prove that the variance is
+0: after 10,000 of them the error is NaN, and the precision is not reached.
 
-Where the estimates show that they missed what makes the variance, its interval has no finite upper
-end, the rate none at all, and the attribute ``note`` says why (`mcspectra.measure.blindness`).
+If the estimates missed the source of the variance, its interval has no finite upper end, the rate
+has no interval, and the attribute ``note`` explains why (`mcspectra.measure.blindness`).
 """
 
 from __future__ import annotations
@@ -59,14 +59,35 @@ __all__ = [
     "realizations_needed",
 ]
 
-Precision = Annotated[float, Meta(ge=1e-4, le=1.0)]  # a better one takes billions of realisations
+Precision = Annotated[float, Meta(ge=1e-4, le=1.0)]  # a better one takes billions of realizations
 
-_LEAST = 100  # realisations of the first stage: κ of fewer says little
-_STEP = 1.25  # a stage makes the sample longer by a quarter at least,
-_LEAP = 4.0  # and at most fourfold: κ is known better then
-_BLANK = 10_000  # realisations without spread after which the search is given up
-_TAIL = ("largest_share", "resolved", "tail_index")  # of `Moments`: what they tell of it
-_PARTS = 2  # a block is half the usual: a thousand realisations of a thousand points are two
+
+@dataclass(frozen=True)
+class StageSettings:
+    """Stages of a search for the number of realizations, and the size of blocks."""
+
+    # Realizations of the first stage: the kurtosis of 100 normal estimates has a standard error of
+    # √(24/100) = 0.5. Insensitive between 50 and 200.
+    first: int = 100
+    # Least and most factor by which a stage makes the sample longer: a quarter more confirms a
+    # stop, and after a factor of 4 the kurtosis is known twice as well, so that the next length is
+    # better chosen. With 1.1 searches for 10 % end at an error of 10.3 %; with 1.25 it is 9 %, and
+    # 1.5 takes 30 % more. Insensitive to a leap between 2 and 8 (``python -m benchmarks settings
+    # --stages``).
+    step: float = 1.25
+    leap: float = 4.0
+    # Realizations without spread after which the search ends: an event of probability 3e-4 is met
+    # with 95 %.
+    blank: int = 10_000
+    # Blocks hold a usual block over this number: two blocks for a thousand realizations of a
+    # thousand points, so that two threads have work.
+    parts: int = 2
+
+
+STAGE_SETTINGS = StageSettings()
+"""Settings of all searches, unless others are passed."""
+
+_TAIL = ("largest_share", "resolved", "tail_index")  # fields of `Moments` that describe the tail
 
 _DIMS = {
     "variance": ("n", "channel"),
@@ -128,7 +149,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Steps:
-        """The next realisations of every cell that needs some, by the part of the cell."""
+        """The next realizations of every cell that needs some, by the part of the cell."""
         cells = self._cells(subject, stream)
         found = yield from in_step([
             cell.all_of(part, self.realizations)
@@ -137,7 +158,8 @@ class Convergence(Counted, frozen=True, kw_only=True):
             for part, cell in enumerate(cells)
         ])  # fmt: skip
 
-        # Moments of every estimator, sampler and count; estimators that share realisations come last
+        # Moments of every estimator, sampler and count; estimators that share realizations come
+        # last
         estimators, samplers = subject.estimators, subject.samplers
         flat = [each for cell in found for each in cell]
         joint = len(cells[0].estimators) > 1
@@ -158,13 +180,13 @@ class Convergence(Counted, frozen=True, kw_only=True):
         known = np.array([error for _, error, _ in references])[:, None, None, None]
         floor = rounding_floor(np.fmax(np.abs(mean), np.abs(integral)))
 
-        # A set that is the same every time has no variance, but rounding noise
+        # A set that is the same every time has no variance; the rest is rounding noise
         fixed = np.array([[is_fixed(e, s) for s in samplers] for e in estimators])
         variance[fixed], interval[fixed], mean_se[fixed] = 0.0, 0.0, 0.0
         v, r, f = (np.moveaxis(a, 2, 0) for a in (variance, relative, floor))
         fits = fit_rates(np.array(self.counts), v, r, f, self.fit_last)
 
-        # No upper end where something was missed, and no interval of a rate that rests on it
+        # Intervals of missed variances have no upper end, and rates fitted to them no interval
         measured = {
             "realizations": np.broadcast_to(count[..., None], variance.shape),
             "variance": variance,
@@ -206,7 +228,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
             "fit_chi2": fits["chi2"],
         }
 
-        # What is no list, and a scalar, has no dim
+        # A single estimator or sampler, and a scalar integrand, have no dim
         single = {
             "estimator": subject.estimator is estimators[0],
             "sampler": subject.sampler is samplers[0],
@@ -236,15 +258,15 @@ class Convergence(Counted, frozen=True, kw_only=True):
         )
 
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
-        """Any run of realisations of a cell."""
+        """Any run of realizations of a cell."""
         part, first, realizations = map(int, key.split("-"))
         return self._cells(subject, stream)[part].run(part, first, realizations)
 
     def _cells(self, subject: Subject, stream: Stream) -> list[MomentsCell]:
-        """By group of estimators that share realisations, by sampler, by count.
+        """By group of estimators that share realizations, by sampler, by count.
 
         One technique that has no `draw` of its own gets the sampler's points: all such share them.
-        A wanted precision takes as many realisations as each estimator needs by itself.
+        A wanted precision takes as many realizations as each estimator needs by itself.
         """
         estimators = tuple(subject.estimators)
         draws = AbstractEstimator.draw
@@ -260,7 +282,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
 
 @final
 class RealizationsNeeded(Counted, frozen=True, kw_only=True):
-    """How many realisations a wanted precision of the variance takes."""
+    """How many realizations a wanted precision of the variance takes."""
 
     function = "measure.realizations_needed"
     variables = (
@@ -282,12 +304,13 @@ class RealizationsNeeded(Counted, frozen=True, kw_only=True):
         estimator = subject.estimator
         estimator.check_sampler(subject.sampler, self.n)
         evaluations = sum(estimator.counts)
-        expected = min(self.max_realizations, 2.0 / self.relative_error**2)  # of normal estimates
+        # Normal estimates have κ − 1 = 2
+        expected = min(self.max_realizations, 2.0 / self.relative_error**2)
         memory = memory_of(self.n, estimator.dims, evaluations)
         return Need(cost=expected * self.n * evaluations, memory=memory)
 
     def reduction(self, subject: Subject, stream: Stream) -> Steps:
-        """The next realisations."""
+        """The next realizations."""
         cell = MomentsCell((subject.estimator,), subject.sampler, self.n, stream)
         search = cell.until_precise(0, self.relative_error, self.max_realizations)
         (((moments, reached),),) = yield from in_step([search])
@@ -314,7 +337,7 @@ class RealizationsNeeded(Counted, frozen=True, kw_only=True):
         )
 
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
-        """Any run of realisations."""
+        """Any run of realizations."""
         cell = MomentsCell((subject.estimator,), subject.sampler, self.n, stream)
         return cell.run(*map(int, key.split("-")))
 
@@ -345,20 +368,21 @@ def convergence(
     counts
         Numbers of points n, ascending; each must be one that every sampler can do.
     realizations
-        Independent realisations for each n, at least 2; with `relative_error` the most of each.
+        Independent realizations for each n, at least 2; with `relative_error` the most of each.
     rng
         Seed (SPEC 7); each n has a stream of its own, shared by all estimators and samplers
         (common random numbers).
     relative_error
         Stop each count as soon as the standard error of its variance, relative to it, is this small
-        (`realizations_needed`); by default all realisations are used.
+        (`realizations_needed`); by default all realizations are used.
     fit_last
-        Fit only the last so many counts; all by default. ``"auto"`` takes as many as lie on a
+        Number of last counts that are fitted; all by default. ``"auto"`` takes as many as lie on a
         line: `mcspectra.core.fits.fit_rate`.
     workers
         Threads; all processors by default. Results do not depend on it.
     max_evaluations
-        Most evaluations of the integrand: what takes more is refused, where that is known before it starts.
+        Most evaluations of the integrand. An analysis that takes more is refused, before it starts
+        if possible.
 
     Returns
     -------
@@ -413,7 +437,7 @@ def realizations_needed(
     Parameters
     ----------
     estimator, sampler, n
-        What is measured.
+        The estimator, its sampler and the number of points.
     dims
         Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
         that is not a spec.
@@ -422,11 +446,12 @@ def realizations_needed(
     max_realizations
         Stop there in any case, at least 2.
     rng
-        Seed (SPEC 7). Realisation r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
+        Seed (SPEC 7). Realization r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
     workers
         Threads; all processors by default. Results do not depend on it.
     max_evaluations
-        Most evaluations of the integrand: what takes more is refused, where that is known before it starts.
+        Most evaluations of the integrand. An analysis that takes more is refused, before it starts
+        if possible.
 
     Returns
     -------
@@ -444,8 +469,9 @@ def realizations_needed(
 
     Notes
     -----
-    About (κ − 1)/relative_error² realisations, and a quarter more to confirm. What is so rare that it
-    has not come up cannot be known of: compare ``skewness`` with what the integrand lets expect.
+    The search takes about (κ − 1)/relative_error² realizations, and a quarter more to confirm. It
+    cannot account for events that are too rare to occur: compare ``skewness`` with its value for
+    the integrand.
 
     Examples
     --------
@@ -474,10 +500,10 @@ class MomentsCell:
     stream: Stream
 
     def run(self, part: int, first: int, realizations: int) -> Reduction[list[Moments]]:
-        """Moments of so many realisations from the first, of each estimator."""
+        """Moments of each estimator over `realizations` realizations, beginning with `first`."""
         evaluations = self.n * sum(self.estimators[0].counts)
-        numbers = evaluations * self.estimators[0].dims  # of a realisation
-        blocks = realization_blocks(realizations, _PARTS * numbers, first=first)
+        numbers = evaluations * self.estimators[0].dims  # coordinates of a realization
+        blocks = realization_blocks(realizations, STAGE_SETTINGS.parts * numbers, first=first)
         sets = independent_sets(self.estimators[0].law(self.sampler, self.n))
 
         def estimates(block: Block) -> list[tuple[Array, Moments | None]]:
@@ -485,7 +511,7 @@ class MomentsCell:
             return [of_estimator(e, points) for e in self.estimators]
 
         def of_estimator(e: AbstractEstimator, points: list[Array]) -> tuple[Array, Moments | None]:
-            """Estimates (R, channels or 1); of others' functions only values at points tell of poles."""
+            """Estimates (R, channels or 1); poles of black boxes show only in the values at points."""
             if len(points) > 1 or not e.is_black_box:
                 return e.estimate(points).reshape(len(points[0]), -1), None
             values = e.primary_values(0, points[0])
@@ -512,24 +538,31 @@ class MomentsCell:
         )
 
     def all_of(self, part: int, realizations: int) -> _Search:
-        """A given number of realisations."""
+        """A given number of realizations."""
         return [(moments, True) for moments in (yield self.run(part, 0, realizations))]
 
-    def until_precise(self, part: int, relative_error: float, most: int) -> _Search:
-        """Go on until the error is reached and confirmed, for one estimator."""
-        (moments,) = yield self.run(part, 0, min(_LEAST, most))
+    def until_precise(
+        self,
+        part: int,
+        relative_error: float,
+        most: int,
+        settings: StageSettings = STAGE_SETTINGS,
+    ) -> _Search:
+        """Add realizations until the error is reached and confirmed, for one estimator."""
+        (moments,) = yield self.run(part, 0, min(settings.first, most))
         before = False
         while True:
             # Largest error among the channels that vary; NaN if none does
             varies = moments.variance > rounding_floor(moments.mean)
             error = float(moments.known_se[varies].max()) if varies.any() else math.nan
             now, blank = error <= relative_error, math.isnan(error)
-            if (now and before) or moments.count >= (min(most, _BLANK) if blank else most):
+            if (now and before) or moments.count >= (min(most, settings.blank) if blank else most):
                 return [(moments, now and before)]
             before = now
-            # The next stage ends where the error should be reached, within a quarter to fourfold
+            # The next stage ends where the error should be reached, within the limits of its length
             excess = math.inf if blank else error / relative_error
-            stop = min(most, math.ceil(moments.count * min(max(excess**2, _STEP), _LEAP)))
+            longer = min(max(excess**2, settings.step), settings.leap)
+            stop = min(most, math.ceil(moments.count * longer))
             (more,) = yield self.run(part, moments.count, stop - moments.count)
             moments = moments.merge(more)
 
@@ -548,7 +581,7 @@ def count_moments(
     workers: int = 1,
     first: int = 0,
 ) -> Moments:
-    """Moments of the estimates of realisations first … first + realizations − 1, channels last."""
+    """Moments of the estimates of realizations first … first + realizations − 1, channels last."""
     run = MomentsCell((estimator,), sampler, n, stream).run(0, first, realizations)
     tree: MergeTree[list[Moments]] = MergeTree()
     for state in map_in_order(run.block, range(run.blocks), workers):

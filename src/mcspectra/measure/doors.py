@@ -1,4 +1,4 @@
-"""What analyses share: the body of their public functions, coordinates of results, words."""
+"""Parts that all analyses share: the body of their public functions, coordinates of results, sentences."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 __all__ = ["NO_VARIANCE", "VANISHES", "answer", "counted"]
 
 NO_VARIANCE = "has no variance: add owen or shift, or look at |bias|"
-"""What is said of a sampler whose set is the same every time."""
+"""Words about a sampler whose set is the same every time, after its name."""
 
 VANISHES = "the variance vanishes to rounding"
-"""What is said where the estimates are the integral."""
+"""Words about estimates that all equal the integral."""
 
 
 def answer(analysis: type[Analysis], arguments: Mapping[str, Any]) -> xr.Dataset:

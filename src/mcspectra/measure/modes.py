@@ -2,15 +2,17 @@
 
 The eigenvectors of Cov(y_m, y_l), y_m = conj(f_m) S_m or S_m itself, are the patterns over the
 frequencies whose amplitudes are uncorrelated, its eigenvalues their variances. The matrix is never
-formed. Randomised subspace iteration [Halko2011]_ needs its product with a few vectors, a pass over
-the realisations, which can be drawn again: the range of A Ω, Ω random, holds the leading eigenvectors
-but for errors that shrink with every further product; the eigenpairs of A projected on it
-(Rayleigh-Ritz) are the answer, and ‖A v − λ v‖ bounds the distance of λ to an eigenvalue of A. All is
-done in the real and imaginary parts of the coefficients stored, times √2 where −m is not.
+formed. Randomized subspace iteration [Halko2011]_ needs only its product with a few vectors: one
+pass over the realizations, which can be drawn again. The range of A Ω, with Ω random, holds the
+leading eigenvectors up to errors that shrink with every further product. The eigenpairs of A
+projected on that range (Rayleigh-Ritz) are the result, and ‖A v − λ v‖ bounds the distance of λ to
+an eigenvalue of A. The coordinates are the real and imaginary parts of the stored coefficients,
+times √2 if −m is not stored.
 
-A itself is a sample: batches of realisations each give a variance along v, whose spread is the
-error of λ as the variance along v. That v was picked for a large λ it does not know: `noise_edge`
-is what picking makes of a flat spectrum.
+A itself is a sample: each batch of realizations gives a variance along v, and the spread over
+batches gives the error of λ as the variance along v. This error does not include that v was
+selected for a large λ: `noise_edge` is the largest eigenvalue that this selection gives for a flat
+spectrum.
 """
 
 from __future__ import annotations
@@ -42,7 +44,7 @@ from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.measure.bands import check_bands, make_bands
 from mcspectra.measure.doors import answer, counted
-from mcspectra.measure.sums import BATCHES, spread
+from mcspectra.measure.sums import BATCH_SETTINGS, spread
 from mcspectra.measure.views import Frequencies, View
 
 if TYPE_CHECKING:
@@ -50,16 +52,31 @@ if TYPE_CHECKING:
 
 __all__ = ["CovarianceProduct", "Modes", "covariance_modes"]
 
-_OVERSAMPLING = 8  # vectors more than modes: the error falls with their number [Halko2011]
-_MAX_NUMBERS = 2**27  # of one set of vectors: 1 GiB
+
+@dataclass(frozen=True)
+class ModeSettings:
+    """Numbers of vectors and realizations for modes."""
+
+    # Vectors in addition to the modes. [Halko2011]_ proves bounds for any number and recommends 5
+    # to 10.
+    oversampling: int = 8
+    # Most numbers of one set of vectors: they take 1 GiB in float64.
+    most_numbers: int = 2**27
+    # Realizations per coefficient below which a note warns of sampling noise. With 10 of them the
+    # edge of the spectrum of noise is (1 + √(1/10))² = 1.73 times its mean [Marchenko1967]_.
+    many: float = 10.0
+    # Variance of a coordinate, as a fraction of the largest, that counts as rounding. Its standard
+    # deviation is then 1e-10 of the largest, about a million roundings.
+    rounding: float = 1e-20
+
+
+_SETTINGS = ModeSettings()
 _START = 0x6D6F6465  # stream label of the first vectors
-_MANY = 10.0  # realisations per coefficient from which on sampling changes eigenvalues by < 75 %
-_ROUNDING = 1e-20  # variances beside the largest that are rounding
 
 
 @final
 class Modes(Counted, frozen=True, kw_only=True):
-    """Leading eigenvectors of the covariance of the coefficients: what varies together."""
+    """Leading eigenvectors of the covariance of the coefficients, which vary together."""
 
     function = "covariance_modes"
     verb = "variance"
@@ -112,8 +129,8 @@ class Modes(Counted, frozen=True, kw_only=True):
         frequencies = Frequencies.of(subject, self)
         check_bands(self.bands, frequencies.basis)
         size, evaluations = frequencies.size, sum(estimator.counts)
-        numbers = size * (self.modes + _OVERSAMPLING)
-        if numbers > _MAX_NUMBERS:
+        numbers = size * (self.modes + _SETTINGS.oversampling)
+        if numbers > _SETTINGS.most_numbers:
             raise ParameterError(
                 f"{self.modes} modes of {size} coefficients take {8 * size * self.modes / 2**30:.3g} "
                 "GiB; ask for fewer, or for a smaller ",
@@ -128,7 +145,7 @@ class Modes(Counted, frozen=True, kw_only=True):
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Steps:
-        """A pass over the realisations after the other, each with vectors that the last one gave."""
+        """A pass over the realizations after the other, each with vectors that the last one gave."""
         estimator, n = subject.estimator, self.n
         frequencies = Frequencies.of(subject, self)
         if frequencies.diverge:
@@ -159,8 +176,10 @@ class Modes(Counted, frozen=True, kw_only=True):
         coordinates = _Coordinates.of(view, inside, self.channel, weighted=self.weighted)
         as_integer("modes", self.modes, least=1, most=coordinates.size)
         numbers = max(n * estimator.dims * sum(estimator.counts), 4 * coordinates.size)
-        blocks = realization_blocks(self.realizations, numbers, multiple=2, least=BATCHES)
-        group = -(-len(blocks) // BATCHES)  # of which a batch is made
+        blocks = realization_blocks(
+            self.realizations, numbers, multiple=2, least=BATCH_SETTINGS.least
+        )
+        group = -(-len(blocks) // BATCH_SETTINGS.least)  # blocks of a batch
 
         def step(number: int, vectors: Array) -> Reduction[CovarianceProduct]:
             def batch(index: int) -> CovarianceProduct:
@@ -169,7 +188,7 @@ class Modes(Counted, frozen=True, kw_only=True):
                     points = estimator.draw(subject.sampler, n, stream, *blocks[place])
                     z = coordinates.real(view.coefficients(points))
                     tree.add(CovarianceProduct.of(z, vectors))
-                # The same as one batch; a single realisation has no covariance and says nothing
+                # All blocks as one batch; a single realization has no covariance and is left out
                 total = tree.total()
                 some, least = slice(0, int(total.count > 1)), max(total.count - 1, 1)
                 projected = (product(vectors.T, total.product) / least)[None][some]
@@ -186,7 +205,7 @@ class Modes(Counted, frozen=True, kw_only=True):
             )
 
         # The range of A Ω, then the eigenpairs of A projected on it
-        width = min(coordinates.size, self.modes + _OVERSAMPLING)
+        width = min(coordinates.size, self.modes + _SETTINGS.oversampling)
         start = np.random.default_rng([stream.key, _START])
         vectors = start.standard_normal((coordinates.size, width))
         for number in range(self.passes - 1):
@@ -209,7 +228,7 @@ class Modes(Counted, frozen=True, kw_only=True):
         trace, size = float(diagonal.sum()), coordinates.size
         # Largest sample eigenvalue of a flat spectrum of the same trace, by Marchenko and Pastur: with D
         # coordinates that vary, λ (1 + √(D/(R − 1)))² in the limit of many of both [Marchenko1967]_
-        least = _ROUNDING * diagonal.max(initial=0.0)
+        least = _SETTINGS.rounding * diagonal.max(initial=0.0)
         varying = int(np.count_nonzero(diagonal > least))
         level = trace / varying if varying else 0.0
         edge = level * (1.0 + math.sqrt(varying / (self.realizations - 1))) ** 2
@@ -237,12 +256,12 @@ class Modes(Counted, frozen=True, kw_only=True):
             channel=self.channel if subject.estimator.channels else None,
             band=self.band if self.band is None or isinstance(self.band, str) else list(self.band),
             real_coefficients=size,
-            note=None if self.realizations >= _MANY * size else note,
+            note=None if self.realizations >= _SETTINGS.many * size else note,
             engine=view.engine,
         )
 
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
-        """A pass, whose vectors take those before it: they are made again."""
+        """A pass; the passes before it are repeated, because their vectors are needed."""
         steps = self.reduction(subject, stream)
         states = None
         while True:
@@ -279,35 +298,37 @@ def covariance_modes(
     Parameters
     ----------
     estimator, sampler, n
-        What is analysed, as in `variance_terms`.
+        See `variance_terms`.
     dims, half_width, realizations, rng, basis, space, engine, eps, workers
-        As in `variance_terms`.
+        See `variance_terms`.
     modes
         How many, at most as many as coefficients.
     weighted
-        Of conj(f_m) S_m, whose covariances sum to the variance; False: of S_m, the points' own.
+        True: modes of conj(f_m) S_m, whose covariances sum to the variance. False: modes of S_m,
+        the points alone.
     bands, band
         Restrict to the functions of a band or several: their labels in the partition `bands`
         (`mcspectra.measure.bands.make_bands`); None: all.
     channel
         Which channel of the integrand.
     passes
-        Passes over the realisations, at least 2; each one more makes small gaps between
+        Passes over the realizations, at least 2; each one more makes small gaps between
         eigenvalues larger.
     max_evaluations
-        Most evaluations of the integrand: what takes more is refused, where that is known before it starts.
+        Most evaluations of the integrand. An analysis that takes more is refused, before it starts
+        if possible.
 
     Returns
     -------
     xarray.Dataset
-        ``eigenvalue(mode)``, descending, of the sample covariance; ``eigenvalue_se(mode)``, its error as
-        the variance along the mode, by batch means; ``noise_edge``, the largest eigenvalue to expect if
-        all were equal: sampling alone makes flat spectra steep unless there are many more realisations
-        than coefficients; ``eigenvalue_residual(mode)``, numerical: a bound of the distance to an
-        eigenvalue of the sample covariance; ``eigenvalue_share(mode)`` of the trace;
-        ``mode_contribution(mode)``, what the mode alone gives to the variance of the band-limited
-        estimate; ``mode_vector(mode, m0, …)``, of norm 1 over all frequencies; ``band_trace``, the sum of
-        all eigenvalues.
+        ``eigenvalue(mode)``, descending, of the sample covariance; ``eigenvalue_se(mode)``, its
+        error as the variance along the mode, by batch means; ``noise_edge``, the largest eigenvalue
+        to expect if all were equal: sampling alone makes flat spectra steep unless there are many
+        more realizations than coefficients; ``eigenvalue_residual(mode)``, numerical: a bound of
+        the distance to an eigenvalue of the sample covariance; ``eigenvalue_share(mode)`` of the
+        trace; ``mode_contribution(mode)``, what the mode alone gives to the variance of the
+        band-limited estimate; ``mode_vector(mode, m0, …)``, of norm 1 over all frequencies;
+        ``band_trace``, the sum of all eigenvalues.
 
     Raises
     ------
@@ -333,9 +354,9 @@ def covariance_modes(
 class _Coordinates:
     """Real orthonormal coordinates z of the coefficients y_m of a band."""
 
-    # Where the band's coefficients are among all stored, those of all techniques: int64 (P,)
+    # Indices of the band's coefficients among the stored coefficients of all techniques: int64 (P,)
     place: Array
-    factor: Array  # what makes y of S: conj(f_m) or 1, times `scale`: (P,)
+    factor: Array  # y = factor · S, with conj(f_m) or 1, times `scale`: (P,)
     scale: Array  # √2 for a coefficient that stands for −m too, else 1: (P,)
     # Which of these have an imaginary part: all but the constants, in a complex basis; (Q,)
     complex: Array
@@ -378,21 +399,21 @@ class _Coordinates:
 
 @dataclass(frozen=True)
 class CovarianceProduct:
-    """Σ (z − z̄)(z − z̄)ᵀ V over `count` realisations; `merge` adds those of others."""
+    """Σ (z − z̄)(z − z̄)ᵀ V over `count` realizations; `merge` adds other realizations."""
 
-    # Number of realisations, z̄, (D,), and Vᵀ z̄, (k,)
+    # Number of realizations, z̄, (D,), and Vᵀ z̄, (k,)
     count: int
     mean: Array
     along: Array
     product: Array  # the sum, (D, k)
     squares: Array  # Σ (z − z̄)², (D,): the diagonal
-    # Of batches: degrees of freedom, (B,), and Vᵀ A_b V, (B, k, k)
+    # Degrees of freedom of the batches, (B,), and their Vᵀ A_b V, (B, k, k)
     degrees: Array
     projected: Array
 
     @staticmethod
     def of(z: Array, vectors: Array) -> CovarianceProduct:
-        """Sums of realisations z, (R, D); of no batch yet."""
+        """Sums of realizations z, (R, D); of no batch yet."""
         mean, width = z.mean(axis=0), vectors.shape[1]
         deviation = z - mean
         total = product(deviation.T, product(deviation, vectors))
@@ -401,7 +422,7 @@ class CovarianceProduct:
         return CovarianceProduct(len(z), mean, along, total, squares, *none)
 
     def merge(self, other: CovarianceProduct) -> CovarianceProduct:
-        """Sums over the realisations of both, about their common mean."""
+        """Sums over the realizations of both, about their common mean."""
         count = self.count + other.count
         delta, along = other.mean - self.mean, other.along - self.along
         factor, part = self.count * other.count / count, other.count / count

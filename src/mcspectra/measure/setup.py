@@ -1,4 +1,4 @@
-"""What is sampled and how: an estimator with its sampler, and the counts that a budget affords."""
+"""An estimator with its sampler, and the counts of points that a budget affords."""
 
 from __future__ import annotations
 
@@ -12,17 +12,27 @@ from mcspectra.samplers import Sampler
 
 __all__ = ["Setup", "affordable_count"]
 
-_COUNT_TRIES = 256  # counts that a net is not made for, passed over before none is found
+
+@dataclass(frozen=True)
+class CountSettings:
+    """How far the search for a count of points goes."""
+
+    # Counts that are tried before the search ends, and the inverse of its relative step for
+    # samplers that have a count near every number. Counts of a net or of strata are closer to each
+    # other than that; 64 and 1,024 find the same.
+    tries: int = 256
+
+
+_SETTINGS = CountSettings()
 
 
 @dataclass(frozen=True)
 class Setup:
     """An estimator with its sampler."""
 
-    # What is sampled and how
     estimator: AbstractEstimator
     sampler: Sampler
-    # Makes the estimator for n points, where it depends on them
+    # Function that makes the estimator for n points, if the estimator depends on n
     at_count: Callable[[int], AbstractEstimator] | None = None
 
     def at(self, n: int) -> AbstractEstimator:
@@ -66,7 +76,7 @@ def affordable_count(setup: Setup, budget: int) -> int | None:
     """
     source = setup.estimator.randomized(setup.sampler)
     n: int | None = min(max(budget - setup.overhead, 0) // setup.cost, source.max_count)
-    for _ in range(_COUNT_TRIES):
+    for _ in range(_SETTINGS.tries):
         n = source._counts_near(n)[0] if n else None
         if not n:
             return None
@@ -78,12 +88,13 @@ def affordable_count(setup: Setup, budget: int) -> int | None:
                 pass
             else:
                 return n
-        # To the power of the base below, where others are poor; in large steps where counts are dense
+        # Go to the power of the base below if other counts are poor, in large steps if counts are
+        # dense
         base = max(source.digit_bases, default=2)
         power = base ** int(math.log(n, base) + 1e-9)
         if poor and power < n:
             n = power
             continue
-        dense = len(setup.estimator.counts) == 1 and n >= _COUNT_TRIES
-        n -= max(1, n // _COUNT_TRIES) if dense else 1
+        dense = len(setup.estimator.counts) == 1 and n >= _SETTINGS.tries
+        n -= max(1, n // _SETTINGS.tries) if dense else 1
     return None

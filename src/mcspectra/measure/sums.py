@@ -1,11 +1,11 @@
-"""Mergeable second moments of spectra and band-limited estimates: memory flat in realisations.
+"""Mergeable second moments of spectra and band-limited estimates: memory flat in realizations.
 
 The power term, the contribution map and the band covariance follow from them (docs/theory.md,
-"Contributions and bands"). Errors are by batch means: every block of realisations says by itself what
-the spectra say, without bias, so that the spread over B blocks gives the error of their mean, with the
-quantile of Student's t for B − 1 degrees of freedom. What all realisations together say is a little
-more precise than that mean: the errors are on the safe side. Where realizations use few stored sets again
-and again, groups of these sets take the place of the blocks.
+"Contributions and bands"). Errors come from batch means: every block of realizations gives an
+unbiased estimate, so that the spread over B blocks gives the error of their mean, with the quantile
+of Student's t for B − 1 degrees of freedom. The estimate from all realizations together is a little
+more precise than that mean, so that the errors are on the safe side. Where realizations use few
+stored sets again and again, groups of these sets take the place of the blocks.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from mcspectra.measure._kernels import accumulate, band_estimates, term_sums
 from mcspectra.samplers.law import Law, independent_sets
 
 __all__ = [
-    "BATCHES",
+    "BATCH_SETTINGS",
+    "BatchSettings",
     "Batches",
     "Partition",
     "RunningSpread",
@@ -41,8 +42,19 @@ __all__ = [
 Variables: TypeAlias = dict[str, tuple[tuple[str, ...], Any]]
 """Result variables by name: dims and values."""
 
-BATCHES = 20
-"""Blocks of realisations at least, whose spread gives errors."""
+
+@dataclass(frozen=True)
+class BatchSettings:
+    """Numbers of blocks whose spread gives standard errors."""
+
+    # Least number of blocks, if there are twice as many realizations. Student's t with 19 degrees
+    # of freedom makes intervals 7 % wider than a normal law; 40 blocks would make them 3 % wider,
+    # and 10 blocks 15 %.
+    least: int = 20
+
+
+BATCH_SETTINGS = BatchSettings()
+"""Settings of all analyses with batch means."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +81,9 @@ class StoredGroups:
             return None
         # A group varies by two realizations: translations of one set, or else two sets
         alone = law.stationary and realizations >= 2 * sets
-        return StoredGroups(first, sets, min(sets if alone else max(sets // 2, 1), BATCHES))
+        return StoredGroups(
+            first, sets, min(sets if alone else max(sets // 2, 1), BATCH_SETTINGS.least)
+        )
 
     def labels(self, count: int) -> Array:
         """Groups of the realizations of a block."""
@@ -78,12 +92,12 @@ class StoredGroups:
 
 @dataclass(frozen=True)
 class TermSums:
-    """Sums over realisations, and what each block of them says by itself."""
+    """Sums over realizations, and the estimates of each block."""
 
     sums: SpectralSums
     measured: Moments
-    batches: Batches | None  # None if no block has two realisations
-    # By group of stored sets, "0", "1", …, which take the place of blocks; None where no set is used twice
+    batches: Batches | None  # None if no block has two realizations
+    # By group of stored sets, "0", "1", …, in place of blocks; None where no set is used twice
     by_group: dict[str, TermSums] | None = None
 
     @staticmethod
@@ -109,8 +123,8 @@ class TermSums:
         groups = None
         if self.by_group is not None and other.by_group is not None:
             groups = dict(self.by_group)
-            for name, sums in other.by_group.items():
-                groups[name] = groups[name].merge(sums) if name in groups else sums
+            for name, own in other.by_group.items():
+                groups[name] = groups[name].merge(own) if name in groups else own
         batches = self.batches if other.batches is None else other.batches
         if self.batches is not None and other.batches is not None:
             batches = merged(self.batches, other.batches)
@@ -128,12 +142,12 @@ class TermSums:
 
 @dataclass(frozen=True)
 class Partition:
-    """What the sums need to know of the coefficients."""
+    """The coefficients of the integrand, with their weights and labels."""
 
-    # f_m of all techniques, as far as they are stored, one after the other: (C, H), real or
+    # Stored coefficients f_m of all techniques, one technique after the other: (C, H), real or
     # complex
     coefficients: Array
-    double: Array  # 2.0 for a coefficient that stands for −m too, else 1.0: (H,)
+    double: Array  # 2.0 for a coefficient that also stands for −m, else 1.0: (H,)
     dc: Array  # which coefficients are those of the constant function: bool (H,)
     band: Array  # band of each coefficient: int64 (H,)
     shell: Array  # half width at which each coefficient comes in: int64 (H,)
@@ -142,7 +156,7 @@ class Partition:
 
 @dataclass(frozen=True)
 class SpectralSums:
-    """Sums over `count` realisations; `merge` adds those of others."""
+    """Sums over `count` realizations; `merge` adds other realizations."""
 
     count: int
     mean: Array  # (H,) complex: S̄
@@ -151,8 +165,9 @@ class SpectralSums:
     cov: Array  # (C, H) complex
     band_mean: Array  # (C, A)
     band_m2: Array  # (C, A, A)
-    truncated: Moments  # of the estimate truncated at each half width: (C, K+1)
-    # (H, 2H): Σ_r (S−S̄)_m conj(S−S̄)_l and without conj, from which all four sign pairs of (m, l) follow
+    truncated: Moments  # moments of the estimate truncated at each half width: (C, K+1)
+    # (H, 2H): Σ_r (S−S̄)_m conj(S−S̄)_l and the same without conj, which give all four signs of (m,
+    # l)
     matrix: Array | None
 
     @staticmethod
@@ -198,7 +213,7 @@ class SpectralSums:
         return np.asarray((f.conj() * self.cov).real / max(self.count - 1, 1))
 
     def merge(self, other: SpectralSums) -> SpectralSums:
-        """Sums of both sets of realisations together (Chan, Golub & LeVeque 1983)."""
+        """Sums of both sets of realizations together (Chan, Golub & LeVeque 1983)."""
         a, b = self.count, other.count
         factor, part = a * b / (a + b), b / (a + b)
         delta = other.mean - self.mean
@@ -253,19 +268,19 @@ class RunningSpread:
 
 @dataclass(frozen=True)
 class Batches:
-    """What each block says: terms and measured variance kept, maps and matrices as their spread."""
+    """Estimates of each block: all terms and variances, but only the spread of maps and matrices."""
 
     weights: JOIN  # degrees of freedom of each block: (B,)
     values: JOIN  # dc, power and cross term and measured variance: (B, 4, C)
-    # Of the contributions (C, H), of the covariances of bands (C, A, A) and, where they are
-    # asked for, of the stored covariances (H, 2H)
+    # Spread of the contributions (C, H), of the covariances of bands (C, A, A) and, if they are
+    # wanted, of the stored covariances (H, 2H)
     contribution: RunningSpread
     band_covariance: RunningSpread
     matrix: RunningSpread | None
 
     @staticmethod
     def of(sums: SpectralSums, measured: Moments, partition: Partition) -> Batches | None:
-        """What one block says; None for one realisation, which has no covariance."""
+        """The estimates of one block; None for one realization, which has no covariance."""
         degrees = sums.count - 1
         if degrees < 1:
             return None
@@ -280,7 +295,7 @@ class Batches:
 
     @property
     def count(self) -> int:
-        """B, the number of blocks of two or more realisations."""
+        """B, the number of blocks of two or more realizations."""
         return len(self.weights)
 
     @property
@@ -310,16 +325,17 @@ def spread(deviation: Array, share: Array) -> Array:
 def ratio_factors(above: Array, below: Array, share: Array) -> Array:
     """Ends of the 95 % interval of a ratio of means of positive block values (B, ...), over it: (..., 2).
 
-    Of the logarithm, whose error is the jackknife's with Student's t [Miller1974]_. Where few blocks hold
-    most of the error the others have not seen the tail: it is wider, 1 + √(excess kurtosis / B) times,
-    and by the skewness more towards where that tail lies (``python -m benchmarks coverage``).
+    The interval is that of the logarithm, by the jackknife with Student's t [Miller1974]_. If few
+    blocks hold most of the error, the others missed the tail: the interval is 1 + √(excess kurtosis
+    / B) times as wide, and the skewness makes it wider on the side of that tail (``python -m
+    benchmarks coverage``).
     """
     blocks = len(share)
     if blocks < 2:
         return np.full((*above.shape[1:], 2), np.nan)
     weight = share.reshape(-1, *[1] * (above.ndim - 1))
     with np.errstate(invalid="ignore", divide="ignore"):
-        # Blocks of which nothing is captured but rounding have no spread
+        # Blocks that capture only rounding have no spread
         above = np.maximum(above, np.finfo(float).eps ** 2 * below)
         a, b = ((weighted_sum(share, v) - weight * v) / (1.0 - weight) for v in (above, below))
         influence = (1.0 - 1.0 / weight) * np.log(a / b)

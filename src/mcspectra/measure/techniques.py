@@ -1,11 +1,11 @@
 """The terms of each technique and between techniques: which strategy makes the variance.
 
-The variance is the sum over all pairs of techniques of Cov(E_t, E_s), E_t the part of an estimate that
-t adds: off the diagonal 0 for independent sets, but not for those that share points
+The variance is the sum over all pairs of techniques of Cov(E_t, E_s), E_t the part of an estimate
+that t adds. Off the diagonal it is 0 for independent sets, but not for techniques that share points
 (`mcspectra.estimators.sets`). Each covariance has a dc, a power and a cross term, with the spectrum
-S^t and the integrand f^t of technique t in the place of S and f. Along n the slowest rate of a
-technique becomes the rate of the sum: the *bottleneck*, if the 95 % interval of its rate lies above
-those of all others.
+S^t and the integrand f^t of technique t instead of S and f. As n grows, the slowest rate of a
+technique becomes the rate of the sum. That technique is the *bottleneck* if the 95 % interval of
+its rate lies above the intervals of all other techniques.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from mcspectra.estimators.moments import Moments, rounding_floor
 from mcspectra.measure.blindness import is_fixed
 from mcspectra.measure.converge import count_stream
 from mcspectra.measure.doors import NO_VARIANCE, answer, counted
-from mcspectra.measure.sums import BATCHES, Variables, ratio_factors, spread
+from mcspectra.measure.sums import BATCH_SETTINGS, Variables, ratio_factors, spread
 from mcspectra.measure.views import Frequencies, View
 from mcspectra.samplers import Sampler
 from mcspectra.samplers.law import independent_sets
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 __all__ = ["UNDECIDED", "Techniques", "technique_estimates", "technique_rates", "technique_terms"]
 
 UNDECIDED = -1
-"""What ``bottleneck`` says where the intervals of the slowest rates overlap."""
+"""Value of ``bottleneck`` if the intervals of the slowest rates overlap."""
 
 _PARTS = (
     "technique_dc_term",
@@ -53,12 +53,23 @@ _PARTS = (
     "technique_covariance",
 )
 _FINITE = ("technique_covariance", "technique_variance", "measured_variance", "mean")
-_MOST = 2**25  # complex numbers of Σ_r S^t conj(S^s): 512 MiB
+
+
+@dataclass(frozen=True)
+class TechniqueSettings:
+    """Limit of memory for pairs of techniques."""
+
+    # Most complex numbers of Σ_r S^t conj(S^s), over all pairs of techniques and frequencies: they
+    # take 512 MiB.
+    most: int = 2**25
+
+
+_SETTINGS = TechniqueSettings()
 
 
 @final
 class Techniques(Counted, frozen=True, kw_only=True):
-    """What each technique of an estimator contributes, and which one decides the rate."""
+    """The contribution of each technique of an estimator, and the technique that decides the rate."""
 
     function = "technique_terms"
     verb = "variance"
@@ -98,10 +109,10 @@ class Techniques(Counted, frozen=True, kw_only=True):
             estimator.check_sampler(subject.sampler, n)
         basis = Frequencies.of(subject, self).basis
         techniques, evaluations = len(estimator.counts), sum(estimator.counts)
-        if techniques**2 * basis.stored > _MOST:
+        if techniques**2 * basis.stored > _SETTINGS.most:
             raise ParameterError(
                 f"{techniques}² pairs of techniques at {basis.stored} frequencies are more than "
-                f"{_MOST} covariances; choose a smaller ",
+                f"{_SETTINGS.most} covariances; choose a smaller ",
                 Parameter("half_width"),
                 ".",
             )
@@ -123,15 +134,17 @@ class Techniques(Counted, frozen=True, kw_only=True):
         def of_count(key: str, view: View, n: int, own: Stream) -> Reduction[_Total]:
             """Sums of one count; a block is a batch too."""
             evaluations = n * sum(estimator.counts)
-            # Coordinates of a realisation or, where they are more, the numbers of its spectra
+            # Coordinates of a realization or, where they are more, the numbers of its spectra
             numbers = max(evaluations * estimator.dims, 4 * techniques * view.basis.stored)
-            blocks = realization_blocks(self.realizations, numbers, multiple=2, least=BATCHES)
+            blocks = realization_blocks(
+                self.realizations, numbers, multiple=2, least=BATCH_SETTINGS.least
+            )
 
             def block(index: int) -> _Total:
                 points = estimator.draw(subject.sampler, n, own, *blocks[index])
                 sets = independent_sets(estimator.law(subject.sampler, n))
                 sums = TechniqueSums.of(view, points, blocks[index][0], sets)
-                # A block of one realisation has no covariance and says nothing
+                # A block of one realization has no covariance and is left out
                 some = slice(0, int(sums.count > 1))
                 values = sums.covariances(view)[None]
                 return _Total(sums, np.array([sums.count - 1.0])[some], values[some])
@@ -152,7 +165,7 @@ class Techniques(Counted, frozen=True, kw_only=True):
             for name, (dims, _) in parts[0].items()
         }
         notes: dict[str, Any] = {} if self._several else {"n": counts[0]}
-        if is_fixed(estimator, subject.sampler):  # what is left is rounding
+        if is_fixed(estimator, subject.sampler):  # the rest is rounding
             notes["note"] = f"{subject.sampler.spec} {NO_VARIANCE}"
             variables = {
                 name: (dims, v if name.startswith(("mean", "captured")) else np.zeros_like(v))
@@ -217,38 +230,40 @@ def technique_terms(
     Parameters
     ----------
     estimator, sampler
-        What is analysed: `MultipleImportance`, `TechniqueSum`, or any other estimator.
+        A `MultipleImportance`, a `TechniqueSum` or any other estimator, and its sampler.
     counts
         Points n of each technique in units of its ``counts``; a list of ascending numbers adds the dim
         n, rates and the bottleneck.
     dims, half_width, basis, engine, eps, workers
-        As for `variance_terms`.
+        See `variance_terms`.
     realizations
-        Independent realisations for each n, at least 2.
+        Independent realizations for each n, at least 2.
     rng
-        Seed (SPEC 7). With a single n realisations are those of `variance_terms`; with a list, each n has
-        the stream that it has in `convergence`.
+        Seed (SPEC 7). With a single n realizations are those of `variance_terms`; with a list, each
+        n has the stream that it has in `convergence`.
     space
         ``"domain"`` or ``"primary"`` as for `variance_terms`; by default the domain where there is one.
         In primary space the dc terms are 0, as every technique's points have equal weights.
     fit_last
-        Fit rates to the last so many counts: as for `convergence`.
+        Number of last counts that rates are fitted to: see `convergence`.
     max_evaluations
-        Most evaluations of the integrand: what takes more is refused, where that is known before it starts.
+        Most evaluations of the integrand. An analysis that takes more is refused, before it starts
+        if possible.
 
     Returns
     -------
     xarray.Dataset
         On technique and technique_other: ``technique_covariance`` of the techniques' parts of the
-        estimate, which sums to ``measured_variance``; ``technique_dc_term``, ``technique_power_term``
-        and ``technique_cross_term``, which sum to ``predicted_variance``; ``_se`` of these four (batch
-        means: from 4 realisations on). ``dc_term``, ``power_term``, ``cross_term`` of `variance_terms`:
-        in the domain the sums over pairs; in primary space, where each technique has frequencies
-        of its own, dc and power are those of the diagonal and cross is the rest. On technique: ``technique_variance`` with
-        ``_ci``, the diagonal. ``captured`` with ``_ci``. With a list of n: ``technique_rate`` and
-        ``rate`` with ``_ci``, and ``bottleneck``: the technique whose rate is slower than
-        all others' by intervals that do not overlap, −1 for undecided; the attribute ``bottleneck`` has
-        it in words. Techniques without variance take no part. Several channels add a dim channel.
+        estimate, which sums to ``measured_variance``; ``technique_dc_term``,
+        ``technique_power_term`` and ``technique_cross_term``, which sum to ``predicted_variance``;
+        ``_se`` of these four (batch means: from 4 realizations on). ``dc_term``, ``power_term``,
+        ``cross_term`` of `variance_terms`: in the domain the sums over pairs. In primary space each
+        technique has frequencies of its own: dc and power are sums over the diagonal, and cross is
+        the rest. On technique: ``technique_variance`` with ``_ci``, the diagonal. ``captured`` with
+        ``_ci``. With a list of n: ``technique_rate`` and ``rate`` with ``_ci``, and ``bottleneck``:
+        the technique whose rate is slower than all others' by intervals that do not overlap, −1 for
+        undecided; the attribute ``bottleneck`` has it in words. Techniques without variance take no
+        part. Several channels add a dim channel.
 
     Raises
     ------
@@ -278,7 +293,7 @@ def technique_terms(
 
 @dataclass(frozen=True)
 class _Total:
-    """Sums over realisations, and what each block says by itself, for standard errors."""
+    """Sums over realizations, and the estimates of each block for standard errors."""
 
     sums: TechniqueSums
     weights: JOIN  # degrees of freedom of each block: (B,)
@@ -325,14 +340,14 @@ def _variables(total: _Total, view: View) -> Variables:
 
 @dataclass(frozen=True)
 class TechniqueSums:
-    """Sums over `count` realisations about the running means; `merge` adds those of others."""
+    """Sums over `count` realizations about the running means; `merge` adds other realizations."""
 
     count: int
     mean: Array  # (T, H)
     products: Array  # (T, T, H): Σ_r (S^t − S̄^t) conj(S^s − S̄^s)
     values_mean: Array  # (2, C, T): truncated and full estimates of the techniques
     values_products: Array  # (2, C, T, T)
-    moments: Moments  # of the full estimates of the techniques, and of their sum: (C, T + 1)
+    moments: Moments  # moments of the techniques' full estimates and of their sum: (C, T + 1)
 
     @staticmethod
     def of(
@@ -340,7 +355,7 @@ class TechniqueSums:
     ) -> TechniqueSums:
         """Sums of a block; `first` and `sets` are as in `Moments.of`."""
         parts = view.spectra(points)
-        # What each technique adds to the estimate, (R, C, T), truncated and in full
+        # Part of the estimate that each technique adds, (R, C, T), truncated and in full
         weighted = view.integrand_coefficients.conj() * view.basis.double
         truncated = np.stack(
             [product(s, weighted[:, t].T).real for t, s in enumerate(parts)], axis=2
@@ -359,7 +374,7 @@ class TechniqueSums:
         )
 
     def merge(self, other: TechniqueSums) -> TechniqueSums:
-        """Sums of both sets of realisations together (Chan, Golub & LeVeque 1983)."""
+        """Sums of both sets of realizations together (Chan, Golub & LeVeque 1983)."""
         a, b = self.count, other.count
         factor, part = a * b / (a + b), b / (a + b)
         delta, jump = other.mean - self.mean, other.values_mean - self.values_mean
@@ -393,7 +408,7 @@ class TechniqueSums:
 
 
 def technique_estimates(estimator: AbstractEstimator, points: list[Array]) -> Array:
-    """What each technique adds to the estimates of a block, then their sum: (R, C, T + 1)."""
+    """Parts of the estimates of a block that the techniques add, then their sum: (R, C, T + 1)."""
     each = [estimator.primary_values(t, u).mean(axis=1) for t, u in enumerate(points)]
     parts = np.stack([v.reshape(len(v), -1) for v in each], axis=2)
     return np.concatenate([parts, parts.sum(axis=2, keepdims=True)], axis=2)
@@ -413,7 +428,7 @@ def technique_rates(
     """
     variance = np.stack([m.variance for m in moments])  # (N, C, T + 1)
     relative = np.stack([m.relative_se for m in moments])
-    # What is noise is measured against the whole estimate: a part of it may be 0.
+    # Rounding is relative to the whole estimate, since a part of it may be 0.
     size = np.stack([np.abs(m.mean).max(axis=1, keepdims=True) for m in moments])
     floor = np.broadcast_to(rounding_floor(size), variance.shape)
     fits = fit_rates(np.array(ns), variance, relative, floor, window)
@@ -421,7 +436,7 @@ def technique_rates(
     still = np.asarray((variance <= floor)[:, :, :-1].all(axis=0))
     choice = []
     for rates, intervals, own in zip(rate, interval, still, strict=True):
-        # The technique whose interval lies above those of all others that vary
+        # The technique whose interval lies above the intervals of all other techniques that vary
         moving = np.flatnonzero(~own).tolist()
         slowest = max(
             moving, key=lambda t: np.nan_to_num(rates[t], nan=-math.inf), default=UNDECIDED

@@ -6,6 +6,7 @@ space every technique has its own integrand and points, and the sums run over (t
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal, final
 
 import numpy as np
@@ -25,7 +26,7 @@ from mcspectra.measure.bands import check_bands, make_bands
 from mcspectra.measure.blindness import blindness_of, is_fixed
 from mcspectra.measure.doors import answer
 from mcspectra.measure.sums import (
-    BATCHES,
+    BATCH_SETTINGS,
     Batches,
     Partition,
     StoredGroups,
@@ -40,10 +41,18 @@ from mcspectra.samplers import Sampler
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["MAX_MATRIX", "Terms", "variance_terms"]
+__all__ = ["Terms", "variance_terms"]
 
-MAX_MATRIX = 4096
-"""Most frequencies of a full cross matrix: two of that size take 0.5 GiB."""
+
+@dataclass(frozen=True)
+class TermSettings:
+    """Limit of memory for the full cross matrix."""
+
+    # Most frequencies of a full cross matrix: two complex matrices of that size take 0.5 GiB.
+    most_matrix: int = 4096
+
+
+_SETTINGS = TermSettings()
 
 _TERMS = ("dc_term", "power_term", "cross_term")
 _WITH_ERROR = ("contribution", "band_covariance", "coefficient_covariance", "cross_matrix")
@@ -93,10 +102,10 @@ class Terms(Counted, frozen=True, kw_only=True):
         frequencies = self._frequencies(subject)
         check_bands(self.bands, frequencies.basis)
         size, evaluations = frequencies.size, sum(estimator.counts)
-        if self.cross_matrix and size > MAX_MATRIX:
+        if self.cross_matrix and size > _SETTINGS.most_matrix:
             raise ParameterError(
                 f"The cross matrix of {size} frequencies takes {32 * size**2 / 2**30:.3g} GiB; ask "
-                f"for at most {MAX_MATRIX} frequencies, or use contribution and band_covariance."
+                f"for at most {_SETTINGS.most_matrix} frequencies, or use contribution and band_covariance."
             )
         kept = several * (size + (2 * size * size if self.cross_matrix else 0))
         each = self.realizations * evaluations * self.n * estimator.evaluations_per_point
@@ -107,15 +116,17 @@ class Terms(Counted, frozen=True, kw_only=True):
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[list[TermSums]]:
-        """Sums over all realisations of each sampler; a block is a batch too."""
+        """Sums over all realizations of each sampler; a block is a batch too."""
         estimator, samplers, n = subject.estimator, subject.samplers, self.n
         frequencies = self._frequencies(subject)
         view = frequencies.view(n, self)
         bands = make_bands(self.bands, view.basis)
         partition = view.partition(bands.of, self.cross_matrix)
-        # Coordinates of a realisation or, where they are more, the numbers of its spectra
+        # Coordinates of a realization or, where they are more, the numbers of its spectra
         numbers = max(n * estimator.dims * sum(estimator.counts), 2 * partition.double.size)
-        blocks = realization_blocks(self.realizations, numbers, multiple=2, least=BATCHES)
+        blocks = realization_blocks(
+            self.realizations, numbers, multiple=2, least=BATCH_SETTINGS.least
+        )
 
         def block(index: int) -> list[TermSums]:
             return [sums_of(s, *blocks[index]) for s in samplers]
@@ -141,7 +152,7 @@ class Terms(Counted, frozen=True, kw_only=True):
                 own["measured_variance_ci"][1][blind, 1] = np.inf
                 captured = own["captured_ci"][1]
                 captured[blind, 0] = np.minimum(captured[blind, 0], 0.0)
-                if is_fixed(estimator, sampler):  # what is left is rounding
+                if is_fixed(estimator, sampler):  # the rest is rounding
                     known = ("mean", "energy_share", "captured")
                     own = {
                         name: (dims, v if name.startswith(known) else np.zeros_like(v))
@@ -163,7 +174,7 @@ class Terms(Counted, frozen=True, kw_only=True):
             techniques, basis = len(view.transforms), view.basis
             batches = totals[0].all_batches(partition)
 
-            # Frequencies along m and l: themselves in 1-D, else a running number with m_0, m_1 … beside it
+            # Coordinates of m and l: the frequencies in 1-D, else a running number with m_0, m_1, …
             matrix: dict[str, Any] = {}
             if self.cross_matrix and basis.dims == techniques == 1:
                 matrix = {"m": basis.axis, "l": basis.axis}
@@ -245,26 +256,27 @@ def variance_terms(
     max_evaluations: int | None = None,
     workers: int | None = None,
 ) -> xr.Dataset:
-    """Predict the variance of an estimator from spectra, term by term, and measure it beside.
+    """Predict the variance of an estimator from spectra, term by term, and measure it for comparison.
 
     Parameters
     ----------
     estimator, sampler, n
-        What is analysed: an estimator with one sampler or a list of different ones, which share
-        realisations' random numbers; `n` counts each technique's points in units of its ``counts``.
+        The estimator with one sampler, or with a list of different samplers, which share random
+        numbers; `n` counts each technique's points in units of its ``counts``.
     dims
         Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
         that is not a spec.
     half_width
-        Frequencies m run over {−half_width … half_width}^d. By default 64, or twice n^(1/d) as a power
-        of two where that is more; fewer where f has none beyond, or there would be more than 2^17.
+        Frequencies m run over {−half_width … half_width}^d. By default 64, or twice n^(1/d) as a
+        power of two if that is more; fewer if f has no higher frequencies, or if there would be
+        more than 2^17.
     realizations
-        Independent realisations, at least 2.
+        Independent realizations, at least 2.
     rng
-        Seed (SPEC 7). Realisation r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
+        Seed (SPEC 7). Realization r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
     basis
         ``"fourier"``, ``"cosine"``, ``"walsh"`` or ``"haar"`` (`mcspectra.spectra.bases`), or ``"auto"``:
-        the one that fits the sampler's randomisation, which the attribute ``basis`` then names; a
+        the one that fits the sampler's randomization, which the attribute ``basis`` then names; a
         list of samplers needs one that fits them all.
     space
         ``"domain"``: f with the warped, weighted points (the paper's view); ``"primary"``: g(u) with
@@ -274,31 +286,34 @@ def variance_terms(
         ``"radial"``, ``"dyadic"``, ``"anova"``, ``"wedge"``, or an integer label ≥ 0 for every basis
         function: `mcspectra.measure.bands.make_bands`.
     cross_matrix
-        Also return C_ml and conj(f_m) f_l C_ml in full, for at most `MAX_MATRIX` frequencies.
+        Also return C_ml and conj(f_m) f_l C_ml in full, for at most 4096 frequencies.
     engine, eps
         See `mcspectra.spectra.transforms`.
     workers
         Threads; all processors by default. Results do not depend on it.
     max_evaluations
-        Most evaluations of the integrand: what takes more is refused, where that is known before it starts.
+        Most evaluations of the integrand. An analysis that takes more is refused, before it starts
+        if possible.
 
     Returns
     -------
     xarray.Dataset
-        ``dc_term``, ``power_term``, ``cross_term``, ``predicted_variance`` (their sum) with ``_ci``,
-        ``measured_variance`` with ``_ci``, ``captured`` with ``_ci`` (predicted/measured, NaN where the
-        measured variance is rounding noise), ``energy_share``, the part of ∫f² within the half width, and
-        ``tail_term``, the variance of the rest if points were random to it, ``contribution`` and ``power_contribution`` on m0, m1,
-        …, ``band_covariance(band, band_other)``, ``truncated_variance(half_width)`` and
+        ``dc_term``, ``power_term``, ``cross_term``, ``predicted_variance`` (their sum) with
+        ``_ci``, ``measured_variance`` with ``_ci``, ``captured`` with ``_ci`` (predicted/measured,
+        NaN where the measured variance is rounding noise), ``energy_share``, the part of ∫f² within
+        the half width, and ``tail_term``, the variance of the rest if points were random to it,
+        ``contribution`` and ``power_contribution`` on m0, m1, …, ``band_covariance(band,
+        band_other)``, ``truncated_variance(half_width)`` and
         ``captured_by_half_width(half_width)``; a dim sampler for a list, a dim channel where f has
-        several, a dim technique on maps of a primary space with several. With `cross_matrix`, ``coefficient_covariance(m, l)``
-        and ``cross_matrix(m, l)``. Standard errors ``_se`` of the terms, ``contribution``,
-        ``band_covariance`` and both matrices, and ``_ci`` of the terms, by batch means (from 4
-        realisations on): their number is the attribute ``batches``, and 95 % is Student's t with one
-        degree of freedom less; that of ``captured`` is of its logarithm, wider where few batches
-        hold most of the error. A set that is the same every time has no variance; the attribute ``note``
-        says so, and, as that of `convergence`, where the estimates missed what makes theirs: the upper
-        end of ``measured_variance_ci`` is then infinite, and the lower one of ``captured_ci`` 0.
+        several, a dim technique on maps of a primary space with several. With `cross_matrix`,
+        ``coefficient_covariance(m, l)`` and ``cross_matrix(m, l)``. Standard errors ``_se`` of the
+        terms, ``contribution``, ``band_covariance`` and both matrices, and ``_ci`` of the terms, by
+        batch means (from 4 realizations on): their number is the attribute ``batches``, and 95 % is
+        Student's t with one degree of freedom less; that of ``captured`` is of its logarithm, wider
+        where few batches hold most of the error. A set that is the same every time has no variance.
+        The attribute ``note`` says so, and it names estimates that missed the source of their
+        variance (see `convergence`): the upper end of ``measured_variance_ci`` is then infinite,
+        and the lower end of ``captured_ci`` is 0.
 
     Raises
     ------
@@ -328,10 +343,10 @@ def variance_terms(
 
 
 def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
-    """All result variables with a leading channel axis; errors are NaN where no two blocks say them."""
+    """All result variables with a leading channel axis; errors are NaN with fewer than two blocks."""
     sums, measured, basis = total.sums, total.measured, view.basis
     batches = total.all_batches(partition)
-    assert batches is not None  # the first block has two realisations at least
+    assert batches is not None  # the first block has two realizations at least
     f, degrees = partition.coefficients, sums.count - 1
     shape = (len(f), len(view.transforms), basis.stored)
     maps, pairs = ("channel", "technique", *basis.names), ("channel", "band", "band_other")
@@ -340,7 +355,7 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
     def interval(value: Array, half: Array) -> tuple[tuple[str, ...], Array]:
         return ("channel", "bound"), np.stack([value - half, value + half], axis=-1)
 
-    # The terms, their sum, and what is measured beside
+    # The terms, their sum, and the measured variance
     terms = np.stack(sums.terms(partition))
     predicted = terms[0] + terms[1] + terms[2]
     variables: Variables = {
@@ -356,9 +371,9 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
         variables[f"{name}_se"] = ("channel",), error
         variables[f"{name}_ci"] = interval(value, student_t(batches.count) * error)
 
-    # What part of the variance the frequencies hold; one of rounding noise captures nothing
+    # Part of the variance that the frequencies hold; NaN if the variance is rounding noise
     real = np.where(measured.variance > rounding_floor(measured.mean), measured.variance, np.nan)
-    with np.errstate(invalid="ignore"):  # 0 times infinity where nothing is captured
+    with np.errstate(invalid="ignore"):  # 0 times infinity if nothing is captured
         captured_ci = (predicted / real)[:, None] * batches.captured_factors()
     variables |= {
         "captured": (("channel",), predicted / real),

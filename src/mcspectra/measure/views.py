@@ -1,8 +1,8 @@
-"""The two views of an estimator: which coefficients meet which spectra of points.
+"""The two views of an estimator: pairs of integrand coefficients and spectra of points.
 
-In the *domain* view one integrand f meets the warped, weighted points of all techniques; in *primary*
-space every technique has its own integrand g_t and the sampler's own points, and sums run over
-(technique, m).
+The *domain* view pairs one integrand f with the warped, weighted points of all techniques. In
+*primary* space every technique has its own integrand g_t and the sampler's own points, and sums run
+over (technique, m).
 """
 
 from __future__ import annotations
@@ -26,9 +26,26 @@ from mcspectra.spectra.bases import Basis, Coefficients, fitting_basis, make_bas
 
 __all__ = ["Frequencies", "View"]
 
-_LEAST_WIDTH = 64
-_MOST_FREQUENCIES = 2**17  # of a half width that nobody chose
-_PROBES = 2**14  # points that mean squares of weights, and of functions, are taken at
+
+@dataclass(frozen=True)
+class FrequencySettings:
+    """The default half width, and the number of points for mean squares."""
+
+    # Least default half width: features of 1/128 of the cube, the pixels of a thumbnail, are
+    # resolved.
+    least_width: int = 64
+    # Most frequencies of a default half width, 2^17: in 2-D a half width of 128 still fits, 181² =
+    # 2^15 cells do not matter, and one spectrum takes 1 MiB in half storage.
+    most_frequencies: int = 2**17
+    # Part of Σ|f_m|² outside half the width below which the width is halved: ten roundings of
+    # float64.
+    rounding: float = 1e-15
+    # Points at which mean squares of weights and functions are taken. They give the energy share of
+    # a smooth f to 1e-4, and of a discontinuous one to 1 %.
+    probes: int = 2**14
+
+
+_SETTINGS = FrequencySettings()
 
 
 @final
@@ -60,18 +77,20 @@ class Frequencies:
         dims = estimator.dims if chosen == "primary" else estimator.domain_dims
         width: int | None = asked.half_width
         if width is None:
-            # Twice the frequency n^(1/d) at which points of n strata begin to look random, and at least 64;
-            # fewer where a grid would have more than 2^17 frequencies
-            width = max(_LEAST_WIDTH, 2 ** math.ceil(math.log2(2.0 * n ** (1.0 / dims)) - 1e-9))
-            while width > 1 and (2 * width + 1) ** dims > _MOST_FREQUENCIES:
+            # Twice the frequency n^(1/d) above which n strata are like random points, within the
+            # limits
+            width = max(
+                _SETTINGS.least_width, 2 ** math.ceil(math.log2(2.0 * n ** (1.0 / dims)) - 1e-9)
+            )
+            while width > 1 and (2 * width + 1) ** dims > _SETTINGS.most_frequencies:
                 width //= 2
             if domain is not None and domain.fourier_source == "exact" and dims <= 2:
-                # A half beyond which f has nothing but rounding
+                # Halve the width while f has only rounding in the outer half
                 power = np.abs(domain.fourier_grid(width)) ** 2
                 power = power.reshape(*(2 * width + 1,) * dims, -1)
                 while width > 1:
                     inner = (slice(width // 2, -(width // 2)),) * dims
-                    if power[inner].sum() < (1.0 - 1e-15) * power.sum():
+                    if power[inner].sum() < (1.0 - _SETTINGS.rounding) * power.sum():
                         break
                     power, width = power[inner], width // 2
         if basis == "auto":
@@ -95,9 +114,9 @@ class Frequencies:
         return self.space == "domain" and self.estimator.infinite_weights
 
     def view(self, n: int, asked: Any, *, apart: bool = False) -> View:
-        """Prepare the transforms of n points and f's coefficients: `apart`, those of each technique.
+        """Prepare the transforms of n points and f's coefficients, with `apart` for each technique.
 
-        In primary space they are always apart.
+        Techniques are always separate in primary space.
         """
         estimator, basis = self.estimator, self.basis
         f = estimator.domain_integrand if self.space == "domain" else None
@@ -120,7 +139,7 @@ class Frequencies:
     def undefined(
         self, variables: Variables, finite: tuple[str, ...], infinite: tuple[str, ...] = ()
     ) -> Variables:
-        """What is left of the variables of terms that diverge: no number that means nothing."""
+        """Replace the variables of terms that diverge by NaN, or by infinity."""
         warn(
             f"∫1/p diverges for {self.estimator.spec}: Var(S_0) and the spectral terms are infinite "
             "although the estimate's variance need not be; use space='primary'.",
@@ -136,15 +155,15 @@ class Frequencies:
 
 @dataclass(frozen=True)
 class View:
-    """Domain or primary view: which integrand coefficients meet which point spectra."""
+    """The domain or the primary view: integrand coefficients with the transforms of points."""
 
     estimator: AbstractEstimator
     space: str
     basis: Basis
-    transforms: tuple[Coefficients, ...]  # of the points of each technique, or of all together
+    transforms: tuple[Coefficients, ...]  # one for each technique's points, or one for all points
     engine: str
     integrand_coefficients: Array  # f^t, (C, T, H)
-    source: str  # where they come from
+    source: str  # origin of the coefficients
 
     def spectra(self, points: list[Array]) -> list[Array]:
         """Spectra of a block, (R, H), of each technique, or of all together."""
@@ -166,23 +185,24 @@ class View:
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
     def energy(self, n: int) -> tuple[Array, Array]:
-        """Part of ∫f² that the basis functions hold, and the variance of the rest where the points of
-        high frequencies are as at random: both (channels or 1,), NaN where ∫f² is not known.
+        """Part of ∫f² that the basis functions hold, and the variance of the rest for random points.
 
-        Their power is then (1/n) times the mean square of the weights.
+        Both are (channels or 1,), and NaN if ∫f² is not known. The power of random points is (1/n)
+        times the mean square of the weights.
         """
         estimator, basis = self.estimator, self.basis
         f = np.abs(self.integrand_coefficients) ** 2 * basis.double
         integrands = [estimator.primary_integrand(t) for t in range(len(estimator.counts))]
         if self.space == "domain" and estimator.domain_integrand is not None:
             integrands = [estimator.domain_integrand]
-        # ∫g² of each, (C, T): in closed form, or the mean at a few points of our own
+        # ∫g² of each integrand, (C, T): in closed form, or the mean at scrambled points
+        probes = _SETTINGS.probes
         squares = []
         for g in integrands:
             exact = closed_moments(g)
             if exact is None:
-                x = sampler("sobol | owen", g.dims).draw(_PROBES, rng=0)[0]
-                squares.append((np.asarray(g(x)).reshape(_PROBES, -1) ** 2).mean(axis=0))
+                x = sampler("sobol | owen", g.dims).draw(probes, rng=0)[0]
+                squares.append((np.asarray(g(x)).reshape(probes, -1) ** 2).mean(axis=0))
             else:
                 squares.append(exact[1])
         whole = np.stack(squares, axis=1)
@@ -191,9 +211,9 @@ class View:
         if self.space == "primary":
             level = 1.0 / np.array(estimator.counts, float)
         else:
-            probes = estimator.draw(Random(dims=estimator.dims), _PROBES, Stream.from_rng(0), 0, 1)
-            _, weights = estimator.weighted_points(probes)
-            level = np.array([_PROBES * np.square(weights).sum()])
+            drawn = estimator.draw(Random(dims=estimator.dims), probes, Stream.from_rng(0), 0, 1)
+            _, weights = estimator.weighted_points(drawn)
+            level = np.array([probes * np.square(weights).sum()])
         share = np.divide(held.sum(1), whole.sum(1), out=np.ones(len(f)), where=whole.sum(1) > 0)
         return np.minimum(share, 1.0), (rest * level).sum(axis=1) / n
 

@@ -46,8 +46,7 @@ from mcspectra.estimators import (
 )
 from mcspectra.estimators.moments import Moments, variance_interval
 from mcspectra.explain.causes import (
-    FEW_NETS,
-    GIVEN,
+    CAUSE_SETTINGS,
     Cause,
     Evidence,
     Replicates,
@@ -56,7 +55,7 @@ from mcspectra.explain.causes import (
     sets_of,
     shares_of,
 )
-from mcspectra.explain.probing import COARSE, grain
+from mcspectra.explain.probing import grain
 from mcspectra.explain.samples import NETS, Curve, Sets, curve_of, scalar
 from mcspectra.improve.improved import CHANGES, Evaluations, Improvement, improvements
 from mcspectra.integrands import Calls, FunctionIntegrand, Integrand
@@ -529,7 +528,7 @@ def _of_draws(draws: Any) -> Profile:
         sentence = f"The {count} draws depend on each other and count as {effective:.0f}."
     step = grain(draws) if isinstance(draws, np.ndarray) else 0.0
     spread = float(found["mcse"]) * math.sqrt(effective)
-    if name == "none" and step > COARSE * spread:
+    if name == "none" and step > CAUSE_SETTINGS.coarse * spread:
         name, evidence = "float-drift", {"step": step, "spread": spread}
         sentence = f"Draws are rounded to steps of {step:.2g}; their spread is {spread:.2g}."
     low, high = found["mean_ci"].values.tolist()
@@ -569,13 +568,18 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     if is_apart(estimator, given):
         given_stream = stream.child(99)
         try:
-            curve, replicates, cost = _measured(estimator, given, int(GIVEN * budget), given_stream)
+            curve, replicates, cost = _measured(
+                estimator, given, int(CAUSE_SETTINGS.given_share * budget), given_stream
+            )
             curves[given.spec] = curve
             evidence = replace(evidence, replicates=replicates)
             calls += cost
         except McspectraError as error:
             not_tried.append(f"{given.spec}: {error}")
-            source, count = estimator.randomized(given), int(min(FEW_NETS, sets_of(given)))
+            source, count = (
+                estimator.randomized(given),
+                int(min(CAUSE_SETTINGS.nets, sets_of(given))),
+            )
             if count > 1:
                 n = given.nearest_count(sets.points[0].shape[1] // sets.counts[0])
                 drawn = estimator.draw(source, n, given_stream, 0, count)
@@ -716,7 +720,7 @@ def _measured(
 ) -> tuple[Curve, Replicates, int]:
     """Measure the curve of a sampler within `evaluations`; also return replicates and the cost."""
     each, least = sum(estimator.counts) * estimator.evaluations_per_point, _SETTINGS.least_sets
-    sets = drawn = int(min(FEW_NETS, sets_of(sampler)))
+    sets = drawn = int(min(CAUSE_SETTINGS.nets, sets_of(sampler)))
     if sets < least:
         raise CountError(f"{sampler.spec} has {sets} sets; give {least} or more.")
     setup, counts = Setup(estimator, sampler), list[int]()
@@ -817,9 +821,13 @@ def _improved(
     sampler, tried, calls = as_sampler(NETS, estimator.dims), list[str](), 0
     base, least = evidence.curves[given if best is None else best.name], _SETTINGS.least_checked
     for offer in offers:
-        each, wanted = offer.estimator.evaluations_per_point, FEW_NETS
+        each, wanted = offer.estimator.evaluations_per_point, CAUSE_SETTINGS.nets
         if jumps and not tried and offer is not offers[-1]:  # leave evaluations for another change
-            wanted = FEW_NETS if left >= 2 * least * each * FEW_NETS else FEW_NETS // 2
+            wanted = (
+                CAUSE_SETTINGS.nets
+                if left >= 2 * least * each * CAUSE_SETTINGS.nets
+                else CAUSE_SETTINGS.nets // 2
+            )
         n = affordable_count(Setup(offer.estimator, sampler), (left - calls) // wanted)
         if n is None or n < least:
             continue

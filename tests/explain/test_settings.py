@@ -1,0 +1,71 @@
+"""Settings of detectors reach the algorithms that read them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.streams import Stream
+from mcspectra.estimators import as_subject
+from mcspectra.explain.causes import CAUSE_SETTINGS, Evidence, causes_of, shares_of
+from mcspectra.explain.probing import LINE_SETTINGS, lines_of
+
+
+def subject(function, dims):
+    return as_subject(function, "random", dims=dims, lists=False)
+
+
+def evidence(function, dims, settings=CAUSE_SETTINGS):
+    given = subject(function, dims)
+    return Evidence.of(given.estimator, given.sampler, 8192, Stream.from_rng(0), settings)
+
+
+@pytest.mark.parametrize("steps", [16, 32])
+@pytest.mark.parametrize("halvings", [8, 12])
+@pytest.mark.parametrize("dims", [1, 3])
+def test_a_line_takes_the_evaluations_of_its_settings(dims, halvings, steps):
+    settings, made = replace(LINE_SETTINGS, steps=steps, halvings=halvings), 0
+
+    def g(x):
+        nonlocal made
+        made += len(x)
+        return np.exp(x.sum(axis=-1))
+
+    lines = lines_of(g, dims, 2000, np.random.default_rng(0), settings)
+    along = int((lines.axis >= 0).sum())
+    parallel = 2 * along * (dims > 1)  # the test of straight edges
+    ends = 2 * len(settings.ends)
+    expected = along * (settings.chord + ends) + (len(lines.axis) - along) * settings.chord
+    assert made == expected + parallel
+    assert along * settings.line + (len(lines.axis) - along) * settings.chord <= 2000
+
+
+def test_thresholds_change_the_cause_without_new_evaluations():
+    seen = evidence(lambda x: np.abs(x[..., 0] - 0.3), 1)
+    assert causes_of(seen)[0].name == "kink"
+    smooth = replace(seen.lines[0].settings, kink=seen.lines[0].settings.jump)
+    lines = tuple(replace(each, settings=smooth) for each in seen.lines)
+    assert causes_of(replace(seen, lines=lines))[0].name == "none"
+    many = replace(CAUSE_SETTINGS, least_lines=len(seen.each("axis")) + 1)
+    assert causes_of(replace(seen, lines=lines, settings=many))[0].name == "few-realizations"
+
+
+def test_settings_of_parts_reach_the_parts():
+    lines = replace(LINE_SETTINGS, jump=-1.0, pole=-2.0, kink=-0.5)
+    settings = replace(CAUSE_SETTINGS, lines=lines, curves=replace(CAUSE_SETTINGS.curves, slabs=64))
+    seen = evidence(lambda x: (x[..., 0] > 0.377) + x[..., 1], 2, settings)
+    assert seen.lines[0].settings is lines
+    assert seen.lines[0].jumps(seen.scale).sum() == 0
+    assert seen.curves["latin-hypercube"].counts[0] == 64
+
+
+def test_shares_of_the_budget_give_the_size_of_nets():
+    given = subject(lambda x: x[..., 0], 1)
+    few = replace(CAUSE_SETTINGS, nets=10)
+    _, n, nets = shares_of(given.estimator, given.sampler, 8192)
+    _, larger, fewer = shares_of(given.estimator, given.sampler, 8192, few)
+    assert (n, nets) == (256, 20)
+    assert (larger, fewer) == (512, 10)
+    with pytest.raises(ParameterError, match="at least 62"):
+        shares_of(given.estimator, given.sampler, 40, few)
