@@ -32,7 +32,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial, singledispatch
 from typing import Any, final
 
@@ -58,12 +58,14 @@ from mcspectra.samplers.law import (
     Motif,
     Moved,
     PairedAxes,
+    Product,
     Scrambled,
     Shifted,
     Stationary,
     Strata,
     UniformPoint,
     mean_of_terms,
+    scrambled,
 )
 
 __all__ = ["Moments", "closed_form_covariance", "closed_form_power", "moments_of", "points_at"]
@@ -283,6 +285,31 @@ def _(law: PairedAxes) -> Moments:
 
 
 @_moments.register
+def _(law: Product) -> Moments | None:
+    # Pairs of different points, and single points, are independent over the groups of axes
+    n, parts = law.n, []
+    for part, axes in zip(law.parts, law.axes, strict=True):
+        moments = _moments(part)
+        if moments is None:
+            return None
+        parts.append((moments, list(axes)))
+
+    def mean(nu: Array) -> Array:
+        return np.asarray(math.prod(each.mean(nu[..., axes]) for each, axes in parts))
+
+    def covariance(m: Array, other: Array) -> Array:
+        different: Any = 1.0
+        for each, axes in parts:
+            a, b = m[..., axes], other[..., axes]
+            second = each.covariance(a, b) + each.mean(a) * np.conj(each.mean(b))
+            different = different * (n * second - each.mean(a - b)) / max(n - 1, 1)
+        second = mean(m - other) / n + (1.0 - 1.0 / n) * different
+        return np.asarray(second - mean(m) * np.conj(mean(other)))
+
+    return Moments(mean, covariance, any(each.integer for each, _ in parts))
+
+
+@_moments.register
 def _(law: Stationary) -> Moments | None:
     return None if law.power is None else _stationary(law.power)
 
@@ -388,6 +415,12 @@ def _level_mates(m: Array, other: Array, s: int | Array, parts: int | Array | No
 @_moments.register
 def _(law: Scrambled) -> Moments | None:
     inner = law.inner
+    if isinstance(inner, Product):  # the digits of each axis are permuted independently
+        parts = tuple(
+            scrambled(part, law.kind, [law.bases[axis] for axis in axes], shifts=law.shifts)
+            for part, axes in zip(inner.parts, inner.axes, strict=True)
+        )
+        return _moments(replace(inner, parts=parts))
     if not isinstance(inner, Fixed):
         return None
     if law.nested_pairs:
