@@ -19,6 +19,7 @@ NAMES = (
     "convergence",
     "coverage",
     "predictions",
+    "closed_forms",
     "battery",
     "settings",
     "improvements",
@@ -48,7 +49,7 @@ def main() -> int:
         return 0
     flags = [argument for argument in sys.argv[1:] if argument.startswith("--")]
     chosen = [argument for argument in sys.argv[1:] if argument not in flags] or NAMES
-    for name in chosen:
+    for name in (each.replace("-", "_") for each in chosen):
         if name not in NAMES:
             print(f"There is no benchmark {name!r}; there are {', '.join(NAMES)}.", file=sys.stderr)
             return 2

@@ -19,13 +19,19 @@ from mcspectra.samplers.law import (
     Mirrored,
     Moved,
     PairedAxes,
+    Product,
     Scrambled,
     Shifted,
     Stationary,
     Strata,
     Unknown,
     independent_sets,
+    latin_hypercube,
+    scrambled,
+    shifted,
 )
+from mcspectra.spectra.closed_forms import moments_of
+from mcspectra.testing import check_sampler
 
 ROOTS = {
     "random": Independent,
@@ -204,3 +210,158 @@ class TestStranger:
             [self.sampler, "random"], counts=[16, 64], dims=[3], realizations=20
         )
         assert self.sampler.spec in found["sampler"].values
+
+
+@dataclass(frozen=True, kw_only=True)
+class LatticeWithStrata(mcs.Sampler):
+    """A shifted rank-1 lattice in the first 3 of 5 dims, with jittered points in random order in the rest."""
+
+    name: ClassVar[str] = "lattice-with-strata"
+    min_dims: ClassVar[int] = 5
+    max_dims: ClassVar[int | None] = 5
+    dims: int = 5
+
+    def _points(self, n, stream, first, count):
+        side = round(n**0.5)
+        steps = np.arange(n)[:, None] * self.vector(n) % n / n
+        x = (steps + stream.child(1).uniforms(first, count, 3)[:, None]) % 1.0
+        inside = stream.child(2).uniforms(first, count, 2 * n).reshape(count, n, 2)
+        y = (np.stack(np.divmod(np.arange(n), side), axis=1) + inside) / side
+        order = [stream.child(3).generator(first + r).permutation(n) for r in range(count)]
+        y = np.take_along_axis(y, np.array(order)[..., None], axis=1)
+        return np.minimum(np.concatenate([x, y], axis=2), np.nextafter(1.0, 0.0))
+
+    @staticmethod
+    def vector(n):
+        return np.array([1, 19, 19**2 % n])
+
+    def _counts_near(self, n):
+        side = int(n**0.5)
+        return side**2 or None, side**2 if side**2 == n else (side + 1) ** 2
+
+    def _law(self, n: int) -> Law:
+        side = round(n**0.5)
+        lattice = Fixed(n=n, dims=3, vector=tuple(self.vector(n).tolist()), even=True)
+        strata = Strata(n=n, dims=2, sides=(side, side))
+        return Product(n=n, dims=5, parts=(shifted(lattice), strata))
+
+
+class TestProduct:
+    """A sampler whose groups of axes have different laws, known to no module of the package."""
+
+    sampler = LatticeWithStrata()
+
+    def test_the_contract_of_samplers(self):
+        check_sampler(self.sampler)
+
+    def test_closed_forms_of_power_and_covariance(self):
+        rng = np.random.default_rng(1)
+        m, other = rng.integers(-2, 3, (2, 40, 5))
+        other[:20] = m[:20]
+        m[-2:], other[-2:] = (
+            [[0, 0, 0, 1, 0], [0, 0, 0, 1, 2]],
+            [[0, 0, 0, -1, 0], [0, 0, 0, 1, -2]],
+        )
+        points, n = self.sampler.draw(16, realizations=20_000, rng=2), 16
+        s, t = (np.exp(-2j * np.pi * points @ k.T).mean(axis=1) for k in (m, other))
+        products = (s - s.mean(axis=0)) * (t - t.mean(axis=0)).conj()
+        exact = mcs.spectra.closed_form_covariance(self.sampler, n, m, other)
+        error = products.std(axis=0) / np.sqrt(len(points))
+        # Normal to a good approximation: 40 numbers, each within 4.5 errors
+        assert (np.abs(products.mean(axis=0) - exact) < 4.5 * error + 1e-12).all()
+        power = mcs.closed_form_power(self.sampler, n, m)
+        own = np.abs(s) ** 2
+        off = np.abs(own.mean(axis=0) - power)
+        assert (off < 4.5 * own.std(axis=0) / np.sqrt(len(points)) + 1e-12).all()
+
+    @pytest.mark.parametrize(
+        "text",
+        [
+            "cos(2*pi*(x0-x1+x3))+sin(2*pi*(x2+x4))+cos(2*pi*x4)",
+            "cos(2*pi*x0)*cos(2*pi*x3)+cos(2*pi*x1)+sin(2*pi*(x3-x4))",
+        ],
+    )
+    def test_variances_of_waves_that_mix_both_groups(self, text):
+        """Sums over pairs of frequencies are all of it."""
+        f = mcs.integrand(f"formula(expression='{text}')", dims=5)
+        predicted = mcs.predict(f, self.sampler, [64], method="covariance", half_width=1)
+        curve = mcs.convergence(f, self.sampler, [64], realizations=4000, rng=3)
+        error = float(curve["variance"][0]) * np.sqrt(2 / 3999)
+        found = float(predicted["predicted_variance"][0])
+        assert abs(found - float(curve["variance"][0])) < 4.5 * error
+
+    @pytest.mark.parametrize("step", ["", " | shift"])
+    @pytest.mark.parametrize(
+        "text", ["exp(x0+x1/2+x2/3+x3+x4/2)", "where(x0+x1-x3+0.5*x4<0.6,1,0)", "max(x2+x3-1,0)*x1"]
+    )
+    def test_predictions_of_functions_that_mix_both_groups(self, text, step):
+        """With a shift from pairs of points, else from other counts: intervals cover."""
+        f = mcs.integrand(f"formula(expression='{text}')", dims=5)
+        sampler = self.sampler.then(mcs.samplers.Shift()) if step else self.sampler
+        predicted = mcs.predict(f, sampler, [64])
+        curve = mcs.convergence(f, sampler, [64], realizations=4000, rng=4)
+        measured = float(curve["variance"][0])
+        low, high = predicted["predicted_variance_ci"].values[0]
+        assert low - 0.1 * measured < measured < high + 0.1 * measured  # 4.5 errors of 2.2 %
+        if step and "where" not in text:  # jumps across many axes take other counts
+            assert str(predicted["method"].values[0]) != "extrapolated"
+
+    def test_profile_and_bench(self):
+        f = mcs.integrand("genz-gaussian", dims=5)
+        assert "lattice-with-strata" in str(mcs.profile(f, sampler=self.sampler, budget=1024))
+        found = mcs.sampler_bench(
+            [self.sampler, "random"], counts=[16, 64], dims=[5], realizations=20
+        )
+        assert np.isfinite(found["rate"].sel(sampler=self.sampler.spec)).all()
+
+    def test_randomizations_wrap_products(self):
+        law = self.sampler.law(16)
+        assert (shifted(law).stationary, law.stationary, law.uniform) == (True, False, True)
+        parts = tuple(shifted(part) for part in law.parts)
+        both = Product(n=16, dims=5, parts=parts)
+        assert shifted(both) is both
+        shift = self.sampler.then(mcs.samplers.Shift())
+        m = np.array([[1, 0, 0, 1, 0], [0, 0, 0, 4, 0], [0, 0, 0, 1, 0]])
+        power = mcs.closed_form_power(shift, 16, m)
+        np.testing.assert_allclose(power, mcs.closed_form_power(self.sampler, 16, m))
+        # Strata in powers of the base keep their law, and the lattice is scrambled by itself
+        lattice = scrambled(law.parts[0], "digital-shift", (2,) * 3)
+        assert isinstance(lattice, Scrambled)
+        net = Fixed(n=4, dims=2, bases=(2, 2), digital=True).of(mcs.sampler("sobol", dims=2))
+        strata = Strata(n=4, dims=1, sides=(4,))
+        product = scrambled(Product(n=4, dims=3, parts=(net, strata)), "nested", (2,) * 3)
+        own = Product(n=4, dims=3, parts=(scrambled(net, "nested", (2, 2)), strata))
+        m = np.random.default_rng(1).integers(-5, 6, (30, 3)).astype(float)
+        np.testing.assert_allclose(
+            moments_of(product, "product", m).power(m), moments_of(own, "own", m).power(m)
+        )
+
+
+def test_a_latin_hypercube_is_a_product_of_strata_of_single_axes():
+    n, m = 8, np.random.default_rng(1).uniform(-9, 9, (50, 3))
+    other = m[::-1].copy()
+    single = Strata(n=n, dims=1, sides=(n,))
+    product = moments_of(Product(n=n, dims=3, parts=(single,) * 3), "product", m, other)
+    latin = moments_of(latin_hypercube(n, 3), "latin", m, other)
+    np.testing.assert_allclose(product.power(m), latin.power(m), atol=1e-14)
+    np.testing.assert_allclose(product.covariance(m, other), latin.covariance(m, other), atol=1e-14)
+    # Groups may be any axes
+    pair = Strata(n=9, dims=2, sides=(3, 3))
+    split = Product(n=9, dims=3, parts=(pair, Strata(n=9, dims=1, sides=(9,))), axes=((0, 2), (1,)))
+    straight = Product(n=9, dims=3, parts=split.parts)
+    swap = [0, 2, 1]
+    np.testing.assert_allclose(
+        moments_of(split, "split", m).power(m),
+        moments_of(straight, "straight", m).power(m[:, swap]),
+        atol=1e-14,
+    )
+
+
+@pytest.mark.parametrize(
+    ("n", "axes", "words"),
+    [(8, ((0,), (0,)), "list each of its 2 axes once"), (9, ((0,), (1,)), "must have n = 9")],
+)
+def test_products_that_do_not_fit_are_refused(n, axes, words):
+    part = Strata(n=8, dims=1, sides=(8,))
+    with pytest.raises(ParameterError, match=words):
+        Product(n=n, dims=2, parts=(part, part), axes=axes)

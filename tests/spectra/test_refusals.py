@@ -99,7 +99,7 @@ UNKNOWN = [
         ((lambda s=spec, n=n: _covariance(s, n)), "No closed-form power is known")
         for spec, n in (
             ("poisson-disk", 16),
-            ("halton | digital-shift", 16),
+            ("sobol | lms(shift=False)", 16),
             ("orthogonal-array(jitter='correlated-multi-jittered')", 9),
             ("correlated-multi-jittered", 16),
             ("jittered | random-rotation", 16),

@@ -16,6 +16,7 @@ A law is a small tree of frozen classes. Leaves say how points are drawn:
     Fixed         the same set every time
     Stationary    a set whose law is the same after any translation of the torus
     Choice        one of several laws, chosen at random
+    Product       independent sets in groups of axes, their points paired at random
     Unknown       anything that can only be drawn
 
 Operators say how a set is randomized:
@@ -35,12 +36,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import ClassVar, Literal, Protocol, Self, TypeAlias, final
 
 import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import Function, NoClosedForm, ParameterError
+from mcspectra.core.fields import settle
 from mcspectra.core.streams import Stream
 
 __all__ = [
@@ -57,6 +60,7 @@ __all__ = [
     "Moved",
     "PairPattern",
     "PairedAxes",
+    "Product",
     "Scramble",
     "Scrambled",
     "Shifted",
@@ -413,6 +417,9 @@ class Fixed(Law):
     @cached_property
     def points(self) -> Array:
         """The set, float64 (n, dims)."""
+        if self.source is None and self.vector is not None:
+            steps = np.arange(self.n)[:, None] * (np.asarray(self.vector, np.int64) % self.n)
+            return np.asarray(steps % self.n / self.n)
         return np.asarray(self.draw(Stream.from_rng(self.seed), 0, 1)[0])
 
     def agreements(self, bases: Sequence[int], levels: int) -> Array:
@@ -489,6 +496,55 @@ class Choice(Law):
     def uniform(self) -> bool:  # type: ignore[override]
         """Whether all of them are."""
         return all(law.uniform for law in self.laws)
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Product(Law):
+    """Independent sets in groups of axes, whose points are paired in random orders.
+
+    Point i of the whole set has the coordinates of point π_g(i) of the set of each group g, with independent
+    random permutations π_g. A Latin hypercube is such a product of strata of single axes.
+
+    Attributes
+    ----------
+    parts
+        The laws of the groups, each of n points.
+    axes
+        The axes of each group; by default those of the first part come first, and so on.
+    """
+
+    parts: tuple[Law, ...]
+    axes: tuple[tuple[int, ...], ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.axes:
+            ends = np.cumsum([0, *(part.dims for part in self.parts)]).tolist()
+            axes = tuple(tuple(range(a, b)) for a, b in pairwise(ends))
+            settle(self, axes=axes)
+        listed = sorted(axis for group in self.axes for axis in group)
+        fits = [part.dims for part in self.parts] == [len(group) for group in self.axes]
+        if not (fits and listed == list(range(self.dims))):
+            dims = ", ".join(str(part.dims) for part in self.parts)
+            raise ParameterError(
+                f"The axes {self.axes} of a product of laws in {dims} dims must list each of its "
+                f"{self.dims} axes once, as many for each law as it has dims."
+            )
+        if any(part.n != self.n for part in self.parts):
+            counts = ", ".join(str(part.n) for part in self.parts)
+            raise ParameterError(
+                f"The laws of a product have {counts} points; each must have n = {self.n}."
+            )
+
+    @property
+    def uniform(self) -> bool:  # type: ignore[override]
+        """Whether all parts are."""
+        return all(part.uniform for part in self.parts)
+
+    @property
+    def stationary(self) -> bool:  # type: ignore[override]
+        """Whether all parts are."""
+        return all(part.stationary for part in self.parts)
 
 
 @final
@@ -766,4 +822,7 @@ def independent_sets(law: Law) -> int | None:
             return law.sets
         case Shifted() | Moved() | Scrambled() | Folded() | Mirrored():
             return independent_sets(law.inner)
+        case Product():
+            known = [independent_sets(part) for part in law.parts]
+            return min((sets for sets in known if sets is not None), default=None)
     return None

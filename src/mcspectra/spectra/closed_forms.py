@@ -32,7 +32,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial, singledispatch
 from typing import Any, final
 
@@ -58,12 +58,14 @@ from mcspectra.samplers.law import (
     Motif,
     Moved,
     PairedAxes,
+    Product,
     Scrambled,
     Shifted,
     Stationary,
     Strata,
     UniformPoint,
     mean_of_terms,
+    scrambled,
 )
 
 __all__ = ["Moments", "closed_form_covariance", "closed_form_power", "moments_of", "points_at"]
@@ -72,8 +74,8 @@ _SCRAMBLED_BITS = 32
 """Bits that are scrambled; lower ones are uniform and independent."""
 _MOST_PAIR_TERMS = 2**31
 """Most terms of sums over pairs of digits and frequencies: about half a minute."""
-_MOST_SHIFTED = 2**16
-"""Most points of a net whose digital shifts are summed: 1 MB of complex numbers a frequency."""
+_TERMS_AT_ONCE = 2**22
+"""Terms that are in memory together: 64 MB of complex numbers."""
 
 # With a density
 _BLOCK = 2**20  # numbers at once
@@ -283,6 +285,31 @@ def _(law: PairedAxes) -> Moments:
 
 
 @_moments.register
+def _(law: Product) -> Moments | None:
+    # Pairs of different points, and single points, are independent over the groups of axes
+    n, parts = law.n, []
+    for part, axes in zip(law.parts, law.axes, strict=True):
+        moments = _moments(part)
+        if moments is None:
+            return None
+        parts.append((moments, list(axes)))
+
+    def mean(nu: Array) -> Array:
+        return np.asarray(math.prod(each.mean(nu[..., axes]) for each, axes in parts))
+
+    def covariance(m: Array, other: Array) -> Array:
+        different: Any = 1.0
+        for each, axes in parts:
+            a, b = m[..., axes], other[..., axes]
+            second = each.covariance(a, b) + each.mean(a) * np.conj(each.mean(b))
+            different = different * (n * second - each.mean(a - b)) / max(n - 1, 1)
+        second = mean(m - other) / n + (1.0 - 1.0 / n) * different
+        return np.asarray(second - mean(m) * np.conj(mean(other)))
+
+    return Moments(mean, covariance, any(each.integer for each, _ in parts))
+
+
+@_moments.register
 def _(law: Stationary) -> Moments | None:
     return None if law.power is None else _stationary(law.power)
 
@@ -388,12 +415,19 @@ def _level_mates(m: Array, other: Array, s: int | Array, parts: int | Array | No
 @_moments.register
 def _(law: Scrambled) -> Moments | None:
     inner = law.inner
+    if isinstance(inner, Product):  # the digits of each axis are permuted independently
+        parts = tuple(
+            scrambled(part, law.kind, [law.bases[axis] for axis in axes], shifts=law.shifts)
+            for part, axes in zip(inner.parts, inner.axes, strict=True)
+        )
+        return _moments(replace(inner, parts=parts))
     if not isinstance(inner, Fixed):
         return None
     if law.nested_pairs:
         return _of_pairs(law.n, partial(_nested_pairs, inner, law.bases))
-    if law.xor and inner.digital and law.n <= _MOST_SHIFTED:
-        return _of_pairs(law.n, partial(_xor_pairs, inner.points))
+    if law.kind in ("digital-shift", "permutation"):
+        shifted = law.kind == "digital-shift"
+        return _of_pairs(law.n, partial(_place_pairs, inner, law.bases, shifted))
     return None
 
 
@@ -444,34 +478,65 @@ def _levels(x: Array, base: int) -> int:
     return most
 
 
-def _xor_pairs(points: Array, m: Array, other: Array) -> Array:
-    """(1/n²) Σ over pairs of different points of a net in base 2 that one digital shift moves.
+def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, other: Array) -> Array:
+    """(1/n²) Σ over pairs of different points after one change of each place of digits.
 
-    Points of a pair are u and u ⊕ z, u uniform and z another point of the net; the bits of u are
-    independent, so that each gives a factor.
+    With `shifted` a random digit is added to each place, else its digits are permuted at random. The images
+    of two digits depend on their difference, or on whether they are equal; places are independent, so that
+    each gives a factor, and digits below all places move by one uniform number. Of digits that are a
+    group the pairs with one point stand for all.
     """
-    n, dims = points.shape
-    words = np.rint(points * 2.0**_SCRAMBLED_BITS).astype(np.uint64)[1:] ^ np.rint(
-        points[0] * 2.0**_SCRAMBLED_BITS
-    ).astype(np.uint64)
+    n, dims, points = net.n, net.dims, net.points
     flat, far = (np.broadcast_to(a, m.shape).reshape(-1, dims) for a in (m, other))
-    if float(n) * len(flat) * dims * _SCRAMBLED_BITS > _MOST_PAIR_TERMS:
+    places = [_scrambled_digits(b) for b in bases]
+    rows = 1 if net.digital else n
+    if float(rows * n) * len(flat) * sum(places) > _MOST_PAIR_TERMS:
         raise NoClosedForm(
-            f"The covariances of {n} shifted points at {len(flat)} pairs of frequencies take more than "
-            f"{_MOST_PAIR_TERMS:.2g} terms; use ",
+            f"The covariances of {n} points with changed digits at {len(flat)} pairs of frequencies take "
+            f"more than {_MOST_PAIR_TERMS:.2g} terms; use ",
             Function("power_spectrum"),
             ", or ask for fewer.",
         )
-    total = np.ones((len(words), len(flat)), complex)
-    for axis in range(dims):
-        a, b = flat[:, axis], far[:, axis]
-        for bit in range(1, _SCRAMBLED_BITS + 1):
-            low = 0.5 * (1.0 + np.exp(-2j * np.pi * (a - b) * 2.0**-bit))
-            high = 0.5 * (np.exp(2j * np.pi * b * 2.0**-bit) + np.exp(-2j * np.pi * a * 2.0**-bit))
-            is_set = (words[:, axis] >> np.uint64(_SCRAMBLED_BITS - bit)) & np.uint64(1)
-            total *= np.where(is_set[:, None] == 1, high, low)
-        total *= _interval((a - b) * 2.0**-_SCRAMBLED_BITS)
-    return np.asarray(total.sum(axis=0).reshape(m.shape[:-1]) / n)
+    # Factor of each place of each axis by the difference of its digits, (b, frequencies)
+    factors = list[list[Array]]()
+    for axis, b in enumerate(bases):
+        digit, own = np.arange(b), list[Array]()
+        for place in range(1, places[axis] + 1):
+            left, right = (
+                np.exp(-2j * np.pi * np.remainder(np.outer(digit, f[:, axis] / b**place), 1.0))
+                for f in (flat, far)
+            )
+            right = np.conj(right)
+            by_difference = np.stack(
+                [(left * np.roll(right, -step, axis=0)).mean(axis=0) for step in digit]
+            )
+            if not shifted:
+                by_difference[1:] = by_difference[1:].mean(axis=0)
+            own.append(by_difference)
+        own[-1] = own[-1] * _interval((flat[:, axis] - far[:, axis]) / float(b) ** places[axis])
+        factors.append(own)
+
+    total = np.zeros(len(flat), complex)
+    # Digits of each axis, the highest first; coordinates rounded down to below a digit count as that digit
+    digits = []
+    for axis, b in enumerate(bases):
+        nudge = 0.0 if b & (b - 1) == 0 else 2.0**-52
+        scale = float(b) ** places[axis]
+        whole = np.minimum((points[:, axis] + nudge) * scale, scale - 1.0).astype(np.int64)
+        powers = b ** np.arange(places[axis] - 1, -1, -1, dtype=np.int64)
+        digits.append(whole[:, None] // powers % b)
+    block = max(1, _TERMS_AT_ONCE // max(1, len(flat)))
+    for i in range(rows):
+        others = np.delete(np.arange(n), i)
+        for start in range(0, n - 1, block):
+            there = others[start : start + block]
+            each = np.ones((len(there), len(flat)), complex)
+            for axis, b in enumerate(bases):
+                differences = (digits[axis][there] - digits[axis][i]) % b
+                for place, factor in enumerate(factors[axis]):
+                    each *= factor[differences[:, place]]
+            total += each.sum(axis=0)
+    return np.asarray(total.reshape(m.shape[:-1]) / (n * rows))
 
 
 def _moved(moments: Moments, by: Array) -> Moments:
