@@ -35,7 +35,7 @@ from mcspectra.explain.probing import (
     pole_of,
 )
 from mcspectra.explain.samples import CURVE_SETTINGS, NETS, Curve, CurveSettings, Sets, scalar
-from mcspectra.samplers import GivenPoints, Sampler, as_sampler
+from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.samplers import law as laws
 
 __all__ = [
@@ -48,7 +48,6 @@ __all__ = [
     "Replicates",
     "causes_of",
     "is_apart",
-    "sets_of",
     "shares_of",
     "technique_name",
 ]
@@ -598,15 +597,8 @@ def _deterministic(seen: Evidence) -> Cause | None:
     )
 
 
-def sets_of(sampler: Sampler) -> float:
-    """Number of sets of n points that a sampler has: infinite, except for given points."""
-    if isinstance(sampler, GivenPoints) and not sampler.cycle:
-        return min(map(len, sampler.sets.values()))
-    return math.inf
-
-
 def _few_realizations(seen: Evidence) -> Cause | None:
-    count = sets_of(seen.sampler)
+    count = seen.sampler.most_realizations
     if count >= seen.settings.few_sets:
         return None
     from scipy.stats import chi2

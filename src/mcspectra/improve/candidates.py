@@ -39,7 +39,6 @@ from mcspectra.samplers import Sampler, Shift, StrataShift
 from mcspectra.samplers.law import PairedAxes, Strata
 from mcspectra.samplers.registry import sampler as make_sampler
 from mcspectra.samplers.stratified import root
-from mcspectra.spectra.bases import parts_of
 
 __all__ = [
     "KINDS",
@@ -214,7 +213,7 @@ def leave_shift_out(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
 
 def _without_shift(sampler: Sampler) -> Sampler | None:
     """Return the sampler without its shifts, or None if it has no shift."""
-    plain, steps = parts_of(sampler)
+    plain, steps = sampler.chain
     if not any(isinstance(step, Shift) for step in steps):
         return None
     for step in steps:

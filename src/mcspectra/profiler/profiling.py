@@ -52,7 +52,6 @@ from mcspectra.explain.causes import (
     Replicates,
     causes_of,
     is_apart,
-    sets_of,
     shares_of,
 )
 from mcspectra.explain.probing import grain
@@ -578,7 +577,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
             not_tried.append(f"{given.spec}: {error}")
             source, count = (
                 estimator.randomized(given),
-                int(min(CAUSE_SETTINGS.nets, sets_of(given))),
+                int(min(CAUSE_SETTINGS.nets, given.most_realizations)),
             )
             if count > 1:
                 n = given.nearest_count(sets.points[0].shape[1] // sets.counts[0])
@@ -720,7 +719,7 @@ def _measured(
 ) -> tuple[Curve, Replicates, int]:
     """Measure the curve of a sampler within `evaluations`; also return replicates and the cost."""
     each, least = sum(estimator.counts) * estimator.evaluations_per_point, _SETTINGS.least_sets
-    sets = drawn = int(min(CAUSE_SETTINGS.nets, sets_of(sampler)))
+    sets = drawn = int(min(CAUSE_SETTINGS.nets, sampler.most_realizations))
     if sets < least:
         raise CountError(f"{sampler.spec} has {sets} sets; give {least} or more.")
     setup, counts = Setup(estimator, sampler), list[int]()

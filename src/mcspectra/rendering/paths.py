@@ -58,7 +58,6 @@ from mcspectra.rendering.techniques import (
     pixel_sums,
 )
 from mcspectra.samplers import Sampler, as_sampler
-from mcspectra.spectra.bases import parts_of
 
 __all__ = [
     "SCENE_INTEGRATOR",
@@ -257,7 +256,7 @@ def window_dimensions(
 
 def in_dims(sampler: Sampler, dims: int) -> Sampler:
     """The same sampler in other dims, whose scrambles take the bases of its coordinates anew."""
-    base, steps = parts_of(sampler)
+    base, steps = sampler.chain
     made = as_sampler(base.spec, dims)
     for step in steps:
         own: Any = step

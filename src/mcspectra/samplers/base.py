@@ -7,6 +7,7 @@ sampler; ``sampler.then(randomization)`` chains them. Implementations write `_po
 
 from __future__ import annotations
 
+import math
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -191,6 +192,16 @@ class Sampler(Component, ABC):
         """The sampler and randomisations that this one is short for at n points; itself if for none."""
         return self
 
+    @property
+    def chain(self) -> tuple[Sampler, tuple[Randomization, ...]]:
+        """The sampler inside all randomizations, and these in their order; none by default."""
+        return self, ()
+
+    @property
+    def most_realizations(self) -> float:
+        """Largest number of realizations that can be drawn: infinite, but for given points."""
+        return math.inf
+
     def check_count(self, n: object) -> int:
         """Return `n` as an int if this sampler can make `n` points, else raise CountError."""
         try:
@@ -227,7 +238,7 @@ class Sampler(Component, ABC):
         if not isinstance(randomization, Randomization):
             raise ParameterError(f"{randomization!r} is not a randomisation; use e.g. Shift().")
         fitted = randomization.fit(self)
-        base, steps = (self.base, self.steps) if isinstance(self, Randomized) else (self, ())
+        base, steps = self.chain
         if len(steps) == _MOST_STEPS:
             raise ParameterError(
                 f"{base.spec} already has {_MOST_STEPS} randomisations, the most allowed; "
@@ -410,6 +421,11 @@ class Randomized(Sampler):
     def _law(self, n: int) -> Law:
         last = self.steps[-1]
         return last.law_of(self._inner.law(last.count_inside(self._inner, n)), n)
+
+    @property
+    def chain(self) -> tuple[Sampler, tuple[Randomization, ...]]:
+        """See `Sampler.chain`."""
+        return self.base, self.steps
 
     @property
     def spec(self) -> str:

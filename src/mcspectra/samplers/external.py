@@ -227,6 +227,11 @@ class GivenPoints(Sampler):
     def _law(self, n: int) -> Law:
         return self.sets.laws[n]
 
+    @property
+    def most_realizations(self) -> float:
+        """The smallest number of sets of a count; infinite where sets may be used again."""
+        return math.inf if self.cycle else min(map(len, self.sets.values()))
+
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         del stream
         stack = self.sets[n]
