@@ -346,7 +346,8 @@ class _Offsets:
         workers: int,
     ) -> _Offsets:
         """Variances at offsets; ``"auto"`` is exact where that is known for all counts, of no black box."""
-        if isinstance(sampler.law(counts[0]), Shifted):
+        law = sampler.law(counts[0])
+        if isinstance(law, Shifted):
             raise ParameterError(
                 f"{sampler.spec} is shifted at random, which averages over all offsets; leave the "
                 "shift out."

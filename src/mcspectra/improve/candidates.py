@@ -39,7 +39,6 @@ from mcspectra.samplers import Jittered, Sampler, Shift, StrataShift
 from mcspectra.samplers.base import Structure
 from mcspectra.samplers.registry import sampler as make_sampler
 from mcspectra.samplers.stratified import root
-from mcspectra.spectra.bases import parts_of
 
 __all__ = [
     "KINDS",
@@ -182,7 +181,7 @@ def leave_shift_out(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
 
 def _without_shift(sampler: Sampler) -> Sampler | None:
     """The sampler without its shifts; None where it has none."""
-    plain, steps = parts_of(sampler)
+    plain, steps = sampler.plain, sampler.randomizations
     if not any(isinstance(step, Shift) for step in steps):
         return None
     for step in steps:

@@ -30,7 +30,6 @@ from mcspectra.samplers import GivenPoints, Owen, Sampler, Shift, as_sampler
 from mcspectra.samplers.base import Randomized
 from mcspectra.samplers.law import bases_to_scramble
 from mcspectra.samplers.optimised import OptimisedSampler
-from mcspectra.spectra.bases import parts_of
 from mcspectra.spectra.pairs import pair_correlation
 from mcspectra.spectra.power import power_spectrum
 from mcspectra.spectra.shapes import radial_statistics
@@ -328,7 +327,7 @@ def _look(source: Sampler, asked: Sequence[int], own: Any, seed: int) -> xr.Data
     stream = Stream.from_rng(own)
     nearest = _nearest(source, asked)
     n = max(nearest.values())
-    slow = isinstance(parts_of(source)[0], OptimisedSampler)
+    slow = isinstance(source.plain, OptimisedSampler)
     sets = different_realizations(source, n, stream, SHARED_SETS if slow else 100)
     parts = []
     if source.dims in _HALF_WIDTHS:
@@ -389,7 +388,7 @@ def randomized(source: Sampler, counts: Sequence[int]) -> tuple[Sampler, str]:
 
 def making_seconds(source: Sampler, n: int, rng: int) -> float:
     """Return the best time of a few draws on one thread, without the cache; NaN for points that are read."""
-    if isinstance(parts_of(source)[0], GivenPoints):
+    if isinstance(source.plain, GivenPoints):
         return math.nan
     stream = Stream.from_rng(rng)
 

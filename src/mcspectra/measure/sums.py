@@ -109,8 +109,8 @@ class TermSums:
         groups = None
         if self.by_group is not None and other.by_group is not None:
             groups = dict(self.by_group)
-            for name, sums in other.by_group.items():
-                groups[name] = groups[name].merge(sums) if name in groups else sums
+            for name, own in other.by_group.items():
+                groups[name] = groups[name].merge(own) if name in groups else own
         batches = self.batches if other.batches is None else other.batches
         if self.batches is not None and other.batches is not None:
             batches = merged(self.batches, other.batches)

@@ -25,7 +25,6 @@ from mcspectra.estimators.quadrature import square_integral
 from mcspectra.integrands import Integrand, as_integrand
 from mcspectra.prediction.known import half_interval
 from mcspectra.samplers import Decorrelate, Sampler, as_sampler
-from mcspectra.spectra.bases import parts_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -112,7 +111,7 @@ def image_error_spectrum(
     functions = [as_integrand(each, dims) for each in listed]
     d = functions[0].dims
     source = as_sampler(sampler, d)
-    last = (parts_of(source)[1] or [None])[-1]
+    last = (source.randomizations or (None,))[-1]
     if not isinstance(last, Decorrelate) or last.mode != "shift":
         raise NoClosedForm(
             f"The pixels of {source.spec} do not share a spectrum; let it end in decorrelate(mask=…), mode "

@@ -58,7 +58,6 @@ from mcspectra.rendering.techniques import (
     pixel_sums,
 )
 from mcspectra.samplers import Sampler, as_sampler
-from mcspectra.spectra.bases import parts_of
 
 __all__ = [
     "SCENE_INTEGRATOR",
@@ -257,9 +256,8 @@ def window_dimensions(
 
 def in_dims(sampler: Sampler, dims: int) -> Sampler:
     """The same sampler in other dims, whose scrambles take the bases of its coordinates anew."""
-    base, steps = parts_of(sampler)
-    made = as_sampler(base.spec, dims)
-    for step in steps:
+    made = as_sampler(sampler.plain.spec, dims)
+    for step in sampler.randomizations:
         own: Any = step
         made = made.then(
             replace(own, base=None) if isinstance(getattr(step, "base", None), tuple) else step
