@@ -376,11 +376,9 @@ class _Offsets:
         stream: Stream,
         workers: int,
     ) -> _Offsets:
-        """Choose exact or measured variances.
-
-        ``"auto"`` is exact if exact variances are known for all counts and f is not a black box.
-        """
-        if isinstance(sampler.law(counts[0]), Shifted):
+        """Variances at offsets; ``"auto"`` is exact where that is known for all counts, of no black box."""
+        law = sampler.law(counts[0])
+        if isinstance(law, Shifted):
             raise ParameterError(
                 f"{sampler.spec} is shifted at random, which averages over all offsets; leave the "
                 "shift out."

@@ -212,8 +212,8 @@ def leave_shift_out(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
 
 
 def _without_shift(sampler: Sampler) -> Sampler | None:
-    """Return the sampler without its shifts, or None if it has no shift."""
-    plain, steps = sampler.chain
+    """The sampler without its shifts; None where it has none."""
+    plain, steps = sampler.plain, sampler.randomizations
     if not any(isinstance(step, Shift) for step in steps):
         return None
     for step in steps:

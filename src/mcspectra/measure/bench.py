@@ -353,7 +353,7 @@ def _look(source: Sampler, asked: Sequence[int], own: Any, seed: int) -> xr.Data
     stream = Stream.from_rng(own)
     nearest = _nearest(source, asked)
     n = max(nearest.values())
-    slow = isinstance(source.chain[0], OptimisedSampler)
+    slow = isinstance(source.plain, OptimisedSampler)
     sets = different_realizations(source, n, stream, SHARED_SETS if slow else 100)
     parts = []
     if source.dims <= len(_SETTINGS.half_widths):
@@ -417,7 +417,7 @@ def randomized(source: Sampler, counts: Sequence[int]) -> tuple[Sampler, str]:
 
 def making_seconds(source: Sampler, n: int, rng: int) -> float:
     """Return the best time of a few draws on one thread, without the cache; NaN for points that are read."""
-    if isinstance(source.chain[0], GivenPoints):
+    if isinstance(source.plain, GivenPoints):
         return math.nan
     stream = Stream.from_rng(rng)
 

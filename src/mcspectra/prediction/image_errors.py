@@ -111,7 +111,7 @@ def image_error_spectrum(
     functions = [as_integrand(each, dims) for each in listed]
     d = functions[0].dims
     source = as_sampler(sampler, d)
-    last = (source.chain[1] or [None])[-1]
+    last = (source.randomizations or (None,))[-1]
     if not isinstance(last, Decorrelate) or last.mode != "shift":
         raise NoClosedForm(
             f"The pixels of {source.spec} do not share a spectrum; let it end in decorrelate(mask=…), mode "

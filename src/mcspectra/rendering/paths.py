@@ -256,9 +256,8 @@ def window_dimensions(
 
 def in_dims(sampler: Sampler, dims: int) -> Sampler:
     """The same sampler in other dims, whose scrambles take the bases of its coordinates anew."""
-    base, steps = sampler.chain
-    made = as_sampler(base.spec, dims)
-    for step in steps:
+    made = as_sampler(sampler.plain.spec, dims)
+    for step in sampler.randomizations:
         own: Any = step
         made = made.then(
             replace(own, base=None) if isinstance(getattr(step, "base", None), tuple) else step

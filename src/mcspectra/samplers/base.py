@@ -188,6 +188,16 @@ class Sampler(Component, ABC):
             return Unknown(n=n, dims=self.dims, is_uniform=self.unbiased, bases=bases)
         return Fixed(n=n, dims=self.dims, bases=bases)
 
+    @property
+    def plain(self) -> Sampler:
+        """The sampler inside all randomizations."""
+        return self
+
+    @property
+    def randomizations(self) -> tuple[Randomization, ...]:
+        """What randomizes the plain sampler, in this order."""
+        return ()
+
     def as_chain(self, n: int) -> Sampler:  # noqa: ARG002
         """The sampler and randomisations that this one is short for at n points; itself if for none."""
         return self
@@ -238,7 +248,7 @@ class Sampler(Component, ABC):
         if not isinstance(randomization, Randomization):
             raise ParameterError(f"{randomization!r} is not a randomisation; use e.g. Shift().")
         fitted = randomization.fit(self)
-        base, steps = self.chain
+        base, steps = self.plain, self.randomizations
         if len(steps) == _MOST_STEPS:
             raise ParameterError(
                 f"{base.spec} already has {_MOST_STEPS} randomisations, the most allowed; "
@@ -431,6 +441,16 @@ class Randomized(Sampler):
     def spec(self) -> str:
         """Spec string of the whole chain."""
         return " | ".join([self.base.spec, *(step.spec for step in self.steps)])
+
+    @property
+    def plain(self) -> Sampler:
+        """The sampler that the first step is applied to."""
+        return self.base
+
+    @property
+    def randomizations(self) -> tuple[Randomization, ...]:
+        """The steps."""
+        return self.steps
 
     @property
     def digit_bases(self) -> tuple[int, ...]:

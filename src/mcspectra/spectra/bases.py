@@ -33,7 +33,6 @@ from mcspectra.core.checks import Array, as_choice
 from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.integrands import Integrand
 from mcspectra.integrands._quadrature import axis_rules, cell_integrals, product_coefficients
-from mcspectra.samplers import Randomized, Sampler
 from mcspectra.samplers.law import Fixed, Folded, Independent, Law, Mirrored, Moved, Scrambled
 from mcspectra.spectra._kernels import bin_weights
 from mcspectra.spectra.transforms import FrequencyGrid, IndexGrid, Transform, given_or_equal
@@ -48,7 +47,6 @@ __all__ = [
     "fitting_basis",
     "hadamard",
     "make_basis",
-    "without_last",
 ]
 
 Coefficients = Callable[[Array, "Array | None"], Array]
@@ -263,12 +261,6 @@ def make_basis(name: str, dims: int, half_width: int) -> Basis:
     """
     FrequencyGrid(dims, half_width)  # the same limits for all
     return _CLASSES[as_choice("basis", name, BASES)](dims, half_width)
-
-
-def without_last(sampler: Sampler) -> Sampler:
-    """A randomised sampler without the last of its randomisations."""
-    base, steps = sampler.chain
-    return Randomized(base=base, steps=steps[:-1]) if steps[:-1] else base
 
 
 def fitting_basis(law: Law, half_width: int) -> str:

@@ -414,20 +414,20 @@ def _level_mates(m: Array, other: Array, s: int | Array, parts: int | Array | No
 
 @_moments.register
 def _(law: Scrambled) -> Moments | None:
-    inner = law.inner
-    if isinstance(inner, Product):  # the digits of each axis are permuted independently
+    net = law.inner
+    if isinstance(net, Product):  # the digits of each axis are permuted independently
         parts = tuple(
             scrambled(part, law.kind, [law.bases[axis] for axis in axes], shifts=law.shifts)
-            for part, axes in zip(inner.parts, inner.axes, strict=True)
+            for part, axes in zip(net.parts, net.axes, strict=True)
         )
-        return _moments(replace(inner, parts=parts))
-    if not isinstance(inner, Fixed):
+        return _moments(replace(net, parts=parts))
+    if not isinstance(net, Fixed):
         return None
     if law.nested_pairs:
-        return _of_pairs(law.n, partial(_nested_pairs, inner, law.bases))
+        return _of_pairs(law.n, partial(_nested_pairs, net, law.bases))
     if law.kind in ("digital-shift", "permutation"):
         shifted = law.kind == "digital-shift"
-        return _of_pairs(law.n, partial(_place_pairs, inner, law.bases, shifted))
+        return _of_pairs(law.n, partial(_place_pairs, net, law.bases, shifted))
     return None
 
 

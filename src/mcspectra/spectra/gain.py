@@ -208,11 +208,11 @@ def closed_form_walsh_power(sampler: Sampler | str, n: int, indices: Any) -> Arr
 
 def _net_inside(law: Law, name: str) -> tuple[Fixed, tuple[int, ...]]:
     """Return the fixed set inside scrambles of its digits, and the bases of these."""
-    inner = law.inner if isinstance(law, Scrambled) else law
-    if not isinstance(inner, Fixed):
+    net = law.inner if isinstance(law, Scrambled) else law
+    if not isinstance(net, Fixed):
         raise NoClosedForm(
             f"No gain coefficients are known for {name}; give a net that is the same every "
             "time, such as sobol, alone or with owen."
         )
-    bases = law.bases if isinstance(law, Scrambled) else inner.bases
-    return inner, bases or (2,) * law.dims
+    bases = law.bases if isinstance(law, Scrambled) else net.bases
+    return net, bases or (2,) * law.dims
