@@ -203,11 +203,6 @@ class Sampler(Component, ABC):
         return self
 
     @property
-    def chain(self) -> tuple[Sampler, tuple[Randomization, ...]]:
-        """The sampler inside all randomizations, and these in their order; none by default."""
-        return self, ()
-
-    @property
     def most_realizations(self) -> float:
         """Largest number of realizations that can be drawn: infinite, but for given points."""
         return math.inf
@@ -431,11 +426,6 @@ class Randomized(Sampler):
     def _law(self, n: int) -> Law:
         last = self.steps[-1]
         return last.law_of(self._inner.law(last.count_inside(self._inner, n)), n)
-
-    @property
-    def chain(self) -> tuple[Sampler, tuple[Randomization, ...]]:
-        """See `Sampler.chain`."""
-        return self.base, self.steps
 
     @property
     def spec(self) -> str:
