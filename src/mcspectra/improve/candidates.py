@@ -59,7 +59,7 @@ _INSIDE = frozenset(
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class CandidateSettings:
     """Settings of the changes that are tried."""
 

@@ -54,7 +54,7 @@ __all__ = [
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class RemedySettings:
     """Settings of the comparison of remedies."""
 

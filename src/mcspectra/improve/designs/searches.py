@@ -48,7 +48,7 @@ _FOLD = " | mirror(mode='fold')"
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class SearchSettings:
     """Settings of the searches.
 
