@@ -41,7 +41,7 @@ METHODS = ("auto", "exact", "measured")
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class AlignmentSettings:
     """Settings of scans over the offsets of strata."""
 

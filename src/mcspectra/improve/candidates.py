@@ -58,7 +58,7 @@ _INSIDE = frozenset(
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class CandidateSettings:
     """Settings of the changes that are tried."""
 
@@ -73,8 +73,8 @@ class CandidateSettings:
         "rank1-lattice | shift",
         "sobol | owen",
     )
-    # Most dims in which strata are aligned with edges. In d dims the scan of offsets has 4^d
-    # offsets or more, and exact variances at offsets are known in 1-D and 2-D only.
+    # Most dims in which strata are aligned with edges. A search for an offset takes 96 variances in
+    # 2-D, 112 in 3-D and 320 in 4-D. In 3-D, 64 points have four strata along each axis.
     most_aligned_dims: int = 2
     # Most dims in which cubic stratification is tried. Order 4 needs at least 4^d cells, 256 in
     # 4-D, and its rate n^(−1 − 8/d) gains little over nets there.

@@ -50,7 +50,7 @@ __all__ = [
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ChangeSettings:
     """Settings of changed estimators, and of the densities that are fitted to g."""
 
@@ -85,7 +85,7 @@ class ChangeSettings:
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class RegressionSettings:
     """Settings of regressions of g on polynomials."""
 

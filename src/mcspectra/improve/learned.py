@@ -52,7 +52,7 @@ __all__ = ["LEARNED", "LearnSettings", "fit_splines", "in_rounds", "learned_dens
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class LearnSettings:
     """Settings of fits of splines, and of the choice between fitted densities."""
 

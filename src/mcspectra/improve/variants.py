@@ -36,7 +36,7 @@ _ORIGINAL = "original"
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class SmoothingSettings:
     """Settings of scans over the widths of smoothed edges."""
 

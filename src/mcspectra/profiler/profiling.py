@@ -70,7 +70,7 @@ __all__ = ["Change", "Profile", "ProfileSettings", "Profiling", "profile"]
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ProfileSettings:
     """Settings of a profile."""
 
@@ -119,7 +119,6 @@ class ProfileSettings:
 
 _SETTINGS = ProfileSettings()
 _PAIRS = "antithetic-jittered"
-_WEIGHTED = 3  # number of functions of a weighted integrand: f, pdf and sample
 # Causes that concern the sets of a sampler, not g
 _OF_SETS = {"deterministic-set", "few-realizations", "correlated-replicates"}
 # Exponents e by cause: variances fall as n^(−1 − e/d) with strata and n^(−1 − e) with nets by
@@ -463,7 +462,7 @@ def profile(
     >>> found.causes[0].name, found.best.name
     ('kink', 'sobol | owen')
     """
-    weighted = isinstance(f, tuple) and len(f) == _WEIGHTED and all(map(callable, f))
+    weighted = isinstance(f, tuple) and len(f) == 3 and all(map(callable, f))
     if not (isinstance(f, AbstractEstimator | Integrand | str) or callable(f) or weighted):
         return _of_draws(f)
     limit = as_integer("budget", budget, least=_SETTINGS.least_budget, most=2**30)

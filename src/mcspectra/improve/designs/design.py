@@ -41,7 +41,7 @@ _VERSION = 3  # version of the searches; the cache ignores samplers of other ver
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class DesignSettings:
     """Settings of the cache of designs and of certificates."""
 

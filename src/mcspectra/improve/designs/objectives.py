@@ -39,7 +39,7 @@ Values: TypeAlias = Callable[[Array], Array]
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ObjectiveSettings:
     """Settings of classes of integrands."""
 
