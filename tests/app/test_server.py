@@ -1,9 +1,14 @@
 """The server answers pages of its own, on this machine, and nobody else."""
 
 import asyncio
+import contextlib
 import http.client
+import logging
+import socket
 import threading
 import time
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from tornado import httputil, web
@@ -118,8 +123,8 @@ def test_another_site_posts_nothing():
     assert not answers(*fetch("cross-site", *LINK), method="POST")
 
 
-@pytest.fixture(scope="module")
-def port():
+@contextlib.contextmanager
+def running():
     """Port of a server that runs in a thread."""
     made = []
 
@@ -137,6 +142,20 @@ def port():
     made[0].io_loop.add_callback(made[0].stop)
     made[0].io_loop.add_callback(made[0].io_loop.stop)
     thread.join(10)
+
+
+@pytest.fixture(scope="module")
+def port():
+    """Port of a server of all tests."""
+    with running() as found:
+        yield found
+
+
+@pytest.fixture
+def empty_port():
+    """Port of a server without a page."""
+    with running() as found:
+        yield found
 
 
 def get(port, path="/", **headers):
@@ -179,6 +198,48 @@ def test_more_pages_than_are_served_are_a_sentence(port, monkeypatch):
         "half a minute.\n"
     )
     assert get(port, "/static/js/bokeh.min.js")[0] == 200
+
+
+def test_pages_that_are_asked_for_at_once_count(empty_port, monkeypatch):
+    """Fifty requests at once were all let in before the first page was open."""
+    monkeypatch.setattr(server, "MOST_SESSIONS", 3)
+    with ThreadPoolExecutor(12) as pool:
+        codes = Counter(status for status, *_ in pool.map(lambda _: get(empty_port), range(12)))
+    # A page that is just open may count twice for a moment
+    assert 1 <= codes[200] <= 3
+    assert codes[200] + codes[503] == 12
+
+
+def test_connections_that_end_early_take_no_place(empty_port, monkeypatch):
+    monkeypatch.setattr(server, "MOST_SESSIONS", 1)
+    with socket.create_connection((ADDRESS, empty_port)) as client:
+        client.sendall(
+            f"GET / HTTP/1.1\r\nHost: {ADDRESS}:{empty_port}\r\nContent-Length: 9\r\n\r\n".encode()
+        )
+        time.sleep(0.2)
+        assert get(empty_port)[0] == 503
+    for _ in range(50):
+        time.sleep(0.1)
+        if get(empty_port)[0] == 200:
+            return
+    pytest.fail("the place of a closed connection is still taken")
+
+
+def test_requests_write_nothing_on_the_terminal(port, caplog):
+    """A local program could print controls of the terminal, or a traceback, by asking for a page."""
+    own = logging.getLogger("tornado.application")
+    own.addFilter(server._is_own_error)
+    try:
+        for path in ("/\u009b2J", "/static/%00", "/none"):
+            with socket.create_connection((ADDRESS, port), timeout=30) as client:
+                head = f"GET {path} HTTP/1.1\r\nHost: {ADDRESS}:{port}\r\nConnection: close\r\n\r\n"
+                client.sendall(head.encode())
+                assert b" 404 " in (answer := client.recv(100)) or b" 500 " in answer
+        assert caplog.text == ""
+        own.error("Uncaught exception %s", "GET /\x9b2J")
+        assert "exception GET /\\x9b2J" in caplog.text
+    finally:
+        own.removeFilter(server._is_own_error)
 
 
 @pytest.mark.parametrize("port", [-1, 65536, 1.5, "x", None])

@@ -140,6 +140,13 @@ def test_keys_that_contradict_or_are_wrong(tmp_path, keys, words):
         (HEAD + STEP + "[[maps]]\nname = 'a'\nscene = 'veach'", "names must differ"),
         ("title = 't'\n[[maps]]\nname = 'm'\nscene = 'x'\nspam = 1", "'spam'"),
         ("title = 't'\nseed = " + "9" * 5000, "number that is too long"),
+        # tomllib took the square of the parts of a key: hours for a megabyte
+        ("a." * 500_000 + "b = 1", "nested too deeply"),
+        ("x = { " + '"a" . ' * 100_000 + "b = 1 }", "nested too deeply"),
+        (
+            "title = 't'\ntime_limit = 1e-300",
+            "time_limit is 1e-300; give a finite number at least 0.01",
+        ),
         (
             "title = 't'\nestimators = 3",
             r"estimators is 3; give a list of tables, \[\[estimators\]\]",

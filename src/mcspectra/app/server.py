@@ -14,6 +14,7 @@ import logging
 import socket
 import threading
 import warnings
+import weakref
 from collections.abc import Awaitable, Callable
 from typing import Any, final
 from urllib.parse import urlsplit
@@ -21,6 +22,7 @@ from urllib.parse import urlsplit
 from tornado import httputil, routing, web
 
 from mcspectra.core.checks import as_integer
+from mcspectra.core.display import printable
 from mcspectra.core.errors import ParameterError
 
 __all__ = ["ADDRESS", "MOST_SESSIONS", "Guard", "make_server", "serve"]
@@ -62,9 +64,14 @@ class Guard(routing.Router):
         self._sessions = sessions
         self._hosts = {f"{name}:{port}" for name in (ADDRESS, "localhost")}
         self._origins = {f"http://{host}" for host in self._hosts}
+        # Pages that are asked for and not open yet; a request is forgotten with its connection
+        self._awaited: weakref.WeakSet[httputil.HTTPServerRequest] = weakref.WeakSet()
         application.add_transform(_Headers)
-        self._refusal = web.Application([(".*", _Refusal)], transforms=[_Headers])
-        self._busy = web.Application([(".*", _Busy)], transforms=[_Headers])
+        # Called at the end of each request instead of a line on the terminal
+        application.settings["log_function"] = self._ended
+        others: dict[str, Any] = {"transforms": [_Headers], "log_function": self._ended}
+        self._refusal = web.Application([(".*", _Refusal)], **others)
+        self._busy = web.Application([(".*", _Busy)], **others)
 
     def find_handler(
         self, request: httputil.HTTPServerRequest, **kwargs: Any
@@ -72,11 +79,16 @@ class Guard(routing.Router):
         """Return who answers `request`."""
         if not self._is_trusted(request):
             chosen = self._refusal
-        elif request.path == "/" and self._sessions() >= MOST_SESSIONS:
+        elif request.path == "/" and self._sessions() + len(self._awaited) >= MOST_SESSIONS:
             chosen = self._busy
         else:
             chosen = self._application
+            if request.path == "/":
+                self._awaited.add(request)
         return chosen.find_handler(request, **kwargs)
+
+    def _ended(self, handler: web.RequestHandler) -> None:
+        self._awaited.discard(handler.request)
 
     def _is_trusted(self, request: httputil.HTTPServerRequest) -> bool:
         """Whether a request is of this server's page, typed by the user, or a link to the page."""
@@ -204,13 +216,9 @@ def serve(port: int = 0, *, open_browser: bool = True, quiet: bool = False) -> N
     server = make_server(port)
     # Components repeat, on standard error, what the page says in its own words.
     warnings.simplefilter("ignore")
-    # Tabs that close early are no errors; bokeh warns of them, and asserts that their session is made.
+    # A tab that closes early is not an error; bokeh warns of it, and asserts that its session is made
     logging.getLogger("bokeh.server.views.ws").setLevel(logging.ERROR)
-    logging.getLogger("tornado.application").addFilter(
-        lambda record: (
-            "GET /ws" not in record.getMessage() or "AssertionError" not in repr(record.exc_info)
-        )
-    )
+    logging.getLogger("tornado.application").addFilter(_is_own_error)
     address = f"http://{ADDRESS}:{server.port}/"
     if not quiet:
         print(f"The explorer is at {address}; stop it by Ctrl-C.", flush=True)
@@ -219,6 +227,13 @@ def serve(port: int = 0, *, open_browser: bool = True, quiet: bool = False) -> N
     if open_browser:
         server.io_loop.add_callback(webbrowser.open, address)
     server.io_loop.start()
+
+
+def _is_own_error(record: logging.LogRecord) -> bool:
+    """Whether an error is the explorer's, not that of a request for a socket or a file; shown safely."""
+    text = record.getMessage()
+    record.msg, record.args = printable(text, lines=True), ()
+    return "GET /ws" not in text and "GET /static" not in text
 
 
 def _warm_up() -> None:

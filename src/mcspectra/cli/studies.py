@@ -46,7 +46,7 @@ _LISTED = 10  # paths of cells that are not done
     option(
         "--time-limit SECONDS",
         "stop tasks that take longer, whose analyses fail; workers are processes then",
-        real(above=0.0),
+        real(least=0.01),
     ),
     option(
         "--set KEY=VALUE",

@@ -71,6 +71,10 @@ _MOST_TEXT = 10**8  # characters of what a grid makes of a table
 _LARGEST_FILE = 4 * 2**20
 _RESERVED_SLUGS = frozenset({"zarr.json", "c"})
 _SINGLE = ("seed", "time_limit")  # a study has one
+# A key of 64 parts: the time that tomllib takes grows with their square, to hours for 10⁶
+_DOTTED = re.compile(
+    r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){64}""", re.ASCII
+)
 _TABLE_NAME = re.compile(r"[a-z][a-z0-9]*(?:-[a-z0-9]+)*")
 _STEP = r"[A-Za-z][A-Za-z0-9_-]*(?:\[\d{1,6}\])*"
 _PLACE = re.compile(rf"{_STEP}(?:\.{_STEP})*")
@@ -189,7 +193,7 @@ class StudyConfig(_Table, frozen=True, kw_only=True, omit_defaults=True):
         Meta(description="Samplers of all estimators: `mcspectra list samplers`, chained by |."),
     ] = ()
     time_limit: Annotated[
-        Annotated[float, Meta(gt=0, le=1e9)] | None,
+        Annotated[float, Meta(ge=0.01, le=1e9)] | None,
         Meta(description="Seconds a task may take; then it is stopped and its analysis fails."),
     ] = None
     grid: Annotated[
@@ -300,6 +304,8 @@ def decode_study(text: str, source: str = "study", overrides: Sequence[str] = ()
     if not isinstance(text, str):
         raise ConfigError(f"{source} is {type(text).__name__}, not the text of a study file.")
     try:
+        if _DOTTED.search(text):
+            raise RecursionError
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{source} is not valid TOML: {error}.") from None
