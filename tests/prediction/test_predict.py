@@ -8,16 +8,20 @@ import pytest
 
 import mcspectra as mcs
 from mcspectra.core.errors import CountError, NotPowerOfTwoWarning, ParameterError
+from mcspectra.core.streams import Stream
 from mcspectra.prediction import prediction as methods
+from mcspectra.prediction.known import Known
 
 DISK = "disk(center=(0.4,0.55),radius=0.3)"
 
 
 @pytest.fixture(autouse=True)
-def small(monkeypatch):
+def small(use_settings):
     """A quarter of the sets that measure f or a table of it: intervals twice as wide, which methods know."""
-    monkeypatch.setattr(methods, "_POINTS", 2**20)
-    monkeypatch.setattr(methods, "_NEAR_POINTS", 2**18)
+    use_settings(
+        table=methods.TableSettings(points=2**20),
+        extrapolated=methods.ExtrapolationSettings(near_points=2**18),
+    )
 
 
 def _measured(f, sampler, n, realizations):
@@ -209,17 +213,17 @@ def test_sets_of_any_sampler_measure_a_table(f, sampler, n):
         assert high < 1.2 * float(found["predicted_variance"][0])
 
 
-def test_a_table_keeps_its_channels(monkeypatch):
-    monkeypatch.setattr(methods, "_TABLE", {2: 128})
-    monkeypatch.setattr(methods, "_POINTS", 2**14)
+def test_a_table_keeps_its_channels():
+    settings = methods.TableSettings(cells={2: 128}, points=2**14)
     f = mcs.Integrand.from_function(
         lambda x: np.stack([x[..., 0], np.exp(x[..., 1]) * x[..., 0]], axis=-1), dims=2
     )
     sampler = mcs.Sampler.from_function(_strata, dims=2)
-    both = mcs.predict(f, sampler, [16])["predicted_variance"].isel(channel=1)
     one = mcs.Integrand.from_function(lambda x: f(x)[..., 1], dims=2)
-    alone = mcs.predict(one, sampler, [16])["predicted_variance"]
-    np.testing.assert_allclose(both, alone, rtol=1e-9)
+    both, alone = (
+        methods.of_table(sampler.law(16), Known(g), Stream.from_rng(0), settings) for g in (f, one)
+    )
+    np.testing.assert_allclose(both.variance[1], alone.variance[0], rtol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ from tests import oracles
 import mcspectra as mcs
 from mcspectra.core.errors import NoClosedForm
 from mcspectra.core.streams import Stream
-from mcspectra.prediction import prediction as methods
 from mcspectra.prediction.known import Known
+from mcspectra.prediction.prediction import ExtrapolationSettings
 from mcspectra.prediction.subsets import of_subsets
 
 RESOLVED = 0.01  # relative error of curves with jumps that the method itself allows for
@@ -234,8 +234,8 @@ def test_channels():
         assert abs(found.variance[c] - alone.variance[0]) <= alone.error[0]
 
 
-def test_a_fit_that_runs_away_where_no_point_is_does_not_predict(monkeypatch):
-    monkeypatch.setattr(methods, "_NEAR_POINTS", 2**16)
+def test_a_fit_that_runs_away_where_no_point_is_does_not_predict(use_settings):
+    use_settings(extrapolated=ExtrapolationSettings(near_points=2**16))
     # Products of twelve axes had a tenth of their energy at the border, and nets six times the variance
     f = oracles.asian_option(12)
     found = mcs.predict(f, "sobol | owen", [256])

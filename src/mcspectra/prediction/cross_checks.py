@@ -13,8 +13,9 @@ n = 16, it gives 1.7 to 3.7 times the variance of smooth integrands for latin-hy
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, final
 
 import msgspec
 import numpy as np
@@ -48,14 +49,50 @@ from mcspectra.spectra.transforms import FrequencyGrid
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["draws_power", "of_covariance", "of_homogenized", "of_pairs", "of_terms", "terms_for"]
+__all__ = [
+    "CheckSettings",
+    "draws_power",
+    "of_covariance",
+    "of_homogenized",
+    "of_pairs",
+    "of_terms",
+    "terms_for",
+]
 
-_MOST_FREQUENCIES = 625  # of the covariance of coefficients: their pairs are summed
-_PAIRS = 2**16  # at once
-_GRID = {1: 2**15, 2: 2**10}  # points of an axis where the autocorrelation is sampled
-_MOST_POINTS = 2**17
-_TOLERANCE = 1e-6
+_PAIRS_AT_ONCE = 2**16
+"""Pairs of frequencies that are in memory together: 1 MB of complex numbers for each array."""
 _ROUNDING = 4e-15
+"""Rounding error of ∫g², relative: some units in the last place of double precision."""
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class CheckSettings:
+    """How far the checks go.
+
+    Attributes
+    ----------
+    most_frequencies
+        Frequencies whose covariance is summed at most: half width 312 in 1-D, 12 in 2-D, 4 in 3-D, 2 in
+        4-D, and 390,625 pairs. In 6 dims and more there would be fewer than three along each axis.
+    cells
+        Cells along each axis, by number of dims, where the autocorrelation of g is sampled. What sampling
+        misses of ∫g² cancels. A linear interpolant of a wave of frequency k is off by (2πk/cells)²/8 of
+        it: 5e-6 k² in 2-D and 5e-9 k² in 1-D.
+    most_points
+        Points of a set whose pairs are counted at most: 2^17 points have 8.6e9 pairs in each set.
+    tolerance
+        Relative error of a variance by known pairs above which the method refuses: that of
+        `exact_variance`, which it checks.
+    """
+
+    most_frequencies: int = 625
+    cells: Mapping[int, int] = field(default_factory=lambda: {1: 2**15, 2: 2**10})
+    most_points: int = 2**17
+    tolerance: float = 1e-6
+
+
+_SETTINGS = CheckSettings()
 
 
 def terms_for(
@@ -72,14 +109,14 @@ def of_covariance(
 ) -> Cells:
     """Σ_m Σ_l conj(f_m) f_l C_ml, with the covariance C_ml of coefficients in closed form."""
     given = _of_one_technique(estimator)
-    side = int(_MOST_FREQUENCIES ** (1.0 / estimator.domain_dims) + 1e-9)
+    side = int(_SETTINGS.most_frequencies ** (1.0 / estimator.domain_dims) + 1e-9)
     if side < 3:
         raise NoClosedForm(
             f"In {estimator.domain_dims} dims the pairs of frequencies are too many to sum."
         )
     m, f = _coefficients(given, min(_half_width(estimator, sampler, n, asked), (side - 1) // 2))
     total = np.zeros(f.shape[1])
-    rows = max(1, _PAIRS // len(m))
+    rows = max(1, _PAIRS_AT_ONCE // len(m))
     for i in range(0, len(m), rows):
         some = m[i : i + rows, None]
         c = closed_form_covariance(sampler, n, some, m[None], density=given.density)
@@ -257,7 +294,7 @@ def of_pairs(
             error = np.where(diverges, 0.0, square_error / points + np.abs(fine - coarse))
             # Where the variance vanishes, rounding is all there is
             floor = _ROUNDING * square / points
-            if not np.all(error <= np.maximum(_TOLERANCE * np.abs(part), floor)):
+            if not np.all(error <= np.maximum(_SETTINGS.tolerance * np.abs(part), floor)):
                 raise NoClosedForm(
                     f"The quadrature over pairs of {g.spec} has an error of {np.max(error):.2g} in a "
                     f"variance of {np.max(square / points - fine):.6g}; use another method."
@@ -287,12 +324,13 @@ def _of_counted_pairs(
     sampler: Sampler, n: int, g: Integrand, stream: Stream
 ) -> Callable[[int], MeanSums]:
     """Returns the estimate of one realization: the mean of A over its pairs."""
-    if n > _MOST_POINTS:
+    if n > _SETTINGS.most_points:
         raise ParameterError(
-            f"{n} points have too many pairs to count; give {_MOST_POINTS} at most."
+            f"{n} points have too many pairs to count; give {_SETTINGS.most_points} at most."
         )
     # A(h) at h = k/N on the torus, from values at cell centers: (channels or 1, N, …)
-    x = mesh(*[(np.arange(_GRID[g.dims]) + 0.5) / _GRID[g.dims]] * g.dims)
+    cells = _SETTINGS.cells[g.dims]
+    x = mesh(*[(np.arange(cells) + 0.5) / cells] * g.dims)
     values = np.moveaxis(values_at(g, x), -1, 0)
     axes = tuple(range(1, g.dims + 1))
     power = np.abs(np.fft.rfftn(values, axes=axes)) ** 2

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
@@ -29,15 +30,45 @@ from mcspectra.samplers import Decorrelate, Sampler, as_sampler
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["image_error_spectrum"]
+__all__ = ["ImageErrorSettings", "image_error_spectrum"]
 
-_MOST_DIMS = 3
-_MOST_VALUES = 2**24  # coefficients, or points of one image
-_BEYOND = 0.1  # of the power of a band, above which the note says what it is
-_LOW = 0.125  # cycles a pixel: what the eye does not blur away
-_PRECISION = 1e-9
-_FIRST, _LOST = 24, 0.01  # half width, doubled until less than this part of every band is beyond
-_MOST_MODES = 2**21  # up to which it is: two seconds in two dims
+_LOW = 0.125
+"""Cycles per pixel up to which the eye does not blur noise away."""
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class ImageErrorSettings:
+    """How far the spectra of images of errors are summed.
+
+    Attributes
+    ----------
+    most_dims
+        Most dims: in 4 dims, half width 31 would take all of `most_values`, and transforms are known
+        in up to 3 dims.
+    most_values
+        Coefficients, or points of one image, at most: 256 MiB of complex numbers.
+    half_width, lost, most_modes
+        Half width of the frequencies that are counted first; it is doubled until less than the part
+        `lost` of the power of every band lies beyond it, or there are `most_modes` frequencies: half
+        width 724 in 2-D, 63 in 3-D. One percent is less than the standard error of 16 images.
+    beyond
+        Part of the power of a band above which the note says that it lies beyond the half width: such a
+        part can change the order of masks.
+    precision
+        Relative error of the transforms, far below that of the images.
+    """
+
+    most_dims: int = 3
+    most_values: int = 2**24
+    half_width: int = 24
+    lost: float = 0.01
+    most_modes: int = 2**21
+    beyond: float = 0.1
+    precision: float = 1e-9
+
+
+_SETTINGS = ImageErrorSettings()
 
 
 def image_error_spectrum(
@@ -124,11 +155,11 @@ def image_error_spectrum(
             f"There are {len(functions)} integrands for {width} × {width} pixels; give one, or one for each, "
             f"of one channel in {d} dims."
         )
-    sizes = (len(functions) * (2 * (half_width or _FIRST) + 1) ** d, pixels * n)
-    if d > _MOST_DIMS or max(sizes) > _MOST_VALUES:
+    sizes = (len(functions) * (2 * (half_width or _SETTINGS.half_width) + 1) ** d, pixels * n)
+    if d > _SETTINGS.most_dims or max(sizes) > _SETTINGS.most_values:
         raise ParameterError(
-            f"{sizes[0]:,} coefficients in {d} dims and {sizes[1]:,} points are too many: 1 to {_MOST_DIMS} "
-            f"dims and {_MOST_VALUES:,} of each are possible; lower ",
+            f"{sizes[0]:,} coefficients in {d} dims and {sizes[1]:,} points are too many: 1 to {_SETTINGS.most_dims} "
+            f"dims and {_SETTINGS.most_values:,} of each are possible; lower ",
             Parameter("half_width"),
             ", n or the mask's width.",
         )
@@ -151,7 +182,7 @@ def image_error_spectrum(
         # The same from coefficients without f_0, until the rest of ∫f² is lost in the weakest band
         whole = np.array([float(square_integral(f)[0][0] - f.integral**2) for f in functions])
         exact = all(f.fourier_source == "exact" for f in functions)
-        reach, grows = half_width or _FIRST, half_width is None and exact
+        reach, grows = half_width or _SETTINGS.half_width, half_width is None and exact
         while True:
             known = np.stack([f.fourier_grid(reach) for f in functions])
             flat = known.reshape(len(functions), -1)
@@ -161,8 +192,8 @@ def image_error_spectrum(
             guessed = (_errors(known, *each) for each in zip(sets, shifts, strict=True))
             spectrum = np.mean([rings.mean(_power(each, width)) for each in guessed], axis=0) + tail
             beyond = tail / float(spectrum.min()) if tail else 0.0
-            most = min(_MOST_MODES, _MOST_VALUES // len(functions))
-            if not grows or beyond < _LOST or (4 * reach + 1) ** d > most:
+            most = min(_SETTINGS.most_modes, _SETTINGS.most_values // len(functions))
+            if not grows or beyond < _SETTINGS.lost or (4 * reach + 1) ** d > most:
                 break
             reach *= 2
     tally.check()
@@ -195,7 +226,7 @@ def image_error_spectrum(
         half_width=reach,
         images=images,
         seed=stream.key,
-        note=note if beyond > _BEYOND else None,
+        note=note if beyond > _SETTINGS.beyond else None,
     ).assign_attrs(evaluations=tally.made)
 
 
@@ -213,11 +244,15 @@ def _errors(known: Array, points: Array, shifts: Array) -> Array:
     back: Any = getattr(finufft, f"nufft{d}d2")
     ones = np.full(len(points), 1.0 / len(points), complex)
     shared = forward(
-        *np.ascontiguousarray(2 * np.pi * points.T), ones, known.shape[1:], eps=_PRECISION, isign=-1
+        *np.ascontiguousarray(2 * np.pi * points.T),
+        ones,
+        known.shape[1:],
+        eps=_SETTINGS.precision,
+        isign=-1,
     )
     places = np.ascontiguousarray(2 * np.pi * shifts.T)
     if len(known) == 1:
-        found = back(*places, np.conj(known[0]) * shared, eps=_PRECISION, isign=-1)
+        found = back(*places, np.conj(known[0]) * shared, eps=_SETTINGS.precision, isign=-1)
         return np.asarray(found.real)
     phases = np.exp(-1j * places[..., None] * (np.arange(known.shape[1]) - known.shape[1] // 2))
     terms = np.conj(known) * shared

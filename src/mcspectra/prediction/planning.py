@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, final
 
 import numpy as np
@@ -24,18 +24,47 @@ from mcspectra.samplers.law import Fixed, Law, leaf_of
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Plan", "plan"]
+__all__ = ["Plan", "PlanSettings", "plan"]
 
-_CURVE = tuple(2**k for k in range(17))
-"""Counts that variances are predicted at; beyond the last one the curve goes on with its rate."""
+_TINY = 1e-300
+"""Replaces a variance of 0 in logarithms."""
 
-_MARGIN = 4.0  # by which the curve goes below the wanted variance
 
-_MOST = 2**62  # points, that a plan still names
-_SCAN = 2.0 ** (np.arange(-2, 3) / 16)  # about where a line between two counts reaches the target
-_STEPS = 4  # of the search between the last two of them
-_WIDE = 1.25  # ratio of the ends of an interval of n that is said
-_TINY = 1e-300  # in place of a variance of 0, for logarithms
+@final
+@dataclass(frozen=True, kw_only=True)
+class PlanSettings:
+    """How the least count is searched.
+
+    Attributes
+    ----------
+    octaves
+        Variances are predicted at powers of two up to this one. Beyond the last one the curve goes on
+        with its rate. It is the largest count at which `predict` looks for the limit of rates.
+    margin
+        Factor by which the curve goes below the wanted variance, so that the upper ends of intervals
+        reach it as well.
+    most
+        Points that a plan still names: more do not fit a 64-bit integer.
+    near
+        Octaves about the place where a line between two counts reaches the target, at which variances
+        are predicted as well: steps of 4 %, since curves go up and down between powers of two.
+    steps
+        Predictions of the search between the last two of them, about halving the interval each: four
+        leave 1/16 of it, or 4 % of n where the counts are a factor of two apart.
+    wide
+        Ratio of the ends of an interval of n above which the recommendation names it.
+    """
+
+    octaves: int = 16
+    margin: float = 4.0
+    most: int = 2**62
+    near: tuple[float, ...] = (-2 / 16, -1 / 16, 0.0, 1 / 16, 2 / 16)
+    steps: int = 4
+    wide: float = 1.25
+
+
+_SETTINGS = PlanSettings()
+_CURVE = tuple(2**k for k in range(_SETTINGS.octaves + 1))
 
 
 @final
@@ -97,7 +126,7 @@ class Plan(Counted, frozen=True, kw_only=True):
                 if nearest == n:
                     curves[place, step] = each.variance[0]
                     bounds[place, step] = np.stack([each.low, each.high], axis=-1)[0]
-                if (each.variance[0] <= target / _MARGIN).all():
+                if (each.variance[0] <= target / _SETTINGS.margin).all():
                     break
             n, variance, method = self._least(predictor, sampler, counts, found, target)
             planned.append(n)
@@ -111,7 +140,7 @@ class Plan(Counted, frozen=True, kw_only=True):
         evaluations = sum(estimator.counts)
         reached = sorted(zip(planned, (s.spec for s in samplers), ranges, strict=True))
         sizes = [
-            f"{n:.0f}{f' ({low:.0f} to {high:.0f})' if high > _WIDE * low else ''} with {name}"
+            f"{n:.0f}{f' ({low:.0f} to {high:.0f})' if high > _SETTINGS.wide * low else ''} with {name}"
             for n, name, (low, high) in reached
             if np.isfinite(n)
         ]
@@ -180,7 +209,7 @@ class Plan(Counted, frozen=True, kw_only=True):
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
                 rate = np.log(ends / variances[earlier]) / np.log(ratio)
                 wanted = counts[last] * float(np.exp(np.max(np.log(target / ends) / rate)))
-            if not ((rate < 0.0).all() and wanted < min(_MOST, sampler.max_count)):
+            if not ((rate < 0.0).all() and wanted < min(_SETTINGS.most, sampler.max_count)):
                 return math.nan, unknown, ("none", "out of reach")
             n = sampler.nearest_count(math.ceil(wanted))
             if (ends * (n / counts[last]) ** rate > target * (1.0 + 1e-9)).any():
@@ -202,8 +231,8 @@ class Plan(Counted, frozen=True, kw_only=True):
             line = np.log(target / low[1]) / np.where(slope < 0.0, slope, -math.inf)
             return low[0] * math.exp(float(line.max()))
 
-        tried = list(crossing() * _SCAN)
-        for step in range(len(tried) + _STEPS):
+        tried = list(crossing() * 2.0 ** np.array(_SETTINGS.near))
+        for step in range(len(tried) + _SETTINGS.steps):
             wanted = tried[step] if step < len(tried) else crossing()
             between = sampler.nearest_count(math.ceil(wanted))
             if not low[0] < between < high[0] or not _can(predictor.estimator, sampler, between):

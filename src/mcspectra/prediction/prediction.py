@@ -12,8 +12,8 @@ from __future__ import annotations
 import contextlib
 import functools
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any, final
 
 import msgspec
@@ -76,47 +76,180 @@ from mcspectra.samplers.law import (
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["METHODS", "NAMES", "Method", "Prediction", "Predictor", "predict"]
+__all__ = [
+    "METHODS",
+    "NAMES",
+    "AutoSettings",
+    "ExtrapolationSettings",
+    "Method",
+    "Prediction",
+    "Predictor",
+    "QuadratureSettings",
+    "TableSettings",
+    "predict",
+    "predicted",
+    "tried",
+]
 
-_TOLERANCE = 0.01  # relative error of a quadrature that `auto` takes before all other methods
-_MOST_BREAKS = 8  # of an integrand, with each of which offsets of strata are cut
-_EVALUATIONS = 2.0**22  # of a quadrature, about a second; beyond, other methods come first
-# Evaluations that integrals, coefficients, and tables of cells or of products take, about
-_SQUARE, _COEFFICIENTS, _TABLES = 2.0**21, 2.0**20, 2.0**20
-_OVERHEAD = 1e6  # of any prediction, in evaluations
-_MEMORY = 2**29  # bytes: coefficients and transforms of all regions
-
-# Counts beyond the last one, that show the limit of rates
-_AHEAD = 4  # times as many
-_MOST_AHEAD = 16  # log2 of the largest
-_LOOSE = 0.25  # half intervals, relative to the variance, that say nothing of rates
-# Where c(1 − c), the part of jumps at faces, has its mean over all shifts
 _OFFSET = 0.5 - 0.5 / 3**0.5
-
-# Tables, at the middles of cells
-_TABLE = {1: 2**16, 2: 2**10, 3: 100}  # cells along each axis
-_PROBE = 2**16  # points, random, at which a table is held against g
-_BLOCK = 2**16  # points at a time
-_POINTS = 2**22  # of all sets together, about a second
-_LEAST_SETS, _MOST_SETS = 200, 10_000
-
-# Measured extrapolation
-_SMALL = tuple(2**k for k in range(3, 9))
-_LARGEST = 2**12  # count, of f that is cheap
-_NEAR = 16  # parts of n, by which counts next to it are apart at most
-_FITTED = 4
-_REALIZATIONS = 2000  # sets of a count
-_NEAR_SETS, _NEAR_POINTS = 1000, 2**20  # of those next to n, and their points: what is more
-_MOST_FACTOR = 30.0  # by which an extrapolation may be off at most
+"""Offset c of strata at which c(1 − c), the part of jumps at faces, has its mean over all shifts."""
+_MEMORY = 2**29
+"""Bytes that coefficients and transforms of all regions take."""
+_OVERHEAD = 1e6
+"""Work of a prediction besides evaluations, in evaluations."""
 
 
-def of_quadrature(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
+@final
+@dataclass(frozen=True, kw_only=True)
+class QuadratureSettings:
+    """When `auto` takes a quadrature.
+
+    Attributes
+    ----------
+    tolerance
+        Relative error of a quadrature that comes before all other methods: their intervals are of this
+        size at best where g jumps. Of 5 samplers and a jump along a line at n = 64, 0.003 refuses one more
+        and 0.03 one less.
+    evaluations
+        Evaluations of g beyond which other methods come first: a sixteenth of those of `exact_variance`.
+        Insensitive between 2^20 and 2^24 for the same samplers.
+    most_breaks
+        Breaks of g up to which strata with a random shift are integrated over in several dims: offsets
+        are cut at each of them along each axis, so that their number grows with the power d.
+    """
+
+    tolerance: float = 0.01
+    evaluations: float = 2.0**22
+    most_breaks: int = 8
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class AutoSettings:
+    """How narrow intervals must be, and where limits of rates are looked for.
+
+    Attributes
+    ----------
+    moved, measured
+        Half interval of sums of products, relative to the variance, above which offsets of the set are
+        tried, and above which measurements are: those of 8,192 offsets have a standard error of
+        √(2/8192) = 1.6 % and intervals of 3 %, extrapolations one of about a fifth.
+    ahead, most_ahead
+        Factor to the count beyond the last one that shows the limit of rates, and log2 of the largest
+        such count. Of strata, which are cheap in one table of cells, the largest count is taken.
+    loose
+        Half interval, relative to the variance, above which a count beyond the last one says nothing
+        about rates: over two octaves it moves a slope by 0.16.
+    square, coefficients, tables
+        Evaluations that ∫g², its coefficients, and tables of cells or of products take, about: the first
+        is the budget of the integral, the others the sizes of the tables in 2-D.
+    """
+
+    moved: float = 0.03
+    measured: float = 0.2
+    ahead: int = 4
+    most_ahead: int = 16
+    loose: float = 0.25
+    square: float = 2.0**21
+    coefficients: float = 2.0**20
+    tables: float = 2.0**20
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class TableSettings:
+    """How g is tabulated at the middles of cells, and measured with sets of the sampler.
+
+    Changes are those of three cells at n = 64: a jump along a line and a smooth g in 2-D with pmj02, and a
+    Gaussian of width 0.1 in 3-D with latin-hypercube, whose half intervals are about 3 %.
+
+    Attributes
+    ----------
+    cells
+        Cells along each axis, by number of dims: about a million in 2-D and 3-D. Half
+        and twice as many change the variance by less than 1 %, and half intervals by 0.6 % where g jumps.
+    probe
+        Random points at which the table is compared with g: the mean square that it misses has a
+        relative standard error of about 1/256 where it is not heavy-tailed. Insensitive between 2^15 and
+        2^17.
+    block
+        Points evaluated at a time, 1 MB in 2-D. The result does not depend on it.
+    points
+        Points of all sets together, which limits the work at large n: above n = 420 there are fewer than
+        `most_sets`.
+    least_sets, most_sets
+        Sets that are drawn at least and at most: the standard error of a variance of R sets is √(2/R) of
+        it, 10 % and 1.4 %.
+    """
+
+    cells: Mapping[int, int] = field(default_factory=lambda: {1: 2**16, 2: 2**10, 3: 100})
+    probe: int = 2**16
+    block: int = 2**16
+    points: int = 2**22
+    least_sets: int = 200
+    most_sets: int = 10_000
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class ExtrapolationSettings:
+    """Which counts are measured, and how a line through them is drawn.
+
+    Changes are those of three cells: a jump along a plane in 4-D and a smooth g in 2-D with sobol | owen at
+    n = 256 and 1024, and a smooth g in 4-D with latin-hypercube at n = 100.
+
+    Attributes
+    ----------
+    small
+        Small counts, at which measurements cost little; they count where there are few counts next to n.
+        Insensitive to one more or less.
+    largest
+        Largest count that is measured, of f that is cheap. Between 2^11 and 2^13 variances change by less
+        than 1.5 %.
+    near
+        Parts of n by which the counts next to it are apart at most, so that they lie within an eighth
+        of it and the line hardly extrapolates. Insensitive between 8 and 32.
+    fitted
+        Counts nearest to n that the line goes through: three leave one degree of freedom, with which
+        Student's t is 12.7, and four leave two, with 4.3. Eight give half the interval for twice the
+        evaluations.
+    sets
+        Realizations of each small count: variances to √(2/2000) = 3 %.
+    near_sets, near_points
+        Realizations of a count next to n at least, and their points: what is more. Half and twice as many
+        change variances by less than 4 %, well within intervals of 14 to 60 %.
+    most_factor
+        Largest factor by which an extrapolation is said to be off, so that exponentials stay finite.
+        Insensitive between 15 and 60.
+    """
+
+    small: tuple[int, ...] = tuple(2**k for k in range(3, 9))
+    largest: int = 2**12
+    near: int = 16
+    fitted: int = 4
+    sets: int = 2000
+    near_sets: int = 1000
+    near_points: int = 2**20
+    most_factor: float = 30.0
+
+
+_QUADRATURE_SETTINGS, _AUTO = QuadratureSettings(), AutoSettings()
+_TABLE, _EXTRAPOLATION = TableSettings(), ExtrapolationSettings()
+
+
+def of_quadrature(
+    law: Law,
+    known: Known,
+    stream: Stream,  # noqa: ARG001
+    settings: QuadratureSettings = _QUADRATURE_SETTINGS,
+) -> Predicted:
     """The exact variance, to the error of its quadrature; shifted strata are cheaper on the torus."""
     g = known.g
-    dear = not in_closed_form(g) or sum(map(len, g.breaks)) > _MOST_BREAKS
+    dear = not in_closed_form(g) or sum(map(len, g.breaks)) > settings.most_breaks
     if g.dims > 1 and isinstance(law, Shifted) and dear:
         raise NoClosedForm("A quadrature for every offset of the strata would take long.")
-    return Predicted(*of_integrand(law, g, _TOLERANCE, _EVALUATIONS), "quadrature")
+    found = of_integrand(law, g, settings.tolerance, settings.evaluations)
+    return Predicted(*found, "quadrature")
 
 
 def of_divergence(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
@@ -128,13 +261,13 @@ def of_divergence(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa:
     return Predicted(infinite, infinite, "∫g² = ∞", 0.0, infinite)
 
 
-def of_table(law: Law, known: Known, stream: Stream) -> Predicted:
+def of_table(law: Law, known: Known, stream: Stream, settings: TableSettings = _TABLE) -> Predicted:
     """Measure a table of g with sets of the sampler, and add what the table leaves out.
 
     It holds g at the middles of fine cells, once for all samplers and counts, and is linear between them.
     What it leaves out is as fine as its cells, and counts as white: ∫(g − table)²/n.
     """
-    if known.g.dims not in _TABLE:
+    if known.g.dims not in settings.cells:
         raise NoClosedForm("A table takes 1 to 3 dims.")
     if np.isinf(known.square[0]).any():
         raise NoClosedForm("∫g² diverges.")
@@ -142,25 +275,26 @@ def of_table(law: Law, known: Known, stream: Stream) -> Predicted:
     if not isinstance(sampler, Sampler):
         raise NoClosedForm("These points have no sampler.")
     g, n = known.g, law.n
+    side, block = settings.cells[g.dims], settings.block
 
     def tabulated() -> tuple[Integrand, Array, Array]:
         """A table of g, and ∫(g − table)² with half its 95 % interval, by channel."""
         from scipy.interpolate import RegularGridInterpolator
 
-        axes = [(np.arange(_TABLE[g.dims]) + 0.5) / _TABLE[g.dims]] * g.dims
+        axes = [(np.arange(side) + 0.5) / side] * g.dims
         nodes = mesh(*axes)
         flat = nodes.reshape(-1, g.dims)
-        blocks = [g(flat[i : i + _BLOCK]) for i in range(0, len(flat), _BLOCK)]
+        blocks = [g(flat[i : i + block]) for i in range(0, len(flat), block)]
         values = np.concatenate(blocks).reshape(*nodes.shape[:-1], *[g.channels] * (g.channels > 0))
         linear = RegularGridInterpolator(axes, values, bounds_error=False, fill_value=None)
         table = Pointwise(g, linear, ((),) * g.dims, f"a table of {g.spec}")
-        probe = np.random.default_rng(0).random((_PROBE, g.dims))
-        missed = ((g(probe) - table(probe)) ** 2).reshape(_PROBE, -1)
-        error = CONFIDENCE_Z * missed.std(axis=0, ddof=1) / math.sqrt(_PROBE)
+        probe = np.random.default_rng(0).random((settings.probe, g.dims))
+        missed = ((g(probe) - table(probe)) ** 2).reshape(settings.probe, -1)
+        error = CONFIDENCE_Z * missed.std(axis=0, ddof=1) / math.sqrt(settings.probe)
         return table, missed.mean(axis=0), error
 
     table, missed, miss = known.once("table", tabulated)
-    sets = min(max(_POINTS // n, _LEAST_SETS), _MOST_SETS)
+    sets = min(max(settings.points // n, settings.least_sets), settings.most_sets)
     moments = count_moments(Estimator(table), sampler, n, sets, stream)
     if not (moments.resolved & (moments.variance > rounding_floor(moments.mean))).all():
         raise NoClosedForm(f"{sets} sets do not resolve the variance of {law.name}.")
@@ -171,34 +305,43 @@ def of_table(law: Law, known: Known, stream: Stream) -> Predicted:
     return Predicted(moments.variance + tail, error, f"{sets} sets", share, tail)
 
 
-def of_measurements(law: Law, known: Known, stream: Stream) -> Predicted:
+def of_measurements(
+    law: Law, known: Known, stream: Stream, settings: ExtrapolationSettings = _EXTRAPOLATION
+) -> Predicted:
     """Extrapolate the variances of the sampler's small sets."""
     if not isinstance(law.source, Sampler):
         raise NoClosedForm("These points have no sampler.")
-    return extrapolated(Estimator(known.g), law.source, law.n, known, stream)
+    return extrapolated(Estimator(known.g), law.source, law.n, known, stream, settings)
 
 
 def extrapolated(
-    estimator: AbstractEstimator, sampler: Sampler, n: int, known: Known, stream: Stream
+    estimator: AbstractEstimator,
+    sampler: Sampler,
+    n: int,
+    known: Known,
+    stream: Stream,
+    settings: ExtrapolationSettings = _EXTRAPOLATION,
 ) -> Predicted:
     """A line through the logarithms of variances measured at the small counts nearest to n, without n."""
     # Counts about n that sets fill as n: of a power of two others, else in steps of one that divides n
-    step = min(n & -n, 1 << max(0, (n // _NEAR).bit_length() - 1))
+    step = min(n & -n, 1 << max(0, (n // settings.near).bit_length() - 1))
     near = [n + k * step for k in (-2, -1, 1, 2)]
     if n & (n - 1) == 0:
         near = [n // 4, n // 2, 2 * n, 4 * n]
-    near = [c for c in near if 1 < c <= _LARGEST and not known.g.costly]
-    counts = {sampler.nearest_count(c): c in near for c in (*_SMALL, *near)}
+    near = [c for c in near if 1 < c <= settings.largest and not known.g.costly]
+    counts = {sampler.nearest_count(c): c in near for c in (*settings.small, *near)}
     by_distance = sorted(counts, key=lambda count: (abs(math.log(count / n)), count))
     found: list[tuple[int, Moments]] = []
     for count in by_distance:
-        if count == n or len(found) == _FITTED:
+        if count == n or len(found) == settings.fitted:
             continue
         with contextlib.suppress(CountError):
             if sum(estimator.counts) > 1:  # one has its nearest counts, without more warnings
                 estimator.check_sampler(sampler, count)
             close = counts[count]
-            sets = max(_NEAR_SETS, _NEAR_POINTS // count) if close else _REALIZATIONS
+            sets = (
+                max(settings.near_sets, settings.near_points // count) if close else settings.sets
+            )
             moments = known.once(
                 ("measured", sampler.spec, count, sets),
                 functools.partial(
@@ -207,7 +350,7 @@ def extrapolated(
             )
             if (moments.resolved & (moments.variance > rounding_floor(moments.mean))).all():
                 found.append((count, moments))
-    if len(found) < _FITTED - 1:
+    if len(found) < settings.fitted - 1:
         raise NoClosedForm(
             f"No method predicts {sampler.spec}, and its small sets show no variance or are too few."
         )
@@ -227,7 +370,7 @@ def extrapolated(
     away = math.log(n) - middle
     half = stdtrit(degrees, 0.975) * size * math.sqrt(1.0 + 1.0 / len(x) + away**2 / spread)
     variance = np.exp(y.mean(axis=0) + slope * away)
-    error = variance * np.expm1(np.minimum(half, math.log(_MOST_FACTOR)))
+    error = variance * np.expm1(np.minimum(half, math.log(settings.most_factor)))
     listed = ", ".join(str(count) for count in sorted(count for count, _ in found))
     return Predicted(variance, error, f"from measurements at {listed}", 0.0, variance)
 
@@ -298,14 +441,16 @@ def _moves_apply(law: Law, known: Known) -> bool:
 def _enough_of_sums(law: Law, known: Known) -> float:
     """Where products miss jumps and kinks across many axes, other methods may be narrower."""
     if _moves_apply(law, known):
-        return 0.03
+        return _AUTO.moved
     leaf = leaf_of(law)  # a count of a lattice tells nothing about the counts next to it
-    return math.inf if isinstance(leaf, Fixed) and leaf.even else 0.2
+    return math.inf if isinstance(leaf, Fixed) and leaf.even else _AUTO.measured
 
 
 def _cost_of_quadrature(law: Law, known: Known) -> float:  # noqa: ARG001
     orders = orders_of(law.n, law.dims)
-    return min(_EVALUATIONS, law.n * float(sum(order**law.dims for order in orders)))
+    return min(
+        _QUADRATURE_SETTINGS.evaluations, law.n * float(sum(order**law.dims for order in orders))
+    )
 
 
 def _exactly(
@@ -349,7 +494,7 @@ METHODS: tuple[Method, ...] = (
         predict=of_divergence,
         applies=lambda law, _: law.uniform,
         ahead=lambda law, _: law.uniform,
-        cost=lambda *_: _SQUARE,
+        cost=lambda *_: _AUTO.square,
     ),
     Method(
         name="torus",
@@ -357,7 +502,9 @@ METHODS: tuple[Method, ...] = (
         predict=of_torus,
         applies=lambda law, known: law.stationary and not moves_resolve(law, known),
         ahead=lambda law, known: _one_offset(law) and not moves_resolve(law, known),
-        cost=lambda _, known: _SQUARE + _COEFFICIENTS * (known.given.fourier_source != "exact"),
+        cost=lambda _, known: (
+            _AUTO.square + _AUTO.coefficients * (known.given.fourier_source != "exact")
+        ),
     ),
     Method(
         name="levels",
@@ -365,7 +512,7 @@ METHODS: tuple[Method, ...] = (
         predict=of_levels,
         applies=lambda law, known: not moves_resolve(law, known),
         ahead=lambda law, known: not (_one_offset(law) or _latin(law) or moves_resolve(law, known)),
-        cost=lambda *_: _TABLES,
+        cost=lambda *_: _AUTO.tables,
     ),
     # A quadrature evaluates g anew at every count; tables, as precise, serve all counts
     replace(
@@ -381,7 +528,7 @@ METHODS: tuple[Method, ...] = (
         applies=lambda law, known: not (_mirrored(law) or moves_resolve(law, known)),
         ahead=lambda law, _: _latin(law),
         enough=_enough_of_sums,
-        cost=lambda *_: _TABLES,
+        cost=lambda *_: _AUTO.tables,
     ),
     Method(
         name="moves",
@@ -396,14 +543,17 @@ METHODS: tuple[Method, ...] = (
         summary="sets of the sampler on a table of g",
         predict=of_table,
         applies=lambda law, known: not (known.costly or _mirrored(law)),
-        cost=lambda law, _: float(_TABLE.get(law.dims, 0) ** law.dims + _PROBE),
+        cost=lambda law, _: float(_TABLE.cells.get(law.dims, 0) ** law.dims + _TABLE.probe),
     ),
     Method(
         name="extrapolated",
         summary="a line through variances measured at other counts",
         predict=of_measurements,
         applies=lambda law, _: not _mirrored(law),
-        cost=lambda *_: float(_FITTED * max(_NEAR_POINTS, _REALIZATIONS * _SMALL[-1])),
+        cost=lambda *_: float(
+            _EXTRAPOLATION.fitted
+            * max(_EXTRAPOLATION.near_points, _EXTRAPOLATION.sets * _EXTRAPOLATION.small[-1])
+        ),
     ),
     Method(
         name="pair-correlation",
@@ -619,7 +769,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
         known = np.where(cells.low > 0.0, cells.variance, np.nan).reshape(shape)
         with np.errstate(invalid="ignore"):  # both infinite
             half = cells.high - cells.variance
-        loose = (half > _LOOSE * cells.variance).reshape(shape)
+        loose = (half > _AUTO.loose * cells.variance).reshape(shape)
         known[:, 1 + len(self.counts) :][loose[:, 1 + len(self.counts) :]] = np.nan
         with np.errstate(divide="ignore", invalid="ignore"):
             slope = np.diff(np.log(known), axis=1) / np.diff(np.log(n), axis=1)[..., None]
@@ -985,12 +1135,12 @@ def _places(sampler: Sampler, counts: Sequence[int]) -> list[int]:
     """A count before a single one, the counts, and two beyond them; 0 where there is none."""
     last = counts[-1]
     half = sampler.nearest_count(max(1, last // 2)) if len(counts) == 1 else last
-    ahead, leaf = [_AHEAD * last], leaf_of(sampler.law(last))
+    ahead, leaf = [_AUTO.ahead * last], leaf_of(sampler.law(last))
     if (
         isinstance(leaf, Strata) and leaf.jittered
     ):  # which are cheap where one table has the cells of all
-        top = sampler.dims * (_MOST_AHEAD // sampler.dims)
+        top = sampler.dims * (_AUTO.most_ahead // sampler.dims)
         ahead = [2 ** (top - max(sampler.dims, 2)), 2**top]
-    beyond = [sampler.nearest_count(n) for n in ahead if n <= 2**_MOST_AHEAD]
+    beyond = [sampler.nearest_count(n) for n in ahead if n <= 2**_AUTO.most_ahead]
     beyond = [n if n > last else 0 for n in beyond]
     return [half if half < last else 0, *counts, *beyond, *[0] * (2 - len(beyond))]

@@ -8,8 +8,8 @@ about the line; the interval is that of the scatter, with Student's t.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import final
 
@@ -36,34 +36,153 @@ from mcspectra.samplers.law import (
     leaf_of,
 )
 
-__all__ = ["DECAYS", "DecayFit", "fitted_decay", "integrand_decay", "predicted_rate"]
+__all__ = [
+    "DECAYS",
+    "DecayFit",
+    "DecaySettings",
+    "JumpSettings",
+    "LimitSettings",
+    "Slowest",
+    "fitted_decay",
+    "integrand_decay",
+    "predicted_rate",
+    "rates_of",
+    "slowest_of_jumps",
+]
 
 DECAYS = {"jump": 1.0, "kink": 3.0, "smooth": math.inf}
 """γ − d by what is not smooth: values, first derivatives across a hypersurface, or nothing."""
 
-_OCTAVES = 3  # at the end of the spectrum, that the decay is fitted to
-_LEAST_WIDTH = 1 << _OCTAVES
-_LEAST_SHELLS = 3  # that show scatter
-_BEND = 1.0  # change of the exponent over these octaves from which on it is no limit
-_WIDTHS = {1: 512}  # default half widths; ripples of 1-D spectra have few frequencies to a shell
-_WIDTH = 64
-_LATE = 4  # octaves at the end of a curve, whose slope is its limit
-_AGREE = 0.2  # slopes within them
-_LEAVES = 0.05  # by which a slope that moves away from an exponent shows that this is no limit
-_STILL = 0.01  # change of slopes that have reached their limit: −1 − (1 − 2a)/d next to a pole t^-a
-# Jumps
-_LOOKED_DIMS = 5
-_LINES, _PLACES = 32, 512  # along each axis
-_LARGEST, _HALVED = 4, 30  # steps that are cut down, and how often
-_BESIDE = 1e-7  # distance from a break
-_JUMPS = 1e-4  # a step, relative to the root mean square of g, that is a jump
-_AT_BORDER = 1e-6  # of a stratum
 
-_CHANGE = 0.3  # of slopes, that is a bend
-_MOST_CHANGE = 4.0
-_BENDS = 101  # places and changes that are tried
-_BETTER = 0.25  # scatter about a curve that bends, relative to that about a line, that shows a bend
-_NOISE = 1e-26  # |f_m|² relative to the largest that double precision knows nothing of
+@final
+@dataclass(frozen=True, kw_only=True)
+class DecaySettings:
+    """How the decay of |f_m|² is fitted.
+
+    Attributes
+    ----------
+    octaves
+        Octaves of |m| at the end of the spectrum that the line is fitted to. Of 12 test functions two
+        octaves give the same exponents to 0.15 with intervals twice as wide; with four, a Gaussian of
+        width 0.1 seems to decay like |m|^-12 and not |m|^-5.
+    least_shells
+        Shells of half an octave that a fit takes at least: a line through fewer leaves no scatter.
+        It matters only where rounding noise hides the other shells.
+    bend
+        Change of the exponent over these octaves above which the fit is reported as not settled. Of 12
+        test functions those with jumps and kinks change by at most 0.9, a Gaussian of width 0.1, whose
+        kink at the border is still hidden, by 8.6.
+    widths, width
+        Half widths by number of dims, and in other dims, where the caller gives none. Ripples of 1-D
+        spectra have few frequencies to a shell, so that 1-D takes more; both take less than a second.
+    noise
+        Values of |f_m|², relative to the largest, that rounding errors of double precision make:
+        coefficients are right to 1e-13. Insensitive between 1e-28 and 1e-24.
+    """
+
+    octaves: int = 3
+    least_shells: int = 3
+    bend: float = 1.0
+    widths: Mapping[int, int] = field(default_factory=lambda: {1: 512})
+    width: int = 64
+    noise: float = 1e-26
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class JumpSettings:
+    """How jumps are looked for along lines.
+
+    Where a field is insensitive, the rates of 10 integrands in 1 to 4 dims were the same: with jumps
+    along and across the axes, kinks, a pole, and a narrow Gaussian.
+
+    Attributes
+    ----------
+    dims
+        Most dims in which lines look for jumps: in more, boxes are not cut at them either.
+    lines, places
+        Lines along each axis, and places on each: 16,384 evaluations per axis find a jump along a curve
+        that one line in ten crosses with a probability of 0.97. Insensitive between half and twice as many
+        of both.
+    largest
+        Steps of each line, the largest, that are cut down. A line crosses few jumps, and one of them
+        on one line is enough. Insensitive between 2 and 8.
+    halvings
+        Bisections of such a step: 512 places and 30 halvings leave 2e-12, where a slope of 1e7
+        changes g by less than `least`. With 15 a Gaussian of width 0.02 seems to jump.
+    beside
+        Distance from a break at which g is evaluated on both sides. Breaks that are found are right to
+        2^-46, and a slope of 500 root mean squares changes g by no more than `least` across it.
+        Insensitive between 1e-9 and 1e-5.
+    least
+        Smallest step that is a jump, relative to the root mean square of g. A jump of 1e-4 adds 1e-8 of
+        the variance of random points, which no count that can be drawn shows. Insensitive between 1e-6 and 1e-2.
+    border
+        Distance from the border of a stratum, in strata, within which a jump does not cut it: rounding
+        of n times a place, up to n = 2^30. Insensitive between 1e-8 and 1e-4.
+    """
+
+    dims: int = 5
+    lines: int = 32
+    places: int = 512
+    largest: int = 4
+    halvings: int = 30
+    beside: float = 1e-7
+    least: float = 1e-4
+    border: float = 1e-6
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class LimitSettings:
+    """When the slopes of a predicted curve show its limit, and where it bends.
+
+    Where a field is insensitive, limits and bends of 64 predicted curves were the same: 8 samplers and 8
+    integrands in 1 to 3 dims, at n = 16 to 1024.
+
+    Attributes
+    ----------
+    late
+        Octaves at the end of a curve whose slope stands for the limit. Insensitive between 2 and 4; with
+        8 the limits of 4 curves of scrambled nets, which bend late, are not found.
+    near
+        Distance of that slope from an exponent of theory up to which the exponent is the limit, at most
+        0.4/d: exponents are 1/d apart. Insensitive between 0.1 and 0.4.
+    agree
+        Largest difference of the local slopes within these octaves. Insensitive between 0.2 and 0.4; with
+        0.1 one limit of 64 is not found.
+    leaves
+        Distance of the last slope from an exponent above which slopes that move away from it show that
+        it is no limit. Insensitive between 0.025 and 0.1.
+    still
+        Largest change of three slopes that have reached a limit that theory does not list, such as
+        −1 − (1 − 2a)/d next to a pole t^-a. Insensitive between 0.005 and 0.02.
+    change
+        Difference between the first slope and the limit above which there is a bend. Insensitive between
+        0.15 and 0.3.
+    most_change
+        Largest change of the exponent at a bend that is tried: exponents lie between −1 and −5.
+        Insensitive between 4 and 8.
+    tried
+        Places and changes of a bend that are tried, each: places are 0.1 octaves apart over 10 octaves,
+        and bends of curves are known no better.
+    better
+        Scatter about a curve that bends, relative to that about a line, below which it shows a bend.
+        Insensitive between 0.125 and 0.25; with 0.5 one curve more bends.
+    """
+
+    late: int = 4
+    near: float = 0.2
+    agree: float = 0.2
+    leaves: float = 0.05
+    still: float = 0.01
+    change: float = 0.3
+    most_change: float = 4.0
+    tried: int = 101
+    better: float = 0.25
+
+
+_DECAY, _JUMPS, _LIMIT = DecaySettings(), JumpSettings(), LimitSettings()
 
 
 def predicted_rate(b: float, decay: float | str, dims: int) -> float:
@@ -128,7 +247,7 @@ class Slowest:
     sure: bool = True
 
 
-def slowest_of_jumps(g: Integrand, laws: Sequence[Law]) -> Slowest:
+def slowest_of_jumps(g: Integrand, laws: Sequence[Law], settings: JumpSettings = _JUMPS) -> Slowest:
     """The rate that jumps of g leave to stratified sets, lattices and nets, of laws at several n.
 
     Of n^(1 − 1/d) strata that a jump cuts each is as large as the others: −1 − 1/d. Across an axis it cuts
@@ -141,14 +260,14 @@ def slowest_of_jumps(g: Integrand, laws: Sequence[Law]) -> Slowest:
     if isinstance(law, Independent):
         return Slowest(-1.0)
     cells = [_cells_of_axes(each) for each in laws]
-    if not cells[-1] or g.costly or d > _LOOKED_DIMS:
+    if not cells[-1] or g.costly or d > settings.dims:
         return Slowest()
-    across, along = _jumps(g)
+    across, along = _jumps(g, settings)
     cut = False
     for axis, place in across:
         for each in cells:
             off = abs(place * each[axis] - round(place * each[axis])) if each[axis] else 1.0
-            cut |= isinstance(law, Shifted) or (0.0 < place < 1.0 and off > _AT_BORDER)
+            cut |= isinstance(law, Shifted) or (0.0 < place < 1.0 and off > settings.border)
     set_ = leaf_of(law)
     regular = isinstance(set_, Fixed) and set_.sides is not None
     even = isinstance(set_, Stationary) or (isinstance(set_, Fixed) and set_.even)
@@ -182,12 +301,12 @@ def _cells_of_axes(law: Law) -> tuple[int, ...]:
 
 
 @np.errstate(over="ignore", invalid="ignore")  # next to poles
-def _jumps(g: Integrand) -> tuple[list[tuple[int, float]], bool]:
+def _jumps(g: Integrand, settings: JumpSettings) -> tuple[list[tuple[int, float]], bool]:
     """Jumps of g across an axis, at its breaks and the border, as (axis, place), and whether it has others.
 
     Largest steps along lines are cut down; what stays is a jump, what grows a pole.
     """
-    x = probe(g.dims)[:: PROBE // _LINES]
+    x, beside, least = probe(g.dims)[:: PROBE // settings.lines], settings.beside, settings.least
     size = math.sqrt(float(np.nanmean(np.abs(g(x)) ** 2)))
     across, along = [], False
     for axis in range(g.dims):
@@ -199,28 +318,33 @@ def _jumps(g: Integrand) -> tuple[list[tuple[int, float]], bool]:
             return values_at(g, points)
 
         places = [0.0, *g.breaks[axis]]
-        pairs = at(np.array([[b + e for b in places for e in (_BESIDE, -_BESIDE)]]) % 1.0)
+        pairs = at(np.array([[b + e for b in places for e in (beside, -beside)]]) % 1.0)
         steps = np.sqrt(np.mean(np.abs(pairs[:, ::2] - pairs[:, 1::2]) ** 2, axis=0)).max(axis=-1)
-        across += [(axis, b) for b, step in zip(places, steps, strict=True) if step > _JUMPS * size]
+        across += [(axis, b) for b, step in zip(places, steps, strict=True) if step > least * size]
 
-        grid = np.tile((np.arange(_PLACES) + 0.5) / _PLACES, (len(x), 1))
+        grid = np.tile((np.arange(settings.places) + 0.5) / settings.places, (len(x), 1))
         first = np.abs(np.diff(at(grid), axis=1)).max(axis=-1)
-        chosen = np.argsort(first, axis=1)[:, -_LARGEST:]
+        chosen = np.argsort(first, axis=1)[:, -settings.largest :]
         low, high, first = (np.take_along_axis(a, chosen, 1) for a in (grid, grid[:, 1:], first))
-        for _ in range(_HALVED):
+        for _ in range(settings.halvings):
             middle = 0.5 * (low + high)
             values = [at(t) for t in (low, middle, high)]
             below, above = (np.abs(b - a).max(axis=-1) for a, b in pairwise(values))
             left = below >= above
             low, high = np.where(left, low, middle), np.where(left, middle, high)
         step = np.maximum(below, above)
-        far = np.abs(low[..., None] - np.array(places)).min(axis=-1) > _BESIDE
-        along |= bool((far & (step > _JUMPS * size) & (step <= 2.0 * first)).any())
+        far = np.abs(low[..., None] - np.array(places)).min(axis=-1) > beside
+        along |= bool((far & (step > least * size) & (step <= 2.0 * first)).any())
     return across, along
 
 
 def rates_of(
-    n: Array, variance: Array, asked: int, dims: int, slowest: Slowest
+    n: Array,
+    variance: Array,
+    asked: int,
+    dims: int,
+    slowest: Slowest,
+    settings: LimitSettings = _LIMIT,
 ) -> tuple[float, float, float, str]:
     """Exponents of a predicted curve, and where it bends; each NaN where it is not known.
 
@@ -234,6 +358,8 @@ def rates_of(
         Number of dims d.
     slowest
         What theory knows.
+    settings
+        When slopes show a limit, and a bend.
 
     Returns
     -------
@@ -255,23 +381,25 @@ def rates_of(
         return rate, limit, bend, ""
 
     # The slope over the last octaves, and those between their counts
-    late = min(len(x), max(3, int((x >= x[-1] - _LATE * math.log(2.0) - 1e-9).sum())))
+    late = min(len(x), max(3, int((x >= x[-1] - settings.late * math.log(2.0) - 1e-9).sum())))
     end = line_fit(x[-late:], y[-late:], np.ones(late)).slope
     steps = np.diff(y) / np.diff(x)
-    near_enough, log = min(0.2, 0.4 / dims), (dims - 1) / x[-late:].mean()
+    near_enough, log = min(settings.near, 0.4 / dims), (dims - 1) / x[-late:].mean()
     corners = slowest.exponent == -2.0 and dims in (2, 3)  # of jumps across several axes
     if end <= slowest.exponent + near_enough + corners * log and slowest.sure:
         limit = slowest.exponent
-    elif len(x) > 2 and np.ptp(steps[1 - late :]) <= _AGREE:
+    elif len(x) > 2 and np.ptp(steps[1 - late :]) <= settings.agree:
         exponents = [(-1.0 - k / dims, 0.0) for k in range(4)]
         exponents += [(-2.0, 0.0), (-3.0, log), (-3.0, 0.0)]
         near = min(exponents, key=lambda each: abs(end - sum(each)))
         away = np.abs(steps[-3:] - sum(near))
-        leaves = len(away) == 3 and (np.diff(away) > 0.0).all() and away[-1] > _LEAVES
-        leaves |= len(away) == 3 and bool(np.ptp(away) <= _STILL and away.min() > _LEAVES)
+        leaves = len(away) == 3 and (np.diff(away) > 0.0).all() and away[-1] > settings.leaves
+        leaves |= len(away) == 3 and bool(
+            np.ptp(away) <= settings.still and away.min() > settings.leaves
+        )
         if dims <= 3 and abs(end - sum(near)) <= near_enough and not leaves:
             limit = near[0]
-        elif len(steps) >= 3 and np.ptp(steps[-max(3, late) :]) <= _LEAVES:
+        elif len(steps) >= 3 and np.ptp(steps[-max(3, late) :]) <= settings.leaves:
             limit = end
         if limit < slowest.exponent - 1e-9:
             limit = math.nan
@@ -282,14 +410,14 @@ def rates_of(
 
     # Fit two powers of n, the second that of the limit: their sum where the curve flattens, the sum
     # of their inverses where it gets steeper
-    if len(x) > 3 and abs(steps[0] - limit) > _CHANGE:
-        at = np.linspace(x[0], x[-1], _BENDS)[:, None, None]
-        change = np.linspace(-_MOST_CHANGE, _MOST_CHANGE, _BENDS)[:, None]
+    if len(x) > 3 and abs(steps[0] - limit) > settings.change:
+        at = np.linspace(x[0], x[-1], settings.tried)[:, None, None]
+        change = np.linspace(-settings.most_change, settings.most_change, settings.tried)[:, None]
         curve = limit * x - np.sign(change) * np.logaddexp(0.0, np.abs(change) * (at - x))
         left = (y - curve).var(axis=-1)
         k, l = np.unravel_index(int(left.argmin()), left.shape)
         straight = line_fit(x, y, np.ones(len(x))).residuals.var()
-        if 0 < k < _BENDS - 1 and left[k, l] < _BETTER * straight:
+        if 0 < k < settings.tried - 1 and left[k, l] < settings.better * straight:
             bend = math.exp(at[k, 0, 0])
     return rate, limit, bend, why
 
@@ -318,7 +446,7 @@ class DecayFit:
     @property
     def settled(self) -> bool:
         """Whether the exponent is about the same over all shells."""
-        return math.isinf(self.decay) or abs(self.bend) <= _BEND
+        return math.isinf(self.decay) or abs(self.bend) <= _DECAY.bend
 
 
 def integrand_decay(
@@ -395,8 +523,8 @@ def fitted_decay(
     (True, True)
     """
     f = as_integrand(integrand)
-    given = _WIDTHS.get(f.dims, _WIDTH) if half_width is None else half_width
-    width = as_integer("half_width", given, least=_LEAST_WIDTH)
+    given = _DECAY.widths.get(f.dims, _DECAY.width) if half_width is None else half_width
+    width = as_integer("half_width", given, least=1 << _DECAY.octaves)
     with counting("integrand_decay", max_evaluations):
         power = np.abs(f.fourier_grid(width)) ** 2
     power = power.reshape(*power.shape[: f.dims], -1)
@@ -406,16 +534,18 @@ def fitted_decay(
     return min(fits, key=lambda fit: fit.decay)
 
 
-def _decay_fit(power: Array, length: Array, width: int) -> DecayFit:
+def _decay_fit(
+    power: Array, length: Array, width: int, settings: DecaySettings = _DECAY
+) -> DecayFit:
     """Least squares of log mean power against log mean |m| over shells (K/√2, K], (K/2, K/√2], …"""
     from scipy.special import stdtrit
 
-    edges = width * 0.5 ** (0.5 * np.arange(2 * _OCTAVES, -1, -1))
+    edges = width * 0.5 ** (0.5 * np.arange(2 * settings.octaves, -1, -1))
     place = np.searchsorted(edges, length, side="left")
-    shells = [place == k for k in range(1, 2 * _OCTAVES + 1) if (place == k).any()]
+    shells = [place == k for k in range(1, 2 * settings.octaves + 1) if (place == k).any()]
     mean = np.array([power[shell].mean() for shell in shells])
-    known = mean > _NOISE * power.max()
-    if not known[-2:].any() or known.sum() < _LEAST_SHELLS:
+    known = mean > settings.noise * power.max()
+    if not known[-2:].any() or known.sum() < settings.least_shells:
         return DecayFit(math.inf, (math.inf, math.inf), 0.0, width)
     x, y = np.log2([length[shell].mean() for shell in shells])[known], -np.log2(mean[known])
     slope, level = (float(value) for value in np.polyfit(x, y, 1))
