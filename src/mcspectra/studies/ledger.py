@@ -67,7 +67,7 @@ __all__ = [
     "scalars_of",
 ]
 
-FORMAT = 6
+FORMAT = 7
 """Of ledgers and stores; 1 and 2 were stores of zarr that grew while their studies ran, 3 had no scalars, 4
 read the text of a study at every look for a failure, 5 had its notes once."""
 
