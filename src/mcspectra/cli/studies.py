@@ -248,10 +248,6 @@ def report_(options: argparse.Namespace) -> Answer:
     from mcspectra.report import write_comparison, write_report
     from mcspectra.report.result_files import check_result_file
 
-    if not options.out and str(options.folder).endswith(".zarr"):
-        raise ParameterError(
-            f"{str(options.folder)!r} is a store, in which no page is written; give --out FILE.html."
-        )
     for file in options.out:
         check_result_file(file, (".html",))
     pages = [
