@@ -44,20 +44,20 @@ __all__ = ["analysis_verb", "declared"]
 
 _ESTIMATOR = (
     option("integrand", "integrand spec, e.g. 'gaussian(width=0.25)'"),
-    option("-d, --dims D", "number of dims, where specs leave it open", whole()),
+    option("-d, --dims D", "number of dims, unless the specs fix it", whole()),
     option(
         "--density SPEC",
-        "importance density; repeatable: several are combined by MIS",
+        "importance density; several are combined by multiple importance sampling (MIS); repeatable",
         repeated="all",
     ),
     option(
         "--heuristic SPEC",
-        "of MIS: balance (default), power(beta=2), cutoff, maximum, optimal or variance-aware",
+        "heuristic of MIS: balance (default), power(beta=2), cutoff, maximum, optimal or variance-aware",
         repeated="once",
     ),
     option(
         "--shares K,K,…",
-        "of MIS: points of each technique, in units of n",
+        "with MIS: points of each technique, as multiples of n",
         wholes(),
         repeated="once",
     ),
@@ -68,7 +68,7 @@ _ESTIMATOR = (
     ),
     option(
         "--plus SPEC",
-        "another integrand on its own points, whose estimate is added; repeatable",
+        "add the estimate of another integrand, on points of its own; repeatable",
         repeated="all",
     ),
 )
@@ -189,7 +189,8 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
 
     about = inspect.cleandoc(analysis.__doc__ or "").partition("\n\n")[0]
     if len(splits) > 1:
-        about = f"With --split {chosen}: {about[:1].lower()}{about[1:]}"
+        lead = f"Split a variance into {', '.join([*splits][:-1])} or {[*splits][-1]}."
+        about = f"{lead}\n\nWith --split {chosen}: {about[:1].lower()}{about[1:]}"
     printed = inspect.cleandoc(views[usual].__doc__ or "")
     return Verb(f"{about}\n\n{printed}".strip(), tuple(declarations), run)
 

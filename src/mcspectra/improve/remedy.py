@@ -83,7 +83,7 @@ _TEXTS = ("kind", "change", "verdict", "rate_verdict", "reason")
 
 @final
 class Remedies(Counted, frozen=True, kw_only=True):
-    """What would lower the noise at equal cost: measured, ranked, explained."""
+    """Changes that would lower the noise at equal cost: measured, ranked, explained."""
 
     function = "remedies"
     verb = "remedies"
@@ -111,7 +111,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         Meta(
             ge=100,
             le=100_000,
-            description="Realisations of each change at each of five budgets: some 20 × budget × realizations evaluations in all.",
+            description="Realizations of each change at each of five budgets; about 20 × budget × realizations evaluations in all.",
             extra={"flag": "-m", "metavar": "R"},
         ),
     ] = 1000

@@ -57,7 +57,7 @@ _MOST = 2**25  # complex numbers of Σ_r S^t conj(S^s): 512 MiB
 
 @final
 class Techniques(Counted, frozen=True, kw_only=True):
-    """What each technique of an estimator contributes, and which one decides the rate."""
+    """Variance of each technique of an estimator, and the technique that decides the rate."""
 
     function = "technique_terms"
     verb = "variance"

@@ -40,7 +40,7 @@ _TINY = 1e-300  # in place of a variance of 0, for logarithms
 
 @final
 class Plan(Counted, frozen=True, kw_only=True):
-    """Least number of points for an error, by predicted variances."""
+    """Least number of points for an error, from predicted variances."""
 
     function = "plan"
     verb = "plan"
@@ -54,7 +54,7 @@ class Plan(Counted, frozen=True, kw_only=True):
         float,
         Meta(gt=0.0, description="Wanted root mean square error of the estimate."),
     ]
-    relative: Annotated[bool, Meta(description="The error is a share of the integral.")] = False
+    relative: Annotated[bool, Meta(description="The error is relative to the integral.")] = False
 
     def need(self, subject: Subject) -> Need:
         """What the predictions of one count need; an integral that errors can be relative to."""

@@ -92,7 +92,7 @@ _SEEN = 64  # points of a density that are looked at
 
 @final
 class Profiling(Analysis, frozen=True, kw_only=True):
-    """What an estimator's noise is, why, and what to do."""
+    """The noise of an estimator: its size, its causes, and the best remedy."""
 
     function = "profile"
     verb = "profile"
@@ -113,7 +113,7 @@ class Profiling(Analysis, frozen=True, kw_only=True):
         Meta(
             ge=_LEAST,
             le=2**30,
-            description="Evaluations of the integrand, at most and in all.",
+            description="Most evaluations of the integrand in all.",
             extra={"metavar": "B"},
         ),
     ] = 4096

@@ -187,7 +187,7 @@ class StudyConfig(_Table, frozen=True, kw_only=True, omit_defaults=True):
     """
 
     title: Annotated[Text, Meta(description="Title of the report.")]
-    seed: Annotated[Annotated[int, Meta(ge=0)], Meta(description="Seed of all realisations.")] = 0
+    seed: Annotated[Annotated[int, Meta(ge=0)], Meta(description="Seed of all realizations.")] = 0
     samplers: Annotated[
         tuple[Text, ...],
         Meta(description="Samplers of all estimators: `mcspectra list samplers`, chained by |."),
