@@ -61,7 +61,7 @@ def design_(options: argparse.Namespace) -> Answer:
     """Search for a sampler or a density of small variance, and measure the gain.
 
     A sampler is searched for a class of integrands. The table compares its mean variance with that of usual
-    samplers, over other integrands of the class. Ctrl-C keeps the best sampler so far.
+    samplers, over other integrands of the class. Ctrl-C ends the search and keeps its best sampler.
 
     A density is learned for one integrand and one sampler. The table compares the variances with and without
     it, at points that it was not learned from.

@@ -61,7 +61,7 @@ def _profile(options: argparse.Namespace) -> Answer:
 
 
 def _of_draws(options: argparse.Namespace, files: list[str]) -> Answer:
-    """Error of the means of Markov chains, the frequencies that it comes from, and what is wrong."""
+    """Error of the means of Markov chains, the frequencies that cause it, and problems of the chains."""
     from mcspectra.measure.chains import chain_error
     from mcspectra.report.result_files import check_result_file, write_result_file
 

@@ -134,7 +134,7 @@ class Option:
     meaning
         One sentence.
     extra
-        What else the annotation says: ``flag``, ``metavar``, ``choices``, ``unit``, and ``help``, the
+        Further entries of the annotation: ``flag``, ``metavar``, ``choices``, ``unit``, and ``help``, the
         meaning of a flag that is not named as the option.
     """
 
@@ -187,7 +187,7 @@ class Option:
         Parameters
         ----------
         value
-            What was given.
+            The value to check.
         label
             Beginning of the sentence of an error; the option's name by default.
         from_file

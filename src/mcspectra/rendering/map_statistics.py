@@ -99,8 +99,8 @@ def fit_lines(
         residual = y - level[:, None] - rate[:, None] * step
         degrees = used.sum(axis=1) - 2
         chi2 = np.where(degrees > 0, _over_counts(weight * residual**2) / degrees, np.nan)
-        # Lack of fit widens intervals, as in `mcspectra.core.fits`: what errors do not explain is
-        # known from few counts only, Student's t over the normal quantile.
+        # Lack of fit widens intervals, as in `mcspectra.core.fits`: scatter that errors do not
+        # explain is estimated from few counts, so that Student's t replaces the normal quantile.
         some, lack = np.maximum(degrees, 1), np.where(degrees > 0, chi2, 0.0)
         student = stdtrit(some, 0.975) / CONFIDENCE_Z
         significant = chdtrc(some, lack * some) < _LACK_OF_FIT

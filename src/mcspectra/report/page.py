@@ -416,7 +416,7 @@ def write_json(file: Path, value: Any) -> None:
 
 
 def markup(template: str, *texts: object) -> Markup:
-    """Return markup of our own with texts of others, printable and escaped, in place of each ``{}``."""
+    """Return a template of ours whose ``{}`` are replaced by texts of others, printable and escaped."""
     return Markup(template).format(*map(_shown, texts))
 
 
