@@ -1,4 +1,4 @@
-"""SciPy's L-BFGS-B, QR and eigensolver against ours: what they reach, and whether bits stay the same.
+"""SciPy's L-BFGS-B, QR and eigensolver compared with ours: quality, and stability of the bits.
 
 ``python -m benchmarks descent`` prints, for descents of optimised samplers, the least value after as
 many evaluations as ours took. Then it repeats computations of the libraries with other numbers of
@@ -25,8 +25,8 @@ from mcspectra.samplers.relaxation import near_energy
 
 STARTS = 3
 COUNTS = (256, 1024)
-_FURTHER = 2  # times the evaluations of ours that L-BFGS-B may take
-_MEMORY = 10  # of both
+_FURTHER = 2  # Evaluations that L-BFGS-B may take, relative to ours
+_MEMORY = 10  # corrections that both methods keep
 
 DIGESTS = """
 import hashlib
@@ -88,7 +88,7 @@ def tasks() -> Iterator[Task]:
 def values_of(
     task: Task, run: Callable[[Callable[[Array], tuple[float, Array]], Array], object], seed: int
 ) -> Array:
-    """The least values so far after each evaluation of a descent, (evaluations,)."""
+    """The running minimum after each evaluation of a descent, (evaluations,)."""
     found = []
 
     def counted(x: Array) -> tuple[float, Array]:

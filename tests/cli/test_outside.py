@@ -106,7 +106,7 @@ def test_its_help_is_derived_from_its_options(run):
     assert "No part of its help" not in out
     lines = " ".join(out.split())
     assert "-n N points of each technique" in lines
-    assert "-m R, --realizations R independent realisations" in lines
+    assert "-m R, --realizations R independent realizations" in lines
     assert "default 10, or all sets of points that are given" in lines
     assert "--ends ENDS what happens at 100 %: open, wrap; default open" in lines
     assert "--names NAMES names of gaps; repeatable" in lines

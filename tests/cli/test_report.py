@@ -6,7 +6,9 @@ from pathlib import Path
 import pytest
 
 from mcspectra.cli.main import main
-from mcspectra.studies import decode_study, run_study
+from mcspectra.core.errors import ParameterError
+from mcspectra.report import write_report
+from mcspectra.studies import decode_study, open_results, run_study
 
 STUDY = """
 title = "t"
@@ -70,8 +72,15 @@ def test_a_run_of_very_many_cells_writes_no_report(tmp_path, monkeypatch, capsys
 
 
 def test_no_page_is_written_into_a_store(folders, capsys):
-    assert main(["report", f"{folders[0]}/results.zarr"]) == 2
-    assert "give --out FILE.html" in capsys.readouterr().err
+    """A store has a digest of all its files; from Python, and as a comparison, a page ended it."""
+    store = f"{folders[0]}/results.zarr"
+    for arguments in (["report", store], ["report", str(folders[0]), "--compare", store]):
+        assert main(arguments) == 2
+        assert "is a store" in (said := capsys.readouterr().err)
+        assert "--out" in said
+    with pytest.raises(ParameterError, match="is a store, in which no page is written"):
+        write_report(store)
+    open_results(store)
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -5,7 +5,7 @@ the user's own browser: these may send requests here, or point a name of theirs 
 every request must name this server as its Host, and as its Origin where it has one; a link to the page
 is the only request of another site that is answered. No page may hold this one in a frame.
 
-The number of open pages is bounded, and so is what they compute at once (`mcspectra.app.compute`).
+The number of open pages is bounded, and so is the number of their computations (`mcspectra.app.compute`).
 """
 
 from __future__ import annotations
@@ -108,13 +108,13 @@ class Guard(routing.Router):
             link = (headers.get("Sec-Fetch-Mode"), headers.get("Sec-Fetch-Dest"))
             linked = is_page and link == ("navigate", "document")
             return linked or all(site in ("same-origin", "none") for site in sites)
-        # Browsers before 2023 say no more than where they come from
+        # Browsers before 2023 send no Sec-Fetch-Site, but a Referer
         referers = map(urlsplit, headers.get_list("Referer"))
         return is_page or all(f"{r.scheme}://{r.netloc}".lower() in self._origins for r in referers)
 
 
 class _Headers(web.OutputTransform):
-    """What every answer says to browsers: in no frame, and for no other site."""
+    """Headers of every answer: the page is shown in no frame, and to no other site."""
 
     def transform_first_chunk(
         self, status_code: int, headers: httputil.HTTPHeaders, chunk: bytes, finishing: bool

@@ -4,8 +4,8 @@ An analysis of `mcspectra.core.analysis.ANALYSES` that has a verb is one, those 
 What is analysed comes first (an integrand with densities and a sampler, or a sampler alone), then the
 options of `mcspectra.core.options.options_of`. `mcspectra.cli.texts` shows the result.
 
-Several analyses may share a verb: ``--split`` chooses one. The parser then has the options of that one,
-and refuses those of the others by name.
+Several analyses may share a verb: ``--split`` chooses one. The parser then has the options of this analysis,
+and refuses the options of the other analyses by name.
 """
 
 from __future__ import annotations
@@ -44,20 +44,20 @@ __all__ = ["analysis_verb", "declared"]
 
 _ESTIMATOR = (
     option("integrand", "integrand spec, e.g. 'gaussian(width=0.25)'"),
-    option("-d, --dims D", "number of dims, where specs leave it open", whole()),
+    option("-d, --dims D", "number of dims, unless the specs fix it", whole()),
     option(
         "--density SPEC",
-        "importance density; repeatable: several are combined by MIS",
+        "importance density; several are combined by multiple importance sampling (MIS); repeatable",
         repeated="all",
     ),
     option(
         "--heuristic SPEC",
-        "of MIS: balance (default), power(beta=2), cutoff, maximum, optimal or variance-aware",
+        "heuristic of MIS: balance (default), power(beta=2), cutoff, maximum, optimal or variance-aware",
         repeated="once",
     ),
     option(
         "--shares K,K,…",
-        "of MIS: points of each technique, in units of n",
+        "with MIS: points of each technique, as multiples of n",
         wholes(),
         repeated="once",
     ),
@@ -68,7 +68,7 @@ _ESTIMATOR = (
     ),
     option(
         "--plus SPEC",
-        "another integrand on its own points, whose estimate is added; repeatable",
+        "add the estimate of another integrand, on points of its own; repeatable",
         repeated="all",
     ),
 )
@@ -83,7 +83,7 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
     names
         One analysis, or several, of which the arguments choose one by ``--split``; else it is the first.
     given
-        What was typed behind the verb.
+        Arguments after the verb.
 
     Raises
     ------
@@ -189,7 +189,8 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
 
     about = inspect.cleandoc(analysis.__doc__ or "").partition("\n\n")[0]
     if len(splits) > 1:
-        about = f"With --split {chosen}: {about[:1].lower()}{about[1:]}"
+        lead = f"Split a variance into {', '.join([*splits][:-1])} or {[*splits][-1]}."
+        about = f"{lead}\n\nWith --split {chosen}: {about[:1].lower()}{about[1:]}"
     printed = inspect.cleandoc(views[usual].__doc__ or "")
     return Verb(f"{about}\n\n{printed}".strip(), tuple(declarations), run)
 
@@ -297,7 +298,7 @@ def _of_splits(chosen: str, options: dict[str, tuple[Option, ...]]) -> list[Decl
 
 
 def _flags(given: Option) -> list[str]:
-    """What an option is typed as: one letter may stand for the name, and -n is all of n."""
+    """Flags of an option: one letter and the name, or ``-n`` alone for ``n``."""
     own = given.extra.get("flag", given.flag)
     if given.is_flag:
         return [own if "flag" in given.extra or not given.default else f"--no-{own[2:]}"]
@@ -306,7 +307,7 @@ def _flags(given: Option) -> list[str]:
 
 
 def _default(given: Option) -> str:
-    """The default as the help shows it; empty where there is none to show."""
+    """The default as the help shows it; empty without a default."""
     if given.required or given.default is None or given.is_flag:
         return ""
     values = given.default if isinstance(given.default, tuple) else (given.default,)
@@ -327,9 +328,9 @@ def declared(
     given
         The option.
     default_note
-        What stands behind the default in the help.
+        Text after the default in the help.
     flags
-        What it is typed as; by default all that it has.
+        Flags of the option; by default all that it has.
     refuse
         Raises the error of an option that belongs to another split.
     """

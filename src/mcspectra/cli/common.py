@@ -258,7 +258,7 @@ def one_sentence_warnings(quiet: bool) -> Iterator[None]:
 
     def show(message: Warning | str, *_: Any) -> None:
         text = printable(message, _LONGEST)
-        if text in seen:  # from another place in the code
+        if text in seen:  # The same warning from another line of the code
             return
         seen.add(text)
         print(f"mcspectra: Warning: {text}", file=sys.stderr)

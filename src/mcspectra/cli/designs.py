@@ -33,7 +33,11 @@ _OF_SAMPLERS = ("members",)
     option("-d, --dims D", "number of dims (default: those of the spec, or 2)", whole(1)),
     group(
         lambda parser: parser.add_argument_group("samplers"),
-        option("--members M", "fresh members of the certificate (default 2000)", whole(20)),
+        option(
+            "--members M",
+            "integrands of the class over which the result is measured (default 2000)",
+            whole(20),
+        ),
     ),
     group(
         lambda parser: parser.add_argument_group("density"),
@@ -42,19 +46,25 @@ _OF_SAMPLERS = ("members",)
         option(
             "--budget B", "evaluations to learn from (default 8 n + 8192, 16384 at least)", whole(1)
         ),
-        option("--defensive SHARE", "least value (default 0.05)", real(above=0.0, below=1.0)),
-        option("-m, --realizations R", "of the measured variances (default 1000)", whole(2)),
+        option(
+            "--defensive SHARE",
+            "share of the uniform density that is mixed in (default 0.05)",
+            real(above=0.0, below=1.0),
+        ),
+        option(
+            "-m, --realizations R", "point sets for each measured variance (default 1000)", whole(2)
+        ),
     ),
     out(".json: the density, or the sampler with its certificate"),
 )
 def design_(options: argparse.Namespace) -> Answer:
-    """Search a sampler or a density of small variance, and measure what it gains.
+    """Search for a sampler or a density of small variance, and measure the gain.
 
-    A sampler is searched for a class of integrands: the table compares its mean variance over fresh members
-    of the class with that of usual samplers. Ctrl-C keeps the best sampler so far.
+    A sampler is searched for a class of integrands. The table compares its mean variance with that of usual
+    samplers, over other integrands of the class. Ctrl-C ends the search and keeps its best sampler.
 
-    A density is learned for one integrand and one sampler: the table compares the variances without and
-    with it, at points that it was not learned from.
+    A density is learned for one integrand and one sampler. The table compares the variances with and without
+    it, at points that it was not learned from.
     """
     density = options.kind == _DENSITY
     other = "samplers" if density else "densities"

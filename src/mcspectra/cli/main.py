@@ -69,10 +69,10 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "cite": ("package", "print how to cite the package and its methods"),
     },
 }
-"""Verbs by group, in the order of the help: the module of each, and what it does."""
+"""Verbs by group, in the order of the help: the module of each, and its summary."""
 
 VERBS = {verb: text for verbs in GROUPS.values() for verb, (_, text) in verbs.items()}
-"""What each verb does."""
+"""Summary of each verb."""
 
 _MODULES = {verb: module for verbs in GROUPS.values() for verb, (module, _) in verbs.items()}
 
@@ -87,7 +87,7 @@ _ANALYSES: dict[str, tuple[str, ...]] = {
     "remedies": ("remedies",),
     "map": ("map",),
 }
-"""Verbs of our analyses, which are not loaded to know them: to their names in the registry.
+"""Verbs of our analyses, to their names in the registry; the help needs no import of the analyses.
 
 Where several share a verb, ``--split`` chooses one, the first by default.
 """
@@ -104,7 +104,7 @@ _NOW = {
     "mitsuba": "render scene.xml --integrator scene",
     "schema": "init --schema",
 }
-"""Verbs of earlier versions, and what is typed instead."""
+"""Verbs of earlier versions, and their replacements."""
 
 _FAILED_RUNS = ("CellFailed", "ClusterLost", "StorageError")
 """Errors that are nobody's input."""
@@ -226,7 +226,7 @@ def _dispatch(given: list[str]) -> int:
         declare(parser)
     options = parser.parse_args(given[1:])
 
-    # What texts may reach, for all verbs
+    # Files and code that specs may name, for all verbs
     folders = getattr(options, "allow_path", ())
     if options.allow_code or folders:
         from mcspectra.core.trust import allow

@@ -61,7 +61,7 @@ def _profile(options: argparse.Namespace) -> Answer:
 
 
 def _of_draws(options: argparse.Namespace, files: list[str]) -> Answer:
-    """Error of the means of Markov chains, the frequencies that it comes from, and what is wrong."""
+    """Error of the means of Markov chains, the frequencies that cause it, and problems of the chains."""
     from mcspectra.measure.chains import chain_error
     from mcspectra.report.result_files import check_result_file, write_result_file
 
@@ -111,11 +111,11 @@ profile_ = Verb(
 
 {_PROFILE.text.partition(chr(10) * 2)[2]}
 
-Files of draws of Markov chains get the standard error of each mean, its frequencies and what is wrong.
-A .npy file holds one chain (n,), or (chain, draw), or (chain, draw, quantity). A .csv file has a column
-for each quantity, a row for each draw, and names in the first line; chains are files of their own, as
-Stan writes them, or labeled by a column 'chain'. A .nc or .zarr store has the dims chain and draw, itself
-or in its group posterior, as ArviZ writes it.""",
+For files of draws of Markov chains it prints the standard error of each mean, its frequencies, and problems
+of the chains. A .npy file holds one chain (n,), or (chain, draw), or (chain, draw, quantity). A .csv file has a column
+for each quantity, a row for each draw, and names in the first line; each chain is a file, as
+Stan writes them, or a column 'chain' numbers the chains. A .nc or .zarr store has the dims chain and draw, at
+its root or in the group posterior, as ArviZ writes it.""",
     (
         option(
             "SUBJECT",
@@ -124,7 +124,7 @@ or in its group posterior, as ArviZ writes it.""",
             nargs="+",
         ),
         *_PROFILE.options[1:],
-        option("--weights NAME", "of draws: column or variable of the weights, or a .npy file"),
+        option("--weights NAME", "for draws: column or variable of the weights, or a .npy file"),
     ),
     _profile,
 )

@@ -232,7 +232,7 @@ def integrate_(options: argparse.Namespace) -> Answer:
     ),
     option("-n, --counts N,N,…", "numbers of points (default 16,64,256,1024)", wholes()),
     option("-d, --dims D,D,…", "numbers of dims of the integrands (default 2)", wholes()),
-    option("-m, --realizations R", "sets of each variance (default 400)", whole(2)),
+    option("-m, --realizations R", "point sets for each variance (default 400)", whole(2)),
     out(
         ".html, or a folder: the page; .pdf: its tables and pictures; .csv, .tex: rates; .pgf: convergence"
     ),
@@ -240,10 +240,10 @@ def integrate_(options: argparse.Namespace) -> Answer:
 def bench_(options: argparse.Namespace) -> Answer:
     """Measure samplers side by side: rates, ranks, points, spectra, projections, quality, speed.
 
-    Prints a table of rates on standard integrands, in brackets the ranks with simultaneous 95 % intervals.
-    A sampler that cannot do some of the dims is left out there.
+    Prints a table of rates on standard integrands, with ranks in brackets; their 95 % intervals are simultaneous.
+    A sampler is left out for the dims that it does not support.
 
-    The page, FILE.html or DIR/index.html, stands alone and has a section for each sampler: its points and
+    The page, FILE.html or DIR/index.html, is one file with a section for each sampler: its points and
     spectrum in 2-D, its dims, counts and sources. DIR/bench.csv has the numbers.
     """
     from mcspectra.report.bench_page import bench_table, check_bench_file, is_folder, write_bench

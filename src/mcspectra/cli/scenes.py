@@ -74,7 +74,7 @@ _WHOLE = ("variant", "sensor", "define")
     option("--height H", "height of a built-in scene's film", whole()),
     option(
         "--exposure STOPS",
-        "makes a .png brighter (default 0)",
+        "brightness of a .png in stops, which are factors of two (default 0)",
         real(least=-64.0, most=64.0),
         default=0.0,
     ),
@@ -83,21 +83,27 @@ _WHOLE = ("variant", "sensor", "define")
         lambda parser: parser.add_argument_group("direct light"),
         option("--strategy STRATEGY", "light, bsdf, mis (default), mis-light or mis-bsdf"),
         option("-m, --realizations R", "independent images (default 1; reference 16)", whole()),
-        option("--reference", "--spp counts the samples of all images together"),
-        option("--compare", f"a reference and all strategies, --spp {_COMPARED_SPP} each"),
+        option(
+            "--reference",
+            "render a reference from independent images; --spp is then the samples of all of them",
+        ),
+        option(
+            "--compare",
+            f"render a reference and all strategies, each with --spp samples (default {_COMPARED_SPP})",
+        ),
         option(
             "--reference-spp N", "samples of the reference of --compare (default 1024)", whole()
         ),
         option("--crop X,Y,W,H", "part of the film, in pixels", wholes("X,Y,W,H", least=0)),
-        option("--film FILM", "sampled (default) or center"),
-        option("--light NAME", "name or number of one light that counts", index_or_name),
-        option("--heuristic HEURISTIC", "balance (default) or power"),
+        option("--film FILM", "where samples lie in a pixel: sampled (default) or center"),
+        option("--light NAME", "use only the light of this name or number", index_or_name),
+        option("--heuristic HEURISTIC", "heuristic of MIS: balance (default) or power"),
     ),
     group(
         lambda parser: parser.add_argument_group("with --integrator"),
         option(
             "--variant VARIANT",
-            "of Mitsuba, e.g. scalar_rgb (default llvm_ad_rgb where there is LLVM)",
+            "variant of Mitsuba, e.g. scalar_rgb (default llvm_ad_rgb, without LLVM scalar_rgb)",
         ),
         option("--sensor I", "index of the camera (default 0)", whole(0)),
         option("-D, --define KEY=VALUE", "value of $KEY in the file; repeatable", repeated="all"),
@@ -109,14 +115,14 @@ def render_(options: argparse.Namespace) -> Answer:
     SCENE is the name of a built-in scene, e.g. 'veach' or "veach(lights=['light-3'])", or a Mitsuba XML
     file, which is never changed.
 
-    Without --integrator the image is direct light by one of our strategies. This prints the mean radiance, the
-    root mean square of the pixels' standard errors where there are several images (-m) or a --reference, and
-    samples per second, including the time that kernels take to compile. --compare renders a reference, light,
-    BSDF and multiple importance sampling at equal samples: a .png shows them side by side, an .exr holds a
+    Without --integrator the image is direct light by one strategy. The verb prints the mean radiance and the
+    samples per second, with the time that kernels take to compile. With several images (-m) or a --reference it
+    also prints the root mean square of the pixels' standard errors. --compare renders a reference, and light,
+    BSDF and multiple importance sampling with equal samples: a .png shows them side by side, an .exr has a
     layer of each, and their distance to the reference is printed.
 
-    With --integrator Mitsuba renders whole paths, and --sampler replaces the scene's own sampler. A file may
-    also name ours itself: <sampler type="mcspectra"> with <string name="spec" value="sobol | owen"/>.
+    With --integrator Mitsuba renders whole paths, and --sampler replaces the scene's own sampler. A scene file
+    can also name one of our samplers: <sampler type="mcspectra"> with <string name="spec" value="sobol | owen"/>.
     """
     from mcspectra.rendering.files import check_image_path, write_render
     from mcspectra.rendering.image import reference, render
@@ -312,32 +318,34 @@ def _whole_paths(options: argparse.Namespace, scene: str, files: list[Path]) -> 
         "whole paths by this integrator, e.g. 'path(max_depth=5)', or scene for the scene's own; "
         "without it the pixel's direct light",
     ),
-    option("--light NAME", "the one light that counts (default: all)", index_or_name),
+    option(
+        "--light NAME", "use only the light of this name or number (default: all)", index_or_name
+    ),
     option("--channel CHANNEL", "luminance (default), 0, 1 or 2", index_or_name),
     option(
         "-d, --dims D",
-        "2, or 3 with a third coordinate that selects lobes; with --integrator: how many coordinates have good points",
+        "2, or 3 with a third coordinate that selects lobes; with --integrator: number of coordinates that take the sampler's points",
         whole(),
     ),
     option(
         "--sampler SPEC",
         "sampler to compare; repeatable (default random, jittered, 'jittered | shift' and 'sobol | owen'). "
-        "Terms, bottleneck and remedies are of the first one that is not random",
+        "The first sampler that is not random gets terms, bottleneck and remedies",
         repeated="all",
         dest="samplers",
     ),
     option("-n, --counts N,N,…", "numbers of samples of each technique", wholes()),
-    option("-m, --realizations R", "estimates for each n", whole(4)),
+    option("-m, --realizations R", "number of estimates at each n", whole(4)),
     option(
         "--budget B",
-        "evaluations at which remedies are ranked (default twice the largest n)",
+        "evaluations per estimate at which remedies are compared (default twice the largest n)",
         whole(),
     ),
-    option("--no-remedies", "leave remedies out"),
+    option("--no-remedies", "do not look for remedies"),
     group(
         lambda parser: parser.add_mutually_exclusive_group(),
         option("--quick", "about a minute (default)"),
-        option("--full", "some minutes: more of everything"),
+        option("--full", "some minutes: larger counts, more realizations, all remedies"),
     ),
     option("-o, --out DIR", "folder for report.html, pixel.json and figures", repeated="once"),
 )
@@ -346,8 +354,8 @@ def pixel_(options: argparse.Namespace) -> Answer:
 
     The pixel is X Y, counted from the left and from the top, or its name (figure1 has P and Q).
 
-    Without --integrator this is about direct light. With --integrator it is about whole paths: rates of samplers,
-    the variance by bounce, decision and light, and how many coordinates deserve good points.
+    Without --integrator this measures direct light. With --integrator it measures whole paths: rates of samplers,
+    the variance by bounce, decision and light, and the number of coordinates at which good points help.
     """
     x: int | str = options.x
     if options.y is not None:
@@ -443,7 +451,7 @@ def _map_options(parser: argparse.ArgumentParser) -> None:
     option("--resume", "continue the map in the output folder"),
     option(
         "--sampler SPEC",
-        "default jittered, with --integrator 'sobol | owen'; repeatable: several are compared at each pixel",
+        "sampler (default jittered, with --integrator 'sobol | owen'); several are compared at each pixel; repeatable",
         repeated="all",
     ),
     option("--workers N", "threads (default: all processors)", whole()),
@@ -452,8 +460,8 @@ def _map_options(parser: argparse.ArgumentParser) -> None:
 def map_(options: argparse.Namespace) -> Answer:
     """Map the variance, its rate and the bottleneck over an image of a scene.
 
-    Without --integrator the map compares strategies for direct light. With --integrator it is about whole paths,
-    and has the shares of bounces and decisions. Writes DIR/report.html, DIR/maps.exr (all layers), DIR/map.json
+    Without --integrator the map compares strategies for direct light. With --integrator it measures whole paths,
+    and the shares of bounces and decisions. Writes DIR/report.html, DIR/maps.exr (all layers), DIR/map.json
     and pictures; DIR/study.sqlite keeps finished tiles, from which --resume continues.
     """
     from mcspectra.core.analysis import Subject
@@ -512,8 +520,8 @@ def map_(options: argparse.Namespace) -> Answer:
 def frames_(options: argparse.Namespace) -> Answer:
     """Measure the noise of independent renders of one view, by any renderer: variance, bias, error spectrum.
 
-    Frames of several numbers of samples give rates. --against compares two sets of frames: bias, variance,
-    and variance at equal time.
+    Frames with different numbers of samples per pixel give rates. --against compares two sets of frames: bias,
+    variance, and variance at equal time.
     """
     from mcspectra.rendering.frame_statistics import frames
     from mcspectra.report import frames_page

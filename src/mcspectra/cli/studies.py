@@ -41,11 +41,11 @@ _LISTED = 10  # paths of cells that are not done
     option("study", "study file, .toml, or the name of a built-in study, such as tour"),
     option("-o, --out DIR", "output folder (default out/<name of the file>)", repeated="once"),
     option("--resume", "continue the study in the output folder"),
-    option("--retry", "like --resume, and try failed cells again"),
+    option("--retry", "like --resume, and compute failed cells again"),
     option("--workers N", "threads (default: all processors)", whole()),
     option(
         "--time-limit SECONDS",
-        "stop tasks that take longer, whose analyses fail; workers are processes then",
+        "stop tasks that take longer; their analyses fail; workers are then processes",
         real(least=0.01),
     ),
     option(
@@ -55,10 +55,10 @@ _LISTED = 10  # paths of cells that are not done
         default=[],
     ),
     option("--dry-run", "estimate time, memory and storage, and stop"),
-    option("--force", "run however large the study is"),
+    option("--force", "run a study that is larger than the usual limits"),
     option(
         "--allow-path DIR",
-        "a folder, besides the study's own, that it may read files from; repeatable",
+        "a folder that the study may read files from, in addition to its own; repeatable",
         repeated="all",
         default=[],
     ),
@@ -71,7 +71,7 @@ _LISTED = 10  # paths of cells that are not done
         ),
         option(
             "--listen HOST",
-            "with --cluster local: where its scheduler listens (default: 127.0.0.1, this machine)",
+            "with --cluster local: address at which the scheduler listens (default: 127.0.0.1, this machine)",
         ),
         option(
             "--dashboard PORT",
@@ -83,8 +83,8 @@ _LISTED = 10  # paths of cells that are not done
 def run_(options: argparse.Namespace) -> Answer:
     """Run a study file: measure, predict and explain every estimator with every sampler.
 
-    Writes DIR/study.sqlite, DIR/results.zarr (opened by xarray.open_datatree), DIR/report.html and
-    DIR/figures/. Without the extra report it leaves out the page and its figures.
+    Writes DIR/study.sqlite, DIR/results.zarr, DIR/report.html and DIR/figures/. Without the extra report
+    it leaves out the page and its figures.
     """
     import msgspec
 
@@ -248,10 +248,6 @@ def report_(options: argparse.Namespace) -> Answer:
     from mcspectra.report import write_comparison, write_report
     from mcspectra.report.result_files import check_result_file
 
-    if not options.out and str(options.folder).endswith(".zarr"):
-        raise ParameterError(
-            f"{str(options.folder)!r} is a store, in which no page is written; give --out FILE.html."
-        )
     for file in options.out:
         check_result_file(file, (".html",))
     pages = [
@@ -266,12 +262,13 @@ def report_(options: argparse.Namespace) -> Answer:
 
 @verb(
     option("DIR", "output folder of a study", dest="folder"),
-    option("--verify", "check all that is stored against its digests"),
+    option("--verify", "check the digests of all stored results"),
 )
 def status_(options: argparse.Namespace) -> Answer:
-    """Show what the folder of a study holds: done, failed, missing and damaged cells.
+    """Count the done, failed, missing and damaged cells in the folder of a study.
 
-    Exit code 0 if all cells are there or the study is running, 1 if cells failed, are missing or damaged.
+    A cell is one analysis of one estimator with one sampler. The exit code is 1 if a cell failed, is missing
+    or is damaged; it is 0 if all cells are done, or the study is running.
     """
     import msgspec
 
@@ -330,7 +327,7 @@ def export_(options: argparse.Namespace) -> Answer:
     """Write the results of a study as files; the extension of each chooses its format.
 
     A table has a row for each number: estimator, sampler, analysis, n, variable, value, 95 % interval
-    (low, high), standard error (se) and unit. pandas.read_csv reads it, xarray.open_datatree a store.
+    (low, high), standard error (se) and unit. Spreadsheets and pandas read it; xarray reads a store.
     """
     from mcspectra.core.memory import shown_bytes
     from mcspectra.studies.results import check_export, export_results

@@ -184,10 +184,10 @@ def convergence(result: xr.Dataset) -> Answer:
 
 @_view("terms")
 def terms(result: xr.Dataset) -> Answer:
-    """Prints the terms, their sum, the measured variance, the share that was captured, and the rest.
+    """Prints the terms, their sum, the measured variance, the share of it that they capture, and the rest.
 
-    Several samplers have a table each. The energy share is the part of ∫f² within the half width.
-    The tail term is the variance beyond it, as random points have it.
+    Each sampler has a table. The energy share is the part of ∫f² at frequencies up to the half width. The tail
+    term estimates the variance at higher frequencies, as for random points.
     """
     known = result.attrs
     about = (
@@ -215,7 +215,7 @@ def terms(result: xr.Dataset) -> Answer:
 
 @_view("spectrum", "power")
 def power(result: xr.Dataset) -> Answer:
-    """Prints the radial mean, as power times n (random points: 1)."""
+    """Prints the radial mean of power times n, which is 1 for random points."""
     n, dims = result.attrs["n"], sum(str(d).startswith("m") for d in result["power"].dims)
     rows = [
         [f"{r:.4g}", f"{r / n ** (1 / dims):.3f}", f"{n * p:.5g}", _number(n * se)]
@@ -288,7 +288,7 @@ def exponent(result: xr.Dataset) -> Answer:
 
 @_view("pcf")
 def pcf(result: xr.Dataset) -> Answer:
-    """Prints r, r in units of the mean spacing n^(-1/d), g(r) and its standard error."""
+    """Prints the distance r, r / n^(-1/d) (the mean spacing), g(r) and its standard error."""
     spacing = result.attrs["n"] ** (-1.0 / result.attrs["dims"])
     rows = [
         [f"{r:.5g}", f"{r / spacing:.3f}", f"{g:.5g}", _number(se, 2)]
@@ -300,9 +300,9 @@ def pcf(result: xr.Dataset) -> Answer:
 
 @_view("anova")
 def anova(result: xr.Dataset) -> Answer:
-    """Prints the parts of subsets of the axes, what larger subsets have, and effective dimensions.
+    """Prints the variance of each subset of axes, the rest in larger subsets, and effective dimensions.
 
-    Shares and dimensions stand with their 95 % intervals, which may go beyond what is possible.
+    Shares and dimensions have 95 % intervals, which may reach beyond 0 and 1 or the number of axes.
     """
     lines = [_title(result)]
     labels, order = list(map(str, result["subset_label"].values)), result.attrs["order"]
@@ -348,7 +348,7 @@ def anova(result: xr.Dataset) -> Answer:
 
 @_view("profile")
 def profiled(result: xr.Dataset) -> Answer:
-    """Prints what to do, the causes with their evidence, and the error and rate of each sampler."""
+    """Prints advice, the causes of the noise with their evidence, and the error and rate of each sampler."""
     return Answer(result.attrs["text"], {"causes": json.loads(result.attrs["causes"])})
 
 
@@ -424,7 +424,7 @@ def prediction(result: xr.Dataset) -> Answer:
 
 @_view("remedies")
 def remedies(result: xr.Dataset) -> Answer:
-    """Prints a table in the order of the variances, then what to do and why."""
+    """Prints a table in the order of the variances, then advice with its reasons."""
     known, listed = result.attrs, []
     for name in result["remedy"].values:
         one = result.sel(remedy=name)
@@ -452,7 +452,7 @@ def remedies_table(result: xr.Dataset) -> str:
 
 @_view("modes")
 def modes(result: xr.Dataset) -> Answer:
-    """Prints the eigenvalues, their share of the whole, and what each mode gives to the variance."""
+    """Prints the eigenvalues, their share of the sum, and the variance of each mode."""
     trace, edge = float(result["band_trace"]), float(result["noise_edge"])
     # Eigenvalues of zero come out as 1e-13 of the sum of all
     there = int(np.count_nonzero(result["eigenvalue"].values > 1e-13 * trace))

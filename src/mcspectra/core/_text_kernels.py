@@ -17,10 +17,10 @@ __all__ = ["parse_lines"]
 
 _NEWLINE, _RETURN, _TAB, _SPACE = 10, 13, 9, 32
 _PLUS, _MINUS, _POINT, _HASH, _ZERO = 43, 45, 46, 35, 48
-_LAST = 126  # of ASCII that is printed
+_LAST = 126  # Last printable character of ASCII
 _SPLIT = 2.0**27 + 1.0  # splits a float64 into halves whose products are exact
 _DOUBT = 1.0 + 2.0**-40
-_DIGITS = 19  # of a whole number below 2^64
+_DIGITS = 19  # Digits that always fit into 64 bits
 _POWERS = 10.0 ** np.arange(23)  # those that are exact
 
 
@@ -71,7 +71,7 @@ def parse_lines(text: Array, values: Array, runs: Array, hard: Array) -> tuple[i
     """
     bad = (-1, 0, 0, 0)
     line = count = used = left = 0
-    width = 0  # of the run that is open, 0 without one
+    width = 0  # Numbers per line of the open run; 0 without an open run
     on_line = 0  # numbers on this line
     i, size = 0, text.size
     while i < size:

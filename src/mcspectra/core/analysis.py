@@ -157,7 +157,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     ----------
     function
         Its public function in Python, as a name of `mcspectra`, dotted if the function is in a package;
-        empty if it has none.
+        empty without a public function.
     verb
         Its verb on the command line; empty if it has none.
     split
@@ -237,7 +237,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     @classmethod
     def command(cls) -> str:
-        """Return what is typed behind ``mcspectra`` to ask for it; empty if it has no verb."""
+        """Return the arguments of ``mcspectra`` that run it; empty without a verb."""
         return f"{cls.verb} --split {cls.split}" if cls.split else cls.verb
 
     @classmethod

@@ -29,8 +29,8 @@ def student_t(count: int) -> float:
 def log_mean_interval(mean: Array, se: Array, count: int) -> Array:
     """95 % interval of a mean of values that are not negative, (..., 2), on a logarithmic scale.
 
-    Student's t takes the error of log mean: with 4 realisations of |S|², exponential like that of a
-    Gaussian S, it covers 93 %, where mean ± t se covers 88 and the normal quantile 78.
+    Student's t is applied to the logarithm of the mean. With 4 realizations of |S|² of a Gaussian S, which
+    is exponential, it covers 93 %, where mean ± t se covers 88 and the normal quantile 78.
     """
     relative = np.divide(se, mean, out=np.array(se), where=mean > 0)
     factor = np.exp(student_t(count) * relative)

@@ -65,7 +65,7 @@ def printable(given: object, most: int | None = None, *, lines: bool = False) ->
 
 
 def shown(value: object, most: int = 200) -> str:
-    """Return the ``repr`` of what was given, `printable` and short; of a long number its size.
+    """Return the ``repr`` of a value, `printable` and short; for a long number its size.
 
     Python refuses to write integers of more than 4300 digits.
 

@@ -79,7 +79,7 @@ class Parameter:
     value: Any = None
 
     def __str__(self) -> str:
-        """As Python's callers write it."""
+        """Return the name as Python code has it."""
         return self.name if self.value is None else f"{self.name}={self.value!r}"
 
 
@@ -91,7 +91,7 @@ class Function:
     name: str
 
     def __str__(self) -> str:
-        """As Python's callers write it."""
+        """Return the name as Python code has it."""
         return self.name
 
 
@@ -186,7 +186,7 @@ class MissingDependency(McspectraError, ImportError):
 
 
 MEASURE_IT: tuple[Part, ...] = (Function("convergence"), " or ", Function("variance_terms"))
-"""What measures a variance that cannot be computed, as parts of a sentence."""
+"""Functions that measure a variance without a closed form, as parts of a sentence."""
 
 
 class CorrelatedFrequenciesWarning(UserWarning):

@@ -6,7 +6,7 @@ Where the lack of fit, χ² per degree of freedom, exceeds 1, it is widened by �
 significant (`LACK_OF_FIT`), the errors are not what makes the scatter, which is estimated from the counts:
 √χ² times Student's t with as many degrees, three counts having one.
 
-Curves bend at small n (lower-order terms); a *window* is the last so many counts, and ``"auto"``
+Curves bend at small n (lower-order terms); a *window* is a number of the largest counts, and ``"auto"``
 takes the largest window of at least three counts that shows neither lack of fit (`LACK_OF_FIT`) nor
 curvature (`CURVATURE`, a test of one degree, which sees a bend that χ² spreads over all). A window that
 passed may still be bent by as much as the noise hides: its interval is that of the scatter even where
@@ -14,8 +14,8 @@ passed may still be bent by as much as the noise hides: its interval is that of 
 relative errors of 6 % (500 realisations), counts 4, 16, … 1024, the intervals of ``"auto"`` hold the
 asymptotic rate in 98 % for a straight line; in 97 % for a disk of radius 0.27 off the centre, jittered;
 in 86 % for a Gaussian, jittered and shifted, whose exact slope is −1.42 … −1.50 over these counts: no
-test sees that bend. A curve that is bent to its last count, as of a disk centred on the strata
-(−1.39 between the last two), is not extrapolated. Exact variances at the same counts say more.
+test can detect that bend. A curve that is bent up to its last count, such as that of a disk centered on the
+strata (−1.39 between the last two), is not extrapolated. Exact variances at the same counts are better evidence.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ CURVATURE = 0.1
 """Significance of a quadratic term in log n below which a window of counts is taken to be bent."""
 
 UNRESOLVED = "not resolved: use more realisations or larger counts"
-"""What texts say of a rate that is no finding; results keep its number."""
+"""Text instead of a rate whose interval is too wide; results keep the number."""
 
 _WIDEST = 0.5  # half an interval of a rate that is a finding: −1 and −2 can be told apart
 _LEAST = 3  # counts that can show lack of fit
@@ -225,9 +225,9 @@ def fit_rate(
         Counts, variances, their relative standard errors, and the variances below which they are
         rounding noise, which are left out: all (N,).
     window
-        Fit only the last so many counts; None: all; ``"auto"``: as many as lie on a line, which is
+        Number of the last counts to fit; None: all; ``"auto"``: as many as lie on a line, which is
         the largest window of three or more without significant χ² (`LACK_OF_FIT`) or curvature
-        (`CURVATURE`), and the last three where there is none.
+        (`CURVATURE`), or the last three without such a window.
     """
     start = -window if isinstance(window, int) else 0
     ns, variance, relative_se, floor = (a[start:] for a in (ns, variance, relative_se, floor))
@@ -276,12 +276,12 @@ def _line(x: Array, y: Array, se: Array, *, chosen: bool = False) -> RateFit:
 
 
 def widening(degrees: int, chi2: float) -> float:
-    """By what lack of fit widens the interval of a fit with so many degrees of freedom."""
+    """Factor by which lack of fit widens the interval of a fit with `degrees` of freedom."""
     return _quantile(degrees, chi2, chosen=False) / CONFIDENCE_Z
 
 
 def _quantile(degrees: int, chi2: float, *, chosen: bool) -> float:
-    """Half an interval, in units of what the errors alone would make the slope's standard error."""
+    """Half an interval, in units of the standard error that the errors alone give the slope."""
     if not degrees:
         return CONFIDENCE_Z
     from scipy.special import chdtrc, stdtrit

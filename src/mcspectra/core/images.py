@@ -134,7 +134,7 @@ def check_picture_size(path: str | PathLike[str]) -> None:
     Raises
     ------
     FileFormatError
-        As of `mcspectra.core.decoding.check_decoded_size`.
+        Same as in `mcspectra.core.decoding.check_decoded_size`.
     """
     decoded = 0
     try:
@@ -291,7 +291,7 @@ def _exr_file(name: str, *, header_only: bool) -> Any:
 
 
 def _put_back(descriptor: int, saved: int, held: IO[bytes], name: str) -> None:
-    """Print to a file descriptor as before, first what is not OpenEXR's of what was held back."""
+    """Restore a file descriptor, and print the lines that were held back and are not OpenEXR's."""
     ctypes.CDLL(None).fflush(None)  # buffers of C, which OpenEXR's lines are in
     os.dup2(saved, descriptor)
     held.seek(0)

@@ -63,7 +63,7 @@ Window = Annotated[int, Meta(ge=2)] | Literal["auto"] | None
 Evaluations = Annotated[
     Positive | None,
     Meta(
-        description="Most evaluations of the integrand: what takes more is refused.",
+        description="Most evaluations of the integrand; an analysis that takes more is refused.",
         extra={"metavar": "N"},
     ),
 ]
@@ -80,7 +80,7 @@ COUNTS = Meta(
 REALIZATIONS = Meta(
     ge=2,
     le=MAX_REALIZATIONS,
-    description="Independent realisations, at each count.",
+    description="Independent realizations at each count.",
     extra={"flag": "-m", "metavar": "R"},
 )
 SETS = Meta(
@@ -92,28 +92,30 @@ SETS = Meta(
 HALF_WIDTH = Meta(
     ge=0,
     le=2**31,
-    description="Frequencies run from −half_width to half_width along every axis.",
+    description="Largest frequency along each axis.",
     extra={"metavar": "K", "unit": "cycles per unit"},
 )
 BASIS = Meta(
-    description="fourier, cosine, walsh, haar, or auto: what fits the randomisation.",
+    description="fourier, cosine, walsh, haar, or auto: the basis that fits the randomization.",
     extra={"choices": ("fourier", "cosine", "walsh", "haar", "auto")},
 )
-SPACE = Meta(description="domain or primary; by default the domain, where there is one.")
+SPACE = Meta(
+    description="domain, or primary: the unit cube of the points; by default the domain, if there is one."
+)
 BANDS = Meta(
     description="radial, dyadic, anova or wedge.",
     extra={"choices": ("radial", "dyadic", "anova", "wedge"), "python": True},
 )
 FIT_LAST = Meta(
-    description='Fit the rate to the last so many counts, all by default; "auto": as many as lie on a '
-    "line.",
+    description='Number of the last counts that the rate is fitted to; all by default; "auto": as many '
+    "as lie on a line.",
     extra={"metavar": "K"},
 )
 ENGINE = Meta(
-    description="How transforms are computed: auto, nufft or direct.",
+    description="How to compute the Fourier transforms: auto, nufft or direct.",
     extra={"choices": ("auto", "nufft", "direct")},
 )
-EPS = Meta(ge=1e-14, le=0.1, description="Wanted relative accuracy of the transforms.")
+EPS = Meta(ge=1e-14, le=0.1, description="Relative accuracy of the transforms.")
 
 
 @final
@@ -132,7 +134,7 @@ class Option:
     meaning
         One sentence.
     extra
-        What else the annotation says: ``flag``, ``metavar``, ``choices``, ``unit``, and ``help``, the
+        Further entries of the annotation: ``flag``, ``metavar``, ``choices``, ``unit``, and ``help``, the
         meaning of a flag that is not named as the option.
     """
 
@@ -185,7 +187,7 @@ class Option:
         Parameters
         ----------
         value
-            What was given.
+            The value to check.
         label
             Beginning of the sentence of an error; the option's name by default.
         from_file

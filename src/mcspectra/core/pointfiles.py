@@ -168,7 +168,7 @@ def write_points(
     sets
         One array (n, d) for each set; ``.bin``, ``.npz`` and ``.npy`` need sets of equal shape.
     meta
-        What to say about the points, as JSON: kept by ``.npz`` and, as a comment, by ``.dat``; the
+        Description of the points, as JSON: kept by ``.npz`` and, as a comment, by ``.dat``; the
         other formats have no place for it.
 
     Raises
@@ -268,7 +268,7 @@ def _read_dat(stream: IO[bytes], size: int, name: str) -> list[Array]:
                 lines, runs = found
                 for line, points in runs:
                     yield before + line, points
-            else:  # what messages are about, too
+            else:  # Messages quote these texts
                 texts = _decoded(chunk, at, name)
                 lines = len(texts)
                 for number, text in enumerate(texts, before + 1):

@@ -28,7 +28,7 @@ _listeners: list[Listener] = []
 _AFTER = 0.5  # seconds: what is done sooner needs no bar
 _BETWEEN = 0.1  # seconds from one drawing to the next
 _BETWEEN_LINES = 10.0  # seconds, where there is no terminal to draw in
-_LONGEST = 80  # characters of what is under way
+_LONGEST = 80  # Characters of a line of progress
 _FORGOTTEN = 30.0  # seconds of silence after which work counts as given up: an exception, say
 
 

@@ -1,4 +1,4 @@
-"""What text of strangers may reach: one policy for studies, specs of the command line and the explorer.
+"""Files and code that text of strangers may reach: one policy for studies, specs and the explorer.
 
 Text is data: a spec is parsed, never evaluated. It may name code to run, and files to read. A `Trust` says
 which: the code that the caller names, and files in folders that the caller names, links followed. A study
@@ -55,7 +55,7 @@ _NAMED = re.compile(
 @final
 @dataclass(frozen=True)
 class Trust:
-    """What text of a stranger may reach; nothing by default.
+    """Files and code that text of a stranger may reach; nothing by default.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ class Trust:
         Raises
         ------
         ConfigError
-            The message says how to allow it.
+            The message names the option that allows it.
         """
         if not self.runs(call):
             text = call.arguments[CODE[call.name]]
@@ -148,7 +148,7 @@ class Trust:
         Raises
         ------
         ConfigError
-            The message says how to allow it.
+            The message names the option that allows it.
         """
         if not self.reads(file):
             raise ConfigError(
@@ -162,7 +162,7 @@ class Trust:
         Raises
         ------
         ConfigError
-            The message says what to do.
+            The spec names a file or code.
         """
         if (what := reach_of(text)) is not None:
             raise ConfigError(
@@ -172,7 +172,7 @@ class Trust:
 
 
 def reach_of(value: Any, key: str = "") -> str | None:
-    """What a value of a spec names, also in a spec inside it: a file, code, or nothing (None)."""
+    """Return "a file" or "code" if a value of a spec, or a spec inside it, names one; else None."""
     if isinstance(value, dict):
         found = [reach_of(each, str(inner)) for inner, each in value.items()]
     elif isinstance(value, list | tuple | set):
@@ -193,7 +193,7 @@ def reach_of(value: Any, key: str = "") -> str | None:
 
 
 def words_of(command: object) -> list[str]:
-    """Program and arguments; none of what is no command."""
+    """Return program and arguments of a command; empty if the text is not a command."""
     try:
         return shlex.split(command) if isinstance(command, str) else []
     except ValueError:
@@ -209,6 +209,6 @@ def process_trust() -> Trust:
 
 
 def allow(code: Iterable[str] = (), folders: Iterable[Path] = ()) -> None:
-    """Let text that this process reads reach this code and these folders, too."""
+    """Also let text that this process reads reach this code and these folders."""
     global _process
     _process = _process.widened(code, folders)

@@ -185,7 +185,7 @@ def as_subject(
         As for `as_estimator` and `mcspectra.samplers.as_sampler`; with `lists` one or a list of each.
     dims
         Number of dims of functions and of spec strings that leave it open; by default those of the
-        first sampler that is not a spec string. What has dims of its own must agree.
+        first sampler that is not a spec string. Functions and samplers with dims of their own must agree with it.
 
     Raises
     ------

@@ -108,7 +108,7 @@ _TEXTS = ("kind", "change", "verdict", "rate_verdict", "reason")
 
 @final
 class Remedies(Counted, frozen=True, kw_only=True):
-    """Changes that lower the noise at equal cost: measured, ranked, explained."""
+    """Changes that would lower the noise at equal cost: measured, ranked, explained."""
 
     function = "remedies"
     verb = "remedies"
@@ -136,7 +136,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         Meta(
             ge=100,
             le=100_000,
-            description="Realizations of each change at each of five budgets: about 20 × budget × realizations evaluations in all.",
+            description="Realizations of each change at each of five budgets; about 20 × budget × realizations evaluations in all.",
             extra={"flag": "-m", "metavar": "R"},
         ),
     ] = 1000

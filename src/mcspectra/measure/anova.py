@@ -79,7 +79,7 @@ _PARTNER, _ORDER, _UNIFORM = 0x616E6F, 0x616E70, 0x616E71  # stream labels
 
 @final
 class Anova(Counted, frozen=True, kw_only=True):
-    """Which axes of primary space, and pairs of them, the variance comes from."""
+    """Variance by axis of primary space, and by pair of axes."""
 
     function = "anova_variances"
     verb = "variance"
@@ -95,12 +95,12 @@ class Anova(Counted, frozen=True, kw_only=True):
     provenance = ("estimator", "sampler", "n", "realizations", "order", "stream_key")
 
     n: Annotated[int, COUNT] = 1
-    order: Annotated[int, Meta(ge=1, le=2, description="1: single axes; 2: pairs too.")] = 2
+    order: Annotated[int, Meta(ge=1, le=2, description="1: single axes; 2: pairs of axes too.")] = 2
     realizations: Annotated[int, REALIZATIONS] = 10_000
     groups: Annotated[
         tuple[_Group, ...] | None,
         Meta(
-            description="Group of each axis, numbered from 0, to be split as one; each its own by default.",
+            description="Number of the group of each axis, from 0; a group counts as one axis; by default each axis is a group.",
             extra={"metavar": "G,G,…"},
         ),
     ] = None
@@ -281,31 +281,36 @@ class Anova(Counted, frozen=True, kw_only=True):
 
 @final
 class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
-    """Which subsets of the axes the variance comes from, by sampled frequencies."""
+    """Variance by subset of the axes, from sampled frequencies."""
 
     function = "measure.anova_spectrum"
     variables = ("anova_variance", "anova_variance_se")
     provenance = ("estimator", "sampler", "n", "half_width", "frequencies", "stream_key")
 
     n: Annotated[int, COUNT]
-    order: Annotated[int, Meta(ge=1, le=3, description="Subsets of up to so many axes.")] = 2
+    order: Annotated[int, Meta(ge=1, le=3, description="Most axes of a subset.")] = 2
     frequencies: Annotated[
         int,
         Meta(
             ge=2 * _SETTINGS.batches,
             le=_SETTINGS.most_frequencies,
-            description="Frequencies sampled of each subset.",
+            description="Number of sampled frequencies of each subset.",
         ),
     ] = 1024
     half_width: Annotated[
-        int, Meta(ge=1, le=2**20, description="Largest |m_i|: what is beyond is left out.")
+        int,
+        Meta(
+            ge=1,
+            le=2**20,
+            description="Largest frequency along each axis; higher ones are left out.",
+        ),
     ] = 4096
     realizations: Annotated[
         int,
         Meta(
             ge=2 * _SETTINGS.batches,
             le=10**9,
-            description="Point sets in all, where no power is known.",
+            description="Number of point sets, if the power of the sampler has no closed form.",
             extra={"flag": "-m", "metavar": "R"},
         ),
     ] = 64

@@ -108,7 +108,7 @@ _DIMS = {
 
 @final
 class Convergence(Counted, frozen=True, kw_only=True):
-    """Variance against n and its rate."""
+    """Variance against n, and its rate."""
 
     function = "convergence"
     verb = "converge"
@@ -119,11 +119,13 @@ class Convergence(Counted, frozen=True, kw_only=True):
     realizations: Annotated[
         int,
         REALIZATIONS,
-        Meta(description="Realisations at each count; with relative_error the most."),
+        Meta(description="Realizations at each count; with a relative error the most."),
     ] = 1000
     relative_error: Annotated[
         Precision | None,
-        Meta(description="Stop a count once its variance is known to this fraction."),
+        Meta(
+            description="Stop at a count when the relative standard error of the variance is this small."
+        ),
     ] = None
     fit_last: Annotated[Window, FIT_LAST] = None
 
@@ -293,10 +295,11 @@ class RealizationsNeeded(Counted, frozen=True, kw_only=True):
 
     n: Annotated[int, COUNT]
     relative_error: Annotated[
-        Precision, Meta(description="Wanted standard error of the variance, relative to it.")
+        Precision, Meta(description="Wanted relative standard error of the variance.")
     ] = 0.05
     max_realizations: Annotated[
-        int, Meta(ge=2, le=MAX_REALIZATIONS, description="Stop there in any case.")
+        int,
+        Meta(ge=2, le=MAX_REALIZATIONS, description="Most realizations, whatever the precision."),
     ] = 1_000_000
 
     def need(self, subject: Subject) -> Need:

@@ -76,7 +76,7 @@ _START = 0x6D6F6465  # stream label of the first vectors
 
 @final
 class Modes(Counted, frozen=True, kw_only=True):
-    """Leading eigenvectors of the covariance of the coefficients, which vary together."""
+    """Leading eigenvectors of the covariance of the Fourier coefficients."""
 
     function = "covariance_modes"
     verb = "variance"
@@ -89,14 +89,14 @@ class Modes(Counted, frozen=True, kw_only=True):
 
     n: Annotated[int, options.COUNT]
     half_width: Annotated[int, options.HALF_WIDTH] = 32
-    modes: Annotated[int, Meta(ge=1, le=2**62, description="How many modes.")] = 8
+    modes: Annotated[int, Meta(ge=1, le=2**62, description="Number of modes.")] = 8
     weighted: Annotated[
         bool,
         Meta(
-            description="Of conj(f_m) S_m; without it of S_m, the points' own.",
+            description="Weight the coefficients of the points by those of the integrand: conj(f_m) S_m instead of S_m.",
             extra={
                 "flag": "--points-only",
-                "help": "modes of S_m, the points alone, instead of conj(f_m) S_m",
+                "help": "modes of the points alone, without the coefficients of the integrand",
             },
         ),
     ] = True
@@ -104,7 +104,7 @@ class Modes(Counted, frozen=True, kw_only=True):
     band: Annotated[
         tuple[str, ...] | str | None,
         Meta(
-            description="Only these bands, by their labels.",
+            description="Labels of the bands to keep; all by default.",
             extra={"python": True, "metavar": "LABEL"},
         ),
     ] = None
@@ -112,7 +112,9 @@ class Modes(Counted, frozen=True, kw_only=True):
     passes: Annotated[
         int,
         Meta(
-            ge=2, le=100, description="Passes over the realisations: more part close eigenvalues."
+            ge=2,
+            le=100,
+            description="Passes over the realizations; more passes separate close eigenvalues.",
         ),
     ] = 3
     realizations: Annotated[int, options.REALIZATIONS] = 1000

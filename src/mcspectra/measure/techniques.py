@@ -69,7 +69,7 @@ _SETTINGS = TechniqueSettings()
 
 @final
 class Techniques(Counted, frozen=True, kw_only=True):
-    """The contribution of each technique of an estimator, and the technique that decides the rate."""
+    """Variance of each technique of an estimator, and the technique that decides the rate."""
 
     function = "technique_terms"
     verb = "variance"

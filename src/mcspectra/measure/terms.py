@@ -80,8 +80,8 @@ class Terms(Counted, frozen=True, kw_only=True):
     half_width: Annotated[
         Annotated[int, options.HALF_WIDTH] | None,
         Meta(
-            description="Frequencies run from −half_width to half_width along every axis; by default "
-            "as many as n and the integrand ask for.",
+            description="Largest frequency along each axis; by default it is chosen for n and the "
+            "integrand.",
         ),
     ] = None
     realizations: Annotated[int, options.REALIZATIONS] = 1000
@@ -89,7 +89,8 @@ class Terms(Counted, frozen=True, kw_only=True):
     basis: Annotated[str, options.BASIS] = "fourier"
     bands: Annotated[str, options.BANDS] = "radial"
     cross_matrix: Annotated[
-        bool, Meta(description="Also the full matrix of covariances (few frequencies only).")
+        bool,
+        Meta(description="Also give the full matrix of covariances, for few frequencies only."),
     ] = False
     engine: Annotated[str, options.ENGINE] = "auto"
     eps: Annotated[float, options.EPS] = 1e-9

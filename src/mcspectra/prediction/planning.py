@@ -69,7 +69,7 @@ _CURVE = tuple(2**k for k in range(_SETTINGS.octaves + 1))
 
 @final
 class Plan(Counted, frozen=True, kw_only=True):
-    """Least number of points for an error, by predicted variances."""
+    """Least number of points for an error, from predicted variances."""
 
     function = "plan"
     verb = "plan"
@@ -83,7 +83,7 @@ class Plan(Counted, frozen=True, kw_only=True):
         float,
         Meta(gt=0.0, description="Wanted root mean square error of the estimate."),
     ]
-    relative: Annotated[bool, Meta(description="The error is a share of the integral.")] = False
+    relative: Annotated[bool, Meta(description="The error is relative to the integral.")] = False
 
     def need(self, subject: Subject) -> Need:
         """What the predictions of one count need; an integral that errors can be relative to."""

@@ -594,15 +594,15 @@ def tried(name: str, law: Law, known: Known) -> list[Method]:
 
 
 _METHOD = Meta(
-    description="auto: the most trusted method that applies; all: every method, side by side; else one "
-    "by its name.",
+    description="auto: the most trusted method that applies; all: every method side by side; or the name "
+    "of a method.",
     extra={"choices": ("auto", "all", *NAMES)},
 )
 
 
 @final
 class Prediction(Counted, frozen=True, kw_only=True):
-    """Variance and rate at every n, predicted from what is known of f and of the sampler."""
+    """Variance and rate at every n, predicted from the integrand and the sampler."""
 
     function = "predict"
     verb = "predict"
@@ -620,14 +620,14 @@ class Prediction(Counted, frozen=True, kw_only=True):
         Meta(
             ge=1e-12,
             le=1.0,
-            description="Largest relative error of a variance of the method exact.",
+            description="Largest relative error of a variance by the method exact.",
         ),
     ] = EXACT_TOLERANCE
     half_width: Annotated[
         Annotated[int, HALF_WIDTH] | None,
         Meta(
-            description="Half width of the methods covariance, homogenized and terms; by default that of "
-            "variance.",
+            description="Largest frequency along each axis in the methods covariance, homogenized and terms; by "
+            "default it is chosen for n and the integrand.",
         ),
     ] = None
     realizations: Annotated[
@@ -635,7 +635,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
         Meta(
             ge=4,
             le=MAX_REALIZATIONS,
-            description="Realizations of the methods pair-correlation, homogenized, terms and measured.",
+            description="Realizations in the methods pair-correlation, homogenized, terms and measured.",
             extra={"flag": "-m", "metavar": "R"},
         ),
     ] = 1000

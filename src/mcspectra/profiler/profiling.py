@@ -129,7 +129,7 @@ _FIGURES = ("rmse", "rmse_given", "gain", "samples_saved")
 
 @final
 class Profiling(Analysis, frozen=True, kw_only=True):
-    """Size and causes of an estimator's noise, and the change that lowers it."""
+    """The noise of an estimator: its size, its causes, and the best remedy."""
 
     function = "profile"
     verb = "profile"
@@ -150,7 +150,7 @@ class Profiling(Analysis, frozen=True, kw_only=True):
         Meta(
             ge=_SETTINGS.least_budget,
             le=2**30,
-            description="Evaluations of the integrand, at most and in all.",
+            description="Most evaluations of the integrand in all.",
             extra={"metavar": "B"},
         ),
     ] = 4096

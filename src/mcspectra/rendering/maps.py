@@ -123,13 +123,13 @@ class Map(Analysis, frozen=True, kw_only=True):
     size: Annotated[
         tuple[_Side, _Side] | None,
         Meta(
-            description="Width and height in pixels; by default those of the film.",
+            description="Width and height in pixels; by default those of the scene.",
             extra={"metavar": "W,H"},
         ),
     ] = None
     light: Annotated[
         int | str | None,
-        Meta(description="Use this light alone; all by default.", extra={"metavar": "NAME"}),
+        Meta(description="Use only this light; all by default.", extra={"metavar": "NAME"}),
     ] = None
     heuristic: Annotated[
         Literal["balance", "power"], Meta(description="Heuristic of MIS: balance or power.")
@@ -140,15 +140,15 @@ class Map(Analysis, frozen=True, kw_only=True):
     dims: Annotated[
         _Dims | None,
         Meta(
-            description="2, or 3 with a third coordinate that selects lights and lobes; of whole paths by "
-            "default all that they take.",
+            description="2, or 3 with a third coordinate that selects lights and lobes; for whole paths by "
+            "default all coordinates.",
             extra={"flag": "-d", "metavar": "D"},
         ),
     ] = None
     integrator: Annotated[
         Text | None,
         Meta(
-            description="Whole paths by this integrator, or by the scene's own: scene.",
+            description="Render whole paths with this integrator; scene: with the scene's own.",
             extra={"metavar": "SPEC"},
         ),
     ] = None
@@ -157,15 +157,23 @@ class Map(Analysis, frozen=True, kw_only=True):
         Meta(description="shared: the same points at all pixels; own: independent ones."),
     ] = "shared"
     smoothing: Annotated[
-        int, Meta(ge=1, le=31, description="Odd width of the window that rates are averaged over.")
+        int,
+        Meta(
+            ge=1,
+            le=31,
+            description="Width in pixels of the window that rates are averaged over; odd.",
+        ),
     ] = 1
     predict_every: Annotated[
-        int, Meta(ge=0, le=2**31, description="Predict at every k-th pixel in x and y; 0: nowhere.")
+        int,
+        Meta(
+            ge=0, le=2**31, description="Predict at every k-th pixel in x and y; 0: no predictions."
+        ),
     ] = 1
     chains: Annotated[
         Annotated[int, Meta(ge=0, le=_MOST_CHAINS)] | None,
         Meta(
-            description=f"Of paths: pairs for the shares of bounces and decisions, {_CHAINS}; 0: none.",
+            description=f"Whole paths: pairs of paths for the shares of bounces and decisions, by default {_CHAINS}; 0: no shares.",
             extra={"metavar": "R"},
         ),
     ] = None

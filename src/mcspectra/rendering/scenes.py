@@ -624,7 +624,7 @@ def referenced_files(
     definitions
         Values of its ``$name``; those of ``<default>`` are added.
     trust
-        What a scene of a stranger may reach; without it every file, as for a scene that a person names.
+        Files that a scene of a stranger may name; None for every file, as for a scene that a person names.
 
     Raises
     ------
@@ -643,7 +643,7 @@ def referenced_files(
     values: dict[str, dict[str, None]] = {k: {v: None} for k, v in (definitions or {}).items()}
     folders, here = {first.parent: None}, Path.cwd()
     files: dict[Path, _SceneFile] = {}
-    places_of: dict[tuple[Path, int], dict[Path, None]] = {}  # by the number of a name in its file
+    places_of: dict[tuple[Path, int], dict[Path, None]] = {}  # Keys: file, and index in its `names`
     found: set[Path] = set()
 
     @functools.cache
@@ -696,7 +696,7 @@ def referenced_files(
                     around = tuple(folders | {file.parent: None})
                     if trust is not None and tag == "string":
                         trust.check_scene_spec(name, where)
-                        for ending in ("eta", "k"):  # of a material, which Mitsuba looks up
+                        for ending in ("eta", "k"):  # Mitsuba looks up materials there
                             places(f"data/ior/{name}.{ending}.spd", around, where)
                     if tag == "path":
                         for folder in (*around, here):
@@ -744,7 +744,7 @@ def referenced_files(
 
 @dataclass
 class _SceneFile:
-    """What matters of an XML file: its ``<default>`` values, files and plugins.
+    """Contents of an XML file that are checked: its ``<default>`` values, files and plugins.
 
     Attributes
     ----------
@@ -895,7 +895,7 @@ def _exists(place: Path, kind: Callable[[int], bool] = bool) -> bool:
 
 
 def _regular(place: Path, scene: Path) -> Path | None:
-    """The place of a file, None where there is none; a device or a pipe is refused."""
+    """The resolved path of a file, None if it does not exist; a device or a pipe is refused."""
     try:
         place = place.resolve()
         mode = place.stat().st_mode

@@ -83,7 +83,7 @@ def write_bench(bench: xr.Dataset, file: str, cards: Sequence[Card] = ()) -> Pat
     bench
         What `mcspectra.sampler_bench` returned.
     cards
-        Of its samplers, in their order: a section of the page for each.
+        Cards of the samplers, in their order; each has a section of the page.
     file
         A folder: ``index.html`` and ``bench.csv`` in it. ``.html``: one page that stands alone; ``.pdf``: the table and all pictures, a sheet each, with
         fonts of Type 42; ``.csv``: variances, rates and ranks, a row for each sampler, integrand and
@@ -144,7 +144,7 @@ def bench_table(bench: xr.Dataset) -> tuple[list[str], list[list[str]]]:
 
 
 def _sampler_table(bench: xr.Dataset) -> tuple[list[str], list[list[tuple[str, float]]]]:
-    """Each sampler alone: what randomizes it, n, figures of quality at the largest n, and speed.
+    """Figures of each sampler alone: its randomization, n, quality at the largest n, and speed.
 
     A row holds texts, each with the number that it is sorted by; the first column is that of the names.
     """

@@ -87,7 +87,7 @@ def write_comparison(first: str | Path, second: str | Path, out: str | Path | No
     """
     html.check_page_packages()
     folders = [as_path("first", first), as_path("second", second)]
-    file = folders[1] / COMPARISON_NAME if out is None else as_path("out", out)
+    file = html.page_file(folders[1], COMPARISON_NAME, out)
     if folders[0].resolve() == folders[1].resolve():
         raise ParameterError(
             f"Both folders are {str(first)!r}; give two different ones to compare."

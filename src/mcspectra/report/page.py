@@ -20,8 +20,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, final
 
+from mcspectra.core.checks import as_path
 from mcspectra.core.display import printable
-from mcspectra.core.errors import StoreError, writing
+from mcspectra.core.errors import Parameter, ParameterError, StoreError, writing
 from mcspectra.core.registry import optional_package
 from mcspectra.core.results import strict_json
 from mcspectra.plots.description import Plot
@@ -46,6 +47,7 @@ __all__ = [
     "figures_of",
     "markup",
     "number_cell",
+    "page_file",
     "provenance",
     "sections_of",
     "table_of",
@@ -322,6 +324,25 @@ def check_page_packages(extras: str = "report") -> None:
         optional_package(name, extras, "An HTML page needs")
 
 
+def page_file(folder: Path, name: str, out: object) -> Path:
+    """Return where a page goes: to `out`, or to a file of this name in the folder, unless it is a store.
+
+    Raises
+    ------
+    ParameterError
+        `out` is no path, or missing with a store, which has a digest of all its files.
+    """
+    if out is not None:
+        return as_path("out", out)
+    if folder.suffix == ".zarr":
+        raise ParameterError(
+            f"{str(folder)!r} is a store, in which no page is written; give the path of a page, ",
+            Parameter("out"),
+            ".",
+        )
+    return folder / name
+
+
 def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:
     """Draw the figures of a page and write it.
 
@@ -395,7 +416,7 @@ def write_json(file: Path, value: Any) -> None:
 
 
 def markup(template: str, *texts: object) -> Markup:
-    """Return markup of our own with texts of others, printable and escaped, in place of each ``{}``."""
+    """Return a template of ours whose ``{}`` are replaced by texts of others, printable and escaped."""
     return Markup(template).format(*map(_shown, texts))
 
 

@@ -152,7 +152,7 @@ def result_table(
 def csv_text(
     columns: Sequence[str], rows: Iterable[Sequence[Any]], about: dict[Any, Any] | None = None
 ) -> str:
-    """Return comma-separated values, numbers in full, after lines ``# name: value`` of what they are.
+    """Return comma-separated values, numbers in full, after lines ``# name: value`` that describe them.
 
     No cell is a formula, see `csv_cell`.
     """

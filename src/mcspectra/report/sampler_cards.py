@@ -1,4 +1,4 @@
-"""Cards of samplers: what is measured of each alone, and shown in the page of a bench or as Markdown.
+"""Cards of samplers: measurements of each sampler alone, for the page of a bench or as Markdown.
 
 A card has points, spectrum, projections, rates, quality, cost and sources.
 """
@@ -119,8 +119,8 @@ class Card:
     spec
         What the pictures and the spectrum show.
     randomized
-        What the rates are of: a set that is the same every time is randomised first. Empty where no
-        rates were measured.
+        Spec of the sampler whose rates were measured: a fixed set is randomized first. Empty without
+        rates.
     points
         One realisation, (n, dims).
     projected
@@ -173,7 +173,7 @@ def write_cards(
     Parameters
     ----------
     folder
-        Where ``index.md``, ``*.png`` and ``gallery.json`` go; what is there under these names is
+        Folder of ``index.md``, ``*.png`` and ``gallery.json``; existing files of these names are
         replaced.
     specs
         Samplers. All by default.

@@ -144,7 +144,7 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
     """
     html.check_page_packages()
     root = as_path("folder", folder)
-    file = root / REPORT_NAME if out is None else as_path("out", out)
+    file = html.page_file(root, REPORT_NAME, out)
     with showing(root):
         return _written(root, file)
 

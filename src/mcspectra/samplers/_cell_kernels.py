@@ -391,9 +391,9 @@ def balance(
 
     Newton steps begin at `weights` or, if those leave a cell empty, at 0. They end after `steps` of
     them, after `most_work` visits (see `Diagram`; the linear solver counts, too), or when all areas are
-    right within `tolerance` times their mass or get no better. Sites so close that a cell has no area
-    with equal weights take no step. Such weights are where a
-    concave function is largest, the dual of the transport of the uniform density to the sites; damped
+    right within `tolerance` times their mass or get no better. Sites that are so close that a cell has
+    no area with equal weights take no step. The weights
+    maximize a concave function, the dual of the transport of the uniform density to the sites; damped
     Newton steps find them from any weights that leave no cell empty [Kitagawa2019]_.
     """
     weights, diagram = weights.copy(), power_diagram(points, weights)

@@ -182,7 +182,7 @@ class Sampler(Component, ABC):
         return law if law.source is not None else law.of(self)
 
     def _law(self, n: int) -> Law:
-        """Return the law of `n` points, a possible count; by default no more than what is declared."""
+        """Return the law of `n` points, a possible count; by default only declared properties."""
         bases = self.digit_bases if self.structure is Structure.DIGITS else None
         if not self.fixed:
             return Unknown(n=n, dims=self.dims, is_uniform=self.unbiased, bases=bases)

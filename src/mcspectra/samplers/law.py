@@ -8,7 +8,7 @@ and C_ml is a property of the sampler's law. A sampler states its law once, in `
 closed forms, exact variances, predictions, rates and the fitting basis are functions of it. They
 dispatch on the class at the root of a law and recurse, and never ask for a sampler's name.
 
-A law is a small tree of frozen classes. Leaves say how points are drawn:
+A law is a small tree of frozen classes. Leaves describe how points are drawn:
 
     Independent   n independent uniform points
     Strata        one independent motif (a point, or a pair) in each cell of a grid
@@ -19,7 +19,7 @@ A law is a small tree of frozen classes. Leaves say how points are drawn:
     Product       independent sets in groups of axes, their points paired at random
     Unknown       anything that can only be drawn
 
-Operators say how a set is randomized:
+Operators describe how a set is randomized:
 
     Shifted       one uniform translation of all points (Cranley-Patterson)
     Moved         one fixed translation of all points
@@ -135,11 +135,11 @@ class Law(ABC):
 
     @property
     def name(self) -> str:
-        """What sentences call it: the spec of the sampler, or the class of the law."""
+        """Name in messages: the spec of the sampler, or the class of the law."""
         return type(self).__name__ if self.source is None else self.source.spec
 
     def of(self, source: Source) -> Self:
-        """Return this law as that of `source`."""
+        """Return this law with `source` as its sampler."""
         return replace(self, source=source)
 
 
@@ -155,7 +155,7 @@ class Independent(Law):
 
 
 class Motif(ABC):
-    """What lies in one cell of `Strata`, in units of cells: one point, or several.
+    """Points in one cell of `Strata`, in units of cells: one point, or several.
 
     Attributes
     ----------
@@ -276,7 +276,7 @@ class Strata(Law):
     sides
         Number of cells along each axis.
     motif
-        What lies in each cell.
+        Points in each cell.
     """
 
     sides: tuple[int, ...]
@@ -383,16 +383,16 @@ class Fixed(Law):
     Attributes
     ----------
     bases
-        Base of the digits of each coordinate whose elementary intervals the set fills evenly; None
-        for sets that are not made of digits.
+        Base of the digits of each coordinate whose elementary intervals the set fills evenly; None if
+        the set is not a digital construction.
     vector
         Generating vector z of a rank-1 lattice {k z / n}; None for other sets.
     sides, corner
         Cells of a grid along each axis, and the place of the point in each, in units of cells;
         None for other sets.
     even
-        Whether the set is even by its differences on the torus, as lattices and Kronecker points are:
-        what translations keep.
+        Whether the evenness of the set depends only on differences of points on the torus, as for
+        lattices and Kronecker points; translations preserve it.
     digital
         Whether the digits of the points are a group under addition without carry, so that all points
         have the same relation to the others.
@@ -571,7 +571,7 @@ class Unknown(Law):
 
     @property
     def uniform(self) -> bool:  # type: ignore[override]
-        """As declared."""
+        """Return the declared property."""
         return self.is_uniform
 
 
@@ -701,7 +701,7 @@ class Mirrored(_Image):
         return self.mode == "uniform" and self.inner.fixed
 
 
-# What randomizations make of laws
+# Laws of randomized sets
 
 
 def shifted(law: Law) -> Law:
@@ -741,8 +741,8 @@ def scrambled(law: Law, kind: Scramble, bases: Sequence[int], *, shifts: bool = 
 def as_scrambled(law: Law) -> Law:
     """Arrays of strength 2 whose levels are shared out, as nets that are scrambled in their base.
 
-    The second digits are permuted within each first one [Tang1993]_; one realization has the digits
-    of all.
+    The second digits are permuted within each first digit [Tang1993]_, so that the digits of one
+    realization describe all realizations.
     """
     if not isinstance(law, PairedAxes) or law.base is None or law.source is None:
         return law

@@ -29,7 +29,7 @@ from mcspectra.samplers.law import Choice, Fixed, Law, Unknown, is_power, scramb
 __all__ = ["PMJ", "PMJ02", "PMJ02BlueNoise", "pairings"]
 
 _PASSES = 31
-_SETS = 16  # of pmj that stand for all in its law
+_SETS = 16  # Sets of pmj that represent all sets in its law
 _ONE, _S11 = np.uint64(1), np.uint64(11)
 _EVEN_BITS = np.uint64(0x5555555555555555)
 _BITS = 5  # of each word that are chosen below those of its cell; finer ones matter little

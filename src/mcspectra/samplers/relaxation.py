@@ -42,8 +42,8 @@ _NEWTON = 100  # steps at most: about 10 from random points, 2 or 3 after a move
 _BALANCED = 1e-3  # of an area, while points still move
 _EXACT = 1e-9  # the same for the cost, which errs by its square
 _CLOSE = 1e-4  # the same where rounding is in the way: the cost is right to about 1e-6
-# Visits (see `kernels.Diagram`) of one transport cost: some seconds. 8192 random points take 2^24, points
-# in a quarter of the square more than 2^30.
+# Visits (see `kernels.Diagram`) of one transport cost, which take some seconds. 8192 random points take 2^24
+# visits; points in a quarter of the square take more than 2^30.
 _MOST_WORK = 2**32
 _REPORTS = 50
 _CHUNK = 4096  # moves between reports of progress

@@ -145,7 +145,7 @@ class _OfPlaces(_OfDigits):
             kernels.permute_digits(keys, bases, self.shift, points, out)
 
     def law_of(self, law: Law, n: int) -> Law:  # noqa: ARG002
-        """In base 2 a permutation of a digit is a digital shift."""
+        """Return the law; in base 2 a permutation of a digit is a digital shift."""
         bases = self._bases(law.dims)
         kind: Scramble = "digital-shift" if self.shift or set(bases) == {2} else "permutation"
         return scrambled(law, kind, bases)

@@ -145,7 +145,7 @@ class Skip(Randomization):
         return Randomization.fit(self, sampler)
 
     def law_of(self, law: Law, n: int) -> Law:
-        """A run of a fixed sequence is fixed, too."""
+        """Return the law; a run of a fixed sequence is also fixed."""
         if isinstance(law, Independent):
             return Independent(n=n, dims=law.dims)
         if isinstance(law, Fixed):

@@ -440,7 +440,9 @@ def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> A
     n, levels = law.n, [_levels(law.points[:, j], b) for j, b in enumerate(bases)]
     most = max(levels)
     shares = (law.agreements(bases, most) - 1.0) / n
-    for axis in range(law.dims):  # of those that agree in a digits or more, those that do in just a
+    for axis in range(
+        law.dims
+    ):  # From agreement in at least a digits to agreement in exactly a digits
         shares = np.moveaxis(shares, axis, 0)
         shares = np.concatenate([shares[:-1] - shares[1:], shares[-1:]])
         shares = np.moveaxis(shares, 0, axis)

@@ -86,7 +86,7 @@ def pair_correlation(
 
 @final
 class PairCorrelation(Analysis, frozen=True, kw_only=True):
-    """Pair correlation of the sampler's points, before any warp."""
+    """Pair correlation of the sampler's points in the unit cube."""
 
     function = "pair_correlation"
     verb = "pcf"
@@ -95,7 +95,10 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
     provenance = ("sampler", "n", "boundary", "realizations", "stream_key")
 
     n: Annotated[int, COUNT, Meta(description="Points in a set, at least 2.")]
-    bins: Annotated[int, Meta(ge=1, le=10**6, description="Equal bins of the distance.")] = 100
+    bins: Annotated[
+        int,
+        Meta(ge=1, le=10**6, description="Number of bins of the distance, all of the same width."),
+    ] = 100
     realizations: Annotated[int, SETS] = 16
     boundary: Annotated[
         str,
@@ -106,7 +109,7 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
     ] = "toroidal"
     max_distance: Annotated[
         Annotated[float, Meta(gt=0.0, le=0.5)] | None,
-        Meta(description="Largest distance; 1/2, with border 1/4, by default."),
+        Meta(description="Largest distance; by default 1/2, with border 1/4."),
     ] = None
 
     def need(self, subject: Subject) -> Need:

@@ -159,30 +159,34 @@ class _OfPointSets(Analysis, frozen=True, kw_only=True):
         Meta(
             gt=0.0,
             le=MAX_FREQUENCY / MAX_FREQUENCIES,
-            description="Distance of frequencies; below 1 for those between the integers.",
+            description="Spacing of the frequencies; below 1 also between the integers.",
         ),
     ] = 1.0
     realizations: Annotated[int, SETS] = 100
-    mean: Annotated[bool, Meta(description="Also the complex mean of the coefficients.")] = False
+    mean: Annotated[bool, Meta(description="Also give the complex mean of the coefficients.")] = (
+        False
+    )
     wedges: Annotated[
         int,
         Meta(
-            ge=1, le=MAX_WEDGES, description="Directions of which the mean is taken, in two dims."
+            ge=1,
+            le=MAX_WEDGES,
+            description="Number of directions in two dims, each with its mean power.",
         ),
     ] = 12
     engine: Annotated[str, ENGINE] = "auto"
     eps: Annotated[
         Annotated[float, EPS] | None,
         Meta(
-            description="Relative accuracy of the transforms; by default what the statistical error "
-            "asks for."
+            description="Relative accuracy of the transforms; by default it is chosen for the "
+            "statistical error."
         ),
     ] = None
 
 
 @final
 class Spectrum(_OfPointSets, frozen=True, kw_only=True):
-    """Expected power spectrum of the (importance) samples at one n."""
+    """Expected power spectrum of the samples at one n, with or without an importance density."""
 
     function = "power_spectrum"
     verb = "spectrum"
@@ -314,7 +318,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
 
 @final
 class Points(_OfPointSets, frozen=True, kw_only=True):
-    """First realisation of the points, warped by the density where there is one."""
+    """First realization of the points, warped by the density if there is one."""
 
     variables = ("points",)
     provenance = ("sampler", "n")

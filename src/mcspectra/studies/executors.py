@@ -125,7 +125,7 @@ class Threads:
         self._tasks.put((task, compute))
 
     def outcomes(self) -> Iterator[Outcome]:
-        """Wait for the next task that finishes; ends when none is under way.
+        """Yield each task when it finishes; end when no task is running.
 
         Raises
         ------

@@ -187,7 +187,7 @@ class StudyConfig(_Table, frozen=True, kw_only=True, omit_defaults=True):
     """
 
     title: Annotated[Text, Meta(description="Title of the report.")]
-    seed: Annotated[Annotated[int, Meta(ge=0)], Meta(description="Seed of all realisations.")] = 0
+    seed: Annotated[Annotated[int, Meta(ge=0)], Meta(description="Seed of all realizations.")] = 0
     samplers: Annotated[
         tuple[Text, ...],
         Meta(description="Samplers of all estimators: `mcspectra list samplers`, chained by |."),
@@ -383,8 +383,8 @@ def plain_study(config: StudyConfig) -> dict[str, Any]:
 class Slugs:
     """Short group names of letters, digits, dots and hyphens, a different one for each text.
 
-    They have no separator and no leading dot, so that no name leads out of the store, and are none of
-    the names of the store's own files.
+    They have no separator and no leading dot, so that no name leads out of the store, and differ
+    from the names of the store's own files.
     """
 
     def __init__(self) -> None:
@@ -438,7 +438,9 @@ def planned_groups(study: Mapping[str, Any]) -> dict[str, tuple[Names, Names]]:
             asked: Names = {}
             for name in tables:
                 asked[name] = None
-                with contextlib.suppress(MissingDependency, UnknownName):  # of a package not here
+                with contextlib.suppress(
+                    MissingDependency, UnknownName
+                ):  # The package is not installed
                     companions = ANALYSES.load(name).companions
                     asked |= dict.fromkeys(each for each in companions if each not in tables)
             found[slugs(entry["name"])] = known[texts], asked
@@ -536,7 +538,7 @@ def _struct(table: Any, kind: type[Struct], place: str, beside: tuple[str, ...] 
             raise ConfigError(f"{where}the key {name!r} is missing.")
     try:
         return msgspec.convert(clean, kind)
-    except msgspec.ValidationError as error:  # of types that options of other packages have
+    except msgspec.ValidationError as error:  # Types of options of other packages
         raise ConfigError(f"{where}{error}.") from None
 
 

@@ -111,7 +111,7 @@ _PUT_COPY = {
     4: "INSERT INTO texts VALUES (?, ?, ?, ?)",
     6: "INSERT INTO tasks VALUES (?, ?, ?, ?, ?, ?)",
 }
-"""By the number of columns, which differs from table to table."""
+"""Statements by the number of columns, which is different for each table."""
 
 _PUT_TEXT = "INSERT OR REPLACE INTO {} VALUES (?, ?, ?, ?)"
 _PUT_CELL = "INSERT INTO cells VALUES (?, ?, NULL)"
@@ -124,7 +124,7 @@ _TEXTS = "SELECT name, text, digest FROM {} WHERE kind = ?"
 _NOTED = ("texts", "notes")  # tables that have the notes, each
 _ONE_TASK = "SELECT * FROM tasks WHERE path = ? AND run = ? AND first = ? AND blocks = ?"
 
-# Codes of SQLite that say nothing of what is in the file: busy, no memory, no right, no disk, …
+# Codes of SQLite that are not about the contents of the file: busy, no memory, no right, no disk, …
 _NOT_DAMAGE = (3, 5, 6, 7, 8, 9, 10, 13, 14, 15)
 _SUPER_JOURNAL = bytes.fromhex("d9d505f920a163d7")  # how a journal ends that names another file
 
@@ -246,7 +246,7 @@ class _Change(NamedTuple):
 
 
 class Survey(NamedTuple):
-    """All that is sound in a ledger, which is what a resumed run goes on with, and what is not.
+    """Sound parts of a ledger, from which a resumed run continues, and damaged parts.
 
     Attributes
     ----------
@@ -259,7 +259,7 @@ class Survey(NamedTuple):
     missing
         Paths of cells that are neither, nor damaged.
     damaged
-        What is damaged, in words, by paths of cells, keys of tasks, or names of parts.
+        Descriptions of damage by paths of cells, keys of tasks, or names of parts.
     """
 
     done: tuple[str, ...]
@@ -366,8 +366,8 @@ class Ledger:
         Raises
         ------
         StoreError
-            There is none, it is of another format, or so damaged that it does not say of which study
-            it is; without `salvage` also if it is damaged otherwise.
+            There is no ledger, it has another format, or its damage hides the study that it
+            belongs to; without `salvage` also if it is damaged otherwise.
         """
         with _given_free_if_it_fails(Ledger(Path(folder))) as ledger:
             ledger._open(salvage=salvage)
@@ -473,7 +473,9 @@ class Ledger:
             texts = dict(self._texts("scalars"))
         found: dict[str, dict[str, float]] = {}
         for path in done:
-            with contextlib.suppress(ValueError, RecursionError):  # of a stranger's
+            with contextlib.suppress(
+                ValueError, RecursionError
+            ):  # A stranger's text may be anything
                 given = json.loads(texts.get(path) or "null")
                 found[path] = msgspec.convert(given, dict[str, float | int])
             if path not in found:
@@ -550,12 +552,12 @@ class Ledger:
                 self.tally, self._pending, self._waiting = tally, [], 0
 
     def verify(self, paths: Sequence[str] | None = None) -> Survey:
-        """Read everything: what is sound, and what is `damaged`.
+        """Read everything, and return the sound and the `damaged` parts.
 
         Parameters
         ----------
         paths
-            Of all cells of the study, by default those that the ledger lists; others are not its own.
+            Paths of all cells of the study, by default those in the ledger; other cells are refused.
         """
         self.commit()
         if paths is None or _plan_digest(paths) != self._header.plan:
@@ -809,7 +811,7 @@ class Ledger:
                 copy.execute("BEGIN")
                 for statement in _COPIED:
                     copy.execute(statement)
-                # What pages have that are in use comes first; what was deleted is true of results alone
+                # Pages in use come first; deleted rows are valid for results only
                 for wanted in (True, False):
                     for used, rowid, values in leaves.rows():
                         columns = len(values)
@@ -822,7 +824,7 @@ class Ledger:
             raise StoreError(f"{str(self._file)!r} cannot be read: {error}.") from None
 
     def _note(self, name: str, kind: type[_Note]) -> _Note | None:
-        """What a note says, of which there are two copies; None if both are damaged."""
+        """Contents of a note, which has two copies; None if both are damaged."""
         for table in _NOTED:
             rows: list[tuple[Any, ...]] = []
             with contextlib.suppress(_Damaged):
@@ -900,7 +902,7 @@ class Ledger:
         )
 
     def _sound(self, paths: Sequence[str]) -> Iterator[_Change]:
-        """All that is as it was written, to be written again; what is not goes to `damaged`.
+        """Rows that are as they were written, to be written again; other rows go to `damaged`.
 
         This alone decides what of a damaged ledger is kept.
         """

@@ -84,7 +84,7 @@ _FIRST = ("estimator", "sampler", "analysis", "n")
 _LAST = ("variable", "value", "low", "high", "se", "unit")
 _DIGEST = "tree_sha256"
 _DOCUMENT = "zarr.json"
-_MOST_DOCUMENTS = 100_000  # in the root, which readers load as a whole
+_MOST_DOCUMENTS = 100_000  # Documents in the root, which readers load as a whole
 
 
 class AnalysisCount(msgspec.Struct, frozen=True):
@@ -480,7 +480,7 @@ def _selected(ledger: Ledger, select: str | None) -> Iterable[str]:
 
 
 def _planned(study: Any) -> dict[str, tuple[Names, Names]]:
-    """Parts of the paths of a study's cells; none if a text is none of a study."""
+    """Parts of the paths of a study's cells; empty if a text is not a study."""
     try:
         return planned_groups(study)
     except (AttributeError, LookupError, TypeError, ValueError, McspectraError):
@@ -488,7 +488,7 @@ def _planned(study: Any) -> dict[str, tuple[Names, Names]]:
 
 
 def _unplanned(study: Any, paths: Iterable[str]) -> str | None:
-    """The first path that is none of a study's cells; None if all are."""
+    """The first path that is not a cell of a study; None if all are cells."""
     groups = _planned(study)
     for path in paths:
         first, _, rest = path.partition("/")
@@ -531,7 +531,7 @@ def _read_cell(ledger: Ledger, path: str) -> xr.Dataset:
             raise StoreError(
                 f"The cell {path!r:.120} is none that a run writes; give another folder."
             )
-        with contextlib.suppress(MissingDependency, UnknownName):  # of a package that is not here
+        with contextlib.suppress(MissingDependency, UnknownName):  # The package is not installed
             name = path.rpartition("/")[2]
             check_variables(cell, ANALYSES.load(name).variables, name)
     except StoreError:
@@ -697,7 +697,7 @@ def _files(source: str | Path) -> dict[str, bytes]:
     Raises
     ------
     StoreError
-        There is none, it has links, is larger than memory, cannot be read, or is not as it was written.
+        There is no store, or it has links, is larger than memory, cannot be read, or was changed.
     """
     shown, place = str(source), Path(source)
     root = place if place.suffix == ".zarr" else place / STORE_NAME

@@ -1,8 +1,8 @@
 """Rows of a damaged SQLite file: every page that is a leaf of a table is read by itself.
 
 SQLite reaches rows through inner pages and indices, so that one damaged page hides many that are sound.
-Each leaf says how its rows are laid out, and the number of columns says of which table they are. What
-comes out may be wrong or out of date: whoever asks checks it. The format is that of
+Each leaf describes the layout of its rows, and the number of columns identifies their table. The rows
+may be wrong or out of date: the caller checks them. The format is that of
 https://www.sqlite.org/fileformat2.html.
 """
 
@@ -61,7 +61,7 @@ class Leaves:
                 yield row
 
     def _page(self, number: int) -> bytes:
-        """A page by its number from 1; zeros where the file has none."""
+        """A page by its number from 1; zeros beyond the end of the file."""
         if not 1 <= number <= self._pages:
             return bytes(self._size)
         self._stream.seek((number - 1) * self._size)
