@@ -47,6 +47,7 @@ from mcspectra.prediction.exact import EXACT_TOLERANCE, estimated_variance, of_i
 from mcspectra.prediction.known import Cells, Known, Predicted
 from mcspectra.prediction.levels import of_levels
 from mcspectra.prediction.rates import Slowest, rates_of, slowest_of_jumps
+from mcspectra.prediction.separable import separated
 from mcspectra.prediction.subsets import of_subsets
 from mcspectra.prediction.torus import of_few_moves, of_moves, of_torus
 from mcspectra.samplers import Sampler
@@ -102,6 +103,8 @@ _MOST_FACTOR = 30.0  # by which an extrapolation may be off at most
 def of_quadrature(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
     """The exact variance, to the error of its quadrature; shifted strata are cheaper on the torus."""
     g = known.g
+    if known.unresolved.any() and separated(g):  # one line for each axis
+        return Predicted(*of_integrand(law, g, _TOLERANCE, _EVALUATIONS), "quadrature")
     dear = not in_closed_form(g) or sum(map(len, g.breaks)) > _MOST_BREAKS
     if g.dims > 1 and isinstance(law, Shifted) and dear:
         raise NoClosedForm("A quadrature for every offset of the strata would take long.")
@@ -112,6 +115,9 @@ def of_limits(law: Law, known: Known, stream: Stream) -> Predicted:
     """Many points at little cost: no sets are drawn, and shifted strata have one offset, not all."""
     if np.isinf(known.square[0]).any():
         raise NoClosedForm("∫g² diverges.")
+    if known.unresolved.any() and separated(known.g):
+        with contextlib.suppress(NoClosedForm):
+            return of_quadrature(law, known, stream)
     alone = isinstance(law, Independent) or (isinstance(law, Shifted) and law.inner.fixed)
     if alone or not isinstance(law, Shifted):
         with contextlib.suppress(NoClosedForm):
@@ -744,6 +750,10 @@ def _by_methods(law: Law, known: Known, stream: Stream, methods: Methods) -> Pre
     if known.constant:  # a technique of several
         none = 0.0 * known.square[0]
         return Predicted(none, none, "the same at all points", method=methods[0][0])
+    # A method that is asked for by its name might give a number
+    if len(methods) == 1 and methods is not _LIMITS and law.uniform and known.diverges.any():
+        infinite = np.where(known.diverges, math.inf, math.nan)
+        return Predicted(infinite, infinite, "∫g² = ∞", 0.0, infinite, methods[0][0])
     best, leaf = None, leaf_of(law)
     lattice = isinstance(leaf, Fixed) and leaf.even
     for place, (name, method) in enumerate(methods):
@@ -757,7 +767,10 @@ def _by_methods(law: Law, known: Known, stream: Stream, methods: Methods) -> Pre
             found = replace(method(law, known, stream), method=name)
             # One method may see what others do not: none knows more than the probe
             if np.isfinite(found.variance).all():
-                found = replace(found, error=np.maximum(found.error, known.unseen / n))
+                error = np.maximum(found.error, known.unseen / n)
+                if name != "exact":
+                    error = error + known.unresolved / n
+                found = replace(found, error=error)
             if best is None or found.error.sum() < best.error.sum():
                 best = found
             if name != "subsets":
@@ -765,8 +778,7 @@ def _by_methods(law: Law, known: Known, stream: Stream, methods: Methods) -> Pre
         except NoClosedForm as error:
             reason = error
         if place == 0 and best is None:
-            chosen = len(methods) == 1 and methods is not _LIMITS  # by its name
-            if law.uniform and not chosen and np.isinf(known.square[0]).any():
+            if law.uniform and np.isinf(known.square[0]).any():
                 infinite = np.where(np.isinf(known.square[0]), math.inf, math.nan)
                 return Predicted(infinite, infinite, "∫g² = ∞", 0.0, infinite, "exact")
             if isinstance(law, Folded | Mirrored) and not law.inner.fixed:
