@@ -49,6 +49,7 @@ from mcspectra.prediction.exact import EXACT_TOLERANCE, estimated_variance, of_i
 from mcspectra.prediction.known import Cells, Known, Predicted
 from mcspectra.prediction.levels import of_levels
 from mcspectra.prediction.rates import Slowest, rates_of, slowest_of_jumps
+from mcspectra.prediction.separable import separated
 from mcspectra.prediction.subsets import of_subsets
 from mcspectra.prediction.torus import (
     cost_of_moves,
@@ -249,6 +250,19 @@ def of_quadrature(
     if g.dims > 1 and isinstance(law, Shifted) and dear:
         raise NoClosedForm("A quadrature for every offset of the strata would take long.")
     found = of_integrand(law, g, settings.tolerance, settings.evaluations)
+    return Predicted(*found, "quadrature")
+
+
+def of_poles(
+    law: Law,
+    known: Known,
+    stream: Stream,  # noqa: ARG001
+    settings: QuadratureSettings = _QUADRATURE_SETTINGS,
+) -> Predicted:
+    """The exact variance of an unbounded sum or product of functions of one axis, from lines."""
+    if not (known.unresolved.any() and separated(known.g)):
+        raise NoClosedForm("g is bounded, or no sum or product of functions of one axis.")
+    found = of_integrand(law, known.g, settings.tolerance, settings.evaluations)
     return Predicted(*found, "quadrature")
 
 
@@ -487,6 +501,7 @@ _QUADRATURE = Method(
 )
 
 METHODS: tuple[Method, ...] = (
+    replace(_QUADRATURE, predict=of_poles, applies=lambda *_: True, ahead=lambda *_: True),
     _QUADRATURE,
     Method(
         name="exact",
@@ -1088,6 +1103,10 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
         none = 0.0 * known.square[0]
         used = name if name in NAMES else NAMES[0]
         return Predicted(none, none, "the same at all points", method=used)
+    # A method that is asked for by its name might give a number
+    if name in NAMES and law.uniform and known.diverges.any():
+        infinite = np.where(known.diverges, math.inf, math.nan)
+        return Predicted(infinite, infinite, "∫g² = ∞", 0.0, infinite, name)
 
     best: Predicted | None = None
     reason = NoClosedForm(f"No method predicts {law.name}.")
@@ -1095,12 +1114,15 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
         assert method.predict is not None
         try:
             found = replace(method.predict(law, known, stream), method=method.name)
-        except NoClosedForm as error:
-            reason = error
+        except NoClosedForm as refusal:
+            reason = refusal
             continue
         # One method may see what others do not: none knows more than the probe
         if np.isfinite(found.variance).all():
-            found = replace(found, error=np.maximum(found.error, known.unseen / law.n))
+            error = np.maximum(found.error, known.unseen / law.n)
+            if method.name != "exact":
+                error = error + known.unresolved / law.n
+            found = replace(found, error=error)
         if best is None or found.error.sum() < best.error.sum():
             best = found
         enough = method.enough(law, known)
