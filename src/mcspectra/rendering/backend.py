@@ -252,7 +252,8 @@ def _imported() -> Any:
     if ours:
         # Mitsuba would look for its plugins, which are code, in the current folder first. Files that
         # are not in its own folder are still opened in the current one.
-        resolver: Any = mitsuba.file_resolver()
+        module: Any = mitsuba
+        resolver = module.file_resolver()
         resolver.clear()
         resolver.append(str(mitsuba_folder()))
     return mitsuba
