@@ -25,7 +25,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, files, version
 from pathlib import Path
-from typing import Any, TypeAlias, cast
+from typing import Any, TypeAlias
 
 from mcspectra.core.cache import cache_folder
 from mcspectra.core.errors import MissingDependency
@@ -252,7 +252,8 @@ def _imported() -> Any:
     if ours:
         # Mitsuba would look for its plugins, which are code, in the current folder first. Files that
         # are not in its own folder are still opened in the current one.
-        resolver = cast(Any, mitsuba).file_resolver()
+        module: Any = mitsuba
+        resolver = module.file_resolver()
         resolver.clear()
         resolver.append(str(mitsuba_folder()))
     return mitsuba
