@@ -56,7 +56,7 @@ _PRODUCT_NODES = {1: 512, 2: 512, 3: 64, 4: 32}  # of other product bases
 _CELL_NODES = {1: 64, 2: 16, 3: 4, 4: 2}  # whose functions are constant in cells
 _CELLS = {1: 32, 2: 8, 3: 4, 4: 2, 5: 2}
 _CELL_ORDER = {1: 16, 2: 8, 3: 6, 4: 5, 5: 4}
-_INTEGRAL_BUDGET = 2**21
+_INTEGRAL_BUDGET = 2**21  # evaluations of an integral in boxes
 _INTEGRAL_TOLERANCE = 1e-12
 _LATTICE_POINTS = 2**20
 PROBE = 2**17
@@ -253,13 +253,17 @@ def _columns(function: Function, x: Array) -> Array:
 
 
 def adaptive_integral(
-    function: Function, breaks: tuple[Array, ...], probed: Array | None = None
+    function: Function,
+    breaks: tuple[Array, ...],
+    probed: Array | None = None,
+    *,
+    budget: int = _INTEGRAL_BUDGET,
 ) -> Estimate:
     """∫ f in up to 5 dims by boxes that split until their halves agree: value (C,), C ≥ 1 channels.
 
     Gauss-Legendre tensor rules on cells cut at `breaks` of each axis; `probed` are the values at the
     points of `probe`, where they are known already. A cell is replaced by its 2^d parts, while
-    2^21 evaluations last, if they differ from it by more than its share of 1e-12 of ∫|f|, or if
+    `budget` evaluations last, if they differ from it by more than its share of 1e-12 of ∫|f|, or if
     the polynomial through their nodes is not what f is at a point of `probe`, each of which stands
     for 2^-17 of the volume. The error is the sum of the last differences and of those that they would
     lead to, or, if that is less, three standard errors of the mean of f minus polynomials over the
@@ -287,7 +291,6 @@ def adaptive_integral(
     coarse = weights @ _cell_values(function, low, size, order)[0] * size.prod(axis=-1)[:, None]
     total, error = np.zeros(coarse.shape[1]), np.zeros(coarse.shape[1])
     scale = np.maximum(np.abs(coarse).sum(axis=0), np.abs(seen).mean(axis=0))
-    budget = _INTEGRAL_BUDGET
     halves = _tensor([np.array([0.0, 0.5])] * dims).reshape(-1, dims)
     digits = 2 ** np.arange(dims)[::-1]
     fresh, surprises = np.full(len(points), True), np.zeros(coarse.shape[1])
@@ -362,7 +365,9 @@ def adaptive_integral(
     return Estimate(total, float(error.max()), method, unseen)
 
 
-def search_breaks(function: Function) -> tuple[tuple[Array, ...], Array]:
+def search_breaks(
+    function: Function, *, budget: int = _INTEGRAL_BUDGET
+) -> tuple[tuple[Array, ...], Array]:
     """For each axis the breaks that f declares, and jumps and poles across it that lines see.
 
     Also returns the values at the points of `probe`, which the search begins with.
@@ -448,7 +453,7 @@ def search_breaks(function: Function) -> tuple[tuple[Array, ...], Array]:
         if (np.abs(breaks[axis] - place) > (_ABOUT if peak else _SAME_BREAK)).all():
             more = [np.append(b, [place] * (i == axis)) for i, b in enumerate(breaks)]
             boxes = math.prod(len(np.union1d(_uniform(dims), b)) - 1 for b in more)
-            if boxes * (2 * _CELL_ORDER[dims]) ** dims <= 2 * _INTEGRAL_BUDGET:
+            if boxes * (2 * _CELL_ORDER[dims]) ** dims <= 2 * budget:
                 breaks = more
     return tuple(np.sort(b) for b in breaks), seen
 

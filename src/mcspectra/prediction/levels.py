@@ -18,8 +18,9 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, final
 
 import numpy as np
 
@@ -35,22 +36,74 @@ from mcspectra.prediction.known import Known, Predicted
 from mcspectra.samplers.law import AntitheticPair, Fixed, Law, Moved, PairedAxes, Scrambled, Strata
 from mcspectra.spectra.gain import gains_at
 
-__all__ = ["of_levels"]
+__all__ = ["LevelsSettings", "of_levels"]
 
 Levels = tuple[int, ...]
 
-_MOST_DIMS = 3
-_CELLS = {1: 2**16, 2: 2**16, 3: 2**15}  # of a table
-_LONG, _MOST_CELLS = 8, 2**18  # of one that is longer along some axes: times n Π b_j, and at most
-_MORE = 3
-_ORDERS = {1: (6, 10), 2: (2, 3), 3: (2, 3)}  # coarse and fine
-_PARTS = {1: 16, 2: 8, 3: 3}  # per axis, of a cell with a jump
-_MOST_ROUGH = {1: 2**8, 2: 2**12, 3: 2**12}
-_ROUGH = 3.0  # variation of g, relative to that of the mean cell, from which on there may be a jump
-_BLOCK = 2**20  # evaluations at a time
-_ROUNDING = 4e-15  # of ∫g², absolute
-_CLEAR, _DOUBT = 2.0, 0.5  # what tables miss of ∫g²: errors it must exceed, and doubt of its weight
-_MOST_ERROR, _NOISE = 0.2, 1e-12  # of the variance, from where on it is refused, and of ∫g²
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class LevelsSettings:
+    """How cells are chosen and integrated.
+
+    Changes are those of seven cells: a jump along a line, smooth functions and a pole in 1 to 3 dims, with
+    jittered, sobol | owen and halton | owen at n = 64 to 1024.
+
+    Attributes
+    ----------
+    most_dims
+        Most dims of tables of cells: in four, 32,768 cells would have 13 to a side.
+    cells
+        Cells of the first table, by number of dims. Half and twice as many change variances by less than
+        0.1 %, within the intervals.
+    long, most_cells
+        Cells of a table that is longer along some axes: up to `long` n Π b_j, which holds the levels of
+        as many digits as n has and one more, and at most `most_cells`. Insensitive to half and twice each.
+    more
+        Digits beyond those of n whose gains are asked for. As a rule all coordinates differ there.
+        Insensitive between 1 and 6.
+    orders
+        Orders of the coarse and the fine Gauss-Legendre rule in each cell, by number of dims. Their
+        difference is the error.
+    parts
+        Parts along each axis of a cell with a jump, by number of dims. Half as many change variances by up
+        to 0.13 % and twice as many by 0.05 %, within the intervals.
+    most_rough, rough
+        Cells that are cut into parts at most, by number of dims, and how much more g must vary in one than
+        in the mean cell. Both are insensitive to half and twice: a jump cuts some hundred of 65,536 cells
+        in 2-D and some thousand of 32,768 in 3-D.
+    block
+        Evaluations at a time, 16 MB in 2-D. The result does not depend on it.
+    clear, doubt
+        Errors of ∫g² that the part which tables miss of it must exceed to be added, and the doubt about
+        the weight of this part: it lies at poles, within one cell, with a gain between 0 and about 1.
+        Half of `clear` adds a part of noise, 0.015 % of a variance; twice is the same.
+    most_error, noise
+        Half interval, relative to the variance, above which the method refuses, unless it is below `noise`
+        times ∫g²: other methods do better than a fifth. Both are insensitive to half and twice.
+    """
+
+    most_dims: int = 3
+    cells: Mapping[int, int] = field(default_factory=lambda: {1: 2**16, 2: 2**16, 3: 2**15})
+    long: int = 8
+    most_cells: int = 2**18
+    more: int = 3
+    orders: Mapping[int, tuple[int, int]] = field(
+        default_factory=lambda: {1: (6, 10), 2: (2, 3), 3: (2, 3)}
+    )
+    parts: Mapping[int, int] = field(default_factory=lambda: {1: 16, 2: 8, 3: 3})
+    most_rough: Mapping[int, int] = field(default_factory=lambda: {1: 2**8, 2: 2**12, 3: 2**12})
+    rough: float = 3.0
+    block: int = 2**20
+    clear: float = 2.0
+    doubt: float = 0.5
+    most_error: float = 0.2
+    noise: float = 1e-12
+
+
+_SETTINGS = LevelsSettings()
+_ROUNDING = 4e-15
+"""Rounding error of ∫g², relative: some units in the last place of double precision."""
 
 
 def of_levels(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
@@ -78,9 +131,9 @@ def of_levels(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
     if law.fixed:
         raise NoClosedForm(f"{law.name} {NO_VARIANCE}.")
     n, dims = law.n, law.dims
-    if dims > _MOST_DIMS:
+    if dims > _SETTINGS.most_dims:
         raise NoClosedForm(
-            f"Tables of cells are for at most {_MOST_DIMS} dims; {known.g.spec} has {dims}."
+            f"Tables of cells are for at most {_SETTINGS.most_dims} dims; {known.g.spec} has {dims}."
         )
     if isinstance(law, Scrambled) and law.nested_pairs and isinstance(law.inner, Fixed):
         return _scrambled(law.inner, law.bases, known)
@@ -104,7 +157,7 @@ def _scrambled(net: Fixed, bases: tuple[int, ...], known: Known) -> Predicted:
     origin: Any = (0,) * dims
 
     # Gains, a few digits further than n has: as a rule all coordinates differ there
-    levels = math.ceil(math.log(max(n, 2), min(bases)) - 1e-9) + _MORE
+    levels = math.ceil(math.log(max(n, 2), min(bases)) - 1e-9) + _SETTINGS.more
     try:
         gains = gains_at(net, bases, levels)
     except ParameterError as error:
@@ -113,8 +166,8 @@ def _scrambled(net: Fixed, bases: tuple[int, ...], known: Known) -> Predicted:
     wanted[origin] = False
 
     # Σ Γ_l σ²_l and Σ σ²_l over the levels of the tables
-    least = _CELLS[dims]
-    most = max(least, min(_LONG * n * math.prod(bases), _MOST_CELLS))
+    least = _SETTINGS.cells[dims]
+    most = max(least, min(_SETTINGS.long * n * math.prod(bases), _SETTINGS.most_cells))
     held = list(_tables(wanted, bases, least, most))
     counted = np.zeros(np.max(held, axis=0) + 1, bool)
     first, plain, weighed = None, 0.0, 0.0
@@ -144,7 +197,7 @@ def _scrambled(net: Fixed, bases: tuple[int, ...], known: Known) -> Predicted:
     missing[tuple(map(slice, counted.shape))] &= ~counted[tuple(map(slice, wanted.shape))]
     missing |= wanted & (np.indices(wanted.shape).max(axis=0) == levels)
     doubt = np.abs(gains[missing] - 1.0).max(initial=0.0) * rest[-1]
-    doubt = off + _DOUBT * missed + doubt
+    doubt = off + _SETTINGS.doubt * missed + doubt
     return _predicted(weighed + rest, n, square[-1], "gains by level", rest=rest[-1], doubt=doubt)
 
 
@@ -214,8 +267,8 @@ def _cell_moments(
         mean, square = stratum_moments(g, sides, offset, 1)
         return mean.reshape(1, *sides, -1), square.reshape(1, *sides, -1)
     # Axes that are cut more finely than those of a cube take a node less
-    fine = np.array([not refined and side**dims > _CELLS[dims] for side in sides])
-    by_order = [stratum_moments(g, sides, offset, order - fine) for order in _ORDERS[dims]]
+    fine = np.array([not refined and side**dims > _SETTINGS.cells[dims] for side in sides])
+    by_order = [stratum_moments(g, sides, offset, order - fine) for order in _SETTINGS.orders[dims]]
     means = np.stack([m for m, _ in by_order]).reshape(2, *sides, -1)
     squares = np.stack([s for _, s in by_order]).reshape(2, *sides, -1)
     if not (np.isfinite(means).all() and np.isfinite(squares).all()):
@@ -231,25 +284,25 @@ def _cell_moments(
     varies = maximum_filter(fine, size, mode="nearest") - minimum_filter(fine, size, mode="nearest")
     varies = varies + np.sqrt(np.maximum(squares[-1] - fine**2, 0.0))
     rough = (varies / np.maximum(varies.max(axis=tuple(range(dims))), 1e-300)).sum(axis=-1)
-    limit = _ROUGH * rough.mean()
+    limit = _SETTINGS.rough * rough.mean()
     edges = (0.0, *((1e-9, 1.0 - 1e-9) if dims <= 2 else ()))  # warps have their poles there
     for axis, breaks in enumerate(g.breaks):
         place = (np.array([*edges, *breaks]) - offset[axis]) % 1.0 * sides[axis]
         cut = place[np.abs(place - np.rint(place)) > 1e-12]
         rough[(slice(None),) * axis + (np.minimum(cut, sides[axis] - 1).astype(np.int64),)] = 0.0
-    most = min(_MOST_ROUGH[dims], rough.size)
+    most = min(_SETTINGS.most_rough[dims], rough.size)
     chosen = np.argpartition(rough.ravel(), rough.size - most)[rough.size - most :]
     chosen = np.sort(chosen[rough.ravel()[chosen] > limit])
 
     # Integrate over parts of these
     channels = means.shape[-1]
-    for q, order in enumerate(_ORDERS[dims]):
+    for q, order in enumerate(_SETTINGS.orders[dims]):
         node, weight = gauss_rule(order)
-        nodes = ((np.arange(_PARTS[dims])[:, None] + node) / _PARTS[dims]).ravel()
-        weights = np.tile(weight / _PARTS[dims], _PARTS[dims])
+        nodes = ((np.arange(_SETTINGS.parts[dims])[:, None] + node) / _SETTINGS.parts[dims]).ravel()
+        weights = np.tile(weight / _SETTINGS.parts[dims], _SETTINGS.parts[dims])
         inside, shares = grid(nodes, dims), grid(weights, dims)
         shares = shares.prod(axis=1)
-        step = max(1, _BLOCK // len(shares))
+        step = max(1, _SETTINGS.block // len(shares))
         for start in range(0, len(chosen), step):
             some = chosen[start : start + step]
             corner = np.stack(np.unravel_index(some, sides), axis=-1)
@@ -272,7 +325,7 @@ def _strata(
     while not in_closed_form(known.g):
         axis = int(np.argmin(sizes))
         finer = tuple(cells + (i == axis) * sides[i] for i, cells in enumerate(sizes))
-        if math.prod(finer) > _CELLS[known.g.dims]:
+        if math.prod(finer) > _SETTINGS.cells[known.g.dims]:
             break
         sizes = finer
     means, squares = known.once(
@@ -281,7 +334,9 @@ def _strata(
     square = squares[-1].reshape(-1, squares.shape[-1]).mean(axis=0)
     value, error = _spread(_merged(means, sides), _merged(squares, sides))
     missed = _missed(known, square) if whole else 0.0 * square
-    return _predicted(value + missed, n, square + missed, how, doubt=error + _DOUBT * missed)
+    return _predicted(
+        value + missed, n, square + missed, how, doubt=error + _SETTINGS.doubt * missed
+    )
 
 
 def _missed(known: Known, square: Array) -> Array:
@@ -289,7 +344,7 @@ def _missed(known: Known, square: Array) -> Array:
     if in_closed_form(known.g):
         return 0.0 * square
     exact, error = known.square
-    return np.where(exact - square > _CLEAR * error, exact - square, 0.0)
+    return np.where(exact - square > _SETTINGS.clear * error, exact - square, 0.0)
 
 
 def _merged(moment: Array, sides: tuple[int, ...]) -> Array:
@@ -307,7 +362,7 @@ def _predicted(
     rounding = _ROUNDING * square
     value = np.where(scaled[-1] > rounding, scaled[-1], 0.0)
     error = np.abs(scaled[-1] - scaled[0]) + doubt + rounding + 1e-9 * value
-    if ((error > _MOST_ERROR * value) & (error > _NOISE * square)).any():
+    if ((error > _SETTINGS.most_error * value) & (error > _SETTINGS.noise * square)).any():
         raise NoClosedForm(
             f"Cells do not resolve the variance: {np.max(value) / n:.3g} may be off by "
             f"{np.max(error) / n:.2g}; use ",

@@ -20,8 +20,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import final
 
@@ -38,6 +38,10 @@ from mcspectra.samplers.law import Independent, Law, Scrambled, Shifted, Source
 from mcspectra.spectra.closed_forms import moments_of
 
 __all__ = [
+    "DrawnSettings",
+    "DualSettings",
+    "MovesSettings",
+    "TorusSettings",
     "cost_of_moves",
     "lattice_basis",
     "moves_at_once",
@@ -47,12 +51,20 @@ __all__ = [
 ]
 
 
+@final
 @dataclass(frozen=True)
-class _Reach:
+class Reach:
     """How far coefficients are counted in some number of dims.
 
-    The half width of the box; the ends of strips and their half widths up to there: sets that are
-    drawn count the first ones alone; the end of diagonals.
+    Attributes
+    ----------
+    box
+        Half width of the box about 0.
+    strips
+        Ends of strips along the axes, and their half widths up to there: sets that are drawn count the
+        first ones alone.
+    diagonal
+        End of integer diagonals.
     """
 
     box: int
@@ -60,54 +72,187 @@ class _Reach:
     diagonal: int = 0
 
 
-_EXACT = {
-    1: _Reach(2**12, ((2**16, 0),)),
-    2: _Reach(256, ((2**12, 12), (2**16, 2)), 2**14),
-    3: _Reach(32, ((512, 2), (2**12, 0)), 2**10),
-}
-_TABLE = {
-    1: _Reach(2**12, ()),
-    2: _Reach(128, ((2**10, 4),)),
-    3: _Reach(16, ((128, 1),)),
-}
-_NODES = {1: 8, 2: 8, 3: 8}  # of the finer table for a wave of the highest frequency
-_LEAST_NODES = {1: 256, 2: 256, 3: 32}
+@final
+@dataclass(frozen=True, kw_only=True)
+class TorusSettings:
+    """Which coefficients are counted.
+
+    Changes are those of seven cells in 2-D and 3-D at n = 64 and 256: a jump along a line, smooth functions
+    and a disk with jittered, latin-hypercube, halton and rank1-lattice under shift, and poisson-disk.
+
+    Attributes
+    ----------
+    exact, table
+        Reach by number of dims, where coefficients are known exactly and where they are those of a table
+        of g. Exact ones cost a few operations each; a table has `nodes` along each wave of the box.
+    nodes
+        Nodes of the finer table for a wave of the highest frequency. Half as many change variances by
+        0.4 % where g jumps and multiply the error by 4 to 30; twice as many change them by 0.1 %.
+    least_nodes
+        Nodes along each axis at least, by number of dims. Half and twice change variances by less than
+        0.2 %.
+    block
+        Frequencies whose power has a closed form that are in memory together. The result does not depend
+        on it.
+    precision
+        Relative error of transforms, far below that of the sums.
+    shells
+        Shells of the box, each √2 wide, whose power shows how white the tail is: those above an eighth of
+        the half width. Half and twice change no variance, and errors by factors of 0.5 to 3.
+    vague
+        Error of ∫g² in many dims, relative to the variance, above which other methods know more: ∫g² is
+        then a mean over 2^20 points, and sums of products find its error by themselves.
+    """
+
+    exact: Mapping[int, Reach] = field(
+        default_factory=lambda: {
+            1: Reach(2**12, ((2**16, 0),)),
+            2: Reach(256, ((2**12, 12), (2**16, 2)), 2**14),
+            3: Reach(32, ((512, 2), (2**12, 0)), 2**10),
+        }
+    )
+    table: Mapping[int, Reach] = field(
+        default_factory=lambda: {
+            1: Reach(2**12, ()),
+            2: Reach(128, ((2**10, 4),)),
+            3: Reach(16, ((128, 1),)),
+        }
+    )
+    nodes: int = 8
+    least_nodes: Mapping[int, int] = field(default_factory=lambda: {1: 256, 2: 256, 3: 32})
+    block: int = 2**18
+    precision: float = 1e-9
+    shells: int = 6
+    vague: float = 0.01
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class DrawnSettings:
+    """How many sets are drawn where power has no closed form, and how its law is fitted.
+
+    Changes are those of a smooth function in 2-D with poisson-disk at n = 64, whose half interval is 3.1 %.
+
+    Attributes
+    ----------
+    least_sets, most_sets, points
+        Sets that give all frequencies, sets at most, and points of all sets, which limit the work at large
+        n. Half and twice as many change the variance by less than 0.8 %.
+    slow, slow_points
+        Largest `max_count` of samplers that take long, since they optimize their points, and points of all
+        their sets. They draw half as many first sets, which are kept for other integrands.
+    precision
+        Half interval, relative to the variance, up to which more sets are drawn. Half as much is not
+        reached by `most_sets`; twice as much changes the variance by 1.9 %.
+    low
+        Half width of the frequencies that all sets are transformed at: they hold the energy of smooth
+        functions. Half and twice change the variance by less than 0.5 %.
+    length, least_lengths
+        |m| n^(-1/d) up to which power follows a smooth law of the length, and different lengths that such a
+        fit takes at least: the first peak of stochastic sets lies at 1. Both are insensitive: half and
+        twice change the variance by less than 0.1 %.
+    agrees
+        Standard errors within which the law and the measured power must agree. Insensitive between 1 and 4.
+    steps
+        Newton steps of the fit, which have converged. Insensitive between 6 and 24.
+    least_box, box
+        Half width of the box of a homogeneous set at least, and in units of n^(1/d). Half and twice change
+        the variance by less than 0.3 %; half a box triples the error.
+    """
+
+    least_sets: int = 16
+    most_sets: int = 1024
+    points: int = 2**18
+    slow: int = 2**16
+    slow_points: int = 2**16
+    precision: float = 0.015
+    low: int = 32
+    length: float = 0.35
+    least_lengths: int = 10
+    agrees: float = 2.0
+    steps: int = 12
+    least_box: int = 32
+    box: float = 6.0
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class DualSettings:
+    """Which frequencies of a dual lattice are counted.
+
+    Changes are those of a disk with rank1-lattice | shift at n = 64, whose half interval is 0.11 %.
+
+    Attributes
+    ----------
+    frequencies
+        Frequencies of the dual lattice in a box. Half and twice change the variance by less than 0.04 %.
+    periods, strip
+        Ends of strips in units of n, and frequencies of the dual lattice there. Half and twice change the
+        variance by less than 0.03 %.
+    jump
+        Largest energy of an octave relative to that before it: a half where g jumps along curves, less
+        elsewhere. Less would cut the tail of jumps; one would give jumps no end.
+    whole
+        Differences of lattice points from multiples of 1/n, times n, that are rounding: coordinates are
+        right to 2^-53. Insensitive between 5e-7 and 2e-6.
+    """
+
+    frequencies: int = 2**19
+    periods: int = 2**8
+    strip: int = 2**18
+    jump: float = 0.5
+    whole: float = 1e-6
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class MovesSettings:
+    """How many offsets move a set.
+
+    Changes are those of a jump along a line with rank1-lattice | shift, a ball in 4-D with
+    kronecker | shift, and a smooth function with sobol | digital-shift.
+
+    Attributes
+    ----------
+    offsets, least_offsets, evaluations
+        Offsets, evaluations of g that limit their number at large n, and offsets below which the method
+        refuses, with intervals of 35 %. Half and twice as many offsets change variances by less than
+        1.2 %, within intervals of 1 to 3 %.
+    block
+        Evaluations at a time. The result does not depend on it.
+    spreads
+        Successive parts of the offsets, whose variances give the standard error, with Student's t. With 8
+        and 32 parts half intervals are between those of 16 and 1.6 times as much.
+    steps
+        Rounds of reduction that make vectors of a lattice short. Insensitive between 6 and 24.
+    """
+
+    offsets: int = 2**13
+    least_offsets: int = 2**6
+    evaluations: int = 2**23
+    block: int = 2**20
+    spreads: int = 16
+    steps: int = 12
+
+
+_TORUS, _DRAWN, _DUALS, _MOVES = TorusSettings(), DrawnSettings(), DualSettings(), MovesSettings()
+
 _DIAGONALS = {
     1: (),
     2: ((1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1)),
     3: ((1, 1, 0), (1, -1, 0), (1, 0, 1), (1, 0, -1), (0, 1, 1), (0, 1, -1)),
 }
-_BLOCK = 2**18  # frequencies of which a closed form is asked at once
-_EPS = 1e-9
-
-_SHELLS = 6  # of the box, each √2 wide, whose power says how white the tail is
+"""Directions in which jumps along diagonals have their energy."""
 _NORMAL = 1.96
-_ROUNDING = 4e-15  # of ∫g², in sums over frequencies
-_VAGUE = 0.01  # error of ∫g² in many dims, relative to the variance, from where on others know more
-
-_LEAST_SETS = 16
-_MOST_SETS = 1024
-_SET_POINTS = 2**18
-_DEAR = 2**16  # the max_count of samplers that are optimised, and its like
-_DEAR_POINTS = 2**16
-_PRECISION = 0.015  # of half the interval, relative to the variance
-_LAW_LENGTH = 0.35  # |m| n^(-1/d) up to which power follows a law of the length
-_LEAST_LENGTHS = 10
-_AGREES = 2.0  # standard errors
-_STEPS = 12
-_LOW = 32  # half width up to which all sets are transformed
-_DUAL = 2**19  # frequencies of a dual lattice in a box
-# Ends of strips in units of n, and frequencies of the dual lattice there
-_PERIODS, _STRIP = 2**8, 2**18
-_JUMP = 0.5  # energy of an octave relative to that before it, where there are jumps; less elsewhere
-_WHOLE = 1e-6  # differences of lattice points from multiples of 1/n, times n
-_RELATIVE = 1e-9  # of sums that do not cancel
-_LEAST_OFFSETS, _OFFSETS, _MOST_EVALUATIONS = 2**6, 2**13, 2**23  # of a lattice that is moved
-_AT_ONCE = 2**20  # evaluations
-_SPREADS = 16  # parts of the offsets, whose variances give the standard error
-_OFFSET_STREAM = 0x0FF5E7  # label of the random numbers of the offsets
+"""Standard errors of half a 95 % interval."""
+_ROUNDING = 4e-15
+"""Rounding error of ∫g², relative: some units in the last place of double precision."""
+_RELATIVE = 1e-9
+"""Relative error of sums whose terms do not cancel."""
+_OFFSET_STREAM = 0x0FF5E7
+"""Label of the random numbers of the offsets."""
 _BITS = 2.0**53
-_LEAST_BOX, _BOX = 32, 6.0  # half width of the box of a homogeneous set, and in units of n^(1/d)
+"""Coordinates are whole multiples of its inverse."""
 
 
 @final
@@ -158,14 +303,14 @@ class Region:
         transform = getattr(finufft, f"nufft{len(self.low)}d1")
         axes = [np.ascontiguousarray(2.0 * np.pi * axis) for axis in y.T]
         found = transform(
-            *axes, weights, self.shape, eps=_EPS, isign=-1, nthreads=1, upsampfac=1.25
+            *axes, weights, self.shape, eps=_TORUS.precision, isign=-1, nthreads=1, upsampfac=1.25
         )
         return np.asarray(np.abs(found) ** 2)
 
     def power(self, law: Law) -> Array:
         """The closed form of P, on the grid."""
         m = self.frequencies().astype(float)
-        blocks = [m[start : start + _BLOCK] for start in range(0, len(m), _BLOCK)]
+        blocks = [m[start : start + _TORUS.block] for start in range(0, len(m), _TORUS.block)]
         blocks = [moments_of(law, law.name, some).power(some) for some in blocks]
         return np.concatenate(blocks).reshape(self.shape)
 
@@ -193,7 +338,7 @@ def _energies(g: Integrand) -> tuple[Region, ...]:
     Coefficients where they are known exactly, else from two tables of g.
     """
     exact, d = g.fourier_source == "exact", g.dims
-    reach = (_EXACT if exact else _TABLE)[d]
+    reach = (_TORUS.exact if exact else _TORUS.table)[d]
 
     def region(vectors: Array, low: list[int], high: list[int], *, near: bool = True) -> Region:
         if exact:
@@ -205,8 +350,8 @@ def _energies(g: Integrand) -> tuple[Region, ...]:
             order = vectors.argmax(axis=1)
             m = [np.arange(low[i], high[i] + 1, dtype=float) for i in np.argsort(order)]
             found = []
-            for nodes in (_NODES[d], _NODES[d] // 2):
-                least = (max(_LEAST_NODES[d], nodes * int(np.abs(axis).max())) for axis in m)
+            for nodes in (_TORUS.nodes, _TORUS.nodes // 2):
+                least = (max(_TORUS.least_nodes[d], nodes * int(np.abs(axis).max())) for axis in m)
                 value = grid_coefficients(g, [1 << (k - 1).bit_length() for k in least], m)
                 value = value if g.channels else value[..., None]
                 found.append(np.ascontiguousarray(np.abs(value.transpose(d, *order)) ** 2))
@@ -257,7 +402,7 @@ def of_torus(law: Law, known: Known, stream: Stream) -> Predicted:
         raise NoClosedForm(f"∫g² of {known.g.spec} diverges.")
     if isinstance(law, Independent):
         error = square_error / n + _ROUNDING * square / n
-        if dims > 3 and (error > _VAGUE * spread / n).any():
+        if dims > 3 and (error > _TORUS.vague * spread / n).any():
             raise NoClosedForm(f"∫g² of {known.g.spec} is not known well enough by quadrature.")
         return Predicted(spread / n, error, "∫g²")
 
@@ -276,7 +421,7 @@ def of_torus(law: Law, known: Known, stream: Stream) -> Predicted:
         except NoClosedForm:
             if inner is law:
                 box = known.once("torus, symmetrised", regions[0].symmetrized)
-                width = max(_LEAST_BOX, math.ceil(_BOX * n ** (1.0 / dims)))
+                width = max(_DRAWN.least_box, math.ceil(_DRAWN.box * n ** (1.0 / dims)))
                 regions = (_cropped(box, width)[0],)
             else:
                 regions = tuple(r for r in regions if r.near)
@@ -291,12 +436,12 @@ def of_torus(law: Law, known: Known, stream: Stream) -> Predicted:
     # Root mean square over the outer shells of the box of n P(m), weighted by |g_m|², minus 1
     box, power = regions[0], n * powers[0].reshape(-1) - 1.0
     axes = [np.abs(np.arange(l, h + 1)) for l, h in zip(box.low, box.high, strict=True)]
-    edges = box.high[0] * 0.5 ** (0.5 * np.arange(_SHELLS, -1, -1))
+    edges = box.high[0] * 0.5 ** (0.5 * np.arange(_TORUS.shells, -1, -1))
     place = np.searchsorted(edges, mesh(*axes).max(axis=-1), side="left").reshape(-1)
     departure = np.ones(len(spread))
     for c, energy in enumerate(box.energy.reshape(len(spread), -1)):
         weight, above = (
-            np.bincount(place, each, _SHELLS + 2)[1:-1] for each in (energy, energy * power)
+            np.bincount(place, each, _TORUS.shells + 2)[1:-1] for each in (energy, energy * power)
         )
         if (weight > 0.0).any():
             ratio = above[weight > 0.0] / weight[weight > 0.0]
@@ -315,7 +460,7 @@ def lattice_basis(points: Array) -> Array | None:
     """n times a basis of the lattice of n points, an upper triangle of int64; None for other sets."""
     n, dims = points.shape
     exact = np.remainder(points - points[0], 1.0) * n
-    if np.abs(exact - np.rint(exact)).max() > _WHOLE:
+    if np.abs(exact - np.rint(exact)).max() > _DUALS.whole:
         return None
     whole = np.rint(exact).astype(np.int64) % n
     basis, left = n * np.eye(dims, dtype=np.int64), whole
@@ -355,13 +500,13 @@ def _of_dual(points: Array, known: Known) -> Predicted:
         energy = np.abs(g.fourier(m).reshape(len(m), -1)) ** 2
         last = energy[beyond & (2 * size > end)].sum(axis=0)
         before = energy[beyond & (2 * size <= end) & (4 * size > end)].sum(axis=0)
-        ratio = np.minimum(last / np.maximum(before, 1e-300), _JUMP)
+        ratio = np.minimum(last / np.maximum(before, 1e-300), _DUALS.jump)
         return energy.sum(axis=0), last * ratio / (1.0 - ratio)
 
     # A box, and strips along the axes, whose octaves go on by themselves
-    width = int(0.5 * (_DUAL * n) ** (1.0 / dims))
-    end = _PERIODS * n
-    narrow = min(width, int(0.5 * (_STRIP * n / end) ** (1.0 / max(1, dims - 1))))
+    width = int(0.5 * (_DUALS.frequencies * n) ** (1.0 / dims))
+    end = _DUALS.periods * n
+    narrow = min(width, int(0.5 * (_DUALS.strip * n / end) ** (1.0 / max(1, dims - 1))))
     m = listed(0, [-width] * dims, [width] * dims)
     m = m[m.any(axis=1)]
     size = np.abs(m).max(axis=1)
@@ -393,7 +538,7 @@ def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:
         too few offsets are left.
     """
     g, n = known.g, law.n
-    count = min(_OFFSETS, _MOST_EVALUATIONS // n)
+    count = min(_MOVES.offsets, _MOVES.evaluations // n)
     if not moves_at_once(law):
         raise NoClosedForm(f"{law.name} does not move {n} points at once, or too many of them.")
     assert isinstance(law, Shifted | Scrambled)
@@ -402,7 +547,7 @@ def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:
     if shifted and (basis := lattice_basis(points)) is not None:
         # Short vectors of the lattice, in which the mean is the smoothest
         cell, how = basis.astype(float), "offsets of a lattice"
-        for _ in range(_STEPS):
+        for _ in range(_MOVES.steps):
             for i, j in itertools.permutations(range(g.dims), 2):
                 cell[i] -= np.rint(cell[i] @ cell[j] / (cell[j] @ cell[j])) * cell[j]
         cell = cell / n
@@ -414,7 +559,7 @@ def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:
     start, step = stream.child(_OFFSET_STREAM).uniforms(0, 1, 2 * g.dims).reshape(2, g.dims)
     offsets = (start + np.arange(count)[:, None] * step) % 1.0
     means = []
-    for some in np.array_split(offsets, max(1, len(offsets) * n // _AT_ONCE)):
+    for some in np.array_split(offsets, max(1, len(offsets) * n // _MOVES.block)):
         if shifted:
             x = (points + (some @ cell)[:, None]) % 1.0
         else:
@@ -422,7 +567,7 @@ def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:
         means.append(g(x).reshape(len(some), n, -1).mean(axis=1))
     of_offsets = np.concatenate(means)
     value = of_offsets.var(axis=0)
-    spreads = [part.var(axis=0, ddof=1) for part in np.array_split(of_offsets, _SPREADS)]
+    spreads = [part.var(axis=0, ddof=1) for part in np.array_split(of_offsets, _MOVES.spreads)]
     return Predicted(value, half_interval(np.array(spreads)), how)
 
 
@@ -430,7 +575,7 @@ def moves_at_once(law: Law) -> bool:
     """Whether one random offset, or one digital shift in base 2, moves a fixed set of not too many points."""
     if not (isinstance(law, Shifted) or (isinstance(law, Scrambled) and law.xor)):
         return False
-    return law.inner.fixed and law.n <= _MOST_EVALUATIONS // _LEAST_OFFSETS
+    return law.inner.fixed and law.n <= _MOVES.evaluations // _MOVES.least_offsets
 
 
 def moves_resolve(law: Law, known: Known) -> bool:
@@ -450,7 +595,7 @@ def moves_resolve(law: Law, known: Known) -> bool:
 
 def cost_of_moves(law: Law, known: Known) -> float:  # noqa: ARG001
     """Evaluations of g by `of_moves`."""
-    return float(min(_OFFSETS * law.n, _MOST_EVALUATIONS))
+    return float(min(_MOVES.offsets * law.n, _MOVES.evaluations))
 
 
 def _drawn(
@@ -466,14 +611,16 @@ def _drawn(
 
     n = inner.n
     assert inner.source is not None
-    dear = inner.source.max_count <= _DEAR
-    points, first = (_DEAR_POINTS, _LEAST_SETS // 2) if dear else (_SET_POINTS, _LEAST_SETS)
-    most = min(max(points // n, first), _MOST_SETS)
+    dear = inner.source.max_count <= _DRAWN.slow
+    points, first = (
+        (_DRAWN.slow_points, _DRAWN.least_sets // 2) if dear else (_DRAWN.points, _DRAWN.least_sets)
+    )
+    most = min(max(points // n, first), _DRAWN.most_sets)
     box = regions[0]
-    low, part = _cropped(box, _LOW)
+    low, part = _cropped(box, _DRAWN.low)
     length = np.linalg.norm(low.frequencies(), axis=1).reshape(low.shape) / n ** (1.0 / box.dims)
-    inside = (length > 0.0) & (length <= _LAW_LENGTH)
-    lawful = isotropic and len(np.unique(np.rint(length[inside] ** 2 * n))) >= _LEAST_LENGTHS
+    inside = (length > 0.0) & (length <= _DRAWN.length)
+    lawful = isotropic and len(np.unique(np.rint(length[inside] ** 2 * n))) >= _DRAWN.least_lengths
     core = replace(low, energy=np.where(inside, low.energy, 0.0) if lawful else 0.0 * low.energy)
     sums, low_sum, count = [np.zeros(r.shape) for r in regions], np.zeros(low.shape), 0
     values: tuple[list[Array], ...] = ([], [], [])  # of the core, the other low ones, all others
@@ -500,11 +647,11 @@ def _drawn(
         if lawful:
             law, error = _power_law(mean, length, inside, core.energy, count)
             away = np.abs(_total((core,), [law]) - np.mean(values[0], axis=0))
-            if (away <= _AGREES * errors[0]).all():
+            if (away <= _DRAWN.agrees * errors[0]).all():
                 mean, errors[0] = np.where(inside, law, mean), np.minimum(error, errors[0])
         half = float(stdtrit(first - 1, 0.975)) * np.sqrt(sum(e**2 for e in errors))
         value = sum(np.mean(part_values, axis=0) for part_values in values)
-        if (half <= _PRECISION * value).all() or count + first > most:
+        if (half <= _DRAWN.precision * value).all() or count + first > most:
             break
     powers = [total / first for total in sums]
     powers[0][part] = mean
@@ -531,7 +678,7 @@ def _power_law(
     weight = count * weight[inside]
     beta = np.zeros(3)
     beta[0] = math.log(measured.mean())
-    for _ in range(_STEPS):
+    for _ in range(_DRAWN.steps):
         law = np.exp(x @ beta)
         information = (x * weight[:, None]).T @ x
         beta = beta + np.linalg.solve(information, x.T @ (weight * (measured / law - 1.0)))
