@@ -237,7 +237,7 @@ def of_integrand(
     g, lines = looked_at(g), False
     if not (in_closed_form(g) or g.costly):
         # Lines follow poles and waves as cells do not, at a small part of their cost
-        lines = beyond_points(g).any() or (most >= MOST_EVALUATIONS and g.dims > 1)
+        lines = bool(beyond_points(g).any()) or (most >= MOST_EVALUATIONS and g.dims > 1)
         if lines and separated(g):
             with contextlib.suppress(NoClosedForm):
                 return _within(_by_axes(law, g), law, g, tolerance)
