@@ -161,11 +161,18 @@ def test_nor_is_the_folder_that_mitsuba_lies_in(study):
         ("<scene version='3.0.0'/>".encode("utf-16"), "UTF-16"),
         (b"<scene version='3.0.0'><string name='a' value='\\$b'/></scene>", "escape"),
         (b"<scene version='3.0.0'><default name='a/b' value='1'/></scene>", "'a/b'"),
+        (b"<scene version='3.0.0'><default name='a' value='\\'/></scene>", "backslash"),
+        (b"<?xml version='1.0' encoding='f-8'?><scene version='3.0.0'/>", "is not XML"),
+        (
+            b"<?xml version='1.0' encoding='shift-jis'?><scene version='3.0.0'/>",
+            "is not XML|encoding",
+        ),
     ],
 )
 def test_what_mitsuba_may_read_otherwise_is_refused(study, data, words):
     with pytest.raises(FileFormatError, match=words):
         vetted(study, "", data=data)
+    assert referenced_files(study / "scene.xml") == set()
 
 
 @pytest.mark.parametrize("name", ["scene", "scene.txt", "SCENE.XML"])

@@ -800,8 +800,11 @@ def _elements(file: Path, data: bytes) -> _SceneFile:
         name = attributes.get("filename") or (value if tag in ("string", "path") else "")
         if found.depth > DEEPEST or found.elements > MOST_ELEMENTS:
             return  # too much already: counted on, for the message
-        if "\\$" in name or "\\$" in value:
-            found.unclear = "has the escape \\$"
+        # With a default that ends in a backslash, a text after it has the escape, too
+        if any("\\$" in each for each in attributes.values()) or (
+            tag == "default" and "\\" in value
+        ):
+            found.unclear = "has the escape \\$, or a default with a backslash"
         if "type" in attributes:
             found.plugins.add(attributes["type"])
         if tag == "default":
@@ -829,7 +832,15 @@ def _elements(file: Path, data: bytes) -> _SceneFile:
     parser.StartDoctypeDeclHandler, parser.XmlDeclHandler = doctype, declaration
     if b"\0" in data or data.startswith((b"\xff\xfe", b"\xfe\xff")):
         found.unclear = "has the encoding UTF-16"
-    parser.Parse(data, True)
+    try:
+        parser.Parse(data, True)
+    except McspectraError:
+        raise
+    except (
+        LookupError,
+        ValueError,
+    ) as error:  # An encoding that Python does not know, or of several bytes
+        raise ExpatError(str(error)) from None
     return found
 
 
