@@ -25,9 +25,11 @@ from mcspectra.integrands._quadrature import PROBE, gauss_rule, probe
 from mcspectra.integrands.base import Breaks, Derived, found_breaks, integral_estimate
 
 __all__ = [
+    "DIVERGES",
     "MOST_EVALUATIONS",
     "Pointwise",
     "Rule",
+    "beyond_points",
     "blindness",
     "closed_moments",
     "constant",
@@ -43,12 +45,16 @@ __all__ = [
     "square_integral",
     "strata",
     "stratum_moments",
+    "unbounded",
     "unseen",
     "values_at",
 ]
 
 MOST_EVALUATIONS = 2.0**26
 """Of an integrand, beyond which a quadrature is refused."""
+
+DIVERGES = 0.4995
+"""Exponent of g from which ∫g² is infinite, less what slopes are off by."""
 
 _BLOCK = 2**18  # evaluations at a time
 _ORDERS = ((12, 20), (6, 10), (4, 6))
@@ -64,7 +70,9 @@ _LOOKED_DIMS = 5
 _HIDDEN = 0.1  # of an error: regions that nodes do not see have a small part in it
 _GROWTH_LINES, _STEADY = 4, 0.02  # lines, and difference of two slopes of one exponent
 _FAR, _NEAR, _INSIDE = (30, 60, 90, 120), (20, 30, 40, 50), (8, 14, 20, 26)  # log2 of 1/distance
-_DIVERGES = 0.4995  # exponent of g, less what slopes are off by
+_TOP, _RANK = 256, 8  # largest values at the probe, and the one beyond which they are not relied on
+_HEAVY, _AS_POWER, _LARGEST_POWER = 0.1, 0.6, 0.47  # exponents of their power law, and how like one
+_RISES = 0.02  # log2 of g from one distance to the next, which grows without end
 
 # √u near 0 is integrated to 1e-6 with panels down to 2^-20; in 2-D every panel costs a row of them.
 _GRADED = {
@@ -248,11 +256,41 @@ def unseen(g: Integrand) -> Array:
     return none if g._cache.unseen_square is None else g._cache.unseen_square
 
 
+def beyond_points(g: Integrand) -> Array:
+    """Part of ∫g² next to poles that the points of the probe do not reach, (channels or 1,); 0 without poles.
+
+    There is a pole where g is `unbounded` on lines, and where the largest values follow a power law:
+    from rank 4 to 32 they fall as much as from 32 to 256, where those of bells fall by an eighth. Of
+    values t^-a beyond rank k, ∫g² has k g_k² / (N (1 − 2a)).
+    """
+    none = np.zeros(max(1, g.channels))
+    if g.costly or in_closed_form(g):
+        return none
+    cache = g._cache
+    if cache.largest is None and unbounded(g):
+        values = np.abs(g(probe(g.dims)).reshape(PROBE, -1))
+        cache.largest = -np.sort(-values, axis=0)[:_TOP]
+    if cache.largest is None:
+        return none
+    top = np.maximum(cache.largest, 1e-300)
+    first, second = (np.log(top[a - 1] / top[b - 1]) for a, b in ((4, 32), (32, 256)))
+    power = first / math.log(8.0)
+    heavy = (power > _HEAVY) & (first > _AS_POWER * second)
+    if not (unbounded(g) or heavy.any()):
+        return none
+    power = np.clip(np.maximum(power, growth(g)), 0.0, _LARGEST_POWER)
+    rest = _RANK * top[_RANK - 1] ** 2 / (PROBE * (1.0 - 2.0 * power))
+    return np.asarray(np.where(heavy | unbounded(g), rest, 0.0))
+
+
 def constant(g: Integrand) -> str:
     """What is to be said of an integrand that is the same at all points of the probe; else ''."""
     if g.costly or in_closed_form(g) or g._integral() is not None:
         return ""
-    if np.ptp(g(probe(g.dims)), axis=0).any():
+    values = g(probe(g.dims)).reshape(PROBE, -1)
+    largest = np.partition(np.abs(values), PROBE - _TOP, axis=0)[PROBE - _TOP :]
+    g._cache.largest = np.sort(largest, axis=0)[::-1]
+    if np.ptp(values, axis=0).any():
         return ""
     return (
         f"{g.spec} is the same at all {PROBE} points of a probe: its variance is 0 to rounding, or "
@@ -420,7 +458,7 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
     by_levels, level_errors = np.full(width, np.nan), np.full(width, np.inf)
     inside, warped = _inside(g)
     grows = growth(g)
-    by_levels[grows >= _DIVERGES] = np.inf
+    by_levels[grows >= DIVERGES] = np.inf
     over_domain = warped and inside.density.dims == g.dims  # type: ignore[attr-defined]
 
     def square(x: Array) -> Array:
@@ -486,9 +524,27 @@ def growth(g: Integrand) -> Array:
     agree. ∫g² diverges from a = ½ on, ∫g⁴ from ¼. Integrands in closed form have no such poles; those
     that are costly or warped by a density are not looked at.
     """
-    found = np.zeros(max(1, g.channels))
+    return _growth(g)[0]
+
+
+def unbounded(g: Integrand) -> bool:
+    """Whether g grows without end towards an end of an axis or a break, on the lines of `growth`.
+
+    Also where it grows like no power, as logarithms and quantiles do.
+    """
+    return bool(_growth(g)[1])
+
+
+def _growth(g: Integrand) -> tuple[Array, bool]:
+    if g._cache.growth is None:
+        g._cache.growth = _seen_growth(g)
+    return g._cache.growth
+
+
+def _seen_growth(g: Integrand) -> tuple[Array, bool]:
+    found, grows = np.zeros(max(1, g.channels)), False
     if _inside(g)[1] or in_closed_form(g) or g.costly:
-        return found
+        return found, grows
     lines = probe(g.dims)[:_GROWTH_LINES]
     for axis in range(g.dims):
         ends = [(0.0, 1.0, _FAR), (1.0, -1.0, _NEAR)]
@@ -498,7 +554,9 @@ def growth(g: Integrand) -> Array:
             x = np.repeat(lines[:, None], len(distances), axis=1)
             x[..., axis] = place + way * room * 0.5 ** np.array(distances)
             size = np.log2(np.maximum(np.abs(values_at(g, x)), 1e-300))
-            slope = np.diff(size, axis=1) / np.diff(distances)[:, None]
+            rise = np.diff(size, axis=1)
+            slope = rise / np.diff(distances)[:, None]
             steady = (np.ptp(slope[:, -2:], axis=1) < _STEADY) & (slope[:, -1] > _STEADY)
             found = np.maximum(found, np.where(steady, slope[:, -1], 0.0).max(axis=0))
-    return found
+            grows |= bool((rise > _RISES).all(axis=1).any())
+    return found, grows

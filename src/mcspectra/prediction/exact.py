@@ -27,12 +27,14 @@ Quadratures of two orders must agree, and their sums with ∫g and ∫g² (`blin
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_real
+from mcspectra.core.checks import BELOW_ONE, Array, as_real
 from mcspectra.core.errors import MEASURE_IT, NoClosedForm, ParameterError
 from mcspectra.core.ordered import weighted_sum
 from mcspectra.core.streams import Stream
@@ -43,6 +45,7 @@ from mcspectra.estimators.quadrature import (
     MOST_EVALUATIONS,
     Pointwise,
     Rule,
+    beyond_points,
     blindness,
     constant,
     grid_values,
@@ -56,8 +59,10 @@ from mcspectra.estimators.quadrature import (
     stratum_moments,
 )
 from mcspectra.integrands import Integrand, integral_accuracy
+from mcspectra.integrands._quadrature import gauss_rule
 from mcspectra.prediction.known import Known
-from mcspectra.prediction.subsets import of_subsets
+from mcspectra.prediction.separable import Curve, Separable, separated
+from mcspectra.prediction.subsets import TORUS, of_subsets, pair_sums, pairs_of
 from mcspectra.samplers import Sampler
 from mcspectra.samplers.law import (
     AntitheticPair,
@@ -94,6 +99,21 @@ _MOST = 0.5  # relative error of a variance that a larger tolerance is offered f
 _FINER, _HOPE = 4, 10.0  # times the order, of errors of up to so many times the tolerance
 _MANY_DIMS, _LOOSE = 4, 1e-3  # from which on, and with which tolerance, sums of products may do
 _MOST_BITS = 24
+# Sums and products of functions of one axis
+_AXIS_DOUBT, _AXIS_ROUNDING, _AXIS_EXACT = (
+    3.0,
+    4e-15,
+    1e-9,
+)  # weight of what ∫g² may be off by; relative
+_MOST_CELLS, _MOST_PAIRS = 2**18, 2.0**32  # of an axis, and pairs of points times dims
+_MANY, _FEW, _DEEP = 16, 6, 14  # nodes of a part of a cell, and levels of cells from which few do
+_WHITE = 0.02  # of the tail of a spectrum, by which its mean power may be off
+_ROUNDED_MEAN = 1e-15  # of a mean over a set, relative to the root of ∫h²
+_AT_ONCE, _SMALLEST = 2**20, 1e-15  # points at once; rounding of variances of means, of ∫h²/n
+_NOTHING = 1e-12  # of ∫h²: variances within cells that are rounding
+_CUSPS = 10  # octaves of 8, of offsets next to a cusp
+_EVEN = 1e-6  # differences of points from multiples of 1/n, times n
+_ROUNDED_POINTS = 0.02  # relative error of a variance by points that are rounded to cells
 
 
 def exact_variance(
@@ -214,12 +234,32 @@ def of_integrand(
         As `exact_variance`, the error is more than `tolerance` times the variance, or a rule would
         take more than about `most` evaluations.
     """
-    g, n = looked_at(g), law.n
+    g = looked_at(g)
+    if law.uniform and not (in_closed_form(g) or g.costly):
+        if beyond_points(g).any() and separated(g):
+            with contextlib.suppress(NoClosedForm):  # cells do not follow poles as lines do
+                return _within(_by_axes(law, g), law, g, tolerance)
+        square, _ = square_integral(g)
+        if np.isinf(square).all():  # one point next to the pole outweighs all others
+            return square, np.zeros(len(square))
+    try:
+        return _by_cells(law, g, tolerance, most)
+    except NoClosedForm:
+        if most < MOST_EVALUATIONS or g.costly or not separated(g):
+            raise
+        try:
+            return _within(_by_axes(law, g), law, g, tolerance)
+        except NoClosedForm:
+            pass
+        raise
+
+
+def _by_cells(law: Law, g: Integrand, tolerance: float, most: float) -> tuple[Array, Array]:
+    """`of_integrand` by quadrature over all axes together."""
+    n = law.n
     square = square_error = np.full(max(1, g.channels), np.nan)
     if law.uniform and not (in_closed_form(g) or g.costly):
         square, square_error = square_integral(g)
-        if np.isinf(square).all():  # one point next to the pole outweighs all others
-            return square, np.zeros(len(square))
     if isinstance(law, Independent):
         middle, first, second, error = moments(g)
         value = second - first**2
@@ -275,6 +315,315 @@ def of_integrand(
         )
     vanishes = np.isfinite(high) & (np.maximum(low, high) <= rounding)
     return np.where(vanishes, 0.0, high), np.where(np.isinf(high), 0.0, error)
+
+
+def _within(
+    found: tuple[Array, Array], law: Law, g: Integrand, tolerance: float
+) -> tuple[Array, Array]:
+    """What was found, if its error is within the tolerance; 0 where it is no more than rounding."""
+    value, error = found
+    if np.isinf(value).any():
+        return value, np.where(np.isinf(value), 0.0, error)
+    parts = separated(g) or ()
+    size = np.array([each.spread[0] + each.mean**2 for each in parts])
+    rounding = 4e-15 * size / law.n
+    known = (error <= tolerance * value) | (error <= _NEGLIGIBLE * size / law.n)
+    if not known.all():
+        raise NoClosedForm(
+            f"The quadrature of {g.spec} along its axes does not converge ({np.max(value):.6g}, error "
+            f"{np.max(error):.2g}) to a tolerance of {tolerance:.1g}; use ",
+            *MEASURE_IT,
+            ".",
+        )
+    return np.where(value <= rounding, 0.0, value), error
+
+
+def _by_axes(law: Law, g: Integrand) -> tuple[Array, Array]:
+    """Variance of a sum or a product of functions of one axis, and a bound of its error, (channels or 1,).
+
+    Raises
+    ------
+    NoClosedForm
+        The pairs of points have no law that is known here.
+    """
+    law = Independent(n=1, dims=law.dims) if law.n == 1 and law.uniform else law
+    image = isinstance(law, Folded) or (isinstance(law, Mirrored) and law.inner.uniform)
+    if image:
+        seen = FoldedIntegrand(g) if isinstance(law, Folded) else SymmetrizedIntegrand(g)
+        value, error = _by_axes(law.inner, looked_at(seen))  # type: ignore[attr-defined]
+        if isinstance(law, Mirrored) and law.mode == "random":  # the coins
+            one = Independent(n=law.n, dims=law.dims)
+            whole, average = _by_axes(one, g), _by_axes(one, looked_at(seen))
+            value = value + np.maximum(whole[0] - average[0], 0.0)
+            error = error + whole[1] + average[1]
+        return value, error
+    parts = separated(g)
+    if parts is None:
+        raise NoClosedForm(f"{g.spec} is neither a sum nor a product of functions of one axis.")
+    found = [
+        (math.inf, 0.0) if each.diverges and law.uniform else _of_separable(law, each)
+        for each in parts
+    ]
+    value, error = np.array(found).T
+    return value, error
+
+
+def _of_separable(law: Law, g: Separable) -> tuple[float, float]:
+    n = law.n
+    means = np.array([curve.mean**2 for curve in g.curves])
+    squares = np.array([curve.square for curve in g.curves])
+    spread, doubt = g.spread
+    error = _AXIS_DOUBT * doubt / n + _AXIS_ROUNDING * (spread + g.mean**2) / n
+
+    def together(kappa: Array) -> float:
+        """Covariance of g at two points from those of the functions of the axes, (dims,)."""
+        if not g.product:
+            return float(kappa.sum())
+        total = 0.0  # Π (μ² + κ) − Π μ², where nothing cancels
+        for axis, each in enumerate(kappa):
+            rest = means[axis + 1 :] + kappa[axis + 1 :]
+            total += means[:axis].prod() * each * rest.prod()
+        return float(total)
+
+    # Strata: the mean variances within cells, at an offset or over all of them
+    set_, offset = unmoved(law)
+    shifted = isinstance(law, Shifted)
+    off: list[float] = []
+
+    def within(sides: Sequence[int], curves: Sequence[Curve] = g.curves) -> Array:
+        values = []
+        for curve, side, moved in zip(curves, sides, offset, strict=True):
+            if not shifted:
+                values.append(float(curve.cells(side, float(moved) % (1.0 / side))[1].mean()))
+                continue
+            fine, coarse = (_over_offsets(curve, side, order) for order in (6, 4))
+            size = curve.square + curve.mean**2
+            off.append(abs(fine - coarse) / max(fine, _NOTHING * size, 1e-300))
+            values.append(fine)
+        return np.array(values)
+
+    value = math.nan
+    match set_:
+        case Independent():
+            value = spread / n
+        case Strata(sides=sides) if set_.jittered:
+            inside = within(sides)
+            value = (together(squares) - together(squares - inside)) / n
+            if not g.product:
+                value = float(inside.sum()) / n
+        case Strata(sides=sides, motif=AntitheticPair()) if not shifted and not offset.any():
+            pairs = [_paired(curve, side) for curve, side in zip(g.curves, sides, strict=True)]
+            if not g.product:
+                value = float(within(sides, pairs).sum()) / (n // 2)
+            else:
+                mates = np.array([2.0 * p.square for p in pairs]) - squares
+                both = 0.5 * (together(squares) + together(mates))
+                value = (both - together(squares - within(sides))) / (n // 2)
+        case PairedAxes():
+            strata = np.array(set_.strata)
+            cells = squares - within(set_.strata)
+            finer = cells
+            if any("mates" in pattern.axes for pattern in set_.patterns):
+                finer = squares - within([s * p for s, p in zip(strata, set_.parts, strict=True)])
+            parts = np.array(set_.parts)
+            kinds = {
+                "apart": -cells / np.maximum(strata - 1.0, 1.0),
+                "same": cells,
+                "mates": (parts * cells - finer) / np.maximum(parts - 1.0, 1.0),
+            }
+            value = together(squares) / n
+            for pattern in set_.patterns:
+                kappa = np.array([kinds[way][axis] for axis, way in enumerate(pattern.axes)])
+                value += pattern.share * together(kappa)
+            if set_.latin and not g.product:
+                value = float((squares - cells).sum()) / n
+        case _:
+            inner = law.inner if isinstance(law, Shifted | Scrambled) else law
+            if not isinstance(inner, Fixed) or isinstance(law, Fixed):
+                raise NoClosedForm(
+                    f"No exact variance is known for {law.name} in {law.dims} dims; use ",
+                    *MEASURE_IT,
+                    ".",
+                )
+            value, more = _of_set(law, g) if g.product else _of_projections(law, inner, g)
+            error += more
+    return value, error + (_AXIS_EXACT + max(off, default=0.0)) * abs(value)
+
+
+def _over_offsets(curve: Curve, side: int, order: int) -> float:
+    """Mean variance within cells over all offsets, which has cusps where places of the curve meet borders."""
+    node, weight = gauss_rule(order)
+    ends = {0.0, 1.0}
+    for place in (0.0, *curve.places.tolist()):
+        at = place * side % 1.0
+        for k in range(_CUSPS):
+            ends |= {(at + 0.125**k) % 1.0, (at - 0.125**k) % 1.0, at}
+    edges = np.unique(np.clip(list(ends), 0.0, 1.0))
+    total = 0.0
+    for a, b in itertools.pairwise(edges.tolist()):
+        values = [float(curve.cells(side, (a + (b - a) * t) / side)[1].mean()) for t in node]
+        total += (b - a) * float(weight @ values)
+    return total
+
+
+def _paired(curve: Curve, side: int) -> Curve:
+    """The mean of a curve at a point and at its reflection through the centre of its cell, less that mean."""
+
+    def both(x: Array) -> Array:
+        cell = np.minimum(np.floor(x * side), side - 1.0)
+        return 0.5 * (curve(x) + curve(np.clip((2.0 * cell + 1.0) / side - x, 0.0, BELOW_ONE)))
+
+    found = Curve.along(both, (np.arange(1, side) / side).tolist())
+    if found is None:
+        raise NoClosedForm("Reflections in cells do not settle along an axis.")
+    return found
+
+
+def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]:
+    """A sum, under scrambles and shifts of a set: the variances of its projections."""
+    n, value, error = law.n, 0.0, 0.0
+    for axis, (x, curve) in enumerate(zip(inner.points.T, g.curves, strict=True)):
+        if curve.square == 0.0:
+            continue
+        if isinstance(law, Scrambled) and law.nested_pairs:
+            # Gains of the projection, down to digits in which all coordinates differ
+            base, level, agree, gains = law.bases[axis], 0, float(n), [0.0]
+            while agree > 1.0 and base ** (level + 1) <= _MOST_CELLS:
+                level += 1
+                nudge = 0.0 if base & (base - 1) == 0 else 2.0**-50
+                digits = np.floor((x + nudge) * float(base**level)).astype(np.int64)
+                now = float((np.bincount(digits).astype(float) ** 2).sum()) / n
+                gains.append((base * now - agree) / (base - 1))
+                agree = now
+            means, spreads = curve.cells(base**level, 0.0, _FEW if level > _DEEP else _MANY)
+            parts = level_variances(means[:, None], (base,))[:, 0]
+            rest = float(spreads.mean())
+            value += (float(np.array(gains[1:]) @ parts[1:]) + rest * agree) / n
+            error += rest * (agree - 1.0) / n
+            continue
+        if isinstance(law, Scrambled) and law.xor:
+            whole = (m for m in range(_MOST_BITS) if np.array_equal(x * 2**m, np.floor(x * 2**m)))
+            bits = next(whole, _MOST_BITS)
+            if 2**bits > _MOST_CELLS:
+                raise NoClosedForm(f"Coordinates of {law.name} have too many digits.")
+            sizes = [max(_MOST_CELLS, 8 * 2**bits) // part for part in (1, 2, 4)]
+            found = []
+            for size in sizes:
+                means, spreads = curve.cells(size, 0.0, _FEW)
+                counts = np.bincount(np.rint(x * size).astype(np.int64), minlength=size) / n
+                both = (hadamard(means) / size * hadamard(counts)) ** 2
+                found.append(float(both[1:].sum()) + float(spreads.mean()) / n)
+        elif isinstance(law, Shifted):
+            found = []
+            x = np.mod(x - x[0], 1.0)
+            even = np.abs(x * n - np.rint(x * n)).max() < _EVEN
+            places = np.unique(np.rint(x * n).astype(np.int64) % n)
+            period = len(places)
+            if (
+                even
+                and curve.exponent == 0.0
+                and n % period == 0
+                and not (places % (n // period)).any()
+            ):
+                # A grid: its mean is a curve of the offset within one cell
+                steps = np.arange(period) / period
+
+                def mean(t: Array, curve: Curve = curve, steps: Array = steps) -> Array:
+                    parts = np.array_split(t, max(1, t.size * steps.size // _AT_ONCE))
+                    moved = ((part[:, None] / steps.size + steps) % 1.0 for part in parts)
+                    return np.concatenate([curve(each).mean(axis=1) - curve.mean for each in moved])
+
+                folded = np.unique(curve.places * period % 1.0).tolist()
+                rounding = _ROUNDED_MEAN * math.sqrt(curve.square + curve.mean**2)
+                of_offset = Curve.along(mean, folded, rounding)
+                if of_offset is not None:
+                    value += of_offset.square
+                    error += _SMALLEST * curve.square / n
+                    continue
+            finest = n * max(8, 4 * (_MOST_CELLS // (4 * n))) if even else 4 * _MOST_CELLS
+            for size in (finest, finest // 2, finest // 4):
+                means, spreads = curve.cells(size, 0.0, _FEW)
+                energy = 2.0 * np.abs(np.fft.rfft(means) / size) ** 2
+                if even:
+                    place = np.rint(x * n).astype(np.int64) % n * (size // n)
+                    counts = np.bincount(place, minlength=size) / n
+                    power = np.abs(np.fft.rfft(counts)) ** 2
+                    energy[-1] *= 0.5
+                    found.append(float(energy[1:] @ power[1:]) + float(spreads.mean()) / n)
+                    continue
+                # Any points: the power at the frequencies that cells resolve, and white beyond
+                most = size // 8
+                m = np.arange(1, most + 1)
+                import finufft
+
+                waves = 2.0 * np.pi * np.ascontiguousarray(x)
+                ones = np.full(n, 1.0 / n, complex)
+                sums = finufft.nufft1d1(waves, ones, 2 * most + 1, eps=1e-12, isign=-1, nthreads=1)
+                power = np.abs(sums[most + 1 :]) ** 2
+                energy = energy[1 : most + 1] / np.sinc(m / size) ** 2
+                tail = max(curve.square - float(energy.sum()), 0.0)
+                last = slice(most // 2, most)  # the octave whose mean power the tail has
+                weight = n * float(energy[last] @ power[last]) / max(energy[last].sum(), 1e-300)
+                error += (abs(weight - 1.0) + _WHITE) * tail / n if size == finest else 0.0
+                found.append(float(energy @ power) + weight * tail / n)
+        else:
+            raise NoClosedForm(f"No exact variance is known for {law.name}; use ", *MEASURE_IT, ".")
+        refined, off = _refined(*found)
+        value, error = value + refined, error + off
+    return value, error
+
+
+def _of_set(law: Law, g: Separable) -> tuple[float, float]:
+    """A product, under scrambles and shifts of a set: the mean over all pairs of points."""
+    n = law.n
+    pairs, codes, rows = pairs_of(law, Stream.from_rng(0))
+    if float(len(rows)) * n * law.dims > _MOST_PAIRS:
+        raise NoClosedForm(f"{law.name} has too many pairs of points; use ", *MEASURE_IT, ".")
+    means = np.array([curve.mean**2 for curve in g.curves])
+    modes = ("digits", "xor", "torus")
+
+    def of_cells(part: int) -> float:
+        tables = []
+        for curve, base, levels in zip(g.curves, pairs.bases, pairs.levels, strict=True):
+            if pairs.kind == "digits":
+                cells, _ = curve.cells(base**levels, 0.0, _MANY)
+                added = level_variances(cells[:, None], (base,))[:, 0]
+                added[0] = 0.0
+                shared = np.cumsum(added)
+                apart = shared[:-1] - added[1:] / (base - 1)
+                tables.append(np.append(apart, curve.square))
+                continue
+            k = max(8, 4 * (_MOST_CELLS // (4 * base))) // part
+            cells, spreads = curve.cells(base * k, 0.0, _FEW)
+            if pairs.kind == "xor":
+                kappa = hadamard((hadamard(cells) / (base * k)) ** 2)[::k]
+            else:
+                energy = np.abs(np.fft.rfft(cells)) ** 2
+                kappa = np.fft.irfft(energy, base * k)[::k] / (base * k)
+            kappa[0] += float(spreads.mean())
+            tables.append(kappa)
+        width = max(map(len, tables))
+        rest = np.stack([np.pad(t, (0, width - len(t)), "edge") for t in tables])[..., None]
+        others = np.array([np.delete(means, axis).prod() for axis in range(law.dims)])
+        first = rest * others[:, None, None]
+        sums = pair_sums(
+            codes[0], rows, modes.index(pairs.kind), pairs.bases[0],
+            np.ascontiguousarray(first), np.ascontiguousarray(rest), means[:, None], np.ones(1),
+        )  # fmt: skip
+        return float(sums.sum(axis=1).mean()) / n
+
+    fine = of_cells(1)
+    if pairs.kind == "digits":
+        return fine, 0.0
+    value, off = _refined(fine, of_cells(2), of_cells(4))
+    rounded = _ROUNDED_POINTS * abs(fine) if pairs.bases[0] == TORUS and n != TORUS else 0.0
+    return value, off + rounded
+
+
+def _refined(fine: float, middle: float, coarse: float) -> tuple[float, float]:
+    """The limit of results by cells, of twice and of four times their width, and its error (Richardson)."""
+    first, second = fine + (fine - middle) / 3.0, middle + (middle - coarse) / 3.0
+    return first, abs(first - second)
 
 
 def _variance(law: Law, g: Integrand, rule: Rule) -> tuple[Array, Array]:

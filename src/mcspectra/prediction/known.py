@@ -18,8 +18,17 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.confidence import student_t
 from mcspectra.core.records import JOIN
-from mcspectra.estimators.quadrature import constant, looked_at, square_integral, unseen
+from mcspectra.estimators.quadrature import (
+    DIVERGES,
+    beyond_points,
+    constant,
+    growth,
+    looked_at,
+    square_integral,
+    unseen,
+)
 from mcspectra.integrands import Integrand
+from mcspectra.prediction.separable import separated
 
 __all__ = ["Cells", "Known", "Predicted", "half_interval"]
 
@@ -149,7 +158,25 @@ class Known:
     @cached_property
     def square(self) -> tuple[Array, Array]:
         """∫g² and its absolute error, both (channels or 1,)."""
+        if self.unresolved.any() and (parts := separated(self.g)):
+            spread, error = np.array([part.spread for part in parts]).T
+            infinite = np.array([part.diverges for part in parts])
+            whole = spread + np.array([part.mean for part in parts]) ** 2
+            return np.where(infinite, np.inf, whole), np.where(infinite, 0.0, error)
         return square_integral(self.g)
+
+    @cached_property
+    def diverges(self) -> Array:
+        """Whether ∫g² is infinite, as lines across the axes tell, (channels or 1,)."""
+        found = growth(self.g) >= DIVERGES
+        if self.unresolved.any() and (parts := separated(self.g)):
+            found = found | np.array([part.diverges for part in parts])
+        return np.asarray(found)
+
+    @cached_property
+    def unresolved(self) -> Array:
+        """Part of ∫g² next to poles that tables and points do not reach, (channels or 1,)."""
+        return beyond_points(self.g)
 
     @cached_property
     def constant(self) -> str:

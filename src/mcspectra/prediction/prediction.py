@@ -49,6 +49,7 @@ from mcspectra.prediction.exact import EXACT_TOLERANCE, estimated_variance, of_i
 from mcspectra.prediction.known import Cells, Known, Predicted
 from mcspectra.prediction.levels import of_levels
 from mcspectra.prediction.rates import Slowest, rates_of, slowest_of_jumps
+from mcspectra.prediction.separable import separated
 from mcspectra.prediction.subsets import of_subsets
 from mcspectra.prediction.torus import (
     cost_of_moves,
@@ -245,11 +246,19 @@ def of_quadrature(
 ) -> Predicted:
     """The exact variance, to the error of its quadrature; shifted strata are cheaper on the torus."""
     g = known.g
+    if lines_suffice(known):
+        found = of_integrand(law, g, settings.tolerance, settings.evaluations)
+        return Predicted(*found, "quadrature")
     dear = not in_closed_form(g) or sum(map(len, g.breaks)) > settings.most_breaks
     if g.dims > 1 and isinstance(law, Shifted) and dear:
         raise NoClosedForm("A quadrature for every offset of the strata would take long.")
     found = of_integrand(law, g, settings.tolerance, settings.evaluations)
     return Predicted(*found, "quadrature")
+
+
+def lines_suffice(known: Known) -> bool:
+    """Whether g has poles, and one line along each axis says all about it."""
+    return bool(known.unresolved.any()) and separated(known.g) is not None
 
 
 def of_divergence(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
@@ -392,7 +401,7 @@ class Method:
         A method that is asked for by its name is tried always.
     ahead
         Whether ``auto`` tries it at counts beyond those that were asked for, which show the limit of
-        rates: it draws no sets, and is cheap at large n.
+        rates: it draws no sets, and is cheap at large n. Facts about g may have to be found for that.
     enough
         Half interval, relative to the variance, up to which ``auto`` takes its prediction without
         trying the next method.
@@ -482,6 +491,7 @@ _QUADRATURE = Method(
     summary="closed form, or quadrature over strata or levels, as in `exact_variance`",
     predict=of_quadrature,
     applies=lambda _, known: not known.costly,
+    ahead=lambda _, known: lines_suffice(known),
     cost=_cost_of_quadrature,
     of_estimator=_exactly,
 )
@@ -520,6 +530,7 @@ METHODS: tuple[Method, ...] = (
         applies=lambda law, known: (
             known.costly and not (_mirrored(law) or moves_resolve(law, known))
         ),
+        ahead=lambda *_: False,
     ),
     Method(
         name="subsets",
@@ -1089,18 +1100,27 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
         used = name if name in NAMES else NAMES[0]
         return Predicted(none, none, "the same at all points", method=used)
 
+    # A method that is asked for by its name might give a number
+    by_name = name in NAMES and law.uniform
+    if by_name and known.diverges.any():
+        infinite = np.where(known.diverges, math.inf, math.nan)
+        return Predicted(infinite, infinite, "∫g² = ∞", 0.0, infinite, name)
+
     best: Predicted | None = None
     reason = NoClosedForm(f"No method predicts {law.name}.")
     for method in tried(name, law, known):
         assert method.predict is not None
         try:
             found = replace(method.predict(law, known, stream), method=method.name)
-        except NoClosedForm as error:
-            reason = error
+        except NoClosedForm as refusal:
+            reason = refusal
             continue
         # One method may see what others do not: none knows more than the probe
         if np.isfinite(found.variance).all():
-            found = replace(found, error=np.maximum(found.error, known.unseen / law.n))
+            error = np.maximum(found.error, known.unseen / law.n)
+            if method.name != _QUADRATURE.name:
+                error = error + known.unresolved / law.n
+            found = replace(found, error=error)
         if best is None or found.error.sum() < best.error.sum():
             best = found
         enough = method.enough(law, known)
@@ -1108,6 +1128,8 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
             break
     if best is not None:
         return best
+    if by_name and np.isinf(known.square[0]).any():
+        return replace(of_divergence(law, known, stream), method=_QUADRATURE.name)
     if not _mirrored(law):
         raise reason
     return _of_the_set_inside(law, known, stream, name)

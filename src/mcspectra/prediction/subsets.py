@@ -58,7 +58,7 @@ from mcspectra.samplers.law import (
 )
 from mcspectra.spectra.bases import hadamard
 
-__all__ = ["of_subsets"]
+__all__ = ["TORUS", "of_subsets", "pair_sums", "pairs_of"]
 
 _LEAST_DIMS, _FEW_DIMS = 2, 3
 _OWN = Stream.from_rng(0x5B5E75)  # of our own points, which no sampler shares
@@ -80,7 +80,7 @@ _GRADED = 0.25 ** np.arange(6.0, 0.0, -1.0)  # of the first step
 _BENT = 0.1  # a kink: a change of the slope of so much of the largest
 _CELLS = 1 << 12  # along an axis, for correlations
 _FINE, _FINEST = 1 << 14, 1 << 18  # and for single axes, where smooth and with jumps
-_TORUS = 1 << 15  # differences on the torus
+TORUS = 1 << 15  # differences on the torus
 _START = 0.3  # spread of what a new product begins with
 _ADDS_UP = 20.0  # times its part of white points, kinks on lattices
 _RESOLVED = (2e-3, 0.01)  # relative error of curves between their nodes: smooth, and with jumps
@@ -122,7 +122,7 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
     if isinstance(law, Independent):
         variance, half = np.array([[p.variance, p.half] for p in parts]).T / n
         return Predicted(variance, half, "energy of g")
-    pairs, codes, rows = _pairs_of(law, stream)
+    pairs, codes, rows = pairs_of(law, stream)
     work = float(len(rows)) * codes[..., 0].size * _RANK**2
     if work > _MOST_WORK:
         raise NoClosedForm(
@@ -250,7 +250,7 @@ class _Pairs:
             cells = base**levels
             many = len(curves.knots) > 2 or self.leaves_cells
             k = max(16, min(64 * many, _FINEST // cells), _FINE // cells)
-            k = 1 if base == _TORUS else k
+            k = 1 if base == TORUS else k
             values = curves.cells(np.concatenate([main, factors]), cells * k)
             mean, own = values.mean(axis=-1, keepdims=True), len(main)
             values = values - mean
@@ -582,8 +582,14 @@ def _least_squares(
     return weights
 
 
-def _pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
-    """How pairs of points lie; codes of the points (sets, n, d, digits), and rows that show all pairs."""
+def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
+    """How pairs of points lie; codes of the points (sets, n, d, digits), and rows that show all pairs.
+
+    Raises
+    ------
+    NoClosedForm
+        No law of pairs is known for the points.
+    """
     n, d = law.n, law.dims
     every, one = np.arange(n), np.arange(1)
     if isinstance(law, PairedAxes) and law.latin:
@@ -600,8 +606,10 @@ def _pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
     digital = isinstance(set_, Fixed) and set_.digital
     x = set_.draw(stream, 0, 1 if set_.fixed else _DRAWS)
     if not isinstance(law, Scrambled):
-        lattice = np.abs(x * n - np.rint(x * n)).max() < 1e-6
-        cells = n if lattice else _TORUS
+        moved = np.mod(x - x[:, :1], 1.0)
+        lattice = np.abs(moved * n - np.rint(moved * n)).max() < 1e-6
+        x = moved if lattice else x
+        cells = n if lattice else TORUS
         codes = np.rint(x * cells).astype(np.int64)[..., None] % cells
         return (
             _Pairs("torus", (cells,) * d, (1,) * d),

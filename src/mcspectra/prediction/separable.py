@@ -1,0 +1,430 @@
+"""Integrands that are a sum or a product of functions of one axis, and these functions as curves.
+
+g = c + Σ_i h_i(x_i) and g = c + Π_i h_i(x_i) leave only one-dimensional integrals to find, which are exact
+where g has jumps, and poles that no rule in several dims resolves.
+
+A curve h is found along a line, by Legendre polynomials on pieces that are halved until the polynomials
+settle: down to 2^-50 next to a jump or pole, and to 2^-64 next to 0. Doubles do not resolve what is nearer.
+There a pole t^-a has most of its square if a is near ½, so that a power law stands for it:
+
+    ∫_0^ε h = ε h(ε) / (1 − a),    ∫_0^ε h² = ε h(ε)² / (1 − 2a).
+
+All points of the probe (`mcspectra.integrands._quadrature.probe`) test whether g is what the curves make
+of it: a slab across an axis of width 2^-17 or more is found, and another region of volume v, in which g
+differs, with probability 1 − exp(−2^17 v).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import final
+
+import numpy as np
+
+from mcspectra.core.checks import BELOW_ONE, Array
+from mcspectra.core.errors import ParameterError
+from mcspectra.estimators.quadrature import DIVERGES, looked_at, values_at
+from mcspectra.integrands import Integrand
+from mcspectra.integrands._quadrature import gauss_rule, probe
+
+__all__ = ["Curve", "Separable", "separated"]
+
+_ORDER = 16  # coefficients of a piece
+_PIECES = 32  # of an axis at first: 4 nodes a wave of 128 periods
+_SETTLED, _NEGLIGIBLE = 1e-11, 1e-15  # last coefficients, and what a piece adds to ∫h², relative
+_KINK = 2.0**-12  # width of pieces where there is a kink
+_SMALL = 1e-9  # last coefficients next to a kink, relative to the root of ∫h²
+_ROUNDED = 2.0**-51
+_MOST_NODES = 2**17  # of an axis
+_LEAST, _LEAST_AT_0 = 2.0**-50, 2.0**-64  # widths of pieces
+# log2 of 1/distance from a pole at which its exponent is fitted; the last is where the power law begins
+_NEAR_0, _INSIDE = (40, 45, 50, 55, 60), (20, 23, 26, 29, 32)
+_POLE = 0.02  # least exponent
+_PLACE = 2.0**-16  # relative error of the distances there
+_STEP = 1e-6  # of the value: smaller differences are no pole
+_GAP = 2.0**-40  # next to a pole, on its other side
+
+_CANDIDATES = 2**10  # points of the probe, of which a product takes the one with the largest value
+_LINES = 16  # points at which sums and products are tested before curves are made
+_SAME = 1e-7  # relative differences of g from what curves make of it
+_COMMON = 0.1  # of the values, which a constant beside a product has at least
+
+
+@final
+@dataclass(frozen=True)
+class Curve:
+    """A function of [0,1], less its mean, by polynomials on pieces, and by power laws next to poles.
+
+    Attributes
+    ----------
+    mean
+        Its mean, which is not in the coefficients.
+    low, high
+        Ends of the pieces, (P,).
+    start, width
+        The interval on which the polynomial of a piece is defined, (P,).
+    coefficients
+        Legendre coefficients, (P, 16).
+    tails
+        Of each power law: its ends, and the integrals of h and h² there, (T, 4).
+    places
+        Jumps, kinks and poles inside, (K,).
+    doubt
+        Error of ∫h².
+    exponent
+        Largest exponent of a pole; 0 without one.
+    """
+
+    mean: float
+    low: Array
+    high: Array
+    start: Array
+    width: Array
+    coefficients: Array
+    tails: Array
+    places: Array
+    doubt: float
+    exponent: float
+
+    def __call__(self, x: Array) -> Array:
+        """h at points; at places of power laws as the piece next to them is."""
+        x = np.asarray(x, float)
+        return self.mean + self._values(np.clip(self._piece(x), 0, None), x)
+
+    def _piece(self, x: Array) -> Array:
+        return np.searchsorted(self.low, x, side="right") - 1
+
+    def _values(self, piece: Array, x: Array) -> Array:
+        """The polynomials of these pieces, without the mean (Clenshaw)."""
+        y = np.clip(2.0 * (x - self.start[piece]) / self.width[piece] - 1.0, -1.0, 1.0)
+        c = self.coefficients
+        one, two = np.zeros(y.shape), np.zeros(y.shape)
+        for k in range(c.shape[1] - 1, 0, -1):
+            one, two = c[piece, k] + (2 * k + 1) / (k + 1) * y * one - (k + 1) / (k + 2) * two, one
+        return np.asarray(c[piece, 0] + y * one - 0.5 * two)
+
+    @cached_property
+    def square(self) -> float:
+        """∫(h − mean)²."""
+        return float(self.cells(1)[1][0])
+
+    def cells(self, count: int, offset: float = 0.0, order: int = _ORDER) -> tuple[Array, Array]:
+        """Means over cells (j + offset)/count, without `mean`, and mean squares about these: (count,) each.
+
+        The offset is on the torus, in units of the axis: from 0 to 1/count.
+        """
+        borders = np.sort((np.arange(count) / count + offset) % 1.0)
+        begin = np.sort(np.concatenate([self.low, borders[borders > 0.0]]))
+        piece = np.clip(self._piece(begin), 0, None)
+        end = np.minimum(np.append(begin[1:], 1.0), self.high[piece])
+        there = (end > begin) & (begin >= self.low[piece])
+        begin, end, piece = begin[there], end[there], piece[there]
+        node, weight = gauss_rule(order)
+        size = end - begin
+        x = begin[:, None] + size[:, None] * node
+        values = self._values(np.repeat(piece[:, None], order, axis=1), x)
+
+        def cell_of(middle: Array) -> Array:
+            found = np.floor(((middle - offset) % 1.0) * count).astype(np.int64)
+            return np.minimum(found, count - 1)
+
+        cell, tail_cell = cell_of(0.5 * (begin + end)), cell_of(self.tails[:, :2].mean(axis=1))
+        sums = np.bincount(cell, size * (values @ weight), count)
+        sums += np.bincount(tail_cell, self.tails[:, 2], count)
+        mean = sums * count
+        squares = np.bincount(cell, size * ((values - mean[cell, None]) ** 2 @ weight), count)
+        tail_size, first, second = self.tails[:, 1] - self.tails[:, 0], *self.tails[:, 2:].T
+        about = second - 2.0 * mean[tail_cell] * first + mean[tail_cell] ** 2 * tail_size
+        squares += np.bincount(tail_cell, about, count)
+        return mean, squares * count
+
+    @staticmethod
+    def along(
+        function: Callable[[Array], Array], ends: Sequence[float] = (), rounding: float = 0.0
+    ) -> Curve | None:
+        """The curve of a function of x (N,), cut at `ends`; None where it does not settle.
+
+        Last coefficients of a piece that are no more than `rounding` count as settled.
+        """
+        node, _ = gauss_rule(_ORDER)
+        y = 2.0 * node - 1.0
+        transform = np.linalg.inv(np.polynomial.legendre.legvander(y, _ORDER - 1))
+        edges = np.unique([*np.linspace(0.0, 1.0, _PIECES + 1), *(e for e in ends if 0 < e < 1)])
+        low, high = edges[:-1], edges[1:]
+        done: list[tuple[Array, Array, Array]] = []
+        rough: list[tuple[float, float, float]] = []
+        used, energy = 0, 0.0
+        while len(low):
+            used += low.size * _ORDER
+            if used > _MOST_NODES:
+                return None
+            width = high - low
+            x = np.minimum(low[:, None] + width[:, None] * node, BELOW_ONE)
+            with np.errstate(all="ignore"):
+                values = np.asarray(function(x.ravel()), float).reshape(x.shape)
+            finite = np.isfinite(values)
+            values = np.where(finite, values, 0.0)
+            with np.errstate(over="ignore"):
+                energy = max(energy, float((width * (values**2).mean(axis=1)).sum()))
+            coefficients = values @ transform.T
+            largest = np.abs(coefficients).max(axis=1)
+            last = np.abs(coefficients[:, -3:]).max(axis=1)
+            with np.errstate(over="ignore"):
+                small = width * largest * last <= _NEGLIGIBLE * energy
+                small &= last <= _SMALL * math.sqrt(energy)
+            # Doubles are as far apart as 2^-53 of the place, by which nodes are off
+            noise = _SETTLED + _ROUNDED * high / width
+            settled = (last <= noise * largest + rounding) | small
+            settled &= finite.all(axis=1)
+            least = np.where(low == 0.0, _LEAST_AT_0, _LEAST)
+            end = ~settled & (width <= least)
+            sizes = np.where(finite, np.abs(values), np.inf).max(axis=1)
+            rough += zip(low[end].tolist(), high[end].tolist(), sizes[end].tolist(), strict=True)
+            settled |= end
+            done.append((low[settled], high[settled], coefficients[settled]))
+            middle = 0.5 * (low + high)[~settled]
+            low, high = (
+                np.stack(both, axis=1).ravel()
+                for both in ((low[~settled], middle), (middle, high[~settled]))
+            )
+        low, high, coefficients = (np.concatenate(each) for each in zip(*done, strict=True))
+        order = np.argsort(low)
+        low, high, coefficients = low[order], high[order], coefficients[order]
+        start, width = low.copy(), high - low
+
+        # Places where there may be poles: ends, and where pieces do not settle, several of which may be one
+        rough += [(e, e, 0.0) for e in (0.0, *(e for e in ends if 0.0 < e < 1.0), 1.0)]
+        clusters: list[list[tuple[float, float, float]]] = []
+        for piece in sorted(rough):
+            if clusters and piece[0] - clusters[-1][-1][1] <= _GAP:
+                clusters[-1].append(piece)
+            else:
+                clusters.append([piece])
+        places = []
+        for cluster in clusters:
+            a, b, _ = max(cluster, key=lambda piece: piece[2])  # the largest values
+            places.append(
+                0.0 if cluster[0][0] == 0.0 else 1.0 if cluster[-1][1] == 1.0 else 0.5 * (a + b)
+            )
+        tails, doubt, exponent = [], 0.0, 0.0
+        for place in places:
+            for way in (1.0, -1.0):
+                if (place == 0.0 and way < 0.0) or (place == 1.0 and way > 0.0):
+                    continue
+                logs = _NEAR_0 if place == 0.0 else _INSIDE
+                at = place + way * 0.5 ** np.array(logs, float)
+                distance = np.abs(at - place)
+                # Of A t^-a + B the differences at distances in equal ratios have one ratio
+                with np.errstate(all="ignore"):
+                    value = np.asarray(function(at), float)
+                    steps = np.diff(value)
+                    ratios = np.diff(np.log(distance))[1:]
+                    slopes = -np.log(steps[1:] / steps[:-1]) / ratios
+                a, before = float(slopes[-1]), float(slopes[-2])
+                if not a > _POLE or abs(steps[-1]) < _STEP * abs(value[-1]):
+                    continue
+                exponent = max(exponent, a)
+                if a >= DIVERGES:
+                    continue
+                size, last = float(distance[-1]), float(distance[-2])
+                pole = float(steps[-1]) / (1.0 - (last / size) ** -a)  # A ε^-a
+                rest = float(value[-1]) - pole
+                power, square = size * pole / (1.0 - a), size * pole**2 / (1.0 - 2.0 * a)
+                first, second = power + rest * size, square + 2.0 * power * rest + rest**2 * size
+                off = 2.0 * abs(a - before) + (place != 0.0) * _PLACE
+                doubt += square * off / (1.0 - 2.0 * a)
+                begin, stop = (place, place + size) if way > 0.0 else (place - size, place)
+                tails.append((begin, stop, first, second))
+                # The pieces end where the power law begins, and next to the place on the other side
+                wide = (begin, min(stop + (way < 0.0) * _GAP, 1.0))
+                wide = (max(0.0, begin - (way > 0.0) * _GAP), stop) if way > 0.0 else wide
+                cut_low = (low >= wide[0]) & (low < wide[1])
+                cut_high = (high > wide[0]) & (high <= wide[1])
+                low, high = np.where(cut_low, wide[1], low), np.where(cut_high, wide[0], high)
+        # Kinks, where pieces are narrow: in the narrowest of neighbors
+        narrow = np.flatnonzero(width < _KINK)
+        for some in np.split(narrow, np.flatnonzero(np.diff(start[narrow]) > _KINK) + 1):
+            if some.size:
+                kink = float((start + 0.5 * width)[some[width[some].argmin()]])
+                if all(abs(kink - place) > _KINK for place in places):
+                    places.append(kink)
+        inside = np.array([p for p in places if 0.0 < p < 1.0])
+        keep = high > low
+        tail = np.array(tails, float).reshape(-1, 4)
+        raw = Curve(
+            0.0, low[keep], high[keep], start[keep], width[keep], coefficients[keep], tail,
+            inside, doubt, exponent,
+        )  # fmt: skip
+        mean = float(raw.cells(1)[0][0])
+        centered = raw.coefficients.copy()
+        centered[:, 0] -= mean
+        size = tail[:, 1] - tail[:, 0]
+        tail = np.stack([
+            tail[:, 0], tail[:, 1], tail[:, 2] - mean * size,
+            tail[:, 3] - 2.0 * mean * tail[:, 2] + mean**2 * size,
+        ], axis=1)  # fmt: skip
+        return replace(raw, mean=mean, coefficients=centered, tails=tail)
+
+
+@final
+@dataclass(frozen=True)
+class Separable:
+    """c + Σ_i h_i(x_i) or c + Π_i h_i(x_i), of one channel.
+
+    Attributes
+    ----------
+    curves
+        The functions of the axes.
+    product
+        Whether they are multiplied, not added.
+    constant
+        c, which is 0 for sums.
+    """
+
+    curves: tuple[Curve, ...]
+    product: bool
+    constant: float = 0.0
+
+    @property
+    def diverges(self) -> bool:
+        """Whether ∫g² is infinite."""
+        return any(curve.exponent >= DIVERGES for curve in self.curves)
+
+    @cached_property
+    def mean(self) -> float:
+        """∫g."""
+        means = [curve.mean for curve in self.curves]
+        return self.constant + float(np.prod(means) if self.product else np.sum(means))
+
+    @cached_property
+    def spread(self) -> tuple[float, float]:
+        """∫(g − ∫g)² and its error."""
+        if not self.product:
+            return (
+                float(sum(c.square for c in self.curves)),
+                float(sum(c.doubt for c in self.curves)),
+            )
+        means = np.array([curve.mean for curve in self.curves])
+        squares = np.array([curve.square for curve in self.curves])
+        whole = math.prod((means**2 + squares).tolist())
+        off = [
+            c.doubt / max(m**2 + s, 1e-300)
+            for c, m, s in zip(self.curves, means, squares, strict=True)
+        ]
+        value = 0.0  # of the axes so far, by adding one after the other: nothing cancels
+        for done in range(len(means)):
+            rest = math.prod((means[:done] ** 2).tolist())
+            value += (
+                rest
+                * squares[done]
+                * math.prod((means + 0.0)[done + 1 :] ** 2 + squares[done + 1 :])
+            )
+        return float(value), whole * float(sum(off))
+
+    def __call__(self, x: Array) -> Array:
+        """Its values at points (…, d)."""
+        parts = [curve(x[..., i]) for i, curve in enumerate(self.curves)]
+        return np.asarray(
+            self.constant + (np.prod(parts, axis=0) if self.product else np.sum(parts, axis=0))
+        )
+
+
+def separated(g: Integrand) -> tuple[Separable, ...] | None:
+    """g as sums or products of functions of one axis, one for each channel; None if it is not one."""
+    cache = g._cache
+    if cache.separable is None:
+        found = None
+        if not g.costly:
+            with contextlib.suppress(ParameterError):  # a line that meets a pole
+                found = [_separated(g, c) for c in range(max(1, g.channels))]
+        whole = found is not None and all(each is not None for each in found)
+        cache.separable = tuple(found) if whole and found is not None else ()
+    return cache.separable or None
+
+
+def _separated(g: Integrand, channel: int) -> Separable | None:
+    d = g.dims
+    cut = looked_at(g)
+
+    def value(x: Array) -> Array:
+        with np.errstate(all="ignore"):
+            return values_at(g, x)[..., channel]
+
+    def each(x: Array) -> Array:
+        """Values, NaN at points where g has none."""
+        try:
+            return value(x)
+        except ParameterError:
+            if len(x) == 1:
+                return np.full(1, np.nan)
+            half = len(x) // 2
+            return np.concatenate([each(x[:half]), each(x[half:])])
+
+    def line(
+        z: Array, axis: int, constant: float, origin: float, product: bool
+    ) -> Callable[[Array], Array]:
+        """The function of an axis on the line through z; that of the first one has g(z)."""
+
+        def at(x: Array) -> Array:
+            points = np.repeat(z[None], len(x), axis=0)
+            points[:, axis] = np.minimum(x, BELOW_ONE)
+            found = each(points) - constant
+            if axis == 0:
+                return found
+            return found / origin if product else found - origin
+
+        return at
+
+    # Test sums and products at a few points, before there are any curves
+    some = probe(d)[:_CANDIDATES]
+    values = value(some)
+    if not np.isfinite(values).all():
+        return None
+    order = np.argsort(np.abs(values - np.median(values)))
+    few = np.concatenate([np.arange(_LINES), order[-_LINES:]])
+    tested, of_tested = some[few], values[few]
+    common, counts = np.unique(values, return_counts=True)
+    most = int(counts.argmax())
+    constants = [0.0, *([float(common[most])] if counts[most] > _COMMON * len(values) else [])]
+    middle = some[order[0]]
+    tries = [(False, 0.0, middle)]
+    tries += [(True, c, some[int(np.abs(values - c).argmax())]) for c in constants if d > 1]
+    for product, constant, z in tries:
+        origin = float(value(z[None])[0]) - constant
+        if product and origin == 0.0:
+            continue
+        moved = np.repeat(z[None], d * len(tested), axis=0).reshape(d, len(tested), d)
+        for axis in range(d):
+            moved[axis, :, axis] = tested[:, axis]
+        parts = value(moved) - constant
+        if product:
+            made = origin * np.prod(parts / origin, axis=0)
+            size = np.abs(of_tested) + np.abs(made)
+        else:
+            made = origin + np.sum(parts - origin, axis=0)
+            size = np.abs(of_tested) + np.abs(parts).sum(axis=0) + d * abs(origin)
+        if not (np.abs(of_tested - constant - made) <= _SAME * size).all():
+            continue
+
+        # Curves, that of the first axis with the size of all
+        curves = []
+        for axis in range(d):
+            curve = Curve.along(line(z, axis, constant, origin, product), cut.breaks[axis])
+            if curve is None:
+                break
+            curves.append(curve)
+        if len(curves) < d:
+            continue
+        found = Separable(tuple(curves), product, constant)
+        if found.diverges:
+            return found
+        all_points = probe(d)
+        given, said = each(all_points), found(all_points)
+        scale = np.abs(given) + math.sqrt(found.spread[0] + found.mean**2)
+        if (np.abs(given - said) <= _SAME * scale).all():
+            return found
+    return None
