@@ -234,24 +234,25 @@ def of_integrand(
         As `exact_variance`, the error is more than `tolerance` times the variance, or a rule would
         take more than about `most` evaluations.
     """
-    g = looked_at(g)
-    if law.uniform and not (in_closed_form(g) or g.costly):
-        if beyond_points(g).any() and separated(g):
-            with contextlib.suppress(NoClosedForm):  # cells do not follow poles as lines do
+    g, lines = looked_at(g), False
+    if not (in_closed_form(g) or g.costly):
+        # Lines follow poles and waves as cells do not, at a small part of their cost
+        lines = beyond_points(g).any() or (most >= MOST_EVALUATIONS and g.dims > 1)
+        if lines and separated(g):
+            with contextlib.suppress(NoClosedForm):
                 return _within(_by_axes(law, g), law, g, tolerance)
-        square, _ = square_integral(g)
+        square, _ = square_integral(g) if law.uniform else (np.zeros(1), 0)
         if np.isinf(square).all():  # one point next to the pole outweighs all others
             return square, np.zeros(len(square))
     try:
         return _by_cells(law, g, tolerance, most)
-    except NoClosedForm:
-        if most < MOST_EVALUATIONS or g.costly or not separated(g):
+    except NoClosedForm as refusal:
+        if most < MOST_EVALUATIONS or g.costly or lines or not separated(g):
             raise
         try:
             return _within(_by_axes(law, g), law, g, tolerance)
         except NoClosedForm:
-            pass
-        raise
+            raise refusal from None
 
 
 def _by_cells(law: Law, g: Integrand, tolerance: float, most: float) -> tuple[Array, Array]:
@@ -540,7 +541,7 @@ def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]
                     value += of_offset.square
                     error += _SMALLEST * curve.square / n
                     continue
-            finest = n * max(8, 4 * (_MOST_CELLS // (4 * n))) if even else 4 * _MOST_CELLS
+            finest = n * max(8, 4 * (_MOST_CELLS // (4 * n))) if even else 2 * _MOST_CELLS
             for size in (finest, finest // 2, finest // 4):
                 means, spreads = curve.cells(size, 0.0, _FEW)
                 energy = 2.0 * np.abs(np.fft.rfft(means) / size) ** 2
