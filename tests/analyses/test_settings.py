@@ -7,12 +7,12 @@ import pytest
 
 import mcspectra
 
-ROOMS = ("measure", "explain")
+ROOMS = ("measure", "prediction", "explain", "improve", "improve/designs", "profiler")
 # Numbers that no algorithm is tuned by: limits of float64, levels of intervals, rates of theory, labels of streams, the
 # tile of a kernel, a definition
 FACTS = {
     *("_EDGE", "_LEVEL", "_SIDE", "_RATES", "_TILE", "_START", "_PARTNER", "_ORDER", "_UNIFORM"),
-    *("EFFECTIVE_SHARE", "UNDECIDED", "SHARED_SETS"),
+    *("EFFECTIVE_SHARE", "UNDECIDED", "SHARED_SETS", "_PILOTS", "_PARTS", "_VERSION"),
 }
 MODULES = [
     path for room in ROOMS for path in sorted((Path(mcspectra.__file__).parent / room).glob("*.py"))

@@ -266,12 +266,13 @@ def beyond_points(g: Integrand) -> Array:
     none = np.zeros(max(1, g.channels))
     if g.costly or in_closed_form(g):
         return none
-    if "_largest" not in g.__dict__ and unbounded(g):
+    cache = g._cache
+    if cache.largest is None and unbounded(g):
         values = np.abs(g(probe(g.dims)).reshape(PROBE, -1))
-        g.__dict__["_largest"] = -np.sort(-values, axis=0)[:_TOP]
-    if "_largest" not in g.__dict__:
+        cache.largest = -np.sort(-values, axis=0)[:_TOP]
+    if cache.largest is None:
         return none
-    top = np.maximum(g.__dict__["_largest"], 1e-300)
+    top = np.maximum(cache.largest, 1e-300)
     first, second = (np.log(top[a - 1] / top[b - 1]) for a, b in ((4, 32), (32, 256)))
     power = first / math.log(8.0)
     heavy = (power > _HEAVY) & (first > _AS_POWER * second)
@@ -288,7 +289,7 @@ def constant(g: Integrand) -> str:
         return ""
     values = g(probe(g.dims)).reshape(PROBE, -1)
     largest = np.partition(np.abs(values), PROBE - _TOP, axis=0)[PROBE - _TOP :]
-    g.__dict__["_largest"] = np.sort(largest, axis=0)[::-1]
+    g._cache.largest = np.sort(largest, axis=0)[::-1]
     if np.ptp(values, axis=0).any():
         return ""
     return (
@@ -535,12 +536,15 @@ def unbounded(g: Integrand) -> bool:
 
 
 def _growth(g: Integrand) -> tuple[Array, bool]:
-    kept: dict[str, tuple[Array, bool]] = g.__dict__
-    if "_growth" in kept:
-        return kept["_growth"]
+    if g._cache.growth is None:
+        g._cache.growth = _seen_growth(g)
+    return g._cache.growth
+
+
+def _seen_growth(g: Integrand) -> tuple[Array, bool]:
     found, grows = np.zeros(max(1, g.channels)), False
     if _inside(g)[1] or in_closed_form(g) or g.costly:
-        return kept.setdefault("_growth", (found, grows))
+        return found, grows
     lines = probe(g.dims)[:_GROWTH_LINES]
     for axis in range(g.dims):
         ends = [(0.0, 1.0, _FAR), (1.0, -1.0, _NEAR)]
@@ -555,4 +559,4 @@ def _growth(g: Integrand) -> tuple[Array, bool]:
             steady = (np.ptp(slope[:, -2:], axis=1) < _STEADY) & (slope[:, -1] > _STEADY)
             found = np.maximum(found, np.where(steady, slope[:, -1], 0.0).max(axis=0))
             grows |= bool((rise > _RISES).all(axis=1).any())
-    return kept.setdefault("_growth", (found, grows))
+    return found, grows

@@ -136,6 +136,15 @@ class IntegrandCache:
         (`mcspectra.estimators.quadrature.unseen`).
     square
         ∫ f² and its absolute error (`mcspectra.estimators.quadrature.square_integral`).
+    growth
+        Largest exponents of poles across an axis, and whether f grows without end
+        (`mcspectra.estimators.quadrature.growth`).
+    largest
+        Largest values at the points of the probe, in descending order
+        (`mcspectra.estimators.quadrature.beyond_points`).
+    separable
+        f as sums or products of functions of one axis, one for each channel; empty if it is not one
+        (`mcspectra.prediction.separable.separated`).
     """
 
     integral: Estimate | None = None
@@ -146,6 +155,9 @@ class IntegrandCache:
     moments: tuple[Array, Array, Array, Array] | None = None
     unseen_square: Array | None = None
     square: tuple[Array, Array] | None = None
+    growth: tuple[Array, bool] | None = None
+    largest: Array | None = None
+    separable: tuple[Any, ...] | None = None
 
 
 class Integrand(Component, ABC):

@@ -246,6 +246,9 @@ def of_quadrature(
 ) -> Predicted:
     """The exact variance, to the error of its quadrature; shifted strata are cheaper on the torus."""
     g = known.g
+    if lines_suffice(known):
+        found = of_integrand(law, g, settings.tolerance, settings.evaluations)
+        return Predicted(*found, "quadrature")
     dear = not in_closed_form(g) or sum(map(len, g.breaks)) > settings.most_breaks
     if g.dims > 1 and isinstance(law, Shifted) and dear:
         raise NoClosedForm("A quadrature for every offset of the strata would take long.")
@@ -253,17 +256,9 @@ def of_quadrature(
     return Predicted(*found, "quadrature")
 
 
-def of_poles(
-    law: Law,
-    known: Known,
-    stream: Stream,  # noqa: ARG001
-    settings: QuadratureSettings = _QUADRATURE_SETTINGS,
-) -> Predicted:
-    """The exact variance of an unbounded sum or product of functions of one axis, from lines."""
-    if not (known.unresolved.any() and separated(known.g)):
-        raise NoClosedForm("g is bounded, or no sum or product of functions of one axis.")
-    found = of_integrand(law, known.g, settings.tolerance, settings.evaluations)
-    return Predicted(*found, "quadrature")
+def lines_suffice(known: Known) -> bool:
+    """Whether g has poles, and one line along each axis says all about it."""
+    return bool(known.unresolved.any()) and separated(known.g) is not None
 
 
 def of_divergence(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
@@ -406,7 +401,7 @@ class Method:
         A method that is asked for by its name is tried always.
     ahead
         Whether ``auto`` tries it at counts beyond those that were asked for, which show the limit of
-        rates: it draws no sets, and is cheap at large n.
+        rates: it draws no sets, and is cheap at large n. Facts about g may have to be found for that.
     enough
         Half interval, relative to the variance, up to which ``auto`` takes its prediction without
         trying the next method.
@@ -496,12 +491,12 @@ _QUADRATURE = Method(
     summary="closed form, or quadrature over strata or levels, as in `exact_variance`",
     predict=of_quadrature,
     applies=lambda _, known: not known.costly,
+    ahead=lambda _, known: lines_suffice(known),
     cost=_cost_of_quadrature,
     of_estimator=_exactly,
 )
 
 METHODS: tuple[Method, ...] = (
-    replace(_QUADRATURE, predict=of_poles, applies=lambda *_: True, ahead=lambda *_: True),
     _QUADRATURE,
     Method(
         name="exact",
@@ -535,6 +530,7 @@ METHODS: tuple[Method, ...] = (
         applies=lambda law, known: (
             known.costly and not (_mirrored(law) or moves_resolve(law, known))
         ),
+        ahead=lambda *_: False,
     ),
     Method(
         name="subsets",
@@ -1104,7 +1100,8 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
         used = name if name in NAMES else NAMES[0]
         return Predicted(none, none, "the same at all points", method=used)
     # A method that is asked for by its name might give a number
-    if name in NAMES and law.uniform and known.diverges.any():
+    by_name = name in NAMES and law.uniform
+    if by_name and known.diverges.any():
         infinite = np.where(known.diverges, math.inf, math.nan)
         return Predicted(infinite, infinite, "∫g² = ∞", 0.0, infinite, name)
 
@@ -1120,7 +1117,7 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
         # One method may see what others do not: none knows more than the probe
         if np.isfinite(found.variance).all():
             error = np.maximum(found.error, known.unseen / law.n)
-            if method.name != "exact":
+            if method.name != _QUADRATURE.name:
                 error = error + known.unresolved / law.n
             found = replace(found, error=error)
         if best is None or found.error.sum() < best.error.sum():
@@ -1130,6 +1127,8 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
             break
     if best is not None:
         return best
+    if by_name and np.isinf(known.square[0]).any():
+        return replace(of_divergence(law, known, stream), method=_QUADRATURE.name)
     if not _mirrored(law):
         raise reason
     return _of_the_set_inside(law, known, stream, name)

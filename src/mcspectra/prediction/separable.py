@@ -335,15 +335,15 @@ class Separable:
 
 def separated(g: Integrand) -> tuple[Separable, ...] | None:
     """g as sums or products of functions of one axis, one for each channel; None if it is not one."""
-    if "_separable" not in g.__dict__:
+    cache = g._cache
+    if cache.separable is None:
         found = None
         if not g.costly:
             with contextlib.suppress(ParameterError):  # a line that meets a pole
                 found = [_separated(g, c) for c in range(max(1, g.channels))]
         whole = found is not None and all(each is not None for each in found)
-        g.__dict__["_separable"] = tuple(found) if whole and found is not None else None
-    kept: tuple[Separable, ...] | None = g.__dict__["_separable"]
-    return kept
+        cache.separable = tuple(found) if whole and found is not None else ()
+    return cache.separable or None
 
 
 def _separated(g: Integrand, channel: int) -> Separable | None:
