@@ -7,7 +7,7 @@ import pytest
 
 import mcspectra
 
-ROOMS = ("measure", "prediction", "explain", "improve", "improve/designs", "profiler")
+ROOMS = ("measure", "explain", "improve", "improve/designs", "profiler")
 # Numbers that no algorithm is tuned by: limits of float64, levels of intervals, rates of theory, labels of streams, the
 # tile of a kernel, a definition
 FACTS = {
