@@ -104,11 +104,11 @@ def of_quadrature(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa:
     """The exact variance, to the error of its quadrature; shifted strata are cheaper on the torus."""
     g = known.g
     if known.unresolved.any() and separated(g):  # one line for each axis
-        return Predicted(*of_integrand(law, g, _TOLERANCE, _EVALUATIONS), "quadrature")
+        return Predicted(*of_integrand(law, g, _TOLERANCE, _EVALUATIONS), "quadrature", poles=True)
     dear = not in_closed_form(g) or sum(map(len, g.breaks)) > _MOST_BREAKS
     if g.dims > 1 and isinstance(law, Shifted) and dear:
         raise NoClosedForm("A quadrature for every offset of the strata would take long.")
-    return Predicted(*of_integrand(law, g, _TOLERANCE, _EVALUATIONS), "quadrature")
+    return Predicted(*of_integrand(law, g, _TOLERANCE, _EVALUATIONS), "quadrature", poles=True)
 
 
 def of_limits(law: Law, known: Known, stream: Stream) -> Predicted:
@@ -768,7 +768,7 @@ def _by_methods(law: Law, known: Known, stream: Stream, methods: Methods) -> Pre
             # One method may see what others do not: none knows more than the probe
             if np.isfinite(found.variance).all():
                 error = np.maximum(found.error, known.unseen / n)
-                if name != "exact":
+                if not found.poles:
                     error = error + known.unresolved / n
                 found = replace(found, error=error)
             if best is None or found.error.sum() < best.error.sum():
