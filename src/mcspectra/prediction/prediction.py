@@ -248,12 +248,12 @@ def of_quadrature(
     g = known.g
     if lines_suffice(known):
         found = of_integrand(law, g, settings.tolerance, settings.evaluations)
-        return Predicted(*found, "quadrature")
+        return Predicted(*found, "quadrature", poles=True)
     dear = not in_closed_form(g) or sum(map(len, g.breaks)) > settings.most_breaks
     if g.dims > 1 and isinstance(law, Shifted) and dear:
         raise NoClosedForm("A quadrature for every offset of the strata would take long.")
     found = of_integrand(law, g, settings.tolerance, settings.evaluations)
-    return Predicted(*found, "quadrature")
+    return Predicted(*found, "quadrature", poles=True)
 
 
 def lines_suffice(known: Known) -> bool:
@@ -1117,7 +1117,7 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
         # One method may see what others do not: none knows more than the probe
         if np.isfinite(found.variance).all():
             error = np.maximum(found.error, known.unseen / law.n)
-            if method.name != _QUADRATURE.name:
+            if not found.poles:
                 error = error + known.unresolved / law.n
             found = replace(found, error=error)
         if best is None or found.error.sum() < best.error.sum():
