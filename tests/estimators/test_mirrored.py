@@ -319,7 +319,7 @@ def test_exact_variances_of_the_study():
     cell = study["exact_variance"].sel(mirroring="uniform", homogenized=True, n=4)
     uniform = mcs.Mirrored(SMOOTH_1D, "uniform")
     assert float(cell) == mcs.exact_variance(uniform, "jittered | shift", 4)
-    blank = mcs.improve.mirror_study(SMOOTH_1D, "sobol", [4], realizations=2, exact=True)
+    blank = mcs.improve.mirror_study(SMOOTH_1D, "poisson-disk", [4], realizations=2, exact=True)
     assert np.isnan(blank["exact_variance"]).all()
 
 
