@@ -54,6 +54,8 @@ class Predicted:
         Part of `variance` that stands for the rest, in the same units as `variance`.
     method
         Name of the method in `METHODS`, which the loop over them fills in.
+    poles
+        Whether `error` covers poles of g that tables and points do not reach.
     """
 
     variance: Array
@@ -62,6 +64,7 @@ class Predicted:
     share: Array | float = 1.0
     tail: Array | float = 0.0
     method: str = ""
+    poles: bool = False
 
 
 @final

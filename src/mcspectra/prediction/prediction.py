@@ -246,14 +246,11 @@ def of_quadrature(
 ) -> Predicted:
     """The exact variance, to the error of its quadrature; shifted strata are cheaper on the torus."""
     g = known.g
-    if lines_suffice(known):
-        found = of_integrand(law, g, settings.tolerance, settings.evaluations)
-        return Predicted(*found, "quadrature")
-    dear = not in_closed_form(g) or sum(map(len, g.breaks)) > settings.most_breaks
-    if g.dims > 1 and isinstance(law, Shifted) and dear:
+    costs_much = not in_closed_form(g) or sum(map(len, g.breaks)) > settings.most_breaks
+    if g.dims > 1 and isinstance(law, Shifted) and costs_much and not lines_suffice(known):
         raise NoClosedForm("A quadrature for every offset of the strata would take long.")
     found = of_integrand(law, g, settings.tolerance, settings.evaluations)
-    return Predicted(*found, "quadrature")
+    return Predicted(*found, "quadrature", poles=True)
 
 
 def lines_suffice(known: Known) -> bool:
@@ -1101,8 +1098,7 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
         return Predicted(none, none, "the same at all points", method=used)
 
     # A method that is asked for by its name might give a number
-    by_name = name in NAMES and law.uniform
-    if by_name and known.diverges.any():
+    if name in NAMES and law.uniform and known.diverges.any():
         infinite = np.where(known.diverges, math.inf, math.nan)
         return Predicted(infinite, infinite, "∫g² = ∞", 0.0, infinite, name)
 
@@ -1118,7 +1114,7 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
         # One method may see what others do not: none knows more than the probe
         if np.isfinite(found.variance).all():
             error = np.maximum(found.error, known.unseen / law.n)
-            if method.name != _QUADRATURE.name:
+            if not found.poles:
                 error = error + known.unresolved / law.n
             found = replace(found, error=error)
         if best is None or found.error.sum() < best.error.sum():
@@ -1128,8 +1124,6 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
             break
     if best is not None:
         return best
-    if by_name and np.isinf(known.square[0]).any():
-        return replace(of_divergence(law, known, stream), method=_QUADRATURE.name)
     if not _mirrored(law):
         raise reason
     return _of_the_set_inside(law, known, stream, name)
