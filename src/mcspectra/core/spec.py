@@ -237,4 +237,5 @@ def _literal_advice(value: str) -> str:
         return f"write {constants[value.lower()]}"
     if _WORD.fullmatch(value) and value.lower() not in _NO_NUMBERS and len(value) <= _MAX_SHOWN:
         return f"write {value!r} in quotes"
-    return "give a number, a quoted string, True, False, None, or a list of those"
+    given = "give a finite number" if value.lower().lstrip("+-") in _NO_NUMBERS else "give a number"
+    return f"{given}, a quoted string, True, False, None, or a list of those"

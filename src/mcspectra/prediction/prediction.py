@@ -246,11 +246,8 @@ def of_quadrature(
 ) -> Predicted:
     """The exact variance, to the error of its quadrature; shifted strata are cheaper on the torus."""
     g = known.g
-    if lines_suffice(known):
-        found = of_integrand(law, g, settings.tolerance, settings.evaluations)
-        return Predicted(*found, "quadrature", poles=True)
-    dear = not in_closed_form(g) or sum(map(len, g.breaks)) > settings.most_breaks
-    if g.dims > 1 and isinstance(law, Shifted) and dear:
+    costs_much = not in_closed_form(g) or sum(map(len, g.breaks)) > settings.most_breaks
+    if g.dims > 1 and isinstance(law, Shifted) and costs_much and not lines_suffice(known):
         raise NoClosedForm("A quadrature for every offset of the strata would take long.")
     found = of_integrand(law, g, settings.tolerance, settings.evaluations)
     return Predicted(*found, "quadrature", poles=True)
@@ -1100,8 +1097,7 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
         used = name if name in NAMES else NAMES[0]
         return Predicted(none, none, "the same at all points", method=used)
     # A method that is asked for by its name might give a number
-    by_name = name in NAMES and law.uniform
-    if by_name and known.diverges.any():
+    if name in NAMES and law.uniform and known.diverges.any():
         infinite = np.where(known.diverges, math.inf, math.nan)
         return Predicted(infinite, infinite, "∫g² = ∞", 0.0, infinite, name)
 
@@ -1127,8 +1123,6 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
             break
     if best is not None:
         return best
-    if by_name and np.isinf(known.square[0]).any():
-        return replace(of_divergence(law, known, stream), method=_QUADRATURE.name)
     if not _mirrored(law):
         raise reason
     return _of_the_set_inside(law, known, stream, name)
