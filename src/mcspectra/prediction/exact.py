@@ -133,7 +133,8 @@ def exact_variance(
         Any estimator with one of: random, jittered, regular, uniform-jitter, each alone or with
         shift or strata-shift, and with mirror; antithetic-jittered; latin-hypercube, alone or with
         shift; nets and sequences such as sobol or halton with owen, and those in base 2 with digital-shift. Latin hypercubes and nets take cells,
-        about n to a side: some thousands of points in 2-D, some tens in 3-D.
+        about n to a side: some thousands of points in 2-D, some tens in 3-D. Sums and products of
+        functions of one axis are answered in any dims, also with orthogonal arrays and shifted sets.
     dims
         Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
         that is not a spec.
