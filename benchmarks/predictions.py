@@ -61,11 +61,15 @@ class Group:
 
 @dataclass(frozen=True)
 class Tail:
-    """An unbounded function h of one variable, with its integral from 0 to u and that of its square."""
+    """An unbounded function h of one variable, with its integral from 0 to u and that of its square.
+
+    `even`: h(1 − u) = h(u), so that values next to 1 can be found from the precise distance to 1.
+    """
 
     h: Callable[[Array], Array]
     integral_to: Callable[[Array], Array]
     square: float
+    even: bool = False
 
     @property
     def mean(self) -> float:
@@ -88,7 +92,14 @@ class Tail:
     def grid_variance(self, n: int) -> float:
         """Variance of the mean over a grid of n points with one uniform offset within a cell."""
         nodes, weights = _ends_rule()
-        x = (np.arange(n)[:, None] + nodes) / n
+        k, half = np.arange(n)[:, None], n // 2
+        if self.even:
+            # The upper half of the grid, reflected: 1 − (k + t)/n = (n − 1 − k + 1 − t)/n
+            low = nodes[: len(nodes) // 2]
+            reflected = np.concatenate([1.0 - low, low])
+            x = np.concatenate([k[:half] + nodes, k[: n - half] + reflected]) / n
+        else:
+            x = (k + nodes) / n
         return float(weights @ self.h(np.clip(x, 1e-300, 1 - 2.0**-53)).mean(axis=0) ** 2) - (
             self.mean**2
         )
@@ -120,7 +131,7 @@ def power_tail(a: float) -> Tail:
 
 
 TAILS = {
-    "t3": Tail(_student, _student_to, 3.0),
+    "t3": Tail(_student, _student_to, 3.0, even=True),
     "root": power_tail(0.4),
     "fourth-root": power_tail(0.25),
     "lognormal": Tail(

@@ -31,7 +31,12 @@ def statistics(sampler, realizations, seed):
     one = mcs.spectra.power_at(sampler, N, [[1, 2]], **options)
     figures = mcs.quality_figures(sampler, N, figures=["relative_minimum_distance"], **options)
     (figure,) = mcs.quality.summarize(figures)
+    counted = mcs.predict(
+        f, sampler, [N], method="pair-correlation", realizations=realizations, rng=seed
+    )
+    bottom, top = counted["predicted_variance_ci"].values[0]
     return {
+        "counted pairs": (counted["predicted_variance"][0], (top - bottom) / (2 * 2.36)),
         "ring": (spectrum["radial_power"][2], spectrum["radial_power_se"][2]),
         "exponent": (fit["low_frequency_exponent"], (high - low) / 4),
         "pairs": (pairs["pair_correlation"], pairs["pair_correlation_se"]),

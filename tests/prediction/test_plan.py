@@ -102,11 +102,11 @@ def test_plans_have_intervals():
     low, high = found["planned_n_ci"].values.T
     assert (low <= found["planned_n"]).all()
     assert (found["planned_n"] <= high).all()
-    kink = mcs.Integrand.from_function(lambda x: np.abs(x.sum(axis=-1) - 2), dims=4)
-    wide = mcs.plan(kink, "sobol | owen", target_error=3e-3)
+    edge = mcs.integrand("half-space(normal=[1.0, 0.77, 0.63, 0.53], offset=1.3)", dims=4)
+    wide = mcs.plan(edge, "perturbed-lattice | shift", target_error=1e-2)
     low, high = wide["planned_n_ci"].values
     assert high > 1.25 * low
-    assert f"({low:.0f} to {high:.0f}) with sobol" in wide.attrs["recommendation"]
+    assert f"({low:.0f} to {high:.0f}) with perturbed-lattice" in wide.attrs["recommendation"]
     assert f"({low:.0f} … {high:.0f})" in str(describe("prediction", wide).panels[0].marks)
 
 

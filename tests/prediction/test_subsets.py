@@ -12,7 +12,6 @@ import mcspectra as mcs
 from mcspectra.core.errors import NoClosedForm
 from mcspectra.core.streams import Stream
 from mcspectra.prediction.known import Known
-from mcspectra.prediction.prediction import ExtrapolationSettings
 from mcspectra.prediction.subsets import of_subsets
 
 RESOLVED = 0.01  # relative error of curves with jumps that the method itself allows for
@@ -235,15 +234,15 @@ def test_channels():
         assert abs(found.variance[c] - alone.variance[0]) <= alone.error[0]
 
 
-def test_a_fit_that_runs_away_where_no_point_is_does_not_predict(use_settings):
-    use_settings(extrapolated=ExtrapolationSettings(near_points=2**16))
+def test_a_fit_that_runs_away_where_no_point_is_does_not_predict():
     # Products of twelve axes had a tenth of their energy at the border, and nets six times the variance
     f = oracles.asian_option(12)
     found = mcs.predict(f, "sobol | owen", [256])
     points = mcs.sampler("sobol | owen", dims=12).draw(256, realizations=400, rng=1)
     measured = f(points).mean(axis=1).var(ddof=1)
+    error = measured * (2 / 399) ** 0.5
     low, high = found["predicted_variance_ci"][0].values
-    assert low <= measured <= high
+    assert low - 3 * error <= measured <= high + 3 * error
     assert 0.5 < float(found["predicted_variance"][0]) / measured < 2.0
 
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from mcspectra.core.analysis import MergeTree, Subject
 from mcspectra.core.checks import Array
-from mcspectra.core.confidence import CONFIDENCE_Z
+from mcspectra.core.confidence import CONFIDENCE_Z, student_t
 from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.ordered import weighted_sum
 from mcspectra.core.records import MeanSums
@@ -42,7 +42,7 @@ from mcspectra.measure.terms import Terms
 from mcspectra.measure.views import Frequencies
 from mcspectra.prediction.known import Cells
 from mcspectra.samplers import Sampler
-from mcspectra.samplers.law import Independent, Shifted, Strata
+from mcspectra.samplers.law import Independent, Shifted, Strata, independent_sets
 from mcspectra.spectra.closed_forms import closed_form_covariance, closed_form_power
 from mcspectra.spectra.transforms import FrequencyGrid
 
@@ -276,7 +276,7 @@ def of_pairs(
         )
 
     variance: Any = 0.0
-    square_se: Any = 0.0
+    square_half: Any = 0.0
     for technique, count in enumerate(estimator.counts):
         g = estimator.primary_integrand(technique)
         if exact:
@@ -306,9 +306,12 @@ def of_pairs(
         first = technique * realizations
         for realization in range(first, first + realizations):
             tree.add(one(realization))
-        value, se = tree.total().mean_and_error()
-        variance, square_se = variance + value, square_se + se**2
-    half = np.broadcast_to(CONFIDENCE_Z * np.sqrt(square_se), np.shape(variance))
+        # Pairs of a set that is translated again are the same
+        sets = independent_sets(source.law(n * count))
+        value, se = tree.total().mean_and_error(sets)
+        z = CONFIDENCE_Z if sets is None else student_t(min(sets, realizations))
+        variance, square_half = variance + value, square_half + (z * se) ** 2
+    half = np.broadcast_to(np.sqrt(square_half), np.shape(variance))
     how = "pairs known" if exact else f"pairs of {realizations} sets counted"
     return Cells.row(
         "pair-correlation",

@@ -30,7 +30,8 @@ import contextlib
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, final
 
 import numpy as np
 
@@ -83,6 +84,7 @@ from mcspectra.spectra.gain import gains_at
 
 __all__ = [
     "EXACT_TOLERANCE",
+    "ExactSettings",
     "estimated_variance",
     "exact_variance",
     "level_variances",
@@ -93,27 +95,68 @@ __all__ = [
 EXACT_TOLERANCE = 1e-6
 """Largest relative error of an exact variance, where nobody asks for another."""
 
-_NEGLIGIBLE = 1e-9  # of ∫g²/n: an error that no use of the variance is worse for
-_SAFETY = 3.0  # times the difference of two orders: more than the error of the better one
-_MOST = 0.5  # relative error of a variance that a larger tolerance is offered for
-_FINER, _HOPE = 4, 10.0  # times the order, of errors of up to so many times the tolerance
-_MANY_DIMS, _LOOSE = 4, 1e-3  # from which on, and with which tolerance, sums of products may do
-_MOST_BITS = 24
-# Sums and products of functions of one axis
-_AXIS_DOUBT, _AXIS_ROUNDING, _AXIS_EXACT = (
-    3.0,
-    4e-15,
-    1e-9,
-)  # weight of what ∫g² may be off by; relative
-_MOST_CELLS, _MOST_PAIRS = 2**18, 2.0**32  # of an axis, and pairs of points times dims
-_MANY, _FEW, _DEEP = 16, 6, 14  # nodes of a part of a cell, and levels of cells from which few do
-_WHITE = 0.02  # of the tail of a spectrum, by which its mean power may be off
-_ROUNDED_MEAN = 1e-15  # of a mean over a set, relative to the root of ∫h²
-_AT_ONCE, _SMALLEST = 2**20, 1e-15  # points at once; rounding of variances of means, of ∫h²/n
-_NOTHING = 1e-12  # of ∫h²: variances within cells that are rounding
-_CUSPS = 10  # octaves of 8, of offsets next to a cusp
-_EVEN = 1e-6  # differences of points from multiples of 1/n, times n
-_ROUNDED_POINTS = 0.02  # relative error of a variance by points that are rounded to cells
+
+@final
+@dataclass(frozen=True)
+class ExactSettings:
+    """When quadratures agree well enough, and how curves of an axis are cut into cells."""
+
+    # Error, as a fraction of ∫g²/n, that is accepted whatever the tolerance: a variance that is a
+    # billionth of that of random points has no use.
+    negligible: float = 1e-9
+    # Factor to the difference of two orders that bounds the error of the better one. For smooth g
+    # the better one is off by far less than the difference; at a jump both are off by about as
+    # much.
+    safety: float = 3.0
+    # Relative error of a variance up to which a refusal offers a larger tolerance: above it there
+    # is no digit to offer.
+    offered: float = 0.5
+    # Factor to the orders of a second try, and the error, in tolerances, up to which it is made:
+    # four times the order takes 4^d times the evaluations, and halves the error at a jump twice.
+    finer: int = 4
+    hope: float = 10.0
+    # Number of dims from which on, and tolerance from which on, sums of products may answer: their
+    # curves are right to about 2e-3.
+    many_dims: int = 4
+    loose: float = 1e-3
+    # Most binary digits of a coordinate: digital shifts of more would take more than 2^24 cells.
+    most_bits: int = 24
+    # Factor to the stated error of ∫h² next to a pole, which is that of an exponent from two steps.
+    # Rounding of ∫g² and of sums along an axis, relative: some units in the last place.
+    doubt: float = 3.0
+    rounding: float = 4e-15
+    exact: float = 1e-9
+    # Most cells of an axis: half as many change the variance of Halton points at n = 1024 by
+    # 2e-4, and twice as many by 5e-5. Most pairs of points times dims, which limit the time.
+    most_cells: int = 2**18
+    most_pairs: float = 2.0**32
+    # Nodes of a smooth part of a cell, and fewer from 2^14 cells on, in which a polynomial of order
+    # 6 is right to rounding.
+    many_nodes: int = 16
+    few_nodes: int = 6
+    deep: int = 14
+    # Error of the mean power of the last octave as that of all beyond it, relative. It widens
+    # the interval of Kronecker points in proportion and changes no variance.
+    white: float = 0.02
+    # Rounding of a mean over a set as a fraction of √∫h², and of the variance of such means as a
+    # fraction of ∫h²/n.
+    rounded_mean: float = 1e-15
+    rounded_variance: float = 1e-15
+    # Points at once, 8 MB. The result does not depend on it.
+    at_once: int = 2**20
+    # Variance within cells, as a fraction of ∫h², below which it is rounding.
+    nothing: float = 1e-12
+    # Octaves of 8 of offsets next to a cusp: 8^-10 is below the error of 1e-9 of the rest.
+    cusps: int = 10
+    # Difference of coordinates from multiples of 1/n, times n, up to which points are a grid:
+    # coordinates are right to 2^-53.
+    even: float = 1e-6
+    # Relative error of a variance by points that are rounded to cells of 2^-15, an upper bound:
+    # such products are refused at tolerances below it.
+    rounded_points: float = 0.02
+
+
+_SETTINGS = ExactSettings()
 
 
 def exact_variance(
@@ -204,7 +247,7 @@ def estimated_variance(
         try:
             found = of_integrand(law, g, tolerance)
         except NoClosedForm:
-            if g.dims < _MANY_DIMS or tolerance < _LOOSE:
+            if g.dims < _SETTINGS.many_dims or tolerance < _SETTINGS.loose:
                 raise
             by_axes = None
             with contextlib.suppress(NoClosedForm):
@@ -282,7 +325,7 @@ def _by_cells(law: Law, g: Integrand, tolerance: float, most: float) -> tuple[Ar
         or (isinstance(bare, Scrambled) and bare.nested_pairs)
     )
     coarse, fine = orders_of(n, g.dims)
-    for times in (1, _FINER) if most >= MOST_EVALUATIONS else (1,):
+    for times in (1, _SETTINGS.finer) if most >= MOST_EVALUATIONS else (1,):
         try:
             high, unseen = _variance(law, g, Rule(times * fine, most, times * coarse))
             low = high
@@ -292,23 +335,23 @@ def _by_cells(law: Law, g: Integrand, tolerance: float, most: float) -> tuple[Ar
             if times == 1:
                 raise
             break
-        error = _SAFETY * np.abs(high - low) + unseen
+        error = _SETTINGS.safety * np.abs(high - low) + unseen
         agree = error <= tolerance * np.abs(high)
-        if agree.all() or (error > _HOPE * tolerance * np.abs(high)).any():
+        if agree.all() or (error > _SETTINGS.hope * tolerance * np.abs(high)).any():
             break
     if agree.all() and error.all():
         return high, error
     square, _ = square_integral(g)
-    agree |= error <= _NEGLIGIBLE * np.max(square) / n
+    agree |= error <= _SETTINGS.negligible * np.max(square) / n
     if law.uniform:  # one point next to the pole outweighs all others
         high = np.where(np.isinf(square), np.inf, high)
     # Σ (mean g² − (mean g)²)/n is rounded by some 1e-15 of ∫g²/n: all there is if it vanishes.
     rounding = 4e-15 * square / n
-    known = agree | np.isinf(high) | (error <= _SAFETY * rounding)
+    known = agree | np.isinf(high) | (error <= _SETTINGS.safety * rounding)
     if not known.all():
         with np.errstate(divide="ignore"):
             enough = 1.1 * float(np.max(np.where(known, 0.0, error / np.abs(high))))
-        larger = f", or tolerance={enough:.1e}" if enough < _MOST else ""
+        larger = f", or tolerance={enough:.1e}" if enough < _SETTINGS.offered else ""
         raise NoClosedForm(
             f"The stratum quadrature of {g.spec} does not converge ({np.max(low):.6g} against "
             f"{np.max(high):.6g}, error {np.max(error):.2g}) to a tolerance of {tolerance:.1g}; use ",
@@ -329,7 +372,7 @@ def _within(
     parts = separated(g) or ()
     size = np.array([each.spread[0] + each.mean**2 for each in parts])
     rounding = 4e-15 * size / law.n
-    known = (error <= tolerance * value) | (error <= _NEGLIGIBLE * size / law.n)
+    known = (error <= tolerance * value) | (error <= _SETTINGS.negligible * size / law.n)
     if not known.all():
         raise NoClosedForm(
             f"The quadrature of {g.spec} along its axes does not converge ({np.max(value):.6g}, error "
@@ -375,7 +418,7 @@ def _of_separable(law: Law, g: Separable) -> tuple[float, float]:
     means = np.array([curve.mean**2 for curve in g.curves])
     squares = np.array([curve.square for curve in g.curves])
     spread, doubt = g.spread
-    error = _AXIS_DOUBT * doubt / n + _AXIS_ROUNDING * (spread + g.mean**2) / n
+    error = _SETTINGS.doubt * doubt / n + _SETTINGS.rounding * (spread + g.mean**2) / n
 
     def together(kappa: Array) -> float:
         """Covariance of g at two points from those of the functions of the axes, (dims,)."""
@@ -400,7 +443,7 @@ def _of_separable(law: Law, g: Separable) -> tuple[float, float]:
                 continue
             fine, coarse = (_over_offsets(curve, side, order) for order in (6, 4))
             size = curve.square + curve.mean**2
-            off.append(abs(fine - coarse) / max(fine, _NOTHING * size, 1e-300))
+            off.append(abs(fine - coarse) / max(fine, _SETTINGS.nothing * size, 1e-300))
             values.append(fine)
         return np.array(values)
 
@@ -449,7 +492,7 @@ def _of_separable(law: Law, g: Separable) -> tuple[float, float]:
                 )
             value, more = _of_set(law, g) if g.product else _of_projections(law, inner, g)
             error += more
-    return value, error + (_AXIS_EXACT + max(off, default=0.0)) * abs(value)
+    return value, error + (_SETTINGS.exact + max(off, default=0.0)) * abs(value)
 
 
 def _over_offsets(curve: Curve, side: int, order: int) -> float:
@@ -458,7 +501,7 @@ def _over_offsets(curve: Curve, side: int, order: int) -> float:
     ends = {0.0, 1.0}
     for place in (0.0, *curve.places.tolist()):
         at = place * side % 1.0
-        for k in range(_CUSPS):
+        for k in range(_SETTINGS.cusps):
             ends |= {(at + 0.125**k) % 1.0, (at - 0.125**k) % 1.0, at}
     edges = np.unique(np.clip(list(ends), 0.0, 1.0))
     total = 0.0
@@ -490,35 +533,43 @@ def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]
         if isinstance(law, Scrambled) and law.nested_pairs:
             # Gains of the projection, down to digits in which all coordinates differ
             base, level, agree, gains = law.bases[axis], 0, float(n), [0.0]
-            while agree > 1.0 and base ** (level + 1) <= _MOST_CELLS:
+            while agree > 1.0 and base ** (level + 1) <= _SETTINGS.most_cells:
                 level += 1
                 nudge = 0.0 if base & (base - 1) == 0 else 2.0**-50
                 digits = np.floor((x + nudge) * float(base**level)).astype(np.int64)
                 now = float((np.bincount(digits).astype(float) ** 2).sum()) / n
                 gains.append((base * now - agree) / (base - 1))
                 agree = now
-            means, spreads = curve.cells(base**level, 0.0, _FEW if level > _DEEP else _MANY)
+            means, spreads = curve.cells(
+                base**level,
+                0.0,
+                _SETTINGS.few_nodes if level > _SETTINGS.deep else _SETTINGS.many_nodes,
+            )
             parts = level_variances(means[:, None], (base,))[:, 0]
             rest = float(spreads.mean())
             value += (float(np.array(gains[1:]) @ parts[1:]) + rest * agree) / n
             error += rest * (agree - 1.0) / n
             continue
         if isinstance(law, Scrambled) and law.xor:
-            whole = (m for m in range(_MOST_BITS) if np.array_equal(x * 2**m, np.floor(x * 2**m)))
-            bits = next(whole, _MOST_BITS)
-            if 2**bits > _MOST_CELLS:
+            whole = (
+                m
+                for m in range(_SETTINGS.most_bits)
+                if np.array_equal(x * 2**m, np.floor(x * 2**m))
+            )
+            bits = next(whole, _SETTINGS.most_bits)
+            if 2**bits > _SETTINGS.most_cells:
                 raise NoClosedForm(f"Coordinates of {law.name} have too many digits.")
-            sizes = [max(_MOST_CELLS, 8 * 2**bits) // part for part in (1, 2, 4)]
+            sizes = [max(_SETTINGS.most_cells, 8 * 2**bits) // part for part in (1, 2, 4)]
             found = []
             for size in sizes:
-                means, spreads = curve.cells(size, 0.0, _FEW)
+                means, spreads = curve.cells(size, 0.0, _SETTINGS.few_nodes)
                 counts = np.bincount(np.rint(x * size).astype(np.int64), minlength=size) / n
                 both = (hadamard(means) / size * hadamard(counts)) ** 2
                 found.append(float(both[1:].sum()) + float(spreads.mean()) / n)
         elif isinstance(law, Shifted):
             found = []
             x = np.mod(x - x[0], 1.0)
-            even = np.abs(x * n - np.rint(x * n)).max() < _EVEN
+            even = np.abs(x * n - np.rint(x * n)).max() < _SETTINGS.even
             places = np.unique(np.rint(x * n).astype(np.int64) % n)
             period = len(places)
             if (
@@ -531,20 +582,24 @@ def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]
                 steps = np.arange(period) / period
 
                 def mean(t: Array, curve: Curve = curve, steps: Array = steps) -> Array:
-                    parts = np.array_split(t, max(1, t.size * steps.size // _AT_ONCE))
+                    parts = np.array_split(t, max(1, t.size * steps.size // _SETTINGS.at_once))
                     moved = ((part[:, None] / steps.size + steps) % 1.0 for part in parts)
                     return np.concatenate([curve(each).mean(axis=1) - curve.mean for each in moved])
 
                 folded = np.unique(curve.places * period % 1.0).tolist()
-                rounding = _ROUNDED_MEAN * math.sqrt(curve.square + curve.mean**2)
+                rounding = _SETTINGS.rounded_mean * math.sqrt(curve.square + curve.mean**2)
                 of_offset = Curve.along(mean, folded, rounding)
                 if of_offset is not None:
                     value += of_offset.square
-                    error += _SMALLEST * curve.square / n
+                    error += _SETTINGS.rounded_variance * curve.square / n
                     continue
-            finest = n * max(8, 4 * (_MOST_CELLS // (4 * n))) if even else 2 * _MOST_CELLS
+            finest = (
+                n * max(8, 4 * (_SETTINGS.most_cells // (4 * n)))
+                if even
+                else 2 * _SETTINGS.most_cells
+            )
             for size in (finest, finest // 2, finest // 4):
-                means, spreads = curve.cells(size, 0.0, _FEW)
+                means, spreads = curve.cells(size, 0.0, _SETTINGS.few_nodes)
                 energy = 2.0 * np.abs(np.fft.rfft(means) / size) ** 2
                 if even:
                     place = np.rint(x * n).astype(np.int64) % n * (size // n)
@@ -566,7 +621,7 @@ def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]
                 tail = max(curve.square - float(energy.sum()), 0.0)
                 last = slice(most // 2, most)  # the octave whose mean power the tail has
                 weight = n * float(energy[last] @ power[last]) / max(energy[last].sum(), 1e-300)
-                error += (abs(weight - 1.0) + _WHITE) * tail / n if size == finest else 0.0
+                error += (abs(weight - 1.0) + _SETTINGS.white) * tail / n if size == finest else 0.0
                 found.append(float(energy @ power) + weight * tail / n)
         else:
             raise NoClosedForm(f"No exact variance is known for {law.name}; use ", *MEASURE_IT, ".")
@@ -579,7 +634,7 @@ def _of_set(law: Law, g: Separable) -> tuple[float, float]:
     """A product, under scrambles and shifts of a set: the mean over all pairs of points."""
     n = law.n
     pairs, codes, rows = pairs_of(law, Stream.from_rng(0))
-    if float(len(rows)) * n * law.dims > _MOST_PAIRS:
+    if float(len(rows)) * n * law.dims > _SETTINGS.most_pairs:
         raise NoClosedForm(f"{law.name} has too many pairs of points; use ", *MEASURE_IT, ".")
     means = np.array([curve.mean**2 for curve in g.curves])
     modes = ("digits", "xor", "torus")
@@ -588,15 +643,15 @@ def _of_set(law: Law, g: Separable) -> tuple[float, float]:
         tables = []
         for curve, base, levels in zip(g.curves, pairs.bases, pairs.levels, strict=True):
             if pairs.kind == "digits":
-                cells, _ = curve.cells(base**levels, 0.0, _MANY)
+                cells, _ = curve.cells(base**levels, 0.0, _SETTINGS.many_nodes)
                 added = level_variances(cells[:, None], (base,))[:, 0]
                 added[0] = 0.0
                 shared = np.cumsum(added)
                 apart = shared[:-1] - added[1:] / (base - 1)
                 tables.append(np.append(apart, curve.square))
                 continue
-            k = max(8, 4 * (_MOST_CELLS // (4 * base))) // part
-            cells, spreads = curve.cells(base * k, 0.0, _FEW)
+            k = max(8, 4 * (_SETTINGS.most_cells // (4 * base))) // part
+            cells, spreads = curve.cells(base * k, 0.0, _SETTINGS.few_nodes)
             if pairs.kind == "xor":
                 kappa = hadamard((hadamard(cells) / (base * k)) ** 2)[::k]
             else:
@@ -618,7 +673,9 @@ def _of_set(law: Law, g: Separable) -> tuple[float, float]:
     if pairs.kind == "digits":
         return fine, 0.0
     value, off = _refined(fine, of_cells(2), of_cells(4))
-    rounded = _ROUNDED_POINTS * abs(fine) if pairs.bases[0] == TORUS and n != TORUS else 0.0
+    rounded = (
+        _SETTINGS.rounded_points * abs(fine) if pairs.bases[0] == TORUS and n != TORUS else 0.0
+    )
     return value, off + rounded
 
 
@@ -754,7 +811,7 @@ def _nested(net: Fixed, bases: tuple[int, ...], g: Integrand, rule: Rule) -> tup
     # For each axis the number of digits in which all coordinates differ
     digits = []
     for axis, base in enumerate(bases):
-        level, limit = 0, math.floor(_MOST_BITS / math.log2(base))
+        level, limit = 0, math.floor(_SETTINGS.most_bits / math.log2(base))
         # As in spectra.gain: coordinates rounded down to below a digit count as that digit
         x = points[:, axis] + (0.0 if base & (base - 1) == 0 else 2.0**-50)
         while len(np.unique(np.floor(x * base**level))) < n:
@@ -784,13 +841,13 @@ def _digitally_shifted(net: Fixed, g: Integrand, rule: Rule) -> tuple[Array, Arr
     points = net.points
     whole = (
         2**bits
-        for bits in range(_MOST_BITS + 1)
+        for bits in range(_SETTINGS.most_bits + 1)
         if np.array_equal(points * 2**bits, np.floor(points * 2**bits))
     )
     cells = next(whole, None)
     if cells is None:
         raise NoClosedForm(
-            f"Coordinates of {net.name} have more than {_MOST_BITS} bits; use convergence or "
+            f"Coordinates of {net.name} have more than {_SETTINGS.most_bits} bits; use convergence or "
             "variance_terms."
         )
     sides = (cells,) * g.dims

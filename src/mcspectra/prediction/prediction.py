@@ -48,6 +48,7 @@ from mcspectra.prediction.cross_checks import (
 from mcspectra.prediction.exact import EXACT_TOLERANCE, estimated_variance, of_integrand
 from mcspectra.prediction.known import Cells, Known, Predicted
 from mcspectra.prediction.levels import of_levels
+from mcspectra.prediction.paired import is_array, of_arrays
 from mcspectra.prediction.rates import Slowest, rates_of, slowest_of_jumps
 from mcspectra.prediction.separable import separated
 from mcspectra.prediction.subsets import of_subsets
@@ -531,6 +532,14 @@ METHODS: tuple[Method, ...] = (
     ),
     Method(
         name="subsets",
+        summary="energies of single axes, and of several that points in the same strata share",
+        predict=of_arrays,
+        applies=lambda law, known: is_array(law) and not known.costly,
+        enough=lambda *_: _AUTO.measured,
+        cost=lambda *_: _AUTO.tables,
+    ),
+    Method(
+        name="subsets",
         summary="single axes and sums of products of functions of one axis",
         predict=of_subsets,
         applies=lambda law, known: not (_mirrored(law) or moves_resolve(law, known)),
@@ -540,7 +549,7 @@ METHODS: tuple[Method, ...] = (
     ),
     Method(
         name="moves",
-        summary="offsets or digital shifts of one set, by a quadrature of our own",
+        summary="shifts or scrambles of one set, drawn by predict itself",
         predict=of_moves,
         applies=_moves_apply,
         ahead=moves_resolve,
@@ -897,7 +906,7 @@ def predict(
         * ``"torus"``: Σ|g_m|² times the power, for points that are the same after any translation
         * ``"levels"``: means of g over cells, for strata and scrambled nets
         * ``"subsets"``: single axes and sums of products of functions of one axis
-        * ``"moves"``: offsets or digital shifts of one set, by a quadrature of our own
+        * ``"moves"``: shifts or scrambles of one set, drawn by predict itself
         * ``"table"``: sets of the sampler on a table of g
         * ``"extrapolated"``: a line through variances measured at other counts
         * ``"pair-correlation"``: pairs of points, known or counted, without frequencies
@@ -952,9 +961,10 @@ def predict(
     probe of 2^17 points saw and the nodes did not; f that is the same at all of them has no prediction,
     unless its integral is known.
 
-    f is evaluated at nodes and on grids of our own. Lattices with shift and nets with digital-shift, which one
-    offset moves as a whole, are moved by up to 8,192 offsets of our own (`moves`): in 1 to 3 dims, and in more
-    where sums of products leave a half interval over 3 %. Of samplers of which nothing is known but their sets,
+    f is evaluated at nodes and on grids of our own. A fixed set that is shifted or scrambled is moved by up to
+    8,192 shifts or scrambles of our own (`moves`): lattices with shift and nets with digital-shift in 1 to 3
+    dims, and all such sets where sums of products leave a half interval over 3 %. Linear scrambles stand
+    for nested ones, whose law of pairs is the same. Of samplers of which nothing is known but their sets,
     these measure a `table` of f in 1 to 3 dims; in more, or where f is expensive, `auto` evaluates f at their
     points (`extrapolated`): 2,000 realizations each of small
     counts, or of those next to n where f is not expensive, never of n. So it is, too, where jumps and kinks

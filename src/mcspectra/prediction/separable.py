@@ -31,27 +31,65 @@ from mcspectra.estimators.quadrature import DIVERGES, looked_at, values_at
 from mcspectra.integrands import Integrand
 from mcspectra.integrands._quadrature import gauss_rule, probe
 
-__all__ = ["Curve", "Separable", "separated"]
+__all__ = ["Curve", "CurveSettings", "Separable", "separated"]
 
-_ORDER = 16  # coefficients of a piece
-_PIECES = 32  # of an axis at first: 4 nodes a wave of 128 periods
-_SETTLED, _NEGLIGIBLE = 1e-11, 1e-15  # last coefficients, and what a piece adds to ∫h², relative
-_KINK = 2.0**-12  # width of pieces where there is a kink
-_SMALL = 1e-9  # last coefficients next to a kink, relative to the root of ∫h²
-_ROUNDED = 2.0**-51
-_MOST_NODES = 2**17  # of an axis
-_LEAST, _LEAST_AT_0 = 2.0**-50, 2.0**-64  # widths of pieces
-# log2 of 1/distance from a pole at which its exponent is fitted; the last is where the power law begins
-_NEAR_0, _INSIDE = (40, 45, 50, 55, 60), (20, 23, 26, 29, 32)
-_POLE = 0.02  # least exponent
-_PLACE = 2.0**-16  # relative error of the distances there
-_STEP = 1e-6  # of the value: smaller differences are no pole
-_GAP = 2.0**-40  # next to a pole, on its other side
 
-_CANDIDATES = 2**10  # points of the probe, of which a product takes the one with the largest value
-_LINES = 16  # points at which sums and products are tested before curves are made
-_SAME = 1e-7  # relative differences of g from what curves make of it
-_COMMON = 0.1  # of the values, which a constant beside a product has at least
+@final
+@dataclass(frozen=True)
+class CurveSettings:
+    """How a function of one axis becomes a curve, and when g is a sum or a product of such functions."""
+
+    # Coefficients of a piece, and pieces of an axis at first: 4 nodes a wave of 128 periods, of
+    # which 16 coefficients are right to rounding.
+    order: int = 16
+    pieces: int = 32
+    # Last coefficients that count as settled, relative to the largest: about 1e-11 of h is left
+    # beyond them. And what a piece may add to ∫h² unsettled, relative to ∫h²: rounding.
+    settled: float = 1e-11
+    negligible: float = 1e-15
+    # Width of pieces below which there is a kink or a jump: smooth pieces of 128 periods are not
+    # halved so far.
+    kink: float = 2.0**-12
+    # Last coefficients next to a kink, relative to √∫h², up to which its pieces need not be
+    # settled.
+    small: float = 1e-9
+    # Rounding of a node, relative to its place: doubles are 2^-53 of it apart, and differences
+    # double that twice.
+    rounded: float = 2.0**-51
+    # Most nodes of an axis: they limit the time of slow functions. A jump takes 50 halvings of
+    # 16 nodes.
+    most_nodes: int = 2**17
+    # Widths of pieces that are not halved any more: doubles do not tell their nodes apart.
+    least: float = 2.0**-50
+    least_at_0: float = 2.0**-64
+    # log2 of 1/distance from a pole at 0, and elsewhere, at which its exponent is fitted. The last
+    # is where the power law begins; nearer to a place inside, doubles are too far apart.
+    near_0: tuple[int, ...] = (40, 45, 50, 55, 60)
+    inside: tuple[int, ...] = (20, 23, 26, 29, 32)
+    # Least exponent of a pole: t^-0.02 doubles over 2^50 of the distance, and polynomials follow
+    # it.
+    pole: float = 0.02
+    # Relative error of the distances to a place inside: 2^-53 of the place against 2^-32, and the
+    # place itself.
+    place: float = 2.0**-16
+    # Step from one distance to the next, relative to the value: smaller ones are no pole.
+    step: float = 1e-6
+    # Distance over which pieces next to a pole are left out on its other side: it spans several
+    # pieces that do not settle.
+    gap: float = 2.0**-40
+    # Points of the probe, of which a product takes the one with the largest value as its origin.
+    candidates: int = 2**10
+    # Points at which sums and products are tested before curves are made, and as many with large
+    # values: 32 tell g that is neither, at almost any point.
+    lines: int = 16
+    # Relative difference of g from what curves make of it that is rounding of g.
+    same: float = 1e-7
+    # Fraction of the values that are equal, above which they are a constant beside a product, such
+    # as 0 of an indicator.
+    common: float = 0.1
+
+
+_SETTINGS = CurveSettings()
 
 
 @final
@@ -112,7 +150,9 @@ class Curve:
         """∫(h − mean)²."""
         return float(self.cells(1)[1][0])
 
-    def cells(self, count: int, offset: float = 0.0, order: int = _ORDER) -> tuple[Array, Array]:
+    def cells(
+        self, count: int, offset: float = 0.0, order: int = _SETTINGS.order
+    ) -> tuple[Array, Array]:
         """Means over cells (j + offset)/count, without `mean`, and mean squares about these: (count,) each.
 
         The offset is on the torus, in units of the axis: from 0 to 1/count.
@@ -150,17 +190,19 @@ class Curve:
 
         Last coefficients of a piece that are no more than `rounding` count as settled.
         """
-        node, _ = gauss_rule(_ORDER)
+        node, _ = gauss_rule(_SETTINGS.order)
         y = 2.0 * node - 1.0
-        transform = np.linalg.inv(np.polynomial.legendre.legvander(y, _ORDER - 1))
-        edges = np.unique([*np.linspace(0.0, 1.0, _PIECES + 1), *(e for e in ends if 0 < e < 1)])
+        transform = np.linalg.inv(np.polynomial.legendre.legvander(y, _SETTINGS.order - 1))
+        edges = np.unique(
+            [*np.linspace(0.0, 1.0, _SETTINGS.pieces + 1), *(e for e in ends if 0 < e < 1)]
+        )
         low, high = edges[:-1], edges[1:]
         done: list[tuple[Array, Array, Array]] = []
         rough: list[tuple[float, float, float]] = []
         used, energy = 0, 0.0
         while len(low):
-            used += low.size * _ORDER
-            if used > _MOST_NODES:
+            used += low.size * _SETTINGS.order
+            if used > _SETTINGS.most_nodes:
                 return None
             width = high - low
             x = np.minimum(low[:, None] + width[:, None] * node, BELOW_ONE)
@@ -174,13 +216,13 @@ class Curve:
             largest = np.abs(coefficients).max(axis=1)
             last = np.abs(coefficients[:, -3:]).max(axis=1)
             with np.errstate(over="ignore"):
-                small = width * largest * last <= _NEGLIGIBLE * energy
-                small &= last <= _SMALL * math.sqrt(energy)
+                small = width * largest * last <= _SETTINGS.negligible * energy
+                small &= last <= _SETTINGS.small * math.sqrt(energy)
             # Doubles are as far apart as 2^-53 of the place, by which nodes are off
-            noise = _SETTLED + _ROUNDED * high / width
+            noise = _SETTINGS.settled + _SETTINGS.rounded * high / width
             settled = (last <= noise * largest + rounding) | small
             settled &= finite.all(axis=1)
-            least = np.where(low == 0.0, _LEAST_AT_0, _LEAST)
+            least = np.where(low == 0.0, _SETTINGS.least_at_0, _SETTINGS.least)
             end = ~settled & (width <= least)
             sizes = np.where(finite, np.abs(values), np.inf).max(axis=1)
             rough += zip(low[end].tolist(), high[end].tolist(), sizes[end].tolist(), strict=True)
@@ -200,7 +242,7 @@ class Curve:
         rough += [(e, e, 0.0) for e in (0.0, *(e for e in ends if 0.0 < e < 1.0), 1.0)]
         clusters: list[list[tuple[float, float, float]]] = []
         for piece in sorted(rough):
-            if clusters and piece[0] - clusters[-1][-1][1] <= _GAP:
+            if clusters and piece[0] - clusters[-1][-1][1] <= _SETTINGS.gap:
                 clusters[-1].append(piece)
             else:
                 clusters.append([piece])
@@ -215,7 +257,7 @@ class Curve:
             for way in (1.0, -1.0):
                 if (place == 0.0 and way < 0.0) or (place == 1.0 and way > 0.0):
                     continue
-                logs = _NEAR_0 if place == 0.0 else _INSIDE
+                logs = _SETTINGS.near_0 if place == 0.0 else _SETTINGS.inside
                 at = place + way * 0.5 ** np.array(logs, float)
                 distance = np.abs(at - place)
                 # Of A t^-a + B the differences at distances in equal ratios have one ratio
@@ -225,7 +267,7 @@ class Curve:
                     ratios = np.diff(np.log(distance))[1:]
                     slopes = -np.log(steps[1:] / steps[:-1]) / ratios
                 a, before = float(slopes[-1]), float(slopes[-2])
-                if not a > _POLE or abs(steps[-1]) < _STEP * abs(value[-1]):
+                if not a > _SETTINGS.pole or abs(steps[-1]) < _SETTINGS.step * abs(value[-1]):
                     continue
                 exponent = max(exponent, a)
                 if a >= DIVERGES:
@@ -235,22 +277,22 @@ class Curve:
                 rest = float(value[-1]) - pole
                 power, square = size * pole / (1.0 - a), size * pole**2 / (1.0 - 2.0 * a)
                 first, second = power + rest * size, square + 2.0 * power * rest + rest**2 * size
-                off = 2.0 * abs(a - before) + (place != 0.0) * _PLACE
+                off = 2.0 * abs(a - before) + (place != 0.0) * _SETTINGS.place
                 doubt += square * off / (1.0 - 2.0 * a)
                 begin, stop = (place, place + size) if way > 0.0 else (place - size, place)
                 tails.append((begin, stop, first, second))
                 # The pieces end where the power law begins, and next to the place on the other side
-                wide = (begin, min(stop + (way < 0.0) * _GAP, 1.0))
-                wide = (max(0.0, begin - (way > 0.0) * _GAP), stop) if way > 0.0 else wide
+                wide = (begin, min(stop + (way < 0.0) * _SETTINGS.gap, 1.0))
+                wide = (max(0.0, begin - (way > 0.0) * _SETTINGS.gap), stop) if way > 0.0 else wide
                 cut_low = (low >= wide[0]) & (low < wide[1])
                 cut_high = (high > wide[0]) & (high <= wide[1])
                 low, high = np.where(cut_low, wide[1], low), np.where(cut_high, wide[0], high)
         # Kinks, where pieces are narrow: in the narrowest of neighbors
-        narrow = np.flatnonzero(width < _KINK)
-        for some in np.split(narrow, np.flatnonzero(np.diff(start[narrow]) > _KINK) + 1):
+        narrow = np.flatnonzero(width < _SETTINGS.kink)
+        for some in np.split(narrow, np.flatnonzero(np.diff(start[narrow]) > _SETTINGS.kink) + 1):
             if some.size:
                 kink = float((start + 0.5 * width)[some[width[some].argmin()]])
-                if all(abs(kink - place) > _KINK for place in places):
+                if all(abs(kink - place) > _SETTINGS.kink for place in places):
                     places.append(kink)
         inside = np.array([p for p in places if 0.0 < p < 1.0])
         keep = high > low
@@ -380,16 +422,19 @@ def _separated(g: Integrand, channel: int) -> Separable | None:
         return at
 
     # Test sums and products at a few points, before there are any curves
-    some = probe(d)[:_CANDIDATES]
+    some = probe(d)[: _SETTINGS.candidates]
     values = value(some)
     if not np.isfinite(values).all():
         return None
     order = np.argsort(np.abs(values - np.median(values)))
-    few = np.concatenate([np.arange(_LINES), order[-_LINES:]])
+    few = np.concatenate([np.arange(_SETTINGS.lines), order[-_SETTINGS.lines :]])
     tested, of_tested = some[few], values[few]
     common, counts = np.unique(values, return_counts=True)
     most = int(counts.argmax())
-    constants = [0.0, *([float(common[most])] if counts[most] > _COMMON * len(values) else [])]
+    constants = [
+        0.0,
+        *([float(common[most])] if counts[most] > _SETTINGS.common * len(values) else []),
+    ]
     middle = some[order[0]]
     tries = [(False, 0.0, middle)]
     tries += [(True, c, some[int(np.abs(values - c).argmax())]) for c in constants if d > 1]
@@ -407,7 +452,7 @@ def _separated(g: Integrand, channel: int) -> Separable | None:
         else:
             made = origin + np.sum(parts - origin, axis=0)
             size = np.abs(of_tested) + np.abs(parts).sum(axis=0) + d * abs(origin)
-        if not (np.abs(of_tested - constant - made) <= _SAME * size).all():
+        if not (np.abs(of_tested - constant - made) <= _SETTINGS.same * size).all():
             continue
 
         # Curves, that of the first axis with the size of all
@@ -425,6 +470,6 @@ def _separated(g: Integrand, channel: int) -> Separable | None:
         all_points = probe(d)
         given, said = each(all_points), found(all_points)
         scale = np.abs(given) + math.sqrt(found.spread[0] + found.mean**2)
-        if (np.abs(given - said) <= _SAME * scale).all():
+        if (np.abs(given - said) <= _SETTINGS.same * scale).all():
             return found
     return None

@@ -55,10 +55,23 @@ from mcspectra.samplers.law import (
     Shifted,
     Stationary,
     Strata,
+    unmoved,
 )
 from mcspectra.spectra.bases import hadamard
 
-__all__ = ["TORUS", "SubsetSettings", "of_subsets", "pair_sums", "pairs_of"]
+__all__ = [
+    "SUBSET_SETTINGS",
+    "TORUS",
+    "Curves",
+    "Parts",
+    "SubsetSettings",
+    "all_parts",
+    "net",
+    "of_subsets",
+    "offsets_within",
+    "pair_sums",
+    "pairs_of",
+]
 
 _LEAST_DIMS = 2
 _OWN = Stream.from_rng(0x5B5E75)
@@ -144,6 +157,9 @@ class SubsetSettings:
         variances is part of the interval.
     digits
         Cells of an axis that digits tell apart, or as many as there are points, if that is more.
+    offsets
+        Offsets within a stratum, the middles of equal parts, that stand for a uniform one. Of a sum of
+        jumps at n = 64 the variance is off by ?.
     """
 
     few_dims: int = 3
@@ -176,9 +192,10 @@ class SubsetSettings:
     most_work: float = 2.0**34
     draws: int = 8
     digits: int = 1 << 13
+    offsets: int = 8
 
 
-_SETTINGS = SubsetSettings()
+SUBSET_SETTINGS = SubsetSettings()
 
 
 def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
@@ -208,15 +225,19 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
     if g.dims < _LEAST_DIMS:
         raise NoClosedForm("Subsets of axes need two dims; use exact_variance or convergence.")
     n = law.n
-    if isinstance(law, Strata) and law.jittered:
-        return known.once(f"subsets: strata {law.sides}", lambda: _of_strata(law.sides, g))
-    parts = known.once("subsets: parts", lambda: _all_parts(known))
+    strata, by = unmoved(law)
+    if isinstance(strata, Strata) and strata.jittered:
+        at = None if isinstance(law, Shifted) else tuple(by)
+        return known.once(
+            ("pairs in strata", strata.sides, at), lambda: _of_strata(strata.sides, at, g)
+        )
+    parts = known.once("subsets: parts", lambda: all_parts(known))
     if isinstance(law, Independent):
         variance, half = np.array([[p.variance, p.half] for p in parts]).T / n
         return Predicted(variance, half, "energy of g")
     pairs, codes, rows = pairs_of(law, stream)
-    work = float(len(rows)) * codes[..., 0].size * _SETTINGS.rank**2
-    if work > _SETTINGS.most_work:
+    work = float(len(rows)) * codes[..., 0].size * SUBSET_SETTINGS.rank**2
+    if work > SUBSET_SETTINGS.most_work:
         raise NoClosedForm(
             f"The pairs of {n} points of {law.name} in {g.dims} dims are too many; use ",
             Function("convergence"),
@@ -238,7 +259,7 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
         # offset moves all points, it may add up
         tail = p.residual / n
         together = pairs.kind != "digits" and len(codes) == 1
-        half = (_SETTINGS.adds_up if together else 1.0) * tail + math.sqrt(
+        half = (SUBSET_SETTINGS.adds_up if together else 1.0) * tail + math.sqrt(
             max(ones[0] + more, 0.0) * tail
         )
         # All that counts of Latin hypercubes but single axes: as points saw it, or of the whole energy
@@ -257,8 +278,8 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
         drawn = half_interval(sets) if len(sets) > 1 else 0.0
         seen = p.half / p.variance if p.variance > 0.0 else 0.0  # of peaks, that few points meet
         rough = any(len(axis.knots) > 2 for axis in p.axes)
-        rough |= pairs.leaves_cells and 32 * n > _SETTINGS.finest
-        between = _SETTINGS.resolved[rough] * value
+        rough |= pairs.leaves_cells and 32 * n > SUBSET_SETTINGS.finest
+        between = SUBSET_SETTINGS.resolved[rough] * value
         error = math.hypot(float(half_interval(ones[1:])), half, drawn, between, seen * value)
         share = max(0.0, 1.0 - p.residual / p.variance) if p.variance > 0.0 else 0.0
         found.append((value, error, share, tail))
@@ -268,7 +289,7 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
 
 @final
 @dataclass(frozen=True)
-class _Curves:
+class Curves:
     """How an axis is cut: ends of its smooth pieces, and nodes between them."""
 
     knots: Array
@@ -282,11 +303,14 @@ class _Curves:
             out[..., there] = line(x[there])
         return out
 
-    def cells(self, values: Array, count: int) -> Array:
-        """Means over equal cells."""
-        ends, total = np.arange(count + 1) / count, np.zeros((*values.shape[:-1], count + 1))
+    def cells(self, values: Array, count: int, offset: float = 0.0) -> Array:
+        """Means over equal cells of the torus, the first of which begins at `offset` < 1."""
+        ends = offset + np.arange(count + 1) / count
+        turns, ends = np.divmod(ends, 1.0)
+        total = np.zeros((*values.shape[:-1], count + 1))
         for low, high, line in self._pieces(values):
-            total += line.antiderivative()(np.clip(ends, low, high))
+            sums = line.antiderivative()
+            total += sums(np.clip(ends, low, high)) + turns * (sums(high) - sums(low))[..., None]
         return np.diff(total) * count
 
     def _pieces(self, values: Array) -> Iterator[tuple[float, float, Any]]:
@@ -304,12 +328,12 @@ class _Curves:
 
 @final
 @dataclass(frozen=True)
-class _Parts:
+class Parts:
     """What is known of one channel of g; arrays of the axes at their nodes."""
 
     variance: float
     half: float  # of its 95 % interval
-    axes: list[_Curves]
+    axes: list[Curves]
     main: list[Array]  # g_i, of all groups and of each: (1 + groups, nodes)
     factors: list[Array]  # h_ri: (products, nodes)
     residual: float  # energy that the products miss
@@ -322,52 +346,67 @@ class _Pairs:
     """What the covariance of the values at two points depends on, along each axis.
 
     digits: in how many first digits in `bases` the coordinates agree, `levels` at most. xor and torus:
-    the difference of two multiples of 1/bases, digit by digit or on the torus.
+    the difference of two multiples of 1/bases, digit by digit or on the torus. `offsets` are those of
+    the first cell along each axis; several for a uniform one.
     """
 
     kind: str
     bases: tuple[int, ...]
     levels: tuple[int, ...]
     latin: bool = False  # all points differ in the first digit
+    offsets: tuple[tuple[float, ...], ...] = ()
 
     @property
     def leaves_cells(self) -> bool:
         """Whether what varies within the n-ths of an axis is all that is left of sums over axes."""
         return self.latin or self.kind != "digits"
 
-    def tables(self, parts: _Parts) -> tuple[Array, Array, Array, Array]:
+    def tables(self, parts: Parts) -> tuple[Array, Array, Array, Array]:
         """What `pair_sums` takes: covariances of g_i and of products, their means and weights."""
         singles, pairs, averages = list[Array](), list[Array](), list[Array]()
-        for base, levels, curves, main, factors in zip(
-            self.bases, self.levels, parts.axes, parts.main, parts.factors, strict=True
+        for base, levels, curves, main, factors, offsets in zip(
+            self.bases,
+            self.levels,
+            parts.axes,
+            parts.main,
+            parts.factors,
+            self.offsets or [(0.0,)] * len(self.bases),
+            strict=True,
         ):
             cells = base**levels
             many = len(curves.knots) > 2 or self.leaves_cells
-            k = max(16, min(64 * many, _SETTINGS.finest // cells), _SETTINGS.fine // cells)
+            k = max(
+                16, min(64 * many, SUBSET_SETTINGS.finest // cells), SUBSET_SETTINGS.fine // cells
+            )
             k = 1 if base == TORUS else k
-            values = curves.cells(np.concatenate([main, factors]), cells * k)
-            mean, own = values.mean(axis=-1, keepdims=True), len(main)
-            values = values - mean
+            own = len(main)
             # Covariances of g_i (1 + groups, differences), and of pairs of h_ri
             left, right = np.triu_indices(len(factors))
             left, right = (np.concatenate([np.arange(own), own + side]) for side in (left, right))
-            if self.kind == "digits":
-                # By how many digits agree, the last for all
-                means = values.reshape(len(values), cells, -1).mean(axis=-1)
-                energy = [(values[left] * values[right]).mean(axis=-1)]
-                while means.shape[-1] > 1:
-                    energy.append((means[left] * means[right]).mean(axis=-1))
-                    means = means.reshape(len(means), -1, base).mean(axis=-1)
-                within = np.stack([np.zeros(len(left)), *reversed(energy)], axis=-1)
-                apart = within[:, :-1] - np.diff(within, axis=-1) / (base - 1)
-                found = np.concatenate([apart, within[:, -1:]], axis=-1)
-            elif self.kind == "xor":
-                spectra = hadamard(values) / (cells * k)
-                found = hadamard(spectra[left] * spectra[right])[:, ::k]
-            else:
-                spectra = np.fft.rfft(values)
-                found = np.fft.irfft(spectra[left] * spectra[right].conj(), cells * k) / (cells * k)
-                found = found[:, ::k]
+            of_offsets = []
+            for offset in offsets:
+                values = curves.cells(np.concatenate([main, factors]), cells * k, offset)
+                mean = values.mean(axis=-1, keepdims=True)
+                values = values - mean
+                if self.kind == "digits":
+                    # By how many digits agree, the last for all
+                    means = values.reshape(len(values), cells, -1).mean(axis=-1)
+                    energy = [(values[left] * values[right]).mean(axis=-1)]
+                    while means.shape[-1] > 1:
+                        energy.append((means[left] * means[right]).mean(axis=-1))
+                        means = means.reshape(len(means), -1, base).mean(axis=-1)
+                    within = np.stack([np.zeros(len(left)), *reversed(energy)], axis=-1)
+                    apart = within[:, :-1] - np.diff(within, axis=-1) / (base - 1)
+                    found = np.concatenate([apart, within[:, -1:]], axis=-1)
+                elif self.kind == "xor":
+                    spectra = hadamard(values) / (cells * k)
+                    found = hadamard(spectra[left] * spectra[right])[:, ::k]
+                else:
+                    spectra = np.fft.rfft(values)
+                    found = np.fft.irfft(spectra[left] * spectra[right].conj(), cells * k)
+                    found = (found / (cells * k))[:, ::k]
+                of_offsets.append(found)
+            found = np.mean(of_offsets, axis=0)
             singles.append(found[:own])
             pairs.append(found[own:])
             averages.append(mean[own:, 0])
@@ -434,34 +473,45 @@ def pair_sums(
     return out
 
 
-def _of_strata(sides: tuple[int, ...], g: Integrand) -> Predicted:
-    """Half the mean square of differences within strata, by scrambled nets of pairs."""
-    cells = np.array(sides, float)
-    u = _net(2 * g.dims, _SETTINGS.strata, _SETTINGS.replicates, 1)
-    x, other = u[..., : g.dims], u[..., g.dims :]
-    within = (np.floor(x * cells) + other) / cells
+def _of_strata(sides: tuple[int, ...], at: tuple[float, ...] | None, g: Integrand) -> Predicted:
+    """Half the mean square of differences within strata, by scrambled nets of pairs.
+
+    `at` is the corner of a stratum on the torus; None if it is uniform, of all strata together.
+    """
+    d, cells = g.dims, np.array(sides, float)
+    u = net(2 * d + d * (at is None), SUBSET_SETTINGS.strata, SUBSET_SETTINGS.replicates, 5)
+    x, other = u[..., :d], u[..., d : 2 * d]
+    corner = u[..., 2 * d :] / cells if at is None else np.array(at)
+    within = np.floor(((x - corner) % 1.0) * cells)
+    within = ((np.minimum(within, cells - 1.0) + other) / cells + corner) % 1.0
     change = values_at(g, x) - values_at(g, np.minimum(within, BELOW_ONE))
     spread = 0.5 * (change**2).mean(axis=1) / math.prod(sides)
     return Predicted(spread.mean(axis=0), half_interval(spread), "pairs in strata")
 
 
-def _all_parts(known: Known) -> list[_Parts]:
+def all_parts(known: Known) -> list[Parts]:
     """Energies, and profiles along all axes through the same points, of each channel."""
     g, d = known.g, known.g.dims
-    x = _net(d, _SETTINGS.replicate, _SETTINGS.replicates, 0)
+    x = net(d, SUBSET_SETTINGS.replicate, SUBSET_SETTINGS.replicates, 0)
     values = values_at(g, x)
     mean = values.mean(axis=(0, 1))
     squares = ((values - mean) ** 2).mean(axis=1)
     energy, half = squares.mean(axis=0), half_interval(squares)
-    if d <= _SETTINGS.few_dims:  # a quadrature knows more of poles
+    if d <= SUBSET_SETTINGS.few_dims:  # a quadrature knows more of poles
         square, error = known.square
         error = np.hypot(error, 2.0 * np.abs(mean) * half_interval(values.mean(axis=1)))
         better = error < half
         energy, half = np.where(better, (square - mean**2, error), (energy, half))
     count = max(
-        4, 1 << round(math.log2(_SETTINGS.profile_work / (_SETTINGS.groups * _SETTINGS.nodes * d)))
+        4,
+        1
+        << round(
+            math.log2(
+                SUBSET_SETTINGS.profile_work / (SUBSET_SETTINGS.groups * SUBSET_SETTINGS.nodes * d)
+            )
+        ),
     )
-    through = _net(d, count, _SETTINGS.groups, 2)
+    through = net(d, count, SUBSET_SETTINGS.groups, 2)
 
     def profiles(axis: int, at: Array, through: Array = through) -> Array:
         """(groups, profiles, nodes, channels)"""
@@ -476,7 +526,7 @@ def _all_parts(known: Known) -> list[_Parts]:
         middles = [
             low + (np.arange(k) + 0.5) * ((high - low) / k)
             for low, high in itertools.pairwise(ends.tolist())
-            for k in [max(4, math.ceil(_SETTINGS.nodes * (high - low)))]
+            for k in [max(4, math.ceil(SUBSET_SETTINGS.nodes * (high - low)))]
         ]
         at = np.concatenate(middles)
         at = np.concatenate([at[0] * _GRADED, at, 1.0 - (1.0 - at[-1]) * _GRADED[::-1]])
@@ -487,13 +537,13 @@ def _all_parts(known: Known) -> list[_Parts]:
         steps = np.diff(along, axis=2)
         common = steps.mean(axis=(0, 1))
         change = np.abs(common).max(axis=-1)
-        shared = (common**2).sum(axis=-1) > _SETTINGS.shared * (steps**2).mean(axis=(0, 1)).sum(
-            axis=-1
-        )
+        shared = (common**2).sum(axis=-1) > SUBSET_SETTINGS.shared * (steps**2).mean(
+            axis=(0, 1)
+        ).sum(axis=-1)
         beside = np.maximum(np.append(change[1:], 0.0), np.append(0.0, change[:-1]))
         jumps = []
         stands_out = (
-            shared & (change > _SETTINGS.stands_out * beside) & (change > 1e-9 * change.sum())
+            shared & (change > SUBSET_SETTINGS.stands_out * beside) & (change > 1e-9 * change.sum())
         )
         for k in np.flatnonzero(stands_out & even & np.append(False, even[:-1])).tolist():
             low, high = at[k], at[k + 1]
@@ -502,7 +552,7 @@ def _all_parts(known: Known) -> list[_Parts]:
             few = through[:, :: max(1, count // 16)]
             left, right = (profiles(axis, np.array([e]), few).mean((0, 1, 2)) for e in (low, high))
             channel = int(np.abs(right - left).argmax())
-            for _ in range(_SETTINGS.halvings):
+            for _ in range(SUBSET_SETTINGS.halvings):
                 middle = 0.5 * (low + high)
                 value = profiles(axis, np.array([middle]), few).mean((0, 1, 2))
                 nearer = abs(value - left)[channel] < abs(value - right)[channel]
@@ -513,8 +563,10 @@ def _all_parts(known: Known) -> list[_Parts]:
         slopes = np.diff(mean, axis=0)
         bend = np.abs(np.diff(slopes, axis=0)).max(axis=-1)
         both = bend[1:-2] + bend[2:-1]  # of the four nodes about each interval
-        sharp = both > _SETTINGS.stands_out * np.maximum(bend[:-3], bend[3:])
-        for k in np.flatnonzero(sharp & (both > _SETTINGS.bent * np.abs(slopes).max())).tolist():
+        sharp = both > SUBSET_SETTINGS.stands_out * np.maximum(bend[:-3], bend[3:])
+        for k in np.flatnonzero(
+            sharp & (both > SUBSET_SETTINGS.bent * np.abs(slopes).max())
+        ).tolist():
             near = at[k : k + 6]
             if not even[k : k + 4].all() or any(
                 near[0] <= b <= near[-1] for b in (*ends[1:-1], *jumps)
@@ -527,7 +579,7 @@ def _all_parts(known: Known) -> list[_Parts]:
                 continue
             place = min(max(float(gap / (before - after)), 1e-6), 1.0 - 1e-6)
             jumps.append(float(at[k + 2] + place * (at[k + 3] - at[k + 2])))
-        axes.append(_Curves(np.unique([*ends, *jumps]), at))
+        axes.append(Curves(np.unique([*ends, *jumps]), at))
         found.append(along)
     return [
         _fitted(
@@ -546,21 +598,21 @@ def _all_parts(known: Known) -> list[_Parts]:
 def _fitted(
     variance: float,
     half: float,
-    axes: list[_Curves],
+    axes: list[Curves],
     profiles: list[Array],
     through: Array,
     every: Array,
     all_values: Array,
-) -> _Parts:
+) -> Parts:
     """Fit a sum of products to values (replicates, n) at points, by least squares along one axis in turn."""
-    x, values = every[: _SETTINGS.fitted + 1], all_values[: _SETTINGS.fitted + 1]
+    x, values = every[: SUBSET_SETTINGS.fitted + 1], all_values[: SUBSET_SETTINGS.fitted + 1]
     # Functions of each axis: 1 and the leading singular vectors of its profiles
     bases = []
     for given in profiles:
         flat = given.reshape(-1, given.shape[-1])
         flat = flat - flat.mean(axis=1, keepdims=True)
         size, vectors = np.linalg.eigh(flat.T @ flat)
-        keep = int((size[-_SETTINGS.basis :] > _SETTINGS.negligible * size.sum()).sum())
+        keep = int((size[-SUBSET_SETTINGS.basis :] > SUBSET_SETTINGS.negligible * size.sum()).sum())
         one = np.ones((1, flat.shape[1]))
         vectors = vectors.T[::-1][:keep] * math.sqrt(flat.shape[1])
         bases.append(np.concatenate([one, vectors]))
@@ -568,24 +620,28 @@ def _fitted(
         axis.at(basis, x[..., i].ravel()).reshape(len(basis), len(x), -1)
         for i, (axis, basis) in enumerate(zip(axes, bases, strict=True))
     ]
-    cells = [axis.cells(basis, _SETTINGS.cells) for axis, basis in zip(axes, bases, strict=True)]
+    cells = [
+        axis.cells(basis, SUBSET_SETTINGS.cells) for axis, basis in zip(axes, bases, strict=True)
+    ]
     # In blocks, whose products are too small for threads of BLAS: the most of the time goes by waiting for them
-    blocks = [basis[:, :-1].reshape(len(basis), -1, _SETTINGS.block) for basis in known]
+    blocks = [basis[:, :-1].reshape(len(basis), -1, SUBSET_SETTINGS.block) for basis in known]
     train = [np.ascontiguousarray(basis.swapaxes(0, 1)) for basis in blocks]
     scale = float(np.abs(values).max()) or 1.0
-    target = values[:-1].reshape(-1, _SETTINGS.block) / scale
+    target = values[:-1].reshape(-1, SUBSET_SETTINGS.block) / scale
 
     # One product more after the other, with and without sums of functions of one axis
     rng = np.random.default_rng(_OWN.child(4).key)
     best, residual = [np.zeros((1, len(basis))) for basis in bases], variance
     fits = {False: best, True: best}
-    most = _SETTINGS.rank if len(axes) > _SETTINGS.few_dims else _SETTINGS.few_rank
+    most = (
+        SUBSET_SETTINGS.rank if len(axes) > SUBSET_SETTINGS.few_dims else SUBSET_SETTINGS.few_rank
+    )
     for rank, additive in itertools.product(range(most + 1), (False, True)):
-        if residual <= _SETTINGS.good * variance or not (rank or additive):
+        if residual <= SUBSET_SETTINGS.good * variance or not (rank or additive):
             continue
         weights = fits[additive]
         if rank:
-            new = [_SETTINGS.start * rng.standard_normal((1, len(basis))) for basis in bases]
+            new = [SUBSET_SETTINGS.start * rng.standard_normal((1, len(basis))) for basis in bases]
             for w in new:
                 w[0, 0] = 1.0
             weights = [np.concatenate([w, v]) for w, v in zip(weights, new, strict=True)]
@@ -607,7 +663,7 @@ def _fitted(
         energy = scale**2 * float(energy)
         untested = energy - scale**2 * float(sums.var())
         chance = variance - float(values[-1].var())
-        missed += max(abs(untested - chance) - 2.0 * half - energy / _SETTINGS.cells, 0.0)
+        missed += max(abs(untested - chance) - 2.0 * half - energy / SUBSET_SETTINGS.cells, 0.0)
         if missed < residual:
             best, residual = weights, missed
 
@@ -616,7 +672,10 @@ def _fitted(
     sums, factors = [scale * f[0] for f in curves], [f[1:] for f in curves]
     factors[0] = scale * factors[0]
     means = np.stack(
-        [axis.cells(f, _SETTINGS.cells).mean(-1) for axis, f in zip(axes, factors, strict=True)]
+        [
+            axis.cells(f, SUBSET_SETTINGS.cells).mean(-1)
+            for axis, f in zip(axes, factors, strict=True)
+        ]
     )
     flat = through.reshape(-1, len(axes))
     at = np.stack(
@@ -636,11 +695,12 @@ def _fitted(
     alone = np.sum([a.at(m[0], t.ravel()).reshape(t.shape) for a, m, t in at_all], axis=0)
     left = ((all_values - alone - (all_values - alone).mean()) ** 2).mean(axis=1)
     spread = [
-        a.cells(m[1:], _SETTINGS.cells).var(axis=0, ddof=1) for a, m in zip(axes, main, strict=True)
+        a.cells(m[1:], SUBSET_SETTINGS.cells).var(axis=0, ddof=1)
+        for a, m in zip(axes, main, strict=True)
     ]
-    errors = float(np.mean(spread, axis=1).sum()) / _SETTINGS.groups
+    errors = float(np.mean(spread, axis=1).sum()) / SUBSET_SETTINGS.groups
     joint = float(left.mean()) - errors, float(half_interval(left)) + errors
-    return _Parts(variance, half, axes, main, factors, residual, joint)
+    return Parts(variance, half, axes, main, factors, residual, joint)
 
 
 def _least_squares(
@@ -653,7 +713,7 @@ def _least_squares(
     weights = [w.copy() for w in weights]
     curves = [w @ b for w, b in zip(weights, bases, strict=True)]  # (blocks, 1 + products, size)
     last = math.inf
-    for _ in range(_SETTINGS.sweeps):
+    for _ in range(SUBSET_SETTINGS.sweeps):
         # Products over the axes after each, and as the sweep goes on over those before it
         after = [np.ones_like(curves[0][:, 1:])]
         for c in curves[:0:-1]:
@@ -665,9 +725,11 @@ def _least_squares(
             if additive:
                 others = np.concatenate([np.ones_like(target)[:, None], others], axis=1)
             sums = sums - curves[i][:, 0]
-            design = (others[:, :, None] * basis[:, None]).reshape(len(target), -1, _SETTINGS.block)
+            design = (others[:, :, None] * basis[:, None]).reshape(
+                len(target), -1, SUBSET_SETTINGS.block
+            )
             gram = (design @ design.swapaxes(1, 2)).sum(axis=0)
-            gram[np.diag_indices(len(gram))] += _SETTINGS.ridge * np.trace(gram) / len(gram)
+            gram[np.diag_indices(len(gram))] += SUBSET_SETTINGS.ridge * np.trace(gram) / len(gram)
             right = (design @ (target - sums)[..., None]).sum(axis=0)
             solved = np.linalg.solve(gram, right).reshape(others.shape[1], -1)
             weights[i] = solved if additive else np.concatenate([0.0 * weights[i][:1], solved])
@@ -678,7 +740,7 @@ def _least_squares(
             before = before * curves[i][:, 1:]
             sums = sums + curves[i][:, 0]
         left = float(((target - sums - before.sum(axis=1)) ** 2).mean())
-        if left > _SETTINGS.settled * last:
+        if left > SUBSET_SETTINGS.settled * last:
             break
         last = left
     return weights
@@ -694,9 +756,11 @@ def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
     """
     n, d = law.n, law.dims
     every, one = np.arange(n), np.arange(1)
-    if isinstance(law, PairedAxes) and law.latin:
+    inner, by = unmoved(law)
+    if isinstance(inner, PairedAxes) and inner.latin:
         codes = np.arange(n)[None, :, None, None].repeat(d, axis=2)
-        return _Pairs("digits", (n,) * d, (1,) * d, latin=True), codes, one
+        offsets = offsets_within(1.0 / n, by, uniform=isinstance(law, Shifted))
+        return _Pairs("digits", (n,) * d, (1,) * d, True, offsets), codes, one
     set_ = law.inner if isinstance(law, Shifted | Scrambled) else law
     unknown = isinstance(law, Scrambled) and not (law.nested_pairs or law.xor)
     if unknown or not isinstance(law, Shifted | Scrambled | Stationary):
@@ -706,7 +770,7 @@ def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
             ".",
         )
     digital = isinstance(set_, Fixed) and set_.digital
-    x = set_.draw(stream, 0, 1 if set_.fixed else _SETTINGS.draws)
+    x = set_.draw(stream, 0, 1 if set_.fixed else SUBSET_SETTINGS.draws)
     if not isinstance(law, Scrambled):
         moved = np.mod(x - x[:, :1], 1.0)
         lattice = np.abs(moved * n - np.rint(moved * n)).max() < 1e-6
@@ -723,7 +787,7 @@ def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
         codes = np.floor(x * cells).astype(np.int64)[..., None]
         return _Pairs("xor", (cells,) * d, (1,) * d), codes, one if digital else every
     bases = law.bases
-    levels = tuple(math.ceil(math.log(max(n, _SETTINGS.digits), b) - 1e-9) for b in bases)
+    levels = tuple(math.ceil(math.log(max(n, SUBSET_SETTINGS.digits), b) - 1e-9) for b in bases)
     codes = np.zeros((*x.shape, max(levels)), np.int64)
     for axis, (b, most) in enumerate(zip(bases, levels, strict=True)):
         # Coordinates rounded down to below a digit count as that digit
@@ -734,6 +798,14 @@ def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
     return _Pairs("digits", bases, levels), codes, one if binary else every
 
 
-def _net(dims: int, n: int, replicates: int, label: int) -> Array:
+def offsets_within(side: float, by: Array, *, uniform: bool) -> tuple[tuple[float, ...], ...]:
+    """Where the first stratum of a side begins along each axis; several places for uniform ones."""
+    if not uniform:
+        return tuple((float(b) % side,) for b in by)
+    places = (np.arange(SUBSET_SETTINGS.offsets) + 0.5) / SUBSET_SETTINGS.offsets * side
+    return (tuple(places.tolist()),) * len(by)
+
+
+def net(dims: int, n: int, replicates: int, label: int) -> Array:
     """Scrambled nets of our own, (replicates, n, dims)."""
     return as_sampler("sobol | owen", dims).draw_stream(n, _OWN.child(label), 0, replicates)

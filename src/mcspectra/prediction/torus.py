@@ -34,6 +34,8 @@ from mcspectra.estimators.quadrature import mesh
 from mcspectra.integrands import Integrand
 from mcspectra.integrands._quadrature import grid_coefficients
 from mcspectra.prediction.known import Known, Predicted, half_interval
+from mcspectra.samplers import DigitalShift, Lms, Owen, Permute, Randomization
+from mcspectra.samplers._primes import is_prime
 from mcspectra.samplers.law import Independent, Law, Scrambled, Shifted, Source
 from mcspectra.spectra.closed_forms import moments_of
 
@@ -524,24 +526,26 @@ def _of_dual(points: Array, known: Known) -> Predicted:
 
 
 def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:
-    """The variance of the mean of g over a fixed set that one random offset moves, in any dims.
+    """The variance of the mean of g over a fixed set that is shifted or scrambled, in any dims.
 
     The means at offsets of our own, a Kronecker sequence of a random vector, have this variance to a share
-    that does not depend on n; of a lattice those in one of its cells are all there are. The interval is by
-    Student's t of successive parts. Pairs, E g(u) g(u + x_k) over independent u, need more: the square of the mean is
-    their mean over all pairs of points.
+    that does not depend on n; of a lattice those in one of its cells are all there are. Digits of other
+    bases, and nested scrambles, are moved by permutations and linear scrambles of our own: these have the
+    law of pairs of nested ones. The interval is by Student's t of successive parts. Pairs,
+    E g(u) g(u + x_k) over independent u, need more: the square of the mean is their mean over all pairs of points.
 
     Raises
     ------
     NoClosedForm
-        The last step is no shift, or no digital shift in base 2, of a fixed set; or n is so large that
-        too few offsets are left.
+        The last step is no shift and no scramble of a fixed set; or n is so large that too few offsets are
+        left.
     """
     g, n = known.g, law.n
     count = min(_MOVES.offsets, _MOVES.evaluations // n)
     if not moves_at_once(law):
         raise NoClosedForm(f"{law.name} does not move {n} points at once, or too many of them.")
     assert isinstance(law, Shifted | Scrambled)
+    own = stream.child(_OFFSET_STREAM)
     shifted, points = isinstance(law, Shifted), law.inner.draw(Stream.from_rng(0), 0, 1)[0]
     words, cell, how = (points * _BITS).astype(np.uint64), np.eye(g.dims), "offsets of the set"
     if shifted and (basis := lattice_basis(points)) is not None:
@@ -553,27 +557,45 @@ def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:
         cell = cell / n
     elif not shifted:
         how = "digital shifts of the net"
+    scramble = _scramble(law) if isinstance(law, Scrambled) and not law.xor else None
+    if scramble is not None:
+        how = f"{scramble.name} scrambles of the set"
 
     # Means of g over the moved sets. Multiples of a random vector are independent in pairs, so that they
     # do as well as random offsets at least; those of a fixed vector might be the points of the set itself
-    start, step = stream.child(_OFFSET_STREAM).uniforms(0, 1, 2 * g.dims).reshape(2, g.dims)
+    start, step = own.uniforms(0, 1, 2 * g.dims).reshape(2, g.dims)
     offsets = (start + np.arange(count)[:, None] * step) % 1.0
-    means = []
+    means, first = [], 0
     for some in np.array_split(offsets, max(1, len(offsets) * n // _MOVES.block)):
         if shifted:
             x = (points + (some @ cell)[:, None]) % 1.0
+        elif scramble is not None:
+            x = scramble.apply(np.broadcast_to(points, (len(some), *points.shape)), own, first)
         else:
             x = (words ^ (some[:, None] * _BITS).astype(np.uint64)) / _BITS
         means.append(g(x).reshape(len(some), n, -1).mean(axis=1))
+        first += len(some)
     of_offsets = np.concatenate(means)
     value = of_offsets.var(axis=0)
     spreads = [part.var(axis=0, ddof=1) for part in np.array_split(of_offsets, _MOVES.spreads)]
     return Predicted(value, half_interval(np.array(spreads)), how)
 
 
+def _scramble(law: Scrambled) -> Randomization:
+    """A scramble with the law's law of pairs, the cheapest."""
+    if law.kind == "digital-shift":
+        return DigitalShift(base=law.bases)
+    if law.kind == "permutation":
+        return Permute(base=law.bases)
+    linear = all(map(is_prime, law.bases))
+    return Lms(base=law.bases) if linear else Owen(base=law.bases)
+
+
 def moves_at_once(law: Law) -> bool:
-    """Whether one random offset, or one digital shift in base 2, moves a fixed set of not too many points."""
-    if not (isinstance(law, Shifted) or (isinstance(law, Scrambled) and law.xor)):
+    """Whether one random offset, or one scramble, moves a fixed set of not too many points."""
+    if not isinstance(law, Shifted | Scrambled):
+        return False
+    if isinstance(law, Scrambled) and not law.shifts:
         return False
     return law.inner.fixed and law.n <= _MOVES.evaluations // _MOVES.least_offsets
 
@@ -586,8 +608,8 @@ def moves_resolve(law: Law, known: Known) -> bool:
     """
     if law.dims > 3 or not moves_at_once(law):
         return False
-    if not isinstance(law, Shifted):
-        return True
+    if isinstance(law, Scrambled):
+        return law.xor
     if known.given.fourier_source == "exact":
         return False
     return lattice_basis(law.inner.draw(Stream.from_rng(0), 0, 1)[0]) is not None
