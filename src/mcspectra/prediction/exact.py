@@ -99,60 +99,62 @@ EXACT_TOLERANCE = 1e-6
 @final
 @dataclass(frozen=True)
 class ExactSettings:
-    """When quadratures agree well enough, and how curves of an axis are cut into cells."""
+    """When quadratures agree, and how the curve of an axis is cut into cells.
 
-    # Error, as a fraction of ∫g²/n, that is accepted whatever the tolerance: a variance that is a
-    # billionth of that of random points has no use.
+    "Insensitive" means: half and twice the value change no variance by more than 1e-9 in twelve cases. The
+    cases are sums and products with jumps, kinks and poles, a wave, a disk and a ridge, at n = 64 and 1024.
+    """
+
+    # Error that is accepted at any tolerance, as a fraction of ∫g²/n. Insensitive.
     negligible: float = 1e-9
-    # Factor to the difference of two orders that bounds the error of the better one. For smooth g
-    # the better one is off by far less than the difference; at a jump both are off by about as
-    # much.
+    # The difference between two orders times this factor bounds the error of the higher order. At a
+    # jump both orders have errors of about the same size. With half of it the second try of a ridge
+    # is left out.
     safety: float = 3.0
-    # Relative error of a variance up to which a refusal offers a larger tolerance: above it there
-    # is no digit to offer.
+    # A refusal names a larger tolerance if the relative error is below this value.
     offered: float = 0.5
-    # Factor to the orders of a second try, and the error, in tolerances, up to which it is made:
-    # four times the order takes 4^d times the evaluations, and halves the error at a jump twice.
+    # The second try has orders that are larger by the first factor. It is made if the error is at
+    # most so many tolerances as the second says. Half and twice the first change the ridge by 1e-5
+    # and 8e-10.
     finer: int = 4
     hope: float = 10.0
-    # Number of dims from which on, and tolerance from which on, sums of products may answer: their
-    # curves are right to about 2e-3.
+    # Sums of products may answer in this number of dims or more and at this tolerance or a larger
+    # one: their curves have relative errors of 2e-3. Insensitive.
     many_dims: int = 4
     loose: float = 1e-3
-    # Most binary digits of a coordinate: digital shifts of more would take more than 2^24 cells.
+    # Largest number of binary digits of a coordinate, which limits the cells of digital shifts.
     most_bits: int = 24
-    # Factor to the stated error of ∫h² next to a pole, which is that of an exponent from two steps.
-    # Rounding of ∫g² and of sums along an axis, relative: some units in the last place.
+    # Factor to the stated error of ∫h² next to a pole. It changes intervals, not variances.
     doubt: float = 3.0
+    # Relative rounding error of ∫g², and of sums along an axis.
     rounding: float = 4e-15
     exact: float = 1e-9
-    # Most cells of an axis: half as many change the variance of Halton points at n = 1024 by
-    # 2e-4, and twice as many by 5e-5. Most pairs of points times dims, which limit the time.
+    # Largest number of cells of an axis. Half changes the variance of halton | shift at n = 1024 by
+    # 2e-4, twice by 5e-5. The second limits the time: number of pairs of points times dims.
     most_cells: int = 2**18
     most_pairs: float = 2.0**32
-    # Nodes of a smooth part of a cell, and fewer from 2^14 cells on, in which a polynomial of order
-    # 6 is right to rounding.
+    # Quadrature nodes in each cell, and fewer nodes if there are more than 2^14 cells. With 3
+    # instead of 6 a sum with poles changes by 3e-6, with 12 by 8e-11.
     many_nodes: int = 16
     few_nodes: int = 6
     deep: int = 14
-    # Error of the mean power of the last octave as that of all beyond it, relative. It widens
-    # the interval of Kronecker points in proportion and changes no variance.
+    # Relative error of the assumption that power beyond the last octave has the mean power of that
+    # octave. It changes intervals, not variances.
     white: float = 0.02
-    # Rounding of a mean over a set as a fraction of √∫h², and of the variance of such means as a
-    # fraction of ∫h²/n.
+    # Rounding error of a mean over a set, as a fraction of √∫h², and of the variance of such means,
+    # as a fraction of ∫h²/n. Insensitive.
     rounded_mean: float = 1e-15
     rounded_variance: float = 1e-15
-    # Points at once, 8 MB. The result does not depend on it.
+    # Points evaluated at a time. The result does not depend on it.
     at_once: int = 2**20
-    # Variance within cells, as a fraction of ∫h², below which it is rounding.
+    # A variance within cells below this fraction of ∫h² is rounding. Insensitive.
     nothing: float = 1e-12
-    # Octaves of 8 of offsets next to a cusp: 8^-10 is below the error of 1e-9 of the rest.
+    # Number of octaves (factor 8) of offsets that resolve a cusp. Insensitive.
     cusps: int = 10
-    # Difference of coordinates from multiples of 1/n, times n, up to which points are a grid:
-    # coordinates are right to 2^-53.
+    # Points are a grid if n times their coordinates is this near to whole numbers. Insensitive.
     even: float = 1e-6
-    # Relative error of a variance by points that are rounded to cells of 2^-15, an upper bound:
-    # such products are refused at tolerances below it.
+    # Relative error of a product's variance if the points are rounded to cells of 2^-15. Smaller
+    # tolerances are refused.
     rounded_points: float = 0.02
 
 

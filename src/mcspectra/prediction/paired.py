@@ -1,20 +1,25 @@
-"""Variances of orthogonal arrays: energies of g by how many axes it varies with at once.
+"""Variances of orthogonal arrays, from the energies of an integrand between strata of its axes.
 
-On each axis a function is a sum of four parts: its mean, means over strata (β), means over the parts of
-a stratum (δ), and what is left within parts. The law of pairs of `PairedAxes` multiplies each part
-by a number, in a pair of different points: (1, −1/(s−1), 0, 0) where they lie in different strata of
-s, (1, 1, 0, 0) where they share one and are independent in it, and (1, 1, −1/(m−1), 0) in two different
-parts of m. With E_u the energy of g whose parts along the axes are u,
+Along each axis g is a sum of four parts: its mean, means over strata (β), means over the parts of a
+stratum (δ), and the remainder within parts. `PairedAxes` states how two different points lie on an axis.
+Each relation multiplies the four parts, of s strata with m parts each, by
+
+    (1, −1/(s−1), 0, 0)     in different strata,
+    (1, 1, 0, 0)            independent in the same stratum,
+    (1, 1, −1/(m−1), 0)     in different parts of the same stratum.
+
+Let E_u be the energy of g with part u_i along axis i. Then
 
     n Var = Σ_u (1 + λ_u) E_u,    λ_u = n Σ_p share_p Π_i factor_p,i(u_i),
 
-the sum over the patterns p of pairs. λ is −1 for a β and for a δ alone, and for two β: such energies have
-no variance. Beyond three β it is of the order of 1/s², which the interval covers.
+with the sum over the patterns p of pairs. Arrays of strength 2 have λ = −1 for one β, for two β and, where
+parts are shared out, for one δ, so that these energies add no variance [Owen1992]_. For more axes λ decreases
+with powers of 1/s.
 
-Energies of single axes are those of the curves g_i of `mcspectra.prediction.subsets`, whose sums of
-products Σ_r Π_i h_ri(x_i) have a known variance: each factor of it is the mean of a product over a pair on
-one axis. What g has beside that is found from r = g − Σ g_i at pairs of points of our own that share
-strata of two or three axes, chosen at random, less the same of the sums of products [Owen1992]_.
+The fit of `mcspectra.prediction.subsets`, functions of single axes and products of such functions, has a
+known variance. The rest is estimated: at pairs of points that share strata of two or three axes, chosen at
+random, the mean product of g without its single axes, minus that of the fit. Energies of more axes than
+three, of g minus the fit, are not estimated and widen the interval.
 """
 
 from __future__ import annotations
@@ -36,36 +41,30 @@ from mcspectra.prediction.known import Known, Predicted, half_interval
 from mcspectra.prediction.subsets import SUBSET_SETTINGS, Parts, all_parts, net, offsets_within
 from mcspectra.samplers.law import Law, PairedAxes, Relation, Shifted, unmoved
 
-__all__ = ["PairedSettings", "is_array", "of_arrays"]
+__all__ = ["PairedSettings", "evaluations", "is_array", "of_arrays"]
 
 _MEAN, _BETWEEN, _AMONG = "mean", "between strata", "between parts"
 _MULTIPLES = {"two": (_BETWEEN,) * 2, "parts": (_BETWEEN, _AMONG), "three": (_BETWEEN,) * 3}
-"""Parts of g along the axes that they vary with, whose energies are found; others are bounded."""
+"""Combinations of parts whose energies are estimated; the energies of others are bounded."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class PairedSettings:
-    """How many pairs of points give energies of several axes.
-
-    Changes are those of a ball, a Gaussian and a kink in 4-D with orthogonal-array | shift at n = 289.
+    """Number of pairs of points for the energies of several axes.
 
     Attributes
     ----------
     pairs
-        Pairs of each replicate that share strata of two axes, of which only one in a part of its own, and of
-        three. The first weigh most.
+        Pairs in each replicate for the entries of `_MULTIPLES`. Half and twice
+        as many change the variances of a Gaussian, a ball and a kink in 4-D with orthogonal-array | shift at
+        n = 289 by less than 0.5 %; their half intervals are 0.9, 2.1 and 0.5 %.
     replicates
-        Scrambled nets of pairs, whose spread is the error.
-    fine, finest
-        Cells of an axis for the energy of its curves, where g is smooth and where it jumps: what varies
-        within them is lost, 2e-6 of the square of a jump.
+        Scrambled nets of pairs. Their spread gives the interval, with Student's t of 15 degrees of freedom.
     """
 
     pairs: tuple[int, int, int] = (1 << 16, 1 << 13, 1 << 13)
     replicates: int = 16
-    fine: int = 1 << 14
-    finest: int = 1 << 17
 
 
 _SETTINGS = PairedSettings()
@@ -77,28 +76,24 @@ def of_arrays(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
     Raises
     ------
     NoClosedForm
-        The law is another, or its pairs prefer some axes.
+        The law is no orthogonal array, or does not treat all axes alike.
     """
     array, by = unmoved(law)
     if not (is_array(law) and isinstance(array, PairedAxes)):
-        raise NoClosedForm(f"{law.name} is no orthogonal array.")
+        raise NoClosedForm(f"{law.name} is no orthogonal array that treats all axes alike.")
     n, s = law.n, array.strata[0]
     parts = array.parts[0] if any("mates" in p.axes for p in array.patterns) else 1
     offsets = offsets_within(1.0 / s, by, uniform=isinstance(law, Shifted))
-    weights = {
-        name: _weights(array, tuple(along))
-        for name, along in (("one", (_BETWEEN,)), ("part", (_AMONG,)), *_MULTIPLES.items())
-    }
-    if any(np.ptp(each) > 1e-9 * (1.0 + abs(each[0])) for each in weights.values()):
-        raise NoClosedForm(f"Pairs of points of {law.name} prefer some axes to others.")
-    one, part, two, both, three = (float(each[0]) for each in weights.values())
-
-    # The largest weight of energies of three axes and more that are not found
-    rest = 0.0
-    for many_between, many_among in itertools.product(range(law.dims + 1), repeat=2):
-        if 2 < many_between + many_among <= law.dims and (many_between, many_among) != (3, 0):
-            along = (_BETWEEN,) * many_between + (_AMONG,) * many_among
-            rest = max(rest, abs(float(_weight(array, along + (_MEAN,) * (law.dims - len(along))))))
+    one, part, two, both, three = (
+        _weight(array, along) for along in ((_BETWEEN,), (_AMONG,), *_MULTIPLES.values())
+    )
+    # The largest weight of all energies of three axes or more that are not estimated
+    rest = max(
+        abs(_weight(array, (_BETWEEN,) * k + (_AMONG,) * (axes - k)))
+        for axes in range(3, max(law.dims, 3) + 1)
+        for k in range(axes + 1)
+        if (axes, k) != (3, 3)
+    )
 
     found = []
     for c, p in enumerate(known.once("subsets: parts", lambda: all_parts(known))):
@@ -107,7 +102,7 @@ def of_arrays(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
             ("arrays", c, s, parts, at),
             functools.partial(_energies, p, c, s, parts, offsets, known),
         )
-        # Single axes, of all groups of profiles and of each; sums of products; what g has beside these
+        # n Var of single axes (all profiles, then each group), of the fit in several axes, and the rest
         alone = sums.single @ np.array([1.0, 1.0 + part, 1.0 + one])
         several = _of_products(array, sums)
         beside = more @ np.array([1.0, two, both, three])
@@ -122,16 +117,34 @@ def of_arrays(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
     return Predicted(value / n, error / n, "energies of shared strata", share, tail / n)
 
 
+def evaluations() -> float:
+    """Evaluations of g that one prediction takes, in addition to those of the fit."""
+    return float(2 * sum(_SETTINGS.pairs) * _SETTINGS.replicates)
+
+
 def is_array(law: Law) -> bool:
-    """Whether points are an orthogonal array in several dims, moved or shifted or not."""
+    """Whether points are an orthogonal array in several dims that treats all axes alike.
+
+    It may be moved or shifted.
+    """
     array, _ = unmoved(law)
     if not isinstance(array, PairedAxes) or array.latin or array.dims == 1:
         return False
+    # All arrangements of the relations of a pattern have the same share
+    shares: dict[tuple[Relation, ...], list[float]] = {}
+    for pattern in array.patterns:
+        shares.setdefault(tuple(sorted(pattern.axes)), []).append(pattern.share)
+    for relations, own in shares.items():
+        several = math.factorial(array.dims) // math.prod(
+            math.factorial(relations.count(each)) for each in set(relations)
+        )
+        if len(own) != several or max(own) - min(own) > 1e-12:
+            return False
     return len(set(array.strata)) == 1 and len(set(array.parts)) == 1
 
 
 def _factor(relation: Relation, part: str, strata: int, parts: int) -> float:
-    """What a pair of points leaves of a part of g along one axis."""
+    """The factor by which a relation of two points multiplies a part of g along one axis."""
     if part == _MEAN:
         return 1.0
     if relation == "apart":
@@ -142,38 +155,31 @@ def _factor(relation: Relation, part: str, strata: int, parts: int) -> float:
 
 
 def _weight(law: PairedAxes, along: Sequence[str]) -> float:
-    """λ of a part of g along each axis."""
-    s, m = law.strata[0], law.parts[0]
+    """λ of these parts along the first axes and means along the others; 0 if g has fewer axes."""
+    s, m, missing = law.strata[0], law.parts[0], law.dims - len(along)
+    if missing < 0:
+        return 0.0
+    parts = (*along, *(_MEAN,) * missing)
     return law.n * sum(
-        p.share * math.prod(_factor(r, a, s, m) for r, a in zip(p.axes, along, strict=True))
+        p.share * math.prod(_factor(r, a, s, m) for r, a in zip(p.axes, parts, strict=True))
         for p in law.patterns
     )
-
-
-def _weights(law: PairedAxes, parts: tuple[str, ...]) -> Array:
-    """λ of parts of g along some axes, of all choices of axes."""
-    found = []
-    for axes in itertools.permutations(range(law.dims), len(parts)):
-        along = [_MEAN] * law.dims
-        for axis, part in zip(axes, parts, strict=True):
-            along[axis] = part
-        found.append(_weight(law, along))
-    return np.array(found or [0.0])
 
 
 @final
 @dataclass(frozen=True)
 class _Sums:
-    """What is known of a sum of functions of single axes and of products of these.
+    """Energies of single axes, and moments of the factors h_ri of the products.
 
     Attributes
     ----------
     single
-        Energies of single axes: left in parts, between parts, between strata; (1 + groups, 3).
+        Energies within parts, between parts and between strata, summed over the axes: (1 + groups, 3).
     means
-        Those of the factors h_ri, (dims, products).
+        Means of the factors, (dims, products).
     covariances
-        Of the factors: of their values, their means over parts, and over strata; (dims, 3, products, products).
+        Covariances of the values of the factors, of their means over parts, and over strata:
+        (dims, 3, products, products).
     """
 
     single: Array
@@ -182,7 +188,7 @@ class _Sums:
 
 
 def _of_products(law: PairedAxes, sums: _Sums) -> float:
-    """n times the variance of a sum of products, without single axes."""
+    """n times the variance of a sum of products minus its single axes."""
     s, m = law.strata[0], law.parts[0]
     whole, parts, strata = np.moveaxis(sums.covariances, 1, 0)
     kept = {"self": whole, "apart": -strata / (s - 1), "same": strata}
@@ -202,16 +208,17 @@ def _of_products(law: PairedAxes, sums: _Sums) -> float:
 def _energies(
     p: Parts, channel: int, s: int, parts: int, offsets: Sequence[Sequence[float]], known: Known
 ) -> tuple[_Sums, Array]:
-    """Energies of single axes and of sums of products, and what g has beside the latter.
+    """Energies of single axes and moments of the fit, and energies of g minus those of the fit.
 
-    That is (replicates, 4): the energy of several axes, and those in the order of `_MULTIPLES`.
+    The latter are (replicates, 4): of all parts of several axes, and of the entries of `_MULTIPLES`.
     """
     singles, means, covariances = np.zeros((len(p.main[0]), 3)), list[Array](), list[Array]()
     own, centers = len(p.main[0]), list[Array]()
     for curves, main, factors, places in zip(p.axes, p.main, p.factors, offsets, strict=True):
         both = np.concatenate([main, factors])
-        # All of the energy, in cells so fine that they lose none; means over parts and strata are exact
-        values = curves.cells(both, _SETTINGS.finest if len(curves.knots) > 2 else _SETTINGS.fine)
+        # Fine cells hold the whole energy; means over parts and strata are exact
+        jumps = len(curves.knots) > 2
+        values = curves.cells(both, SUBSET_SETTINGS.finest if jumps else SUBSET_SETTINGS.fine)
         mean = values.mean(axis=-1)
         values = values - mean[:, None]
         whole = (values[:own] ** 2).mean(axis=-1)
@@ -233,7 +240,7 @@ def _energies(
     others = np.stack([np.prod(np.delete(sums.means, i, axis=0), axis=0) for i in range(d)])
 
     def left(x: Array) -> Array:
-        """g less its single axes, and the sum of products less its own: (2, …)."""
+        """g minus its single axes, and the products minus theirs: (2, …)."""
         flat = x.reshape(-1, d)
         alone, products, single = np.zeros(len(flat)), np.ones(1), np.zeros(1)
         for i, (axis, main, factors) in enumerate(zip(p.axes, p.main, p.factors, strict=True)):
@@ -265,13 +272,13 @@ def _energies(
         one, two = left(x), left(other)
         middle = 0.5 * (one + two).mean(axis=(1, 2), keepdims=True)
         one, two = one - middle, two - middle
-        # A mean over choices of axes in order; of two different parts their order counts
+        # Sums over all choices of axes are their number times the mean; two different parts can be swapped
         many = math.comb(d, len(along)) * (2 if name == "parts" else 1)
         product, square = one * two, 0.5 * (one**2 + two**2)
         more[:, 1 + k] = many * (product[0] - product[1]).mean(axis=-1)
         if k == 0:
             more[:, 0] = (square[0] - square[1]).mean(axis=-1)
-    # Less the energies of fewer axes, and of strata where parts are shared, which they contain
+    # Pairs that share parts share strata, and those that share three strata share two of them
     more[:, 2] -= 2.0 * more[:, 1] if parts > 1 and d > 1 else 0.0
     more[:, 3] -= (d - 2) * more[:, 1] if d > 2 else 0.0
     return sums, more

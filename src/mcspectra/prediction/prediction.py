@@ -48,7 +48,7 @@ from mcspectra.prediction.cross_checks import (
 from mcspectra.prediction.exact import EXACT_TOLERANCE, estimated_variance, of_integrand
 from mcspectra.prediction.known import Cells, Known, Predicted
 from mcspectra.prediction.levels import of_levels
-from mcspectra.prediction.paired import is_array, of_arrays
+from mcspectra.prediction.paired import evaluations, is_array, of_arrays
 from mcspectra.prediction.rates import Slowest, rates_of, slowest_of_jumps
 from mcspectra.prediction.separable import separated
 from mcspectra.prediction.subsets import of_subsets
@@ -532,11 +532,11 @@ METHODS: tuple[Method, ...] = (
     ),
     Method(
         name="subsets",
-        summary="energies of single axes, and of several that points in the same strata share",
+        summary="energies between strata of one, two and three axes, for orthogonal arrays",
         predict=of_arrays,
         applies=lambda law, known: is_array(law) and not known.costly,
         enough=lambda *_: _AUTO.measured,
-        cost=lambda *_: _AUTO.tables,
+        cost=lambda *_: _AUTO.tables + evaluations(),
     ),
     Method(
         name="subsets",

@@ -37,55 +37,54 @@ __all__ = ["Curve", "CurveSettings", "Separable", "separated"]
 @final
 @dataclass(frozen=True)
 class CurveSettings:
-    """How a function of one axis becomes a curve, and when g is a sum or a product of such functions."""
+    """How a function of one axis becomes a curve, and how sums and products are recognized.
 
-    # Coefficients of a piece, and pieces of an axis at first: 4 nodes a wave of 128 periods, of
-    # which 16 coefficients are right to rounding.
+    "Insensitive" means: half and twice the value change no variance by more than 1e-10 in the twelve cases
+    of `mcspectra.prediction.exact.ExactSettings`.
+    """
+
+    # Legendre coefficients of each piece, and pieces of an axis at first. Insensitive.
     order: int = 16
     pieces: int = 32
-    # Last coefficients that count as settled, relative to the largest: about 1e-11 of h is left
-    # beyond them. And what a piece may add to ∫h² unsettled, relative to ∫h²: rounding.
+    # The last coefficients of a settled piece, as a fraction of the largest. Insensitive.
     settled: float = 1e-11
+    # A piece that adds less than this fraction to ∫h² counts as settled. Insensitive.
     negligible: float = 1e-15
-    # Width of pieces below which there is a kink or a jump: smooth pieces of 128 periods are not
-    # halved so far.
+    # Pieces narrower than this hold a kink or a jump. Insensitive.
     kink: float = 2.0**-12
-    # Last coefficients next to a kink, relative to √∫h², up to which its pieces need not be
-    # settled.
+    # The last coefficients next to a kink, as a fraction of √∫h². Insensitive.
     small: float = 1e-9
-    # Rounding of a node, relative to its place: doubles are 2^-53 of it apart, and differences
-    # double that twice.
+    # Rounding error of a node as a fraction of its coordinate: four units in the last place.
+    # Insensitive.
     rounded: float = 2.0**-51
-    # Most nodes of an axis: they limit the time of slow functions. A jump takes 50 halvings of
-    # 16 nodes.
+    # Largest number of nodes of an axis, which limits the evaluations.
     most_nodes: int = 2**17
-    # Widths of pieces that are not halved any more: doubles do not tell their nodes apart.
+    # Pieces of this width are not halved again: the nodes would differ by rounding only.
+    # Insensitive.
     least: float = 2.0**-50
     least_at_0: float = 2.0**-64
-    # log2 of 1/distance from a pole at 0, and elsewhere, at which its exponent is fitted. The last
-    # is where the power law begins; nearer to a place inside, doubles are too far apart.
+    # log2 of 1/distance from a pole at 0, and from another pole, at which the exponent is fitted.
+    # The power law begins at the last distance. With 5 more or less the variance of a sum with
+    # poles changes by less than 1e-6.
     near_0: tuple[int, ...] = (40, 45, 50, 55, 60)
     inside: tuple[int, ...] = (20, 23, 26, 29, 32)
-    # Least exponent of a pole: t^-0.02 doubles over 2^50 of the distance, and polynomials follow
-    # it.
+    # Smallest exponent of a pole. Polynomials follow weaker poles. Insensitive.
     pole: float = 0.02
-    # Relative error of the distances to a place inside: 2^-53 of the place against 2^-32, and the
-    # place itself.
+    # Relative error of the distances to a pole that is not at 0. It changes intervals, not
+    # variances.
     place: float = 2.0**-16
-    # Step from one distance to the next, relative to the value: smaller ones are no pole.
+    # Smallest step toward a pole, as a fraction of the value. Insensitive.
     step: float = 1e-6
-    # Distance over which pieces next to a pole are left out on its other side: it spans several
-    # pieces that do not settle.
+    # Width next to a pole, on its other side, in which pieces belong to the pole. Insensitive.
     gap: float = 2.0**-40
-    # Points of the probe, of which a product takes the one with the largest value as its origin.
+    # Points of the probe among which a product finds its largest value. Insensitive.
     candidates: int = 2**10
-    # Points at which sums and products are tested before curves are made, and as many with large
-    # values: 32 tell g that is neither, at almost any point.
+    # Points of the first test, and as many points with large values. Insensitive.
     lines: int = 16
-    # Relative difference of g from what curves make of it that is rounding of g.
+    # Relative rounding error of g in the test of a sum or product. Insensitive.
     same: float = 1e-7
-    # Fraction of the values that are equal, above which they are a constant beside a product, such
-    # as 0 of an indicator.
+    # A value that more than this fraction of points share is a constant beside a product, such as
+    # the 0 of an indicator. Insensitive.
     common: float = 0.1
 
 

@@ -529,9 +529,9 @@ def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:
     """The variance of the mean of g over a fixed set that is shifted or scrambled, in any dims.
 
     The means at offsets of our own, a Kronecker sequence of a random vector, have this variance to a share
-    that does not depend on n; of a lattice those in one of its cells are all there are. Digits of other
-    bases, and nested scrambles, are moved by permutations and linear scrambles of our own: these have the
-    law of pairs of nested ones. The interval is by Student's t of successive parts. Pairs,
+    that does not depend on n; of a lattice those in one of its cells are all there are. Digital
+    shifts and permutations of other bases are drawn at random. So are linear scrambles, which stand for nested
+    ones, too, since pairs of points have the same law. The interval is by Student's t of successive parts. Pairs,
     E g(u) g(u + x_k) over independent u, need more: the square of the mean is their mean over all pairs of points.
 
     Raises
@@ -582,7 +582,7 @@ def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:
 
 
 def _scramble(law: Scrambled) -> Randomization:
-    """A scramble with the law's law of pairs, the cheapest."""
+    """The cheapest scramble that has the law's distribution of pairs of points."""
     if law.kind == "digital-shift":
         return DigitalShift(base=law.bases)
     if law.kind == "permutation":
