@@ -216,7 +216,7 @@ def test_techniques_print_no_rate_that_is_no_finding(run):
 
 
 def test_converge_finds_no_rate_in_noise_or_in_rounding(run, run_json):
-    """-1.03 ± 1.34 of five realisations, and a rate of 1e-34."""
+    """-1.03 ± 1.34 of five realizations, and a rate of 1e-34."""
     arguments = (
         "converge",
         "gaussian",
@@ -232,7 +232,7 @@ def test_converge_finds_no_rate_in_noise_or_in_rounding(run, run_json):
     row = next(line.split() for line in out.splitlines() if line.startswith("random"))
     assert row[3] == "unresolved"
     assert float(row[4]) > 0.5
-    assert "the rate is not resolved: use more realisations or larger counts" in out
+    assert "the rate is not resolved: use more realizations or larger counts" in out
     assert "sobol has no variance: add owen or shift, or look at |bias|" in out
     assert [line.split()[1:4] for line in out.splitlines() if line.startswith("sobol  ")] == [
         ["0", "0", "–"]
@@ -247,7 +247,7 @@ def test_converge_says_which_counts_missed_the_precision(run, run_json):
     code, out, _ = run(*arguments, "--relative-error", 0.01)
     assert code == 0
     assert (
-        "random: the relative error 0.01 was not reached with 20 realisations at n = 4, 16" in out
+        "random: the relative error 0.01 was not reached with 20 realizations at n = 4, 16" in out
     )
     assert run_json(*arguments, "--relative-error", 0.01)["curves"][0]["reached"] == [0, 0]
     assert "reached" not in run(*arguments)[1]

@@ -98,7 +98,7 @@ def test_given_sets_count_as_many_as_there_are(tmp_path):
     spec = f"points(path={str(tmp_path / 'n{n}_*')!r}, name='mine')"
     found = mcs.sampler_bench([spec, "random"], counts=(10, 70, 1000), realizations=40)
     assert found["label"].values.tolist() == ["mine", "random"]
-    # Each count once, and of 40 realisations the 20 that there are: more would be refused
+    # Each count once, and of 40 realizations the 20 that there are: more would be refused
     np.testing.assert_array_equal(found["points_made"][0, 0], [16, 64, np.nan])
     np.testing.assert_array_equal(np.isnan(found["variance"][0]).all("integrand"), [0, 0, 1])
     assert np.isnan(found["points_per_second"][0]).all()  # they are read, not made

@@ -1,4 +1,4 @@
-"""Parameters that a sampler or randomisation refuses, and the names its sentence has.
+"""Parameters that a sampler or randomization refuses, and the names its sentence has.
 
 The checks themselves (fractions, NaN, text for numbers) are tests of `core.checks`: here is one case
 for each field, and each rule of a class's own.
@@ -71,7 +71,7 @@ REFUSED = [
     ("sliced-optimal-transport", 1, ("sliced-optimal-transport", "jittered")),
     ("sliced-optimal-transport(iterations=0)", 2, ("iterations is 0",)),
     ("sliced-optimal-transport(directions=1.5)", 2, ("directions is 1.5",)),
-    # Randomisations alone
+    # Randomizations alone
     *(
         (f"random | {step}(base={base})", 2, ("base is", "2 to 8192"))
         for step in ("digital-shift", "permute", "owen", "lms")

@@ -1,7 +1,7 @@
 """The verb of any analysis: its options and their help are derived from the analysis itself.
 
 An analysis of `mcspectra.core.analysis.ANALYSES` that has a verb is one, those of other packages too.
-What is analysed comes first (an integrand with densities and a sampler, or a sampler alone), then the
+What is analyzed comes first (an integrand with densities and a sampler, or a sampler alone), then the
 options of `mcspectra.core.options.options_of`. `mcspectra.cli.texts` shows the result.
 
 Several analyses may share a verb: ``--split`` chooses one. The parser then has the options of this analysis,
@@ -119,7 +119,7 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
     if not isinstance(default_sampler, str):
         default_sampler = None
 
-    # Declare what is analysed
+    # Declare what is analyzed
     all_sets = False
     declarations: list[Declaration]
     if analysis.about == "estimator":

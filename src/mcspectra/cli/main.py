@@ -134,7 +134,7 @@ class _Parser(argparse.ArgumentParser):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    # Threads are over realisations and cells; those of BLAS beside them wait for one another.
+    # Threads are over realizations and cells; those of BLAS beside them wait for one another.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     for stream in (sys.stdout, sys.stderr):
         # A terminal that lacks a character such as ² shows '?' instead of losing the result.

@@ -5,7 +5,7 @@ it is computed (`reduction`); Python's functions, study files, verbs, the explor
 variables of results and the docs derive from it. `ANALYSES` finds analyses by name, those of other
 packages too (entry points ``mcspectra.analyses``).
 
-Computing is one contract. A `Reduction` cuts realisations into atomic blocks, whose number and limits
+Computing is one contract. A `Reduction` cuts realizations into atomic blocks, whose number and limits
 depend on the size of the problem alone; each block gives a state, and states merge in a fixed binary
 tree over the blocks (`MergeTree`). The result is therefore the same bits whether one thread computes
 all blocks or many machines compute *chunks* of them: a chunk is an aligned run of 2^k blocks, which is
@@ -99,7 +99,7 @@ Chunk: TypeAlias = tuple[int, int]
 @final
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """What is analysed.
+    """What is analyzed.
 
     Attributes
     ----------
@@ -205,7 +205,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         subject
             One that `need` has accepted.
         stream
-            Random numbers of all realisations.
+            Random numbers of all realizations.
         """
         raise AnalysisError(
             f"{type(self).__name__} has no reduction; define it, which says how it is computed."
@@ -307,7 +307,7 @@ def check_names(kind: type[Analysis]) -> None:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Reduction(Generic[State]):
-    """A sum over blocks of realisations.
+    """A sum over blocks of realizations.
 
     Attributes
     ----------
@@ -535,7 +535,7 @@ def compute_chunk(reduction: Reduction[State], chunk: Chunk) -> State:
 
 
 class MergeTree(Generic[State]):
-    """Merges states of blocks as a binary counter does: neighbours of equal size first.
+    """Merges states of blocks as a binary counter does: neighbors of equal size first.
 
     What remains at the end merges from the right. The tree depends on the number of blocks alone,
     not on the chunks they came in, nor on the order of these; of chunks in their order only log₂ of the

@@ -198,7 +198,7 @@ class CacheWarning(UserWarning):
 
 
 class DependentRealizationsWarning(UserWarning):
-    """The realisations of a seed are not independent: variances and errors over them mislead."""
+    """The realizations of a seed are not independent: variances and errors over them mislead."""
 
 
 class MissingPackageWarning(UserWarning):

@@ -58,7 +58,7 @@ class _NameOfClass:
 
 
 class Component:
-    """What samplers, randomisations, densities and integrands share: a name and a spec string.
+    """What samplers, randomizations, densities and integrands share: a name and a spec string.
 
     Subclasses are dataclasses; `spec` lists the fields that differ from their defaults. Those declared
     by `mcspectra.core.fields` are checked when an instance is made, then all of it by `_check`. A class

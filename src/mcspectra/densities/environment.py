@@ -112,7 +112,7 @@ class EnvironmentDensity(Wrapper):
         ``"luminance"`` (Rec. 709; of one channel, itself) or the number of a channel.
     interpolation
         ``"constant"``: constant in each pixel, which gets the mass L · solid angle exactly.
-        ``"bilinear"``: between pixel centres, periodic in φ, of L sin θ at the centres.
+        ``"bilinear"``: between pixel centers, periodic in φ, of L sin θ at the centers.
     sin_theta
         Weight rows by their solid angle; False samples L over the square, as of a flat picture.
     compensation
@@ -173,7 +173,7 @@ class EnvironmentDensity(Wrapper):
                 f"Compensation leaves nothing of {source}: no pixel is above "
                 f"{float(self.compensation):g} times the mean; give a smaller multiple or False."
             )
-        # sin θ at the centres is this but for a factor (see `row_solid_angles`)
+        # sin θ at the centers is this but for a factor (see `row_solid_angles`)
         weighted = left * angles[:, None]
         if self.interpolation == "bilinear":
             return Bilinear(values=weighted, periodic=True)

@@ -303,7 +303,7 @@ class PiecewiseLinear(Density):
         return (tuple(found[(found > 0) & (found < 1)].tolist()),)
 
     def zero_points(self) -> Array:
-        """Centres of the empty cells."""
+        """Centers of the empty cells."""
         return ((np.flatnonzero(self._masses == 0) + 0.5) / self._masses.size)[:, None]
 
     def reciprocal_integral(self) -> float:

@@ -147,7 +147,7 @@ def as_estimator(given: Any, dims: int | None = None) -> AbstractEstimator:
     Parameters
     ----------
     given
-        An estimator, an integrand or its spec string, or a vectorised function of points (…, d) to
+        An estimator, an integrand or its spec string, or a vectorized function of points (…, d) to
         values (…) or (…, channels), as for `mcspectra.Integrand.from_function`.
     dims
         Number of dims: a function needs it, a spec string may leave it open, all others must agree.

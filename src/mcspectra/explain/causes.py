@@ -535,7 +535,7 @@ def _said(pole: Pole) -> str:
     where = "a point" if k == d else f"a set of {d - k} dims"
     side = "of the border" if pole.border else "inside"
     if pole.exponent == 0.0:
-        return f"grows without bound, as a logarithm, towards places {side}"
+        return f"grows without bound, as a logarithm, toward places {side}"
     index = f", a tail index of {pole.exponent:.2f}/{k}" if k > 1 else ""
     return f"grows as r^−{pole.exponent:.2f} with the distance r to {where} {side}{index}"
 

@@ -98,7 +98,7 @@ class Linear(Integrand):
         return _along_first_axis(self.gradient, self.dims)
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
-        """Mean at the centre; the variance is Σ_i (g_i h_i)²/12 for sides h_i."""
+        """Mean at the center; the variance is Σ_i (g_i h_i)²/12 for sides h_i."""
         mean = self._evaluate(0.5 * (lo + hi))
         return mean, mean**2 + ((hi - lo) ** 2 @ self._slopes**2) / 12.0
 
@@ -229,7 +229,7 @@ class Cosine(Integrand):
         return _along_first_axis(self.frequency, self.dims)
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
-        """cos at the centre times Π sinc; f² = ½ + ½ cos of the doubled argument."""
+        """cos at the center times Π sinc; f² = ½ + ½ cos of the doubled argument."""
         argument = 2.0 * np.pi * (0.5 * (lo + hi) @ self._wave) + self.phase
         cycles = (hi - lo) * self._wave
         mean = np.cos(argument) * np.sinc(cycles).prod(axis=-1)

@@ -59,7 +59,7 @@ class _Picture(Integrand):
         return np.asarray(self._pixels[row, column])
 
     def _lines(self, first: float) -> Breaks:
-        """Borders of pixels, or centres if `first` is ½, along axes with at most 64 pixels."""
+        """Borders of pixels, or centers if `first` is ½, along axes with at most 64 pixels."""
         height, width = self._pixels.shape[:2]
         return tuple(
             tuple((np.arange(first, size) / size).tolist()) if size <= _MOST_BREAKS else ()
@@ -125,7 +125,7 @@ class Image(_Picture):
         return self._lines(1.0)
 
     def landmarks(self) -> Array:
-        """Centres of the pixels that are not 0, of the 4096 largest at most."""
+        """Centers of the pixels that are not 0, of the 4096 largest at most."""
         size = np.abs(self._pixels).reshape(*self._pixels.shape[:2], -1).max(axis=2)
         height, width = size.shape
         order = np.argpartition(size, max(0, size.size - _LANDMARKS), axis=None)[-_LANDMARKS:]
@@ -183,9 +183,9 @@ class Environment(_Picture):
         Number of one channel, ``"luminance"`` (Rec. 709, of three), or None for all. All of a
         one-channel map is a scalar integrand.
     normal
-        Three numbers, not all 0, of any length; +z is towards the first row.
+        Three numbers, not all 0, of any length; +z is toward the first row.
     interpolation
-        ``"constant"`` in each pixel, or ``"bilinear"`` between centres: periodic in φ, the outermost
+        ``"constant"`` in each pixel, or ``"bilinear"`` between centers: periodic in φ, the outermost
         rows continued to the poles.
 
     Raises
@@ -215,7 +215,7 @@ class Environment(_Picture):
 
     @property
     def breaks(self) -> Breaks:
-        """Pixel borders or centres, along axes with at most 64; the horizon of a vertical normal."""
+        """Pixel borders or centers, along axes with at most 64; the horizon of a vertical normal."""
         columns, rows = self._lines(1.0 if self.interpolation == "constant" else 0.5)
         return columns, tuple(sorted({*rows, 0.5})) if self._vertical else rows
 
@@ -228,7 +228,7 @@ class Environment(_Picture):
         factor = 2 * math.pi**2 * np.sin(np.pi * x[..., 1]) * cosine
         if self.interpolation == "constant":
             radiance = self._pixel(x)
-        else:  # between the four centres around x
+        else:  # between the four centers around x
             height, width = self._pixels.shape[:2]
             s, t = x[..., 0] * width - 0.5, np.clip(x[..., 1] * height - 0.5, 0, height - 1)
             left, top = np.floor(s).astype(np.intp), np.floor(t).astype(np.intp)

@@ -364,7 +364,7 @@ def convergence(
     ----------
     estimator, sampler
         One or a list of each, no sampler twice. Samplers may be spec strings. For plain sampling an
-        estimator may be an integrand, its spec string, or a vectorised function of points (…, d).
+        estimator may be an integrand, its spec string, or a vectorized function of points (…, d).
     dims
         Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
         that is not a spec.

@@ -101,7 +101,7 @@ def frames(
         averaged over the attribute ``smoothing`` of pixels in x and y.
         On n: ``picture_variance``, the mean over the pixels, with ``picture_variance_ci``;
         ``picture_rate`` with its interval. ``needed_spp`` with a target.
-        ``error_spectrum(n, radius)`` with ``error_spectrum_ci``: power of the standardised errors over
+        ``error_spectrum(n, radius)`` with ``error_spectrum_ci``: power of the standardized errors over
         radial frequency in cycles a pixel, white noise 1; ``error_correlation(n, lag_y, lag_x)``.
         ``image(y, x, band)``: mean of the frames of most samples; ``flip(n, y, x)``, FLIP
         [Andersson2021]_ of the first frame against it, if the package flip-evaluator is installed.

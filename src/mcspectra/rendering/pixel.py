@@ -2,7 +2,7 @@
 
 Method
 ------
-The camera ray through the pixel's centre fixes one surface point, once and for all. Its direct
+The camera ray through the pixel's center fixes one surface point, once and for all. Its direct
 illumination is ∫ f_r L_e V cos over directions, and each strategy is the primary-space integrand
 g(u) = f/p at the direction that is made of u in [0,1)²: ``light`` samples a light, ``bsdf`` the
 BSDF, ``environment`` a density of ours (`skies`). With ``mis-light`` and ``mis-bsdf`` each is
@@ -141,7 +141,7 @@ class Pixel(MitsubaIntegrand):
     scene
         A scene's name, the path of a Mitsuba XML file or a Mitsuba dictionary (see `load_scene`).
     x, y
-        Pixel, counted from the left and from the top. The ray goes through its centre if ``dims``
+        Pixel, counted from the left and from the top. The ray goes through its center if ``dims``
         is below 4.
     strategy
         ``"light"``, ``"bsdf"``, or their shares of multiple importance sampling, ``"mis-light"``
@@ -244,7 +244,7 @@ def check_view(view: View, *, bsdf: bool) -> View:
 
 
 def describe_pixel(scene: Scene, x: int, y: int) -> dict[str, Any]:
-    """Describe the surface that the ray through a pixel's centre meets.
+    """Describe the surface that the ray through a pixel's center meets.
 
     Returns
     -------
@@ -424,7 +424,7 @@ def incident_light(
     channel: str | int = "luminance",
     resolution: int = 128,
 ) -> xr.Dataset:
-    """Look from the point that a pixel's centre sees in all directions of the upper hemisphere.
+    """Look from the point that a pixel's center sees in all directions of the upper hemisphere.
 
     Parameters
     ----------
@@ -439,7 +439,7 @@ def incident_light(
     -------
     xarray.Dataset
         On (elevation, azimuth), in degrees above the surface and around its shading normal, at the
-        centres of cells: ``incident_radiance``, L_e of the lights that count, where nothing is in
+        centers of cells: ``incident_radiance``, L_e of the lights that count, where nothing is in
         the way; ``reflected_radiance``, f_r L_e cos per steradian, whose integral over directions is
         that of every strategy of `Pixel`. "Above" is the side of the camera.
 

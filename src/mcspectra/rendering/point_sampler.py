@@ -51,7 +51,7 @@ class MitsubaSampler(Sampler):
     Notes
     -----
     Points are float32 numbers; a coordinate that Mitsuba rounded up to 1 becomes the largest
-    float32 below 1. Its seeds have 32 bits: realisations 2^32 apart are the same. Every point is a
+    float32 below 1. Its seeds have 32 bits: realizations 2^32 apart are the same. Every point is a
     call into Mitsuba: some hundred thousand points a second.
 
     References
@@ -101,7 +101,7 @@ class MitsubaSampler(Sampler):
 
 
 def _drawn(source: Any, shape: tuple[int, int, int], stream: Stream, first: int) -> Array:
-    """Points (R, n, d) of an object, each realisation with a seed of its own."""
+    """Points (R, n, d) of an object, each realization with a seed of its own."""
     (count, n, dims), out = shape, np.empty(shape)
     start = int(stream.keys(0, 1)[0, 0]) + first
     pairs, odd = divmod(dims, 2)
@@ -187,8 +187,8 @@ def from_mitsuba(source: Any, dims: int = DEFAULT_DIMS) -> MitsubaObject:
 
     Notes
     -----
-    Every realisation is a seeding of its own, so that it does not depend on how many are drawn at
-    once. In vectorised variants that is one wavefront of n lanes, some milliseconds.
+    Every realization is a seeding of its own, so that it does not depend on how many are drawn at
+    once. In vectorized variants that is one wavefront of n lanes, some milliseconds.
     """
     return MitsubaObject(source=source, dims=dims)
 

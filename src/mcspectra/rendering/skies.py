@@ -31,7 +31,7 @@ _SMALLEST_SINE = 1e-12  # at the poles, where a density per steradian has no bou
 @final
 @dataclass(frozen=True, eq=False)
 class Sky:
-    """A density on [0,1)², of directions towards an environment; `rotation` is its frame in the world."""
+    """A density on [0,1)², of directions toward an environment; `rotation` is its frame in the world."""
 
     density: Density
     rotation: Array
@@ -71,7 +71,7 @@ def environment_of(scene: Scene, light: int | str | None = None) -> Any:
     alone = len(loaded.emitters()) == 1
     if not (alone if light is None else find_emitter(scene, light).is_environment()):
         raise ParameterError(
-            f"Directions are sampled towards the environment of {scene_name(scene)} only; give ",
+            f"Directions are sampled toward the environment of {scene_name(scene)} only; give ",
             Parameter("light", emitter_name(found)),
             ", so that no other light counts.",
         )
@@ -91,8 +91,8 @@ def sky_pixels(scene: Scene, rows: int = _ROWS) -> Array:
     Returns
     -------
     ndarray
-        Linear radiance (rows, 2 rows, 3) at pixel centres, to be given to `EnvironmentDensity`. Mitsuba's
-        maps have the centres of their first and last row at the poles: pixels are no copies of theirs.
+        Linear radiance (rows, 2 rows, 3) at pixel centers, to be given to `EnvironmentDensity`. Mitsuba's
+        maps have the centers of their first and last row at the poles: pixels are no copies of theirs.
 
     Raises
     ------
@@ -139,7 +139,7 @@ def _sky(loaded: Any, name: str, density: Density | str) -> Sky:
 
 
 def _pixels(emitter: Any, rows: int) -> Array:
-    """Radiance (rows, 2 rows, 3) at pixel centres."""
+    """Radiance (rows, 2 rows, 3) at pixel centers."""
     x_1, x_0 = np.meshgrid(
         (np.arange(rows) + 0.5) / rows, (np.arange(2 * rows) + 0.5) / (2 * rows), indexing="ij"
     )

@@ -66,7 +66,7 @@ class Wavefront:
     light
         Index or name of the only light to use; all by default.
     film
-        ``"center"``: rays through the pixels' centres. ``"sampled"``: through a point of the pixel
+        ``"center"``: rays through the pixels' centers. ``"sampled"``: through a point of the pixel
         that the first two columns of u choose, uniformly (a box filter).
     heuristic
         ``"balance"`` or ``"power"`` (β = 2), for the ``mis`` strategies.
@@ -80,7 +80,7 @@ class Wavefront:
 
     Notes
     -----
-    Rays start at the centre of the lens, in the middle of the shutter's time. A light that is a
+    Rays start at the center of the lens, in the middle of the shutter's time. A light that is a
     delta function has no part in ``bsdf``, nor a specular lobe in ``light``; ``mis`` has both.
     """
 
@@ -291,7 +291,7 @@ class Wavefront:
         return parts
 
     def _trace_centers(self, pixels: bytes) -> Any:
-        """First hits through the centres of pixels, given as the bytes of int64 (P, 2)."""
+        """First hits through the centers of pixels, given as the bytes of int64 (P, 2)."""
         import drjit
 
         x, y = corners_of(np.frombuffer(pixels, np.int64).reshape(-1, 2))

@@ -34,7 +34,7 @@ _COLUMNS = ("Samples a pixel", "Frames", "Variance", "95 %", "σ / mean", "FLIP"
 _LOW = 0.125  # cycles a pixel
 _BLUE, _RED = 0.8, 1.25  # power there, below and above which noise is not called white
 _UNSURE = 0.5  # error of that power, relative to it, which tells nothing
-_ALIKE = 0.1  # correlation of neighbours that is worth a word
+_ALIKE = 0.1  # correlation of neighbors that is worth a word
 _SURE = 2.24  # standard errors that the larger of two correlations of white noise exceeds in 5 %
 _HEAVY = 0.5  # tail index of infinite variance
 _CARRIED = 0.05  # share of the variance in fireflies that is worth a word
@@ -184,7 +184,7 @@ def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[str]:
         yield f"Blue noise: {below}, which the eye, and a denoiser, blurs away."
     elif level > _RED and level > factor:
         yield (
-            f"Neighbours err together: {below}; a wide reconstruction filter, or points shared by pixels."
+            f"Neighbors err together: {below}; a wide reconstruction filter, or points shared by pixels."
         )
     elif half > _UNSURE * level or not power.size:
         yield f"Whether the noise is white between pixels is not resolved: {below}."
@@ -192,7 +192,7 @@ def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[str]:
         white = level < factor and level * factor > 1.0
         yield f"The noise is {'white' if white else 'nearly white'} between pixels: {below}."
     if max(map(abs, beside)) > max(_ALIKE, _SURE * found["correlation_error"][-1]):
-        yield f"Errors of neighbours correlate by {number(beside[0])} across and {number(beside[1])} down."
+        yield f"Errors of neighbors correlate by {number(beside[0])} across and {number(beside[1])} down."
     if lag := found["repeat"][-1]:
         yield (
             f"The noise repeats after {lag[1]} pixels across and {lag[0]} down (correlation "

@@ -201,7 +201,7 @@ def reproduce(
     names
         Exhibits; all by default. They come in the order of the slides.
     quick
-        Fewer realisations, counts and pixels.
+        Fewer realizations, counts and pixels.
     seed
         Of all exhibits; a whole number of at least 0.
     command

@@ -1,4 +1,4 @@
-"""Names of samplers and randomisations, and how any description becomes a `Sampler`."""
+"""Names of samplers and randomizations, and how any description becomes a `Sampler`."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def sampler(spec: str | Sampler, dims: int | None = None) -> Sampler:
     Parameters
     ----------
     spec
-        A sampler, then any number of randomisations after ``|``. Everything that
+        A sampler, then any number of randomizations after ``|``. Everything that
         `as_sampler` accepts is accepted here too.
     dims
         Number of dims; None leaves it to the spec, else to the sampler's default (2).

@@ -102,7 +102,7 @@ def power_at(
     density
         Importance density p (or spec string): points are warped and weighted 1/(n p).
     realizations
-        Number of realisations averaged; 2 or more for standard errors.
+        Number of realizations averaged; 2 or more for standard errors.
     rng
         Seed (SPEC 7).
     engine, eps
@@ -125,7 +125,7 @@ def power_at(
 
     Notes
     -----
-    Memory: 32 F bytes for each thread, flat in the number of realisations.
+    Memory: 32 F bytes for each thread, flat in the number of realizations.
 
     Examples
     --------

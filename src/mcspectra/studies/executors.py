@@ -60,7 +60,7 @@ __all__ = [
     "check_time_limit",
 ]
 
-_GRACE = 5.0  # seconds that cancelled threads have to finish: most chunks take about 1 s
+_GRACE = 5.0  # seconds that canceled threads have to finish: most chunks take about 1 s
 _LONGEST_LIMIT = 1e9  # seconds, 30 years: clocks and waits take no more
 _LOOPBACK = "127.0.0.1"
 _ADDRESS = re.compile(

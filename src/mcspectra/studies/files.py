@@ -1,7 +1,7 @@
 """Study files: TOML, typed and checked as a whole before anything runs.
 
 A study names samplers and estimators and, in tables named as analyses are (`mcspectra.core.analysis`),
-what is analysed; an estimator may override any of them. Keys, types, defaults and meanings of a table
+what is analyzed; an estimator may override any of them. Keys, types, defaults and meanings of a table
 are those of its analysis. Unknown keys, wrong types and values out of range are errors that name the
 place. Relative paths inside spec strings are relative to the file.
 
@@ -144,7 +144,7 @@ class EstimatorConfig(_Table, frozen=True, kw_only=True, omit_defaults=True):
     channels: Annotated[
         Literal["own", "shared", "combined", "one"] | None,
         Meta(
-            description="Colour: own or shared points for each channel's density, all densities "
+            description="Color: own or shared points for each channel's density, all densities "
             "combined by MIS, or one density for all channels."
         ),
     ] = None
@@ -580,7 +580,7 @@ def _complaints(e: EstimatorConfig) -> Iterator[str]:
     if not e.one_sample and (e.probabilities is not None or e.selection is not None):
         yield "has probabilities or selection, which belong to one_sample = true."
 
-    # Densities of colour channels
+    # Densities of color channels
     if e.channels == "one" and e.density is None:
         yield 'has channels = "one", which needs density.'
     if e.channels not in (None, "one") and e.densities is None:

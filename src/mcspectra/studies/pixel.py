@@ -73,7 +73,7 @@ _QUICK_REMEDIES = ("unshifted", "mirrored", "sampler", "heuristic", "techniques"
 _ROUNDING = 1e-5  # of the largest |g|: a hundred roundings of float32
 _MOST_SAMPLES = 2**22
 _LEAST_BUDGET = 8  # of two techniques
-_FEWEST = 100  # realisations that remedies take
+_FEWEST = 100  # realizations that remedies take
 
 Parts: TypeAlias = "dict[str, xr.Dataset]"
 

@@ -215,7 +215,7 @@ def make_plan(
     if total > MOST_EVALUATIONS and not force:
         raise ConfigError(
             f"The study would take about {total:.2g} evaluations, months of a hundred processors; ask "
-            "for fewer points or realisations, or give --force."
+            "for fewer points or realizations, or give --force."
         )
     return Plan(config, cells, planner.vetting.inputs)
 

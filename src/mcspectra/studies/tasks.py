@@ -137,7 +137,7 @@ class StudyText(msgspec.Struct, frozen=True, kw_only=True):
     folder
         Where relative paths in spec strings start.
     seed
-        Of all realisations.
+        Of all realizations.
     version
         Of this package; a worker of another refuses.
     code, paths
