@@ -289,12 +289,71 @@ def test_one_option_has_one_name_in_all_verbs(run, monkeypatch):
         assert all(flag in out for flag in ("--json", "--seed", "--quiet")), verb
 
 
-def test_an_option_before_the_verb_is_a_sentence(run):
-    code, out, err = run("--json", "doctor")
-    assert (code, out) == (2, "")
-    assert (
-        err == "mcspectra: There is no option '--json' before the verb; see 'mcspectra --help'.\n"
-    )
+def test_options_of_all_verbs_stand_before_or_after_the_verb(run):
+    after = run("points", "random", "-n", 4, "--json", "--seed", 3, "--quiet")
+    assert after[0] == 0
+    assert run("--json", "--seed", 3, "--quiet", "points", "random", "-n", 4) == after
+    assert run("--json", "--seed=3", "points", "random", "-n", 4, "--quiet") == after
+
+
+def test_what_is_no_option_before_the_verb_is_a_sentence(run):
+    for given, lack in (
+        (("--frob", "doctor"), "no option '--frob' before the verb"),
+        (("--json",), "no verb"),
+        (("--seed", 3), "no verb"),
+    ):
+        code, out, err = run(*given)
+        assert (code, out) == (2, "")
+        assert err == f"mcspectra: There is {lack}; see 'mcspectra --help'.\n"
+
+
+def test_errors_name_what_was_typed(run, tmp_path):
+    """Options as flags, positional arguments as in the help."""
+    for given, start in (
+        (("design", "density", "gaussian", "-n", 16, "--family", "vegas"), "--family is 'vegas'; "),
+        (("design", "magic", "gaussian", "-n", 16), "KIND is 'magic'; "),
+        (("list", "magic"), "KIND is 'magic'; "),
+        (("status", 5000 * "x"), "DIR is 'xxx"),
+        (("pixel", "veach", 1, -2), "Y is -2; "),
+    ):
+        code, out, err = run(*given)
+        assert (code, out) == (2, "")
+        assert err.startswith(f"mcspectra: {start}"), err
+
+
+def test_every_positional_argument_is_in_capitals(run):
+    for verb in VERBS:
+        _, out, _ = run(verb, "--help")
+        _, positional, rest = out.partition("positional arguments:\n")
+        for name in re.findall(r"^  (\S+)", rest.partition("\n\n")[0] if positional else "", re.M):
+            assert name.isupper(), (verb, name)
+
+
+def test_messages_quote_little_of_what_is_long(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    long = 10**4 * "k"
+    (tmp_path / "study.toml").write_text(f"{long} = 1\n")
+    for given in (
+        (long,),
+        (f"--{long}", "doctor"),
+        ("list", long),
+        ("doctor", long),
+        ("points", long, "-n", 4),
+        ("points", f"random({long}=1)", "-n", 4),
+        ("points", f"{long}({long}={long})", "-n", 4),
+        ("points", "random", "-n", 4, "-o", long),
+        ("run", long),
+        ("run", "study.toml", "--out", "out"),
+        ("run", "tour", "--set", long),
+        ("run", "tour", "--set", f"{long}=1"),
+        ("profile", f"{long}.npy"),
+        ("init", long),
+    ):
+        code, out, err = run(*given)
+        assert (code, out) == (2, "")
+        assert re.search("k{40}", err)
+        assert not re.search("k{80}", err)
+        assert len(err) < 600
 
 
 @pytest.mark.parametrize(

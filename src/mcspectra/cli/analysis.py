@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 __all__ = ["analysis_verb", "declared"]
 
 _ESTIMATOR = (
-    option("integrand", "integrand spec, e.g. 'gaussian(width=0.25)'"),
+    option("INTEGRAND", "integrand spec, e.g. 'gaussian(width=0.25)'"),
     option("-d, --dims D", "number of dims, unless the specs fix it", whole()),
     option(
         "--density SPEC",
@@ -135,7 +135,7 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
         # An analysis of point sets takes all that are given, unless it is told how many
         all_sets = any(each.name == "realizations" for each in own)
         declarations = [
-            option("sampler", "sampler spec; - reads point sets from standard input"),
+            option("SAMPLER", "sampler spec; - reads point sets from standard input"),
             option("-d, --dims D", "number of dims (default 2)", whole()),
         ]
         if not takes or "density" in takes:

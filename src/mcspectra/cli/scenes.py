@@ -27,7 +27,7 @@ from mcspectra.cli.common import (
     wholes,
 )
 from mcspectra.cli.texts import remedies_table
-from mcspectra.core.display import printable
+from mcspectra.core.display import printable, shown
 from mcspectra.core.errors import ParameterError, writing
 from mcspectra.core.registry import optional_package
 
@@ -153,7 +153,7 @@ def render_(options: argparse.Namespace) -> Answer:
         if scene.lower().endswith(".xml"):
             raise ParameterError(
                 f"--width and --height are for built-in scenes ({', '.join(SCENES)}); "
-                f"the film of {scene!r} is set in the file."
+                f"the film of {shown(scene)} is set in the file."
             )
         scene = sized(scene, **sizes)
     if whole_paths:
@@ -264,7 +264,7 @@ def _whole_paths(options: argparse.Namespace, scene: str, files: list[Path]) -> 
     for text in options.define or []:
         key, equals, value = text.partition("=")
         if not (key and equals):
-            raise ParameterError(f"--define is {text!r}; give KEY=VALUE.")
+            raise ParameterError(f"--define is {shown(text)}; give KEY=VALUE.")
         definitions[key] = value
     films = [file for file in files if file.suffix.lower() == ".exr"]
     start = time.perf_counter()
@@ -310,7 +310,7 @@ def _whole_paths(options: argparse.Namespace, scene: str, files: list[Path]) -> 
 
 
 @verb(
-    option("scene", "scene, e.g. veach, or a Mitsuba XML file"),
+    option("SCENE", "scene, e.g. veach, or a Mitsuba XML file"),
     option("X", "column of the pixel, or the name of a pixel"),
     option("Y", "row of the pixel", whole(0), nargs="?"),
     option(
@@ -446,7 +446,7 @@ def _map_options(parser: argparse.ArgumentParser) -> None:
 
 
 @verb(
-    option("scene", "scene, e.g. veach, or a Mitsuba XML file"),
+    option("SCENE", "scene, e.g. veach, or a Mitsuba XML file"),
     option("-o, --out DIR", "output folder (default out/map)", repeated="once"),
     option("--resume", "continue the map in the output folder"),
     option(

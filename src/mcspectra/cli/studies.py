@@ -38,7 +38,7 @@ _LISTED = 10  # paths of cells that are not done
 
 
 @verb(
-    option("study", "study file, .toml, or the name of a built-in study, such as tour"),
+    option("STUDY", "study file, .toml, or the name of a built-in study, such as tour"),
     option("-o, --out DIR", "output folder (default out/<name of the file>)", repeated="once"),
     option("--resume", "continue the study in the output folder"),
     option("--retry", "like --resume, and compute failed cells again"),

@@ -32,6 +32,7 @@ from typing import (
 
 import msgspec
 
+from mcspectra.core.display import shown
 from mcspectra.core.errors import AnalysisError, Function, ParameterError
 from mcspectra.core.memory import check_memory
 from mcspectra.core.options import Evaluations, checked, options_of
@@ -226,7 +227,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             if each.key == key:
                 return each
         raise NotImplementedError(
-            f"The first step of {type(self).__name__} has no reduction of the key {key!r}: an analysis "
+            f"The first step of {type(self).__name__} has no reduction of the key {shown(key)}: an analysis "
             "of several steps overrides part."
         )
 
@@ -298,7 +299,7 @@ def check_names(kind: type[Analysis]) -> None:
         if taken or not own.isdisjoint(flags):
             what = f"the flag {min(own & flags)}" if own & flags else "that name"
             raise AnalysisError(
-                f"{kind.__name__} has the option {option.name!r}, but {what} is taken by all "
+                f"{kind.__name__} has the option {shown(option.name)}, but {what} is taken by all "
                 "analyses or by another of its options; rename it."
             )
         flags |= own
@@ -372,7 +373,7 @@ def needed(analysis: Analysis, subject: Subject) -> Need:
     need: Any = analysis.need(subject)
     if not isinstance(need, Need):
         raise AnalysisError(
-            f"{type(analysis).__name__} needs {need!r:.80}; its need must return a Need."
+            f"{type(analysis).__name__} needs {shown(need)}; its need must return a Need."
         )
     most = _most(analysis)
     if most is not None and need.evaluations > most:
@@ -408,7 +409,7 @@ def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
         found = _single(found, name)
     if not isinstance(found, Generator):
         raise AnalysisError(
-            f"{name} is computed by {found!r:.80}; its reduction must return a Reduction, or be a "
+            f"{name} is computed by {shown(found)}; its reduction must return a Reduction, or be a "
             "generator that yields lists of them."
         )
     states: list[Any] | None = None
@@ -420,21 +421,21 @@ def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
             result: xr.Dataset = end.value
             break
         if not isinstance(step, list) or not all(isinstance(each, Reduction) for each in step):
-            raise AnalysisError(f"{name} has the step {step!r:.80}; give a list of Reductions.")
+            raise AnalysisError(f"{name} has the step {shown(step)}; give a list of Reductions.")
         for each in step:
             if each.key in keys:
                 raise AnalysisError(
-                    f"{name} has two reductions of the key {each.key!r}; give each a key of its own."
+                    f"{name} has two reductions of the key {shown(each.key)}; give each a key of its own."
                 )
             if not isinstance(each.blocks, numbers.Integral) or each.blocks < 1:
                 raise AnalysisError(
-                    f"{name} has a reduction of {each.blocks!r} blocks; give a whole number from 1."
+                    f"{name} has a reduction of {shown(each.blocks)} blocks; give a whole number from 1."
                 )
             keys.add(each.key)
         states = yield step
 
     if not hasattr(result, "data_vars"):
-        raise AnalysisError(f"{name} gives {result!r:.80} as its result; it must be a dataset.")
+        raise AnalysisError(f"{name} gives {shown(result)} as its result; it must be a dataset.")
     if not analysis.provenance:
         return result
     # Say what it is of
@@ -487,7 +488,7 @@ def compute(
     """
     given: tuple[Any, Any] = analysis, subject
     if not isinstance(given[0], Analysis) or not isinstance(given[1], Subject):
-        raise ParameterError(f"{given!r:.160} are not an Analysis and a Subject; give these.")
+        raise ParameterError(f"{shown(given)} are not an Analysis and a Subject; give these.")
     threads = available_workers(workers)
     clean = checked(analysis)
     name = clean.function or type(clean).__name__

@@ -67,7 +67,7 @@ def is_path(value: object) -> bool:
 def as_path(name: str, value: object) -> Path:
     """Return `value` as a path."""
     if not is_path(value):
-        raise ParameterError(Parameter(name), f" is {shown(value, 80)}; give a path.")
+        raise ParameterError(Parameter(name), f" is {shown(value)}; give a path.")
     return Path(value)  # type: ignore[arg-type]
 
 
@@ -75,7 +75,7 @@ def as_instance(name: str, value: Any, kind: Any, what: str) -> Any:
     """Return `value` if it is an instance of a type, or of one of several, which `what` describes."""
     if isinstance(value, kind):
         return value
-    raise ParameterError(Parameter(name), f" is {shown(value, 80)}; give {what}.")
+    raise ParameterError(Parameter(name), f" is {shown(value)}; give {what}.")
 
 
 def as_instances(name: str, value: Any, kind: Any, what: str) -> list[Any]:

@@ -20,7 +20,15 @@ import re
 import unicodedata
 from typing import Any
 
-__all__ = ["csv_cell", "escape_html", "html_of", "printable", "register_accessor", "shown"]
+__all__ = [
+    "QUOTED",
+    "csv_cell",
+    "escape_html",
+    "html_of",
+    "printable",
+    "register_accessor",
+    "shown",
+]
 
 # Characters of no width that str.isprintable lets pass: fillers, and marks that choose a variant
 _INVISIBLE = re.compile(
@@ -28,6 +36,9 @@ _INVISIBLE = re.compile(
 )
 _BEGINS_FORMULA = ("=", "+", "-", "@", "\t", "\r", "＝", "＋", "－", "＠")
 _CUT = " … "
+
+QUOTED = 80
+"""Most characters of a text of others in a message."""
 
 _PICTURES = "mcspectra.report.reprs"
 _RESULTS = "mcspectra.report.accessor"
@@ -64,8 +75,8 @@ def printable(given: object, most: int | None = None, *, lines: bool = False) ->
     return text if text.isascii() else _INVISIBLE.sub(lambda found: _escape(found[0]), text)
 
 
-def shown(value: object, most: int = 200) -> str:
-    """Return the ``repr`` of a value, `printable` and short; for a long number its size.
+def shown(value: object, most: int = QUOTED) -> str:
+    """Return the ``repr`` of a value as messages quote it: `printable` and short; for a long number its size.
 
     Python refuses to write integers of more than 4300 digits.
 

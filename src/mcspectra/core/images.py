@@ -29,6 +29,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_real_array
 from mcspectra.core.decoding import check_decoded_size, opened, read_npy, read_npz
+from mcspectra.core.display import shown
 from mcspectra.core.errors import FileFormatError, ParameterError
 from mcspectra.core.registry import optional_package
 
@@ -335,7 +336,7 @@ def _picture_channels(name: str, listed: set[str], layer: str | None) -> list[st
     layers = sorted({channel.rpartition(".")[0] for channel in listed})
     if layer is not None and layer not in (*layers, *listed):
         raise FileFormatError(
-            f"{name} has no layer {layer!r}, but {', '.join(map(repr, (*layers, *sorted(listed))))}."
+            f"{name} has no layer {shown(layer)}, but {', '.join(map(repr, (*layers, *sorted(listed))))}."
         )
     offers = [
         [f"{each}.{c}" if each else c for c in cs]

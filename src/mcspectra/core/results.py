@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from mcspectra.core.display import register_accessor
+from mcspectra.core.display import register_accessor, shown
 from mcspectra.core.errors import AnalysisError
 
 if TYPE_CHECKING:
@@ -334,12 +334,12 @@ def check_variables(result: xr.Dataset, declared: Sequence[str | Variable], anal
         about = known.get(str(name))
         if about is None:
             raise AnalysisError(
-                f"{analysis} gives the variable {name!r}, which it does not declare."
+                f"{analysis} gives the variable {shown(name)}, which it does not declare."
             )
         about = VARIABLES[about] if isinstance(about, str) else about
         if values.dtype.kind not in about.kind:
             raise AnalysisError(
-                f"{analysis}: {name} holds {values.dtype}, declared is {about.kind!r}."
+                f"{analysis}: {name} holds {values.dtype}, declared is {shown(about.kind)}."
             )
         # Hold the dims against a pattern in which m is any of m0, m1, …, and those with ? may be missing
         found = [str(d) for d in values.dims if d not in _FREE_DIMS or d in (about.dims or ())]

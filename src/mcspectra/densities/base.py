@@ -25,6 +25,7 @@ from mcspectra.core.checks import (
     as_reals,
     in_unit_cube,
 )
+from mcspectra.core.display import shown
 from mcspectra.core.errors import (
     DensityError,
     DomainError,
@@ -211,11 +212,11 @@ class Density(Component, ABC):
         """
         if sample is None:
             if not callable(pdf):
-                raise DensityError(f"pdf is {pdf!r}; give a function of points (..., d).")
+                raise DensityError(f"pdf is {shown(pdf)}; give a function of points (..., d).")
             if invert is not None:
                 raise DensityError("invert was given without sample; give both, or neither.")
             if not isinstance(normalize, bool):
-                raise DensityError(f"normalize is {normalize!r}; give True or False.")
+                raise DensityError(f"normalize is {shown(normalize)}; give True or False.")
             if as_integer("dims", dims, least=1) > 2:
                 raise DensityError(
                     f"sample is None in {dims} dims; a pdf alone is enough in 1-D and 2-D only: give "
@@ -228,7 +229,9 @@ class Density(Component, ABC):
             )
         for name, function in (("pdf", pdf), ("sample", sample), ("invert", invert)):
             if not callable(function) and not (name == "invert" and function is None):
-                raise DensityError(f"{name} is {function!r}; give a function of points (..., d).")
+                raise DensityError(
+                    f"{name} is {shown(function)}; give a function of points (..., d)."
+                )
         made = FunctionDensity(
             dims=dims, pdf_function=pdf, sample_function=sample, invert_function=invert
         )
@@ -552,7 +555,7 @@ def reciprocal_integral(density: Density) -> float:
     about 1e-5 of the domain is not seen.
     """
     if not isinstance(density, Density):
-        raise DensityError(f"{density!r:.80} is not a density; give what mcs.density makes.")
+        raise DensityError(f"{shown(density)} is not a density; give what mcs.density makes.")
 
     def reciprocal(x: Array) -> Array:
         with np.errstate(divide="ignore", over="ignore"):

@@ -42,7 +42,7 @@ def _select_channel(image: Array, channel: object) -> Array:
     if channel == "luminance":
         return luminance(image)
     if isinstance(channel, str):
-        raise ParameterError(f'channel is {channel!r}; give "luminance" or a number.')
+        raise ParameterError(f'channel is {channel!r:.80}; give "luminance" or a number.')
     return np.asarray(image[..., as_integer("channel", channel, least=0, most=image.shape[2] - 1)])
 
 
@@ -148,7 +148,7 @@ class EnvironmentDensity(Wrapper):
             as_real("compensation", self.compensation, least=0.0)
         if self.interpolation == "bilinear" and self.warp != "marginal":
             raise ParameterError(
-                f"warp is {self.warp!r}; bilinear interpolation has the marginal warp only."
+                f"warp is {self.warp!r:.80}; bilinear interpolation has the marginal warp only."
             )
         self._inside  # noqa: B018 - refuses what is not a map
         if self.path is not None:

@@ -49,13 +49,13 @@ def _as_edges(name: str, edges: Any) -> Any:
     """A tuple of ascending places, or of such tuples."""
     if not isinstance(edges, Sequence | np.ndarray) or isinstance(edges, str):
         raise ParameterError(
-            f"edges is {edges!r}; give a list of places in (0, 1), one list a dim."
+            f"edges is {edges!r:.80}; give a list of places in (0, 1), one list a dim."
         )
     nested = len(edges) > 0 and isinstance(edges[0], Sequence | np.ndarray)
     found = []
     for axis in edges if nested else [edges]:
         if not isinstance(axis, Sequence | np.ndarray) or isinstance(axis, str):
-            raise ParameterError(f"edges holds {axis!r}; give one list of places for each dim.")
+            raise ParameterError(f"edges holds {axis!r:.80}; give one list of places for each dim.")
         if len(axis) > _MOST_EDGES:
             raise ParameterError(f"edges has {len(axis)} places; give at most {_MOST_EDGES}.")
         places = tuple(as_real(name, e, above=0.0) for e in axis)

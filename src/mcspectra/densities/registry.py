@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from mcspectra.core.checks import MAX_DIMS, as_integer
+from mcspectra.core.display import shown
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.registry import Registry, classes_of
 from mcspectra.core.spec import parse
@@ -73,7 +74,7 @@ def as_density(given: object, dims: int | None = None) -> Density | None:
         return density(given, dims)
     if not isinstance(given, Density):
         raise ParameterError(
-            f"{given!r} is not a density; give one, a spec string, or Density.from_functions(...)."
+            f"{shown(given)} is not a density; give one, a spec string, or Density.from_functions(...)."
         )
     if dims is not None and given.dims != dims:
         raise ParameterError(f"{given.spec} has {given.dims} dims, but {dims} dims are needed.")

@@ -169,7 +169,7 @@ def as_estimator(given: Any, dims: int | None = None) -> AbstractEstimator:
     if isinstance(given, Integrand | str):
         return Estimator(given, dims=dims)
     raise ParameterError(
-        f"{shown(given, 80)} is not an estimator; give Estimator(integrand, density), an integrand or "
+        f"{shown(given)} is not an estimator; give Estimator(integrand, density), an integrand or "
         "its spec, or a function with dims=."
     )
 
@@ -229,7 +229,7 @@ def as_densities(given: Any, dims: int, need: str = " of one or more") -> tuple[
         No list, an empty one, or one with None in it.
     """
     if not isinstance(given, list | tuple) or len(given) == 0:
-        raise ParameterError(f"densities is {given!r}; give a list{need}.")
+        raise ParameterError(f"densities is {shown(given)}; give a list{need}.")
     found = tuple(p for p in (as_density(each, dims) for each in given) if p is not None)
     if len(found) != len(given):
         raise ParameterError("densities holds None; write 'uniform' for a uniform density.")

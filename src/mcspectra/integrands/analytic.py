@@ -12,6 +12,7 @@ from typing import final
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer, as_reals
+from mcspectra.core.display import shown
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.fields import checked, each_axis, real
 from mcspectra.integrands._quadrature import gauss_rule
@@ -29,7 +30,7 @@ def _as_coefficients(name: str, given: object) -> tuple[float, ...]:
     count = len(given) if listed else 0  # type: ignore[arg-type]
     if not 1 <= count <= _MAX_DEGREE + 1:
         raise ParameterError(
-            f"coefficients is {given!r}; give a list of 1 to {_MAX_DEGREE + 1} numbers, "
+            f"coefficients is {shown(given)}; give a list of 1 to {_MAX_DEGREE + 1} numbers, "
             "the factors of 1, x, x², …"
         )
     return as_reals(name, given, count)

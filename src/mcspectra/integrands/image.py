@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mcspectra.core.checks import Array, as_reals
+from mcspectra.core.display import shown
 from mcspectra.core.environments import directions, environment_pixels, synthetic_sky
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.fields import checked, choice
@@ -102,7 +103,7 @@ class Image(_Picture):
         if isinstance(self.path, str):
             return _chosen(read_image(self.path), self.channel)
         if self.path is not None:
-            raise ParameterError(f"path is {self.path!r}; give the name of a picture file.")
+            raise ParameterError(f"path is {shown(self.path)}; give the name of a picture file.")
 
         # Copy the values as float64 (h, w, channels)
         try:
@@ -202,7 +203,7 @@ class Environment(_Picture):
     def _check(self) -> None:
         super()._check()
         if not any(self.normal):
-            raise ParameterError(f"normal is {self.normal!r}; give a direction, not all 0.")
+            raise ParameterError(f"normal is {shown(self.normal)}; give a direction, not all 0.")
 
     @cached_property
     def _pixels(self) -> Array:
@@ -260,7 +261,7 @@ def _chosen(pixels: Array, channel: object) -> Array:
     if type(channel) is int and 0 <= channel < count:
         return pixels[..., channel]
     raise ParameterError(
-        f"channel is {channel!r}, but the picture has {count}; give a number from 0 to {count - 1}, "
+        f"channel is {shown(channel)}, but the picture has {count}; give a number from 0 to {count - 1}, "
         "'luminance' (of three channels), or None for all."
     )
 

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mcspectra.core.checks import as_choice, as_integer, as_real
+from mcspectra.core.display import shown
 from mcspectra.core.environments import synthetic_sky
 from mcspectra.core.errors import ParameterError
 from mcspectra.rendering.backend import load_mitsuba
@@ -351,7 +352,9 @@ def veach(
     allowed: Any = tuple(_SPHERES)
     given: Any = (lights,) if isinstance(lights, str) else allowed if lights is None else lights
     if not isinstance(given, Sequence | set) or not given:
-        raise ParameterError(f"lights is {lights!r}; give one or more of {', '.join(allowed)}.")
+        raise ParameterError(
+            f"lights is {shown(lights)}; give one or more of {', '.join(allowed)}."
+        )
     kept = [as_choice("a light", name, allowed) for name in given]
     sensor = perspective((0.0, 2.0, 15.0), (0.0, -2.0, 2.5), 28.0, width, height)
     scene: dict[str, Any] = {"type": "scene", "sensor": sensor}

@@ -23,6 +23,7 @@ import xarray as xr
 
 from mcspectra.core.checks import Array, as_integer, as_real, is_path
 from mcspectra.core.confidence import CONFIDENCE_Z, student_t
+from mcspectra.core.display import QUOTED, printable
 from mcspectra.core.errors import FileFormatError, Parameter, ParameterError
 from mcspectra.core.images import Rings, exr_attributes, exr_layer, luminance, read_image
 from mcspectra.core.progress import report
@@ -402,7 +403,7 @@ def _listed(paths: Any) -> list[Path]:
         matching = sorted(map(Path, named))
         if not matching:
             raise FileFormatError(
-                f"There is no {place}; give a folder of frames, a pattern or files."
+                f"There is no {printable(place, QUOTED)}; give a folder of frames, a pattern or files."
             )
         return matching
     inside = sorted([*place.glob("*"), *place.glob("*/*")])

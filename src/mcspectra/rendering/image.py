@@ -17,6 +17,7 @@ import xarray as xr
 
 from mcspectra.core import progress
 from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.display import shown
 from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers, map_in_order
 from mcspectra.core.results import dataset
@@ -249,7 +250,7 @@ def _as_crop(crop: object, waves: Wavefront) -> tuple[int, int, int, int]:
     given = (0, 0, waves.width, waves.height) if crop is None else crop
     if not isinstance(given, Sequence | np.ndarray) or isinstance(given, str) or len(given) != 4:
         raise ParameterError(
-            Parameter("crop"), f" is {crop!r}; give four whole numbers: x, y, width, height."
+            Parameter("crop"), f" is {shown(crop)}; give four whole numbers: x, y, width, height."
         )
     film = f"the film has {waves.width} × {waves.height} pixels"
     try:

@@ -47,6 +47,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, final
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.display import shown
 from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.fields import checked, choice, settle
 from mcspectra.core.results import dataset
@@ -185,7 +186,7 @@ class Pixel(MitsubaIntegrand):
     def _check(self) -> None:
         if self.density is not None and self.strategy != ENVIRONMENT:
             raise ParameterError(
-                f"density is for strategy='environment', not for {self.strategy!r}; leave it out."
+                f"density is for strategy='environment', not for {shown(self.strategy)}; leave it out."
             )
         view = check_view(self._view, bsdf=self.strategy.endswith("bsdf"))
         # NumPy's integers become Python's
@@ -399,7 +400,7 @@ def check_channel(channel: object, names: Sequence[str] = ("luminance", "rgb")) 
     except ParameterError:
         allowed = ", ".join(map(repr, names))
         raise ParameterError(
-            Parameter("channel"), f" is {channel!r}; give {allowed}, 0, 1 or 2."
+            Parameter("channel"), f" is {shown(channel)}; give {allowed}, 0, 1 or 2."
         ) from None
 
 
@@ -716,13 +717,13 @@ def pixel_mis(
     given = tuple(techniques) if isinstance(techniques, list | tuple) else ()
     if not given or not all(isinstance(t, str | Density) for t in given):
         raise ParameterError(
-            f"techniques is {techniques!r:.80}; give a list of 'light', 'bsdf', 'environment' and "
+            f"techniques is {shown(techniques)}; give a list of 'light', 'bsdf', 'environment' and "
             "densities."
         )
     repeated = sum(t == "light" for t in given) > 1 or sum(t == "bsdf" for t in given) > 1
     if repeated or ("light" in given and any(t not in _BY_NAME for t in given)):
         raise ParameterError(
-            f"techniques is {techniques!r:.80}; give 'light' and 'bsdf' at most once, and densities "
+            f"techniques is {shown(techniques)}; give 'light' and 'bsdf' at most once, and densities "
             "without 'light', which samples the environment too."
         )
     asked = View(as_scene(scene), x, y, light, channel, dims)

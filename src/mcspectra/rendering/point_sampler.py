@@ -17,6 +17,7 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from mcspectra.core.checks import Array, as_choice
+from mcspectra.core.display import shown
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
@@ -72,7 +73,7 @@ class MitsubaSampler(Sampler):
         given: object = self.jitter
         if not isinstance(given, bool) or not (given or self.sampler in _STRATA):
             raise ParameterError(
-                f"jitter is {given!r}; give True or, with {', '.join(_STRATA)}, False."
+                f"jitter is {shown(given)}; give True or, with {', '.join(_STRATA)}, False."
             )
 
     @property
@@ -139,7 +140,7 @@ class MitsubaObject(Sampler):
         needed = ("fork", "seed", "next_2d", "set_sample_count", "variant_name")
         if isinstance(self.source, type) or not all(hasattr(self.source, name) for name in needed):
             raise ParameterError(
-                f"{self.source!r} is not a sampler of Mitsuba; give an object, such as "
+                f"{shown(self.source)} is not a sampler of Mitsuba; give an object, such as "
                 "scene.sensors()[0].sampler()."
             )
 

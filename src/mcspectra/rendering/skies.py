@@ -14,6 +14,7 @@ from typing import Any, final
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.display import shown
 from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.spec import parse
 from mcspectra.densities import Density, EnvironmentDensity, as_density
@@ -133,7 +134,7 @@ def _sky(loaded: Any, name: str, density: Density | str) -> Sky:
             made = EnvironmentDensity(values=_pixels(loaded.environment(), _ROWS), **given)
     if not isinstance(made, Density) or made.dims != 2 or made.primary_dims != 2:
         raise ParameterError(
-            f"{density!r:.80} is not a density in 2 dims; the environment of {name} needs one."
+            f"{shown(density)} is not a density in 2 dims; the environment of {name} needs one."
         )
     return Sky(made, rotation_of(loaded.environment()))
 
@@ -159,7 +160,7 @@ def rotation_of(emitter: Any) -> Array:
     matrix = np.asarray(emitter.world_transform().matrix, np.float64).reshape(4, 4)[:3, :3]
     if not np.allclose(matrix.T @ matrix, np.eye(3), atol=_ORTHONORMAL):
         raise ParameterError(
-            f"The to_world of the environment {emitter_name(emitter)!r} is not a rotation "
+            f"The to_world of the environment {shown(emitter_name(emitter))} is not a rotation "
             "or reflection, so it would be sampled wrongly; remove the scaling."
         )
     return matrix

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from mcspectra.core.checks import Array, as_choice, as_real_array
+from mcspectra.core.display import shown
 from mcspectra.core.errors import DomainError, ParameterError
 from mcspectra.rendering.backend import LARGEST_SAMPLE, LOCK, load_mitsuba
 from mcspectra.rendering.kernel_nets import NetPoints
@@ -214,7 +215,7 @@ class Wavefront:
         pixels = np.ascontiguousarray(given, np.int64)
         if u.ndim not in (2, 3) or u.shape[-1] not in allowed or u.shape[-2] == 0:
             raise ParameterError(
-                f"u has shape {u.shape}; {strategy!r} takes (pixels, samples, dims) or "
+                f"u has shape {u.shape}; {shown(strategy)} takes (pixels, samples, dims) or "
                 f"(samples, dims) with {allowed[0]} or {allowed[1]} dims."
             )
         if u.ndim == 3 and len(u) != len(pixels):

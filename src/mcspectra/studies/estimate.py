@@ -19,6 +19,7 @@ import msgspec
 
 from mcspectra.core.analysis import steps_of
 from mcspectra.core.checks import as_real
+from mcspectra.core.display import shown
 from mcspectra.core.errors import ConfigError
 from mcspectra.core.streams import Stream
 from mcspectra.studies.foreign_code import TookTooLong, within
@@ -73,7 +74,7 @@ def estimate_study(plan: Plan, *, probe_seconds: float = 10.0) -> list[CellEstim
         Where an analysis may stop early, as at a precision, seconds are those of all realizations.
     """
     if not isinstance(plan, Plan):
-        raise ConfigError(f"{plan!r} is not a plan; give what make_plan returns.")
+        raise ConfigError(f"{shown(plan)} is not a plan; give what make_plan returns.")
     probe_seconds = as_real("probe_seconds", probe_seconds, least=0.0)
     seed = plan.config.seed
 

@@ -34,6 +34,7 @@ from typing import Any, NamedTuple, Protocol, cast, final
 import msgspec
 
 from mcspectra.core.checks import as_integer, as_real
+from mcspectra.core.display import shown
 from mcspectra.core.errors import McspectraError, ParameterError
 from mcspectra.core.parallel import available_workers
 from mcspectra.core.registry import optional_package
@@ -470,7 +471,7 @@ def _connected(options: Cluster, opened: contextlib.ExitStack) -> Any:
                     target = found.address
                 except (OSError, msgspec.DecodeError) as error:
                     raise ParameterError(
-                        f"{target!r} is not a file that a dask scheduler wrote (--scheduler-file): "
+                        f"{shown(target)} is not a file that a dask scheduler wrote (--scheduler-file): "
                         f"{error}."
                     ) from error
             _greet_scheduler(target, options.patience)

@@ -35,6 +35,7 @@ import msgspec
 import numpy as np
 
 from mcspectra.core.analysis import Chunk
+from mcspectra.core.display import shown
 from mcspectra.core.errors import (
     FileFormatError,
     OtherVersionsWarning,
@@ -746,7 +747,7 @@ class Ledger:
         """Open the file, and read which study it holds; with `salvage` whatever damage it has."""
         _refuse_strangers(self._file)
         if not self._file.is_file():
-            raise StoreError(f"There are no results in {str(self.folder)!r}.")
+            raise StoreError(f"There are no results in {shown(str(self.folder))}.")
         broken = ""
         try:
             self._connect(thoroughly=salvage)

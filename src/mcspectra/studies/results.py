@@ -27,7 +27,7 @@ import numpy as np
 
 from mcspectra.core.analysis import ANALYSES
 from mcspectra.core.checks import as_path
-from mcspectra.core.display import csv_cell, register_accessor
+from mcspectra.core.display import QUOTED, csv_cell, printable, register_accessor, shown
 from mcspectra.core.errors import (
     McspectraError,
     MissingDependency,
@@ -199,12 +199,14 @@ def _opened(
                 stranger = _unplanned(root["study"], paths)
                 if stranger is not None:
                     raise StoreError(
-                        f"The ledger in {str(ledger.folder)!r} has the cell {stranger!r:.120}, which its "
+                        f"The ledger in {str(ledger.folder)!r} has the cell {shown(stranger)}, which its "
                         "study does not have: it is not as a run wrote it; give another folder."
                     )
             cells = {path: _read_cell(ledger, path) for path in paths}
     if select is not None and not cells:
-        raise StoreError(f"No cell of {str(source)!r} matches {select!r}; paths are a/b/analysis.")
+        raise StoreError(
+            f"No cell of {str(source)!r} matches {shown(select)}; paths are a/b/analysis."
+        )
     return root, cells
 
 
@@ -448,7 +450,7 @@ def _ledger(
     given: Any = select
     if given is not None and not (isinstance(given, str) and given):
         raise ParameterError(
-            f"select is {select!r:.80}; give the path of a cell, or a pattern such as 'a/*'."
+            f"select is {shown(select)}; give the path of a cell, or a pattern such as 'a/*'."
         )
     if not os.path.lexists(root / LEDGER_NAME):
         return None
@@ -529,7 +531,7 @@ def _read_cell(ledger: Ledger, path: str) -> xr.Dataset:
         cell: xr.Dataset = unpack(xr.Dataset, ledger.result(path))
         if not are_paths([path]):
             raise StoreError(
-                f"The cell {path!r:.120} is none that a run writes; give another folder."
+                f"The cell {shown(path)} is none that a run writes; give another folder."
             )
         with contextlib.suppress(MissingDependency, UnknownName):  # The package is not installed
             name = path.rpartition("/")[2]
@@ -702,7 +704,7 @@ def _files(source: str | Path) -> dict[str, bytes]:
     shown, place = str(source), Path(source)
     root = place if place.suffix == ".zarr" else place / STORE_NAME
     if not (root / _DOCUMENT).exists():
-        raise StoreError(f"There are no results in {shown!r}.")
+        raise StoreError(f"There are no results in {printable(shown, QUOTED)!r}.")
     try:
         for inner in root.iterdir():
             refuse_links(str(inner))
@@ -725,7 +727,7 @@ def _files(source: str | Path) -> dict[str, bytes]:
         raise StoreError(f"{shown!r} is damaged: its {_DOCUMENT} cannot be read.") from None
     if version != FORMAT:
         raise StoreError(
-            f"{shown!r} has store format {version!r}; this version reads {FORMAT}. "
+            f"{shown!r} has store format {shown(version)}; this version reads {FORMAT}. "
             "xarray.open_datatree reads stores of earlier formats as they are; for reports and exports "
             "of them take the version that wrote them, or run the study again into another folder."
         )

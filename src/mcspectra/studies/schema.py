@@ -12,6 +12,7 @@ from typing import Any
 
 import msgspec
 
+from mcspectra.core.display import shown
 from mcspectra.core.errors import ConfigError, McspectraError
 from mcspectra.core.options import Option, options_of
 from mcspectra.studies.files import (
@@ -182,12 +183,12 @@ def write_template(path: str | Path) -> Path:
     """
     file = Path(path)
     if file.suffix != ".toml":
-        raise ConfigError(f"{str(file)!r} must end in .toml, as study files do.")
+        raise ConfigError(f"{shown(str(file))} must end in .toml, as study files do.")
     try:
         with file.open("x", encoding="utf-8") as stream:
             stream.write(template())
     except FileExistsError:
-        raise ConfigError(f"{str(file)!r} is there already; give another name.") from None
+        raise ConfigError(f"{shown(str(file))} is there already; give another name.") from None
     except OSError as error:
-        raise ConfigError(f"{str(file)!r} cannot be written: {error.strerror}.") from None
+        raise ConfigError(f"{shown(str(file))} cannot be written: {error.strerror}.") from None
     return file

@@ -25,6 +25,7 @@ from mcspectra.core.analysis import (
     steps_of,
 )
 from mcspectra.core.checks import BELOW_ONE, Array, as_integer
+from mcspectra.core.display import shown
 from mcspectra.core.errors import AnalysisError, DensityError, McspectraError, ParameterError
 from mcspectra.core.options import checked, options_of
 from mcspectra.core.records import pack, unpack
@@ -90,7 +91,7 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
     """
     source = as_sampler(sampler)
     if not isinstance(counts, Iterable):
-        raise ParameterError(f"counts is {counts!r}; give a list of numbers of points.")
+        raise ParameterError(f"counts is {shown(counts)}; give a list of numbers of points.")
     for each in counts:
         n = source.nearest_count(as_integer("counts", each, least=1))
         who = f"{source.spec} with n = {n}"
@@ -412,7 +413,7 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
     from mcspectra.estimators import as_subject
 
     if not isinstance(analysis, Analysis):
-        raise ParameterError(f"{analysis!r:.80} is no analysis; give one with its options.")
+        raise ParameterError(f"{shown(analysis)} is no analysis; give one with its options.")
     kind = type(analysis)
     who = kind.__name__
     subject = as_subject("gaussian" if estimator is None else estimator, sampler, lists=True)
