@@ -325,13 +325,30 @@ def test_every_positional_argument_is_in_capitals(run):
     for verb in VERBS:
         _, out, _ = run(verb, "--help")
         _, positional, rest = out.partition("positional arguments:\n")
-        for name in re.findall(r"^  (\S+)", rest.partition("\n\n")[0] if positional else "", re.M):
+        for name in re.findall(
+            r"^  (\S+)", rest.partition("\n\n")[0] if positional else "", re.MULTILINE
+        ):
             assert name.isupper(), (verb, name)
+
+
+def test_the_help_lists_each_method_once(run):
+    _, out, _ = run("predict", "--help")
+    (_, _, listed), *_ = re.findall(r"(--method METHOD)(.*?):([^:]*); default", out, re.DOTALL)
+    names = re.sub(r"\s", "", listed).split(",")
+    assert "exact" in names
+    assert not {"auto", "all"} & {*names}
+
+
+def test_frames_are_listed_alike_in_the_help_and_in_errors(run, tmp_path):
+    (tmp_path / "x.txt").write_text("x")
+    endings = {".exr", ".pfm", ".npy", ".npz", ".png", ".jpg", ".jpeg"}
+    for text in (run("frames", "--help")[1], run("frames", tmp_path)[2]):
+        assert {*re.findall(r" (\.\w+)", text.partition("options:")[0])} == endings
 
 
 def test_messages_quote_little_of_what_is_long(run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    long = 10**4 * "k"
+    long = 5000 * "k"
     (tmp_path / "study.toml").write_text(f"{long} = 1\n")
     for given in (
         (long,),

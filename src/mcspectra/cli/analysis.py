@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import inspect
 import itertools
+import re
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -337,9 +338,9 @@ def declared(
     flags = _flags(given) if flags is None else flags
     text = given.extra.get("help", given.meaning).rstrip(".")
     text = text[:1].lower() + text[1:] if text[1:2].islower() else text
-    choices = (*given.choices, *given.item_choices)
-    if any(choice not in text for choice in choices):
-        text += f": {', '.join(choices)}"
+    words = set(re.findall(r"[\w-]+", text))
+    if left := [each for each in (*given.choices, *given.item_choices) if each not in words]:
+        text += f": {', '.join(left)}"
     if given.is_flag:
         help = f"{text}; on by default" if given.default and "help" not in given.extra else text
         how: dict[str, Any] = {"action": "store_const", "const": not given.default}

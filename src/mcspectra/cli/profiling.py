@@ -102,7 +102,8 @@ def _of_draws(options: argparse.Namespace, files: list[str]) -> Answer:
     plain = result.drop_dims("band") if several else result
     names, said = (np.atleast_1d(result[key].values) for key in ("cause", "evidence"))
     lines = [f"{result.attrs['chains']} × {result.attrs['draws']} draws"]
-    lines.append(table_of_anything(plain).text)
+    if not np.isnan(result["mcse"]).all():  # else no chain moves, and sentences alone say so
+        lines.append(table_of_anything(plain).text)
     for k, name in enumerate(names):
         start = f"{result['quantity'].values[k]}: " if several else ""
         lines.append(f"{start}{said[k] or f'cause: {name}'}.")
@@ -153,7 +154,9 @@ def _draws(name: str) -> Any:
         raise
     except Exception as error:  # noqa: BLE001 - readers of formats raise anything
         reason = getattr(error, "strerror", None) or reason_of(error)
-        raise FileFormatError(f"{printable(file, QUOTED)} cannot be read as {file.suffix}: {reason}.") from None
+        raise FileFormatError(
+            f"{printable(file, QUOTED)} cannot be read as {file.suffix}: {reason}."
+        ) from None
 
 
 def _table(file: Path) -> xr.Dataset:

@@ -29,6 +29,7 @@ from mcspectra.cli.common import (
 from mcspectra.cli.texts import remedies_table
 from mcspectra.core.display import printable, shown
 from mcspectra.core.errors import ParameterError, writing
+from mcspectra.core.images import ENCODED_EXTENSIONS, LINEAR_EXTENSIONS
 from mcspectra.core.registry import optional_package
 
 if TYPE_CHECKING:
@@ -501,7 +502,12 @@ def map_(options: argparse.Namespace) -> Answer:
 
 
 @verb(
-    option("FILES", "a folder, a pattern in quotes, or files: .exr, .pfm, .npy", nargs="+"),
+    option(
+        "FILES",
+        f"a folder, a pattern in quotes, or files: {', '.join(LINEAR_EXTENSIONS)}; with --tone-mapped "
+        f"also {', '.join(ENCODED_EXTENSIONS)}",
+        nargs="+",
+    ),
     option("--spp N", "samples per pixel (default: from names and headers)", whole()),
     option("--against PATH", "frames of another renderer or setting of the same view"),
     option("--target E", "relative error, σ / mean, that pixels should reach", real(above=0.0)),

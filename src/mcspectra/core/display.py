@@ -22,6 +22,7 @@ from typing import Any
 
 __all__ = [
     "QUOTED",
+    "counted",
     "csv_cell",
     "escape_html",
     "html_of",
@@ -91,6 +92,19 @@ def shown(value: object, most: int = QUOTED) -> str:
         if isinstance(value, int):
             return f"an integer of about {int(value.bit_length() * math.log10(2)) + 1} digits"
         return f"a {type(value).__name__} with an integer of too many digits"
+
+
+def counted(number: int, one: str) -> str:
+    """Return a number with its noun, which is plural unless the number is 1.
+
+    Examples
+    --------
+    >>> counted(1, "task"), counted(2000, "recorded task"), counted(0, "density")
+    ('1 task', '2000 recorded tasks', '0 densities')
+    """
+    if number == 1:
+        return f"1 {one}"
+    return f"{number} {one[:-1]}ies" if one.endswith("y") else f"{number} {one}s"
 
 
 def _escape(character: str) -> str:

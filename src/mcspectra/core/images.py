@@ -37,7 +37,9 @@ if TYPE_CHECKING:
     from PIL.Image import Image as PillowImage
 
 __all__ = [
+    "ENCODED_EXTENSIONS",
     "IMAGE_EXTENSIONS",
+    "LINEAR_EXTENSIONS",
     "REC709",
     "Rings",
     "check_picture_size",
@@ -48,8 +50,14 @@ __all__ = [
     "read_image",
 ]
 
-IMAGE_EXTENSIONS = (".png", ".jpg", ".jpeg", ".exr", ".pfm", ".npy", ".npz")
-"""Names that `read_image` knows."""
+ENCODED_EXTENSIONS = (".png", ".jpg", ".jpeg")
+"""Ends of names of pictures in sRGB, 8 bits a channel."""
+
+LINEAR_EXTENSIONS = (".exr", ".pfm", ".npy", ".npz")
+"""Ends of names of images with values as they are."""
+
+IMAGE_EXTENSIONS = (*ENCODED_EXTENSIONS, *LINEAR_EXTENSIONS)
+"""Ends of names that `read_image` knows."""
 
 REC709 = np.array([0.2126, 0.7152, 0.0722])
 """Weights of red, green and blue in the luminance (ITU-R BT.709)."""

@@ -109,10 +109,10 @@ class Registry(Mapping[str, str]):
         }
         for key in arguments:
             if key not in allowed:
-                shown = [p.rstrip("_") for p in allowed]
-                offer, close = hint(key, shown)
-                takes = f"it takes {', '.join(shown)}" if shown else "it takes no parameters"
-                sentence = f"{call.name} has no parameter {key!r}; {takes}."
+                taken = [p.rstrip("_") for p in allowed]
+                offer, close = hint(key, taken)
+                takes = f"it takes {', '.join(taken)}" if taken else "it takes no parameters"
+                sentence = f"{call.name} has no parameter {shown(key)}; {takes}."
                 raise ParameterError(sentence + (offer if close else ""))
         if dims is not None:
             given = arguments.setdefault("dims", dims) if "dims" in allowed else dims

@@ -235,7 +235,9 @@ def sampler_bench(
                 if different_realizations(source, n, Stream.from_rng(own), 2) == 1:
                     free, step = randomized(source, made_counts)
             if step and step not in added:
-                notes.append(f"variances of {label} are those of {short_spec(free.spec)}")
+                notes.append(
+                    f"{label} has too few different sets: its variances are measured with {short_spec(free.spec)}"
+                )
             added |= {step: None} if step else {}
             # Convergence on the tasks at the counts nearest to those asked for
             nearest, own_tasks = _nearest(free, asked), [t for t in tasks if t.dims == d]

@@ -119,7 +119,9 @@ class Convergence(Counted, frozen=True, kw_only=True):
     realizations: Annotated[
         int,
         REALIZATIONS,
-        Meta(description="Realizations at each count; with a relative error the most."),
+        Meta(
+            description="Realizations at each count, or the limit of their number if a relative error is given."
+        ),
     ] = 1000
     relative_error: Annotated[
         Precision | None,
@@ -371,7 +373,7 @@ def convergence(
     counts
         Numbers of points n, ascending; each must be one that every sampler can do.
     realizations
-        Independent realizations for each n, at least 2; with `relative_error` the most of each.
+        Independent realizations for each n, at least 2; with `relative_error` the limit of their number.
     rng
         Seed (SPEC 7); each n has a stream of its own, shared by all estimators and samplers
         (common random numbers).

@@ -138,7 +138,7 @@ def _doubts(found: dict[str, Any]) -> Iterator[str]:
     if missing:
         yield f"Pixels that are NaN or infinite in some frame, and have no numbers: {missing}."
     if not np.isfinite([row["picture_variance_ci"][1] for row in found["samples"]]).all():
-        yield "One pixel of one frame makes over 5 % of all squared errors: the variance has no upper bound yet."
+        yield "The variance has no upper bound yet: one pixel of one frame makes over 5 % of all squared errors."
 
 
 def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[str]:
@@ -158,10 +158,10 @@ def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[str]:
         yield (
             f"{percent(found['reached_share'])} of the pixels reach σ / mean = {number(found['target'])} "
             + (f"at {result['n'].values[-1]} samples" if known else "in a frame")
-            + f"; half of them need {number(found['needed_median'])}{times}, "
-            f"95 % of them {number(found['needed_95'])}{times}"
-            + (", by their rates" if "rate" in result else ", if the variance falls as 1/n")
-            + f". A pixel's own need is known to ± {percent(doubt)}, which makes that of 95 % too large."
+            + (". By their rates" if "rate" in result else ". If the variance falls as 1/n")
+            + f", half of the pixels need {number(found['needed_median'])}{times}, and "
+            f"95 % need at most {number(found['needed_95'])}{times}. The estimate for one pixel has an error of "
+            f"± {percent(doubt)}; this error makes the last number too large."
         )
     last = result.isel(n=-1)
     lowest = last["radius"].values < _LOW

@@ -145,11 +145,11 @@ class StudyStatus(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def analyses(self) -> dict[str, AnalysisCount]:
-        """Numbers by the analysis: the last part of a cell's path."""
+        """Numbers of cells by the analysis: the last part of a cell's path."""
         counts: defaultdict[str, Counter[str]] = defaultdict(Counter)
         for kind in ("done", "failed", "missing", "damaged"):
             for path in getattr(self, kind):
-                if " " not in path:
+                if are_paths([path]) and "/" in path:
                     counts[path[path.rfind("/") + 1 :]][kind] += 1
         return {name: AnalysisCount(**of) for name, of in sorted(counts.items())}
 
@@ -255,7 +255,8 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
     Parameters
     ----------
     verify
-        Check all of the ledger, and ``results.zarr``, against their digests.
+        Check all of the ledger, and ``results.zarr``, against their digests. The lock is always
+        checked.
 
     Raises
     ------
@@ -298,7 +299,7 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
             _files(root / STORE_NAME)
         except StoreError as error:
             damaged[f"the store {STORE_NAME}"] = str(error)
-    trouble = lock_damage(root) if verify else None
+    trouble = lock_damage(root)
     if trouble is not None:
         damaged["the lock study.lock"] = trouble
     running, lacking = is_held(root), found.failed or found.missing or damaged
@@ -727,7 +728,7 @@ def _files(source: str | Path) -> dict[str, bytes]:
         raise StoreError(f"{shown!r} is damaged: its {_DOCUMENT} cannot be read.") from None
     if version != FORMAT:
         raise StoreError(
-            f"{shown!r} has store format {shown(version)}; this version reads {FORMAT}. "
+            f"{shown!r} has store format {version!r:.80}; this version reads {FORMAT}. "
             "xarray.open_datatree reads stores of earlier formats as they are; for reports and exports "
             "of them take the version that wrote them, or run the study again into another folder."
         )

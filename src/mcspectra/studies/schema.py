@@ -32,6 +32,8 @@ _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _PLACEHOLDER = {"type": "string", "pattern": r"^\{[A-Za-z_][A-Za-z0-9_]*\}$"}
 _NO_TEXT = ("integer", "number", "boolean")
 _NO_PLACEHOLDER = ("grid", "seed", "time_limit")  # a study has one
+# Values in the template of options that a number of points would not fit
+_EXAMPLES = {"target_error": ("0.01",), "budget": ("4096",)}
 _TEMPLATE = Path(__file__).with_name("template.toml")
 _OTHERS = "# {other analyses}\n"  # where those come in it that it does not show
 
@@ -166,7 +168,8 @@ def template() -> str:
 
 def _example(option: Option) -> str:
     """A value that an option can have."""
-    for text in option.choices[:1] or ("16,64", "64", "0.5", "name"):
+    own = _EXAMPLES.get(option.name, ())
+    for text in (*own, *(option.choices[:1] or ("16,64", "64", "0.5", "name"))):
         with contextlib.suppress(McspectraError):
             value = option.read(text)
             return json.dumps(list(value) if isinstance(value, tuple) else value)
