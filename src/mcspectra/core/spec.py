@@ -204,8 +204,8 @@ def _parse_call(part: str, whole: str) -> Call:
         keywords.insert(0, (first, tree.args[0]))
     elif tree.args:
         # Not ast.unparse, which recurses and gives up on deep nesting.
-        value = ast.get_source_segment(source, tree.args[0]) or "a value"
-        written = printable(value, QUOTED)
+        nameless = ast.get_source_segment(source, tree.args[0]) or "a value"
+        written = printable(nameless, QUOTED)
         raise SpecError(
             f"{brief} was given {written} without a name; write parameter={written}, with the name of a "
             "parameter that it has."
