@@ -171,7 +171,7 @@ class TestGivenPoints:
         (tmp_path / "c.dat").write_text("0.1 0.2\n#\n0.3\n0.5\n")
         uneven = str(tmp_path / "c.dat")
         refused(
-            ParameterError, r"Set 2 \(of .*c.dat\) is in 1 dims", mcs.Sampler.from_files, uneven
+            ParameterError, r"Set 2 \(of .*c.dat\) is in 1 dim,", mcs.Sampler.from_files, uneven
         )
         (tmp_path / "d.dat").write_text("0.1 1.5\n")
         refused(

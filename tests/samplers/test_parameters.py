@@ -47,7 +47,7 @@ REFUSED = [
     ("korobov(a=0)", 2, ("a is 0", "1")),
     ("fibonacci", 1, ("must be 2", "korobov")),
     ("fibonacci", 3, ("must be 2", "korobov")),
-    ("kronecker(alpha=[0.3])", 2, ("alpha has 1 values",)),
+    ("kronecker(alpha=[0.3])", 2, ("alpha has 1 value;",)),
     ("kronecker(alpha=[0.3, 0.2, 0.1])", 2, ("alpha has 3 values",)),
     ("kronecker(alpha=0.3)", 2, ("alpha is 0.3", "one for each dim")),
     ("kronecker(alpha='0.3')", 2, ("alpha is '0.3'", "one for each dim")),

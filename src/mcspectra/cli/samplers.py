@@ -25,7 +25,7 @@ from mcspectra.cli.common import (
 from mcspectra.cli.texts import data_of
 from mcspectra.core.checks import as_choice
 from mcspectra.core.decoding import path_to_write
-from mcspectra.core.display import QUOTED, printable, shown
+from mcspectra.core.display import QUOTED, counted, printable, shown
 from mcspectra.core.errors import FileFormatError, MissingDependency
 from mcspectra.core.progress import report
 
@@ -217,7 +217,7 @@ def integrate_(options: argparse.Namespace) -> Answer:
     data: dict[str, Any] = {str(name): found[name].values.tolist() for name in found}
     low, high = data["interval"]
     text = (
-        f"{data['value']:.10g}, 95 %: {low:.10g} to {high:.10g}\n{data['calls']} evaluations made, of "
+        f"{data['value']:.10g}, 95 %: {low:.10g} to {high:.10g}\n{counted(data['calls'], 'evaluation')} made, of "
         f"{data['replicates']} replicates of {data['n']} points of {found.attrs['sampler']}"
     )
     note = found.attrs.get("note")

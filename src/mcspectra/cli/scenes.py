@@ -27,7 +27,7 @@ from mcspectra.cli.common import (
     wholes,
 )
 from mcspectra.cli.texts import remedies_table
-from mcspectra.core.display import printable, shown
+from mcspectra.core.display import counted, printable, shown
 from mcspectra.core.errors import ParameterError, writing
 from mcspectra.core.images import ENCODED_EXTENSIONS, LINEAR_EXTENSIONS
 from mcspectra.core.registry import optional_package
@@ -291,7 +291,7 @@ def _whole_paths(options: argparse.Namespace, scene: str, files: list[Path]) -> 
     means = image.mean(axis=(0, 1))
     sampler = options.sampler or "scene's own"
     whose = "scene's own" if options.integrator == "scene" else options.integrator
-    size = f"{width} × {height} pixels, {channels} channels"
+    size = f"{width} × {height} pixels, {counted(channels, 'channel')}"
     lines = [
         f"{scene}, integrator: {whose}, sampler: {sampler}: {size}, {seconds:.1f} s",
         f"mean radiance  {_colour(means)}",

@@ -229,7 +229,7 @@ def estimate_text(estimates: Sequence[CellEstimate], wall: float, workers: int) 
     failing = {each.estimator: each.error for each in estimates if each.error is not None}
     known = "".join(f"estimator {name!r} will fail: {error}\n" for name, error in failing.items())
     return (
-        f"{table}\n\n{known}about {wall:.3g} s with {workers} workers; {tasks} tasks, {memory} of memory "
+        f"{table}\n\n{known}about {wall:.3g} s with {counted(workers, 'worker')}; {counted(tasks, 'task')}, {memory} of memory "
         f"at most, {storage} of storage"
     )
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from mcspectra.core.display import shown
+from mcspectra.core.display import counted, shown
 from mcspectra.core.errors import DomainError, Parameter, ParameterError, close_match_hint
 
 __all__ = [
@@ -131,7 +131,7 @@ def as_reals(name: str, value: object, length: int, **limits: float | None) -> t
         if len(value) != length:
             raise ParameterError(
                 Parameter(name),
-                f" has {len(value)} values; give one number or one for each of the {length} dims.",
+                f" has {counted(len(value), 'value')}; give one number or one for each of the {length} dims.",
             )
         return tuple(as_real(f"{name}[{i}]", v, **limits) for i, v in enumerate(value))
     return (as_real(name, value, **limits),) * length

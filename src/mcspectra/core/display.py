@@ -26,6 +26,7 @@ __all__ = [
     "csv_cell",
     "escape_html",
     "html_of",
+    "needed",
     "printable",
     "register_accessor",
     "shown",
@@ -105,6 +106,11 @@ def counted(number: int, one: str) -> str:
     if number == 1:
         return f"1 {one}"
     return f"{number} {one[:-1]}ies" if one.endswith("y") else f"{number} {one}s"
+
+
+def needed(number: int, one: str) -> str:
+    """Return ``1 dim is needed`` or ``2 dims are needed``."""
+    return f"{counted(number, one)} {'is' if number == 1 else 'are'} needed"
 
 
 def _escape(character: str) -> str:

@@ -38,7 +38,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.decoding import check_decoded_size, known_path, opened, read_npy, read_npz
-from mcspectra.core.display import shown
+from mcspectra.core.display import counted, shown
 from mcspectra.core.errors import FileFormatError, writing
 
 __all__ = [
@@ -430,7 +430,7 @@ def _sets_of_rows(
             raise FileFormatError(f"{name} has no coordinates; give a column for each axis.")
         if numbers != width:
             raise FileFormatError(
-                f"{name}, line {number}, has {numbers} numbers, but the set began with "
+                f"{name}, line {number}, has {counted(numbers, 'number')}, but the set began with "
                 f"{width} on line {start}; give all points of a set the same number of dims."
             )
         if isinstance(fields, np.ndarray):

@@ -15,7 +15,7 @@ from importlib.metadata import entry_points
 from types import MappingProxyType
 from typing import Any
 
-from mcspectra.core.display import shown
+from mcspectra.core.display import counted, needed, shown
 from mcspectra.core.errors import MissingDependency, ParameterError, UnknownName, reason_of
 from mcspectra.core.errors import close_match_hint as hint
 from mcspectra.core.spec import Call, Component, kebab_case
@@ -117,7 +117,7 @@ class Registry(Mapping[str, str]):
         if dims is not None:
             given = arguments.setdefault("dims", dims) if "dims" in allowed else dims
             if given != dims:
-                raise ParameterError(f"{call.name} says dims={given}, but {dims} dims are needed.")
+                raise ParameterError(f"{call.name} says dims={given}, but {needed(dims, 'dim')}.")
         missing = [
             p.name.rstrip("_")
             for p in allowed.values()
@@ -128,7 +128,7 @@ class Registry(Mapping[str, str]):
         component = cls(**arguments)
         if dims is not None and getattr(component, "dims", dims) != dims:
             raise ParameterError(
-                f"{call.name} is for {component.dims} dims, but {dims} dims are needed."
+                f"{call.name} is for {counted(component.dims, 'dim')}, but {needed(dims, 'dim')}."
             )
         return component
 

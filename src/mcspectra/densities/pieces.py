@@ -21,6 +21,7 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from mcspectra.core.checks import BELOW_ONE, Array, as_integer, as_real, as_real_array
+from mcspectra.core.display import counted
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.fields import checked, settle
 from mcspectra.densities.base import Density
@@ -87,7 +88,7 @@ class AlignedStrata(Density):
         sides: Any = tuple(strata) if several else (strata,) * self.dims  # type: ignore[arg-type]
         if len(sides) != self.dims:
             raise ParameterError(
-                f"strata has {len(sides)} numbers; give one for each of {self.dims} dims."
+                f"strata has {counted(len(sides), 'number')}; give one for each of {self.dims} dims."
             )
         numbers = tuple(as_integer("strata", s, least=1, most=_MOST_STRATA) for s in sides)
         settle(self, strata=numbers if several else numbers[0])

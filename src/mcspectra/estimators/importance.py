@@ -8,7 +8,7 @@ import numpy as np
 
 from mcspectra.core.analysis import Subject
 from mcspectra.core.checks import MAX_DIMS, Array, as_integer
-from mcspectra.core.display import shown
+from mcspectra.core.display import counted, shown
 from mcspectra.core.errors import ParameterError
 from mcspectra.densities import Density, as_density
 from mcspectra.densities.base import divide_by_density
@@ -160,7 +160,7 @@ def as_estimator(given: Any, dims: int | None = None) -> AbstractEstimator:
     if isinstance(given, AbstractEstimator):
         if dims is not None and given.dims != as_integer("dims", dims, least=1):
             raise ParameterError(
-                f"dims is {dims}, but {given.spec} has {given.dims} dims; leave dims out, or give a spec "
+                f"dims is {dims}, but {given.spec} has {counted(given.dims, 'dim')}; leave dims out, or give a spec "
                 "that leaves them open."
             )
         return given

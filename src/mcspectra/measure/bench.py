@@ -18,6 +18,7 @@ import numpy as np
 from scipy import stats
 
 from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.display import counted
 from mcspectra.core.errors import McspectraError, ParameterError
 from mcspectra.core.progress import report
 from mcspectra.core.results import dataset
@@ -189,7 +190,7 @@ def sampler_bench(
     seed = as_integer("rng", rng, least=0)
     if not samplers or len(asked) < 2 or not wanted:
         raise ParameterError(
-            f"There are {len(samplers)} samplers, {len(asked)} counts and {len(wanted)} numbers of dims; "
+            f"Given: {counted(len(samplers), 'sampler')}, {counted(len(asked), 'count')} and {counted(len(wanted), 'choice')} of dims; "
             "give a sampler or more, two counts or more, and one number of dims or more."
         )
 

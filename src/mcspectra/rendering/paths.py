@@ -34,7 +34,7 @@ from typing import Any, final
 import numpy as np
 
 from mcspectra.core.checks import MAX_DIMS, Array, as_integer, as_real
-from mcspectra.core.display import shown
+from mcspectra.core.display import counted, shown
 from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.fields import checked, settle
 from mcspectra.rendering.backend import LARGEST_SAMPLE, LOCK, load_mitsuba
@@ -172,7 +172,7 @@ class PathPixel(MitsubaIntegrand):
                 given = np.atleast_1d(self.selection).tolist()
                 if len(given) != len(lights):
                     raise ParameterError(
-                        f"selection has {len(given)} values; give a positive number for each of the "
+                        f"selection has {counted(len(given), 'value')}; give a positive number for each of the "
                         f"lights {', '.join(lights)}."
                     )
                 weights = [as_real("selection", w, above=0.0) for w in given]

@@ -26,6 +26,7 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from mcspectra.core.checks import Array, as_unit_points
+from mcspectra.core.display import counted, needed
 from mcspectra.core.errors import (
     CountError,
     FileFormatError,
@@ -190,7 +191,7 @@ class GivenPoints(Sampler):
         Sampler.__post_init__(self)
         if self.dims != first.shape[2]:
             raise ParameterError(
-                f"points are in {first.shape[2]} dims, but {self.dims} dims are needed."
+                f"points are in {counted(first.shape[2], 'dim')}, but {needed(self.dims, 'dim')}."
             )
 
     @classmethod
@@ -375,7 +376,7 @@ def _by_count(sets: Iterable[tuple[str, object]]) -> dict[int, Array]:
         dims = points.shape[-1] if dims is None else dims
         if points.shape[-1] != dims:
             raise ParameterError(
-                f"Set {k + 1} (of {name}) is in {points.shape[-1]} dims, but the first in {dims}; all "
+                f"Set {k + 1} (of {name}) is in {counted(points.shape[-1], 'dim')}, but the first in {dims}; all "
                 "sets of a sampler need the same dims."
             )
         found.setdefault(len(points), []).append(points)

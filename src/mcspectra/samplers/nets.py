@@ -19,6 +19,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.decoding import check_decoded_size, opened
+from mcspectra.core.display import needed
 from mcspectra.core.errors import FileFormatError, ParameterError
 from mcspectra.core.fields import settle, whole
 from mcspectra.core.registry import DEFAULT_DIMS
@@ -479,7 +480,7 @@ class DigitalNet(_AnyBaseNet):
         Sampler.__post_init__(self)
         if self.dims > most:
             raise ParameterError(
-                f"digital-net: {self.dims} dims are needed, but there are {most} matrices; "
+                f"digital-net: {needed(self.dims, 'dim')}, but there are {most} matrices; "
                 "give one for each dim."
             )
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mcspectra.core.checks import as_integer
-from mcspectra.core.display import shown
+from mcspectra.core.display import counted, needed, shown
 from mcspectra.core.errors import ParameterError, SpecError, UnknownName
 from mcspectra.core.registry import Registry, classes_of
 from mcspectra.core.spec import Call, parse_chain
@@ -114,7 +114,7 @@ def as_sampler(source: Any, dims: int | None = None) -> Sampler:
     made = _from_object(source, _checked(dims))
     if dims is not None and made.dims != dims:
         raise ParameterError(
-            f"The sampler {made.spec} is for {made.dims} dims, but {dims} dims are needed."
+            f"The sampler {made.spec} is for {counted(made.dims, 'dim')}, but {needed(dims, 'dim')}."
         )
     return made
 

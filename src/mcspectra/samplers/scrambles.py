@@ -14,6 +14,7 @@ from typing import ClassVar, Self, TypeAlias, final
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.display import counted
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.fields import checked, choice, flag
 from mcspectra.core.streams import Stream
@@ -117,7 +118,7 @@ class _OfDigits(Randomization):
             return (self.base or 2,) * dims
         if len(self.base) != dims:
             raise ParameterError(
-                f"base has {len(self.base)} values; give one number or one for each of the {dims} "
+                f"base has {counted(len(self.base), 'value')}; give one number or one for each of the {dims} "
                 "dims."
             )
         return tuple(self.base)

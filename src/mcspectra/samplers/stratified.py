@@ -21,6 +21,7 @@ import numpy as np
 
 from mcspectra.core.checks import BELOW_ONE, Array, as_integer
 from mcspectra.core.decoding import opened, read_npz
+from mcspectra.core.display import counted, needed
 from mcspectra.core.errors import FileFormatError, ParameterError
 from mcspectra.core.fields import choice, real, settle
 from mcspectra.core.jit import kernel
@@ -105,7 +106,7 @@ class GridSampler(Sampler):
         sides = tuple(as_integer(f"sides[{i}]", s, least=1) for i, s in enumerate(given))
         if len(sides) != self.dims:
             raise ParameterError(
-                f"{self.name}: sides has {len(sides)} numbers; give one for each of the "
+                f"{self.name}: sides has {counted(len(sides), 'number')}; give one for each of the "
                 f"{self.dims} dims."
             )
         if math.prod(sides) > MAX_COUNT:
@@ -635,7 +636,7 @@ class SharedCells(Sampler):
         Sampler.__post_init__(self)
         if self.dims != cells.shape[2]:
             raise ParameterError(
-                f"The cells of {self.path} are in {cells.shape[2]} dims, but {self.dims} dims are needed."
+                f"The cells of {self.path} are in {counted(cells.shape[2], 'dim')}, but {needed(self.dims, 'dim')}."
             )
 
     @property

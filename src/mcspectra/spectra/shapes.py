@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer, as_real
+from mcspectra.core.display import counted
 from mcspectra.core.errors import (
     CorrelatedFrequenciesWarning,
     FileFormatError,
@@ -230,7 +231,7 @@ def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
     wedges = as_integer("wedges", wedges, least=1, most=MAX_WEDGES)
     if half.grid.dims != 2:
         raise ParameterError(
-            f"The spectrum has {half.grid.dims} dims; wedges are of two: use radial_statistics "
+            f"The spectrum has {counted(half.grid.dims, 'dim')}; wedges are of two: use radial_statistics "
             "or slices."
         )
     label = wedge_labels(half.index, wedges)
