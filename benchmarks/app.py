@@ -2,7 +2,7 @@
 
 The page is the default one: 256 jittered points, 129² frequencies. A key moves the slider of the
 strata shift; the page notes when bokeh has new data for the first figure and for the last one of the
-round of fewest realisations. Processor time of the server counts from the key to the last figure of
+round of fewest realizations. Processor time of the server counts from the key to the last figure of
 all rounds, in the mean over the moves.
 """
 
@@ -51,7 +51,7 @@ def main() -> None:
     first, every, seconds = (median(each) for each in zip(*found, strict=True))
     verdict = "met" if first <= MOST else "missed"
     print(f"first figure {first:6.0f} ms (at most {MOST:.0f}: {verdict})")
-    print(f"all figures  {every:6.0f} ms, of the round of fewest realisations")
+    print(f"all figures  {every:6.0f} ms, of the round of fewest realizations")
     print(f"server       {1e3 * seconds:6.0f} ms of processor time, all rounds")
 
 

@@ -4,9 +4,9 @@ Each case has a function or estimator with the sampler that is used, its integra
 may be named first. A profile is taken with a budget of 8,192 evaluations. Its interval should hold the
 integral; its first cause should be one of those; the change that it advises should lower the variance when
 both set-ups are measured afresh at the same counts. Its rate with scrambled nets should be that of 10,000
-realisations at the last counts of its curve, to 0.1 or within its interval, with this budget and with 262,144
+realizations at the last counts of its curve, to 0.1 or within its interval, with this budget and with 262,144
 evaluations, and none is said of a variance that is infinite. Beside jumps along axes, where local rates are
-between −1 and −3 for the same f, realisations at 16 to 4,096 points tell the rate.
+between −1 and −3 for the same f, realizations at 16 to 4,096 points tell the rate.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from mcspectra.explain.samples import Curve
 
 BUDGET, MORE = 8192, 262_144
 REALIZATIONS = 1000
-OF_RATES = 10_000  # realisations
+OF_RATES = 10_000  # realizations
 SAW = tuple(2**k for k in range(4, 13))
 WITHIN = 0.1
 

@@ -15,7 +15,7 @@ from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.streams import Stream
 from mcspectra.spectra.transforms import FrequencyGrid, Transform
 
-SIZES = ((64, 1024, 1000), (128, 4096, 500), (256, 4096, 120))  # half width, points, realisations
+SIZES = ((64, 1024, 1000), (128, 4096, 500), (256, 4096, 120))  # half width, points, realizations
 BANDS = 64
 
 
@@ -24,7 +24,7 @@ def main() -> None:
     for half_width, n, realizations in SIZES:
         ours, theirs, ratio = _ratio(half_width, n, realizations)
         print(
-            f"{2 * half_width + 1}² frequencies, {n} points, {realizations} realisations: "
+            f"{2 * half_width + 1}² frequencies, {n} points, {realizations} realizations: "
             f"{ours:.2f} s, points and transforms alone {theirs:.2f} s, "
             f"ratio {ratio:.2f} (aim ≤ 1.3; best over best {ours / theirs:.2f})"
         )

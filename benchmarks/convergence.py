@@ -1,6 +1,6 @@
 """Convergence of jittered points against one fused loop in numba: sample, evaluate, accumulate.
 
-Five counts from 16 to 4096, 1000 realisations, two integrands, one thread. The fused loop has what
+Five counts from 16 to 4096, 1000 realizations, two integrands, one thread. The fused loop has what
 a program written for this one task would have: no array of points or of values, both integrands from
 one point, the package's own generator, and sums of the first two powers only.
 """
@@ -25,7 +25,7 @@ RADIUS = 0.3
 
 @kernel
 def _fused(keys: Array, side: int, rate: float, radius: float, sums: Array) -> None:
-    """Add I and I² of the Gaussian and of the disk over realisations: sums (2, 2)."""
+    """Add I and I² of the Gaussian and of the disk over realizations: sums (2, 2)."""
     scale = 1.0 / (side * side)
     for r in range(len(keys)):
         k0, k1 = keys[r, 0], keys[r, 1]

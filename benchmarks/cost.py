@@ -1,6 +1,6 @@
-"""Cost of an expected power spectrum against points n, frequencies M, realisations R and accuracy ε.
+"""Cost of an expected power spectrum against points n, frequencies M, realizations R and accuracy ε.
 
-Model of the NUFFT [Barnett2019]_, seconds a realisation, and R of them take R t:
+Model of the NUFFT [Barnett2019]_, seconds a realization, and R of them take R t:
 
     t = a + b n log(1/ε) + c M log M.
 
@@ -91,7 +91,7 @@ def _terms(n: int, half_width: int, eps: float) -> tuple[float, float, float]:
 
 
 def _seconds(n: int, half_width: int, eps: float = EPS, realizations: int = 2) -> float:
-    """Least time a realisation of the power of `realizations` sets, one thread."""
+    """Least time a realization of the power of `realizations` sets, one thread."""
     grid = FrequencyGrid(DIMS, half_width)
     points = mcs.sampler("random", dims=DIMS).draw(n, realizations=realizations, rng=1)
     total, squares = np.zeros(grid.stored), np.zeros(grid.stored)
@@ -106,7 +106,7 @@ def _seconds(n: int, half_width: int, eps: float = EPS, realizations: int = 2) -
 
 
 def _by_realizations() -> Series:
-    """Seconds of R realisations; the model is R times those of a pair, halved."""
+    """Seconds of R realizations; the model is R times those of a pair, halved."""
     n, half_width = FIXED
     count = np.array(REALIZATIONS, np.float64)
     measured = np.array([r * _seconds(n, half_width, EPS, r) for r in REALIZATIONS])
@@ -121,9 +121,9 @@ def _plot(grids: list[Series], linear: Series, accuracy: Series) -> None:
 
     figure, axes = plt.subplots(1, 3, figsize=(11, 3.6), layout="constrained", sharey=False)
     panels = (
-        ("points n", "seconds a realisation", grids),
-        ("realisations R", "seconds", [linear]),
-        ("accuracy ε", "seconds a realisation", [accuracy]),
+        ("points n", "seconds a realization", grids),
+        ("realizations R", "seconds", [linear]),
+        ("accuracy ε", "seconds a realization", [accuracy]),
     )
     for axis, (x, y, series) in zip(axes, panels, strict=True):
         for one in series:

@@ -152,8 +152,8 @@ def main() -> None:
     """Print the coverage of each kind of interval in percent."""
     columns = "values | law | kurtosis | covered | truth above | below"
     _print(f"{columns} | no upper end | all equal | upper end / s² (median)", _of_variances())
-    _print("realisations | captured | covered | ends' ratio (median)", _of_captured())
-    _print("realisations | interval | covered", _of_spectra())
+    _print("realizations | captured | covered | ends' ratio (median)", _of_captured())
+    _print("realizations | interval | covered", _of_spectra())
     _print("pairs | interval | covered", _of_anova())
 
 

@@ -1,6 +1,6 @@
 """SciPy's L-BFGS-B, QR and eigensolver compared with ours: quality, and stability of the bits.
 
-``python -m benchmarks descent`` prints, for descents of optimised samplers, the least value after as
+``python -m benchmarks descent`` prints, for descents of optimized samplers, the least value after as
 many evaluations as ours took. Then it repeats computations of the libraries with other numbers of
 threads and with the kernels of OpenBLAS for other processors.
 """
@@ -63,7 +63,7 @@ MACHINES = (
 
 
 class Task(NamedTuple):
-    """A descent of an optimised sampler; `goal` is a value that is small enough."""
+    """A descent of an optimized sampler; `goal` is a value that is small enough."""
 
     name: str
     n: int

@@ -1,9 +1,9 @@
 """Designs for classes of integrands against the best usual sampler, on members held back.
 
 For each class, dims and n the kinds that may do are searched; the one with the least variance over 400
-members is measured over 2,000 others, in 20 groups, each with 32 realisations of its own. Rivals: sobol |
+members is measured over 2,000 others, in 20 groups, each with 32 realizations of its own. Rivals: sobol |
 owen, pmj02, shifted Korobov, rank-1 and Fibonacci lattices, and, where ``MCSPECTRA_NETS`` names a
-folder with their files of direction numbers, OneTwo and quad-optimised nets (base 3) with owen.
+folder with their files of direction numbers, OneTwo and quad-optimized nets (base 3) with owen.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Findings about densities: multiple importance sampling, colour channels, infinite weights, warps.
+"""Findings about densities: multiple importance sampling, color channels, infinite weights, warps.
 
 Each function prints the numbers of its page of ``docs/findings`` and returns its figures by name.
 """
@@ -110,7 +110,7 @@ def channels() -> Plots:
 
 
 def infinite_weights() -> Plots:
-    """Var(S_0), which no number of realisations settles; what a defensive share does instead."""
+    """Var(S_0), which no number of realizations settles; what a defensive share does instead."""
     n, sizes = 16, 2 ** np.arange(6, 19)
     f, p = (
         mcs.integrand("polynomial(coefficients=[0, 0, 1])", dims=1),
@@ -124,7 +124,7 @@ def infinite_weights() -> Plots:
         at, label = sizes.astype(float), "n Var(S₀), four runs"
         marks.append(Line(x=at, y=np.array(spread), color=GRAY, width=1.0, label=label))
         print(
-            f"run {seed}: n Var(S_0) of 64 realisations {spread[0]:.2f}, of 262144 {spread[-1]:.2f}"
+            f"run {seed}: n Var(S_0) of 64 realizations {spread[0]:.2f}, of 262144 {spread[-1]:.2f}"
         )
     e = mcs.Estimator(f, p)
     d = mcs.convergence(e, "random", [n], realizations=100_000, rng=1)
@@ -135,7 +135,7 @@ def infinite_weights() -> Plots:
     every = np.concatenate([m.y for m in marks if isinstance(m, Line)])
     left = Panel(
         marks=tuple(marks),
-        x=log_axis("realisations", float(sizes[0]), float(sizes[-1])),
+        x=log_axis("realizations", float(sizes[0]), float(sizes[-1])),
         y=log_axis("sample variance × n", min(1.0, float(every.min())), float(every.max())),
         title="f = x², p = 2x, random",
         grid=True,

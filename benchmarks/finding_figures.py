@@ -77,5 +77,5 @@ def with_interval(value: Any, interval: Any, form: str = ".2f") -> str:
 
 
 def slopes(counts: Sequence[int] | Array, values: Array) -> Array:
-    """Rates between neighbouring counts."""
+    """Rates between neighboring counts."""
     return np.diff(np.log(values)) / np.diff(np.log(counts))

@@ -37,7 +37,7 @@ print(json.dumps([seconds, used]))
 
 @dataclass(frozen=True)
 class Case:
-    """A grid of half width K in some dims, jittered points, and realisations."""
+    """A grid of half width K in some dims, jittered points, and realizations."""
 
     dims: int
     half_width: int
@@ -64,10 +64,10 @@ CASES = (
 
 
 def main() -> None:
-    """Print a line for each; memory is to be the same for four times the realisations."""
+    """Print a line for each; memory is to be the same for four times the realizations."""
     _, idle = Case(1, 1, 1, 0).run()
     print(f"imports alone {idle:.0f} MB; aim in 2-D ≤ 1000 MB")
-    print(f"{'frequencies':>12s} {'pairs':>9s} {'points':>7s} {'realisations':>13s} "
+    print(f"{'frequencies':>12s} {'pairs':>9s} {'points':>7s} {'realizations':>13s} "
           f"{'seconds':>8s} {'peak MB':>8s}")  # fmt: skip
     for case in CASES:
         seconds, used = case.run()

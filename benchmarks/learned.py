@@ -1,6 +1,6 @@
 """Variances with learned densities over those without.
 
-Each density is learned for the sampler and n. The variances are of 200 realisations that it was not
+Each density is learned for the sampler and n. The variances are of 200 realizations that it was not
 learned from. ``python -m benchmarks learned``.
 """
 

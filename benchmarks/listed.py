@@ -36,7 +36,7 @@ CASES: tuple[tuple[str, Callable[[int, int], Array], int, int, int], ...] = (
 
 
 def main() -> None:
-    """Print milliseconds a realisation, the engine that was taken, and the direct sum's time."""
+    """Print milliseconds a realization, the engine that was taken, and the direct sum's time."""
     for what, make, dims, n, count in CASES:
         frequencies = make(dims, count)
         points = mcs.sampler("random", dims=dims).draw(n, realizations=REALIZATIONS, rng=1)

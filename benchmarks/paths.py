@@ -124,7 +124,7 @@ def times() -> dict[str, list[float]]:
     ratios: dict[str, list[float]] = {name: [] for name in works}
     for turn in range(
         ROUNDS + 1
-    ):  # neighbours in time: a busy machine slows all; the first one compiles
+    ):  # neighbors in time: a busy machine slows all; the first one compiles
         seconds = {}
         for name, work in works.items():
             start = time.perf_counter()

@@ -3,11 +3,11 @@
 Each row is a sampler in a group of problems; each of its cells a problem at a count. A cell counts as
 right where predicted/measured is within 5 %, or within two standard errors of the measurement, whose
 interval covers where the difference is within both intervals together. Predictions see no sample of f at
-the sampler's points; measurements have at least 1,000 realisations. ``--group=2-D`` takes one group,
+the sampler's points; measurements have at least 1,000 realizations. ``--group=2-D`` takes one group,
 ``--group=new`` those whose names begin with "new".
 
 New groups have every sampler that is drawn fast under an offset (shift, strata-shift, digital-shift),
-problems in 4 to 8 dims, and unbounded ones. References are 20,000 realisations or, where the moments of
+problems in 4 to 8 dims, and unbounded ones. References are 20,000 realizations or, where the moments of
 estimates are unbounded, sums over strata and pairs of points of integrals in closed form (`Unbounded`).
 """
 
@@ -33,7 +33,7 @@ WITHIN, AT_MOST = 0.05, 0.2
 REALIZATIONS = 10_000
 """Of measurements: relative standard errors of about 1.4 % where the estimates are normal."""
 
-_DEAR = {"bnot": 2000, "poisson-disk": 4000}  # realisations of samplers that take long
+_DEAR = {"bnot": 2000, "poisson-disk": 4000}  # realizations of samplers that take long
 
 
 NEW_REALIZATIONS = 20_000

@@ -138,7 +138,7 @@ def _against_qmcpy() -> None:
 
 
 def _alone() -> None:
-    """What has no reference: a rate, and seconds for an optimised set that is not cached."""
+    """What has no reference: a rate, and seconds for an optimized set that is not cached."""
     for spec, n, aim in (("pmj02", COUNT, "5 M points/s"), ("bnot", 1024, "5 s")):
         sampler = mcs.sampler(spec, dims=2)
         draw = getattr(sampler, "_optimize", None)

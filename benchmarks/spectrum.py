@@ -13,7 +13,7 @@ from benchmarks.timing import compare
 from mcspectra.spectra.transforms import FrequencyGrid, Transform, direct_sum
 
 POINTS, HALF_WIDTH, REALIZATIONS = 4096, 256, 8
-CHOSEN = 64  # realisations of the spectrum whose accuracy is chosen by its statistical error
+CHOSEN = 64  # realizations of the spectrum whose accuracy is chosen by its statistical error
 
 
 def main() -> None:
@@ -34,7 +34,7 @@ def main() -> None:
     ours, theirs, ratio = (value for value in compare(power, plain, rounds=25))
     print(f"power spectrum, 4096 points, 513² frequencies: {1e3 * ours / REALIZATIONS:.2f} ms")
     print(f"scipy.fft.fft2, 512²:                          {1e3 * theirs / REALIZATIONS:.2f} ms")
-    print(f"ratio a realisation, one thread (aim ≤ 1.5):   {ratio:.2f}")
+    print(f"ratio a realization, one thread (aim ≤ 1.5):   {ratio:.2f}")
 
     def chosen() -> None:
         mcs.power_spectrum(
@@ -46,8 +46,8 @@ def main() -> None:
             scipy.fft.fft2(plane, workers=1)
 
     ours, theirs, ratio = (value for value in compare(chosen, plain_chosen, rounds=5))
-    print(f"power_spectrum, {CHOSEN} realisations, draws too:     {1e3 * ours / CHOSEN:.2f} ms")
-    print(f"ratio a realisation, one thread (aim ≤ 0.7):   {ratio:.2f}")
+    print(f"power_spectrum, {CHOSEN} realizations, draws too:     {1e3 * ours / CHOSEN:.2f} ms")
+    print(f"ratio a realization, one thread (aim ≤ 0.7):   {ratio:.2f}")
     given = {"half_width": HALF_WIDTH, "realizations": CHOSEN}
     fast = mcs.power_spectrum("jittered", POINTS, **given)
     exact = mcs.power_spectrum("jittered", POINTS, eps=1e-12, **given)

@@ -51,7 +51,7 @@ def study(realizations: int) -> StudyConfig:
 
 
 def calibrated(seconds: float) -> StudyConfig:
-    """The study with as many realisations as take `seconds` in a cell."""
+    """The study with as many realizations as take `seconds` in a cell."""
     few = 20_000
     _loop(study(few))  # compile
     each = min(_loop(study(few)) for _ in range(ROUNDS)) / CELLS

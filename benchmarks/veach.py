@@ -1,4 +1,4 @@
-"""Rates of one pixel of Veach's scene: diffuse wall, widest light, jittered, 500 realisations."""
+"""Rates of one pixel of Veach's scene: diffuse wall, widest light, jittered, 500 realizations."""
 
 from __future__ import annotations
 

@@ -334,7 +334,7 @@ COMMAND = _rows(
     ("gallery", "The verb 'gallery' is now 'mcspectra bench'."),
     ("anova gaussian", "'mcspectra variance --split axes'"),
     ("exact gaussian --sampler sobol -n 16", "'mcspectra predict --method exact'"),
-    ("--json doctor", "no option '--json' before the verb"),
+    ("--frob doctor", "no option '--frob' before the verb"),
     ("run study.toml --out page.html", "the name of a file; give a folder"),
     ("frobnicate", "no verb"),
     ("points no-such-sampler -n 16", "no sampler"),

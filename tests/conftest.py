@@ -32,7 +32,7 @@ NO_QMCPY = "QMCPy is not installed; with a C compiler, pip install 'mcspectra[qm
 def own_cache(tmp_path_factory):
     """Keep the user's cache out of the tests, and the tests out of the user's cache.
 
-    Workers share it: an optimised set is made once.
+    Workers share it: an optimized set is made once.
     """
     folder = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:

@@ -132,7 +132,7 @@ def test_a_search_measures_the_first_realizations():
 
 
 def test_runs_of_a_search_follow_each_other():
-    """Every realisation once: the runs of a cell begin where the last one ended."""
+    """Every realization once: the runs of a cell begin where the last one ended."""
     analysis = Convergence(counts=(4, 16), realizations=3000, relative_error=0.06)
     stages, result = _stages(analysis, as_subject([PLAIN, DISK], "random", lists=True))
     ends, parts = {}, []

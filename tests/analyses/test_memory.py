@@ -1,4 +1,4 @@
-"""Memory of the analyses: flat in the number of realisations, and below a gigabyte at 513²."""
+"""Memory of the analyses: flat in the number of realizations, and below a gigabyte at 513²."""
 
 import json
 import math
@@ -17,7 +17,7 @@ _BLOCK = 2**13
 GRID = FrequencyGrid(2, HALF_WIDTH)
 REALIZATIONS = 120
 BYTES = 16 * GRID.stored
-"""Bytes of the spectrum of one realisation."""
+"""Bytes of the spectrum of one realization."""
 
 LARGE = """
 import json, resource, sys
@@ -76,7 +76,7 @@ def test_memory_is_flat_in_realizations(analysis, workers):
     few = _peak(lambda: analysis(REALIZATIONS, workers=workers))
     many = _peak(lambda: analysis(4 * REALIZATIONS, workers=workers))
     # Threads have a few results of blocks waiting, each of three or four spectra, and fourfold
-    # realisations are two levels more of the tree, each a state; to keep what every block returns
+    # realizations are two levels more of the tree, each a state; to keep what every block returns
     # would take a thousand spectra.
     assert many - few < (12 + 2 * 4) * BYTES
 

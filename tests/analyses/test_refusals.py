@@ -69,7 +69,7 @@ ROWS = [
     (lambda: _scan(offsets=[-0.1]), "at least 0"),
     (lambda: _scan(offsets=10**9), "more than 4096"),
     (lambda: _scan(method="guess"), "method"),
-    (lambda: _scan(sampler=mcs.sampler("jittered", dims=2)), "1 dims are needed"),
+    (lambda: _scan(sampler=mcs.sampler("jittered", dims=2)), "1 dim is needed"),
     (lambda: _best(n=0), "n is 0"),
     (lambda: _best(edges=[[0.1], [0.2]]), "dims"),
     (lambda: _best(method="guess"), "method"),

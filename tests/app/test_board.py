@@ -1,4 +1,4 @@
-"""Boards without a page: figures come, go and turn grey as their results do."""
+"""Boards without a page: figures come, go and turn gray as their results do."""
 
 import time
 from dataclasses import replace

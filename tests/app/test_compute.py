@@ -1,4 +1,4 @@
-"""Jobs: rounds, cancelling, and what is refused."""
+"""Jobs: rounds, canceling, and what is refused."""
 
 import threading
 import time
@@ -174,7 +174,7 @@ def test_rounds_that_would_take_long_are_not_begun(monkeypatch):
     monkeypatch.setattr(module.time, "perf_counter", lambda: next(clock))
     updates, sentence = finished(replace(SMALL, realizations=1024))
     assert [u.realizations for u in updates] == [16] * 6 + [64] * 6
-    assert "Stopped at 64 realisations: 256 would take about 240 s" in sentence
+    assert "Stopped at 64 realizations: 256 would take about 240 s" in sentence
 
 
 @pytest.mark.parametrize(
@@ -239,7 +239,7 @@ def test_jobs_of_all_pages_take_turns(monkeypatch):
     assert all(done.acquire(timeout=30) for _ in jobs)
     assert most[0] == MOST_AT_ONCE
 
-    # One that waits is cancelled
+    # One that waits is canceled
     for _ in range(MOST_AT_ONCE):
         module._TURNS.acquire()
     try:

@@ -231,7 +231,7 @@ def test_asking_for_more_sets_than_given(run, monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO(points))
     code, _, err = run("spectrum", "-", "-n", 16, "-m", 5)
     assert code == 2
-    assert "holds 1 realisation, but" in err
+    assert "holds 1 realization, but" in err
 
 
 AXES = ("variance", "--split", "axes")
@@ -354,7 +354,7 @@ def test_variance_has_a_table_for_each_sampler(run, run_json):
     _, out, _ = run(*both)
     title, about, *tables = out.split("\n\n")[0].splitlines() + out.split("\n\n")[1:]
     assert title == "gaussian,  n = 16"
-    assert "50 realisations; domain space" in about
+    assert "50 realizations; domain space" in about
     for k, sampler in enumerate(samplers):
         alone = run_json("variance", "gaussian", "--sampler", sampler, *rest)
         assert data["cross_term"][k] == alone["cross_term"]

@@ -216,7 +216,7 @@ def test_techniques_print_no_rate_that_is_no_finding(run):
 
 
 def test_converge_finds_no_rate_in_noise_or_in_rounding(run, run_json):
-    """-1.03 ± 1.34 of five realisations, and a rate of 1e-34."""
+    """-1.03 ± 1.34 of five realizations, and a rate of 1e-34."""
     arguments = (
         "converge",
         "gaussian",
@@ -232,7 +232,7 @@ def test_converge_finds_no_rate_in_noise_or_in_rounding(run, run_json):
     row = next(line.split() for line in out.splitlines() if line.startswith("random"))
     assert row[3] == "unresolved"
     assert float(row[4]) > 0.5
-    assert "the rate is not resolved: use more realisations or larger counts" in out
+    assert "the rate is not resolved: use more realizations or larger counts" in out
     assert "sobol has no variance: add owen or shift, or look at |bias|" in out
     assert [line.split()[1:4] for line in out.splitlines() if line.startswith("sobol  ")] == [
         ["0", "0", "–"]
@@ -247,7 +247,7 @@ def test_converge_says_which_counts_missed_the_precision(run, run_json):
     code, out, _ = run(*arguments, "--relative-error", 0.01)
     assert code == 0
     assert (
-        "random: the relative error 0.01 was not reached with 20 realisations at n = 4, 16" in out
+        "random: the relative error 0.01 was not reached with 20 realizations at n = 4, 16" in out
     )
     assert run_json(*arguments, "--relative-error", 0.01)["curves"][0]["reached"] == [0, 0]
     assert "reached" not in run(*arguments)[1]
@@ -289,12 +289,88 @@ def test_one_option_has_one_name_in_all_verbs(run, monkeypatch):
         assert all(flag in out for flag in ("--json", "--seed", "--quiet")), verb
 
 
-def test_an_option_before_the_verb_is_a_sentence(run):
-    code, out, err = run("--json", "doctor")
-    assert (code, out) == (2, "")
-    assert (
-        err == "mcspectra: There is no option '--json' before the verb; see 'mcspectra --help'.\n"
-    )
+def test_options_of_all_verbs_stand_before_or_after_the_verb(run):
+    after = run("points", "random", "-n", 4, "--json", "--seed", 3, "--quiet")
+    assert after[0] == 0
+    assert run("--json", "--seed", 3, "--quiet", "points", "random", "-n", 4) == after
+    assert run("--json", "--seed=3", "points", "random", "-n", 4, "--quiet") == after
+
+
+def test_what_is_no_option_before_the_verb_is_a_sentence(run):
+    for given, lack in (
+        (("--frob", "doctor"), "no option '--frob' before the verb"),
+        (("--json",), "no verb"),
+        (("--seed", 3), "no verb"),
+    ):
+        code, out, err = run(*given)
+        assert (code, out) == (2, "")
+        assert err == f"mcspectra: There is {lack}; see 'mcspectra --help'.\n"
+
+
+def test_errors_name_what_was_typed(run, tmp_path):
+    """Options as flags, positional arguments as in the help."""
+    for given, start in (
+        (("design", "density", "gaussian", "-n", 16, "--family", "vegas"), "--family is 'vegas'; "),
+        (("design", "magic", "gaussian", "-n", 16), "KIND is 'magic'; "),
+        (("list", "magic"), "KIND is 'magic'; "),
+        (("status", 5000 * "x"), "DIR is 'xxx"),
+        (("pixel", "veach", 1, -2), "Y is -2; "),
+    ):
+        code, out, err = run(*given)
+        assert (code, out) == (2, "")
+        assert err.startswith(f"mcspectra: {start}"), err
+
+
+def test_every_positional_argument_is_in_capitals(run):
+    for verb in VERBS:
+        _, out, _ = run(verb, "--help")
+        _, positional, rest = out.partition("positional arguments:\n")
+        for name in re.findall(
+            r"^  (\S+)", rest.partition("\n\n")[0] if positional else "", re.MULTILINE
+        ):
+            assert name.isupper(), (verb, name)
+
+
+def test_the_help_lists_each_method_once(run):
+    _, out, _ = run("predict", "--help")
+    (_, _, listed), *_ = re.findall(r"(--method METHOD)(.*?):([^:]*); default", out, re.DOTALL)
+    names = re.sub(r"\s", "", listed).split(",")
+    assert "exact" in names
+    assert not {"auto", "all"} & {*names}
+
+
+def test_frames_are_listed_alike_in_the_help_and_in_errors(run, tmp_path):
+    (tmp_path / "x.txt").write_text("x")
+    endings = {".exr", ".pfm", ".npy", ".npz", ".png", ".jpg", ".jpeg"}
+    for text in (run("frames", "--help")[1], run("frames", tmp_path)[2]):
+        assert {*re.findall(r" (\.\w+)", text.partition("options:")[0])} == endings
+
+
+def test_messages_quote_little_of_what_is_long(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    long = 5000 * "k"
+    (tmp_path / "study.toml").write_text(f"{long} = 1\n")
+    for given in (
+        (long,),
+        (f"--{long}", "doctor"),
+        ("list", long),
+        ("doctor", long),
+        ("points", long, "-n", 4),
+        ("points", f"random({long}=1)", "-n", 4),
+        ("points", f"{long}({long}={long})", "-n", 4),
+        ("points", "random", "-n", 4, "-o", long),
+        ("run", long),
+        ("run", "study.toml", "--out", "out"),
+        ("run", "tour", "--set", long),
+        ("run", "tour", "--set", f"{long}=1"),
+        ("profile", f"{long}.npy"),
+        ("init", long),
+    ):
+        code, out, err = run(*given)
+        assert (code, out) == (2, "")
+        assert re.search("k{40}", err)
+        assert not re.search("k{80}", err)
+        assert len(err) < 600
 
 
 @pytest.mark.parametrize(

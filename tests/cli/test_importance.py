@@ -23,7 +23,7 @@ def test_mirroring(run_json, mode):
     )
     assert f"mirrored: {mode}" in found["estimator"]
     (curve,) = found["curves"]
-    # folded or in all images, the wrap-around of the shift is continuous: towards −2, −1.8 at these
+    # folded or in all images, the wrap-around of the shift is continuous: toward −2, −1.8 at these
     # counts, not −1.5; coins are random, −1. The slope's SE is 0.04: √(2/200) over ln 16, 0.1 · 1.4/2.8
     rate = curve["rate"]
     assert abs(rate + 1) < 0.2 if mode == "random" else rate < -1.65

@@ -40,6 +40,11 @@ def test_all_that_the_template_offers_in_comments_is_valid():
     assert {cell.path.rpartition("/")[2] for cell in plan.cells} == {*ANALYSES} - {"anova-spectrum"}
 
 
+def test_examples_of_the_template_are_of_the_size_of_their_options():
+    assert "# target_error = 0.01\n" in template()
+    assert "# budget = 4096\n" in template()
+
+
 def test_init_refuses_to_overwrite(run, file):
     file.write_text("mine")
     code, out, err = run("init", file)

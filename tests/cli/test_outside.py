@@ -27,7 +27,7 @@ from mcspectra.core.results import Variable
 
 @final
 class Gaps(Analysis, frozen=True, kw_only=True):
-    """Gaps between neighbours of one-dimensional sets.
+    """Gaps between neighbors of one-dimensional sets.
 
     No part of its help.
     """
@@ -90,7 +90,7 @@ def test_an_analysis_of_another_package_is_a_verb(run):
     code, out, err = run("--help")
     assert (code, err) == (0, "")
     assert re.search(
-        r"^  gaps +Gaps between neighbours of one-dimensional sets\.$", out, re.MULTILINE
+        r"^  gaps +Gaps between neighbors of one-dimensional sets\.$", out, re.MULTILINE
     )
     assert "broken" not in out
     code, out, _ = run("list", "analyses")
@@ -250,7 +250,7 @@ def test_an_analysis_of_another_package_is_a_split_of_ours(run, tmp_path):
     module.write_text(ours.replace('    about = "sampler"\n', ""), encoding="utf-8")
     code, out, _ = run("variance", "--help")
     assert code == 0
-    assert "gaps: gaps between neighbours of one-dimensional sets" in " ".join(out.split())
+    assert "gaps: gaps between neighbors of one-dimensional sets" in " ".join(out.split())
     assert "with --split gaps:" in out
     subject = ("variance", "linear", "-d", 1, "--sampler", "random", "-n", 4)
     code, out, err = run(*subject, "--split", "gaps", "--ends", "wrap")

@@ -54,4 +54,4 @@ def test_point_sets_are_taken_where_a_sampler_goes(run, monkeypatch, tmp_path, p
     data = json.loads(out)
     expected = mcs.pair_correlation("jittered", 64, realizations=1, rng=4)
     assert np.allclose(data["pair_correlation"], expected["pair_correlation"])
-    assert set(data["pair_correlation_se"]) == {None}  # of one realisation there is none
+    assert set(data["pair_correlation_se"]) == {None}  # of one realization there is none

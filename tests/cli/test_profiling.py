@@ -61,6 +61,21 @@ def test_the_text_names_causes_and_periods(run, files):
     assert out.rstrip().endswith("cause: none.")
 
 
+def test_constant_draws_are_a_sentence(run, files):
+    np.save(files / "constant.npy", np.full((4, 100), 0.1))
+    code, out, _ = run("profile", files / "constant.npy")
+    assert code == 0
+    assert out == (
+        "4 × 100 draws\nstuck-chain: the draws are constant: all are 0.1, and their mean has no error to "
+        "estimate.\n"
+    )
+    np.save(files / "stuck.npy", np.arange(4.0)[:, None] + np.zeros(100))
+    assert (
+        "stuck-chain: no chain moves: each repeats one value"
+        in run("profile", files / "stuck.npy")[1]
+    )
+
+
 def test_the_figure_is_written(run, files):
     both = ("-o", files / "f.svg", "--out", files / "f.csv")
     assert run("profile", files / "both.npy", *both, "--quiet")[0] == 0

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 
 import numpy as np
 import pytest
@@ -83,7 +84,7 @@ def test_status_as_text(folder, capsys):
     assert shown.startswith("my study: unfinished\nstarted 20")
     assert ["terms", "2", "1", "0", "0"] in [line.split() for line in shown.splitlines()]
     assert "failed: d/random/terms: It gave NaN.\nmissing: d/random/convergence\n" in shown
-    assert "with 1 recorded tasks; not verified; --verify checks all digests" in shown
+    assert "with 1 recorded task; not verified; --verify checks all digests" in shown
 
 
 def test_verify_finds_damage_and_names_it(folder, capsys):
@@ -99,6 +100,29 @@ def test_verify_finds_damage_and_names_it(folder, capsys):
         "task d/random/convergence/0-0-10/0+1": "its digest does not match",
     }
     assert found["analyses"]["terms"] == {"done": 1, "failed": 1, "missing": 0, "damaged": 1}
+
+
+def test_a_lock_that_is_no_lock_is_counted_and_fails(folder, capsys):
+    (folder / "study.lock").write_bytes(b"junk")
+    for verify in ((), ("--verify",)):
+        assert main(["status", str(folder), *verify]) == 1
+        lines = capsys.readouterr().out.splitlines()
+        assert ["other", "parts", "1"] in [line.split() for line in lines]
+        assert any(line.startswith("damaged: the lock study.lock: it is not") for line in lines)
+        assert not any("--resume" in line for line in lines)
+
+
+def test_damage_of_the_file_is_said_in_our_words(folder, capsys):
+    file = folder / LEDGER_NAME
+    page = 8192
+    content = bytearray(file.read_bytes())
+    content[2 * page : 2 * page + 600] = 600 * b"\x55"
+    file.write_bytes(content)
+    assert main(["status", str(folder), "--verify"]) == 1
+    shown = capsys.readouterr().out
+    assert "damaged: file: pages of the file are damaged or missing\n" in shown
+    assert "--resume' keeps the results of " in shown
+    assert not re.search("btree|database|malformed|in main", shown)
 
 
 def test_a_finished_study_is_finished(folder, capsys):

@@ -60,7 +60,7 @@ BENT = {
 
 @pytest.mark.parametrize("name", BENT)
 def test_auto_covers_the_asymptotic_rate_of_bent_curves(name):
-    """Rate −1.5, errors of 500 realisations (6 %); binomial: 500 trials, 2.5 σ and more below."""
+    """Rate −1.5, errors of 500 realizations (6 %); binomial: 500 trials, 2.5 σ and more below."""
     slopes, least = BENT[name]
     ns = NS[:5]
     exact = np.exp(np.cumsum([0.0, *np.array(slopes) * np.diff(np.log(ns))]))

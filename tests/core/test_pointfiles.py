@@ -157,7 +157,7 @@ PICKLED = "{'descr': '|O', 'fortran_order': False, 'shape': (1, 1), }"
 BAD_FILES = [
     ("p.dat", "", "holds no points"),
     ("p.dat", "#\n\n#\n", "holds no points"),
-    ("p.dat", "0.1 0.2\n0.3\n", "line 2, has 1 numbers, but the set began with 2 on line 1"),
+    ("p.dat", "0.1 0.2\n0.3\n", "line 2, has 1 number, but the set began with 2 on line 1"),
     ("p.dat", "0.1 0.2\n0.3 x\n", "line 2: 'x' is not a finite number"),
     ("p.dat", "0.1 0.2\n#\n0.3 nan\n", "line 3: 'nan' is not a finite number"),
     ("p.dat", "inf 0.2\n", "line 1: 'inf' is not a finite number"),
@@ -167,7 +167,7 @@ BAD_FILES = [
     ("p.dat", "0.1 " + "9" * 500 + "\n", "line 1"),
     ("p.csv", "", "holds no points"),
     ("p.csv", "x,y\n", "holds no points"),
-    ("p.csv", "x,y\n1,2\n3\n", "line 3, has 1 numbers"),
+    ("p.csv", "x,y\n1,2\n3\n", "line 3, has 1 number"),
     ("p.csv", "0.1,0.2\nx,y\n", "line 2: 'x'"),
     ("p.csv", "0.1,0.2\n,0.3\n", "line 2: ''"),
     ("p.csv", "nan,0.2\n", "line 1: 'nan'"),
@@ -200,7 +200,7 @@ BAD_FILES = [
     ("p.xyz", "0.1 0.2\n", "does not end in one of .dat, .bin, .npz, .npy, .csv"),
     ("points", "0.1 0.2\n", "does not end in one of"),
     ("p.dat", "0 " * 2**21 + "\n", "line 1, is longer than 4194304 bytes"),
-    ("p.csv", "x,set,y\n0.1,1,0.2\n0.3,1\n", "line 3, has 1 numbers"),
+    ("p.csv", "x,set,y\n0.1,1,0.2\n0.3,1\n", "line 3, has 1 number"),
 ]
 
 

@@ -53,7 +53,7 @@ def terminal(monkeypatch):
 
 
 def _seen(capsys):
-    """What was written to standard error, without codes of colours and of places."""
+    """What was written to standard error, without codes of colors and of places."""
     return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", capsys.readouterr().err)
 
 

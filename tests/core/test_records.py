@@ -129,7 +129,7 @@ def test_one_realization_has_no_error():
 
 @pytest.mark.parametrize("count", [4, 10, 30])
 def test_intervals_of_positive_means_cover_them(count):
-    """Power of one and of eight independent frequencies: at 4 realisations ± 2 errors had 79 to 85 %."""
+    """Power of one and of eight independent frequencies: at 4 realizations ± 2 errors had 79 to 85 %."""
     rng = np.random.default_rng(1)
     for shape, least in ((1.0, 0.93), (8.0, 0.94)):
         values = rng.gamma(shape, size=(20_000, count))

@@ -92,7 +92,7 @@ def test_calls_become_components(registry):
         ("plain(skale=1)", None, ParameterError, "Did you mean 'scale'"),
         ("plain(dims=3)", 2, ParameterError, "says dims=3, but 2 dims are needed"),
         ("flat", None, ParameterError, "flat needs width."),
-        ("flat(width=1)", 2, ParameterError, "flat is for 1 dims, but 2 dims are needed"),
+        ("flat(width=1)", 2, ParameterError, "flat is for 1 dim, but 2 dims are needed"),
         ("no-module", None, MissingDependency, "'no-module' .* cannot be loaded"),
         ("no-class", None, MissingDependency, "'no-class' .* cannot be loaded"),
     ],

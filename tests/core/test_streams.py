@@ -32,23 +32,23 @@ assert_plausible.made = 0
 
 
 def _realizations():
-    """Rows: consecutive realisations of one seed; coordinate j of point i is number i·d + j."""
+    """Rows: consecutive realizations of one seed; coordinate j of point i is number i·d + j."""
     return Stream.from_rng(1).uniforms(0, *SHAPE)
 
 
 def _seeds():
-    """Rows: realisation 0 of consecutive integer seeds."""
+    """Rows: realization 0 of consecutive integer seeds."""
     return np.concatenate([Stream.from_rng(s).uniforms(0, 1, SHAPE[1]) for s in range(SHAPE[0])])
 
 
 def _children():
-    """Rows: realisation 0 of the children of one stream."""
+    """Rows: realization 0 of the children of one stream."""
     parent = Stream.from_rng(3)
     return np.concatenate([parent.child(k).uniforms(0, 1, SHAPE[1]) for k in range(SHAPE[0])])
 
 
 def _first_numbers():
-    """Number 0 of 2^20 realisations: all randomness is that of the keys."""
+    """Number 0 of 2^20 realizations: all randomness is that of the keys."""
     return Stream.from_rng(5).uniforms(0, SHAPE[0] * SHAPE[1], 1).reshape(SHAPE)
 
 
@@ -232,7 +232,7 @@ def test_a_realization_does_not_depend_on_what_is_drawn_with_it():
 
 
 def test_keys_of_realizations_and_children_all_differ():
-    """Realisations by construction (Philox is a bijection), children but for 2^-64 each pair."""
+    """Realizations by construction (Philox is a bijection), children but for 2^-64 each pair."""
     stream = Stream.from_rng(9)
     assert len(np.unique(stream.keys(0, 2**16), axis=0)) == 2**16
     assert len({stream.child(k).key for k in range(2**12)}) == 2**12

@@ -17,13 +17,13 @@ def table(*shape):
 
 
 def pixel_centers(height, width):
-    """Centres of pixels, (height, width, 2): x_0 over columns, x_1 over rows."""
+    """Centers of pixels, (height, width, 2): x_0 over columns, x_1 over rows."""
     rows, columns = ((np.arange(k) + 0.5) / k for k in (height, width))
     return np.stack(np.meshgrid(columns, rows), axis=-1)
 
 
 def midpoints(side):
-    """Centres of side × side cells, (side², 2)."""
+    """Centers of side × side cells, (side², 2)."""
     return pixel_centers(side, side).reshape(-1, 2)
 
 

@@ -43,10 +43,10 @@ def test_randomised_samplers_do_not_warn():
 def test_zeros_of_the_density_alone_are_errors_that_say_what_to_do():
     x = np.array([[0.0], [0.5]])
     with pytest.raises(
-        DensityError, match=r"where f is not 0; .* randomise the sampler .* else choose"
+        DensityError, match=r"where f is not 0; .* randomize the sampler .* else choose"
     ):
         divide_by_density(np.ones(2), np.array([0.0, 1.0]), x, "name")
-    with pytest.raises(DensityError, match="its weight is infinite; .* randomise the sampler"):
+    with pytest.raises(DensityError, match="its weight is infinite; .* randomize the sampler"):
         mcs.Estimator(IDENTITY, "linear(slope=2)").weight(0, x)
 
 

@@ -186,7 +186,7 @@ def _second_moment(own, f, other, share):
 @pytest.mark.parametrize("counts", [(1, 1), (1, 3), (5, 1)])
 @pytest.mark.parametrize("other", [[1.0] * 6, [6, 5, 4, 3, 2, 1], [0, 0, 1, 5, 5, 5]])
 def test_it_is_the_density_of_least_second_moment(counts, other):
-    """Against a constrained minimiser that knows nothing of λ."""
+    """Against a constrained minimizer that knows nothing of λ."""
     f = np.array(TABLE) / np.mean(TABLE)
     second = np.array(other) / np.mean(other)
     share = counts[0] / sum(counts)
@@ -244,7 +244,7 @@ def test_two_dims_have_rows_along_axis_1():
     values = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 9.0]])
     own = compensated(PiecewiseConstant(values=values), ["linear(slope=1)"], (2, 1))
     x = np.stack(np.meshgrid((np.arange(3) + 0.5) / 3, [0.25, 0.75]), axis=-1)
-    other = mcs.density("linear(slope=1)", dims=2).pdf(x)  # linear: its mean is that at the centre
+    other = mcs.density("linear(slope=1)", dims=2).pdf(x)  # linear: its mean is that at the center
     left = values / values.mean() - other / 3
     assert (left > 0).all()
     np.testing.assert_allclose(own.values, left * 1.5, rtol=1e-12)

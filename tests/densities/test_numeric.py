@@ -223,7 +223,7 @@ def test_samples_that_are_slightly_wrong_everywhere_are_found(dims, error):
 
 
 def test_one_cell_of_64_that_is_wrong_is_found():
-    """A kink moves 3 % of the mass of one cell to its neighbour."""
+    """A kink moves 3 % of the mass of one cell to its neighbor."""
     width = 1 / 64
 
     def sample(u):

@@ -37,7 +37,7 @@ def test_as_density():
     assert as_density(line) is line
     assert as_density(line, 1) is line
     assert as_density("linear", 1) == line
-    with pytest.raises(ParameterError, match="has 1 dims, but 2"):
+    with pytest.raises(ParameterError, match="has 1 dim, but 2"):
         as_density(line, 2)
     for wrong in (3, lambda x: x, ["linear"]):
         with pytest.raises(ParameterError, match="is not a density"):

@@ -274,7 +274,7 @@ def test_the_curve_is_followed_closely():
 def jumps(p, axis, other):
     """Where T jumps on the line u = (·, other) or (other, ·).
 
-    Intervals of 2^-15 in which T moves by more than 0.002 are halved, towards the larger step, to
+    Intervals of 2^-15 in which T moves by more than 0.002 are halved, toward the larger step, to
     2^-45, which leaves nothing of a slope.
     """
 

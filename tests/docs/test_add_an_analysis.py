@@ -102,7 +102,7 @@ def test_the_command_line_lists_runs_and_explains_it(mcspectra):
         each["name"]: each["summary"]
         for each in json.loads(mcspectra("list", "analyses", "--json")[1])
     }
-    assert about["quantiles"] == "Quantiles of the estimate over realisations."
+    assert about["quantiles"] == "Quantiles of the estimate over realizations."
     _, usage, _ = mcspectra("quantiles", "--help")
     assert "--realizations" in usage
     assert "points of each technique" in usage
@@ -125,7 +125,7 @@ def test_a_study_runs_it_and_the_report_shows_it(mcspectra, tmp_path, monkeypatc
     tree = mcs.studies.open_results("out")
     assert tree["bump/jittered/quantiles"]["quantile"].sizes == {"level": 5}
     page = Path("out/report.html").read_text(encoding="utf-8")
-    assert "Quantiles of the estimate over realisations" in page
+    assert "Quantiles of the estimate over realizations" in page
     Path("wrong.toml").write_text(STUDY.replace("n = 16", "n = -1"))
     code, _, err = mcspectra("run", "wrong.toml", "--out", "no")
     assert (code, err.count("\n")) == (2, 1)

@@ -1,4 +1,4 @@
-"""Colour: each channel by its own density, by shared points, by one density, by all."""
+"""Color: each channel by its own density, by shared points, by one density, by all."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Realisations that are the pixels of one image: said where variances over them are asked for."""
+"""Realizations that are the pixels of one image: said where variances over them are asked for."""
 
 import warnings
 

@@ -219,7 +219,7 @@ def test_optimal_of_what_the_densities_span_has_no_variance():
 
 
 def test_optimal_alpha_is_the_solution_of_the_normal_equations():
-    """The direct estimator's α minimises ∫ (f − Σ α p)²/q: a least-squares fit by another route."""
+    """The direct estimator's α minimizes ∫ (f − Σ α p)²/q: a least-squares fit by another route."""
     e = _estimator(SQUARE, (0, 1.5), (1, 2), "optimal(pilot='quadrature')")
     x = (np.arange(20_000) + 0.5) / 20_000
     p = np.stack([np.ones_like(x), 1 + 1.5 * (x - 0.5)], axis=1)
@@ -333,7 +333,7 @@ def test_shared_sets_are_the_same_points_and_joint_ones_split_one_set():
     assert [u.shape for u in joint] == [(2, 8, 1), (2, 4, 1), (2, 4, 1)]
     together = np.sort(np.concatenate(joint, axis=1), axis=1)
     assert np.array_equal(together, np.sort(whole, axis=1))
-    # one point of each technique in every four neighbours: jittered sets of their own
+    # one point of each technique in every four neighbors: jittered sets of their own
     assert np.array_equal(np.floor(np.sort(joint[1][..., 0], axis=1) * 4), [[0, 1, 2, 3]] * 2)
     sequence = mcs.sampler("sobol | owen", dims=1).draw(16, rng=1, first=5, realizations=2)
     runs = draw("sobol | owen", sets="joint", counts=(2, 1, 1))

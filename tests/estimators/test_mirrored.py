@@ -194,7 +194,7 @@ def test_terms_of_both_spaces_sum_to_the_truncated_variance_and_capture_it(mode,
 
 
 def test_a_shift_leaves_no_cross_term_of_the_folded_integrand():
-    """Its relative size is that of the noise, 1/√realisations, and it goes down with them."""
+    """Its relative size is that of the noise, 1/√realizations, and it goes down with them."""
     d = mcs.variance_terms(
         mcs.Mirrored(SMOOTH_1D), "jittered | shift", 16, space="primary", realizations=2000
     )
@@ -280,14 +280,14 @@ def test_homogenisation_takes_minus_two_to_minus_one_and_a_half_and_folding_rest
 @pytest.mark.parametrize(("mode", "rate"), [("integrand", -3), ("random", -1), ("uniform", -3)])
 @pytest.mark.parametrize("spec", ["jittered", "jittered | shift"])
 def test_exact_rates_in_one_dim(mode, rate, spec):
-    """Jittered −3, shifted −2; folded and symmetrised −3 both; reflections at random −1."""
+    """Jittered −3, shifted −2; folded and symmetrized −3 both; reflections at random −1."""
     mirrored = mcs.Mirrored(SMOOTH_1D, mode)
     assert _exact_rate(mirrored, spec, 32, 64) == pytest.approx(rate, abs=0.12)
     assert _exact_rate(SMOOTH_1D, "jittered | shift", 32, 64) == pytest.approx(-2.0, abs=0.1)
 
 
 def test_exact_rates_of_interior_edges_stay():
-    """A step in 2-D, homogenised: n^-1.5/6 for each edge of the border; the folded one has two."""
+    """A step in 2-D, homogenized: n^-1.5/6 for each edge of the border; the folded one has two."""
     step = mcs.integrand("step(at=0.35)", dims=2)
     for n in (64, 256):
         exact = mcs.exact_variance(mcs.Mirrored(step), "jittered | shift", n)

@@ -1,4 +1,4 @@
-"""Alignment: variance against the offset of strata in closed form, and the optimiser verified."""
+"""Alignment: variance against the offset of strata in closed form, and the optimizer verified."""
 
 import numpy as np
 import pytest

@@ -75,7 +75,7 @@ def test_searches_predict_the_variance_that_is_measured(kind, n, tmp_path):
     found = min(searches.KINDS[kind](objective, n, stream, SMALL), key=lambda each: each.variance)
     sampler = found.make(tmp_path / "sets.npz")
 
-    # The mean over 32 batches of 64 realisations, over the members that the search looked at
+    # The mean over 32 batches of 64 realizations, over the members that the search looked at
     values = objective.functions(256, stream.generator(4 if kind == "digital-net" else 0))
     batches = [
         searches.mean_variances(values, sampler, n, 64, seed).sum() for seed in range(100, 132)

@@ -120,7 +120,7 @@ def test_the_slow_technique_is_named_and_left_out():
     only = found.sel(remedy="only uniform")
     # smooth f sampled uniformly: −3; the table's jumps: −2
     assert only["verdict"] == only["rate_verdict"] == "better"
-    assert "meet a jump of g, by" in found.attrs["diagnosis"]
+    assert "meet a jump of g, " in found.attrs["diagnosis"]
     assert found.sel(remedy="heuristic: maximum")["verdict"] == "worse"
 
 
@@ -215,7 +215,7 @@ def test_an_estimate_without_variance_needs_no_remedy():
 
 @pytest.mark.parametrize("sampler", ["sobol", "halton", "regular"])
 def test_a_bias_is_an_error(sampler):
-    """Points that are not randomised have no variance, but an error: that of their one estimate."""
+    """Points that are not randomized have no variance, but an error: that of their one estimate."""
     f = mcs.integrand(SMOOTH)
     found = mcs.remedies(f, sampler, 256, realizations=100, kinds=["sampler"])
     n = 256
@@ -343,9 +343,9 @@ def test_a_budget_too_small_for_two_counts_gets_a_sentence():
 @pytest.mark.parametrize(
     ("integrand", "share", "words"),
     [
-        # x + y: all of it is odd about the centre, though its sides differ as well
-        ("linear(gradient=[1, 1])", 1.0, "g is odd about the centre (100 % of the variance of g)"),
-        # A disk about the centre is its own reflection
+        # x + y: all of it is odd about the center, though its sides differ as well
+        ("linear(gradient=[1, 1])", 1.0, "g is odd about the center (100 % of the variance of g)"),
+        # A disk about the center is its own reflection
         ("disk(center=0.5)", 0.0, None),
     ],
 )

@@ -23,7 +23,7 @@ def test_chords_of_a_whole_disk_give_bessel_functions():
 
 
 def test_coefficients_of_a_ball_are_those_of_its_sections():
-    """Along an axis: ∫ π(r² − x²) cos(2πkx) dx over |x| < r, times the phase of the centre."""
+    """Along an axis: ∫ π(r² − x²) cos(2πkx) dx over |x| < r, times the phase of the center."""
     ball = mcs.integrands.Disk(center=(0.45, 0.5, 0.6), radius=0.37, dims=3)
     k = np.arange(1, 8)
     x, weights = np.polynomial.legendre.leggauss(64)

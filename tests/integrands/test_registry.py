@@ -42,7 +42,7 @@ def test_equal_specs_are_equal_integrands():
         ("image", None, "either path"),
         ("gaussian(width=0)", None, "width"),
         ("gaussian(width=True)", None, "width"),
-        ("gaussian(center=[0.5])", None, "center has 1 values"),
+        ("gaussian(center=[0.5])", None, "center has 1 value;"),
         ("gaussian(center=[0.5, 'x'])", None, "center[1]"),
         ("constant(value=None)", None, "value"),
         ("linear(gradient=[1, 2, 3])", None, "gradient has 3 values"),
@@ -90,7 +90,7 @@ def test_as_integrand_refuses():
         as_integrand(np.sin)
     with pytest.raises(ParameterError, match="not an integrand"):
         as_integrand(None)
-    with pytest.raises(ParameterError, match="has 1 dims, but 2"):
+    with pytest.raises(ParameterError, match="has 1 dim, but 2"):
         as_integrand(Gaussian(dims=1), 2)
 
 

@@ -25,12 +25,12 @@ def test_errors_of_terms_are_their_spread(runs, term):
     values = np.array([float(d[term]) for d in runs])
     claimed = np.sqrt(np.mean([float(d[f"{term}_se"]) ** 2 for d in runs]))
     # the spread of 60 values is known to 1/√(2·59) = 9 %, the mean of squared errors far better;
-    # batch means of 8 realisations claim up to √(8/7) too much
+    # batch means of 8 realizations claim up to √(8/7) too much
     assert 1 - 4 * 0.092 < claimed / np.std(values, ddof=1) < np.sqrt(8 / 7) * (1 + 4 * 0.092)
 
 
 def test_the_interval_of_captured_covers_the_truth(runs):
-    """The truth from 100 times as many realisations; 60 intervals of 95 % miss it at most 11 times."""
+    """The truth from 100 times as many realizations; 60 intervals of 95 % miss it at most 11 times."""
     estimator = mcs.Estimator("gaussian(center=0.3, width=0.3)", "linear(slope=0.8)", dims=1)
     truth = float(
         mcs.variance_terms(estimator, "jittered", 8, half_width=16, realizations=16_000, rng=999)[

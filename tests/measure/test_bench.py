@@ -49,7 +49,10 @@ def test_a_sampler_has_the_same_results_in_any_company(result):
 
 
 def test_sets_that_do_not_vary_are_randomised_and_it_is_said(result):
-    assert "variances of sobol are those of sobol | owen" in result.attrs["note"]
+    assert (
+        "sobol has too few different sets: its variances are measured with sobol | owen"
+        in result.attrs["note"]
+    )
     sobol = result.sel(sampler="sobol")
     assert (sobol["variance"] > 0).all()
     assert float(sobol["t_value"].sel(n=64)) == 0.0  # the plain set is what is judged
@@ -72,7 +75,7 @@ def test_nets_in_files_are_scrambled_and_lattices_are_shifted(tmp_path):
     specs = [f"points(path={str(tmp_path / name)!r})" for name in ("net_*", "lattice_*", "blue_*")]
     found = mcs.sampler_bench(specs, counts=counts, realizations=100)
     assert found["randomization"].values.tolist() == ["owen", "shift", "shift"]
-    assert "| owen; variances of " in found.attrs["note"]
+    assert "| owen; points(" in found.attrs["note"]
     smooth = found["variance"].sel(integrand="gaussian (smooth), 2-D", n=1024)
     f = mcs.integrand("genz-gaussian(a=3.515)", dims=2)
     for k, spec in enumerate(("sobol | owen", "rank1-lattice | shift")):
@@ -87,7 +90,7 @@ def test_a_function_without_randomness_is_randomised_too():
     source = mcs.Sampler.from_function(same, dims=1)
     found = mcs.sampler_bench([source, "random"], counts=[4, 16], dims=1, realizations=10)
     assert (found["variance"].values > 0).all()
-    assert "are those of" in found.attrs["note"]
+    assert "are measured with" in found.attrs["note"]
 
 
 def test_given_sets_count_as_many_as_there_are(tmp_path):
@@ -98,7 +101,7 @@ def test_given_sets_count_as_many_as_there_are(tmp_path):
     spec = f"points(path={str(tmp_path / 'n{n}_*')!r}, name='mine')"
     found = mcs.sampler_bench([spec, "random"], counts=(10, 70, 1000), realizations=40)
     assert found["label"].values.tolist() == ["mine", "random"]
-    # Each count once, and of 40 realisations the 20 that there are: more would be refused
+    # Each count once, and of 40 realizations the 20 that there are: more would be refused
     np.testing.assert_array_equal(found["points_made"][0, 0], [16, 64, np.nan])
     np.testing.assert_array_equal(np.isnan(found["variance"][0]).all("integrand"), [0, 0, 1])
     assert np.isnan(found["points_per_second"][0]).all()  # they are read, not made

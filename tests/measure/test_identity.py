@@ -15,7 +15,7 @@ GAUSSIAN = mcs.Estimator("gaussian", dims=2)
 
 
 def _one_sided(dims):
-    """Points crowded towards 0 whose density is not the one they are divided by: biased, skew."""
+    """Points crowded toward 0 whose density is not the one they are divided by: biased, skew."""
 
     def draw(n, generator):
         return generator.random((n, dims)) ** 2
@@ -36,7 +36,7 @@ def _skew(dims):
 
 
 def _estimates(estimator, sampler, n, space, half_width, seed):
-    """Σ_m conj(f_m) S_m for every realisation, by the direct sum over the whole grid."""
+    """Σ_m conj(f_m) S_m for every realization, by the direct sum over the whole grid."""
     grid = FrequencyGrid(estimator.dims, half_width)
     m = np.concatenate([grid.indices(), -grid.indices()[-2::-1]])
     points = estimator.draw(sampler, n, Stream.from_rng(seed), 0, REALIZATIONS)
@@ -181,7 +181,7 @@ def test_decomposition_of_x_in_1d_matches_the_oracle():
     cross = 1 / (6 * n**3) - 1 / (6 * n**2)
     # The tail beyond K of Σ|f_m|²C_mm is about (1/n) Σ_{|m|>K} 1/(4π²m²) = 1/(2π² n K).
     tail = 1 / (2 * np.pi**2 * n * 400)
-    # Sums of thousands of frequencies over 6000 realisations: 2 % is > 4 σ (χ² of each term).
+    # Sums of thousands of frequencies over 6000 realizations: 2 % is > 4 σ (χ² of each term).
     assert float(d["dc_term"]) == pytest.approx(0, abs=1e-20)
     assert float(d["power_term"]) == pytest.approx(power, rel=0.02, abs=tail)
     assert float(d["cross_term"]) == pytest.approx(cross, rel=0.02, abs=tail)

@@ -51,7 +51,7 @@ def test_modes_are_the_eigenvectors_of_the_cross_matrix(estimator, sampler, chan
 
 
 def test_errors_of_eigenvalues_are_their_spread():
-    """A leading mode far above the others, over 40 runs; its batch means hold 10 realisations each."""
+    """A leading mode far above the others, over 40 runs; its batch means hold 10 realizations each."""
     runs = [
         mcs.covariance_modes(
             F1, "random", 8, half_width=4, modes=1, realizations=200, rng=seed, basis="cosine"

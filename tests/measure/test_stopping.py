@@ -13,7 +13,7 @@ def _step(share):
 
 
 def test_reaches_the_wanted_error():
-    """Kurtosis of one uniform value is 9/5: about 0.8/ε² realisations."""
+    """Kurtosis of one uniform value is 9/5: about 0.8/ε² realizations."""
     d = mcs.measure.realizations_needed(LINEAR, "random", 1, relative_error=0.02, rng=1)
     assert float(d["reached"]) == 1
     assert float(d["variance_relative_se"]) <= 0.02

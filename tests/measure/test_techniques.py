@@ -64,7 +64,7 @@ VIEWS = [
 
 @pytest.mark.parametrize(("estimator", "space"), VIEWS)
 def test_sums_are_exact(estimator, space):
-    """Pairs sum to the terms and variances of `variance_terms` with the same realisations."""
+    """Pairs sum to the terms and variances of `variance_terms` with the same realizations."""
     options = {"half_width": 5, "realizations": 50, "rng": 3, "space": space, "engine": "direct"}
     d = mcs.technique_terms(estimator, "jittered", 4, **options)
     whole = mcs.variance_terms(estimator, "jittered", 4, **options)
@@ -90,7 +90,7 @@ def test_sums_are_exact(estimator, space):
 
 @pytest.mark.parametrize("basis", ["fourier", "cosine", "walsh"])
 def test_terms_are_the_brute_force_covariances(basis):
-    """S of both techniques for every realisation, and the sums over m and l written out."""
+    """S of both techniques for every realization, and the sums over m and l written out."""
     e = mcs.MultipleImportance(CUBIC, PAIR, counts=(1, 2), dims=1)
     d = mcs.technique_terms(e, "jittered", 4, half_width=4, realizations=30, basis=basis, rng=1)
     from mcspectra.core.streams import Stream

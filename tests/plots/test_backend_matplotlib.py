@@ -280,7 +280,7 @@ def test_bytes_are_the_same_and_say_nothing_about_the_time():
     image = Picture.open(io.BytesIO(png)).convert("RGB")
     assert image.getpixel((0, 0)) == (0xFC, 0xFC, 0xFA)  # no seam to the frame in the page
     away = np.abs(np.asarray(image).astype(int) - (0xD5, 0x5E, 0x00)).max(axis=2)
-    # The line covers 6 pt x ~4 in: far more than 1 % of the pixels have its colour
+    # The line covers 6 pt x ~4 in: far more than 1 % of the pixels have its color
     assert (away <= 16).mean() > 0.01
 
 

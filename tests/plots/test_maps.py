@@ -198,5 +198,5 @@ def test_light_has_a_logarithmic_scale_black_where_there_is_none():
 
 def test_no_light_is_said():
     plot = incident_maps(sky(np.zeros((2, 3))))
-    assert plot.panels[0].note == "no light from the centre of any cell"
+    assert plot.panels[0].note == "no light from the center of any cell"
     drawn_by_both(plot)

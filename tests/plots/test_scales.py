@@ -1,4 +1,4 @@
-"""Axes and colour scales chosen from data."""
+"""Axes and color scales chosen from data."""
 
 import itertools
 import math

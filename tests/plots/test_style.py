@@ -1,4 +1,4 @@
-"""Colours and labels."""
+"""Colors and labels."""
 
 from mcspectra.plots.style import DASHES, PALETTE, labels, line_widths, sampler_styles
 

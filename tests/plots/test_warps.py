@@ -25,7 +25,7 @@ def picture(integrand, density=None, dims=2):
 
 
 def test_jumps_lie_where_they_are():
-    """The seam of the octahedral map: from the centre to the right."""
+    """The seam of the octahedral map: from the center to the right."""
     plot = describe("warp", {"sphere": warp("sphere")})
     (torn,) = marks(plot, Segments)
     assert len(torn.ends) == SIDE / 2

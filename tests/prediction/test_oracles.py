@@ -116,7 +116,7 @@ def test_smooth_2d_tends_to_the_gradient_formula():
 
 
 def test_disk_2d():
-    """Disk of radius R, generic centre: → 1.0428109·R·n^-1.5; centred R = ¼: 0.80 to 0.87 of it."""
+    """Disk of radius R, generic center: → 1.0428109·R·n^-1.5; centered R = ¼: 0.80 to 0.87 of it."""
     radius, sides = 0.2371, 200
     n = sides * sides
     values = []
@@ -128,7 +128,7 @@ def test_disk_2d():
     mean, se = np.mean(values), np.std(values, ddof=1) / math.sqrt(len(values))
     assert abs(mean - 1.0428109 * radius) < 4 * se + 1e-3 * radius
     centred = mcs.Estimator("disk(radius=0.25)")
-    # 0.796, 0.840, 0.874 at these n; beyond, it creeps towards 1 (0.897 at n = 4096).
+    # 0.796, 0.840, 0.874 at these n; beyond, it creeps toward 1 (0.897 at n = 4096).
     for n in (256, 576, 1024):
         ratio = mcs.exact_variance(centred, "jittered", n) * n**1.5 / (1.0428109 * 0.25)
         assert 0.79 < ratio < 0.88

@@ -180,7 +180,7 @@ def test_l2_discrepancies_are_scipys_with_the_root_taken(kind, name, power):
 
 @pytest.mark.parametrize("x", [0.0, 0.3, 0.5, 0.9])
 def test_l2_discrepancies_of_one_point_on_a_line(x):
-    # star: ∫_0^x t² + ∫_x^1 (1 − t)²; centred: 13/12 − 2(1 + z/2 − z²/2) + 1 + z, z = |x − 1/2|
+    # star: ∫_0^x t² + ∫_x^1 (1 − t)²; centered: 13/12 − 2(1 + z/2 − z²/2) + 1 + z, z = |x − 1/2|
     z = abs(x - 0.5)
     assert l2_discrepancy([[x]]) == pytest.approx(math.sqrt((x**3 + (1 - x) ** 3) / 3))
     assert l2_discrepancy([[x]], "centered") == pytest.approx(math.sqrt(1 / 12 + z * z))

@@ -43,7 +43,7 @@ SIGMAS = 4.0
 
 def occluder():
     """Return the corners of the square of half side 0.7 around (1.5, 1, 0), turned by 25°."""
-    # A turn about y takes +x towards −z.
+    # A turn about y takes +x toward −z.
     turn = math.radians(-25.0) + np.array([1, 3, 5, 7]) * math.pi / 4
     x, z = 0.7 * math.sqrt(2) * np.array([np.cos(turn), np.sin(turn)])
     return np.stack([1.5 + x, np.ones(4), z], axis=-1)
@@ -201,7 +201,7 @@ def test_sky_is_the_synthetic_one_with_its_first_row_up():
     mitsuba, sky = load_mitsuba(), load_scene("sky").emitters()[0]
     pixels = synthetic_sky(64, 128)
     for row, column in ((3, 10), (20, 80), (45, 100)):
-        # Rows go from pole to pole, columns have their centres half a column from the border.
+        # Rows go from pole to pole, columns have their centers half a column from the border.
         theta, phi = math.pi * row / 63, 2 * math.pi * (column + 0.5) / 128
         away = (math.sin(theta) * math.sin(phi), math.cos(theta), -math.sin(theta) * math.cos(phi))
         at = mitsuba.SurfaceInteraction3f()

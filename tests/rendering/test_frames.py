@@ -121,7 +121,7 @@ def test_frames_of_few_and_of_many_together_have_no_bias_of_the_rate(tmp_path):
 def test_blue_noise_filters_and_tiles_are_told_apart(found):
     assert "white between pixels" in said(found["white"])
     assert "Blue noise" in said(found["blue"])
-    assert "Neighbours err together" in said(found["filtered"])
+    assert "Neighbors err together" in said(found["filtered"])
     assert "repeats after 32 pixels across and 0 down" in said(found["tiled"])
     assert not any("repeats" in said(found[name]) for name in ("white", "blue", "filtered"))
 
@@ -130,7 +130,7 @@ def test_blue_noise_filters_and_tiles_are_told_apart(found):
 def test_correlations_and_spectra_have_no_bias(tmp_path, count):
     """Of few frames, too: a mean of signs, of two, is 0.57 where the correlation is 0.78."""
     result = frames(write(tmp_path / "a", filtered, counts=(4,), frames=count))
-    # A Gaussian filter of 1 pixel: correlation exp(−1/4) of neighbours, each squared 2π times over
+    # A Gaussian filter of 1 pixel: correlation exp(−1/4) of neighbors, each squared 2π times over
     beside = result["error_correlation"].sel(n=4, lag_y=0, lag_x=1).item()
     independent = HEIGHT * WIDTH * (count - 1) / (2 * np.pi)
     assert abs(beside - np.exp(-0.25)) < 4 * (1 - np.exp(-0.5)) / np.sqrt(independent)

@@ -1,4 +1,4 @@
-"""Images: the same numbers as a pixel at a time, moments over realisations, crops, bad input."""
+"""Images: the same numbers as a pixel at a time, moments over realizations, crops, bad input."""
 
 import threading
 from typing import Any
@@ -90,7 +90,7 @@ def test_the_error_of_a_reference_is_the_distance_to_another():
     noisy = total > 0
     z = (a["image"] - b["image"]).values[noisy] / total[noisy]
     # The t distribution of 15 to 30 degrees of freedom: variance 1.07 to 1.15; heavy tails of the
-    # values correlate mean and variance and narrow it. Neighbours' z are independent.
+    # values correlate mean and variance and narrow it. Neighbors' z are independent.
     assert 0.7 < z.var() < 1.3
     assert abs(z.mean()) < 4 / np.sqrt(len(z))
 

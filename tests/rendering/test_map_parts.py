@@ -50,7 +50,7 @@ def test_variances_that_were_missed_leave_no_rate():
     variance[0, 0, 1, 1] = 0.0
     variance[1, :4, 2, 2] = 0.0
     variance[1, :, 2, 3] = np.nan
-    se[1, 1, 0, 1] = 0.6  # very few realisations
+    se[1, 1, 0, 1] = 0.6  # very few realizations
     fits = statistics.fit_lines(NS, variance, se, np.ones_like(variance))
     without = np.isnan(fits.rate)
     assert np.argwhere(without).tolist() == [[0, 1, 1], [1, 0, 1], [1, 2, 2], [1, 2, 3]]

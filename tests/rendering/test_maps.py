@@ -68,7 +68,7 @@ def test_a_pixel_is_what_convergence_measures(small, strategy):
 
 
 def test_own_points_are_numbered_by_the_pixel():
-    # Pixel (x, y) has realisations (y·width + x)·R … of the stream of each count.
+    # Pixel (x, y) has realizations (y·width + x)·R … of the stream of each count.
     x, y = PLATE
     found = variance_map(
         "veach", ("light", "bsdf"), size=(24, 16), crop=(x - 1, y, 3, 1), counts=(4, 16),

@@ -30,7 +30,7 @@ def test_every_realization_has_the_strata_of_its_kind(variant, kind):
     cells = np.floor(points[..., :2] * 4) @ [4, 1]
     assert points.shape == (5, 16, 3)
     assert (np.sort(cells, axis=1) == np.arange(16)).all()
-    assert len(np.unique(points[..., 0])) > 16 * 3  # realisations differ
+    assert len(np.unique(points[..., 0])) > 16 * 3  # realizations differ
 
 
 @pytest.mark.parametrize("variant", VARIANTS)

@@ -66,7 +66,7 @@ def test_weights_are_those_of_the_heuristics():
 
 
 def stock_values(scene, x, y, count):
-    """Values (count, 3) of Mitsuba's `direct` integrator along the ray of the pixel's centre."""
+    """Values (count, 3) of Mitsuba's `direct` integrator along the ray of the pixel's center."""
     import drjit
 
     mitsuba, loaded = load_mitsuba(), load_scene(scene)

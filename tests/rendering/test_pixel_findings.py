@@ -107,7 +107,7 @@ def test_spectrum_predicts_the_variance(place, strategy):
 
 @pytest.mark.parametrize("n", [16, 64])
 def test_quadrature_of_strata_predicts_the_variance(n):
-    """Within 4 σ of what 1000 realisations measure, σ from the reported interval."""
+    """Within 4 σ of what 1000 realizations measure, σ from the reported interval."""
     light = Pixel(**WALL)
     exact = mcs.exact_variance(light, "jittered", n, tolerance=1e-3)
     found = mcs.convergence(light, "jittered", [n], realizations=1000, rng=3)
@@ -146,7 +146,7 @@ def test_position_at_the_centre_is_the_pixel_of_two_dims():
 
 
 def test_first_two_samples_run_from_the_upper_left_corner():
-    """Positions near a border of the pixel are those near the opposite border of its neighbour."""
+    """Positions near a border of the pixel are those near the opposite border of its neighbor."""
     u, small = uniforms(500, 2), 2.0**-10
     here, right, below = (
         Pixel(scene="figure1", x=x, y=y, dims=4) for x, y in ((200, 190), (201, 190), (200, 191))

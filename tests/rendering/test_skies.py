@@ -19,7 +19,7 @@ ROTATIONS = {"plain": None, "turned": ([0.6, 0.64, -0.48], 70.0)}
 
 
 def colored_map():
-    """A map (16, 32, 3) of smooth colours, above 0, with a bright spot."""
+    """A map (16, 32, 3) of smooth colors, above 0, with a bright spot."""
     v, u = np.meshgrid(np.arange(16) / 15, (np.arange(32) + 0.5) / 32, indexing="ij")
     phases = np.array([0.0, 0.3, 0.55])
     waves = 1.5 + np.cos(2 * np.pi * (u[..., None] - phases)) * np.sin(np.pi * v)[..., None]
@@ -158,7 +158,7 @@ def test_density_of_the_channel_leaves_the_cosine_alone():
 
 
 def test_own_channels_beat_luminance_in_rate_and_by_decades():
-    """Blue under a sky with coloured patches: continuous by its own density."""
+    """Blue under a sky with colored patches: continuous by its own density."""
     scene = open_scene()
     pixels = synthetic_sky(32, 64).astype(np.float32)
     scene["sky"]["bitmap"] = load_mitsuba().Bitmap(pixels)

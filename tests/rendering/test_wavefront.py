@@ -70,7 +70,7 @@ def test_sampled_position_in_the_middle_is_the_center(strategy):
 
 
 def test_sampled_positions_are_those_of_a_larger_film():
-    # The centre of pixel (x, y) of a film three times as large is a place in pixel (x/3, y/3).
+    # The center of pixel (x, y) of a film three times as large is a place in pixel (x/3, y/3).
     large, small = Wavefront("veach(width=288, height=192)"), Wavefront(VEACH, film="sampled")
     u = uniforms(9, 8, 2)
     inside = np.stack(np.meshgrid(np.arange(3), np.arange(3)), axis=-1).reshape(-1, 2)
@@ -109,7 +109,7 @@ def test_chunks_do_not_change_values(monkeypatch, lanes, shape):
 
 
 def test_the_camera_sees_the_radiance_of_a_light():
-    # light-3 covers the pixel around its centre; its BSDF is black.
+    # light-3 covers the pixel around its center; its BSDF is black.
     seen = Wavefront(VEACH, emission=True)
     from mcspectra.rendering import project
 

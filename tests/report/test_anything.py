@@ -59,4 +59,4 @@ def test_curves_are_drawn_and_settings_said(make, tmp_path, monkeypatch):
     assert [p.name for p in (tmp_path / "figures").glob("*.png")] == [
         "e-gaps.png"
     ] or "gaps" in text
-    assert "<dt>Gaps</dt><dd>4 realisations</dd>" in text
+    assert "<dt>Gaps</dt><dd>4 realizations</dd>" in text

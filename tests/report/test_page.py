@@ -94,7 +94,7 @@ def test_panels_abreast_alone_scroll_on_a_phone(tmp_path, count, classes):
 
 
 def test_no_half_of_a_page_stays_empty(tmp_path):
-    """What has no neighbour takes both columns, as do rows of live panels."""
+    """What has no neighbor takes both columns, as do rows of live panels."""
     rows = Figure(plot=replace(plot(), panels=plot().panels * 4, columns=2), live=True)
     three = Figure(plot=replace(plot(), panels=plot().panels * 3, columns=3))
     figures = tuple(Figure(plot=plot()) for _ in range(3))

@@ -85,7 +85,7 @@ def test_a_clear_rate_of_a_pixel_agrees_with_itself_alone(expected):
 def test_where_the_other_rate_agrees_too_it_is_said(expected, shown):
     weak = judge(pixel_rate("s", _curve(-1.75, 0.2), expected))
     assert weak.agrees is True
-    assert weak.note.endswith(f"So few realisations do not rule out {shown}.")
+    assert weak.note.endswith(f"So few realizations do not rule out {shown}.")
 
 
 @pytest.mark.parametrize(

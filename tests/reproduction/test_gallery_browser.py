@@ -111,7 +111,7 @@ def test_verdicts_stand_out_from_the_page(visit, scheme):
 
 
 def _luminance(color):
-    """Relative luminance of an sRGB colour, 0 to 255."""
+    """Relative luminance of an sRGB color, 0 to 255."""
     parts = [c / 255 for c in color]
     linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
     return float(0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2])

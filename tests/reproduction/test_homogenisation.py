@@ -1,4 +1,4 @@
-"""Homogenisation: findings, and what would contradict them."""
+"""Homogenization: findings, and what would contradict them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Homogenisation and convergence: findings, and what would contradict them."""
+"""Homogenization and convergence: findings, and what would contradict them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_swapped_samplers_and_a_function_that_is_not_periodic_disagree(
 
 
 def test_the_disk_after_a_shift_is_the_mean_over_fixed_offsets() -> None:
-    """The variance of the homogenised set is that of displaced strata, averaged over the offset."""
+    """The variance of the homogenized set is that of displaced strata, averaged over the offset."""
     case = module.DISK
     found = module.exact(case, "jittered | shift")[1]
     n, side = module.COUNTS[1], 12

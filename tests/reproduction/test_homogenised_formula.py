@@ -1,4 +1,4 @@
-"""The formula for homogenised samples: findings, and what would contradict them."""
+"""The formula for homogenized samples: findings, and what would contradict them."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ class Row:
 
     spec: str
     counts: dict[int, int]
-    fixed: bool = False  # the same points in every realisation
+    fixed: bool = False  # the same points in every realization
     unbiased: bool = True
 
 

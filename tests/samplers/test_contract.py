@@ -1,8 +1,8 @@
-"""The contract of samplers: every registered one in all its dims, typical ones after randomisations.
+"""The contract of samplers: every registered one in all its dims, typical ones after randomizations.
 
-That points are uniform is asked of registered samplers in one dims; of randomisations their own tests ask it.
+That points are uniform is asked of registered samplers in one dims; of randomizations their own tests ask it.
 
-A new sampler is one row of `rows.ROWS`; a new randomisation one entry of `CHAINS`. What the base class
+A new sampler is one row of `rows.ROWS`; a new randomization one entry of `CHAINS`. What the base class
 does for all of them (counts, dims, seeds that are none) is tested once.
 """
 
@@ -48,7 +48,7 @@ CHAINS = {
 """
 
 FIXED = ("", " | strata-shift", " | skip(count={n})", " | subset")
-"""What leaves a fixed set the same in every realisation."""
+"""What leaves a fixed set the same in every realization."""
 
 TYPICAL = (
     "random",
@@ -62,7 +62,7 @@ TYPICAL = (
     "poisson-disk",
     "points(path='{path}')",
 )
-"""Samplers of every structure, with digits in several bases, that the randomisations follow."""
+"""Samplers of every structure, with digits in several bases, that the randomizations follow."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Case:
 
 
 def parts_of(chain):
-    """Names of the randomisations of a chain."""
+    """Names of the randomizations of a chain."""
     return [part.strip().partition("(")[0] for part in chain.split("|") if part.strip()]
 
 
@@ -223,7 +223,7 @@ def test_that_test_sees_bias_within_strata(spec, dims, n):
 
 
 def p_of_uniformity(source, n, dims):
-    """χ² over 35 cells, of one point picked from each realisation: least p of all pairs of neighbours.
+    """χ² over 35 cells, of one point picked from each realization: least p of all pairs of neighbors.
 
     5 × 7 cells are not those of any set here, so that strata do not hide what is within them.
     """
@@ -340,5 +340,5 @@ def test_then_is_the_chain_of_the_spec_string(spec, name):
 
 
 def test_then_wants_a_randomization():
-    with pytest.raises(ParameterError, match="not a randomisation"):
+    with pytest.raises(ParameterError, match="not a randomization"):
         mcs.samplers.Random(dims=2).then("shift")

@@ -1,7 +1,7 @@
 """Points do not change from one version to the next: digests of every registered sampler and of chains.
 
-``digests.json`` holds, for each spec and count, SHA-256 digests (12 digits) of realisations 1 and 2 of
-seeds 7 and 8 (of realisation 1 where sets are optimised). Delete a line and run
+``digests.json`` holds, for each spec and count, SHA-256 digests (12 digits) of realizations 1 and 2 of
+seeds 7 and 8 (of realization 1 where sets are optimized). Delete a line and run
 ``python -m tests.samplers.test_digests`` to store new ones; say in the changelog why points changed.
 """
 
@@ -19,7 +19,7 @@ TABLE = Path(__file__).with_name("digests.json")
 SEEDS = (7, 8)
 STORED = json.loads(TABLE.read_text()) if TABLE.exists() else {}
 
-# Cheap parameters where sets are optimised, and counts that nearly all can make
+# Cheap parameters where sets are optimized, and counts that nearly all can make
 QUICK = {
     "bnot": "bnot(iterations=5)",
     "digital-net": "digital-net(matrices=[[8, 4, 2, 1, 16, 32], [8, 12, 10, 15, 17, 51]])",

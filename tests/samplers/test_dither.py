@@ -99,7 +99,7 @@ COUNTS = [1, 4, 16, 64, 256, 1024]
 
 
 def draw(n, realizations=10, **parameters):
-    """Realisations with few sweeps: what is exact does not depend on them."""
+    """Realizations with few sweeps: what is exact does not depend on them."""
     source = LowDiscrepancyBlueNoise(sweeps=3, **parameters)
     return source.draw(n, realizations=realizations, rng=1)
 

@@ -61,7 +61,7 @@ def refused(error, words, function, *args, **kwargs):
 
 
 class TestGivenPoints:
-    """Realisation r is set r, unless a randomisation makes the sets reusable."""
+    """Realization r is set r, unless a randomization makes the sets reusable."""
 
     def test_sets_come_in_order_whatever_the_seed(self, files):
         for source in (
@@ -93,9 +93,9 @@ class TestGivenPoints:
     def test_what_was_not_given_is_refused(self, files):
         source = mcs.Sampler.from_files(*files)
         refused(
-            CountError, "holds 3 realisations, but 4 are needed", source.draw, 5, realizations=4
+            CountError, "holds 3 realizations, but 4 are needed", source.draw, 5, realizations=4
         )
-        refused(CountError, "holds 3 realisations, but 4 are needed", source.draw, 5, first=3)
+        refused(CountError, "holds 3 realizations, but 4 are needed", source.draw, 5, first=3)
         for n in (4, 6):
             refused(CountError, f"cannot make {n} points; the nearest count is 5", source.draw, n)
             assert source.nearest_count(n) == 5
@@ -120,7 +120,7 @@ class TestGivenPoints:
     def test_a_fixed_shift_does_not_multiply_sets(self):
         source = mcs.Sampler.from_points(SETS)
         fixed = source.then(mcs.samplers.StrataShift())
-        refused(CountError, "holds 3 realisations", fixed.draw, 5, realizations=4)
+        refused(CountError, "holds 3 realizations", fixed.draw, 5, realizations=4)
         assert fixed.then(Shift()).draw(5, realizations=4, rng=1).shape == (4, 5, 2)
 
     def test_cycle_on_request(self, files):
@@ -171,7 +171,7 @@ class TestGivenPoints:
         (tmp_path / "c.dat").write_text("0.1 0.2\n#\n0.3\n0.5\n")
         uneven = str(tmp_path / "c.dat")
         refused(
-            ParameterError, r"Set 2 \(of .*c.dat\) is in 1 dims", mcs.Sampler.from_files, uneven
+            ParameterError, r"Set 2 \(of .*c.dat\) is in 1 dim,", mcs.Sampler.from_files, uneven
         )
         (tmp_path / "d.dat").write_text("0.1 1.5\n")
         refused(
@@ -205,7 +205,7 @@ class TestPatterns:
         np.testing.assert_array_equal(source.draw(16)[0], sets[16, 1])
         assert [source.nearest_count(n) for n in (1, 9, 11, 10**6)] == [4, 4, 16, 16]
         refused(CountError, "nearest counts are 4 and 16", source.draw, 8)
-        refused(CountError, "1 realisation of 16 points", source.draw, 16, realizations=2)
+        refused(CountError, "1 realization of 16 points", source.draw, 16, realizations=2)
         assert source.then(Shift()).draw(16, realizations=5, rng=1).shape == (5, 16, 2)
         assert sampler(source.spec) == source
         again = pickle.loads(pickle.dumps(source))
@@ -324,7 +324,7 @@ def program(tmp_path):
 
 
 class TestCommandSampler:
-    """A program that prints points, one run for each realisation."""
+    """A program that prints points, one run for each realization."""
 
     def test_realizations_are_keyed_by_the_seed(self, program):
         source = mcs.Sampler.from_command(f"{program} {{n}} {{seed}}", dims=2)
@@ -396,7 +396,7 @@ class TestCommandSampler:
 
 
 class TestFunctionSampler:
-    """A callable gets a fresh generator for each realisation."""
+    """A callable gets a fresh generator for each realization."""
 
     def test_realizations_are_reproducible_and_differ(self):
         source = mcs.Sampler.from_function(draw_uniform, dims=3)
@@ -517,7 +517,7 @@ def engine_name(engine):
 
 
 class TestScipySampler:
-    """Fresh engines, one for each realisation."""
+    """Fresh engines, one for each realization."""
 
     @pytest.mark.parametrize(("engine", "n"), ENGINES, ids=engine_name)
     def test_realizations_are_reproducible_and_independent(self, engine, n):
@@ -602,7 +602,7 @@ class TestScipySampler:
 
     @pytest.mark.parametrize("engine", ["Sobol", "Halton", "LatinHypercube"])
     def test_scrambled_engines_are_uniform_across_realizations(self, engine):
-        """χ² on 4×4 cells of point 3 of 2000 realisations: the generators are independent."""
+        """χ² on 4×4 cells of point 3 of 2000 realizations: the generators are independent."""
         x = np.floor(4 * ScipySampler(engine=engine).draw(4, realizations=2000, rng=4)[:, 3])
         counts = np.bincount((4 * x[:, 0] + x[:, 1]).astype(int), minlength=16)
         assert stats.chisquare(counts).pvalue > LEVEL

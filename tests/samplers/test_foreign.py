@@ -73,7 +73,7 @@ def test_broken_entries_are_one_sentence(environment):
 
 def test_chains_have_an_end():
     with pytest.raises(
-        ParameterError, match="32 randomisations, the most allowed; leave the others out"
+        ParameterError, match="32 randomizations, the most allowed; leave the others out"
     ):
         mcs.sampler("random" + " | shift" * 33)
     assert mcs.sampler("random" + " | shift" * 32).draw(4, rng=1).shape == (1, 4, 2)

@@ -23,7 +23,7 @@ SIGMAS = stats.norm.isf(LEVEL / 2)
 
 
 def powers(points, frequencies):
-    """n|S_m|² of every realisation and frequency."""
+    """n|S_m|² of every realization and frequency."""
     sums = np.exp(2j * np.pi * points @ np.transpose(frequencies)).sum(axis=1)
     return np.abs(sums) ** 2 / points.shape[1]
 
@@ -210,7 +210,7 @@ def test_variance_of_the_disk():
     low, high = d["rate_ci"].values
     slope = np.polyfit(np.log(counts), np.log(expected), 1)[0]
     assert abs(float(d["rate"]) - slope) < SIGMAS * (high - low) / 2 / 1.96
-    assert slope < -1.25  # towards −3/2 with a logarithm: Bardenet and Hardy, n^(−1−1/d)
+    assert slope < -1.25  # toward −3/2 with a logarithm: Bardenet and Hardy, n^(−1−1/d)
 
 
 def test_frequencies_are_those_of_least_norm():

@@ -183,7 +183,7 @@ def test_golden_points_are_evenly_spaced(n):
 
 @pytest.mark.parametrize("dims", [2, 3, 5])
 def test_discrepancy_is_far_below_that_of_random_points(dims):
-    """The expected squared centred L2 discrepancy of n random points is ((5/4)^d − (13/12)^d)/n."""
+    """The expected squared centered L2 discrepancy of n random points is ((5/4)^d − (13/12)^d)/n."""
     n = 512
     squared = qmc.discrepancy(Kronecker(dims=dims).draw(n)[0], method="CD")
     assert squared < 0.2 * (1.25**dims - (13 / 12) ** dims) / n

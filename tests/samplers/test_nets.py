@@ -485,7 +485,7 @@ class TestDirectionNumbersOfOthers:
             DigitalNet(matrices=str(file))  # digits 2 in base 2
 
 
-# Their licences are not known, so that they are no files of ours: MCSPECTRA_NETS names their folder
+# Their licenses are not known, so that they are no files of ours: MCSPECTRA_NETS names their folder
 PUBLISHED = [
     (Path(os.environ.get("MCSPECTRA_NETS", "nowhere")) / name, base, t)
     for name, base, t in (("onetwo_init_tab.dat", 2, 1), ("quad_optimized_gf3.dat", 3, 0))

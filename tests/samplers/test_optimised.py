@@ -1,4 +1,4 @@
-"""What optimised samplers share: cache, progress, sets used again, descent."""
+"""What optimized samplers share: cache, progress, sets used again, descent."""
 
 from dataclasses import dataclass
 from typing import ClassVar, final

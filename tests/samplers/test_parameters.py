@@ -1,4 +1,4 @@
-"""Parameters that a sampler or randomisation refuses, and the names its sentence has.
+"""Parameters that a sampler or randomization refuses, and the names its sentence has.
 
 The checks themselves (fractions, NaN, text for numbers) are tests of `core.checks`: here is one case
 for each field, and each rule of a class's own.
@@ -47,7 +47,7 @@ REFUSED = [
     ("korobov(a=0)", 2, ("a is 0", "1")),
     ("fibonacci", 1, ("must be 2", "korobov")),
     ("fibonacci", 3, ("must be 2", "korobov")),
-    ("kronecker(alpha=[0.3])", 2, ("alpha has 1 values",)),
+    ("kronecker(alpha=[0.3])", 2, ("alpha has 1 value;",)),
     ("kronecker(alpha=[0.3, 0.2, 0.1])", 2, ("alpha has 3 values",)),
     ("kronecker(alpha=0.3)", 2, ("alpha is 0.3", "one for each dim")),
     ("kronecker(alpha='0.3')", 2, ("alpha is '0.3'", "one for each dim")),
@@ -71,7 +71,7 @@ REFUSED = [
     ("sliced-optimal-transport", 1, ("sliced-optimal-transport", "jittered")),
     ("sliced-optimal-transport(iterations=0)", 2, ("iterations is 0",)),
     ("sliced-optimal-transport(directions=1.5)", 2, ("directions is 1.5",)),
-    # Randomisations alone
+    # Randomizations alone
     *(
         (f"random | {step}(base={base})", 2, ("base is", "2 to 8192"))
         for step in ("digital-shift", "permute", "owen", "lms")

@@ -19,13 +19,13 @@ every_net = pytest.mark.parametrize("source", NETS, ids=lambda source: source.na
 
 
 def occupancy(points, columns, rows):
-    """How many points of each realisation are in each of columns × rows cells: (R, cells)."""
+    """How many points of each realization are in each of columns × rows cells: (R, cells)."""
     cells = (np.floor(points * [columns, rows]) @ [rows, 1]).astype(int)
     return np.stack([np.bincount(row, minlength=columns * rows) for row in cells])
 
 
 def toroidal_distances(points):
-    """Distance of every point to its nearest neighbour on the torus."""
+    """Distance of every point to its nearest neighbor on the torus."""
     offsets = np.abs(points[:, None] - points)
     squares = (np.minimum(offsets, 1 - offsets) ** 2).sum(axis=-1)
     np.fill_diagonal(squares, np.inf)

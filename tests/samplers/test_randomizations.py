@@ -1,4 +1,4 @@
-"""Randomisations of whole sets: what they keep exactly, what they make uniform, exact variances."""
+"""Randomizations of whole sets: what they keep exactly, what they make uniform, exact variances."""
 
 import itertools
 
@@ -191,9 +191,9 @@ def test_elementary_intervals_are_kept():
 
 @pytest.mark.parametrize("n", [1, 2, 9, 64])
 def test_the_window_shows_the_turned_plane(n):
-    """Slow reference: 49 copies of the set in complex numbers, the n nearest to the centre.
+    """Slow reference: 49 copies of the set in complex numbers, the n nearest to the center.
 
-    The numbers of a realisation are the centre, the angle and the final translation.
+    The numbers of a realization are the center, the angle and the final translation.
     """
     plain = mcs.sampler("random", 2).draw(n, realizations=20, rng=5)
     moved = CLIPPED.apply(plain, STREAM, 0)
@@ -210,7 +210,7 @@ def test_the_window_shows_the_turned_plane(n):
 
 
 def test_a_turned_grid_keeps_its_angles():
-    """Seen without the final translation, all neighbours of a square grid are at right angles."""
+    """Seen without the final translation, all neighbors of a square grid are at right angles."""
     points = mcs.sampler("regular", 2).draw(64, realizations=20, rng=5)
     moved = (CLIPPED.apply(points, STREAM, 0) - STREAM.uniforms(0, 20, 5)[:, None, 3:]) % 1.0
     angles = []
@@ -260,7 +260,7 @@ def test_random_reflection_reflects_or_not(dims):
     moved = Mirror().apply(points, STREAM, 0)
     flipped = moved != points
     np.testing.assert_array_equal(moved[flipped], (BELOW_ONE - points)[flipped])
-    # Fair coins, also in pairs of neighbouring coordinates, points and realisations
+    # Fair coins, also in pairs of neighboring coordinates, points and realizations
     bits = flipped.ravel().astype(int)
     pairs = 2 * bits[:-1:2] + bits[1::2]
     assert stats.chisquare(np.bincount(pairs, minlength=4)).pvalue > LEVEL / 6
@@ -343,7 +343,7 @@ def test_pixels_differ_by_a_translation_only(mask):
     ("mode", "step"), [("shift", Shift()), ("digital-shift", DigitalShift()), ("owen", Owen())]
 )
 def test_white_masks_are_the_randomisation_itself(mode, step):
-    """For a fixed set the shared realisation is the set: the same as without decorrelate."""
+    """For a fixed set the shared realization is the set: the same as without decorrelate."""
     np.testing.assert_array_equal(
         Sobol(dims=3).then(Decorrelate(mode=mode)).draw(32, realizations=10, rng=2, first=3),
         Sobol(dims=3).then(step).draw(32, realizations=10, rng=2, first=3),

@@ -1,4 +1,4 @@
-"""Randomisations of digits: what they keep exactly in every base, what becomes uniform, counts."""
+"""Randomizations of digits: what they keep exactly in every base, what becomes uniform, counts."""
 
 from fractions import Fraction
 
@@ -23,7 +23,7 @@ PRIMES = [3, 5, 7, 13, 29, 53, 97]
 
 
 def scrambled(steps, points, first=0):
-    """One step applied to the same points (n,) in many realisations: (R, n)."""
+    """One step applied to the same points (n,) in many realizations: (R, n)."""
     realizations = 4000
     tiled = np.tile(np.asarray(points)[:, None], (realizations, 1, 1))
     return steps.apply(tiled, STREAM, first)[..., 0]
@@ -240,7 +240,7 @@ def test_owen_tails_are_independent(method):
 
 @pytest.mark.parametrize("level", [0, 1, 7])
 def test_permutations_of_two_nodes_are_uniform_and_independent(level):
-    """Base 3: all 6 · 6 pairs of permutations of the children of two neighbouring nodes."""
+    """Base 3: all 6 · 6 pairs of permutations of the children of two neighboring nodes."""
     children = [(node + k / 3) / 3**level for node in (0, 1) for k in range(3)]
     if level == 0:
         children = children[:3]

@@ -121,7 +121,7 @@ def test_antithetic_pairs_are_not_scrambled_apart(step):
 
 @pytest.mark.parametrize("step", ["digital-shift", "permute"])
 def test_digital_shifts_keep_antithetic_pairs(step):
-    """The mean over a pair is the centre of a cell: the mean of all points is exactly ½."""
+    """The mean over a pair is the center of a cell: the mean of all points is exactly ½."""
     points = mcs.sampler(f"antithetic-jittered | {step}").draw(32, realizations=10, rng=1)
     np.testing.assert_allclose(points.mean(axis=1), 0.5, atol=1e-15)
 

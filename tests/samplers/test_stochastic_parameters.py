@@ -1,4 +1,4 @@
-"""Parameters of stochastic and optimised samplers: what is out of range is refused by its name."""
+"""Parameters of stochastic and optimized samplers: what is out of range is refused by its name."""
 
 import pytest
 

@@ -99,7 +99,7 @@ def test_regular_positions():
 def test_jitter_is_uniform_and_independent_in_the_cells():
     points = Jittered(dims=2).draw(16, realizations=4000, rng=11)
     inside = points * 4 % 1.0
-    # Pairs of coordinates of one point, then of neighbours in the order of generation
+    # Pairs of coordinates of one point, then of neighbors in the order of generation
     for a, b in [(inside[..., 0], inside[..., 1]), (inside[:, :-1, 0], inside[:, 1:, 0])]:
         pairs = (8 * np.floor(8 * a) + np.floor(8 * b)).astype(int)
         assert stats.chisquare(np.bincount(pairs.ravel(), minlength=64)).pvalue > LEVEL
@@ -218,7 +218,7 @@ def test_exact_variance_of_given_sides(spec):
 
 
 def moves_in_cells(points, s):
-    """Toroidal displacement of every point from the centre of its cell, in sides of a cell."""
+    """Toroidal displacement of every point from the center of its cell, in sides of a cell."""
     centers = corners((s,) * points.shape[-1]) + 0.5 / s
     return ((points - centers + 0.5) % 1.0 - 0.5) * s
 
@@ -246,7 +246,7 @@ def test_box_jitter_is_uniform_in_its_box(width):
     ("width", "unbiased"), [(0.5, False), (0.0, False), (1, True), (1.5, False), (3.0, True)]
 )
 def test_box_jitter_is_unbiased_where_the_boxes_tile_the_torus(width, unbiased):
-    """The mean of cos(2π s x), which the centres of the cells make −1, tells."""
+    """The mean of cos(2π s x), which the centers of the cells make −1, tells."""
     source = BoxJitter(dims=1, width=width)
     assert source.unbiased == unbiased
     waves = np.cos(2 * np.pi * 8 * source.draw(8, realizations=4000, rng=4)).mean()
@@ -272,7 +272,7 @@ def test_gaussian_jitter_of_any_width_is_in_range():
 
 @pytest.mark.parametrize(("dims", "s"), [(1, 7), (2, 5), (3, 4), (6, 2), (4, 1)])
 def test_antithetic_pairs(dims, s):
-    """Both points in the cell, and their midpoint its centre."""
+    """Both points in the cell, and their midpoint its center."""
     n = 2 * s**dims
     pairs = AntitheticJittered(dims=dims).draw(n, realizations=50, rng=6).reshape(50, -1, 2, dims)
     np.testing.assert_array_equal(
@@ -303,7 +303,7 @@ def test_antithetic_counts_are_twice_those_of_grids():
 
 
 def neighbour_distances(points):
-    """Toroidal distances to the six nearest neighbours: (n, 6), sorted."""
+    """Toroidal distances to the six nearest neighbors: (n, 6), sorted."""
     return cKDTree(points, boxsize=1.0).query(points, k=7)[0][:, 1:]
 
 

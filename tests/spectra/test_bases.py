@@ -171,7 +171,7 @@ def test_the_cross_term_vanishes_where_the_basis_fits(sampler, basis):
 
 
 def test_symmetric_functions_do_not_see_reflections():
-    """A disk at the centre: reflected jittered points are jittered points. Walsh fits, cosine does not."""
+    """A disk at the center: reflected jittered points are jittered points. Walsh fits, cosine does not."""
     for basis, zero in (("walsh", True), ("cosine", False)):
         d = mcs.variance_terms(
             "disk", "jittered | mirror", 64, half_width=16, realizations=400, rng=2, basis=basis

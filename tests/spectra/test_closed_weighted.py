@@ -37,7 +37,7 @@ CASES = [
 
 
 def _sums(sampler, density, n, m):
-    """S_m of each realisation, minus its exact mean δ_m0: (R, M)."""
+    """S_m of each realization, minus its exact mean δ_m0: (R, M)."""
     x = density.sample(sampler.draw(n, realizations=REALIZATIONS, rng=3))
     weights = 1 / density.pdf(x)
     s = np.stack([(weights * np.exp(-2j * np.pi * (x @ one))).mean(axis=1) for one in m], axis=1)
@@ -113,7 +113,7 @@ def test_power_spectra_of_importance_samples_agree():
 
 
 def test_importance_samples_are_not_white():
-    """Power at m is (1/n) ∫1/p for random points, but C_ml of neighbours is not 0: Toeplitz."""
+    """Power at m is (1/n) ∫1/p for random points, but C_ml of neighbors is not 0: Toeplitz."""
     density = mcs.density("linear(slope=1)", dims=1)
     c = mcs.spectra.closed_form_covariance(
         "random", 10, [[5], [5], [5]], [[5], [4], [0]], density=density

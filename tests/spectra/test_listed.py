@@ -143,7 +143,7 @@ def test_mean_is_zero_at_integers_and_the_bias_of_a_cell_elsewhere():
 
 
 def test_mean_shows_the_bias_of_a_plain_grid():
-    """The regular grid has S_m = ±1 at multiples of n in every realisation: error 0, no spread."""
+    """The regular grid has S_m = ±1 at multiples of n in every realization: error 0, no spread."""
     found = mcs.spectra.power_at(mcs.sampler("regular", dims=1), 8, [[8.0], [3.0]], realizations=5)
     assert np.allclose(np.abs(found["mean_coefficient"]), [1, 0], atol=1e-14)
     assert found["mean_coefficient_se"].values.max() < 1e-7  # √ of rounding in ⟨|S|²⟩ − |⟨S⟩|²

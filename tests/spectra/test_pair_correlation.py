@@ -32,7 +32,7 @@ def test_all_pairs_are_counted_once(dims, most):
 @pytest.mark.parametrize("n", [512, 513, 514, 1027, 1300])
 @pytest.mark.parametrize("wrap", [True, False])
 def test_more_neighbours_than_a_chunk_holds(n, wrap):
-    """Every point has up to n − 1 neighbours, which are counted 512 at a time."""
+    """Every point has up to n − 1 neighbors, which are counted 512 at a time."""
     x, bins = some_points(n, 2), 50
     delta = np.abs(x[:, None] - x)
     if wrap:
@@ -157,7 +157,7 @@ def test_cost_grows_with_the_pairs():
 
 
 def test_intervals_hold_the_level_of_random_points():
-    """From 4 realisations, with 3 degrees of freedom: of 60 · 20 bins 95 % (bins are independent)."""
+    """From 4 realizations, with 3 degrees of freedom: of 60 · 20 bins 95 % (bins are independent)."""
     inside = []
     for seed in range(60):
         d = mcs.pair_correlation("random", 256, bins=20, realizations=4, rng=seed)

@@ -127,7 +127,7 @@ def test_sums_count_all_sets():
 
 
 def test_intervals_hold_the_power_of_random_points():
-    """4 realisations of 64 points: of 40 · 8 rings and wedges 95 %, where 1.96 errors had 85 at most."""
+    """4 realizations of 64 points: of 40 · 8 rings and wedges 95 %, where 1.96 errors had 85 at most."""
     inside = []
     for seed in range(40):
         d = mcs.power_spectrum("random", 64, half_width=8, realizations=4, wedges=6, rng=seed)

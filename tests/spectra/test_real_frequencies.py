@@ -87,7 +87,7 @@ def test_simulated_spectra_in_2d_diverge_too(f):
         m = np.arange(-2 * half_width, 2 * half_width + 1) / 2
         nu = np.stack(np.meshgrid(m, m, indexing="ij"), axis=-1)
         power = mcs.closed_form_power("jittered", n, nu) * (nu != 0).any(axis=-1)
-        # Realisations differ by a tenth of what they have in common, and there are 200
+        # Realizations differ by a tenth of what they have in common, and there are 200
         assert real == pytest.approx((np.abs(wide) ** 2 * power).sum() / 4, rel=0.04)
         ratios[n] = real / truth
     assert ratios[16] > 3

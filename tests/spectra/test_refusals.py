@@ -54,7 +54,7 @@ WRONG = [
     (lambda: _at([[1j, 1.0]]), "real numbers"),
     (lambda: _at([[1.0, 2.0, 3.0]]), "shape"),
     (lambda: _at(n=15), "9 and 16"),
-    (lambda: _at(density=LINE), "dims"),
+    (lambda: _at(density=LINE), "of 1 dim, "),
     (lambda: _at(engine="fft"), "engine"),
     (
         lambda: mcs.spectra.power_at("random", 4, np.ones((1, 4)), engine="nufft"),

@@ -69,7 +69,7 @@ def test_radial_error_covers_the_known_power():
 
 @pytest.mark.parametrize("dims", [1, 2, 3])
 def test_streamed_errors_are_those_of_ring_means(dims):
-    """Of each realisation by itself, drawn again as a spectrum of one realisation."""
+    """Of each realization by itself, drawn again as a spectrum of one realization."""
     sampler, kept = mcs.sampler("jittered", dims=dims), 5
     given = {"half_width": 4, "density": mcs.density("linear", dims=dims), "eps": 1e-12}
     many = mcs.power_spectrum(sampler, 8 if dims != 2 else 9, realizations=kept, rng=3, **given)
@@ -123,7 +123,7 @@ def test_wedges_by_hand():
     found = mcs.spectra.wedge_means(made)
     assert found["angle"].values.tolist() == list(range(0, 180, 15))
     assert np.abs(found["wedge_power"].values - 7.5 - found["angle"].values).max() < 7.5
-    # frequencies are symmetric about the centre of a wedge at multiples of 45 degrees
+    # frequencies are symmetric about the center of a wedge at multiples of 45 degrees
     assert np.allclose(found["wedge_power"].values[[0, 3, 6, 9]], [7.5, 52.5, 97.5, 142.5])
     on_axis = _made(lambda nu: (nu[..., 1] == 0) * 1.0, 2, 16)
     assert np.flatnonzero(mcs.spectra.wedge_means(on_axis, 4)["wedge_power"].values).tolist() == [0]
@@ -183,8 +183,8 @@ def test_misfit_widens_the_interval_and_a_large_one_refuses():
 @pytest.mark.parametrize(
     ("spec", "realizations", "reason"),
     [
-        ("halton", 10, "The power is the same in all realisations"),
-        ("kronecker | shift", 10, "The power is the same in all realisations"),
+        ("halton", 10, "The power is the same in all realizations"),
+        ("kronecker | shift", 10, "The power is the same in all realizations"),
         ("sobol | owen", 100, "there is no power law"),
         ("sobol | owen", 4, "is wider than ±0.5: it is not resolved"),
         ("halton | owen", 100, "is wider than ±0.5: it is not resolved"),
@@ -351,7 +351,7 @@ def test_exponents_need_lengths_and_errors():
     with pytest.raises(ParameterError, match="three"):
         mcs.spectra.low_frequency_exponent(_made(_length, 1, 2))
     single = mcs.power_spectrum("random", 16, half_width=4, realizations=1)
-    with pytest.raises(ParameterError, match="two or more realisations"):
+    with pytest.raises(ParameterError, match="two or more realizations"):
         mcs.spectra.low_frequency_exponent(single)
 
 

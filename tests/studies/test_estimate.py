@@ -91,7 +91,7 @@ def test_what_will_fail_is_said_and_not_tried(misbehaving, tmp_path):
 
 
 def test_tasks_are_about_a_second_each_where_they_can_be_cut(tmp_path):
-    """10⁹ realisations in tasks of a second; with a time limit of 1 s, in tasks of a fifth of it."""
+    """10⁹ realizations in tasks of a second; with a time limit of 1 s, in tasks of a fifth of it."""
     text = STUDY.replace("= 2000", "= 1000000000")
     counted = {}
     for limit in ("", "time_limit = 1.0\n"):

@@ -6,6 +6,7 @@ Stores are compared file by file: names, metadata, attributes and chunks, byte f
 import contextlib
 import json
 import os
+import re
 import shutil
 import signal
 import socket
@@ -161,7 +162,7 @@ def test_a_damaged_result_is_named_and_computed_again(half, tmp_path, straight, 
     out = shutil.copytree(half, tmp_path / "out")
     (path, *_) = study_status(out).done
     damaged(out, "SELECT payload FROM results LIMIT 1", at)
-    with pytest.warns(DamagedResultsWarning, match=f"^1 parts of .*{path} .its digest does not"):
+    with pytest.warns(DamagedResultsWarning, match=f"^1 part of .*{path} .its digest does not"):
         run_study(CONFIG, out, resume=True, workers=1)
     assert_finished(out, straight)
 
@@ -180,11 +181,13 @@ def test_of_a_ledger_cut_in_half_the_rest_is_kept(half, tmp_path, straight):
     out = shutil.copytree(half, tmp_path / "out")
     size = (out / LEDGER_NAME).stat().st_size
     os.truncate(out / LEDGER_NAME, size // 2)
-    with pytest.raises(StoreError, match=r"is damaged: .* malformed; .*--resume keeps"):
+    with pytest.raises(StoreError, match=r"is damaged: pages .* missing; .*--resume keeps"):
         study_status(out)
     said = study_status(out, verify=True)
-    assert said.damaged["file"] == "database disk image is malformed"
-    with pytest.warns(DamagedResultsWarning, match="are damaged, and what is lost is computed"):
+    assert said.damaged["file"] == "pages of the file are damaged or missing"
+    with pytest.warns(
+        DamagedResultsWarning, match="(is|are) damaged, and what is lost is computed"
+    ):
         run_study(CONFIG, out, resume=True, workers=1)
     assert_finished(out, straight)
     os.truncate(out / LEDGER_NAME, 8192)
@@ -406,7 +409,7 @@ def test_a_full_disk_is_one_sentence_and_loses_nothing(study, tmp_path, straight
     codes, said, kept = on_small_disk(study, size, tmp_path)
     assert codes == ["1", "0"]
     assert "cannot be written: " in said
-    assert "disk is full" in said or "No space left" in said or "disk I/O error" in said
+    assert re.search("disk is full|No space left|its file system failed", said)
     assert said.count("\n") == 1
     if (kept / LEDGER_NAME).exists():  # what it says is there is there, unharmed
         assert study_status(kept, verify=True).damaged == {}

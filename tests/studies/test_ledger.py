@@ -546,7 +546,7 @@ def test_folders_that_are_shut_are_a_sentence():
             "-c", SHUT, f"{name}/read-only", f"{name}/closed", cwd=Path(__file__).parents[2]
         )
         Path(name, "closed").chmod(0o700)
-    assert "read-only' cannot be written: unable to open database file" in ended.stdout
+    assert "read-only' cannot be written: it cannot be opened" in ended.stdout
     assert "closed' cannot be written: Permission denied" in ended.stdout, ended.stderr
 
 

@@ -227,7 +227,7 @@ def test_the_bottleneck_in_words(tree, slow, words):
         found["technique_rate"].values, found["technique_rate_ci"].values, strict=True
     ):
         shown = f"{value:.2f}"[:5].replace("-", "−")
-        assert (shown if high - low <= 1 else "a rate that more realisations would resolve") in text
+        assert (shown if high - low <= 1 else "a rate that more realizations would resolve") in text
 
 
 def test_a_bottleneck_says_from_which_n_on(tree):
@@ -292,7 +292,7 @@ def test_a_steepest_rate_that_is_not_resolved_is_no_finding(tree):
     wide["convergence"] = xr.DataTree(curves.assign(rate_ci=ends.transpose(..., "bound")))
     said = dict(pixel_sentences(wide))["fastest"]
     assert said.startswith(
-        "No rate is known: each is not resolved: use more realisations or larger"
+        "No rate is known: each is not resolved: use more realizations or larger"
     )
     assert "±" not in said
 

@@ -80,7 +80,7 @@ def test_the_report_shows_basis_window_precision_and_errors(finished):
         "quadrature (jittered)",
         "Fourier basis",
         "Walsh basis",
-        "400 realisations at most, fewer where the variance has a standard error of 10 %",
+        "400 realizations at most, fewer where the variance has a standard error of 10 %",
         "as many of the last counts as lie on a line",
         "rates fitted to the last 2 counts",
         "fitted over n = 16 … 64,",

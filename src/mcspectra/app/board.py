@@ -99,7 +99,7 @@ class Board:
             self._job.cancel()
             self._job = None
             if not quiet:
-                self._end("Cancelled; the figures show what was done by then.")
+                self._end("Canceled; the figures show what was done by then.")
 
     @property
     def busy(self) -> bool:
@@ -107,7 +107,7 @@ class Board:
         return self._job is not None
 
     def refuse(self, sentence: str) -> None:
-        """Say why what was entered is not computed; the figures of before stay, in grey."""
+        """Say why what was entered is not computed; the figures of before stay, in gray."""
         self.cancel(quiet=True)
         self.latest.clear()
         self._fresh.clear()
@@ -169,7 +169,7 @@ class Board:
                     self._drawn[news.kind] = (news.value, kinds)
                 self._fresh |= set(kinds)
                 self._fraction = news.fraction
-                self._say(f"{news.realizations} realisations, {news.fraction:.0%} done.")
+                self._say(f"{news.realizations} realizations, {news.fraction:.0%} done.")
                 self._on_shown(new)
             else:
                 self._job = None
@@ -199,7 +199,7 @@ class Board:
         return True
 
     def _end(self, sentence: str, *, alert: bool = False) -> None:
-        """Say how the job ended; figures that it did not reach leave, or are grey where they are old."""
+        """Say how the job ended; figures that it did not reach leave, or are gray where they are old."""
         self._cancel.disabled = True
         old = [kind for kind in self.cards if kind not in self._fresh]
         if len(self.latest) > 0 and sentence == "Done.":

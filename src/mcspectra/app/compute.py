@@ -1,6 +1,6 @@
-"""From a set-up to datasets, in rounds of more and more realisations that can be cancelled.
+"""From a set-up to datasets, in rounds of more and more realizations that can be canceled.
 
-Round r computes everything anew with four times the realisations of round r − 1: a third more work
+Round r computes everything anew with four times the realizations of round r − 1: a third more work
 in all, and the last round is, to the bit, what the calls of "copy as Python" return. Estimators are
 kept, so that they keep what was computed for them.
 """
@@ -56,7 +56,7 @@ KINDS = ("points", "integrand", "spectrum", "convergence", "terms", "predict")
 MOST_AT_ONCE = 2
 """Parts that all pages compute at a time: each uses all processors, and a second fills their gaps."""
 
-_PATIENCE = 0.2  # seconds between two looks whether a job that waits was cancelled
+_PATIENCE = 0.2  # seconds between two looks whether a job that waits was canceled
 _INTEGRAND = ("integrand", "density", "dims", "mirror", "channel", "smoothing")
 _OWN = {  # what alone decides on it
     "integrand": _INTEGRAND,
@@ -92,7 +92,7 @@ class Update:
 
 
 def rounds(setup: Setup) -> Iterator[int]:
-    """Yield the realisations of each round; the last are those of the set-up."""
+    """Yield the realizations of each round; the last are those of the set-up."""
     count = _FIRST_ROUND
     while count < setup.realizations:
         yield count
@@ -147,7 +147,7 @@ def _computed(kind: str, setup: Setup) -> xr.Dataset:
 
 
 class _Cancelled(Exception):
-    """Ends the analysis of a job that was cancelled."""
+    """Ends the analysis of a job that was canceled."""
 
 
 _TURNS = threading.BoundedSemaphore(MOST_AT_ONCE)
@@ -180,7 +180,7 @@ class Job:
     -----
     Jobs of all pages take turns for each part, so that `MOST_AT_ONCE` are computed at a time. `cancel`
     returns at once. The analysis that is running ends where it next reports progress, after
-    a block of realisations, and no other begins.
+    a block of realizations, and no other begins.
     """
 
     def __init__(
@@ -251,7 +251,7 @@ class Job:
             expected = spent * count / last if number > 1 else 0.0
             if expected > _LONGEST_ROUND:
                 return (
-                    f"Stopped at {last} realisations: {count} would take about {expected:.0f} s; "
+                    f"Stopped at {last} realizations: {count} would take about {expected:.0f} s; "
                     "ask for fewer points or frequencies."
                 )
             spent = 0.0
@@ -305,7 +305,7 @@ def integrand_specs(setup: Setup) -> tuple[str, ...]:
 
 
 def make_parts(setup: Setup) -> Parts:
-    """Make density, estimator and sampler; the same ones for all rounds of realisations.
+    """Make density, estimator and sampler; the same ones for all rounds of realizations.
 
     Raises
     ------

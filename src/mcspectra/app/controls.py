@@ -43,7 +43,7 @@ _PARTS = {"strata_shift": ("Strata shift", 0.95, 0.05), "smoothing": ("Smoothing
 _CHOICES: dict[str, tuple[str, Sequence[Any]]] = {
     "channel": ("Channel", list(zip(CHANNELS, ("luminance", "red", "green", "blue"), strict=True))),
     "mirror": ("Mirror", MIRRORS),
-    "realizations": ("Realisations", ("64", "256", "1024", "4096")),
+    "realizations": ("Realizations", ("64", "256", "1024", "4096")),
 }
 _SLIDERS: dict[str, tuple[tuple[str, float, float, float], ...]] = {
     "linear": (("slope", -1.9, 1.9, 1.0),),
@@ -144,7 +144,7 @@ class Controls:
 
         self.layout = Column(
             children=[
-                heading("Sampler"), w["base"], heading("Randomisations", "h3"), w["steps"],
+                heading("Sampler"), w["base"], heading("Randomizations", "h3"), w["steps"],
                 w["sampler"], w["count"], w["n"], w["strata_shift"],
                 heading("Density"), w["density_name"], self._density_sliders, w["density"],
                 heading("Integrand"), w["integrand_name"], w["formula"], w["integrand"], w["upload"], scene,
@@ -211,7 +211,7 @@ class Controls:
         w = self._widgets
         if w["base"].value == _OTHER:
             return
-        # Keep the randomisations of before in their order, then add new ones
+        # Keep the randomizations of before in their order, then add new ones
         _, before = base_and_steps(self.setup.sampler)
         ticked = [w["steps"].labels[k] for k in w["steps"].active]
         steps = [*(s for s in before if s in ticked), *(s for s in ticked if s not in before)]

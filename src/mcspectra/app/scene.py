@@ -30,7 +30,7 @@ _HEURISTICS = ("balance", "power")  # of the sum of light and BSDF sampling
 _SCENE = f"veach(width={WIDTH}, height={HEIGHT})"
 _SPP = 64
 _LABELS = {"balance": "light + bsdf, balance", "power": "light + bsdf, power"}
-_ADVICE = "Click a point of the picture, or give its pixel, to analyse what is seen there."
+_ADVICE = "Click a point of the picture, or give its pixel, to analyze what is seen there."
 
 
 def pixel_spec(x: int, y: int, strategy: str = "light") -> str:
@@ -103,7 +103,7 @@ class SceneView:
         self._strategy = Select(
             title="Sampling of", value="light", options=options, width=190, **style
         )
-        self._analyse = Button(label="Analyse pixel", width=130, align="end", **style)
+        self._analyse = Button(label="Analyze pixel", width=130, align="end", **style)
         self._analyse.on_click(lambda: self._choose(self._x.value or 0, self._y.value or 0))
         self._said = Div(sizing_mode="stretch_width", visible=False, **style)
         self._marked = ColumnDataSource({"x": [], "y": []})

@@ -112,7 +112,7 @@ def techniques(text: str) -> list[str]:
 
 
 def base_and_steps(text: str) -> tuple[str, list[str]]:
-    """Return the names of a chain's sampler and of its randomisations.
+    """Return the names of a chain's sampler and of its randomizations.
 
     Raises
     ------

@@ -82,7 +82,7 @@ def _as_half_width(name: str, given: object, dims: int) -> int:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Setup:
-    """An estimator, a sampler, a number of points, and how they are analysed.
+    """An estimator, a sampler, a number of points, and how they are analyzed.
 
     Fields that are named as options of the analyses mean what these say.
 

@@ -1,7 +1,7 @@
 """The verb of any analysis: its options and their help are derived from the analysis itself.
 
 An analysis of `mcspectra.core.analysis.ANALYSES` that has a verb is one, those of other packages too.
-What is analysed comes first (an integrand with densities and a sampler, or a sampler alone), then the
+What is analyzed comes first (an integrand with densities and a sampler, or a sampler alone), then the
 options of `mcspectra.core.options.options_of`. `mcspectra.cli.texts` shows the result.
 
 Several analyses may share a verb: ``--split`` chooses one. The parser then has the options of this analysis,
@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import inspect
 import itertools
+import re
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
 __all__ = ["analysis_verb", "declared"]
 
 _ESTIMATOR = (
-    option("integrand", "integrand spec, e.g. 'gaussian(width=0.25)'"),
+    option("INTEGRAND", "integrand spec, e.g. 'gaussian(width=0.25)'"),
     option("-d, --dims D", "number of dims, unless the specs fix it", whole()),
     option(
         "--density SPEC",
@@ -119,7 +120,7 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
     if not isinstance(default_sampler, str):
         default_sampler = None
 
-    # Declare what is analysed
+    # Declare what is analyzed
     all_sets = False
     declarations: list[Declaration]
     if analysis.about == "estimator":
@@ -135,7 +136,7 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
         # An analysis of point sets takes all that are given, unless it is told how many
         all_sets = any(each.name == "realizations" for each in own)
         declarations = [
-            option("sampler", "sampler spec; - reads point sets from standard input"),
+            option("SAMPLER", "sampler spec; - reads point sets from standard input"),
             option("-d, --dims D", "number of dims (default 2)", whole()),
         ]
         if not takes or "density" in takes:
@@ -337,9 +338,9 @@ def declared(
     flags = _flags(given) if flags is None else flags
     text = given.extra.get("help", given.meaning).rstrip(".")
     text = text[:1].lower() + text[1:] if text[1:2].islower() else text
-    choices = (*given.choices, *given.item_choices)
-    if any(choice not in text for choice in choices):
-        text += f": {', '.join(choices)}"
+    words = set(re.findall(r"[\w-]+", text))
+    if left := [each for each in (*given.choices, *given.item_choices) if each not in words]:
+        text += f": {', '.join(left)}"
     if given.is_flag:
         help = f"{text}; on by default" if given.default and "help" not in given.extra else text
         how: dict[str, Any] = {"action": "store_const", "const": not given.default}

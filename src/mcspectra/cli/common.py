@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, final
 
 from mcspectra.core.checks import as_integer, as_real
-from mcspectra.core.display import printable
+from mcspectra.core.display import printable, shown
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.options import whole_number
 
@@ -109,7 +109,7 @@ def option(
     """Declare an option as its usage is written.
 
     ``option("-m, --realizations R", "help", whole())`` reads a number, ``option("--quick", "help")`` is a
-    switch and ``option("scene", "help")`` a positional argument. What else it is given goes to `Read` or
+    switch and ``option("SCENE", "help")`` a positional argument. What else it is given goes to `Read` or
     argparse.
     """
     *names, last = (word.rstrip(",") for word in usage.split())
@@ -166,7 +166,7 @@ def wholes(form: str = "", least: int = 1) -> Callable[[str, str], list[int]]:
     def read(name: str, text: str) -> list[int]:
         parts = text.split(",")
         if form and len(parts) != form.count(",") + 1:
-            raise ParameterError(f"{name} is {text!r}; give {form}, whole numbers.")
+            raise ParameterError(f"{name} is {shown(text)}; give {form}, whole numbers.")
         return [whole(least)(name, part.strip()) for part in parts]
 
     return read
@@ -189,7 +189,7 @@ def _folder(name: str, text: str) -> str:
     """Read the name of a folder, which no page or picture has."""
     if Path(text).suffix.lower() in _PAGES and not Path(text).is_dir():
         raise ParameterError(
-            f"{name} is {text!r}, the name of a file; give a folder, which gets several."
+            f"{name} is {shown(text)}, the name of a file; give a folder, which gets several."
         )
     return text
 

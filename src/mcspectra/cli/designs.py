@@ -23,9 +23,9 @@ _OF_SAMPLERS = ("members",)
 
 
 @verb(
-    option("kind", f"{', '.join(KINDS)} (samplers), or {_DENSITY}"),
+    option("KIND", f"{', '.join(KINDS)} (samplers), or {_DENSITY}"),
     option(
-        "objective",
+        "OBJECTIVE",
         "integrand spec; for samplers also a class: gaussians, disks, half-spaces, or a spec with "
         "uniform(a, b) or normal(mean, sd)",
     ),

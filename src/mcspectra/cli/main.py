@@ -22,7 +22,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from mcspectra.core.display import printable, shown
+from mcspectra.core.display import QUOTED, printable, shown
 
 if TYPE_CHECKING:
     from mcspectra.core.errors import Function, Parameter
@@ -101,7 +101,7 @@ _NOW = {
     "gallery": "bench",
     "learn": "design density",
     "chains": "profile draws.npy",
-    "mitsuba": "render scene.xml --integrator scene",
+    "mitsuba": "render SCENE --sampler …",
     "schema": "init --schema",
 }
 """Verbs of earlier versions, and their replacements."""
@@ -110,6 +110,10 @@ _FAILED_RUNS = ("CellFailed", "ClusterLost", "StorageError")
 """Errors that are nobody's input."""
 
 _LONGEST = 1000  # characters of an unexpected error's own text
+_LONGEST_USAGE = 250  # characters of an error of the argument parser
+
+_BEFORE = {"--json": 0, "--quiet": 0, "--debug": 0, "--seed": 1, "--allow-code": 1}
+"""Options of all verbs, which may stand before the verb, and the number of their values."""
 
 _HELP = """\
 usage: mcspectra VERB ...     mcspectra VERB --help     mcspectra --version
@@ -118,8 +122,8 @@ Measure, predict and explain the variance of Monte Carlo estimators.
 
 {groups}
 
-All verbs take --json, --seed and --quiet. Specs chain names by bars:
-mcspectra points 'jittered | shift' -n 16
+All verbs take --json, --seed and --quiet, also before the verb.
+Specs chain names by bars: mcspectra points 'jittered | shift' -n 16
 """
 
 
@@ -128,13 +132,15 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         sentence = message[:1].upper() + message[1:]
-        self.exit(2, f"{self.prog}: {printable(sentence, _LONGEST)}; see '{self.prog} --help'.\n")
+        self.exit(
+            2, f"{self.prog}: {printable(sentence, _LONGEST_USAGE)}; see '{self.prog} --help'.\n"
+        )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    # Threads are over realisations and cells; those of BLAS beside them wait for one another.
+    # Threads are over realizations and cells; those of BLAS beside them wait for one another.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     for stream in (sys.stdout, sys.stderr):
         # A terminal that lacks a character such as ² shows '?' instead of losing the result.
@@ -182,6 +188,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _dispatch(given: list[str]) -> int:
     """Find the verb, read its options, run it and print its answer."""
+    # Options of all verbs that stand before the verb follow it from here on
+    first = 0
+    while first < len(given) and (name := given[first].partition("=")[0]) in _BEFORE:
+        first += 1 if "=" in given[first] else 1 + _BEFORE[name]
+    given = [*given[first : first + 1], *given[:first], *given[first + 1 :]]
     if not given or given[0].startswith("-"):
         return _without_verb(given)
     from mcspectra.cli.common import Verb, one_sentence_warnings, option, whole
@@ -197,10 +208,10 @@ def _dispatch(given: list[str]) -> int:
         if len(analyses) != 1:  # other packages have verbs, and splits of ours
             analyses = (*analyses, *_outside_analyses(name))
         if not analyses and name in _NOW:
-            raise UnknownName(f"The verb {name!r} is now 'mcspectra {_NOW[name]}'.")
+            raise UnknownName(f"The verb {shown(name)} is now 'mcspectra {_NOW[name]}'.")
         if not analyses:
             hint, close = close_match_hint(name, VERBS, "mcspectra --help")
-            raise UnknownName(f"There is no verb {name!r}.{hint}", close)
+            raise UnknownName(f"There is no verb {shown(name)}.{hint}", close)
         from mcspectra.cli.analysis import analysis_verb
 
         verb = analysis_verb(analyses, given[1:])
@@ -224,7 +235,9 @@ def _dispatch(given: list[str]) -> int:
         option("--debug", "show the traceback of an error"),
     ):
         declare(parser)
-    options = parser.parse_args(given[1:])
+    options, unknown = parser.parse_known_args(given[1:])
+    if unknown:
+        parser.error(f"unrecognized arguments: {printable(' '.join(unknown), QUOTED)}")
 
     # Files and code that specs may name, for all verbs
     folders = getattr(options, "allow_path", ())
@@ -253,9 +266,8 @@ def _writer(parser: argparse.ArgumentParser) -> Callable[[Parameter | Function],
     from mcspectra.core.errors import Parameter
 
     flags = {
-        action.dest: max(action.option_strings, key=len)
+        action.dest: max(action.option_strings, key=len, default=str(action.metavar or action.dest))
         for action in parser._actions
-        if action.option_strings
     }
 
     def write(part: Parameter | Function) -> str:
@@ -299,7 +311,9 @@ def _without_verb(given: list[str]) -> int:
         lines += [group, *(f"  {verb.ljust(width)}  {texts[verb]}" for verb in verbs)]
     lines += [f"left out: {name}: {text}" for name, text in left_out.items()]
     if given[:1] not in ([], ["-h"], ["--help"]):
-        sentence = f"There is no option {given[0]!r} before the verb; see 'mcspectra --help'."
+        before = given[0].partition("=")[0] in _BEFORE
+        lack = "no verb" if before else f"no option {shown(given[0])} before the verb"
+        sentence = f"There is {lack}; see 'mcspectra --help'."
         print(f"mcspectra: {sentence}", file=sys.stderr)
         return 2
     print(_HELP.format(groups="\n".join(lines)), end="")

@@ -11,7 +11,7 @@ from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
 from mcspectra.cli.common import Answer, option, verb, whole
-from mcspectra.core.display import printable
+from mcspectra.core.display import counted, printable
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.references import bibtex
 from mcspectra.core.registry import optional_package
@@ -183,7 +183,7 @@ def doctor_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
         "platform": platform.platform(),
         "processors": available_workers(),
         **package_versions(),
-        "cache of point sets": f"{entries} sets, {size / 2**20:.1f} MiB in {cache_folder()}",
+        "cache of point sets": f"{counted(entries, 'set')}, {size / 2**20:.1f} MiB in {cache_folder()}",
         "numba cache": os.environ.get("NUMBA_CACHE_DIR", "beside the package"),
         "transforms": transforms,
         "renderer": describe(),

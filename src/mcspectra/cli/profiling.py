@@ -12,6 +12,7 @@ from mcspectra.cli.analysis import analysis_verb
 from mcspectra.cli.common import Answer, Verb, option
 from mcspectra.cli.texts import data_of, table_of_anything
 from mcspectra.core.analysis import ANALYSES
+from mcspectra.core.display import QUOTED, printable, shown
 from mcspectra.core.errors import (
     FileFormatError,
     MissingDependency,
@@ -45,7 +46,7 @@ def _profile(options: argparse.Namespace) -> Answer:
     if len(files) < len(subjects):
         (other, *_) = (text for text in subjects if text not in files)
         raise FileFormatError(
-            f"{other!r} is not a file of draws; these end in {', '.join(_SUFFIXES[:-1])} or "
+            f"{shown(other)} is not a file of draws; these end in {', '.join(_SUFFIXES[:-1])} or "
             f"{_SUFFIXES[-1]}. Give one integrand, or files of draws."
         )
     profiling: Any = ANALYSES.load("profile")
@@ -89,17 +90,20 @@ def _of_draws(options: argparse.Namespace, files: list[str]) -> Answer:
         known = list(map(str, getattr(draws, "data_vars", ())))
         if named not in known:
             hint, close = close_match_hint(named, known)
-            raise UnknownName(f"The draws have no column {named!r}.{hint if known else ''}", close)
+            raise UnknownName(
+                f"The draws have no column {shown(named)}.{hint if known else ''}", close
+            )
         weights, draws = draws[named].values, draws.drop_vars(named)
 
     result = chain_error(draws, weights=weights)
     for file in options.out:
         write_result_file(result, file, "mcspectra profile")
     several = "quantity" in result.dims
-    shown = result.drop_dims("band") if several else result
+    plain = result.drop_dims("band") if several else result
     names, said = (np.atleast_1d(result[key].values) for key in ("cause", "evidence"))
     lines = [f"{result.attrs['chains']} × {result.attrs['draws']} draws"]
-    lines.append(table_of_anything(shown).text)
+    if not np.isnan(result["mcse"]).all():  # else no chain moves, and sentences alone say so
+        lines.append(table_of_anything(plain).text)
     for k, name in enumerate(names):
         start = f"{result['quantity'].values[k]}: " if several else ""
         lines.append(f"{start}{said[k] or f'cause: {name}'}.")
@@ -150,7 +154,9 @@ def _draws(name: str) -> Any:
         raise
     except Exception as error:  # noqa: BLE001 - readers of formats raise anything
         reason = getattr(error, "strerror", None) or reason_of(error)
-        raise FileFormatError(f"{file} cannot be read as {file.suffix}: {reason}.") from None
+        raise FileFormatError(
+            f"{printable(file, QUOTED)} cannot be read as {file.suffix}: {reason}."
+        ) from None
 
 
 def _table(file: Path) -> xr.Dataset:

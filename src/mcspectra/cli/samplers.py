@@ -25,6 +25,7 @@ from mcspectra.cli.common import (
 from mcspectra.cli.texts import data_of
 from mcspectra.core.checks import as_choice
 from mcspectra.core.decoding import path_to_write
+from mcspectra.core.display import QUOTED, counted, printable, shown
 from mcspectra.core.errors import FileFormatError, MissingDependency
 from mcspectra.core.progress import report
 
@@ -41,7 +42,7 @@ _REGISTRIES = {
 }
 
 
-@verb(option("kind", f"one of {', '.join(_REGISTRIES)}"))
+@verb(option("KIND", f"one of {', '.join(_REGISTRIES)}"))
 def list_(options: argparse.Namespace) -> Answer:
     """List what can be named in specs, and the analyses."""
     kind = as_choice("kind", options.kind, tuple(_REGISTRIES))
@@ -89,7 +90,7 @@ def list_(options: argparse.Namespace) -> Answer:
 
 
 @verb(
-    option("sampler", "sampler spec, e.g. 'jittered | shift'; - reads points from standard input"),
+    option("SAMPLER", "sampler spec, e.g. 'jittered | shift'; - reads points from standard input"),
     option("-n N", "points in a set", whole(), required=True),
     option("-d, --dims D", "number of dims (default 2)", whole()),
     option("-m, --realizations R", "number of sets (default 1)", whole()),
@@ -118,9 +119,9 @@ def points_(options: argparse.Namespace) -> Answer:
     for file in files:
         extension = Path(file).suffix.lower()
         if extension not in (*EXTENSIONS, *FORMATS):
-            given = f"the extension {Path(file).suffix!r}" if extension else "no extension"
+            given = f"the extension {shown(Path(file).suffix)}" if extension else "no extension"
             raise FileFormatError(
-                f"{file} has {given}; points are {', '.join(EXTENSIONS)} files, pictures "
+                f"{printable(file, QUOTED)} has {given}; points are {', '.join(EXTENSIONS)} files, pictures "
                 f"{', '.join(FORMATS)}."
             )
         path_to_write(file, "a file", (extension,))
@@ -186,7 +187,7 @@ def points_(options: argparse.Namespace) -> Answer:
 
 
 @verb(
-    option("integrand", "integrand spec, e.g. 'gaussian(width=0.25)'"),
+    option("INTEGRAND", "integrand spec, e.g. 'gaussian(width=0.25)'"),
     option("--budget B", "most evaluations of the integrand", whole(), required=True),
     option("-d, --dims D", "number of dims, where the spec leaves it open", whole()),
     option("--density SPEC", "importance density"),
@@ -216,7 +217,7 @@ def integrate_(options: argparse.Namespace) -> Answer:
     data: dict[str, Any] = {str(name): found[name].values.tolist() for name in found}
     low, high = data["interval"]
     text = (
-        f"{data['value']:.10g}, 95 %: {low:.10g} to {high:.10g}\n{data['calls']} evaluations made, of "
+        f"{data['value']:.10g}, 95 %: {low:.10g} to {high:.10g}\n{counted(data['calls'], 'evaluation')} made, of "
         f"{data['replicates']} replicates of {data['n']} points of {found.attrs['sampler']}"
     )
     note = found.attrs.get("note")

@@ -27,8 +27,9 @@ from mcspectra.cli.common import (
     wholes,
 )
 from mcspectra.cli.texts import remedies_table
-from mcspectra.core.display import printable
+from mcspectra.core.display import counted, printable, shown
 from mcspectra.core.errors import ParameterError, writing
+from mcspectra.core.images import ENCODED_EXTENSIONS, LINEAR_EXTENSIONS
 from mcspectra.core.registry import optional_package
 
 if TYPE_CHECKING:
@@ -153,7 +154,7 @@ def render_(options: argparse.Namespace) -> Answer:
         if scene.lower().endswith(".xml"):
             raise ParameterError(
                 f"--width and --height are for built-in scenes ({', '.join(SCENES)}); "
-                f"the film of {scene!r} is set in the file."
+                f"the film of {shown(scene)} is set in the file."
             )
         scene = sized(scene, **sizes)
     if whole_paths:
@@ -264,7 +265,7 @@ def _whole_paths(options: argparse.Namespace, scene: str, files: list[Path]) -> 
     for text in options.define or []:
         key, equals, value = text.partition("=")
         if not (key and equals):
-            raise ParameterError(f"--define is {text!r}; give KEY=VALUE.")
+            raise ParameterError(f"--define is {shown(text)}; give KEY=VALUE.")
         definitions[key] = value
     films = [file for file in files if file.suffix.lower() == ".exr"]
     start = time.perf_counter()
@@ -290,7 +291,7 @@ def _whole_paths(options: argparse.Namespace, scene: str, files: list[Path]) -> 
     means = image.mean(axis=(0, 1))
     sampler = options.sampler or "scene's own"
     whose = "scene's own" if options.integrator == "scene" else options.integrator
-    size = f"{width} × {height} pixels, {channels} channels"
+    size = f"{width} × {height} pixels, {counted(channels, 'channel')}"
     lines = [
         f"{scene}, integrator: {whose}, sampler: {sampler}: {size}, {seconds:.1f} s",
         f"mean radiance  {_colour(means)}",
@@ -310,7 +311,7 @@ def _whole_paths(options: argparse.Namespace, scene: str, files: list[Path]) -> 
 
 
 @verb(
-    option("scene", "scene, e.g. veach, or a Mitsuba XML file"),
+    option("SCENE", "scene, e.g. veach, or a Mitsuba XML file"),
     option("X", "column of the pixel, or the name of a pixel"),
     option("Y", "row of the pixel", whole(0), nargs="?"),
     option(
@@ -446,7 +447,7 @@ def _map_options(parser: argparse.ArgumentParser) -> None:
 
 
 @verb(
-    option("scene", "scene, e.g. veach, or a Mitsuba XML file"),
+    option("SCENE", "scene, e.g. veach, or a Mitsuba XML file"),
     option("-o, --out DIR", "output folder (default out/map)", repeated="once"),
     option("--resume", "continue the map in the output folder"),
     option(
@@ -501,7 +502,12 @@ def map_(options: argparse.Namespace) -> Answer:
 
 
 @verb(
-    option("FILES", "a folder, a pattern in quotes, or files: .exr, .pfm, .npy", nargs="+"),
+    option(
+        "FILES",
+        f"a folder, a pattern in quotes, or files: {', '.join(LINEAR_EXTENSIONS)}; with --tone-mapped "
+        f"also {', '.join(ENCODED_EXTENSIONS)}",
+        nargs="+",
+    ),
     option("--spp N", "samples per pixel (default: from names and headers)", whole()),
     option("--against PATH", "frames of another renderer or setting of the same view"),
     option("--target E", "relative error, σ / mean, that pixels should reach", real(above=0.0)),

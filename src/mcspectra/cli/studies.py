@@ -21,7 +21,7 @@ from mcspectra.cli.common import (
     verb,
     whole,
 )
-from mcspectra.core.display import printable
+from mcspectra.core.display import counted, printable
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.fits import UNRESOLVED
 from mcspectra.core.registry import optional_package
@@ -38,7 +38,7 @@ _LISTED = 10  # paths of cells that are not done
 
 
 @verb(
-    option("study", "study file, .toml, or the name of a built-in study, such as tour"),
+    option("STUDY", "study file, .toml, or the name of a built-in study, such as tour"),
     option("-o, --out DIR", "output folder (default out/<name of the file>)", repeated="once"),
     option("--resume", "continue the study in the output folder"),
     option("--retry", "like --resume, and compute failed cells again"),
@@ -83,8 +83,8 @@ _LISTED = 10  # paths of cells that are not done
 def run_(options: argparse.Namespace) -> Answer:
     """Run a study file: measure, predict and explain every estimator with every sampler.
 
-    Writes DIR/study.sqlite, DIR/results.zarr, DIR/report.html and DIR/figures/. Without the extra report
-    it leaves out the page and its figures.
+    Writes DIR/study.sqlite, DIR/results.zarr, DIR/report.html and DIR/figures/. The page
+    and its figures need the extra report (pip install 'mcspectra[report]').
     """
     import msgspec
 
@@ -229,7 +229,7 @@ def estimate_text(estimates: Sequence[CellEstimate], wall: float, workers: int) 
     failing = {each.estimator: each.error for each in estimates if each.error is not None}
     known = "".join(f"estimator {name!r} will fail: {error}\n" for name, error in failing.items())
     return (
-        f"{table}\n\n{known}about {wall:.3g} s with {workers} workers; {tasks} tasks, {memory} of memory "
+        f"{table}\n\n{known}about {wall:.3g} s with {counted(workers, 'worker')}; {counted(tasks, 'task')}, {memory} of memory "
         f"at most, {storage} of storage"
     )
 
@@ -293,11 +293,14 @@ def status_(options: argparse.Namespace) -> Answer:
         [name, str(of.done), str(of.failed), str(of.missing), str(of.damaged)]
         for name, of in status.analyses.items()
     ]
+    others = len(status.damaged) - sum(of.damaged for of in status.analyses.values())
+    if others:
+        rows.append(["other parts", "", "", "", str(others)])
     table = text_table(["analysis", "done", "failed", "missing", "damaged"], rows)
     checked = "verified" if status.verified else "not verified; --verify checks all digests"
     held = (
         f"results {shown_bytes(status.results_bytes)}, ledger {shown_bytes(status.ledger_bytes)} "
-        f"with {status.recorded} recorded tasks; {checked}"
+        f"with {counted(status.recorded, 'recorded task')}; {checked}"
     )
     lines += ["", table, "", held]
 
@@ -309,6 +312,12 @@ def status_(options: argparse.Namespace) -> Answer:
             lines.append(printable(f"{kind}: {path}{': ' if reason else ''}{reason}"))
         if len(reasons) > _LISTED:
             lines.append(f"{kind}: … {len(reasons) - _LISTED} more; --json lists all")
+    if any(not name.startswith("the ") for name in status.damaged):
+        kept = counted(len(status.done), "cell")
+        lines.append(
+            f"'mcspectra run STUDY --out {printable(options.folder)} --resume' keeps the results of "
+            f"{kept}, and computes the others again"
+        )
     good = status.state in ("running", "finished") and not status.damaged
     data = msgspec.to_builtins(status) | {"analyses": msgspec.to_builtins(status.analyses)}
     return Answer("\n".join(lines), data, 0 if good else 1)

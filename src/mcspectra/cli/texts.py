@@ -172,7 +172,7 @@ def convergence(result: xr.Dataset) -> Answer:
         if len(missed):
             goal, most = result.attrs["relative_error"], result.attrs["realizations"]
             notes.append(
-                f"{sampler}: the relative error {goal:g} was not reached with {most} realisations "
+                f"{sampler}: the relative error {goal:g} was not reached with {most} realizations "
                 f"at n = {', '.join(map(str, missed))}"
             )
         values = {str(name): variable.values for name, variable in picked.data_vars.items()}
@@ -191,7 +191,7 @@ def terms(result: xr.Dataset) -> Answer:
     """
     known = result.attrs
     about = (
-        f"coefficients: {known['coefficients']}; {known['realizations']} realisations; "
+        f"coefficients: {known['coefficients']}; {known['realizations']} realizations; "
         f"{known['space']} space, {known['basis']} basis"
     )
     parts = []

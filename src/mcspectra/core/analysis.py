@@ -5,7 +5,7 @@ it is computed (`reduction`); Python's functions, study files, verbs, the explor
 variables of results and the docs derive from it. `ANALYSES` finds analyses by name, those of other
 packages too (entry points ``mcspectra.analyses``).
 
-Computing is one contract. A `Reduction` cuts realisations into atomic blocks, whose number and limits
+Computing is one contract. A `Reduction` cuts realizations into atomic blocks, whose number and limits
 depend on the size of the problem alone; each block gives a state, and states merge in a fixed binary
 tree over the blocks (`MergeTree`). The result is therefore the same bits whether one thread computes
 all blocks or many machines compute *chunks* of them: a chunk is an aligned run of 2^k blocks, which is
@@ -32,6 +32,7 @@ from typing import (
 
 import msgspec
 
+from mcspectra.core.display import shown
 from mcspectra.core.errors import AnalysisError, Function, ParameterError
 from mcspectra.core.memory import check_memory
 from mcspectra.core.options import Evaluations, checked, options_of
@@ -99,7 +100,7 @@ Chunk: TypeAlias = tuple[int, int]
 @final
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """What is analysed.
+    """What is analyzed.
 
     Attributes
     ----------
@@ -205,7 +206,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         subject
             One that `need` has accepted.
         stream
-            Random numbers of all realisations.
+            Random numbers of all realizations.
         """
         raise AnalysisError(
             f"{type(self).__name__} has no reduction; define it, which says how it is computed."
@@ -226,7 +227,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             if each.key == key:
                 return each
         raise NotImplementedError(
-            f"The first step of {type(self).__name__} has no reduction of the key {key!r}: an analysis "
+            f"The first step of {type(self).__name__} has no reduction of the key {shown(key)}: an analysis "
             "of several steps overrides part."
         )
 
@@ -298,7 +299,7 @@ def check_names(kind: type[Analysis]) -> None:
         if taken or not own.isdisjoint(flags):
             what = f"the flag {min(own & flags)}" if own & flags else "that name"
             raise AnalysisError(
-                f"{kind.__name__} has the option {option.name!r}, but {what} is taken by all "
+                f"{kind.__name__} has the option {shown(option.name)}, but {what} is taken by all "
                 "analyses or by another of its options; rename it."
             )
         flags |= own
@@ -307,7 +308,7 @@ def check_names(kind: type[Analysis]) -> None:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Reduction(Generic[State]):
-    """A sum over blocks of realisations.
+    """A sum over blocks of realizations.
 
     Attributes
     ----------
@@ -372,7 +373,7 @@ def needed(analysis: Analysis, subject: Subject) -> Need:
     need: Any = analysis.need(subject)
     if not isinstance(need, Need):
         raise AnalysisError(
-            f"{type(analysis).__name__} needs {need!r:.80}; its need must return a Need."
+            f"{type(analysis).__name__} needs {shown(need)}; its need must return a Need."
         )
     most = _most(analysis)
     if most is not None and need.evaluations > most:
@@ -408,7 +409,7 @@ def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
         found = _single(found, name)
     if not isinstance(found, Generator):
         raise AnalysisError(
-            f"{name} is computed by {found!r:.80}; its reduction must return a Reduction, or be a "
+            f"{name} is computed by {shown(found)}; its reduction must return a Reduction, or be a "
             "generator that yields lists of them."
         )
     states: list[Any] | None = None
@@ -420,21 +421,21 @@ def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
             result: xr.Dataset = end.value
             break
         if not isinstance(step, list) or not all(isinstance(each, Reduction) for each in step):
-            raise AnalysisError(f"{name} has the step {step!r:.80}; give a list of Reductions.")
+            raise AnalysisError(f"{name} has the step {shown(step)}; give a list of Reductions.")
         for each in step:
             if each.key in keys:
                 raise AnalysisError(
-                    f"{name} has two reductions of the key {each.key!r}; give each a key of its own."
+                    f"{name} has two reductions of the key {shown(each.key)}; give each a key of its own."
                 )
             if not isinstance(each.blocks, numbers.Integral) or each.blocks < 1:
                 raise AnalysisError(
-                    f"{name} has a reduction of {each.blocks!r} blocks; give a whole number from 1."
+                    f"{name} has a reduction of {shown(each.blocks)} blocks; give a whole number from 1."
                 )
             keys.add(each.key)
         states = yield step
 
     if not hasattr(result, "data_vars"):
-        raise AnalysisError(f"{name} gives {result!r:.80} as its result; it must be a dataset.")
+        raise AnalysisError(f"{name} gives {shown(result)} as its result; it must be a dataset.")
     if not analysis.provenance:
         return result
     # Say what it is of
@@ -487,7 +488,7 @@ def compute(
     """
     given: tuple[Any, Any] = analysis, subject
     if not isinstance(given[0], Analysis) or not isinstance(given[1], Subject):
-        raise ParameterError(f"{given!r:.160} are not an Analysis and a Subject; give these.")
+        raise ParameterError(f"{shown(given)} are not an Analysis and a Subject; give these.")
     threads = available_workers(workers)
     clean = checked(analysis)
     name = clean.function or type(clean).__name__
@@ -535,7 +536,7 @@ def compute_chunk(reduction: Reduction[State], chunk: Chunk) -> State:
 
 
 class MergeTree(Generic[State]):
-    """Merges states of blocks as a binary counter does: neighbours of equal size first.
+    """Merges states of blocks as a binary counter does: neighbors of equal size first.
 
     What remains at the end merges from the right. The tree depends on the number of blocks alone,
     not on the chunks they came in, nor on the order of these; of chunks in their order only log₂ of the

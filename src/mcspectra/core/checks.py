@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from mcspectra.core.display import shown
+from mcspectra.core.display import counted, shown
 from mcspectra.core.errors import DomainError, Parameter, ParameterError, close_match_hint
 
 __all__ = [
@@ -67,7 +67,7 @@ def is_path(value: object) -> bool:
 def as_path(name: str, value: object) -> Path:
     """Return `value` as a path."""
     if not is_path(value):
-        raise ParameterError(Parameter(name), f" is {shown(value, 80)}; give a path.")
+        raise ParameterError(Parameter(name), f" is {shown(value)}; give a path.")
     return Path(value)  # type: ignore[arg-type]
 
 
@@ -75,7 +75,7 @@ def as_instance(name: str, value: Any, kind: Any, what: str) -> Any:
     """Return `value` if it is an instance of a type, or of one of several, which `what` describes."""
     if isinstance(value, kind):
         return value
-    raise ParameterError(Parameter(name), f" is {shown(value, 80)}; give {what}.")
+    raise ParameterError(Parameter(name), f" is {shown(value)}; give {what}.")
 
 
 def as_instances(name: str, value: Any, kind: Any, what: str) -> list[Any]:
@@ -131,7 +131,7 @@ def as_reals(name: str, value: object, length: int, **limits: float | None) -> t
         if len(value) != length:
             raise ParameterError(
                 Parameter(name),
-                f" has {len(value)} values; give one number or one for each of the {length} dims.",
+                f" has {counted(len(value), 'value')}; give one number or one for each of the {length} dims.",
             )
         return tuple(as_real(f"{name}[{i}]", v, **limits) for i, v in enumerate(value))
     return (as_real(name, value, **limits),) * length

@@ -20,7 +20,17 @@ import re
 import unicodedata
 from typing import Any
 
-__all__ = ["csv_cell", "escape_html", "html_of", "printable", "register_accessor", "shown"]
+__all__ = [
+    "QUOTED",
+    "counted",
+    "csv_cell",
+    "escape_html",
+    "html_of",
+    "needed",
+    "printable",
+    "register_accessor",
+    "shown",
+]
 
 # Characters of no width that str.isprintable lets pass: fillers, and marks that choose a variant
 _INVISIBLE = re.compile(
@@ -28,6 +38,9 @@ _INVISIBLE = re.compile(
 )
 _BEGINS_FORMULA = ("=", "+", "-", "@", "\t", "\r", "＝", "＋", "－", "＠")
 _CUT = " … "
+
+QUOTED = 80
+"""Most characters of a text of others in a message."""
 
 _PICTURES = "mcspectra.report.reprs"
 _RESULTS = "mcspectra.report.accessor"
@@ -64,8 +77,8 @@ def printable(given: object, most: int | None = None, *, lines: bool = False) ->
     return text if text.isascii() else _INVISIBLE.sub(lambda found: _escape(found[0]), text)
 
 
-def shown(value: object, most: int = 200) -> str:
-    """Return the ``repr`` of a value, `printable` and short; for a long number its size.
+def shown(value: object, most: int = QUOTED) -> str:
+    """Return the ``repr`` of a value as messages quote it: `printable` and short; for a long number its size.
 
     Python refuses to write integers of more than 4300 digits.
 
@@ -80,6 +93,24 @@ def shown(value: object, most: int = 200) -> str:
         if isinstance(value, int):
             return f"an integer of about {int(value.bit_length() * math.log10(2)) + 1} digits"
         return f"a {type(value).__name__} with an integer of too many digits"
+
+
+def counted(number: int, one: str) -> str:
+    """Return a number with its noun, which is plural unless the number is 1.
+
+    Examples
+    --------
+    >>> counted(1, "task"), counted(2000, "recorded task"), counted(0, "density")
+    ('1 task', '2000 recorded tasks', '0 densities')
+    """
+    if number == 1:
+        return f"1 {one}"
+    return f"{number} {one[:-1]}ies" if one.endswith("y") else f"{number} {one}s"
+
+
+def needed(number: int, one: str) -> str:
+    """Return ``1 dim is needed`` or ``2 dims are needed``."""
+    return f"{counted(number, one)} {'is' if number == 1 else 'are'} needed"
 
 
 def _escape(character: str) -> str:

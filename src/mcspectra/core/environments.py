@@ -37,7 +37,7 @@ def synthetic_sky(height: int = 32, width: int = 64) -> Array:
     Returns
     -------
     ndarray
-        Linear radiance (height, width, 3), above 0 everywhere, evaluated at pixel centres. Made for
+        Linear radiance (height, width, 3), above 0 everywhere, evaluated at pixel centers. Made for
         tests and examples: no physical sky model.
     """
     rows = as_integer("height", height, least=1, most=2**14)
@@ -70,7 +70,7 @@ def directions(x: Array) -> Array:
 def row_solid_angles(height: int) -> Array:
     """Share of the sphere that each of `height` rows covers, (height,), sum 1.
 
-    ½ (cos θ_j − cos θ_{j+1}) = sin θ sin(π/2h) at the row's centre θ: exact, and without cancellation.
+    ½ (cos θ_j − cos θ_{j+1}) = sin θ sin(π/2h) at the row's center θ: exact, and without cancellation.
     """
     height = as_integer("height", height, least=1)
     centers = (np.arange(height) + 0.5) / height

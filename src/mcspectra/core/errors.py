@@ -67,7 +67,7 @@ __all__ = [
 _PACKAGE = str(Path(__file__).parents[1]) + os.sep
 _FAILING = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
 _COORDINATES = 6  # of a point in a message
-_LONGEST = 2000  # characters of a message; the longest of our own have 350
+_LONGEST = 1000  # characters of a message; the longest of our own have 350
 
 
 @final
@@ -198,7 +198,7 @@ class CacheWarning(UserWarning):
 
 
 class DependentRealizationsWarning(UserWarning):
-    """The realisations of a seed are not independent: variances and errors over them mislead."""
+    """The realizations of a seed are not independent: variances and errors over them mislead."""
 
 
 class MissingPackageWarning(UserWarning):

@@ -1,7 +1,7 @@
 """Fits of straight lines, and of rates: the slope of log variance against log n.
 
 Weighted least squares: each variance is weighted by the inverse square of its relative standard
-error, which is known from the realisations, so that the 95 % interval of a straight line is normal.
+error, which is known from the realizations, so that the 95 % interval of a straight line is normal.
 Where the lack of fit, χ² per degree of freedom, exceeds 1, it is widened by √χ²; where that is
 significant (`LACK_OF_FIT`), the errors are not what makes the scatter, which is estimated from the counts:
 √χ² times Student's t with as many degrees, three counts having one.
@@ -11,8 +11,8 @@ takes the largest window of at least three counts that shows neither lack of fit
 curvature (`CURVATURE`, a test of one degree, which sees a bend that χ² spreads over all). A window that
 passed may still be bent by as much as the noise hides: its interval is that of the scatter even where
 χ² is below 1, if that is wider. It is no default: of a straight line it costs precision. Simulated,
-relative errors of 6 % (500 realisations), counts 4, 16, … 1024, the intervals of ``"auto"`` hold the
-asymptotic rate in 98 % for a straight line; in 97 % for a disk of radius 0.27 off the centre, jittered;
+relative errors of 6 % (500 realizations), counts 4, 16, … 1024, the intervals of ``"auto"`` hold the
+asymptotic rate in 98 % for a straight line; in 97 % for a disk of radius 0.27 off the center, jittered;
 in 86 % for a Gaussian, jittered and shifted, whose exact slope is −1.42 … −1.50 over these counts: no
 test can detect that bend. A curve that is bent up to its last count, such as that of a disk centered on the
 strata (−1.39 between the last two), is not extrapolated. Exact variances at the same counts are better evidence.
@@ -53,7 +53,7 @@ LACK_OF_FIT = 0.05
 CURVATURE = 0.1
 """Significance of a quadratic term in log n below which a window of counts is taken to be bent."""
 
-UNRESOLVED = "not resolved: use more realisations or larger counts"
+UNRESOLVED = "not resolved: use more realizations or larger counts"
 """Text instead of a rate whose interval is too wide; results keep the number."""
 
 _WIDEST = 0.5  # half an interval of a rate that is a finding: −1 and −2 can be told apart
@@ -62,7 +62,7 @@ _LEAST = 3  # counts that can show lack of fit
 
 @dataclass(frozen=True)
 class LineFit:
-    """The line level + slope · (x − centre), and how well it fits.
+    """The line level + slope · (x − center), and how well it fits.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class LineFit:
         Weighted means of x and y; the line goes through them, and their errors are independent of the
         slope's.
     spread
-        Σ w (x − centre)²: 1 over the variance of the slope where the weights are those of the errors.
+        Σ w (x − center)²: 1 over the variance of the slope where the weights are those of the errors.
     residuals
         y less the line, (N,).
     chi2
@@ -87,7 +87,7 @@ class LineFit:
     chi2: float
 
     def at(self, x: Array | float, slope: float | None = None) -> Array:
-        """Values of the line at x, or of one through the same centre with another slope."""
+        """Values of the line at x, or of one through the same center with another slope."""
         return np.asarray(self.level + (self.slope if slope is None else slope) * (x - self.centre))
 
 
@@ -114,9 +114,9 @@ def line_fit(x: Array, y: Array, weight: Array) -> LineFit:
 @final
 @dataclass(frozen=True, kw_only=True)
 class LineFits:
-    """Lines log V = level + rate · (log n − centre) by `line_fits`, many at once: arrays (S, …).
+    """Lines log V = level + rate · (log n − center) by `line_fits`, many at once: arrays (S, …).
 
-    The centre is the weighted mean of log n, where the errors of level and rate are independent. A
+    The center is the weighted mean of log n, where the errors of level and rate are independent. A
     rate is NaN where fewer than two values were fitted, or where the line is not known. chi2 is the
     lack of fit per degree of freedom, NaN for two values.
     """

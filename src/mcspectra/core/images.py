@@ -29,6 +29,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_real_array
 from mcspectra.core.decoding import check_decoded_size, opened, read_npy, read_npz
+from mcspectra.core.display import shown
 from mcspectra.core.errors import FileFormatError, ParameterError
 from mcspectra.core.registry import optional_package
 
@@ -36,7 +37,9 @@ if TYPE_CHECKING:
     from PIL.Image import Image as PillowImage
 
 __all__ = [
+    "ENCODED_EXTENSIONS",
     "IMAGE_EXTENSIONS",
+    "LINEAR_EXTENSIONS",
     "REC709",
     "Rings",
     "check_picture_size",
@@ -47,8 +50,14 @@ __all__ = [
     "read_image",
 ]
 
-IMAGE_EXTENSIONS = (".png", ".jpg", ".jpeg", ".exr", ".pfm", ".npy", ".npz")
-"""Names that `read_image` knows."""
+ENCODED_EXTENSIONS = (".png", ".jpg", ".jpeg")
+"""Ends of names of pictures in sRGB, 8 bits a channel."""
+
+LINEAR_EXTENSIONS = (".exr", ".pfm", ".npy", ".npz")
+"""Ends of names of images with values as they are."""
+
+IMAGE_EXTENSIONS = (*ENCODED_EXTENSIONS, *LINEAR_EXTENSIONS)
+"""Ends of names that `read_image` knows."""
 
 REC709 = np.array([0.2126, 0.7152, 0.0722])
 """Weights of red, green and blue in the luminance (ITU-R BT.709)."""
@@ -335,7 +344,7 @@ def _picture_channels(name: str, listed: set[str], layer: str | None) -> list[st
     layers = sorted({channel.rpartition(".")[0] for channel in listed})
     if layer is not None and layer not in (*layers, *listed):
         raise FileFormatError(
-            f"{name} has no layer {layer!r}, but {', '.join(map(repr, (*layers, *sorted(listed))))}."
+            f"{name} has no layer {shown(layer)}, but {', '.join(map(repr, (*layers, *sorted(listed))))}."
         )
     offers = [
         [f"{each}.{c}" if each else c for c in cs]

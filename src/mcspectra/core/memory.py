@@ -10,7 +10,7 @@ __all__ = ["available_memory", "check_memory", "memory_of", "shown_bytes"]
 
 _COPIES = 4  # of the points: as drawn, warped, with their values and weights
 _GRIDS = 8  # complex arrays over the frequencies: transform, sums, squares, coefficients
-_NUMBERS = 2**21  # of a block of realisations (core.parallel)
+_NUMBERS = 2**21  # of a block of realizations (core.parallel)
 _BASE = 2**20
 
 

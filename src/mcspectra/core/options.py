@@ -20,7 +20,7 @@ import numpy as np
 from msgspec import Meta, inspect
 
 from mcspectra.core.checks import as_choice, as_integer, as_real
-from mcspectra.core.display import shown
+from mcspectra.core.display import counted, shown
 from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.parallel import MAX_REALIZATIONS
 
@@ -346,12 +346,13 @@ def _clean(label: str, kind: inspect.Type, value: Any, from_file: bool) -> Any:
             size = len(value)
             if isinstance(fitting, inspect.TupleType) and size != len(fitting.item_types):
                 raise ParameterError(
-                    Parameter(label), f" has {size} values; give {len(fitting.item_types)}."
+                    Parameter(label),
+                    f" has {counted(size, 'value')}; give {len(fitting.item_types)}.",
                 )
             longest = getattr(fitting, "max_length", None) or _NO_LIMIT
             if size > longest:
                 raise ParameterError(
-                    Parameter(label), f" has {size} values; {longest} are the most."
+                    Parameter(label), f" has {counted(size, 'value')}; {longest} are the most."
                 )
             if any(np.ndim(each) > 0 for each in value if not isinstance(each, str)):
                 raise ParameterError(Parameter(label), f" is {shown(value)}; give one flat list.")

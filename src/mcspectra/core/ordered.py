@@ -2,7 +2,7 @@
 
 BLAS cuts large sums into as many parts as it has threads, which would be seen in the last digits of
 results. Products here are `numpy.einsum`, which without `optimize` calls no BLAS (a quarter of its
-speed, and far below what points and transforms take), and factorisations are reflections: see
+speed, and far below what points and transforms take), and factorizations are reflections: see
 docs/decisions/0015, which compares NumPy's.
 """
 

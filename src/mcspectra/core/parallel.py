@@ -1,4 +1,4 @@
-"""Work over realisations in blocks: a fixed partition, a thread pool, results in order.
+"""Work over realizations in blocks: a fixed partition, a thread pool, results in order.
 
 The partition depends on the size of the problem alone, never on the number of workers, and block
 results come back in order, so that sums over them are the same bits for any number of workers.
@@ -30,10 +30,10 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 Block = tuple[int, int]
-"""First realisation and number of realisations."""
+"""First realization and number of realizations."""
 
 MAX_REALIZATIONS = 10**9
-"""Most realisations of one analysis."""
+"""Most realizations of one analysis."""
 
 _BLOCK_NUMBERS = 2**21  # about 16 MiB of float64 a block: larger than any cache, far below memory
 _SLICE_NUMBERS = 2**19  # 4 MiB, one or two ms of work
@@ -50,7 +50,7 @@ def available_workers(workers: int | None = None) -> int:
 @final
 @dataclass(frozen=True)
 class RealizationBlocks:
-    """Realisations `first` to `stop`, the latter not among them, in blocks of `size`."""
+    """Realizations `first` to `stop`, the latter not among them, in blocks of `size`."""
 
     first: int
     stop: int
@@ -70,9 +70,9 @@ class RealizationBlocks:
 def realization_blocks(
     realizations: int, numbers_each: int, *, multiple: int = 1, first: int = 0, least: int = 1
 ) -> RealizationBlocks:
-    """Split realisations into blocks of about `_BLOCK_NUMBERS` numbers, a multiple of `multiple`.
+    """Split realizations into blocks of about `_BLOCK_NUMBERS` numbers, a multiple of `multiple`.
 
-    There are at least `least` blocks, if there are `multiple` realisations for each.
+    There are at least `least` blocks, if there are `multiple` realizations for each.
     """
     size = max(1, _BLOCK_NUMBERS // max(1, numbers_each) // multiple) * multiple
     size = min(size, max(1, realizations // least // multiple) * multiple)

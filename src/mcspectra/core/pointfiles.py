@@ -38,6 +38,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.decoding import check_decoded_size, known_path, opened, read_npy, read_npz
+from mcspectra.core.display import counted, shown
 from mcspectra.core.errors import FileFormatError, writing
 
 __all__ = [
@@ -133,7 +134,7 @@ def matching_files(path: str | PathLike[str]) -> list[tuple[Path, int | None]]:
     pattern = any(mark in text for mark in ("*", "?", "{n}"))
     file = known_path(path, "a point set")
     if not (file.suffix or pattern or file.exists()):
-        raise FileFormatError(f"There is no file or folder {text!r}; give a point set.")
+        raise FileFormatError(f"There is no file or folder {shown(text)}; give a point set.")
     if file.is_file() or not (pattern or file.is_dir()):
         return [(file, None)]
     if file.is_dir():
@@ -204,7 +205,7 @@ def _content(
         numbered, text = enumerate(sets), json.dumps(dict(meta or {}), default=str)
     except (TypeError, ValueError):
         raise FileFormatError(
-            f"What is given for {name} is {sets!r:.80} and {meta!r:.80}; give a list of arrays "
+            f"What is given for {name} is {shown(sets)} and {shown(meta)}; give a list of arrays "
             "(n, d), and names with values that JSON can hold."
         ) from None
     clean: list[Array] = []
@@ -429,7 +430,7 @@ def _sets_of_rows(
             raise FileFormatError(f"{name} has no coordinates; give a column for each axis.")
         if numbers != width:
             raise FileFormatError(
-                f"{name}, line {number}, has {numbers} numbers, but the set began with "
+                f"{name}, line {number}, has {counted(numbers, 'number')}, but the set began with "
                 f"{width} on line {start}; give all points of a set the same number of dims."
             )
         if isinstance(fields, np.ndarray):

@@ -55,7 +55,7 @@ SAME: TypeAlias = Annotated[Array, "same"]
 @final
 @dataclass
 class MeanSums:
-    """Sums of arrays and of their squares over realisations: their mean with its standard error."""
+    """Sums of arrays and of their squares over realizations: their mean with its standard error."""
 
     total: SUM
     squares: SUM
@@ -63,12 +63,12 @@ class MeanSums:
 
     @staticmethod
     def of(values: Array) -> MeanSums:
-        """Sums of one realisation."""
+        """Sums of one realization."""
         return MeanSums(np.array(values), values * values)
 
     @staticmethod
     def zeros(size: int) -> MeanSums:
-        """Sums of no realisations, for arrays (size,)."""
+        """Sums of no realizations, for arrays (size,)."""
         return MeanSums(np.zeros(size), np.zeros(size), 0)
 
     def mean_and_error(self, sets: int | None = None) -> tuple[Array, Array]:
@@ -90,7 +90,7 @@ _UNIONS = (Union, UnionType)
 
 
 def merged(left: Any, right: Any) -> Any:
-    """State of two neighbours together; may reuse the memory of `left`."""
+    """State of two neighbors together; may reuse the memory of `left`."""
     own = getattr(left, "merge", None)
     if own is not None:
         return own(right)

@@ -15,6 +15,7 @@ from importlib.metadata import entry_points
 from types import MappingProxyType
 from typing import Any
 
+from mcspectra.core.display import counted, needed, shown
 from mcspectra.core.errors import MissingDependency, ParameterError, UnknownName, reason_of
 from mcspectra.core.errors import close_match_hint as hint
 from mcspectra.core.spec import Call, Component, kebab_case
@@ -76,7 +77,7 @@ class Registry(Mapping[str, str]):
         if target is None:
             listing = f"mcspectra list {self.group.rpartition('.')[2]}"
             offer, close = hint(name, self._targets(), listing)
-            raise UnknownName(f"There is no {self.kind} called {name!r}.{offer}", close)
+            raise UnknownName(f"There is no {self.kind} called {shown(name)}.{offer}", close)
         module, _, attribute = target.partition(":")
         try:
             found: Any = getattr(importlib.import_module(module), attribute)
@@ -84,12 +85,12 @@ class Registry(Mapping[str, str]):
             raise
         except (Exception, SystemExit) as error:  # whatever the code of others does
             raise MissingDependency(
-                f"The {self.kind} {name!r} ({target}) cannot be loaded: {reason_of(error)}."
+                f"The {self.kind} {shown(name)} ({target}) cannot be loaded: {reason_of(error)}."
             ) from error
         known = isinstance(found, type) and issubclass(found, self.base or object)
         if not (known if self.base else callable(found)):
             raise MissingDependency(
-                f"The {self.kind} {name!r} ({target}) is {found!r}, not a class that makes one; "
+                f"The {self.kind} {shown(name)} ({target}) is {shown(found)}, not a class that makes one; "
                 "mend the package that registers it."
             )
         return found  # type: ignore[no-any-return]
@@ -108,15 +109,15 @@ class Registry(Mapping[str, str]):
         }
         for key in arguments:
             if key not in allowed:
-                shown = [p.rstrip("_") for p in allowed]
-                offer, close = hint(key, shown)
-                takes = f"it takes {', '.join(shown)}" if shown else "it takes no parameters"
-                sentence = f"{call.name} has no parameter {key!r}; {takes}."
+                taken = [p.rstrip("_") for p in allowed]
+                offer, close = hint(key, taken)
+                takes = f"it takes {', '.join(taken)}" if taken else "it takes no parameters"
+                sentence = f"{call.name} has no parameter {shown(key)}; {takes}."
                 raise ParameterError(sentence + (offer if close else ""))
         if dims is not None:
             given = arguments.setdefault("dims", dims) if "dims" in allowed else dims
             if given != dims:
-                raise ParameterError(f"{call.name} says dims={given}, but {dims} dims are needed.")
+                raise ParameterError(f"{call.name} says dims={given}, but {needed(dims, 'dim')}.")
         missing = [
             p.name.rstrip("_")
             for p in allowed.values()
@@ -127,7 +128,7 @@ class Registry(Mapping[str, str]):
         component = cls(**arguments)
         if dims is not None and getattr(component, "dims", dims) != dims:
             raise ParameterError(
-                f"{call.name} is for {component.dims} dims, but {dims} dims are needed."
+                f"{call.name} is for {counted(component.dims, 'dim')}, but {needed(dims, 'dim')}."
             )
         return component
 

@@ -1,4 +1,4 @@
-"""Names of all result variables, and the one way to make a labelled dataset of them.
+"""Names of all result variables, and the one way to make a labeled dataset of them.
 
 Every variable an analysis returns is registered here once with its meaning, unit, dims and kind;
 `dataset` attaches meaning and unit as attributes, and the provenance (seed, versions, spec strings) to
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from mcspectra.core.display import register_accessor
+from mcspectra.core.display import register_accessor, shown
 from mcspectra.core.errors import AnalysisError
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ bottleneck | if | 1 | y? x? | technique of the slowest rate; −1: undecided
 captured | f | 1 | n? | predicted / measured variance
 captured_by_half_width | f | 1 | half_width | \
 predicted / measured variance, truncated at each half width
-centered_discrepancy | f | 1 | any | centred L2 discrepancy
+centered_discrepancy | f | 1 | any | centered L2 discrepancy
 coefficient_covariance | fc | 1 | m l | C_ml, covariance of S_m and S_l
 contribution | f | f² | technique? m | c_m, contribution of frequency m to the variance
 cross_matrix | fc | f² | m l | conj(f_m) f_l C_ml
@@ -110,7 +110,7 @@ exponent_fit_chi2 | f | 1 | | lack of fit of the exponent, χ² per degree of fr
 fit_chi2 | f | 1 | strategy? y? x? | lack of fit of the rate, χ² per degree of freedom
 fit_first_n | f | 1 | | smallest number of points of the fit
 gain | f | 1 | any | gain coefficient Γ of nested scrambling, random points: 1
-generalized_l2_discrepancy | f | 1 | any | generalised L2 discrepancy, over all projections
+generalized_l2_discrepancy | f | 1 | any | generalized L2 discrepancy, over all projections
 higher_order_share | f | 1 | | share of the variance of all larger subsets
 higher_order_variance | f | f² | | part of the variance of all larger subsets
 image | f | W/(m² sr) | any | mean radiance of each pixel
@@ -123,7 +123,7 @@ light_probability | f | 1 | light | how often a light is chosen
 light_selection | f | 1 | light | how often a light had better be chosen, by second moments
 light_share | f | 1 | light | Cov(f_j, f) / Var(f), part of the variance of a random path that light j makes
 limit_rate | f | 1 | method? | exponent that the predicted variance tends to at large n; NaN: not known
-local_rate | f | 1 | method? n | exponent of the predicted variance between neighbouring n
+local_rate | f | 1 | method? n | exponent of the predicted variance between neighboring n
 low_frequency_exponent | f | 1 | | b of power ∝ |m|^b at low frequencies
 mean | f | f | strategy? quantity? n? y? x? | mean estimate
 mcse | f | f | quantity? | standard error of the mean of chains
@@ -152,7 +152,7 @@ target_variance | f | f² | | square of the root mean square error that is wante
 planned_n | f | 1 | | least number of points for which the error is predicted to be reached
 planned_n_ci | f | 1 | bound | its ends where variances are at the ends of their 95 % intervals
 pair_correlation | f | 1 | r | pair correlation g(r), 1 for random points
-points | f | 1 | point axis | points of one realisation
+points | f | 1 | point axis | points of one realization
 power | f | 1 | m frequency? | expected power ⟨|S_m|²⟩; random points: ∫1/p / n
 power_contribution | f | f² | technique? m | |f_m|² C_mm, the diagonal part of the contribution
 power_term | f | f² | n? | power term Σ_{m≠0} |f_m|² C_mm
@@ -163,7 +163,7 @@ calls | i | 1 | | evaluations of the integrand that were made
 integral | f | f | | estimate of the integral
 rate | f | 1 | remedy? strategy? y? x? | fitted exponent of variance in n; random sampling: −1
 reached | i | 1 | n? | whether the wanted precision was reached (1: yes)
-realizations_used | i | 1 | n? | realisations used
+realizations_used | i | 1 | n? | realizations used
 rmse | f | f | | root mean square error of an estimate of the whole budget
 relative_minimum_distance | f | 1 | any | minimum distance / that of the densest packing
 slice_power | f | 1 | slice multiple | expected power along a direction
@@ -197,7 +197,7 @@ jump_length | f | 1 | any | length of the curves where the warp jumps
 max_stretch | f | 1 | any | largest ratio of singular values of the warp's derivative
 mean_jump | f | 1 | any | mean jump of the warp
 mean_stretch | f | 1 | any | geometric mean of the stretch
-neighbor_expansion | f | cells | any | distance of neighbouring cells' images, root mean square
+neighbor_expansion | f | cells | any | distance of neighboring cells' images, root mean square
 primary_jump | f | f | any | jump of g to the next cell
 primary_jump_height | f | f | any | mean jump of g
 primary_jump_length | f | 1 | any | length of the jumps of g
@@ -206,7 +206,7 @@ primary_value | f | f | any | primary-space integrand g(u) = f(T(u)) / p(T(u))
 reciprocal_unbounded | f | 1 | any | whether 1/p is unbounded (1: yes)
 reflected_radiance | f | W/(m² sr²) | any | radiance reflected to the camera, per solid angle
 stretch | f | 1 | any | ratio of singular values of the warp's derivative
-warped | f | 1 | any | warp T at the centres of cells
+warped | f | 1 | any | warp T at the centers of cells
 worst_projected_diaphony | f | 1 | any | largest diaphony of the 2-D projections
 worst_projected_discrepancy | f | 1 | any | largest star discrepancy of the 2-D projections
 worst_projected_distance | f | 1 | any | smallest minimum distance of the 2-D projections
@@ -225,7 +225,7 @@ largest_share | f | 1 | n y x | share of the frame that is farthest from the mea
 picture_variance | f | f² | n | mean over the pixels of the variance of one frame
 picture_rate | f | 1 | | exponent of the mean variance in samples a pixel
 needed_spp | f | 1 | y x | samples a pixel at which the wanted σ / mean is reached
-error_spectrum | f | 1 | n radius | power of the standardised errors of a frame; white noise: 1
+error_spectrum | f | 1 | n radius | power of the standardized errors of a frame; white noise: 1
 error_correlation | f | 1 | n lag_y lag_x | correlation of the errors of pixels at a distance
 flip | f | 1 | n y x | FLIP of one frame against the mean
 predicted_power | f | f² | radius | power of an image of errors, from spectra; white noise: the variance
@@ -334,12 +334,12 @@ def check_variables(result: xr.Dataset, declared: Sequence[str | Variable], anal
         about = known.get(str(name))
         if about is None:
             raise AnalysisError(
-                f"{analysis} gives the variable {name!r}, which it does not declare."
+                f"{analysis} gives the variable {shown(name)}, which it does not declare."
             )
         about = VARIABLES[about] if isinstance(about, str) else about
         if values.dtype.kind not in about.kind:
             raise AnalysisError(
-                f"{analysis}: {name} holds {values.dtype}, declared is {about.kind!r}."
+                f"{analysis}: {name} holds {values.dtype}, declared is {shown(about.kind)}."
             )
         # Hold the dims against a pattern in which m is any of m0, m1, …, and those with ? may be missing
         found = [str(d) for d in values.dims if d not in _FREE_DIMS or d in (about.dims or ())]

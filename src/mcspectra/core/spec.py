@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from mcspectra.core.display import html_of
+from mcspectra.core.display import QUOTED, html_of, printable, shown
 from mcspectra.core.errors import SpecError
 from mcspectra.core.fields import check_fields
 
@@ -26,7 +26,6 @@ _WORD = re.compile(r"[A-Za-z_][\w.-]*")
 _NO_NUMBERS = ("nan", "inf", "infinity")
 _FIRST = {"command": "run", "python": "function"}  # what stands first may have no name: code
 _MAX_LENGTH = 20_000
-_MAX_SHOWN = 80
 _FOLDERS = re.compile(r"""(?:\w+=)?(['"])[^'"]*/(?=[^'"/]+\1)""")  # of a file, with its key
 _MARK = re.compile(
     r"""'(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|['"()\[\]{}|]""", re.DOTALL
@@ -41,8 +40,8 @@ class Call:
     arguments: dict[str, Any]
 
     def __str__(self) -> str:
-        shown = ", ".join(f"{key}={value!r}" for key, value in self.arguments.items())
-        return f"{self.name}({shown})" if shown else self.name
+        inside = ", ".join(f"{key}={value!r}" for key, value in self.arguments.items())
+        return f"{self.name}({inside})" if inside else self.name
 
 
 def kebab_case(name: str) -> str:
@@ -58,7 +57,7 @@ class _NameOfClass:
 
 
 class Component:
-    """What samplers, randomisations, densities and integrands share: a name and a spec string.
+    """What samplers, randomizations, densities and integrands share: a name and a spec string.
 
     Subclasses are dataclasses; `spec` lists the fields that differ from their defaults. Those declared
     by `mcspectra.core.fields` are checked when an instance is made, then all of it by `_check`. A class
@@ -100,7 +99,7 @@ def parse_chain(text: str) -> list[Call]:
         Not a string, empty, unbalanced, or not of that form.
     """
     if not isinstance(text, str):
-        raise SpecError(f"A spec is a string such as 'jittered | shift', not {text!r}.")
+        raise SpecError(f"A spec is a string such as 'jittered | shift', not {shown(text)}.")
     if len(text) > _MAX_LENGTH:
         raise SpecError(f"The spec has {len(text)} characters; {_MAX_LENGTH} at most are read.")
     return [_parse_call(part, text) for part in _split(text)]
@@ -111,7 +110,7 @@ def parse(text: str) -> Call:
     calls = parse_chain(text)
     if len(calls) != 1:
         raise SpecError(
-            f"{_brief(text)!r} chains {len(calls)} parts with '|'; only samplers can be chained."
+            f"{shown(text)} chains {len(calls)} parts with '|'; only samplers can be chained."
         )
     return calls[0]
 
@@ -130,7 +129,7 @@ def short_spec(text: str) -> str:
 
 def format_call(component: object) -> str:
     """Write a dataclass component as ``name(key=value)`` with the fields that are not defaults."""
-    shown = []
+    given = []
     for field in dataclasses.fields(component):  # type: ignore[arg-type]
         if field.name == "dims" or not field.init:
             continue
@@ -142,14 +141,9 @@ def format_call(component: object) -> str:
         else:
             same = type(value) is type(default) and value == default
         if not same:
-            shown.append(f"{field.name.rstrip('_')}={_literal(value)}")
+            given.append(f"{field.name.rstrip('_')}={_literal(value)}")
     name = getattr(component, "name", type(component).__name__)
-    return f"{name}({', '.join(shown)})" if shown else name
-
-
-def _brief(text: str) -> str:
-    """Return the text as messages quote it: its beginning, when it is long."""
-    return text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}…"
+    return f"{name}({', '.join(given)})" if given else name
 
 
 def _literal(value: object) -> str:
@@ -172,12 +166,12 @@ def _split(text: str) -> list[str]:
             start = mark.end()
         if depth < 0:
             raise SpecError(
-                f"{_brief(text)!r} closes a bracket that it did not open, at character {mark.end()}."
+                f"{shown(text)} closes a bracket that it did not open, at character {mark.end()}."
             )
         if mark[0] in "'\"":
-            raise SpecError(f"{_brief(text)!r} opens a quote and does not close it.")
+            raise SpecError(f"{shown(text)} opens a quote and does not close it.")
     if depth:
-        raise SpecError(f"{_brief(text)!r} opens a bracket and does not close it.")
+        raise SpecError(f"{shown(text)} opens a bracket and does not close it.")
     return [*parts, text[start:]]
 
 
@@ -186,45 +180,47 @@ def _parse_call(part: str, whole: str) -> Call:
     match = _NAME.match(part)
     if not match:
         raise SpecError(
-            f"{_brief(part)!r} in {_brief(whole)!r} does not start with a name; "
+            f"{shown(part)} in {shown(whole)} does not start with a name; "
             "write name or name(key=value), names in lower case with hyphens."
         )
     name, rest = match.group(), part[match.end() :].strip()
+    brief = printable(name, QUOTED)
     if not rest:
         return Call(name, {})
     if not (rest.startswith("(") and rest.endswith(")")):
-        raise SpecError(f"{_brief(part)!r} is not of the form name(key=value, ...).")
+        raise SpecError(f"{shown(part)} is not of the form name(key=value, ...).")
 
     # Let Python's own parser read the brackets, as those of a call
-    source, shown = f"f{rest}", _brief(name + rest)
+    source, written = f"f{rest}", printable(name + rest, QUOTED)
     try:
         tree = ast.parse(source, mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError):
-        raise SpecError(f"The brackets of {shown} are not key=value pairs.") from None
+        raise SpecError(f"The brackets of {written} are not key=value pairs.") from None
     if not (isinstance(tree, ast.Call) and isinstance(tree.func, ast.Name)):
-        raise SpecError(f"{shown} is not of the form name(key=value, ...).")
+        raise SpecError(f"{written} is not of the form name(key=value, ...).")
     first = _FIRST.get(name)
     keywords = [(keyword.arg, keyword.value) for keyword in tree.keywords]
     if first and len(tree.args) == 1:
         keywords.insert(0, (first, tree.args[0]))
     elif tree.args:
         # Not ast.unparse, which recurses and gives up on deep nesting.
-        shown = _brief(ast.get_source_segment(source, tree.args[0]) or "a value")
+        nameless = ast.get_source_segment(source, tree.args[0]) or "a value"
+        written = printable(nameless, QUOTED)
         raise SpecError(
-            f"{name} was given {shown} without a name; write parameter={shown}, with the name of a "
+            f"{brief} was given {written} without a name; write parameter={written}, with the name of a "
             "parameter that it has."
         )
     arguments: dict[str, Any] = {}
     for key, value in keywords:
         if key is None:
-            raise SpecError(f"{name} was given '**'; only key=value is read.")
+            raise SpecError(f"{brief} was given '**'; only key=value is read.")
         if key in arguments:
-            raise SpecError(f"{name} was given {key} twice.")
+            raise SpecError(f"{brief} was given {printable(key, QUOTED)} twice.")
         try:
             arguments[key] = ast.literal_eval(value)
         except (ValueError, TypeError, RecursionError, MemoryError):
             raise SpecError(
-                f"The value of {key} in {name}(...) is not a literal; "
+                f"The value of {printable(key, QUOTED)} in {brief}(...) is not a literal; "
                 f"{_literal_advice(ast.get_source_segment(source, value) or '')}."
             ) from None
     return Call(name, arguments)
@@ -235,7 +231,7 @@ def _literal_advice(value: str) -> str:
     constants = {"true": "True", "false": "False", "none": "None"}
     if value.lower() in constants:
         return f"write {constants[value.lower()]}"
-    if _WORD.fullmatch(value) and value.lower() not in _NO_NUMBERS and len(value) <= _MAX_SHOWN:
+    if _WORD.fullmatch(value) and value.lower() not in _NO_NUMBERS and len(value) <= QUOTED:
         return f"write {value!r} in quotes"
     given = "give a finite number" if value.lower().lstrip("+-") in _NO_NUMBERS else "give a number"
     return f"{given}, a quoted string, True, False, None, or a list of those"

@@ -1,13 +1,13 @@
-"""Counter-based random streams: any number of any realisation, in any order, from its address.
+"""Counter-based random streams: any number of any realization, in any order, from its address.
 
 Method
 ------
 A *stream* is a 64-bit key. `Stream.from_rng` makes one from a user's seed (SPEC 7: an integer,
 `numpy.random.Generator`, `SeedSequence` or None), `Stream.child` derives independent ones for the
-parts of a sampler (points, shift, scramble, ...). For realisation r the stream's key and r go
-through Philox4x32-10 [Salmon2011]_, a bijection of its 128-bit counter: different realisations of
+parts of a sampler (points, shift, scramble, ...). For realization r the stream's key and r go
+through Philox4x32-10 [Salmon2011]_, a bijection of its 128-bit counter: different realizations of
 a stream therefore have *different* 128-bit keys (k0, k1) by construction. Number i of a
-realisation is a keyed 64-bit mix,
+realization is a keyed 64-bit mix,
 
     x = (i xor k0) M1;  x ^= x >> 32;  x = (x + k1) M2;  x ^= x >> 29;  x *= M3;  x ^= x >> 32
 
@@ -15,7 +15,7 @@ with the multipliers of SplitMix64 [Steele2014]_. k0 enters before and k1 after 
 non-linear step, so that one stream is a shifted or permuted copy of another only if k1 agrees too.
 Philox alone would do as well; it took 1.8 ns a double at 7 rounds where the mix takes 1.3 and
 NumPy's PCG64 3.7 (one core, AVX-512, 2^17 doubles). `tests/core/test_streams.py` holds the
-statistics: moments, χ², serial correlation and collisions across realisations, indices and seeds.
+statistics: moments, χ², serial correlation and collisions across realizations, indices and seeds.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _UNIT = 2.0**-53
 
 @kernel
 def mix_bits(k0: np.uint64, k1: np.uint64, i: int) -> np.uint64:
-    """Return 64 random bits: number `i` of the realisation with keys (k0, k1)."""
+    """Return 64 random bits: number `i` of the realization with keys (k0, k1)."""
     x = (np.uint64(i) ^ k0) * _M1
     x ^= x >> _S32
     x = (x + k1) * _M2
@@ -58,7 +58,7 @@ def mix_bits(k0: np.uint64, k1: np.uint64, i: int) -> np.uint64:
 
 @kernel
 def mix_uniform(k0: np.uint64, k1: np.uint64, i: int) -> float:
-    """Return number `i` of the realisation with keys (k0, k1), uniform in [0,1) with 53 bits."""
+    """Return number `i` of the realization with keys (k0, k1), uniform in [0,1) with 53 bits."""
     return np.float64(mix_bits(k0, k1, i) >> _S11) * _UNIT
 
 
@@ -105,7 +105,7 @@ def golden_vector(dims: int) -> Array:
 
 
 def uniforms(keys: Array, size: int) -> Array:
-    """Return the first `size` uniforms in [0,1) of realisations with keys (R, 2): (R, size)."""
+    """Return the first `size` uniforms in [0,1) of realizations with keys (R, 2): (R, size)."""
     out = np.empty((len(keys), size))
     _fill_uniforms(keys, out)
     return out
@@ -113,7 +113,7 @@ def uniforms(keys: Array, size: int) -> Array:
 
 @dataclass(frozen=True)
 class Stream:
-    """An addressable source of random numbers: one 64-bit key, any number of realisations.
+    """An addressable source of random numbers: one 64-bit key, any number of realizations.
 
     Attributes
     ----------
@@ -156,17 +156,17 @@ class Stream:
         return Stream(int(word))
 
     def keys(self, first: int, count: int) -> Array:
-        """Return the keys (k0, k1) of realisations first … first+count−1, uint64 (count, 2)."""
+        """Return the keys (k0, k1) of realizations first … first+count−1, uint64 (count, 2)."""
         out = np.empty((count, 2), np.uint64)
         _fill_keys(np.uint64(self.key), first, out)
         return out
 
     def uniforms(self, first: int, count: int, size: int) -> Array:
-        """Return `size` uniforms in [0,1) for each of `count` realisations: (count, size)."""
+        """Return `size` uniforms in [0,1) for each of `count` realizations: (count, size)."""
         return uniforms(self.keys(first, count), size)
 
     def generator(self, realization: int) -> np.random.Generator:
-        """Return a NumPy generator for one realisation, for libraries that want one.
+        """Return a NumPy generator for one realization, for libraries that want one.
 
         It can spawn, which `scipy.stats.qmc` asks for: hence a SeedSequence, not a key.
         """

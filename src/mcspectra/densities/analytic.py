@@ -311,7 +311,7 @@ class Exponential(_Separable):
 @final
 @dataclass(frozen=True, kw_only=True)
 class CosineWeighted(_Separable):
-    """Product of cosines about the centre, p(x) = Π_i (π/2) cos(π (x_i − ½)).
+    """Product of cosines about the center, p(x) = Π_i (π/2) cos(π (x_i − ½)).
 
     Notes
     -----

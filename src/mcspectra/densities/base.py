@@ -25,6 +25,7 @@ from mcspectra.core.checks import (
     as_reals,
     in_unit_cube,
 )
+from mcspectra.core.display import shown
 from mcspectra.core.errors import (
     DensityError,
     DomainError,
@@ -176,7 +177,7 @@ class Density(Component, ABC):
         dims: int = 1,
         normalize: bool = False,
     ) -> Density:
-        """Make a density of vectorised callables, and check it.
+        """Make a density of vectorized callables, and check it.
 
         The functions are called with read-only float64 arrays, with any number of axes in front.
 
@@ -211,11 +212,11 @@ class Density(Component, ABC):
         """
         if sample is None:
             if not callable(pdf):
-                raise DensityError(f"pdf is {pdf!r}; give a function of points (..., d).")
+                raise DensityError(f"pdf is {shown(pdf)}; give a function of points (..., d).")
             if invert is not None:
                 raise DensityError("invert was given without sample; give both, or neither.")
             if not isinstance(normalize, bool):
-                raise DensityError(f"normalize is {normalize!r}; give True or False.")
+                raise DensityError(f"normalize is {shown(normalize)}; give True or False.")
             if as_integer("dims", dims, least=1) > 2:
                 raise DensityError(
                     f"sample is None in {dims} dims; a pdf alone is enough in 1-D and 2-D only: give "
@@ -228,7 +229,9 @@ class Density(Component, ABC):
             )
         for name, function in (("pdf", pdf), ("sample", sample), ("invert", invert)):
             if not callable(function) and not (name == "invert" and function is None):
-                raise DensityError(f"{name} is {function!r}; give a function of points (..., d).")
+                raise DensityError(
+                    f"{name} is {shown(function)}; give a function of points (..., d)."
+                )
         made = FunctionDensity(
             dims=dims, pdf_function=pdf, sample_function=sample, invert_function=invert
         )
@@ -376,7 +379,7 @@ class NumericalDensity(_ByFunctions):
     Raises
     ------
     DensityError
-        The pdf does not integrate to 1 (to 1e-9) and is not to be normalised; is negative, not
+        The pdf does not integrate to 1 (to 1e-9) and is not to be normalized; is negative, not
         finite within (0,1)^d, or too rough or steep: in 2-D with jumps or kinks along lines that
         are not axis-parallel, in 1-D with poles anywhere but at 0, next to which floats are dense.
     """
@@ -402,7 +405,7 @@ class NumericalDensity(_ByFunctions):
         return self._warp.breaks
 
     def zero_points(self) -> Array:
-        """Centres of cells in which the pdf is 0; in 2-D of those of the marginal."""
+        """Centers of cells in which the pdf is 0; in 2-D of those of the marginal."""
         return self._warp.zero_points()
 
     @cached_property
@@ -484,7 +487,7 @@ def divide_by_density(
 ) -> Array:
     """Return values/pdf, 0 where both vanish; values (...) or (..., channels).
 
-    Samples lie where pdf is 0 when that is a face or a line and the points are not randomised: the
+    Samples lie where pdf is 0 when that is a face or a line and the points are not randomized: the
     first point of many sequences is the origin.
 
     Parameters
@@ -516,12 +519,12 @@ def divide_by_density(
         what = "so that its weight is infinite" if constant else "where f is not 0"
         raise DensityError(
             f"The density of {spec} is 0 at the sample {point_in_words(x[bad][0])}, {what}; "
-            "if the density is 0 on a line or a face only, randomise the sampler (for instance with "
+            "if the density is 0 on a line or a face only, randomize the sampler (for instance with "
             "'| shift'); else choose a density that is positive wherever f is not 0."
         )
     warn(
         f"f and the density of {spec} are both 0 at the sample {point_in_words(x[zero][0])}: f/p "
-        "counts as 0 there, whatever its limit; randomise the sampler (for instance with "
+        "counts as 0 there, whatever its limit; randomize the sampler (for instance with "
         "'| shift').",
         UndefinedRatioWarning,
     )
@@ -552,7 +555,7 @@ def reciprocal_integral(density: Density) -> float:
     about 1e-5 of the domain is not seen.
     """
     if not isinstance(density, Density):
-        raise DensityError(f"{density!r:.80} is not a density; give what mcs.density makes.")
+        raise DensityError(f"{shown(density)} is not a density; give what mcs.density makes.")
 
     def reciprocal(x: Array) -> Array:
         with np.errstate(divide="ignore", over="ignore"):

@@ -52,7 +52,7 @@ class Bilinear(Density):
         Relative density at each node, at least 0; any scale. Shape (h, w) with x_0 along a row and
         x_1 from the first row to the last.
     nodes
-        ``"centers"``: node (i, j) is the centre of cell (i, j) of h × w equal cells, as of pixels; the
+        ``"centers"``: node (i, j) is the center of cell (i, j) of h × w equal cells, as of pixels; the
         half cells at the borders continue the outermost values. ``"corners"``: nodes lie at j/(w−1)
         and i/(h−1), ends included; h and w are at least 2.
     periodic
@@ -89,7 +89,7 @@ class Bilinear(Density):
         return (), tuple(inside[(inside > 0) & (inside < 1)].tolist())
 
     def zero_points(self) -> Array:
-        """Centres of the rectangles between four nodes that are all 0."""
+        """Centers of the rectangles between four nodes that are all 0."""
         xs, ys, nodes = self._tables[:3]
         filled = nodes > 0
         rows = filled[:-1] | filled[1:]
@@ -109,7 +109,7 @@ class Bilinear(Density):
                 np.concatenate([[0.0], (np.arange(k) + 0.5) / k, [1.0]]) for k in (width, height)
             )
             nodes = np.pad(table, ((1, 1), (1, 1)), mode="edge")
-        if self.periodic:  # halfway between the last centre and the first
+        if self.periodic:  # halfway between the last center and the first
             nodes[:, 0] = nodes[:, -1] = (nodes[:, 1] + nodes[:, -2]) / 2
         sums = _integrals(xs, nodes)
         rows = _integrals(ys, sums[:, -1])

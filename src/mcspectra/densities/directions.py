@@ -35,7 +35,7 @@ _Map = tuple[Callable[[Array], _Pair], Callable[[Array, Array], Array]]
 
 
 def _polar_to_disk(u: Array) -> _Pair:
-    """turn = u_0, ρ² = u_1: distorts without bound at the centre; the seam is a jump of x."""
+    """turn = u_0, ρ² = u_1: distorts without bound at the center; the seam is a jump of x."""
     return np.sqrt(u[..., 1]), u[..., 0]
 
 
@@ -44,7 +44,7 @@ def _polar_from_disk(radius: Array, turn: Array) -> Array:
 
 
 def _concentric_to_disk(u: Array) -> _Pair:
-    """Squares about the centre to circles [Shirley1997]_, distorting by at most 4/π."""
+    """Squares about the center to circles [Shirley1997]_, distorting by at most 4/π."""
     a, b = 2.0 * u[..., 0] - 1.0, 2.0 * u[..., 1] - 1.0
     wide = np.abs(a) > np.abs(b)
     long, short = np.where(wide, a, b), np.where(wide, b, -a)
@@ -134,7 +134,7 @@ def _as_center(name: str, value: Any) -> float | tuple[float, ...]:
 class DiskDensity(_TwoWarps):
     """Uniform on a disk inside the unit square, 0 outside.
 
-    Both warps keep areas; they differ in where T tears neighbours apart (see `warp`), and so in the
+    Both warps keep areas; they differ in where T tears neighbors apart (see `warp`), and so in the
     rate of correlated samplers.
 
     Attributes
@@ -145,8 +145,8 @@ class DiskDensity(_TwoWarps):
         One number for both coordinates or one for each; the disk must lie inside the square.
     warp
         ``"polar"``: φ = 2π u_0, ρ² = radius² u_1. The sides u_0 = 0 and 1 meet in x, those of
-        u_1 do not: the whole side u_1 = 0 is the centre. ``"concentric"`` [Shirley1997]_: squares about
-        the centre to circles; all sides lie on the rim.
+        u_1 do not: the whole side u_1 = 0 is the center. ``"concentric"`` [Shirley1997]_: squares about
+        the center to circles; all sides lie on the rim.
     """
 
     name: ClassVar[str] = "disk"
@@ -158,7 +158,7 @@ class DiskDensity(_TwoWarps):
         center, radius = as_reals("center", self.center, 2), self.radius
         if min(center) < radius - _ROUNDING or max(center) > 1.0 - radius + _ROUNDING:
             raise ParameterError(
-                f"A disk of radius {radius:g} at {center} leaves the unit square; its centre must "
+                f"A disk of radius {radius:g} at {center} leaves the unit square; its center must "
                 f"lie between {radius:g} and {1.0 - radius:g}."
             )
 
@@ -170,7 +170,7 @@ class DiskDensity(_TwoWarps):
         return np.concatenate([list(itertools.product((0.0, 1.0), repeat=2)), around[inside]])
 
     def _place(self, rho: Array, turn: Array) -> Array:
-        """Points at polar coordinates in radii about the centre."""
+        """Points at polar coordinates in radii about the center."""
         angle = 2.0 * np.pi * turn
         offset = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         return np.asarray(np.asarray(self.center) + self.radius * rho[..., None] * offset)
@@ -242,7 +242,7 @@ class SphereDensity(_TwoWarps):
     ----------
     warp
         ``"polar"``: x_0 = u_0, cos θ = 1 − 2 u_1, smooth on the lat-long square. ``"concentric"``:
-        the equal-area octahedral map [Clarberg2008]_, with the pole θ = 0 at the centre of the square
+        the equal-area octahedral map [Clarberg2008]_, with the pole θ = 0 at the center of the square
         and θ = π at its four corners; x jumps where φ passes 0: along u_1 = ½, u_0 > ½.
     """
 

@@ -42,7 +42,7 @@ def _select_channel(image: Array, channel: object) -> Array:
     if channel == "luminance":
         return luminance(image)
     if isinstance(channel, str):
-        raise ParameterError(f'channel is {channel!r}; give "luminance" or a number.')
+        raise ParameterError(f'channel is {channel!r:.80}; give "luminance" or a number.')
     return np.asarray(image[..., as_integer("channel", channel, least=0, most=image.shape[2] - 1)])
 
 
@@ -112,7 +112,7 @@ class EnvironmentDensity(Wrapper):
         ``"luminance"`` (Rec. 709; of one channel, itself) or the number of a channel.
     interpolation
         ``"constant"``: constant in each pixel, which gets the mass L · solid angle exactly.
-        ``"bilinear"``: between pixel centres, periodic in φ, of L sin θ at the centres.
+        ``"bilinear"``: between pixel centers, periodic in φ, of L sin θ at the centers.
     sin_theta
         Weight rows by their solid angle; False samples L over the square, as of a flat picture.
     compensation
@@ -148,7 +148,7 @@ class EnvironmentDensity(Wrapper):
             as_real("compensation", self.compensation, least=0.0)
         if self.interpolation == "bilinear" and self.warp != "marginal":
             raise ParameterError(
-                f"warp is {self.warp!r}; bilinear interpolation has the marginal warp only."
+                f"warp is {self.warp!r:.80}; bilinear interpolation has the marginal warp only."
             )
         self._inside  # noqa: B018 - refuses what is not a map
         if self.path is not None:
@@ -173,7 +173,7 @@ class EnvironmentDensity(Wrapper):
                 f"Compensation leaves nothing of {source}: no pixel is above "
                 f"{float(self.compensation):g} times the mean; give a smaller multiple or False."
             )
-        # sin θ at the centres is this but for a factor (see `row_solid_angles`)
+        # sin θ at the centers is this but for a factor (see `row_solid_angles`)
         weighted = left * angles[:, None]
         if self.interpolation == "bilinear":
             return Bilinear(values=weighted, periodic=True)

@@ -70,7 +70,7 @@ def _solve_increasing(function: Callable[[Array], tuple[Array, Array]], target: 
 
     Notes
     -----
-    An element that has converged stays as it is, so that results do not depend on its neighbours.
+    An element that has converged stays as it is, so that results do not depend on its neighbors.
     """
     low, high = np.zeros_like(target), np.ones_like(target)
     s, last = target.copy(), np.ones_like(target)

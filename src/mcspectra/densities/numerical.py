@@ -89,7 +89,7 @@ class NumericalWarp:
         return (last,) if self.dims == 1 else ((), last)
 
     def zero_points(self) -> Array:
-        """Centres of cells in which the pdf is 0; in 2-D of those of the marginal."""
+        """Centers of cells in which the pdf is 0; in 2-D of those of the marginal."""
         cells, masses = self._last.cells, np.diff(self._last.cdf)
         empty = (self._last.density == 0).all(axis=1) & (masses == 0) & (cells.width > _SHARP)
         centers = (cells.low + 0.5 * cells.width)[empty]

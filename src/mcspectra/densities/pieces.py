@@ -21,6 +21,7 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from mcspectra.core.checks import BELOW_ONE, Array, as_integer, as_real, as_real_array
+from mcspectra.core.display import counted
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.fields import checked, settle
 from mcspectra.densities.base import Density
@@ -49,13 +50,13 @@ def _as_edges(name: str, edges: Any) -> Any:
     """A tuple of ascending places, or of such tuples."""
     if not isinstance(edges, Sequence | np.ndarray) or isinstance(edges, str):
         raise ParameterError(
-            f"edges is {edges!r}; give a list of places in (0, 1), one list a dim."
+            f"edges is {edges!r:.80}; give a list of places in (0, 1), one list a dim."
         )
     nested = len(edges) > 0 and isinstance(edges[0], Sequence | np.ndarray)
     found = []
     for axis in edges if nested else [edges]:
         if not isinstance(axis, Sequence | np.ndarray) or isinstance(axis, str):
-            raise ParameterError(f"edges holds {axis!r}; give one list of places for each dim.")
+            raise ParameterError(f"edges holds {axis!r:.80}; give one list of places for each dim.")
         if len(axis) > _MOST_EDGES:
             raise ParameterError(f"edges has {len(axis)} places; give at most {_MOST_EDGES}.")
         places = tuple(as_real(name, e, above=0.0) for e in axis)
@@ -87,7 +88,7 @@ class AlignedStrata(Density):
         sides: Any = tuple(strata) if several else (strata,) * self.dims  # type: ignore[arg-type]
         if len(sides) != self.dims:
             raise ParameterError(
-                f"strata has {len(sides)} numbers; give one for each of {self.dims} dims."
+                f"strata has {counted(len(sides), 'number')}; give one for each of {self.dims} dims."
             )
         numbers = tuple(as_integer("strata", s, least=1, most=_MOST_STRATA) for s in sides)
         settle(self, strata=numbers if several else numbers[0])
@@ -303,7 +304,7 @@ class PiecewiseLinear(Density):
         return (tuple(found[(found > 0) & (found < 1)].tolist()),)
 
     def zero_points(self) -> Array:
-        """Centres of the empty cells."""
+        """Centers of the empty cells."""
         return ((np.flatnonzero(self._masses == 0) + 0.5) / self._masses.size)[:, None]
 
     def reciprocal_integral(self) -> float:

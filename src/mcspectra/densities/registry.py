@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from mcspectra.core.checks import MAX_DIMS, as_integer
+from mcspectra.core.display import counted, needed, shown
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.registry import Registry, classes_of
 from mcspectra.core.spec import parse
@@ -73,10 +74,12 @@ def as_density(given: object, dims: int | None = None) -> Density | None:
         return density(given, dims)
     if not isinstance(given, Density):
         raise ParameterError(
-            f"{given!r} is not a density; give one, a spec string, or Density.from_functions(...)."
+            f"{shown(given)} is not a density; give one, a spec string, or Density.from_functions(...)."
         )
     if dims is not None and given.dims != dims:
-        raise ParameterError(f"{given.spec} has {given.dims} dims, but {dims} dims are needed.")
+        raise ParameterError(
+            f"{given.spec} has {counted(given.dims, 'dim')}, but {needed(dims, 'dim')}."
+        )
     return given
 
 
@@ -93,7 +96,7 @@ def as_warp(given: object, primary_dims: int) -> Density | None:
     found = _fitting(given, primary_dims) if isinstance(given, str) else as_density(given)
     if found is not None and found.primary_dims != primary_dims:
         raise ParameterError(
-            f"The warp of {found.spec} takes points of {found.primary_dims} dims, but the sampler's "
+            f"The warp of {found.spec} takes points of {counted(found.primary_dims, 'dim')}, but the sampler's "
             f"have {primary_dims}."
         )
     return found

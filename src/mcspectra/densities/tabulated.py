@@ -150,7 +150,7 @@ class PiecewiseConstant(Density):
         return float((1.0 / self._pdf_table).mean()) if self._pdf_table.all() else np.inf
 
     def zero_points(self) -> Array:
-        """Centres of the cells that hold nothing."""
+        """Centers of the cells that hold nothing."""
         cells = np.argwhere(self._table == 0)[:, ::-1]  # rows run along axis 1
         return np.asarray((cells + 0.5) / np.array(self._table.shape[::-1]))
 

@@ -1,7 +1,7 @@
 """The interface of estimators: techniques, each a warp, a weight and an integrand.
 
 An estimator with techniques t = 0 … T−1 draws n_t = n · counts[t] points u_tk of a sampler for each
-and returns I = Σ_t (1/n_t) Σ_k g_t(u_tk). Two views of it are analysed:
+and returns I = Σ_t (1/n_t) Σ_k g_t(u_tk). Two views of it are analyzed:
 
 * *primary space*: integrands g_t on the unit cube with the sampler's own points;
 * *domain*: one integrand f with all warped points x_tk = T_t(u_tk), weighted w_t/(p_t n_t), so that
@@ -183,7 +183,7 @@ class AbstractEstimator(ABC):
         raise NotImplementedError
 
     def randomized(self, sampler: Sampler) -> Sampler:
-        """The sampler that `draw` uses: `sampler`, or `sampler` with randomisations added."""
+        """The sampler that `draw` uses: `sampler`, or `sampler` with randomizations added."""
         return sampler
 
     def law(self, sampler: Sampler, n: int) -> Law:
@@ -199,7 +199,7 @@ class AbstractEstimator(ABC):
             )
         if not sampler.independent:
             warn(
-                f"The realisations of {sampler.spec} are the pixels of one image, not independent: "
+                f"The realizations of {sampler.spec} are the pixels of one image, not independent: "
                 "their variance is that within one image, and its interval may be too narrow or wide.",
                 DependentRealizationsWarning,
             )
@@ -227,7 +227,7 @@ class AbstractEstimator(ABC):
             )
 
     def draw(self, sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> list[Array]:
-        """Draw realisations first … first+count−1 for each technique: arrays (count, n_t, d).
+        """Draw realizations first … first+count−1 for each technique: arrays (count, n_t, d).
 
         The first technique uses `stream` itself: it gets the points of ``sampler.draw(n, rng)``. How
         the sets of the others belong to it: `mcspectra.estimators.sets`.
@@ -257,7 +257,7 @@ class AbstractEstimator(ABC):
         return np.concatenate(xs, axis=1), np.concatenate(weights, axis=1)
 
     def moments(self, sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> Moments:
-        """Moments of `count` estimates over realisations."""
+        """Moments of `count` estimates over realizations."""
         return Moments.of(self.estimate(self.draw(sampler, n, stream, first, count)))
 
 

@@ -1,4 +1,4 @@
-"""Colour: every channel importance-sampled by its own density, or all by one density.
+"""Color: every channel importance-sampled by its own density, or all by one density.
 
 One density for all channels, such as the density of the luminance, gives f_c/p jumps where p jumps
 and f_c does not; a density for each channel removes them, and the rest of f_c sets the rate.
@@ -10,7 +10,7 @@ Four ways, made side by side by `channel_estimators`:
     Channel c with n independent points of its density p_c: C n evaluations.
 ``shared``
     The same with one set of primary points, warped by each density: C n evaluations, no fewer,
-    but errors of the channels that go together, so that noise has less colour.
+    but errors of the channels that go together, so that noise has less color.
 ``mis``
     All points of all densities for all channels, balance heuristic: C n evaluations.
 """
@@ -125,7 +125,7 @@ def channel_estimators(
     *,
     dims: int | None = None,
 ) -> dict[str, AbstractEstimator]:
-    """Make the ways of sampling a colour integrand, to be compared by `mcspectra.convergence`.
+    """Make the ways of sampling a color integrand, to be compared by `mcspectra.convergence`.
 
     Parameters
     ----------

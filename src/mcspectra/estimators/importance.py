@@ -8,7 +8,7 @@ import numpy as np
 
 from mcspectra.core.analysis import Subject
 from mcspectra.core.checks import MAX_DIMS, Array, as_integer
-from mcspectra.core.display import shown
+from mcspectra.core.display import counted, shown
 from mcspectra.core.errors import ParameterError
 from mcspectra.densities import Density, as_density
 from mcspectra.densities.base import divide_by_density
@@ -147,7 +147,7 @@ def as_estimator(given: Any, dims: int | None = None) -> AbstractEstimator:
     Parameters
     ----------
     given
-        An estimator, an integrand or its spec string, or a vectorised function of points (…, d) to
+        An estimator, an integrand or its spec string, or a vectorized function of points (…, d) to
         values (…) or (…, channels), as for `mcspectra.Integrand.from_function`.
     dims
         Number of dims: a function needs it, a spec string may leave it open, all others must agree.
@@ -160,7 +160,7 @@ def as_estimator(given: Any, dims: int | None = None) -> AbstractEstimator:
     if isinstance(given, AbstractEstimator):
         if dims is not None and given.dims != as_integer("dims", dims, least=1):
             raise ParameterError(
-                f"dims is {dims}, but {given.spec} has {given.dims} dims; leave dims out, or give a spec "
+                f"dims is {dims}, but {given.spec} has {counted(given.dims, 'dim')}; leave dims out, or give a spec "
                 "that leaves them open."
             )
         return given
@@ -169,7 +169,7 @@ def as_estimator(given: Any, dims: int | None = None) -> AbstractEstimator:
     if isinstance(given, Integrand | str):
         return Estimator(given, dims=dims)
     raise ParameterError(
-        f"{shown(given, 80)} is not an estimator; give Estimator(integrand, density), an integrand or "
+        f"{shown(given)} is not an estimator; give Estimator(integrand, density), an integrand or "
         "its spec, or a function with dims=."
     )
 
@@ -229,7 +229,7 @@ def as_densities(given: Any, dims: int, need: str = " of one or more") -> tuple[
         No list, an empty one, or one with None in it.
     """
     if not isinstance(given, list | tuple) or len(given) == 0:
-        raise ParameterError(f"densities is {given!r}; give a list{need}.")
+        raise ParameterError(f"densities is {shown(given)}; give a list{need}.")
     found = tuple(p for p in (as_density(each, dims) for each in given) if p is not None)
     if len(found) != len(given):
         raise ParameterError("densities holds None; write 'uniform' for a uniform density.")

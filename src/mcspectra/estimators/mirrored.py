@@ -1,4 +1,4 @@
-"""Mirroring of any estimator: its primary-space integrand continued by reflection, folded, symmetrised.
+"""Mirroring of any estimator: its primary-space integrand continued by reflection, folded, symmetrized.
 
 With f reflected at its upper faces, g(k + x) = f(x reflected in the coordinates with k_j = 1) for
 k ∈ {0,1}^d is continuous and of period 2. The two ways of having period 1 again are to stretch,
@@ -209,7 +209,7 @@ class SymmetrizedIntegrand(Derived):
     """2^-d Σ f(u reflected), the average over all reflections: of period 1 and continuous."""
 
     name: ClassVar[str] = "symmetrized"
-    text = "symmetrised {0.integrand.spec}"
+    text = "symmetrized {0.integrand.spec}"
     integrand: Integrand
 
     def _check(self) -> None:

@@ -18,6 +18,7 @@ from typing import Any, final
 import numpy as np
 
 from mcspectra.core.checks import BELOW_ONE, Array, as_choice, as_integer, as_reals
+from mcspectra.core.display import shown
 from mcspectra.core.errors import ParameterError
 from mcspectra.densities import Defensive, Density, Mixture, as_density
 from mcspectra.estimators.base import (
@@ -255,7 +256,7 @@ class OneSampleMIS(Combined):
         if given is not None:
             if not isinstance(given, list | tuple | np.ndarray) or len(given) != count:
                 raise ParameterError(
-                    f"probabilities is {given!r:.80}; give a list of {count}, one for each density."
+                    f"probabilities is {shown(given)}; give a list of {count}, one for each density."
                 )
             found = as_reals("probabilities", given, count, above=0.0, most=1.0)
             if abs(sum(found) - 1.0) > _SUM:
@@ -364,7 +365,7 @@ class TechniqueSum(AbstractEstimator):
         dims: int | None = None,
     ) -> None:
         if not isinstance(integrands, list | tuple) or len(integrands) == 0:
-            raise ParameterError(f"integrands is {integrands!r}; give a list of one or more.")
+            raise ParameterError(f"integrands is {shown(integrands)}; give a list of one or more.")
         dims = known_dims(dims, *integrands)
         self.integrands = tuple(as_integrand(g, dims) for g in integrands)
         check_same_dims(list(self.integrands))
@@ -426,7 +427,7 @@ def split_mixture(
     found = given.mixture if isinstance(given, Defensive) else given
     if not isinstance(found, Mixture):
         raise ParameterError(
-            f"{mixture!r:.80} is not a mixture; give mixture(parts=[…]) or defensive(density=…)."
+            f"{shown(mixture)} is not a mixture; give mixture(parts=[…]) or defensive(density=…)."
         )
 
     # Find the smallest whole numbers in proportion to the shares
@@ -435,9 +436,9 @@ def split_mixture(
     total = math.lcm(*(fraction.denominator for fraction in fractions))
     far = max(abs(float(f) - share) for f, share in zip(fractions, shares.tolist(), strict=True))
     if far > _EXACT or total > most or sum(fractions) != 1:
-        shown = ", ".join(f"{share:.6g}" for share in shares)
+        written = ", ".join(f"{share:.6g}" for share in shares)
         raise ParameterError(
-            f"The shares {shown} have no common denominator up to {most}; give weights that are "
+            f"The shares {written} have no common denominator up to {most}; give weights that are "
             "whole numbers with a small sum, or raise most."
         )
     return MultipleImportance(f, found.parts, counts=[int(part * total) for part in fractions])

@@ -1,7 +1,7 @@
 """Mergeable moments: mean, variance and its confidence interval, in blocks and in any number.
 
 Blocks are merged by the formulas of [ChanGolubLeVeque1983]_ and Pébay (2008), which do not
-cancel. All arrays have the realisation axis first.
+cancel. All arrays have the realization axis first.
 """
 
 from __future__ import annotations
@@ -268,7 +268,7 @@ class Moments:
         """Standard error of the variance relative to it, from the kurtosis of the values.
 
         Var(s²)/σ⁴ = (κ − (R−3)/(R−1))/R [Kenney & Keeping 1951]. Few values understate κ: it is
-        drawn towards a normal's 3 with the weight of 20 values. At least the jackknife's of few sets that
+        drawn toward a normal's 3 with the weight of 20 values. At least the jackknife's of few sets that
         are used again.
         """
         return np.maximum(self._alone_se, self._stored_errors()[0])
@@ -317,7 +317,7 @@ class Moments:
     def variance_ci(self) -> Array:
         """95 % interval of the variance, (..., 2); the upper end is inf where it is not `resolved`.
 
-        On a logarithmic scale from the kurtosis, as that of [Bonett2006]_; about a centre that the
+        On a logarithmic scale from the kurtosis, as that of [Bonett2006]_; about a center that the
         skewness moves, as his trimmed mean is, and wider upwards, since values without a tail make
         s² and its error too small together. The constants are chosen for 93 to 97 % from 20 values
         on and kurtoses up to 10, whether skew, heavy, flat or two-peaked (``python -m benchmarks
@@ -351,7 +351,7 @@ class Moments:
 
     @property
     def tail_index(self) -> Array:
-        """k̂ of a generalised Pareto law of the farthest values: 0 exponential, ½ infinite variance.
+        """k̂ of a generalized Pareto law of the farthest values: 0 exponential, ½ infinite variance.
 
         By probability-weighted moments [HoskingWallis1987]_ of the 63 largest over the 64th, of the values
         on the side of the mean that reaches farther: both sides together are no tail where one ends

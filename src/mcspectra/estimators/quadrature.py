@@ -1,7 +1,7 @@
 """Quadrature of primary-space integrands: means over strata and shifted grids, and ∫g².
 
 Strata are cut at the discontinuities that the integrand declares (`breaks`) and at the seam of the
-torus, more finely towards 0 and 1, where warps have their singularities, and integrated by
+torus, more finely toward 0 and 1, where warps have their singularities, and integrated by
 Gauss-Legendre or, for integrands that know their moments over boxes, exactly.
 """
 
@@ -528,7 +528,7 @@ def growth(g: Integrand) -> Array:
 
 
 def unbounded(g: Integrand) -> bool:
-    """Whether g grows without end towards an end of an axis or a break, on the lines of `growth`.
+    """Whether g grows without end toward an end of an axis or a break, on the lines of `growth`.
 
     Also where it grows like no power, as logarithms and quantiles do.
     """

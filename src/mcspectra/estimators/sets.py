@@ -7,8 +7,8 @@
 * ``"joint"``: one set of n · Σ counts points is split. Of a *sequence* (`Sampler.sequence`) technique
   t gets a run of n · counts[t] consecutive points, the first technique the first ones. Other sets
   are dealt: of every Σ counts consecutive points, counts[t] chosen at random go to technique t.
-  Neighbours in order are neighbours in space for strata, so that each technique gets a share of
-  every neighbourhood; the random choice makes each technique's points uniform, hence unbiased.
+  Neighbors in order are neighbors in space for strata, so that each technique gets a share of
+  every neighborhood; the random choice makes each technique's points uniform, hence unbiased.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def draw_sets(
     first: int,
     count: int,
 ) -> list[Array]:
-    """Points of each technique, (count, n · counts[t], d), for realisations first … first+count−1.
+    """Points of each technique, (count, n · counts[t], d), for realizations first … first+count−1.
 
     The first draw uses `stream` itself: it gets the points of ``sampler.draw(size, rng)``.
     """

@@ -2,7 +2,7 @@
 
 Probes, all deterministic:
 
-* 4096 points of an additive recurrence, and in 1-D the centres of 8192 cells;
+* 4096 points of an additive recurrence, and in 1-D the centers of 8192 cells;
 * points next to faces and corners, at distances 2^-4, 2^-8 and 2^-12;
 * the zeros that densities know of (empty cells of tables, wherever they lie);
 * landmarks of integrands: both sides of their breaks, the brightest pixels of a picture;

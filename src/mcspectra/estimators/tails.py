@@ -28,7 +28,7 @@ def unsampled_share(estimator: AbstractEstimator, samples: int) -> float:
     estimator
         The share is 0 for anything but an `Estimator` with a density.
     samples
-        Number N of all samples, over all realisations: the region has the mass 1/N.
+        Number N of all samples, over all realizations: the region has the mass 1/N.
 
     Notes
     -----
@@ -82,5 +82,5 @@ def tail_note(moments: Moments) -> str | None:
     return (
         f"tails not resolved (one or a few of {moments.count} estimates make the variance{found}): it "
         "may be far above the measured one and has no upper bound; more points or a density with "
-        "heavier tails help, more realisations show it"
+        "heavier tails help, more realizations show it"
     )

@@ -535,7 +535,7 @@ def _said(pole: Pole) -> str:
     where = "a point" if k == d else f"a set of {d - k} dims"
     side = "of the border" if pole.border else "inside"
     if pole.exponent == 0.0:
-        return f"grows without bound, as a logarithm, towards places {side}"
+        return f"grows without bound, as a logarithm, toward places {side}"
     index = f", a tail index of {pole.exponent:.2f}/{k}" if k > 1 else ""
     return f"grows as r^−{pole.exponent:.2f} with the distance r to {where} {side}{index}"
 
@@ -727,17 +727,17 @@ def _jumps(seen: Evidence) -> Cause | None:
         rough = along & np.concatenate([lines.kinks() for lines in seen.lines])
     straight = rough.any() and seen.each("straight")[rough].mean() > seen.settings.straight
     evidence = {"met_by": share, "height": size}
-    met = f"{100 * share:.0f} % of all lines through the cube meet a jump of g, by {size:.2g} of its spread"
+    met = f"{100 * share:.0f} % of all lines through the cube meet a jump of g, {size:.2g} times its spread"
     if straight or seen.sets.dims == 1:
         return Cause(
             "axis-parallel-jump",
-            f"{met}, always across planes normal to an axis: a border of strata there takes it away.",
+            f"{met}. The jump lies on planes normal to an axis: a border of strata there removes it.",
             evidence,
             ("aligned", "smoothed", "preintegrated"),
         )
     return Cause(
         "interior-jump",
-        f"{met}: strata that it crosses keep their noise, and the variance of stratified points tends to "
+        f"{met}. Strata on the jump keep their noise: the variance of stratified points falls as "
         f"n^−{1.0 + 1.0 / seen.sets.dims:.3g} at best.",
         evidence,
         ("preintegrated", "smoothed", "aligned"),

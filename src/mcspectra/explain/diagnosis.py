@@ -89,13 +89,13 @@ class Diagnosis:
         uniform = name.endswith("uniform")
         match column["kind"]:
             case "mirrored" if uniform and (self.odd or 0.0) >= _SETTINGS.mostly:
-                return f"g is odd about the centre ({odd}): the images of a sample cancel it."
+                return f"g is odd about the center ({odd}): the images of a sample cancel it."
             case "unshifted" if wrapped:
                 return "Without the shift no stratum holds the jump between opposite sides."
             case "mirrored" if wrapped:
                 return "Reflected, g is continuous across the sides, and wrap-around meets no jump."
             case "mirrored" if uniform and (self.odd or 0.0) >= _SETTINGS.partly:
-                return f"The images of a sample cancel what is odd about the centre, {odd}."
+                return f"The images of a sample cancel what is odd about the center, {odd}."
             case "aligned" if inside:
                 return "Borders of strata lie where g jumps, so that fewer strata hold a jump."
             case "aligned" if wrapped:

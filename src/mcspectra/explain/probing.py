@@ -3,18 +3,18 @@
 A line is evaluated in equal steps, and close to its ends. The steps are halved about the largest
 second difference, with two evaluations for each halving. There the second difference shrinks with
 the square of the step where the function is smooth and with the step at a kink. It stays at a jump
-and grows at a pole. Towards the ends of lines along the axes the steps shrink faster: the slope of
+and grows at a pole. Toward the ends of lines along the axes the steps shrink faster: the slope of
 log |g| is the exponent of the growth of g at the border.
 
 A search climbs to poles. It begins at the largest or the smallest known value, takes steps in
 random directions where they climb, and halves the step where none climbs. The ellipsoid of
 directions adapts to the moves ([Hansen2001]_). The climb ends early on a bounded function. A
-function that grows as r^−a towards a set of codimension k leads the climb to that set. Along rays
+function that grows as r^−a toward a set of codimension k leads the climb to that set. Along rays
 from the top the differences g(r) − g(4r) ∝ r^−a give a, whatever constant is added. |g|^(−2/a) is a
 quadratic form of the distance: its rank is k, with one for each face that the top lies on. The
 volume where |g| > λ is ∝ λ^(−k/a): ∫g² is infinite where a/k ≥ ½, and the integral does not exist
 where a/k ≥ 1. Where faces meet, a product of powers of distances to some of them has the tail of
-the largest power towards one face, or of the mean power of all.
+the largest power toward one face, or of the mean power of all.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class LineSettings:
     # of g. A sum of a thousand terms, in random order, is off by about √1000 = 32 spacings.
     # Insensitive between 16 and 64.
     grains: float = 32.0
-    # Growth goes on towards an end if the last gain is more than this part of the gain before. A
+    # Growth goes on toward an end if the last gain is more than this part of the gain before. A
     # bounded function gains 2^−10 of it, ln t gains 1, and t^−a gains 2^(10a). Insensitive between
     # 0.33 and 0.65; with 1.3 growth as a logarithm is missed, and six of 152 causes are wrong.
     goes_on: float = 0.65
@@ -126,7 +126,7 @@ class PoleSettings:
     # one of 18 poles is wrong; insensitive between 3 and 6.
     group: int = 3
     # The climb ends as bounded if the last gain is less than this part of the gain before. Near a
-    # smooth top the gains of three halvings fall to 4^−3, and towards ln r they stay equal.
+    # smooth top the gains of three halvings fall to 4^−3, and toward ln r they stay equal.
     # Insensitive between 0.15 and 0.6.
     bounded: float = 0.3
     # Rays from the top, whose median exponent is taken. Insensitive between 3 and 12.
@@ -138,17 +138,17 @@ class PoleSettings:
     # 16, so that an error of the top by one step changes the distance by 6 % at most. Insensitive
     # between half and double.
     radii: tuple[float, ...] = (2.0**4, 2.0**6, 2.0**8, 2.0**10, 2.0**12)
-    # How many of these radii are evaluated towards each face alone: three give one exponent with
+    # How many of these radii are evaluated toward each face alone: three give one exponent with
     # any constant added. With 2 four of 152 causes are wrong; insensitive between 3 and 6.
     near: int = 3
     # Fraction of the rays that may rise outwards; more of them mean that the top is not a pole.
     # Insensitive between 0.125 and 0.5.
     rising: float = 0.25
-    # Distance from all faces but one at which growth towards that face alone is measured, in units
+    # Distance from all faces but one at which growth toward that face alone is measured, in units
     # of the last step. It is half of the first step, and 2^7 times the largest of the first three
     # radii. Insensitive between 2^14 and 2^16.
     away: float = 2.0**15
-    # Exponent above which a function grows towards one face alone. Insensitive between 0.025 and
+    # Exponent above which a function grows toward one face alone. Insensitive between 0.025 and
     # 0.1.
     alone: float = 0.05
     # Eigenvalues of the quadratic form above this part of the largest one count for the
@@ -534,7 +534,7 @@ def _measured(
         return None
     if exponent < settings.least_exponent:
         return Pole(top, 0.0, 1, bool(side.any()))
-    if side.sum() > 1:  # growth towards each face alone, away from the others
+    if side.sum() > 1:  # growth toward each face alone, away from the others
         faces = np.flatnonzero(side)
         aside = np.where(side, top + settings.away * step * inward, top)
         close = radii[: settings.near]

@@ -602,7 +602,7 @@ def _normal(seen: Evaluations, stretch: str, least_spread: float) -> _Map:
     z, weights = seen.normal, seen.weights
     d, effective = z.shape[1], 1.0 / float((weights**2).sum())
     mean = weights @ z
-    # Shrink means and variances from few points towards the mean 0 and the variance 1 of z
+    # Shrink means and variances from few points toward the mean 0 and the variance 1 of z
     size = float(mean @ mean)
     mean = mean * max(0.0, 1.0 - d / (effective * size)) if size > 0.0 else mean
     covariance = np.eye(d)

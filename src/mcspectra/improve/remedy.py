@@ -483,7 +483,7 @@ def _recommendation(columns: list[dict[str, Any]], budget: int, reasons: Sequenc
     if _given(columns)["blind"]:
         return (
             "All estimates of the set-up as given are alike and miss the integral: none has met what "
-            "makes it. Nothing can be said; give more realisations or a larger budget."
+            "makes it. Nothing can be said; give more realizations or a larger budget."
         )
     changes = len(columns) - 1
     if not changes:

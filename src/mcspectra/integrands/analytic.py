@@ -12,6 +12,7 @@ from typing import final
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer, as_reals
+from mcspectra.core.display import shown
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.fields import checked, each_axis, real
 from mcspectra.integrands._quadrature import gauss_rule
@@ -29,7 +30,7 @@ def _as_coefficients(name: str, given: object) -> tuple[float, ...]:
     count = len(given) if listed else 0  # type: ignore[arg-type]
     if not 1 <= count <= _MAX_DEGREE + 1:
         raise ParameterError(
-            f"coefficients is {given!r}; give a list of 1 to {_MAX_DEGREE + 1} numbers, "
+            f"coefficients is {shown(given)}; give a list of 1 to {_MAX_DEGREE + 1} numbers, "
             "the factors of 1, x, x², …"
         )
     return as_reals(name, given, count)
@@ -98,7 +99,7 @@ class Linear(Integrand):
         return _along_first_axis(self.gradient, self.dims)
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
-        """Mean at the centre; the variance is Σ_i (g_i h_i)²/12 for sides h_i."""
+        """Mean at the center; the variance is Σ_i (g_i h_i)²/12 for sides h_i."""
         mean = self._evaluate(0.5 * (lo + hi))
         return mean, mean**2 + ((hi - lo) ** 2 @ self._slopes**2) / 12.0
 
@@ -229,7 +230,7 @@ class Cosine(Integrand):
         return _along_first_axis(self.frequency, self.dims)
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
-        """cos at the centre times Π sinc; f² = ½ + ½ cos of the doubled argument."""
+        """cos at the center times Π sinc; f² = ½ + ½ cos of the doubled argument."""
         argument = 2.0 * np.pi * (0.5 * (lo + hi) @ self._wave) + self.phase
         cycles = (hi - lo) * self._wave
         mean = np.cos(argument) * np.sinc(cycles).prod(axis=-1)

@@ -343,7 +343,7 @@ class Integrand(Component, ABC):
         integral: Any = None,
         fourier: Callable[[Any], Any] | None = None,
     ) -> Integrand:
-        """Make an integrand of a vectorised callable: points (..., d) to (...) or (..., channels).
+        """Make an integrand of a vectorized callable: points (..., d) to (...) or (..., channels).
 
         Parameters
         ----------
@@ -512,7 +512,7 @@ class Channel(Derived):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FunctionIntegrand(Integrand):
-    """A vectorised callable; make it with `Integrand.from_function`, which probes it.
+    """A vectorized callable; make it with `Integrand.from_function`, which probes it.
 
     The callable must always give the same values: integrals and coefficients are remembered.
     """

@@ -1,7 +1,7 @@
 """Calls of an expensive function: counted, within a budget, in processes, kept on disk by point.
 
 `Calls` is the one door to a function that costs something. It refuses what the budget does not cover
-before the function is called. A point found in the cache counts towards the budget like any other,
+before the function is called. A point found in the cache counts toward the budget like any other,
 although it costs no call: what is computed with a `Calls` therefore does not depend on how full the
 cache is, and a run that was interrupted gives the same bits when it is run again.
 """
@@ -38,7 +38,7 @@ from mcspectra.integrands.base import FunctionIntegrand, Integrand
 
 __all__ = ["Calls"]
 
-_BLOCK, _FEW = 128, 8  # points a call of a vectorised function; single calls that are kept together
+_BLOCK, _FEW = 128, 8  # points a call of a vectorized function; single calls that are kept together
 _SAME = 1e-9  # relative: a value of the cache and the function's own
 
 _integrand: Integrand  # of a worker process

@@ -20,6 +20,7 @@ from typing import Any, TypeAlias, final
 import numpy as np
 
 from mcspectra.core.checks import Array
+from mcspectra.core.display import shown
 from mcspectra.core.errors import ParameterError, close_match_hint, point_in_words
 from mcspectra.integrands.base import Breaks, Integrand, any_dims
 
@@ -93,7 +94,7 @@ class Formula(Integrand):
         given: object = self.expression
         if not isinstance(given, str) or not given.strip():
             raise ParameterError(
-                f"The formula is {given!r}; give text such as 'exp(-x**2 - y**2)'."
+                f"The formula is {shown(given)}; give text such as 'exp(-x**2 - y**2)'."
             )
         steps = np.sqrt(np.arange(self.dims) + 2.5)  # an additive recurrence, on no symmetry
         self._evaluate(np.arange(1, _PROBES + 1)[:, None] * steps % 1.0)
@@ -223,7 +224,7 @@ class _Reader:
             called = ast.unparse(node.func)[:40]
             hint, close = close_match_hint(called, FUNCTIONS)
             known = hint if close else f" There are {', '.join(FUNCTIONS)}."
-            raise ParameterError(f"A formula has no function {called!r}.{known}")
+            raise ParameterError(f"A formula has no function {shown(called)}.{known}")
         function, arity = FUNCTIONS[name]
         starred = any(isinstance(each, ast.Starred) for each in node.args)
         if len(node.args) != arity or node.keywords or starred:

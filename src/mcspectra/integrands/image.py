@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mcspectra.core.checks import Array, as_reals
+from mcspectra.core.display import shown
 from mcspectra.core.environments import directions, environment_pixels, synthetic_sky
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.fields import checked, choice
@@ -59,7 +60,7 @@ class _Picture(Integrand):
         return np.asarray(self._pixels[row, column])
 
     def _lines(self, first: float) -> Breaks:
-        """Borders of pixels, or centres if `first` is ½, along axes with at most 64 pixels."""
+        """Borders of pixels, or centers if `first` is ½, along axes with at most 64 pixels."""
         height, width = self._pixels.shape[:2]
         return tuple(
             tuple((np.arange(first, size) / size).tolist()) if size <= _MOST_BREAKS else ()
@@ -102,7 +103,7 @@ class Image(_Picture):
         if isinstance(self.path, str):
             return _chosen(read_image(self.path), self.channel)
         if self.path is not None:
-            raise ParameterError(f"path is {self.path!r}; give the name of a picture file.")
+            raise ParameterError(f"path is {shown(self.path)}; give the name of a picture file.")
 
         # Copy the values as float64 (h, w, channels)
         try:
@@ -125,7 +126,7 @@ class Image(_Picture):
         return self._lines(1.0)
 
     def landmarks(self) -> Array:
-        """Centres of the pixels that are not 0, of the 4096 largest at most."""
+        """Centers of the pixels that are not 0, of the 4096 largest at most."""
         size = np.abs(self._pixels).reshape(*self._pixels.shape[:2], -1).max(axis=2)
         height, width = size.shape
         order = np.argpartition(size, max(0, size.size - _LANDMARKS), axis=None)[-_LANDMARKS:]
@@ -183,9 +184,9 @@ class Environment(_Picture):
         Number of one channel, ``"luminance"`` (Rec. 709, of three), or None for all. All of a
         one-channel map is a scalar integrand.
     normal
-        Three numbers, not all 0, of any length; +z is towards the first row.
+        Three numbers, not all 0, of any length; +z is toward the first row.
     interpolation
-        ``"constant"`` in each pixel, or ``"bilinear"`` between centres: periodic in φ, the outermost
+        ``"constant"`` in each pixel, or ``"bilinear"`` between centers: periodic in φ, the outermost
         rows continued to the poles.
 
     Raises
@@ -202,7 +203,7 @@ class Environment(_Picture):
     def _check(self) -> None:
         super()._check()
         if not any(self.normal):
-            raise ParameterError(f"normal is {self.normal!r}; give a direction, not all 0.")
+            raise ParameterError(f"normal is {shown(self.normal)}; give a direction, not all 0.")
 
     @cached_property
     def _pixels(self) -> Array:
@@ -215,7 +216,7 @@ class Environment(_Picture):
 
     @property
     def breaks(self) -> Breaks:
-        """Pixel borders or centres, along axes with at most 64; the horizon of a vertical normal."""
+        """Pixel borders or centers, along axes with at most 64; the horizon of a vertical normal."""
         columns, rows = self._lines(1.0 if self.interpolation == "constant" else 0.5)
         return columns, tuple(sorted({*rows, 0.5})) if self._vertical else rows
 
@@ -228,7 +229,7 @@ class Environment(_Picture):
         factor = 2 * math.pi**2 * np.sin(np.pi * x[..., 1]) * cosine
         if self.interpolation == "constant":
             radiance = self._pixel(x)
-        else:  # between the four centres around x
+        else:  # between the four centers around x
             height, width = self._pixels.shape[:2]
             s, t = x[..., 0] * width - 0.5, np.clip(x[..., 1] * height - 0.5, 0, height - 1)
             left, top = np.floor(s).astype(np.intp), np.floor(t).astype(np.intp)
@@ -260,7 +261,7 @@ def _chosen(pixels: Array, channel: object) -> Array:
     if type(channel) is int and 0 <= channel < count:
         return pixels[..., channel]
     raise ParameterError(
-        f"channel is {channel!r}, but the picture has {count}; give a number from 0 to {count - 1}, "
+        f"channel is {shown(channel)}, but the picture has {count}; give a number from 0 to {count - 1}, "
         "'luminance' (of three channels), or None for all."
     )
 

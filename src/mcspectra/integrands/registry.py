@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from mcspectra.core.checks import MAX_DIMS, as_integer
+from mcspectra.core.display import counted, needed, shown
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.registry import Registry, classes_of
 from mcspectra.core.spec import parse
@@ -69,7 +70,9 @@ def as_integrand(given: object, dims: int | None = None) -> Integrand:
         offer = (
             "make one with Integrand.from_function" if callable(given) else "give one, or a spec"
         )
-        raise ParameterError(f"{given!r} is not an integrand; {offer}.")
+        raise ParameterError(f"{shown(given)} is not an integrand; {offer}.")
     if dims is not None and given.dims != dims:
-        raise ParameterError(f"{given.spec} has {given.dims} dims, but {dims} are needed.")
+        raise ParameterError(
+            f"{given.spec} has {counted(given.dims, 'dim')}, but {needed(dims, 'dim')}."
+        )
     return given

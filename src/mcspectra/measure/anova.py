@@ -113,9 +113,9 @@ class Anova(Counted, frozen=True, kw_only=True):
         values = subsets * max(1, estimator.channels) * self.realizations
         if values > _SETTINGS.most_values:
             raise ParameterError(
-                f"{self.realizations} realisations of {values // self.realizations} subsets take "
+                f"{self.realizations} realizations of {values // self.realizations} subsets take "
                 f"{8 * values / 2**30:.3g} GiB; ask for at most "
-                f"{_SETTINGS.most_values * self.realizations // values} realisations, or for ",
+                f"{_SETTINGS.most_values * self.realizations // values} realizations, or for ",
                 Parameter("order", 1),
                 ".",
             )
@@ -239,7 +239,7 @@ class Anova(Counted, frozen=True, kw_only=True):
         *_, by_size, by_size_ci = combined(up_to)
         *_, mean_size, mean_size_ci = combined([np.sum(totals, axis=0)])
         alone = ("channel",)
-        few = f"{count} realisations show no error; {least} are the least" if count < least else ""
+        few = f"{count} realizations show no error; {least} are the least" if count < least else ""
         return dataset(
             {
                 "anova_variance": (("subset", "channel"), own),
@@ -374,7 +374,7 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
                 sets = self.realizations // batches
                 rng = np.random.SeedSequence(stream.child(2 * index + 1).key)
                 found = power_at(subject.sampler, n, m, realizations=sets, rng=rng)
-                power, source = found["power"].to_numpy(), f"{batches * sets} realisations"
+                power, source = found["power"].to_numpy(), f"{batches * sets} realizations"
             energy = np.abs(f.fourier(m).reshape(len(m), -1)) ** 2
             terms = energy * (power / q)[:, None]
             return _Batches(terms.reshape(1, len(subsets), count, -1).mean(axis=2), source)

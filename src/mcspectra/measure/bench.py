@@ -18,6 +18,7 @@ import numpy as np
 from scipy import stats
 
 from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.display import counted
 from mcspectra.core.errors import McspectraError, ParameterError
 from mcspectra.core.progress import report
 from mcspectra.core.results import dataset
@@ -189,7 +190,7 @@ def sampler_bench(
     seed = as_integer("rng", rng, least=0)
     if not samplers or len(asked) < 2 or not wanted:
         raise ParameterError(
-            f"There are {len(samplers)} samplers, {len(asked)} counts and {len(wanted)} numbers of dims; "
+            f"Given: {counted(len(samplers), 'sampler')}, {counted(len(asked), 'count')} and {counted(len(wanted), 'choice')} of dims; "
             "give a sampler or more, two counts or more, and one number of dims or more."
         )
 
@@ -235,7 +236,9 @@ def sampler_bench(
                 if different_realizations(source, n, Stream.from_rng(own), 2) == 1:
                     free, step = randomized(source, made_counts)
             if step and step not in added:
-                notes.append(f"variances of {label} are those of {short_spec(free.spec)}")
+                notes.append(
+                    f"{label} has too few different sets: its variances are measured with {short_spec(free.spec)}"
+                )
             added |= {step: None} if step else {}
             # Convergence on the tasks at the counts nearest to those asked for
             nearest, own_tasks = _nearest(free, asked), [t for t in tasks if t.dims == d]

@@ -317,7 +317,11 @@ def quantity_error(x: Array, w: Array, settings: ChainSettings = CHAIN_SETTINGS)
     if not np.ptp(x, axis=1).any() or not np.any(z):
         sizes = {"band": size, "bound": 2}
         nothing = {k: np.full([sizes[d] for d in v], math.nan) for k, v in _VARIABLES.items()}
-        said = "stuck-chain: no chain moves, or the quantity is a constant"
+        constant = (
+            f"the draws are constant: all are {mean:g}, and their mean has no error to estimate"
+        )
+        stuck = "no chain moves: each repeats one value, and the values of the chains differ"
+        said = f"stuck-chain: {stuck if np.ptp(x) and np.any(z) else constant}"
         ends = {"mean_ci": [-math.inf, math.inf], "mcse_ci": [0.0, math.inf]}
         return {**nothing, **ends, "mean": mean, "cause": "stuck-chain", "evidence": said}
     causes: dict[str, str] = {}

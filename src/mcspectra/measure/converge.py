@@ -119,7 +119,9 @@ class Convergence(Counted, frozen=True, kw_only=True):
     realizations: Annotated[
         int,
         REALIZATIONS,
-        Meta(description="Realizations at each count; with a relative error the most."),
+        Meta(
+            description="Realizations at each count, or the limit of their number if a relative error is given."
+        ),
     ] = 1000
     relative_error: Annotated[
         Precision | None,
@@ -364,14 +366,14 @@ def convergence(
     ----------
     estimator, sampler
         One or a list of each, no sampler twice. Samplers may be spec strings. For plain sampling an
-        estimator may be an integrand, its spec string, or a vectorised function of points (…, d).
+        estimator may be an integrand, its spec string, or a vectorized function of points (…, d).
     dims
         Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
         that is not a spec.
     counts
         Numbers of points n, ascending; each must be one that every sampler can do.
     realizations
-        Independent realizations for each n, at least 2; with `relative_error` the most of each.
+        Independent realizations for each n, at least 2; with `relative_error` the limit of their number.
     rng
         Seed (SPEC 7); each n has a stream of its own, shared by all estimators and samplers
         (common random numbers).

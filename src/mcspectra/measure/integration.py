@@ -111,7 +111,7 @@ def integrate(
     Parameters
     ----------
     f
-        A vectorised function of points (…, d) to values (…); an integrand or its spec string, without channels;
+        A vectorized function of points (…, d) to values (…); an integrand or its spec string, without channels;
         or an estimator of one technique, such as ``Estimator(f, density)``.
     budget
         Most calls of f, each of one point. f is not called beyond this number.

@@ -236,8 +236,8 @@ class Modes(Counted, frozen=True, kw_only=True):
         edge = level * (1.0 + math.sqrt(varying / (self.realizations - 1))) ** 2
         mode = counted("mode", np.arange(modes), "mode, by eigenvalue")
         note = (
-            f"{self.realizations} realisations of {size} coefficients: eigenvalues are those of the "
-            "sample, the largest too large; compare noise_edge, which a flat spectrum would reach."
+            f"{self.realizations} realizations of {size} coefficients: the largest eigenvalues "
+            "of a sample are too large; compare noise_edge, the largest that a flat spectrum would have."
         )
         return dataset(
             {

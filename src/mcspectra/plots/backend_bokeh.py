@@ -82,7 +82,7 @@ _SIDES = {
     "below": ("center", "top", 0, 5),
     "middle": ("center", "middle", 0, 0),
 }
-_SHADES = 255  # colours of a palette; the shade 0 is that of no value
+_SHADES = 255  # colors of a palette; the shade 0 is that of no value
 _KEPT_BITS = 10  # of the mantissa of values under the pointer: 0.1 %, three digits
 _PIXELS = 4 / 3  # of a point
 _ALONE, _WIDE, _ABREAST, _PAIR = 260, 300, 216, 260  # widths of frames in pixels
@@ -146,7 +146,7 @@ class Drawn:
                 self._sources += [each.data_source for each in drawn]
                 if label := getattr(mark, "label", ""):
                     entries.setdefault(label, {}).setdefault(k, []).extend(drawn)
-        # Colour bars, or the names of a scale's colours below a figure
+        # Color bars, or the names of a scale's colors below a figure
         self._bars: list[Any] = []
         for scale, k in _bars(plot).items():
             frame = self._figures[k]
@@ -199,7 +199,7 @@ class Drawn:
         Raises
         ------
         ParameterError
-            It has another structure: other marks, colours, kinds of axes or panels.
+            It has another structure: other marks, colors, kinds of axes or panels.
         """
         if not self.fits(plot):
             raise ParameterError("The plot has another structure than the one drawn; draw it anew.")
@@ -252,7 +252,7 @@ def _structure(plot: Plot) -> list[Any]:
 
 
 def _bars(plot: Plot) -> dict[Scale, int]:
-    """The colour scales that are explained, and the last panel that holds each."""
+    """The color scales that are explained, and the last panel that holds each."""
     found = {scale: k for k, panel in enumerate(plot.panels) for scale in panel.scales}
     return {scale: k for scale, k in found.items() if scale.label or scale.names}
 
@@ -422,7 +422,7 @@ def _place(axis: Axis, values: Any) -> Array:
 
 
 def _shade(scale: Scale, values: Array) -> Array:
-    """Colours of values: 1 to 255 along the palette, 0 for what is not finite."""
+    """Colors of values: 1 to 255 along the palette, 0 for what is not finite."""
     given = np.asarray(values, dtype=float)
     if scale.kind == "names":
         shades = 1.0 + given - scale.low
@@ -458,7 +458,7 @@ def _compact(values: Array) -> Array:
     return np.ascontiguousarray(rounded, dtype=np.float32)
 
 
-# What stays: figures, legends, colour bars
+# What stays: figures, legends, color bars
 
 
 def _options(plot: Plot, k: int) -> dict[str, Any]:
@@ -567,7 +567,7 @@ def _gradient(palette: str) -> tuple[str, ...]:
 
 
 def _palette(scale: Scale) -> tuple[str, ...]:
-    """A colour for each shade."""
+    """A color for each shade."""
     return scale.colors or _gradient(scale.palette)
 
 
@@ -609,7 +609,7 @@ def _legend(frame: Any, entries: Mapping[str, list[Any]]) -> list[Any]:
 
 
 def _seen(color: str) -> str:
-    """A colour as it is seen on light and dark pages."""
+    """A color as it is seen on light and dark pages."""
     return _SEEN.get(color, color)
 
 

@@ -69,7 +69,7 @@ _LETTER = 0.062  # inches, the mean width of a small letter
 _TITLE_LETTER = 0.075  # inches, of a title
 _DPI, _PDF_DPI = 120, 200  # of pictures, and of images within a PDF, where all else is vectors
 _MOST_VECTORS = 5000  # points; more make a file large and slow to open
-_COLORS = 256  # of a picture, a third of the size and for flat colours no visible difference
+_COLORS = 256  # of a picture, a third of the size and for flat colors no visible difference
 _MOST_PIXELS = 2**15  # along a side of a picture; matplotlib's own limit is twice that
 _TICKS: dict[str, Any] = {
     "which": "both", "width": 0.6, "length": 2.5, "labelsize": _SMALL, "color": GRAY, "labelcolor": INK,
@@ -145,15 +145,15 @@ def draw(plot: Plot, axes: GivenAxes = None, *, pyplot: bool = False) -> Figure:
 
 
 def panel_axes(figure: Figure) -> list[Axes]:
-    """Return the axes of a figure in the order of its panels, without colour bars."""
+    """Return the axes of a figure in the order of its panels, without color bars."""
     return [axes for axes in figure.axes if axes.get_label() != "<colorbar>"]
 
 
 def encode(figure: Figure) -> tuple[bytes, bytes]:
     """Return the PNG and the PDF of a figure, without time stamps.
 
-    The layout is computed once for both. The PNG has a palette of 256 colours unless the figure
-    holds maps or pictures, where rounded colours would be seen.
+    The layout is computed once for both. The PNG has a palette of 256 colors unless the figure
+    holds maps or pictures, where rounded colors would be seen.
     """
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -182,7 +182,7 @@ def encode(figure: Figure) -> tuple[bytes, bytes]:
     if not any(axes.images for axes in figure.axes):
         octree, no_dither = Picture.Quantize.FASTOCTREE, Picture.Dither.NONE
         image = image.quantize(_COLORS, method=octree, dither=no_dither)
-        # The octree rounds colours; the paper, which meets the page, keeps its own
+        # The octree rounds colors; the paper, which meets the page, keeps its own
         palette, paper = image.getpalette() or [], int(np.asarray(image)[0, 0])
         palette[3 * paper : 3 * paper + 3] = pixels[0, 0].tolist()
         image.putpalette(palette)
@@ -374,7 +374,7 @@ def _exact_figure(plot: Plot, shape: tuple[int, ...], pyplot: bool) -> tuple[Fig
 
 
 def _panel(axes: Axes, panel: Panel) -> Iterator[tuple[Scale, ScalarMappable]]:
-    """Draw the marks of a panel; yields its colour scales with the marks that show them."""
+    """Draw the marks of a panel; yields its color scales with the marks that show them."""
     named = any(isinstance(mark, Bars) and mark.lying for mark in panel.marks)
     # Thin axes on two sides or four, small dark ticks, faint lines where they are wanted
     axes.set_facecolor("white")
@@ -461,7 +461,7 @@ def _broken(label: str, length: float) -> str:
 
 
 def _mark(axes: Axes, mark: Mark, depth: float) -> ScalarMappable | None:
-    """Draw a mark; returns it where its colours show a scale."""
+    """Draw a mark; returns it where its colors show a scale."""
     from matplotlib.collections import LineCollection
 
     look: dict[str, Any] = {"color": getattr(mark, "color", INK), "zorder": depth}
@@ -580,7 +580,7 @@ def _whiskers(
 
 
 def _norm(scale: Scale) -> tuple[Any, Any]:
-    """Make the norm and the colour map of a scale; what is no number is light grey."""
+    """Make the norm and the color map of a scale; what is no number is light gray."""
     from matplotlib import colormaps, colors
 
     if scale.kind == "names":
@@ -602,7 +602,7 @@ def _norm(scale: Scale) -> tuple[Any, Any]:
 
 
 def _entries(plot: Plot) -> dict[str, list[Mark | str]]:
-    """Marks by their entries in the legend; colours by the names of scales."""
+    """Marks by their entries in the legend; colors by the names of scales."""
     found: dict[str, list[Mark | str]] = {label: [] for label in plot.labels}
     for panel in plot.panels:
         for mark in panel.marks:

@@ -1,4 +1,4 @@
-"""What a plot shows, without saying how it is drawn: panels with axes, marks and a colour scale.
+"""What a plot shows, without saying how it is drawn: panels with axes, marks and a color scale.
 
 A `Plot` is plain data. Functions of this package make plots from results; both backends draw every
 mark, scale and axis that is declared here. Places are data coordinates; sizes are points (1/72 inch).
@@ -72,12 +72,12 @@ class Axis:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scale:
-    """How values become colours. Panels that hold the same scale share one colour bar.
+    """How values become colors. Panels that hold the same scale share one color bar.
 
     Attributes
     ----------
     label
-        Of the colour bar; a scale of an empty label and no `names` has no bar.
+        Of the color bar; a scale of an empty label and no `names` has no bar.
     kind
         ``names``: values are whole numbers k, which mean ``names[k - low]``; a legend stands for
         the bar.
@@ -85,7 +85,7 @@ class Scale:
     low, high
         Values of the ends; of a ``signed`` scale −high and high.
     ticks
-        Places on the colour bar and their texts; None leaves them to the backend.
+        Places on the color bar and their texts; None leaves them to the backend.
     threshold
         Of a ``signed`` scale.
     palette
@@ -146,7 +146,7 @@ class Dots:
     Attributes
     ----------
     color
-        A colour, or values (k,) of `scale`.
+        A color, or values (k,) of `scale`.
     size
         Diameter in points, one or (k,).
     low, high
@@ -202,14 +202,14 @@ class Bars:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Image:
-    """Values on a regular grid; NaN is grey.
+    """Values on a regular grid; NaN is gray.
 
     Attributes
     ----------
     values
         (len(y), len(x)): row k stands at ``y[k]``.
     x, y
-        Centres of the columns and rows, ascending.
+        Centers of the columns and rows, ascending.
     hover
         Further values of each cell that the pointer shows, of the shape of `values`, by title.
     name
@@ -227,7 +227,7 @@ class Image:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pixels:
-    """A picture in true colours: uint8 (height, width, 3), the first row on top, in [0,w] × [0,h]."""
+    """A picture in true colors: uint8 (height, width, 3), the first row on top, in [0,w] × [0,h]."""
 
     rgb: Array
 
@@ -301,7 +301,7 @@ class Panel:
 
     @property
     def scales(self) -> tuple[Scale, ...]:
-        """The colour scales of its marks, each once."""
+        """The color scales of its marks, each once."""
         found = (getattr(mark, "scale", None) for mark in self.marks)
         return tuple(dict.fromkeys(scale for scale in found if scale is not None))
 

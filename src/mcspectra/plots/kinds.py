@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.core.checks import Array, as_choice
+from mcspectra.core.display import shown
 from mcspectra.core.errors import ParameterError
 from mcspectra.plots import maps, points, spectra, variance, warps
 from mcspectra.plots.description import Axis, Dots, Image, Line, Mark, Panel, Plot, Scale
@@ -213,19 +214,19 @@ def describe(kind: str, data: Data, styles: Styles | None = None) -> Plot:
     for name, each in group.items():
         if lacking := chosen.lacks(each):
             raise ParameterError(
-                f"The result for {name!r} has no {' and no '.join(lacking)}; give a result of the "
-                f"analysis that the plot {kind!r} shows."
+                f"The result for {shown(name)} has no {' and no '.join(lacking)}; give a result of the "
+                f"analysis that the plot {shown(kind)} shows."
             )
         if not chosen.fits(each):
             raise ParameterError(
-                f"The spectrum of {name!r} has {len(frequency_dims(each))} frequency dims; the plot "
-                f"{kind!r} shows {chosen.dims}: use 'radial' for any number of dims."
+                f"The spectrum of {shown(name)} has {len(frequency_dims(each))} frequency dims; the plot "
+                f"{shown(kind)} shows {chosen.dims}: use 'radial' for any number of dims."
             )
     plot = chosen.describe(group, styles or sampler_styles(list(group)))
     plot = replace(plot, kind=kind)
     if not note:
         return plot
-    shown = note.removeprefix("Shown: ").rstrip(".")
-    titles = [f"{shown}: {panel.title}" if panel.title else shown for panel in plot.panels]
+    label = note.removeprefix("Shown: ").rstrip(".")
+    titles = [f"{label}: {panel.title}" if panel.title else label for panel in plot.panels]
     panels = tuple(replace(p, title=t) for p, t in zip(plot.panels, titles, strict=True))
     return replace(plot, panels=panels, caption=f"{plot.caption} {note}")

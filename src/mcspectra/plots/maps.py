@@ -108,7 +108,7 @@ def _over_pixels(
     labels: tuple[str, str] = ("x", "y"),
     title: str = "",
 ) -> Panel:
-    """An image with rows from the top, half a pixel beyond the centres at its ends."""
+    """An image with rows from the top, half a pixel beyond the centers at its ends."""
     return Panel(
         marks=(Image(values=values, x=x, y=y, scale=scale, name=name),),
         x=Axis(label=labels[0], low=x[0] - 0.5, high=x[-1] + 0.5),
@@ -150,7 +150,7 @@ def _rates(values: Array) -> Scale:
     found = values[np.isfinite(values)]
     low, high = np.percentile(found, _SPREAD) if found.size else (-2.0, -1.0)
     # Never narrower than −2 … −1, smooth and random: noise would look like structure. Not much
-    # wider either: what lies beyond comes of variances that few realisations make.
+    # wider either: what lies beyond comes of variances that few realizations make.
     low, high = max(min(low, -2.0), -3.0), min(max(high, -1.0), -0.5)
     return Scale(label="exponent of variance", low=float(low), high=float(high))
 
@@ -200,7 +200,7 @@ def _choice(
 
 
 def _picture(group: Group, _: Styles, *, caption: str) -> Plot:
-    """Radiance, exposed so that its geometric mean is a middle grey: the mean of frames, or of the last strategy."""
+    """Radiance, exposed so that its geometric mean is a middle gray: the mean of frames, or of the last strategy."""
     from mcspectra.rendering.files import encode_srgb
 
     data = next(iter(group.values()))
@@ -270,8 +270,8 @@ def _correlation(group: Group, _: Styles) -> Plot:
             _over_pixels(values, x, y, scale, "correlation", labels=("x to the right", "y down")),
         ),
         caption="Correlation of the errors of two pixels at this distance. A reconstruction filter or shared "
-        "points make neighbours alike; a mask of blue noise makes them differ.",
-        words=f"Correlations of errors of neighbouring pixels, at most {number(top)} in size.",
+        "points make neighbors alike; a mask of blue noise makes them differ.",
+        words=f"Correlations of errors of neighboring pixels, at most {number(top)} in size.",
         height=1.0,
     )
 
@@ -365,13 +365,13 @@ def incident_maps(data: xr.Dataset) -> Plot:
                 x=Axis(label="azimuth / °", low=0.0, high=360.0, ticks=azimuth),
                 y=Axis(label="elevation / °", low=0.0, high=90.0, ticks=elevation),
                 title=title,
-                note="" if top > 0 else "no light from the centre of any cell",
+                note="" if top > 0 else "no light from the center of any cell",
             )
         )
     return Plot(
         kind="incident-light",
         panels=tuple(panels),
-        caption="Light that arrives at the point of the scene behind the pixel's centre, over the hemisphere.",
+        caption="Light that arrives at the point of the scene behind the pixel's center, over the hemisphere.",
         words="Maps of radiance over azimuth and elevation, largest "
         + " and ".join(number(float(data[name].max())) for name in titles)
         + ".",

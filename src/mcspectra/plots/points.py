@@ -24,7 +24,7 @@ _SECTIONS = {"axis 0": (1, 0), "axis 1": (0, 1), "diagonal": (1, 1)}
 
 
 def points(group: Group, styles: Styles) -> Plot:
-    """One realisation of every sampler's points; areas are in proportion to ``weights``, if any."""
+    """One realization of every sampler's points; areas are in proportion to ``weights``, if any."""
     sizes = {each.sizes["axis"] for each in group.values()}
     n = max(each.sizes["point"] for each in group.values())
     if sizes == {1}:
@@ -48,7 +48,7 @@ def points(group: Group, styles: Styles) -> Plot:
     return Plot(
         panels=tuple(panels),
         columns=abreast(len(panels)),
-        caption=f"One realisation of n = {n} points of each sampler, after importance sampling where "
+        caption=f"One realization of n = {n} points of each sampler, after importance sampling where "
         f"there is a density. {shown}",
         words=f"Point sets of {n} points for {', '.join(group)}.",
         height=0.08 + 0.1 * len(group) if sizes == {1} else 1.0,
@@ -110,7 +110,7 @@ def sampler_card(group: Group, projected: Array | None = None) -> Plot:
     Parameters
     ----------
     group
-        Under ``points`` one realisation, under ``spectrum`` its power in the same dims.
+        Under ``points`` one realization, under ``spectrum`` its power in the same dims.
     projected
         Two coordinates of a set in more dims, (n, 2).
     """

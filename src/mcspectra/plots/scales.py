@@ -1,4 +1,4 @@
-"""Axes and colour scales chosen from the data: many orders of magnitude, signed or not, few readable ticks."""
+"""Axes and color scales chosen from the data: many orders of magnitude, signed or not, few readable ticks."""
 
 from __future__ import annotations
 
@@ -126,19 +126,19 @@ def signed_axis(
 
 
 def log_scale(label: str, low: float, high: float) -> Scale:
-    """Return a logarithmic colour scale from low to high."""
+    """Return a logarithmic color scale from low to high."""
     if not (math.isfinite(low) and math.isfinite(high) and 0.0 < low < high):
         low, high = 0.5, 2.0
     return Scale(label=label, kind="log", low=low, high=high, ticks=log_ticks(low, high))
 
 
 def signed_scale(label: str, values: Sequence[Array], decades: int = 3) -> Scale:
-    """Return a colour scale symmetric about 0, for all arrays together.
+    """Return a color scale symmetric about 0, for all arrays together.
 
     Parameters
     ----------
     label
-        Of the colour bar; beyond which size the scale is logarithmic is added.
+        Of the color bar; beyond which size the scale is logarithmic is added.
     values
         Arrays of any shape; what is not finite does not count.
     decades
@@ -222,7 +222,7 @@ def _signed_ticks(low: float, high: float, threshold: float, most: int) -> list[
     stride = max(1, math.ceil(sum(span + 1 for span in spans) / most))
     ticks = [0.0]
     for sign, end, span in zip((-1.0, 1.0), reach, spans, strict=True):
-        # Count down from the largest power, so that the end of the axis is labelled
+        # Count down from the largest power, so that the end of the axis is labeled
         sizes = [threshold * 10.0**e for e in range(math.floor(span + 1e-9), -1, -stride)]
         if len(sizes) == 1 and end < 10 * threshold:
             sizes = [next(s * threshold for s in (5, 2, 1) if s * threshold <= end * (1 + 1e-9))]

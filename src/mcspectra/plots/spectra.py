@@ -68,7 +68,7 @@ _LEVEL = "the expected power over that of random points (∫1/p / n); m = 0 is l
 
 
 def spectrum(group: Group, _: Styles) -> Plot:
-    """Two-dimensional power spectra side by side, on one colour scale, dc left out."""
+    """Two-dimensional power spectra side by side, on one color scale, dc left out."""
     images = {name: relative_power(each) for name, each in group.items()}
     # The scale ends at 2, or where all but 1 % of the frequencies stay below
     every = np.concatenate([np.ravel(values) for values in images.values()])
@@ -80,7 +80,7 @@ def spectrum(group: Group, _: Styles) -> Plot:
     return Plot(
         panels=tuple(panels),
         columns=abreast(len(panels)),
-        caption=f"Power spectra on one colour scale: {_LEVEL}",
+        caption=f"Power spectra on one color scale: {_LEVEL}",
         words="Images of the power over the frequencies m₀ and m₁. "
         + for_each(group, _power_words),
         height=1.0,
@@ -150,7 +150,7 @@ def pair_correlation(group: Group, styles: Styles) -> Plot:
 def contributions(group: Group, styles: Styles) -> Plot:
     """Contribution of every frequency to the variance: maps in 2-D, else bars over m or shells.
 
-    One panel for each sampler and technique; the grey shape is what the power alone would give.
+    One panel for each sampler and technique; the gray shape is what the power alone would give.
     """
     first = next(iter(group.values()))
     dims, techniques = len(frequency_dims(first)), first.sizes.get("technique", 1)

@@ -1,6 +1,6 @@
-"""One look for all plots: a palette that colour-blind readers tell apart, and a style for each sampler.
+"""One look for all plots: a palette that color-blind readers tell apart, and a style for each sampler.
 
-Colours are those of Okabe & Ito, without the yellow and with dark grey for the black.
+Colors are those of Okabe & Ito, without the yellow and with dark gray for the black.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ GRADIENTS = {
     "gray": ("#000000", "#FFFFFF"),
     "paper": ("#FFFFFF", "#000000"),
 }
-"""Colours of the palettes of a `Scale`, evenly spaced, or the name that both libraries know it by."""
+"""Colors of the palettes of a `Scale`, evenly spaced, or the name that both libraries know it by."""
 
 
 @final
@@ -54,7 +54,7 @@ class LineStyle:
 
 
 def sampler_styles(samplers: Sequence[str]) -> dict[str, LineStyle]:
-    """Give every sampler a style of its own: colour and marker first, dashes once those run out."""
+    """Give every sampler a style of its own: color and marker first, dashes once those run out."""
     distinct = list(dict.fromkeys(samplers))
     cycle = itertools.product(DASHES, zip(PALETTE, MARKERS, strict=True))
     return {

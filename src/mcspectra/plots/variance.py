@@ -626,7 +626,7 @@ def _curve(data: xr.Dataset, style: LineStyle, name: str, *, joined: bool = Fals
             Line(x=n, y=variance, color=style.color, dashes=style.dashes, width=1.0, label=label)
         ]
         return [*(line if joined else ()), dots]
-    # The fitted line goes through the fit's weighted centre, with its slope
+    # The fitted line goes through the fit's weighted center, with its slope
     last = int(data.attrs.get("fit_last", used.size))
     fitted = used & (np.arange(used.size) >= used.size - last)
     x, y = np.log(data["n"].values[fitted]), np.log(data["variance"].values[fitted])

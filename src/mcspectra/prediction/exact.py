@@ -16,7 +16,7 @@ nested uniform scrambling ("Gains of scrambled nets"). Beyond these:
 
   without what varies along single axes from stratum to stratum [Stein1987]_.
 * Antithetic jittered [Haber1967]_: one jittered point for each cell, with h(u) = (g(u) + g(u'))/2
-  in the place of g, u' reflected through the centre of the cell.
+  in the place of g, u' reflected through the center of the cell.
 * Mirrored: folded points see the folded integrand; images of all n/2^d points see the average ḡ of g
   over reflections, and so do, on average over the coins, points reflected at random. The coins add
   E[Var(g | point)]/n = (Var g − Var ḡ)/n if each point is uniform.
@@ -514,7 +514,7 @@ def _over_offsets(curve: Curve, side: int, order: int) -> float:
 
 
 def _paired(curve: Curve, side: int) -> Curve:
-    """The mean of a curve at a point and at its reflection through the centre of its cell, less that mean."""
+    """The mean of a curve at a point and at its reflection through the center of its cell, less that mean."""
 
     def both(x: Array) -> Array:
         cell = np.minimum(np.floor(x * side), side - 1.0)
@@ -757,7 +757,7 @@ def _variance(law: Law, g: Integrand, rule: Rule) -> tuple[Array, Array]:
 
 
 def paired(g: Integrand, side: int) -> Integrand:
-    """The mean of g at a point and at its reflection through the centre of its cell of `side`^d."""
+    """The mean of g at a point and at its reflection through the center of its cell of `side`^d."""
 
     def reflected(x: Array) -> Array:
         cell = np.minimum(np.floor(x * side), side - 1.0)
@@ -768,7 +768,7 @@ def paired(g: Integrand, side: int) -> Integrand:
         tuple(sorted({*axis, *reflected(np.asarray(axis, float)).tolist(), *borders}))
         for axis in g.breaks
     )
-    label = f"{g.spec}, symmetrised in cells"
+    label = f"{g.spec}, symmetrized in cells"
     return Pointwise(g, lambda x: 0.5 * (g(x) + g(reflected(x))), breaks, label)
 
 

@@ -276,7 +276,7 @@ def _cell_moments(
     if not refined:
         return means, squares
 
-    # Find where g varies most, within a cell and to its neighbours, but for cells that breaks cut
+    # Find where g varies most, within a cell and to its neighbors, but for cells that breaks cut
     from scipy.ndimage import maximum_filter, minimum_filter
 
     size = (3,) * dims + (1,)

@@ -69,7 +69,7 @@ _CURVE = tuple(2**k for k in range(_SETTINGS.octaves + 1))
 
 @final
 class Plan(Counted, frozen=True, kw_only=True):
-    """Least number of points for an error, from predicted variances."""
+    """Smallest number of points that reaches an error, from predicted variances."""
 
     function = "plan"
     verb = "plan"

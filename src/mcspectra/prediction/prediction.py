@@ -889,7 +889,7 @@ def predict(
     Parameters
     ----------
     estimator
-        An estimator or, for plain sampling, an integrand, its spec string, or a vectorised function of
+        An estimator or, for plain sampling, an integrand, its spec string, or a vectorized function of
         points (…, d).
     samplers
         One or a list, no sampler twice.

@@ -192,7 +192,7 @@ def predicted_rate(b: float, decay: float | str, dims: int) -> float:
     ----------
     b
         Low-frequency exponent of the power: 0 for random and Poisson disk sets, 2 for jittered
-        ones, more for those that are optimised to be smooth; infinite for step noise.
+        ones, more for those that are optimized to be smooth; infinite for step noise.
     decay
         γ: |f_m|², averaged over directions, falls like |m|^-γ; more than `dims` for a finite variance:
         `integrand_decay` measures it, `fitted_decay` with its interval, which moves the rate by as

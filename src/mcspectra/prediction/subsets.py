@@ -3,9 +3,9 @@
 Method
 ------
 With g = Σ_v g_v, the ANOVA of g [Owen1997]_, the variance of the mean of g over a set that is
-randomised independently along the axes is a mean over pairs (a, b) of points,
+randomized independently along the axes is a mean over pairs (a, b) of points,
 
-    Var = (1/n²) Σ_{a,b} Σ_v C_v(a, b),    C_v = Cov(g_v(a), g_v(b)) over the randomisation.
+    Var = (1/n²) Σ_{a,b} Σ_v C_v(a, b),    C_v = Cov(g_v(a), g_v(b)) over the randomization.
 
 It depends on each axis only on one thing: for nested scrambling how many digits of a_i and b_i agree, for
 a digital shift the difference of their digits, for a shift that on the torus. Subsets v of one axis
@@ -13,7 +13,7 @@ are exact. For the others g is fitted by a sum of products Σ_r Π_i h_ri(x_i), 
 
     Σ_v C_v = Σ_{r,s} Π_i (μ_ri μ_si + k_i^rs(a_i, b_i)) − I²
 
-holds all subsets at once: μ are the means of the h, k the covariances that the randomisation leaves
+holds all subsets at once: μ are the means of the h, k the covariances that the randomization leaves
 between them. What the fit misses is taken as white, /n; the interval allows for none and for twice as
 much of it, and for a correlation of a half with the fit.
 
@@ -79,7 +79,7 @@ _OWN = Stream.from_rng(0x5B5E75)
 TORUS = 1 << 15
 """Differences on the torus that are told apart, of sets that are no lattices."""
 _GRADED = 0.25 ** np.arange(6.0, 0.0, -1.0)
-"""Places towards 0 and 1, in first steps, at which profiles are known as well: warps have poles there."""
+"""Places toward 0 and 1, in first steps, at which profiles are known as well: warps have poles there."""
 
 
 @final
@@ -517,7 +517,7 @@ def all_parts(known: Known) -> list[Parts]:
 
     axes, found = [], []
     for axis in range(d):
-        # Equal steps within each piece, and finer ones towards 0 and 1, where warps end
+        # Equal steps within each piece, and finer ones toward 0 and 1, where warps end
         ends = np.unique([0.0, 1.0, *(b for b in g.breaks[axis] if 0.0 < b < 1.0)])
         middles = [
             low + (np.arange(k) + 0.5) * ((high - low) / k)

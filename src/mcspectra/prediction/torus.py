@@ -422,7 +422,7 @@ def of_torus(law: Law, known: Known, stream: Stream) -> Predicted:
             sampling, how = np.zeros(len(spread)), "closed form"
         except NoClosedForm:
             if inner is law:
-                box = known.once("torus, symmetrised", regions[0].symmetrized)
+                box = known.once("torus, symmetrized", regions[0].symmetrized)
                 width = max(_DRAWN.least_box, math.ceil(_DRAWN.box * n ** (1.0 / dims)))
                 regions = (_cropped(box, width)[0],)
             else:

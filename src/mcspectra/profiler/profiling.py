@@ -279,12 +279,12 @@ class Profile:
                 f"at {self.budget} evaluations these cannot tell.{why}"
             )
         text = (
-            f"{best.change[0].upper()}{best.change[1:]}: RMSE {best.rmse:.2g} instead of {given} at "
-            f"{self.budget} evaluations"
+            f"{best.change[0].upper()}{best.change[1:]}: RMSE {best.rmse:.2g} at {self.budget} evaluations "
+            f"instead of {given}"
         )
         if math.isfinite(best.samples_saved) and best.samples_saved > 0:
             needed = float(f"{best.samples_saved + self.budget:.2g}")
-            text += f", which would take about {needed:.0f} with {self.reference}"
+            text += f"; {self.reference} would need about {needed:.0f} evaluations for it"
         return f"{text}.{why}"
 
     @property

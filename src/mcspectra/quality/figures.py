@@ -1,4 +1,4 @@
-"""All quality figures of a sampler's realisations, or of given sets, and their summaries."""
+"""All quality figures of a sampler's realizations, or of given sets, and their summaries."""
 
 from __future__ import annotations
 
@@ -60,11 +60,11 @@ def quality_figures(
     source
         Sampler, spec string, or points of shape (n, d) or (R, n, d).
     n
-        Points in a realisation; may be left out for given points.
+        Points in a realization; may be left out for given points.
     figures
         Names of `FIGURES`; by default all, those of projections from 3 dims on.
     realizations
-        How many realisations; by default all sets of given points, else 16, or 1 for a
+        How many realizations; by default all sets of given points, else 16, or 1 for a
         deterministic set.
     rng
         Seed (SPEC 7).
@@ -150,14 +150,14 @@ def quality_figures(
 @final
 @dataclass(frozen=True, kw_only=True)
 class FigureSummary:
-    """One quality figure over realisations.
+    """One quality figure over realizations.
 
     Attributes
     ----------
     name, long_name
         Name of its variable, and its long name.
     mean, standard_error
-        Over realisations; the standard error is NaN where there is one realisation only.
+        Over realizations; the standard error is NaN where there is one realization only.
     missing
         Why there is no mean, else empty.
     """
@@ -194,7 +194,7 @@ def summarize(figures: xr.Dataset) -> list[FigureSummary]:
 
 
 def different_realizations(sampler: Sampler, n: int, stream: Stream, most: int = 16) -> int:
-    """Number of useful realisations: `most`, all given sets, or 1 of a fixed set."""
+    """Number of useful realizations: `most`, all given sets, or 1 of a fixed set."""
     if isinstance(sampler, GivenPoints):
         sets = len(sampler.sets[n])
         return min(most, sets) if sampler.cycle else sets

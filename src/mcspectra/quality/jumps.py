@@ -1,6 +1,6 @@
 """Discontinuities of functions on the unit interval or square, found by refinement.
 
-Between two neighbouring points of a grid the half in which the function changes more is halved again
+Between two neighboring points of a grid the half in which the function changes more is halved again
 and again. A change that shrinks with the interval is a slope, one that does not is a jump, one that
 grows a pole.
 """
@@ -31,7 +31,7 @@ Function = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class Jumps:
-    """Discontinuities between neighbouring cells of a grid.
+    """Discontinuities between neighboring cells of a grid.
 
     Attributes
     ----------
@@ -59,13 +59,13 @@ class Jumps:
 
 
 def grid_centers(side: int, dims: int) -> Array:
-    """Centres of cells, (side, dims) or (side, side, dims), first axis first."""
+    """Centers of cells, (side, dims) or (side, side, dims), first axis first."""
     line = (np.arange(side) + 0.5) / side
     return np.stack(np.meshgrid(*[line] * dims, indexing="ij"), axis=-1)
 
 
 def find_jumps(function: Function, dims: int, side: int, *, scale: float) -> Jumps:
-    """Find where a function jumps between neighbouring centres of a grid.
+    """Find where a function jumps between neighboring centers of a grid.
 
     Parameters
     ----------

@@ -67,7 +67,7 @@ def _check_pairs(x: Array) -> None:
 
 
 def nearest_distances(points: object) -> Array:
-    """Return each point's toroidal distance to its nearest neighbour.
+    """Return each point's toroidal distance to its nearest neighbor.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def nearest_distances(points: object) -> Array:
     x = as_set(points)
     n, dims = x.shape
     if n < 2:
-        raise ParameterError("One point has no neighbours; give at least two.")
+        raise ParameterError("One point has no neighbors; give at least two.")
     if dims > _TREE_DIMS:
         _check_pairs(x)
         return np.asarray(np.sqrt(_torus_nearest(x)))
@@ -101,7 +101,7 @@ def nearest_distances(points: object) -> Array:
 
 @kernel
 def _torus_nearest(x: Array) -> Array:
-    """Return each point's squared toroidal distance to its nearest neighbour."""
+    """Return each point's squared toroidal distance to its nearest neighbor."""
     n, dims = x.shape
     nearest = np.full(n, np.inf)
     for i in range(n):
@@ -120,7 +120,7 @@ def best_minimum_distance(n: int, dims: int) -> float:
     """Return the minimum distance that no `n` points on the torus exceed, where that is proven.
 
     It is that of the densest packing of balls: points of equal distance in 1-D, the hexagonal
-    lattice in 2-D, face-centred cubic in 3-D [Hales2005]_, E8 in 8-D [Viazovska2017]_ and the Leech
+    lattice in 2-D, face-centered cubic in 3-D [Hales2005]_, E8 in 8-D [Viazovska2017]_ and the Leech
     lattice in 24-D [Cohn2017]_.
 
     Raises

@@ -15,7 +15,7 @@ from mcspectra.quality.jumps import find_jumps, grid_centers
 __all__ = ["warp_quality"]
 
 _STEP = 1e-3  # of a cell, for slopes
-_ASIDE = (0.31, 0.17)  # of a cell from its centre, so that creases through centres are not hit
+_ASIDE = (0.31, 0.17)  # of a cell from its center, so that creases through centers are not hit
 
 
 def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset:
@@ -34,11 +34,11 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
         ``stretch`` (u0, u1): largest over smallest singular value of ∂T/∂u in each cell,
         1 in 1-D, infinite where T is flat. ``jump`` (axis, u0, u1): |T| torn between a cell and the
         next along each axis, 0 where T is continuous. ``warped`` (u0, u1, coordinate): T at the
-        centres. Figures: ``mean_stretch`` (geometric, over cells where T is not flat),
+        centers. Figures: ``mean_stretch`` (geometric, over cells where T is not flat),
         ``max_stretch``, ``jump_length`` (a number of jumps in 1-D), ``mean_jump``, ``distortion``:
         geometric mean of the diameter of a small square's image over that of a square of equal
         area (1: squares stay squares), and ``neighbor_expansion``: root mean square of the distance
-        of neighbouring cells' images over that of the cells, jumps included.
+        of neighboring cells' images over that of the cells, jumps included.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
             diameter = np.sqrt((diagonals**2).sum(axis=-2)).max(axis=-1)
             area = np.abs(np.linalg.det(slopes))
             diameters = np.where(area > 0, diameter / np.sqrt(2.0 * area), np.inf)
-    # Root mean square distance of neighbours' images, in cells
+    # Root mean square distance of neighbors' images, in cells
     squares = [(np.diff(image, axis=axis) ** 2).sum(axis=-1).ravel() for axis in range(dims)]
     expansion = float(side * np.sqrt(np.concatenate(squares).mean()))
     cells = tuple(f"u{axis}" for axis in range(dims))

@@ -44,7 +44,7 @@ __all__ = [
 ]
 
 VARIANT = "llvm_ad_rgb"
-"""The vectorised CPU variant, float32 and RGB."""
+"""The vectorized CPU variant, float32 and RGB."""
 
 SCALAR_VARIANT = "scalar_rgb"
 """The variant that needs no LLVM: whole images by Mitsuba's own integrators, one ray at a time."""
@@ -179,9 +179,9 @@ def describe() -> dict[str, Any]:
     -------
     dict
         ``mitsuba`` and ``drjit`` (versions or None), ``library`` and ``llvm`` (path and version, or
-        None), ``variant`` (the vectorised one if it works, else None), ``variants`` (all that were
+        None), ``variant`` (the vectorized one if it works, else None), ``variants`` (all that were
         tried and work), ``refused`` (libraries tried before and why, or None), ``reason`` (why the
-        vectorised one does not work, else None).
+        vectorized one does not work, else None).
     """
     found: dict[str, Any] = {name: _version(name) for name in ("mitsuba", "drjit")}
     found |= dict.fromkeys(("library", "llvm", "variant", "refused", "reason")) | {"variants": []}

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mcspectra.core.checks import as_choice, as_integer, as_real
+from mcspectra.core.display import shown
 from mcspectra.core.environments import synthetic_sky
 from mcspectra.core.errors import ParameterError
 from mcspectra.rendering.backend import load_mitsuba
@@ -119,7 +120,7 @@ def figure1(*, edge: float = 0.0, width: int = 384, height: int = 256) -> dict[s
     floor is y = 0. The light is the square |x| ≤ 1, |z| ≤ 1 at y = 2 and faces down; the occluder
     is a square of half side 0.7 at y = 1 around x = 1.5, z = 0, turned by 25° so that its shadow's
     border is not parallel to strata. The named pixels P and Q see the points `P`, which sees all of
-    the light, and `Q`. Neither is below the light's centre, where the integrand would be the same
+    the light, and `Q`. Neither is below the light's center, where the integrand would be the same
     at opposite borders and a shifted set would lose nothing.
 
     With an edge, radiance is a texture of 256² texels, interpolated bilinearly, and Mitsuba
@@ -134,7 +135,7 @@ def figure1(*, edge: float = 0.0, width: int = 384, height: int = 256) -> dict[s
         profile = np.asarray(t * t * (3.0 - 2.0 * t))
         values = _RADIANCE * np.outer(profile, profile).astype(np.float32)
         bitmap = load_mitsuba().Bitmap(np.repeat(values[..., None], 3, axis=2))
-        # Raw: radiance is linear, no colour to be decoded; clamp: no wrapping at the borders.
+        # Raw: radiance is linear, no color to be decoded; clamp: no wrapping at the borders.
         radiance = {"type": "bitmap", "bitmap": bitmap, "raw": True, "wrap_mode": "clamp"}
     angle = np.deg2rad(_OCCLUDER_DEGREES)
     across = _OCCLUDER_HALF_SIDE * np.array([np.cos(angle), 0.0, -np.sin(angle)])
@@ -267,7 +268,7 @@ def sky(*, width: int = 384, height: int = 256) -> dict[str, Any]:
 
     Notes
     -----
-    The map is `mcspectra.integrands.synthetic_sky` with 64 × 128 pixels, its first row towards +y;
+    The map is `mcspectra.integrands.synthetic_sky` with 64 × 128 pixels, its first row toward +y;
     nothing is downloaded. Mitsuba places its columns at atan2(x, −z) = 2π (column + ½) / 128, its
     rows at acos(y) = π row / 63, from pole to pole, and interpolates linearly.
     The named pixels see the floor in the open and where the diffuse sphere touches it, and the
@@ -351,7 +352,9 @@ def veach(
     allowed: Any = tuple(_SPHERES)
     given: Any = (lights,) if isinstance(lights, str) else allowed if lights is None else lights
     if not isinstance(given, Sequence | set) or not given:
-        raise ParameterError(f"lights is {lights!r}; give one or more of {', '.join(allowed)}.")
+        raise ParameterError(
+            f"lights is {shown(lights)}; give one or more of {', '.join(allowed)}."
+        )
     kept = [as_choice("a light", name, allowed) for name in given]
     sensor = perspective((0.0, 2.0, 15.0), (0.0, -2.0, 2.5), 28.0, width, height)
     scene: dict[str, Any] = {"type": "scene", "sensor": sensor}

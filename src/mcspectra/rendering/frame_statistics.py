@@ -23,8 +23,17 @@ import xarray as xr
 
 from mcspectra.core.checks import Array, as_integer, as_real, is_path
 from mcspectra.core.confidence import CONFIDENCE_Z, student_t
+from mcspectra.core.display import QUOTED, printable
 from mcspectra.core.errors import FileFormatError, Parameter, ParameterError
-from mcspectra.core.images import Rings, exr_attributes, exr_layer, luminance, read_image
+from mcspectra.core.images import (
+    ENCODED_EXTENSIONS,
+    LINEAR_EXTENSIONS,
+    Rings,
+    exr_attributes,
+    exr_layer,
+    luminance,
+    read_image,
+)
 from mcspectra.core.progress import report
 from mcspectra.core.results import dataset
 from mcspectra.estimators.moments import Moments
@@ -35,8 +44,6 @@ __all__ = ["Frames", "frames"]
 Frames = str | PathLike[str] | Sequence[str | PathLike[str]]
 """A folder, a pattern, or files."""
 
-_LINEAR = (".exr", ".pfm", ".npy")
-_ENCODED = (".png", ".jpg", ".jpeg")
 _MOST_SPP = 2**40
 _REACH = 8  # pixels to either side for which correlations are listed
 _FILTER = 2  # pixels that a reconstruction filter may join
@@ -101,7 +108,7 @@ def frames(
         averaged over the attribute ``smoothing`` of pixels in x and y.
         On n: ``picture_variance``, the mean over the pixels, with ``picture_variance_ci``;
         ``picture_rate`` with its interval. ``needed_spp`` with a target.
-        ``error_spectrum(n, radius)`` with ``error_spectrum_ci``: power of the standardised errors over
+        ``error_spectrum(n, radius)`` with ``error_spectrum_ci``: power of the standardized errors over
         radial frequency in cycles a pixel, white noise 1; ``error_correlation(n, lag_y, lag_x)``.
         ``image(y, x, band)``: mean of the frames of most samples; ``flip(n, y, x)``, FLIP
         [Andersson2021]_ of the first frame against it, if the package flip-evaluator is installed.
@@ -227,7 +234,7 @@ class _Reader:
 
     def color(self, file: Path) -> Array:
         """Values (y, x, 1 or 3); NaN where they are not finite."""
-        if file.suffix.lower() in _ENCODED and not self.tone_mapped:
+        if file.suffix.lower() in ENCODED_EXTENSIONS and not self.tone_mapped:
             raise FileFormatError(
                 f"{file} is a tone-mapped picture, whose noise is not the renderer's; give EXR, PFM or "
                 ".npy, or say tone_mapped=True (--tone-mapped) to undo the sRGB curve."
@@ -402,16 +409,20 @@ def _listed(paths: Any) -> list[Path]:
         matching = sorted(map(Path, named))
         if not matching:
             raise FileFormatError(
-                f"There is no {place}; give a folder of frames, a pattern or files."
+                f"There is no {printable(place, QUOTED)}; give a folder of frames, a pattern or files."
             )
         return matching
     inside = sorted([*place.glob("*"), *place.glob("*/*")])
     inside = [f for f in inside if f.name != "frames.exr" or not f.with_suffix(".json").exists()]
-    for kinds in (_LINEAR, _ENCODED):  # pictures beside the frames are their previews
+    for kinds in (
+        LINEAR_EXTENSIONS,
+        ENCODED_EXTENSIONS,
+    ):  # pictures beside the frames are their previews
         if files := [file for file in inside if file.suffix.lower() in kinds]:
             return files
     raise FileFormatError(
-        f"{place} holds no {', '.join(_LINEAR + _ENCODED)} files; give a folder of frames."
+        f"{place} holds no {', '.join(LINEAR_EXTENSIONS + ENCODED_EXTENSIONS)} files; give a folder of "
+        "frames."
     )
 
 

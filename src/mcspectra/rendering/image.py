@@ -1,7 +1,7 @@
 """Images of direct illumination by our own samplers, with the error of each pixel.
 
 Every pixel has a point set of its own: in image r (of R independent ones) pixel number y·width + x
-takes realisation y·width + x of the sampler, from a random stream of that image. So a crop has the
+takes realization y·width + x of the sampler, from a random stream of that image. So a crop has the
 bits of the same part of the whole image. Binary nets scrambled by ``owen`` are computed in the
 kernel, by its hash (`kernel_nets`). A sampler that ends in ``decorrelate(…)`` gives all pixels
 of an image one set, moved in each: that is what renderers do, and cheaper than a set for each.
@@ -17,6 +17,7 @@ import xarray as xr
 
 from mcspectra.core import progress
 from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.display import shown
 from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers, map_in_order
 from mcspectra.core.results import dataset
@@ -58,7 +59,7 @@ def render(
 ) -> xr.Dataset:
     """Render a scene's direct illumination, lights that the camera sees included.
 
-    Rays start at the centre of the lens, halfway through the shutter's time: a camera with a lens or
+    Rays start at the center of the lens, halfway through the shutter's time: a camera with a lens or
     a shutter gives an `IncompleteImageWarning`, and so does a strategy that leaves out a light or a
     surface because it is a delta function.
 
@@ -140,7 +141,7 @@ def render(
             keys = np.array([scramble_key(each) for each in streams], np.uint64)
             points = NetPoints(net, spp, keys, numbers.astype(np.uint32))
             return images, lambda: waves.net_means(strategy, everywhere, points)
-        # Samplers draw successive realisations only.
+        # Samplers draw successive realizations only.
         runs = np.split(numbers, np.flatnonzero(np.diff(numbers) != 1) + 1)
         parts = [(each, int(run[0]), len(run)) for each in streams for run in runs]
         u = np.concatenate([source.draw_stream(spp, *part) for part in parts])
@@ -249,7 +250,7 @@ def _as_crop(crop: object, waves: Wavefront) -> tuple[int, int, int, int]:
     given = (0, 0, waves.width, waves.height) if crop is None else crop
     if not isinstance(given, Sequence | np.ndarray) or isinstance(given, str) or len(given) != 4:
         raise ParameterError(
-            Parameter("crop"), f" is {crop!r}; give four whole numbers: x, y, width, height."
+            Parameter("crop"), f" is {shown(crop)}; give four whole numbers: x, y, width, height."
         )
     film = f"the film has {waves.width} × {waves.height} pixels"
     try:

@@ -28,7 +28,7 @@ __all__ = ["Net", "NetPoints", "Pads", "net_of", "scramble_key"]
 
 _ORDER_NUMBERS = 2**16  # of the table of permutations: 256 KiB, if they are not too few
 _FEWEST_ORDERS = 16
-_FIRST_STEP = 1 << 16  # label of the stream of a sampler's first randomisation
+_FIRST_STEP = 1 << 16  # label of the stream of a sampler's first randomization
 _M1, _M2, _M3 = 0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
 
 
@@ -55,7 +55,7 @@ def net_of(sampler: Sampler | None) -> Net | None:
 
 
 def scramble_key(stream: Stream) -> int:
-    """Key of the stream by which a sampler with one randomisation scrambles realisations."""
+    """Key of the stream by which a sampler with one randomization scrambles realizations."""
     return stream.child(_FIRST_STEP).key
 
 
@@ -87,7 +87,7 @@ def mix_bits(module: Any, k0: Any, k1: Any, i: Any) -> Any:
 
 
 def _philox(module: Any, key: Any, number: Any) -> tuple[Any, Any]:
-    """As `core.streams.Stream.keys` for the realisation of a number below 2^32."""
+    """As `core.streams.Stream.keys` for the realization of a number below 2^32."""
     wide, low = module.UInt64, 0xFFFFFFFF
     a, b, c, d = wide(number), wide(0), wide(0), wide(0)
     k0, k1 = key & low, key >> 32
@@ -113,7 +113,7 @@ def _unit(module: Any, word: Any) -> Any:
 @final
 @dataclass(frozen=True)
 class NetPoints:
-    """Points 0 … count−1 of scrambled nets: for each stream the realisations with these numbers.
+    """Points 0 … count−1 of scrambled nets: for each stream the realizations with these numbers.
 
     They are those of ``owen(method='hash')``, rounded down to float32. Streams are given by their
     keys, uint64 (S,), numbers are uint32 (R,).

@@ -46,7 +46,7 @@ def fit_lines(
     """Fit all lines at once to variances, their relative errors and the means, (S, N, …).
 
     Variances that are rounding of float32 are left out, and like zeros those of a relative standard
-    error above `largest_se`: they come of very few realisations that met what is rare, and most
+    error above `largest_se`: they come of very few realizations that met what is rare, and most
     often they are far too small.
     """
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -1,6 +1,6 @@
-"""Estimates of many pixels by many realisations: one Dr.Jit loop over the samples of each.
+"""Estimates of many pixels by many realizations: one Dr.Jit loop over the samples of each.
 
-A lane is one realisation of one pixel and runs over its samples in a recorded loop, which adds up
+A lane is one realization of one pixel and runs over its samples in a recorded loop, which adds up
 float32 values in float64. So what is copied is one number a lane, memory does not grow with the
 number of samples, and a lane has the same bits whichever others run beside it. A technique's plain
 estimate and its weighted one, for multiple importance sampling, come from one evaluation. Measured
@@ -89,7 +89,7 @@ __all__ = [
 MAP_STRATEGIES: Final = ("light", "bsdf", "mis-light", "mis-bsdf", "mis")
 
 TILE_LANES = 2**19
-"""Pixels times realisations in one kernel; some 100 MiB with what is made of them."""
+"""Pixels times realizations in one kernel; some 100 MiB with what is made of them."""
 
 _BLOCK_REALIZATIONS = 1024
 _TABLE_NUMBERS = 2**23  # of one table of points, 64 MiB
@@ -130,7 +130,7 @@ class Measurement:
     With a `tracer` it is one of whole paths, by the only strategy ``path``; `uses` are those of its
     coordinates, and `chains` gives shares of the variance, if any.
 
-    Realisation r of n points is that of ``stream.child(n)``, as in `convergence`; with points of
+    Realization r of n points is that of ``stream.child(n)``, as in `convergence`; with points of
     their `own`, pixels have number (y·width + x)·realizations + r.
     """
 
@@ -154,7 +154,7 @@ class Measurement:
 
     @property
     def block(self) -> int:
-        """Realisations in one kernel, whatever the tile: sums over them keep their order."""
+        """Realizations in one kernel, whatever the tile: sums over them keep their order."""
         fitting = _TABLE_NUMBERS // (self.counts[-1] * self.sampler.dims)
         return max(1, min(self.realizations, _BLOCK_REALIZATIONS, fitting))
 
@@ -212,7 +212,7 @@ class Measurement:
                 ", the third coordinate is that number.",
             )
 
-        # Moments over realisations of each strategy
+        # Moments over realizations of each strategy
         for i, n in enumerate(self.counts):
             total: list[Moments] = []
             for first in range(0, self.realizations, self.block):

@@ -1,8 +1,8 @@
 """Maps over an image: variance, its rate, the technique that decides it, the gain of MIS.
 
-Every pixel is the integrand `Pixel` with the ray through its centre, and is measured as
-`convergence` does it: variances over realisations at several counts, and the slope of log variance
-against log n. So few realisations as an image can afford leave wide intervals (the standard error of
+Every pixel is the integrand `Pixel` with the ray through its center, and is measured as
+`convergence` does it: variances over realizations at several counts, and the slope of log variance
+against log n. So few realizations as an image can afford leave wide intervals (the standard error of
 a variance of 64 normal estimates is 18 %), which all results carry.
 """
 
@@ -397,7 +397,7 @@ def variance_map(
         Numbers of samples n of a technique, ascending, at least two; by default (4, 9, 16, 36, 64), with
         an integrator (4, 16, 64), or the nearest that the sampler can do in its dims.
     realizations
-        Independent realisations for each n, at least 2.
+        Independent realizations for each n, at least 2.
     crop
         x0, y0, width and height of the part that is measured; all by default. A crop gives the
         same numbers as the whole.
@@ -413,10 +413,10 @@ def variance_map(
         Measure whole paths, as `PathPixel` does, by the one strategy ``"path"``; the scene's own
         with ``"scene"``. By default direct light by `strategies`.
     points
-        ``"shared"``: all pixels have the same points in the same realisation. Each pixel's numbers
+        ``"shared"``: all pixels have the same points in the same realization. Each pixel's numbers
         are as good as with its own, faster to make, and give smooth maps; but the errors of
-        neighbours are alike, so that structure in a map may be that of one set of points.
-        ``"own"``: every pixel has realisations of its own, the errors are noise.
+        neighbors are alike, so that structure in a map may be that of one set of points.
+        ``"own"``: every pixel has realizations of its own, the errors are noise.
     smoothing
         Odd number of pixels: rates are averaged over a window of so many squared, which blurs them.
         Their standard errors fall accordingly with ``points="own"`` only.
@@ -477,9 +477,9 @@ def variance_map(
     per cent that rare paths make is mostly too small, and so is its interval.
 
     Memory: about 200 MiB plus the result, whatever the size of the image: pixels are measured in
-    tiles. A study keeps the tiles that are finished and resumes. Where few realisations hit a light, variances are mostly far too small at the smaller n:
+    tiles. A study keeps the tiles that are finished and resumes. Where few realizations hit a light, variances are mostly far too small at the smaller n:
     there is no rate where one is zero, or has a standard error of more than a half of it, at a
-    smaller n than others; more realisations give one. ``bottleneck`` is one comparison a
+    smaller n than others; more realizations give one. ``bottleneck`` is one comparison a
     pixel, of techniques with points of their own, at 95 %: where both rates are equal a pixel in 20 is
     decided all the same.
     """
@@ -535,7 +535,7 @@ def labelled(
     x0, y0, width, height = window
     lighting, tracer = measurement.lighting, measurement.tracer
     variance, relative_se = maps.variance, maps.relative_se
-    # Few realisations leave every variance uncertain, without anything rare.
+    # Few realizations leave every variance uncertain, without anything rare.
     largest_se = max(0.5, 1.5 * (2.0 / (measurement.realizations - 1)) ** 0.5)
     fits = statistics.fit_lines(
         np.array(measurement.counts), variance, relative_se, maps.mean, largest_se

@@ -34,6 +34,7 @@ from typing import Any, final
 import numpy as np
 
 from mcspectra.core.checks import MAX_DIMS, Array, as_integer, as_real
+from mcspectra.core.display import counted, shown
 from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.fields import checked, settle
 from mcspectra.rendering.backend import LARGEST_SAMPLE, LOCK, load_mitsuba
@@ -171,7 +172,7 @@ class PathPixel(MitsubaIntegrand):
                 given = np.atleast_1d(self.selection).tolist()
                 if len(given) != len(lights):
                     raise ParameterError(
-                        f"selection has {len(given)} values; give a positive number for each of the "
+                        f"selection has {counted(len(given), 'value')}; give a positive number for each of the "
                         f"lights {', '.join(lights)}."
                     )
                 weights = [as_real("selection", w, above=0.0) for w in given]
@@ -393,7 +394,7 @@ def find_integrator(scene: Scene, spec: object) -> Any:
     if not isinstance(spec, str) or not spec.strip():
         raise ParameterError(
             Parameter("integrator"),
-            f" is {spec!r}; give 'scene', or a plugin of Mitsuba's such as 'path(max_depth=5)'.",
+            f" is {shown(spec)}; give 'scene', or a plugin of Mitsuba's such as 'path(max_depth=5)'.",
         )
     if spec == SCENE_INTEGRATOR:
         found, called = load_scene(scene).integrator(), f"The integrator of {scene_name(scene)}"
@@ -421,7 +422,7 @@ def _made(spec: str) -> Any:
         return load_mitsuba().load_dict(plugin)
     except (RuntimeError, TypeError, KeyError) as error:
         raise ParameterError(
-            f"The integrator {spec!r} cannot be made: {mitsuba_reason(error)}; give 'scene', or a plugin "
+            f"The integrator {shown(spec)} cannot be made: {mitsuba_reason(error)}; give 'scene', or a plugin "
             "of Mitsuba's with its properties, such as 'path(max_depth=5)'."
         ) from None
 
@@ -520,7 +521,7 @@ def _dry_run(
             color = tracer._trace(sampler, x, y)
         except (RuntimeError, TypeError) as error:
             raise ParameterError(
-                f"Mitsuba cannot trace paths of {tracer.integrator!r} through {scene_name(tracer.scene)}: "
+                f"Mitsuba cannot trace paths of {shown(tracer.integrator)} through {scene_name(tracer.scene)}: "
                 f"{mitsuba_reason(error)}; choose another integrator."
             ) from None
         drjit.eval(color, sampler.count)

@@ -2,7 +2,7 @@
 
 Method
 ------
-The camera ray through the pixel's centre fixes one surface point, once and for all. Its direct
+The camera ray through the pixel's center fixes one surface point, once and for all. Its direct
 illumination is ∫ f_r L_e V cos over directions, and each strategy is the primary-space integrand
 g(u) = f/p at the direction that is made of u in [0,1)²: ``light`` samples a light, ``bsdf`` the
 BSDF, ``environment`` a density of ours (`skies`). With ``mis-light`` and ``mis-bsdf`` each is
@@ -47,6 +47,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, final
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.display import shown
 from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.fields import checked, choice, settle
 from mcspectra.core.results import dataset
@@ -141,7 +142,7 @@ class Pixel(MitsubaIntegrand):
     scene
         A scene's name, the path of a Mitsuba XML file or a Mitsuba dictionary (see `load_scene`).
     x, y
-        Pixel, counted from the left and from the top. The ray goes through its centre if ``dims``
+        Pixel, counted from the left and from the top. The ray goes through its center if ``dims``
         is below 4.
     strategy
         ``"light"``, ``"bsdf"``, or their shares of multiple importance sampling, ``"mis-light"``
@@ -185,7 +186,7 @@ class Pixel(MitsubaIntegrand):
     def _check(self) -> None:
         if self.density is not None and self.strategy != ENVIRONMENT:
             raise ParameterError(
-                f"density is for strategy='environment', not for {self.strategy!r}; leave it out."
+                f"density is for strategy='environment', not for {shown(self.strategy)}; leave it out."
             )
         view = check_view(self._view, bsdf=self.strategy.endswith("bsdf"))
         # NumPy's integers become Python's
@@ -244,7 +245,7 @@ def check_view(view: View, *, bsdf: bool) -> View:
 
 
 def describe_pixel(scene: Scene, x: int, y: int) -> dict[str, Any]:
-    """Describe the surface that the ray through a pixel's centre meets.
+    """Describe the surface that the ray through a pixel's center meets.
 
     Returns
     -------
@@ -399,7 +400,7 @@ def check_channel(channel: object, names: Sequence[str] = ("luminance", "rgb")) 
     except ParameterError:
         allowed = ", ".join(map(repr, names))
         raise ParameterError(
-            Parameter("channel"), f" is {channel!r}; give {allowed}, 0, 1 or 2."
+            Parameter("channel"), f" is {shown(channel)}; give {allowed}, 0, 1 or 2."
         ) from None
 
 
@@ -424,7 +425,7 @@ def incident_light(
     channel: str | int = "luminance",
     resolution: int = 128,
 ) -> xr.Dataset:
-    """Look from the point that a pixel's centre sees in all directions of the upper hemisphere.
+    """Look from the point that a pixel's center sees in all directions of the upper hemisphere.
 
     Parameters
     ----------
@@ -439,7 +440,7 @@ def incident_light(
     -------
     xarray.Dataset
         On (elevation, azimuth), in degrees above the surface and around its shading normal, at the
-        centres of cells: ``incident_radiance``, L_e of the lights that count, where nothing is in
+        centers of cells: ``incident_radiance``, L_e of the lights that count, where nothing is in
         the way; ``reflected_radiance``, f_r L_e cos per steradian, whose integral over directions is
         that of every strategy of `Pixel`. "Above" is the side of the camera.
 
@@ -716,13 +717,13 @@ def pixel_mis(
     given = tuple(techniques) if isinstance(techniques, list | tuple) else ()
     if not given or not all(isinstance(t, str | Density) for t in given):
         raise ParameterError(
-            f"techniques is {techniques!r:.80}; give a list of 'light', 'bsdf', 'environment' and "
+            f"techniques is {shown(techniques)}; give a list of 'light', 'bsdf', 'environment' and "
             "densities."
         )
     repeated = sum(t == "light" for t in given) > 1 or sum(t == "bsdf" for t in given) > 1
     if repeated or ("light" in given and any(t not in _BY_NAME for t in given)):
         raise ParameterError(
-            f"techniques is {techniques!r:.80}; give 'light' and 'bsdf' at most once, and densities "
+            f"techniques is {shown(techniques)}; give 'light' and 'bsdf' at most once, and densities "
             "without 'light', which samples the environment too."
         )
     asked = View(as_scene(scene), x, y, light, channel, dims)

@@ -10,7 +10,7 @@ dimensional) set of its own, its points in a random order of its own, so that re
 independent of one another and each is as well distributed as the sampler makes it
 [KolligKeller2002]_.
 
-In vectorised variants lane i is sample i mod n of pixel ⌊i / n⌋. Scrambled nets are computed where
+In vectorized variants lane i is sample i mod n of pixel ⌊i / n⌋. Scrambled nets are computed where
 they are asked for (`kernel_nets`); sets of other samplers are float32 tables in Dr.Jit's memory, from
 which requests are gathered as `Rounds` lays out. In scalar variants Mitsuba seeds the sampler for
 each pixel, whose sets are then drawn.

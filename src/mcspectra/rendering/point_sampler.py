@@ -17,6 +17,7 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from mcspectra.core.checks import Array, as_choice
+from mcspectra.core.display import shown
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
@@ -51,7 +52,7 @@ class MitsubaSampler(Sampler):
     Notes
     -----
     Points are float32 numbers; a coordinate that Mitsuba rounded up to 1 becomes the largest
-    float32 below 1. Its seeds have 32 bits: realisations 2^32 apart are the same. Every point is a
+    float32 below 1. Its seeds have 32 bits: realizations 2^32 apart are the same. Every point is a
     call into Mitsuba: some hundred thousand points a second.
 
     References
@@ -72,7 +73,7 @@ class MitsubaSampler(Sampler):
         given: object = self.jitter
         if not isinstance(given, bool) or not (given or self.sampler in _STRATA):
             raise ParameterError(
-                f"jitter is {given!r}; give True or, with {', '.join(_STRATA)}, False."
+                f"jitter is {shown(given)}; give True or, with {', '.join(_STRATA)}, False."
             )
 
     @property
@@ -101,7 +102,7 @@ class MitsubaSampler(Sampler):
 
 
 def _drawn(source: Any, shape: tuple[int, int, int], stream: Stream, first: int) -> Array:
-    """Points (R, n, d) of an object, each realisation with a seed of its own."""
+    """Points (R, n, d) of an object, each realization with a seed of its own."""
     (count, n, dims), out = shape, np.empty(shape)
     start = int(stream.keys(0, 1)[0, 0]) + first
     pairs, odd = divmod(dims, 2)
@@ -139,7 +140,7 @@ class MitsubaObject(Sampler):
         needed = ("fork", "seed", "next_2d", "set_sample_count", "variant_name")
         if isinstance(self.source, type) or not all(hasattr(self.source, name) for name in needed):
             raise ParameterError(
-                f"{self.source!r} is not a sampler of Mitsuba; give an object, such as "
+                f"{shown(self.source)} is not a sampler of Mitsuba; give an object, such as "
                 "scene.sensors()[0].sampler()."
             )
 
@@ -187,8 +188,8 @@ def from_mitsuba(source: Any, dims: int = DEFAULT_DIMS) -> MitsubaObject:
 
     Notes
     -----
-    Every realisation is a seeding of its own, so that it does not depend on how many are drawn at
-    once. In vectorised variants that is one wavefront of n lanes, some milliseconds.
+    Every realization is a seeding of its own, so that it does not depend on how many are drawn at
+    once. In vectorized variants that is one wavefront of n lanes, some milliseconds.
     """
     return MitsubaObject(source=source, dims=dims)
 

@@ -112,7 +112,7 @@ def warn_lens(scene: Scene) -> None:
 
 
 def integrator_note(scene: Scene) -> str:
-    """Say that a scene's own integrator is not what is analysed; empty if it is, or there is none."""
+    """Say that a scene's own integrator is not what is analyzed; empty if it is, or there is none."""
     with LOCK:
         return "".join(_integrator(scene, load_scene(scene)))
 
@@ -124,7 +124,7 @@ def filter_note(scene: Scene) -> str:
         if rfilter.is_box_filter():
             return ""
     return (
-        f"The film of {scene_name(scene)} has a {rfilter.class_name()}, which averages over neighbouring "
+        f"The film of {scene_name(scene)} has a {rfilter.class_name()}, which averages over neighboring "
         "pixels; a map is of the paths through each pixel's square, as of a box filter."
     )
 
@@ -191,14 +191,14 @@ def _raise_first(sentences: list[str]) -> None:
 
 
 def _lens(scene: Scene, loaded: Any) -> list[str]:
-    """What of the first camera is not sampled: rays start at the lens's centre at one time."""
+    """What of the first camera is not sampled: rays start at the lens's center at one time."""
     sensors = loaded.sensors()[:1]
     found = {
         f"a lens (of radius {radius:.3g})": radius > 0.0 for radius in map(_aperture, sensors)
     } | {"a shutter (open for a while)": any(s.shutter_open_time() > 0.0 for s in sensors)}
     return [
         f"The camera of {scene_name(scene)} has {what}, which is not sampled: every ray starts at "
-        "the centre of the lens, halfway through the time that the shutter is open."
+        "the center of the lens, halfway through the time that the shutter is open."
         for what, there in found.items()
         if there
     ]

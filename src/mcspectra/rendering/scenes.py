@@ -21,7 +21,7 @@ from xml.parsers.expat import ExpatError, ParserCreate
 import numpy as np
 
 from mcspectra.core.checks import Array, as_instance, as_integer, as_path, as_reals
-from mcspectra.core.display import shown
+from mcspectra.core.display import printable, shown
 from mcspectra.core.errors import (
     FileFormatError,
     McspectraError,
@@ -105,7 +105,7 @@ def as_scene(scene: object) -> str | Path | DictScene:
         return DictScene(scene)
     if not isinstance(scene, str) or not scene.strip():
         raise ParameterError(
-            f"scene is {scene!r}; give the name of a scene, an XML file or a Mitsuba dictionary."
+            f"scene is {shown(scene)}; give the name of a scene, an XML file or a Mitsuba dictionary."
         )
     return scene
 
@@ -232,7 +232,7 @@ def render_file(
                 state = parser.parse_dict(config, SCENES.build(parse(named.strip())))
             elif not path.is_file():
                 raise FileFormatError(
-                    f"There is no scene file {named!r}; give a Mitsuba XML file or one of the names "
+                    f"There is no scene file {shown(named)}; give a Mitsuba XML file or one of the names "
                     f"{', '.join(SCENES)}."
                 )
             else:
@@ -248,7 +248,7 @@ def render_file(
             loaded = parser.instantiate(config, state)
             if not isinstance(loaded, mitsuba.Scene):
                 raise FileFormatError(
-                    f"{named!r} holds no scene; its root element must be <scene>."
+                    f"{shown(named)} holds no scene; its root element must be <scene>."
                 )
 
             # Render it
@@ -265,7 +265,7 @@ def render_file(
             if isinstance(error.__cause__, McspectraError):  # raised by our sampler
                 raise error.__cause__ from None
             reason = mitsuba_reason(error)
-            raise FileFormatError(f"Mitsuba cannot render {named!r}: {reason}.") from None
+            raise FileFormatError(f"Mitsuba cannot render {shown(named)}: {reason}.") from None
         finally:
             mitsuba.set_file_resolver(resolver)
             if before is not None:
@@ -312,9 +312,9 @@ def integrator_plugin(spec: str) -> dict[str, Any]:
     try:
         found = {"type": plugin, **parse(f"integrator{bracket}{rest}").arguments}
     except SpecError as error:
-        raise ParameterError(f"The integrator {spec!r} cannot be read: {error}") from None
+        raise ParameterError(f"The integrator {shown(spec)} cannot be read: {error}") from None
     if reach_of(found) is not None:
-        raise ParameterError(f"The integrator {spec!r:.200} names a file or code; remove it.")
+        raise ParameterError(f"The integrator {shown(spec)} names a file or code; remove it.")
     _copied(found)  # checked as a dictionary is
     return found
 
@@ -371,7 +371,7 @@ def project(scene: Scene, point: Sequence[float]) -> tuple[float, float]:
         The point is not three finite numbers, or lies outside the camera's view.
     """
     if not isinstance(point, Sequence | np.ndarray):
-        raise ParameterError(f"point is {point!r}; give three numbers, x, y and z.")
+        raise ParameterError(f"point is {shown(point)}; give three numbers, x, y and z.")
     target = as_reals("point", point, 3)
     with LOCK:
         mitsuba, sensor = load_mitsuba(), sensor_of(scene)
@@ -398,7 +398,7 @@ def find_emitter(scene: Scene, light: int | str) -> Any:
         if light in names:
             return emitters[names.index(light)]
         hint, _ = close_match_hint(light, names)
-        raise ParameterError(f"The scene {scene_name(scene)} has no light {light!r}.{hint}")
+        raise ParameterError(f"The scene {scene_name(scene)} has no light {shown(light)}.{hint}")
     if not emitters:
         raise ParameterError(f"The scene {scene_name(scene)} has no lights; add an emitter to it.")
     try:
@@ -441,10 +441,10 @@ def _built(request: str | Path | DictScene, _state: Hashable = None) -> Any:
         scene = load(source, optimize=False)
     except (RuntimeError, TypeError) as error:
         raise FileFormatError(
-            f"Mitsuba cannot read the scene {name!r}: {mitsuba_reason(error)}."
+            f"Mitsuba cannot read the scene {shown(name)}: {mitsuba_reason(error)}."
         ) from None
     if not isinstance(scene, mitsuba.Scene):
-        raise FileFormatError(f"{name!r} holds no scene; its root element must be <scene>.")
+        raise FileFormatError(f"{shown(name)} holds no scene; its root element must be <scene>.")
     found = what_fails(scene)
     if found is None:
         return scene
@@ -453,7 +453,7 @@ def _built(request: str | Path | DictScene, _state: Hashable = None) -> Any:
     del scene, found
     gc.collect()
     raise ParameterError(
-        f"Mitsuba cannot evaluate {part} in the scene {name!r}: {reason}; change its parameters "
+        f"Mitsuba cannot evaluate {part} in the scene {shown(name)}: {reason}; change its parameters "
         "or textures."
     )
 
@@ -466,7 +466,8 @@ def mitsuba_reason(error: Exception) -> str:
     text = str(error).strip()
     if "Traceback" in text:
         text = text.splitlines()[-1].partition(": ")[2]
-    return " ".join(re.sub(r"\[\w+\.(?:cpp|h):\d+\]\s*", "", text).split()).rstrip(".")
+    words = " ".join(re.sub(r"\[\w+\.(?:cpp|h):\d+\]\s*", "", text).split()).rstrip(".")
+    return printable(words, _LONGEST_REASON)
 
 
 def _as_file(request: str | Path) -> Path | None:
@@ -502,7 +503,7 @@ class DictScene:
     def __init__(self, scene: Mapping[str, Any]) -> None:
         if scene.get("type") != "scene":
             raise ParameterError(
-                f"The root of a scene dictionary has the type {scene.get('type')!r}; "
+                f"The root of a scene dictionary has the type {shown(scene.get('type'))}; "
                 "it must be 'scene'."
             )
         self._copy: dict[str, Any] = _copied(scene)
@@ -536,7 +537,7 @@ def _copied(value: Any, depth: int = 0) -> Any:
         for name in value:
             if not isinstance(name, str):
                 raise ParameterError(
-                    f"A key of the scene dictionary is {name!r}; it must be a string."
+                    f"A key of the scene dictionary is {shown(name)}; it must be a string."
                 )
         if isinstance(name := value.get("filename"), str) and len(name) <= _LONGEST_PATH:
             _regular(Path(name), Path("dict"))
@@ -544,7 +545,7 @@ def _copied(value: Any, depth: int = 0) -> Any:
             check_plugin(name, [Path.cwd()])
         if isinstance(name := value.get("material"), str) and "/" in name:
             raise ParameterError(
-                f"A material of the scene dictionary is {shown(name, 80)}; give a name such as 'Au'."
+                f"A material of the scene dictionary is {shown(name)}; give a name such as 'Au'."
             )
         return {name: _copied(entry, depth + 1) for name, entry in value.items()}
     if isinstance(value, list | tuple):
@@ -583,6 +584,7 @@ MOST_ELEMENTS = 2**21
 MOST_XML = 2**26
 """Bytes of an XML file: a million elements take about 32 MB."""
 
+_LONGEST_REASON = 300  # characters of Mitsuba's words in a message
 _INCLUDES = 16  # levels of includes; Mitsuba refuses more than 15
 _MOST_NAMES = 64  # values of one text with parameters
 _MOST_ROUNDS = 64  # over all names: each follows one more include or default
@@ -882,7 +884,7 @@ def check_plugin(name: str, folders: Iterable[Path]) -> None:
         return
     if not _PLUGIN_NAME.fullmatch(name):
         raise FileFormatError(
-            f"A scene has the plugin {shown(name, 80)}; names of plugins have letters, digits, hyphens and "
+            f"A scene has the plugin {shown(name)}; names of plugins have letters, digits, hyphens and "
             "underscores."
         )
     home = mitsuba_folder()
@@ -892,7 +894,7 @@ def check_plugin(name: str, folders: Iterable[Path]) -> None:
             place = folder / "plugins" / f"{name}{ending}"
             if _exists(place) and place.resolve().parent != own:
                 raise FileFormatError(
-                    f"The plugin {name!r} is in {str(place)!r}; a scene's own libraries are not run: remove it, "
+                    f"The plugin {shown(name)} is in {str(place)!r}; a scene's own libraries are not run: remove it, "
                     "or put it into Mitsuba's folder of plugins."
                 )
 

@@ -14,6 +14,7 @@ from typing import Any, final
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.display import shown
 from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.spec import parse
 from mcspectra.densities import Density, EnvironmentDensity, as_density
@@ -31,7 +32,7 @@ _SMALLEST_SINE = 1e-12  # at the poles, where a density per steradian has no bou
 @final
 @dataclass(frozen=True, eq=False)
 class Sky:
-    """A density on [0,1)², of directions towards an environment; `rotation` is its frame in the world."""
+    """A density on [0,1)², of directions toward an environment; `rotation` is its frame in the world."""
 
     density: Density
     rotation: Array
@@ -71,7 +72,7 @@ def environment_of(scene: Scene, light: int | str | None = None) -> Any:
     alone = len(loaded.emitters()) == 1
     if not (alone if light is None else find_emitter(scene, light).is_environment()):
         raise ParameterError(
-            f"Directions are sampled towards the environment of {scene_name(scene)} only; give ",
+            f"Directions are sampled toward the environment of {scene_name(scene)} only; give ",
             Parameter("light", emitter_name(found)),
             ", so that no other light counts.",
         )
@@ -91,8 +92,8 @@ def sky_pixels(scene: Scene, rows: int = _ROWS) -> Array:
     Returns
     -------
     ndarray
-        Linear radiance (rows, 2 rows, 3) at pixel centres, to be given to `EnvironmentDensity`. Mitsuba's
-        maps have the centres of their first and last row at the poles: pixels are no copies of theirs.
+        Linear radiance (rows, 2 rows, 3) at pixel centers, to be given to `EnvironmentDensity`. Mitsuba's
+        maps have the centers of their first and last row at the poles: pixels are no copies of theirs.
 
     Raises
     ------
@@ -133,13 +134,13 @@ def _sky(loaded: Any, name: str, density: Density | str) -> Sky:
             made = EnvironmentDensity(values=_pixels(loaded.environment(), _ROWS), **given)
     if not isinstance(made, Density) or made.dims != 2 or made.primary_dims != 2:
         raise ParameterError(
-            f"{density!r:.80} is not a density in 2 dims; the environment of {name} needs one."
+            f"{shown(density)} is not a density in 2 dims; the environment of {name} needs one."
         )
     return Sky(made, rotation_of(loaded.environment()))
 
 
 def _pixels(emitter: Any, rows: int) -> Array:
-    """Radiance (rows, 2 rows, 3) at pixel centres."""
+    """Radiance (rows, 2 rows, 3) at pixel centers."""
     x_1, x_0 = np.meshgrid(
         (np.arange(rows) + 0.5) / rows, (np.arange(2 * rows) + 0.5) / (2 * rows), indexing="ij"
     )
@@ -159,7 +160,7 @@ def rotation_of(emitter: Any) -> Array:
     matrix = np.asarray(emitter.world_transform().matrix, np.float64).reshape(4, 4)[:3, :3]
     if not np.allclose(matrix.T @ matrix, np.eye(3), atol=_ORTHONORMAL):
         raise ParameterError(
-            f"The to_world of the environment {emitter_name(emitter)!r} is not a rotation "
+            f"The to_world of the environment {shown(emitter_name(emitter))} is not a rotation "
             "or reflection, so it would be sampled wrongly; remove the scaling."
         )
     return matrix

@@ -80,7 +80,7 @@ class Hit:
 
 
 def primary_hit(scene: Any, x: int, y: int) -> Hit:
-    """Follow the ray through the centre of pixel, lens and shutter."""
+    """Follow the ray through the center of pixel, lens and shutter."""
     return hits_of(scene)(x, y)
 
 
@@ -111,7 +111,7 @@ def _primary_hit(scene: Any, x: int, y: int) -> Hit:
 
 
 def film_hits(scene: Any, x: int, y: int, film: Array) -> Hit:
-    """Follow a ray through each position (M, 2) in [0,1)² of a pixel, and the centre of the lens.
+    """Follow a ray through each position (M, 2) in [0,1)² of a pixel, and the center of the lens.
 
     A float32 tells positions apart that differ by 2⁻²⁴ of the whole film.
     """
@@ -151,7 +151,7 @@ def check_pixel(scene: Scene, x: object, y: object) -> tuple[int, int]:
 
 
 def check_receiver(scene: Scene, x: int, y: int) -> Hit:
-    """Return the surface at the pixel's centre if its reflection can be sampled.
+    """Return the surface at the pixel's center if its reflection can be sampled.
 
     A ParameterError if it sees nothing, a light, or a BSDF that is a delta function.
     """
@@ -266,7 +266,7 @@ def pixel_sums(
 ) -> Array:
     """Sums over samples u (R, n, D), of all pixels alike, or (R, P, n, D): (numbers, R, P).
 
-    A lane is a realisation of a pixel; `values` of the lanes' pixels gives the function of the row of u.
+    A lane is a realization of a pixel; `values` of the lanes' pixels gives the function of the row of u.
     """
     import drjit
 

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from mcspectra.core.checks import Array, as_choice, as_real_array
+from mcspectra.core.display import shown
 from mcspectra.core.errors import DomainError, ParameterError
 from mcspectra.rendering.backend import LARGEST_SAMPLE, LOCK, load_mitsuba
 from mcspectra.rendering.kernel_nets import NetPoints
@@ -66,7 +67,7 @@ class Wavefront:
     light
         Index or name of the only light to use; all by default.
     film
-        ``"center"``: rays through the pixels' centres. ``"sampled"``: through a point of the pixel
+        ``"center"``: rays through the pixels' centers. ``"sampled"``: through a point of the pixel
         that the first two columns of u choose, uniformly (a box filter).
     heuristic
         ``"balance"`` or ``"power"`` (β = 2), for the ``mis`` strategies.
@@ -80,7 +81,7 @@ class Wavefront:
 
     Notes
     -----
-    Rays start at the centre of the lens, in the middle of the shutter's time. A light that is a
+    Rays start at the center of the lens, in the middle of the shutter's time. A light that is a
     delta function has no part in ``bsdf``, nor a specular lobe in ``light``; ``mis`` has both.
     """
 
@@ -214,7 +215,7 @@ class Wavefront:
         pixels = np.ascontiguousarray(given, np.int64)
         if u.ndim not in (2, 3) or u.shape[-1] not in allowed or u.shape[-2] == 0:
             raise ParameterError(
-                f"u has shape {u.shape}; {strategy!r} takes (pixels, samples, dims) or "
+                f"u has shape {u.shape}; {shown(strategy)} takes (pixels, samples, dims) or "
                 f"(samples, dims) with {allowed[0]} or {allowed[1]} dims."
             )
         if u.ndim == 3 and len(u) != len(pixels):
@@ -291,7 +292,7 @@ class Wavefront:
         return parts
 
     def _trace_centers(self, pixels: bytes) -> Any:
-        """First hits through the centres of pixels, given as the bytes of int64 (P, 2)."""
+        """First hits through the centers of pixels, given as the bytes of int64 (P, 2)."""
         import drjit
 
         x, y = corners_of(np.frombuffer(pixels, np.int64).reshape(-1, 2))

@@ -44,7 +44,7 @@ __all__ = [
 BENCH_FILES = (".html", ".pdf", ".csv", ".tex", ".pgf")
 """Extensions that `write_bench` knows; any other name is a folder."""
 
-_HEADS = QUALITY_HEADS | {"generalized_l2_discrepancy": "Generalised L2 discrepancy"}
+_HEADS = QUALITY_HEADS | {"generalized_l2_discrepancy": "Generalized L2 discrepancy"}
 _ROWS = 44  # on a sheet
 _ABREAST = 6  # samplers that have columns in a table of integrands
 _IN_OVERLAY = 10  # samplers whose lines are told apart
@@ -250,7 +250,7 @@ def _said(bench: xr.Dataset) -> list[str]:
     low, high = bench["n"].values[[0, -1]]
     how = (
         f"{bench.sizes['sampler']} samplers on {bench.sizes['integrand']} integrands, n = {low} … {high}, "
-        f"{bench.attrs['realizations']} realisations, seed {bench.attrs['seed']}; mcspectra {__version__}. "
+        f"{bench.attrs['realizations']} realizations, seed {bench.attrs['seed']}; mcspectra {__version__}. "
         "Rates are exponents of the variance in n with 95 % intervals (random: −1), unresolved beyond 0.5. "
         "Ranks are by n · variance at the largest n, with 95 % intervals that hold for all ranks together; "
         "speeds are of one thread that makes sets of the largest n. Curves lie over one another in the order "

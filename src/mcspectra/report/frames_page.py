@@ -34,7 +34,7 @@ _COLUMNS = ("Samples a pixel", "Frames", "Variance", "95 %", "σ / mean", "FLIP"
 _LOW = 0.125  # cycles a pixel
 _BLUE, _RED = 0.8, 1.25  # power there, below and above which noise is not called white
 _UNSURE = 0.5  # error of that power, relative to it, which tells nothing
-_ALIKE = 0.1  # correlation of neighbours that is worth a word
+_ALIKE = 0.1  # correlation of neighbors that is worth a word
 _SURE = 2.24  # standard errors that the larger of two correlations of white noise exceeds in 5 %
 _HEAVY = 0.5  # tail index of infinite variance
 _CARRIED = 0.05  # share of the variance in fireflies that is worth a word
@@ -138,7 +138,7 @@ def _doubts(found: dict[str, Any]) -> Iterator[str]:
     if missing:
         yield f"Pixels that are NaN or infinite in some frame, and have no numbers: {missing}."
     if not np.isfinite([row["picture_variance_ci"][1] for row in found["samples"]]).all():
-        yield "One pixel of one frame makes over 5 % of all squared errors: the variance has no upper bound yet."
+        yield "The variance has no upper bound yet: one pixel of one frame makes over 5 % of all squared errors."
 
 
 def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[str]:
@@ -158,10 +158,10 @@ def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[str]:
         yield (
             f"{percent(found['reached_share'])} of the pixels reach σ / mean = {number(found['target'])} "
             + (f"at {result['n'].values[-1]} samples" if known else "in a frame")
-            + f"; half of them need {number(found['needed_median'])}{times}, "
-            f"95 % of them {number(found['needed_95'])}{times}"
-            + (", by their rates" if "rate" in result else ", if the variance falls as 1/n")
-            + f". A pixel's own need is known to ± {percent(doubt)}, which makes that of 95 % too large."
+            + (". By their rates" if "rate" in result else ". If the variance falls as 1/n")
+            + f", half of the pixels need {number(found['needed_median'])}{times}, and "
+            f"95 % need at most {number(found['needed_95'])}{times}. The estimate for one pixel has an error of "
+            f"± {percent(doubt)}; this error makes the last number too large."
         )
     last = result.isel(n=-1)
     lowest = last["radius"].values < _LOW
@@ -184,7 +184,7 @@ def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[str]:
         yield f"Blue noise: {below}, which the eye, and a denoiser, blurs away."
     elif level > _RED and level > factor:
         yield (
-            f"Neighbours err together: {below}; a wide reconstruction filter, or points shared by pixels."
+            f"Neighbors err together: {below}; a wide reconstruction filter, or points shared by pixels."
         )
     elif half > _UNSURE * level or not power.size:
         yield f"Whether the noise is white between pixels is not resolved: {below}."
@@ -192,7 +192,7 @@ def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[str]:
         white = level < factor and level * factor > 1.0
         yield f"The noise is {'white' if white else 'nearly white'} between pixels: {below}."
     if max(map(abs, beside)) > max(_ALIKE, _SURE * found["correlation_error"][-1]):
-        yield f"Errors of neighbours correlate by {number(beside[0])} across and {number(beside[1])} down."
+        yield f"Errors of neighbors correlate by {number(beside[0])} across and {number(beside[1])} down."
     if lag := found["repeat"][-1]:
         yield (
             f"The noise repeats after {lag[1]} pixels across and {lag[0]} down (correlation "

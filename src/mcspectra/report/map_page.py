@@ -59,7 +59,7 @@ _PROVENANCE = {
     "dims": "Dims",
     "sampler": "Sampler",
     "seed": "Seed",
-    "realizations": "Realisations",
+    "realizations": "Realizations",
     "light": "Light",
     "heuristic": "Heuristic",
     "channel": "Channel",
@@ -111,7 +111,7 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
     each = "paths" if "path" in result["strategy"].values else "of each technique"
     settings = (
         f"{width} × {height} pixels from ({x0}, {y0}), sampler {known['sampler']}, n = {counts} {each}, "
-        f"{known['realizations']} realisations, {known['points']} points."
+        f"{known['realizations']} realizations, {known['points']} points."
     )
     sentences = tuple(html.Text(text=text) for text in _sentences(summary))
     last = str(result["strategy"].values[-1])

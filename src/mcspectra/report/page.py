@@ -114,7 +114,7 @@ class Cell:
     link
         Where the text leads.
     mark
-        ``yes``, ``no`` or ``none``: the colour of a verdict, which the text says as well.
+        ``yes``, ``no`` or ``none``: the color of a verdict, which the text says as well.
     """
 
     text: str
@@ -201,7 +201,7 @@ class Section:
     blocks
         A section without any is left out.
     beside
-        Words beside its name in the contents, in the colour of `mark`.
+        Words beside its name in the contents, in the color of `mark`.
     fresh
         Whether it begins a new sheet on paper.
     """

@@ -282,7 +282,7 @@ def write_path(tree: xr.DataTree, folder: str | Path) -> Path:
     counts = ", ".join(map(str, known["counts"]))
     settings = (
         f"Whole paths of the integrator {known['integrator']}: {known['dims']} random numbers each. n = "
-        f"{counts} paths, {known['realizations']} realisations, seed {known['rng']}."
+        f"{counts} paths, {known['realizations']} realizations, seed {known['rng']}."
     )
     curves = {"convergence": describe("convergence", tree["convergence"].to_dataset())}
     parts = {kind: describe("anova", _parts(tree, kind)) for kind in tree["anova"].children}

@@ -106,7 +106,7 @@ def write_pixel(tree: xr.DataTree, folder: str | Path) -> Path:
     html.write_json(root / "pixel.json", pixel_summary(tree))
     counts = ", ".join(map(str, known["counts"]))
     settings = (
-        f"n = {counts} samples of each technique, {known['realizations']} realisations, seed "
+        f"n = {counts} samples of each technique, {known['realizations']} realizations, seed "
         f"{known['rng']}; terms, bottleneck and remedies with {known['sampler']}."
     )
     facts = (
@@ -148,7 +148,7 @@ def pixel_answer(tree: xr.DataTree) -> str:
 
 
 def pixel_rows(tree: xr.DataTree) -> list[SummaryRow]:
-    """One row for every strategy and sampler with its prediction; terms where they were analysed.
+    """One row for every strategy and sampler with its prediction; terms where they were analyzed.
 
     Parameters
     ----------
@@ -232,7 +232,7 @@ def bottleneck_sentence(tree: xr.DataTree) -> str:
     rates = [
         f"the rate {text}"
         if "±" in (text := rate(float(value), *map(float, ends)))
-        else "a rate that more realisations would resolve"
+        else "a rate that more realizations would resolve"
         for value, ends in zip(
             found["technique_rate"].values, found["technique_rate_ci"].values, strict=True
         )

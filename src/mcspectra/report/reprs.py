@@ -32,9 +32,9 @@ SIDE = 132
 """Width and height of a picture in CSS pixels."""
 
 _BLUE = "#0072B2"
-# Five colours of viridis (van der Walt, Smith 2015), even in lightness; between them linear.
+# Five colors of viridis (van der Walt, Smith 2015), even in lightness; between them linear.
 _VIRIDIS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
-_CLIPPED = 0.5  # per cent of values at either end that may lie beyond the colours: poles
+_CLIPPED = 0.5  # per cent of values at either end that may lie beyond the colors: poles
 _POINTS = 64
 _MOST_NUMBERS = 2**16  # coordinates of the set that is drawn
 _CELLS = {1: 192, 2: 48}  # along an axis of a picture
@@ -164,7 +164,7 @@ def _estimator(estimator: AbstractEstimator) -> tuple[Pictures, Rows]:
 
 
 def _values(function: Callable[[Array], Array], dims: int) -> Array | None:
-    """Values at the centres of a grid of cells, the axes beyond two at ½; None if that takes long."""
+    """Values at the centers of a grid of cells, the axes beyond two at ½; None if that takes long."""
     side = _CELLS[min(dims, 2)]
     centres = (np.arange(side) + 0.5) / side
     rows = []
@@ -227,7 +227,7 @@ def strip(points: Array, label: str) -> str:
 
 
 def curve(values: Array, label: str) -> str:
-    """Values (k,) or (k, channels) at the centres of k equal cells; the axis starts at 0 or below."""
+    """Values (k,) or (k, channels) at the centers of k equal cells; the axis starts at 0 or below."""
     columns = values.reshape(len(values), -1)
     low, high = _limits(columns)
     low, high = min(low, 0.0), max(high, 0.0)
@@ -246,7 +246,7 @@ def curve(values: Array, label: str) -> str:
 
 
 def map_image(values: Array, label: str) -> str:
-    """Values (k, k) or (k, k, channels) in a grid of cells; three channels are colours."""
+    """Values (k, k) or (k, k, channels) in a grid of cells; three channels are colors."""
     from PIL import Image
 
     colored = values.ndim == 3 and values.shape[2] == 3

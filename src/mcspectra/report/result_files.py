@@ -15,7 +15,7 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.core.decoding import path_to_write
-from mcspectra.core.display import csv_cell, printable
+from mcspectra.core.display import csv_cell, printable, shown
 from mcspectra.core.errors import Parameter, ParameterError, writing
 from mcspectra.core.fits import is_resolved
 from mcspectra.core.spec import short_spec
@@ -61,7 +61,7 @@ def check_result_file(file: str, known: tuple[str, ...] = RESULT_FILES) -> None:
     """
     if Path(file).suffix not in known:
         allowed = f"{', '.join(known[:-1])} or {known[-1]}"
-        raise ParameterError(Parameter("out"), f" is {file!r}; it must end in {allowed}.")
+        raise ParameterError(Parameter("out"), f" is {shown(file)}; it must end in {allowed}.")
     path_to_write(file, "a file", known)
     if Path(file).suffix == ".html":
         html.check_page_packages()

@@ -72,7 +72,7 @@ _PROJECTED_DIMS = 4
 QUALITY_HEADS = {
     "relative_minimum_distance": "Minimum distance",
     "star_discrepancy": "Star discrepancy",
-    "centered_discrepancy": "Centred discrepancy",
+    "centered_discrepancy": "Centered discrepancy",
     "diaphony": "Diaphony",
     "transport_cost": "Transport cost",
     "t_value": "t",
@@ -91,7 +91,7 @@ class Effort:
     n
         Points of the pictures, the spectrum and the quality figures; the nearest possible count.
     spectra, rates
-        Realisations of the spectrum, and of the variance at each of `counts`; without counts there are
+        Realizations of the spectrum, and of the variance at each of `counts`; without counts there are
         no rates.
     """
 
@@ -122,7 +122,7 @@ class Card:
         Spec of the sampler whose rates were measured: a fixed set is randomized first. Empty without
         rates.
     points
-        One realisation, (n, dims).
+        One realization, (n, dims).
     projected
         The axes 2 and 3 of a set in 4 dims, (n, 2); None where it cannot do 4.
     spectrum
@@ -376,9 +376,9 @@ def _settings(effort: Effort) -> str:
     low, high = effort.counts[0], effort.counts[-1]
     return (
         f"Each set has n ≈ {effort.n} points in 2-D (or in the only dims it can do). Spectra are "
-        f"means over {effort.spectra} realisations, n · power is 1 for random points. Rates are "
+        f"means over {effort.spectra} realizations, n · power is 1 for random points. Rates are "
         f"exponents of the variance in n with 95 % intervals, for n = {low} … {high} and "
-        f"{effort.rates} realisations; sets that are the same every time are randomised first, by "
-        "owen (nets) or shift. Optimised sets are 8 for each n, used again under random "
+        f"{effort.rates} realizations; sets that are the same every time are randomized first, by "
+        "owen (nets) or shift. Optimized sets are 8 for each n, used again under random "
         f"translations, for n up to {effort.slow_counts[-1]}. Speeds are of one thread."
     )

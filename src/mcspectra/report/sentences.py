@@ -106,7 +106,7 @@ def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
     -----
     A term is said to add or to remove variance only where its 95 % interval excludes 0. The intervals
     of the prediction and the measurement are treated as independent, although both come from the
-    same realisations: that is cautious.
+    same realizations: that is cautious.
     """
     as_instance("row", row, SummaryRow, "a row of mcspectra.studies.summarize")
     as_instance("terms", terms, xr.Dataset | None, "a dataset of mcspectra.variance_terms")
@@ -276,7 +276,7 @@ def _cross_sentence(row: SummaryRow, diagonal: float, uniform: bool, shifted: bo
     if fourier and uniform and shifted:
         text += ", by chance: of points shifted at random its mean is zero"
     elif fourier and removes:
-        text += ": frequencies are correlated in the integrand's favour, as with " + (
+        text += ": frequencies are correlated in the integrand's favor, as with " + (
             "strata aligned to it; a random shift would lose that"
             if uniform
             else "a density that follows it"

@@ -546,7 +546,7 @@ def _setting(analysis: str, data: xr.Dataset) -> str:
     else:
         n = data["n"].values.tolist() if "n" in data else []
         counts = f"n = {n[0]} … {n[-1]}" if len(n) > 1 else ", ".join(f"n = {k}" for k in n)
-    realizations = f"{known.get('realizations', '?')} realisations"
+    realizations = f"{known.get('realizations', '?')} realizations"
     if "relative_error" in known:
         error = percent(float(known["relative_error"]))
         realizations += f" at most, fewer where the variance has a standard error of {error}"

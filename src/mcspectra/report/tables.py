@@ -30,8 +30,8 @@ from mcspectra.studies import SummaryRow
 __all__ = ["analysis_table", "first_channel", "summary_of", "summary_table", "terms_table"]
 
 _CERTAIN = 2e-6  # width of an interval, relative to the value, of a value with six digits
-_NO_CURVE = "convergence was not analysed"
-_NO_TERMS = "nothing that predicts was analysed"
+_NO_CURVE = "convergence was not analyzed"
+_NO_TERMS = "nothing that predicts was analyzed"
 _NO_RATE = "fewer than two counts have a variance above rounding noise"
 _NO_NUMBER = "there is no finite number"
 _ROW = "a row of mcspectra.studies.summarize"

@@ -53,7 +53,7 @@ _VISIBLE = 5e-4  # tolerances of rates from here on are shown with the rate
 _PIXEL_TOLERANCE = 0.125
 _PIXEL_NOTE = (
     "Tolerance: a quarter of the distance between −1.5 (edges) and −2 (smooth). Curves bend "
-    "towards their limits, and exact variances of pixels are not known."
+    "toward their limits, and exact variances of pixels are not known."
 )
 
 Interval: TypeAlias = tuple[float, float]
@@ -255,7 +255,7 @@ def pixel_rate(statement: str, curve: xr.Dataset, expected: float) -> Claim:
         for limit in (expected, -3.5 - expected)
     )
     if judge(claim).agrees and judge(rival).agrees:
-        weak = f"So few realisations do not rule out {number(-3.5 - expected, 2)}."
+        weak = f"So few realizations do not rule out {number(-3.5 - expected, 2)}."
         return replace(claim, note=f"{_PIXEL_NOTE} {weak}")
     return claim
 

@@ -1,4 +1,4 @@
-"""Environment maps sampled by the gray channel keep the jumps of the colours; each by its own channel does not."""
+"""Environment maps sampled by the gray channel keep the jumps of the colors; each by its own channel does not."""
 
 from __future__ import annotations
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast, final
 
 from mcspectra.core.checks import as_integer
+from mcspectra.core.display import shown
 from mcspectra.core.errors import (
     McspectraError,
     ParameterError,
@@ -156,7 +157,7 @@ def exhibit_names(names: Sequence[str]) -> list[str]:
     for name in names:
         if name not in slides():
             hint, close = close_match_hint(name, slides(), "mcspectra reproduce --list")
-            raise UnknownName(f"There is no figure called {name!r}.{hint}", close)
+            raise UnknownName(f"There is no figure called {shown(name)}.{hint}", close)
     return [name for name in slides() if name in names or not names]
 
 
@@ -201,7 +202,7 @@ def reproduce(
     names
         Exhibits; all by default. They come in the order of the slides.
     quick
-        Fewer realisations, counts and pixels.
+        Fewer realizations, counts and pixels.
     seed
         Of all exhibits; a whole number of at least 0.
     command

@@ -104,7 +104,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 "and integrand: largest relative difference.",
                 float(np.abs(errors).max()),
                 at_most=1e-10,
-                note="For any number of realisations; transforms have a tolerance of 1e-9 and cancel here.",
+                note="For any number of realizations; transforms have a tolerance of 1e-9 and cancel here.",
             ),
             Claim(
                 "The third term is real: its imaginary part over the sum of the sizes of its entries, largest.",

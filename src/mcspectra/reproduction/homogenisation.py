@@ -1,4 +1,4 @@
-"""Homogenisation, or Cranley-Patterson rotation: shift all points, wrap them around the torus."""
+"""Homogenization, or Cranley-Patterson rotation: shift all points, wrap them around the torus."""
 
 from __future__ import annotations
 
@@ -91,12 +91,12 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         ),
         claims=(
             Claim(
-                "All points of a realisation are moved by the same vector on the torus: largest deviation.",
+                "All points of a realization are moved by the same vector on the torus: largest deviation.",
                 float(np.abs(apart).max()),
                 at_most=1e-15,
             ),
             Claim(
-                "A shift leaves |S_m|² at integer m as it is, in every realisation of "
+                "A shift leaves |S_m|² at integer m as it is, in every realization of "
                 f"{', '.join(pairs)}: largest difference.",
                 max(float(np.abs(b - a).max()) for b, a in powers),
                 at_most=1e-14,

@@ -1,4 +1,4 @@
-"""What homogenisation does to convergence: where it costs the rate, and where it does not."""
+"""What homogenization does to convergence: where it costs the rate, and where it does not."""
 
 from __future__ import annotations
 

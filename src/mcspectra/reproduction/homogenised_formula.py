@@ -1,4 +1,4 @@
-"""The variance of homogenised samples is the power term alone."""
+"""The variance of homogenized samples is the power term alone."""
 
 from __future__ import annotations
 

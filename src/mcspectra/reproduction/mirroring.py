@@ -1,4 +1,4 @@
-"""Mirroring of the integrand and of the samples, which homogenisation then does not harm.
+"""Mirroring of the integrand and of the samples, which homogenization then does not harm.
 
 Mirror-uniform puts each of n/4 points into four images, which is sampling the mean h of f over images
 at n/4 points; mirror-random adds the variance of the choice of an image, 1/n of that of f among them.
@@ -41,13 +41,13 @@ __all__ = ["exhibit"]
 INTEGRAND = "christensen-gaussian"
 _COUNTS = (64, 256, 1024, 4096)
 _TITLES = {"original": "original", "random": "mirror-random", "uniform": "mirror-uniform"}
-_WORDS = {False: "not homogenised", True: "homogenised"}
+_WORDS = {False: "not homogenized", True: "homogenized"}
 RATES = {
     ("original", False): -2.0, ("original", True): -1.5,
     ("random", False): -1.0, ("random", True): -1.0,
     ("uniform", False): -2.0, ("uniform", True): -2.0,
 }  # fmt: skip
-"""Of each mirroring, not homogenised and homogenised."""
+"""Of each mirroring, not homogenized and homogenized."""
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
@@ -118,13 +118,13 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 for (m, h), cell in cells.items()
             ),
             Claim(
-                f"Homogenised is not good: at N = {_COUNTS[-1]} the shift multiplies the variance of the original by "
+                f"Homogenized is not good: at N = {_COUNTS[-1]} the shift multiplies the variance of the original by "
                 "more than 1.",
                 moved / last["original", False],
                 above=1.0,
             ),
             Claim(
-                f"Mirroring helps where sets are homogenised: at N = {_COUNTS[-1]}, variance of the original over "
+                f"Mirroring helps where sets are homogenized: at N = {_COUNTS[-1]}, variance of the original over "
                 "mirror-uniform, both shifted.",
                 moved / last["uniform", True],
                 above=1.0,

@@ -127,7 +127,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 above=0.0,
             ),
             Claim(
-                "Averaged over all offsets, which is homogenisation, the third term is 0: over its largest size.",
+                "Averaged over all offsets, which is homogenization, the third term is 0: over its largest size.",
                 float(np.mean(values) / np.abs(values).max()),
                 at_most=1e-12,
             ),

@@ -1,4 +1,4 @@
-"""Point sets: samplers, randomisations that wrap them, and sets from outside."""
+"""Point sets: samplers, randomizations that wrap them, and sets from outside."""
 
 import lazy_loader
 

@@ -1,11 +1,11 @@
-"""Numba kernels of points that are relaxed by their cells or their neighbours: nothing is checked.
+"""Numba kernels of points that are relaxed by their cells or their neighbors: nothing is checked.
 
-Farthest points: a largest empty disk is centred on a corner of a Voronoi cell. Each cell is cut from the
+Farthest points: a largest empty disk is centered on a corner of a Voronoi cell. Each cell is cut from the
 square around its point (the bisectors with the point's own images) by the bisectors with the points
 nearby; taking a point away, or putting one in, changes only the cells next to it. Legend: n points,
 2 dims; buckets as in `_spacing_kernels`; cells as of power diagrams; holes (n, 4): coordinates of the
 corner of each cell that is farthest from its point, its squared distance, and the squared distance of the
-nearest neighbour.
+nearest neighbor.
 
 Power diagrams: the cell of site i holds the x with |x − x_i|² − w_i ≤ |x − x_j|² − w_j for all sites j
 and their images. It is cut likewise by the sites in a grid of cells, ring by ring, until those left are
@@ -153,7 +153,7 @@ def measure_all(points: Array) -> Any:
 
 @kernel
 def _measure_around(size: int, cell: Array, points: Array, buckets: Any, holes: Array) -> None:
-    # Measure the neighbours of a cell.
+    # Measure the neighbors of a cell.
     other, spare = np.empty((_CORNERS, 4)), np.empty((_CORNERS, 4))
     for k in range(size):
         if cell[k, 3] >= 0:
@@ -162,7 +162,7 @@ def _measure_around(size: int, cell: Array, points: Array, buckets: Any, holes: 
 
 @kernel
 def move_points(start: int, stop: int, points: Array, buckets: Any, holes: Array) -> None:
-    """Move each of the points start … stop−1 to the centre of the largest empty disk without it."""
+    """Move each of the points start … stop−1 to the center of the largest empty disk without it."""
     side, _, head, chain = buckets
     cell, spare = np.empty((_CORNERS, 4)), np.empty((_CORNERS, 4))
     for i in range(start, stop):
@@ -336,7 +336,7 @@ def _divide(x: Array, diagonal: Array, out: Array) -> float:
 @kernel
 def _solve(diagram: Diagram, rest: Array) -> tuple[Array, int]:
     # The change of the weights that changes areas by `rest`, which is overwritten, and the work:
-    # conjugate gradients for the Laplacian L of the graph of neighbours, weighted by the couplings.
+    # conjugate gradients for the Laplacian L of the graph of neighbors, weighted by the couplings.
     n = rest.size
     change, direction, image, diagonal = np.zeros(n), np.empty(n), np.empty(n), np.zeros(n)
     for i in range(n):
@@ -462,7 +462,7 @@ def _add_cell_pair(
 def near_energy(points: Array, cells: Array, offsets: Array, sigma: float, force: Array) -> float:
     """Return the energy of points (n, 3) up to 6 σ apart, in cells; fewer dims: zeros, one cell.
 
-    `offsets` (K, 3) are the steps to neighbouring cells, one of each opposite pair, the first
+    `offsets` (K, 3) are the steps to neighboring cells, one of each opposite pair, the first
     zero; they may go around the torus several times, so that all images of a point count.
     """
     n = points.shape[0]

@@ -1,7 +1,7 @@
 """Numba kernels of the samplers: arrays only, nothing checked.
 
-Legend: R realisations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`; ``out``
-float64 (R, n, d) unless said. Number i·d + j of a realisation belongs to coordinate j of point i;
+Legend: R realizations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`; ``out``
+float64 (R, n, d) unless said. Number i·d + j of a realization belongs to coordinate j of point i;
 numbers for shuffles come after those.
 """
 

@@ -1,6 +1,6 @@
 """Numba kernels that scramble digits: XOR, permutations, nested uniform, by hash, by random matrices.
 
-Legend: R realisations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`; ``bases`` int64
+Legend: R realizations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`; ``bases`` int64
 (d,); ``points`` float64 (R, n, d), or (1, n, d) of one set for all; ``out`` float64 (R, n, d).
 
 Base 2 comes first. A coordinate is a word of 32 (or 53) bits, the highest standing for ½.
@@ -91,7 +91,7 @@ def _six_flips(bits: Any, piece: Any) -> Any:
 def _flip_two_levels(
     k0: np.uint64, k1: np.uint64, dim: int, level: int, w: Array, out: Array
 ) -> None:
-    # Two subtrees of six levels each, of all words: the loop has no branch and is vectorised
+    # Two subtrees of six levels each, of all words: the loop has no branch and is vectorized
     root, six = np.uint64(dim) << _S32, np.uint64(63)
     upper, lower = root | (_ONE << np.uint64(level)), root | (_ONE << np.uint64(level + 6))
     above, between, below = np.uint64(32 - level), np.uint64(26 - level), np.uint64(20 - level)
@@ -172,7 +172,7 @@ def scramble_hashed(keys: Array, points: Array, out: Array) -> None:
         for start in range(0, n, _WORDS):
             words = block[: min(_WORDS, n - start)]
             for j in range(dims):
-                # Loops apart, so that those over words alone are vectorised
+                # Loops apart, so that those over words alone are vectorized
                 add, factor, add_2, factor_2 = hash_keys[j]
                 for i in range(words.size):
                     words[i] = np.uint32(np.int64(one[start + i, j] * _TO_32))

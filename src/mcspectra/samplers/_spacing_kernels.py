@@ -4,8 +4,8 @@ Dart throwing on a grid of cells that hold one point each (method: `samplers.poi
 over the first axes of the domain, each with a chain of the points in it, for distances to points that
 stand anywhere; and what is chosen by such distances: darts, best candidates, largest empty disks.
 
-Legend: R realisations, n points, d dims; ``out`` float64 (R, n, d), ``keys`` uint64 (R, 2); `at`
-numbers the random numbers of a realisation; `wrap`: distances go round the edges. Buckets are a tuple
+Legend: R realizations, n points, d dims; ``out`` float64 (R, n, d), ``keys`` uint64 (R, 2); `at`
+numbers the random numbers of a realization; `wrap`: distances go round the edges. Buckets are a tuple
 (side, axes, head, chain): `side` cells along each of the first `axes` axes, head (cells,) the last
 point put into each cell, chain (n,) the one before it, −1 at the end.
 """
@@ -36,7 +36,7 @@ _AXES = 3  # of buckets and grids: more would be visits to empty cells
 _REACH = 7
 _ROUNDING = 1e-9  # of a cell
 _FAR = 16.0  # squared distance beyond any in the domain, in up to 4 dims
-_SHARP = 1e-10  # of the distance: how exactly the centre of a hole is found
+_SHARP = 1e-10  # of the distance: how exactly the center of a hole is found
 
 
 @kernel
@@ -241,7 +241,7 @@ def throw_darts(
 @kernel
 def _lower_ceilings(x: Array, side: int, ceilings: Array) -> None:
     # What a new point at x means for the cells around it: no place is farther from it than the
-    # centre of the cell is, plus half the diagonal. Cells beyond the reach keep their ceilings.
+    # center of the cell is, plus half the diagonal. Cells beyond the reach keep their ceilings.
     dims = x.size
     half = 0.5 * np.sqrt(dims) + _ROUNDING
     reach = min(_REACH, side // 2)
@@ -329,7 +329,7 @@ def _pop(heap: Array, size: int, row: Array) -> None:
 
 @kernel
 def _set_bound(box: Array, points: Array, buckets: Any, wrap: bool) -> None:
-    # box (d + 2,): bound, half the side, centre.
+    # box (d + 2,): bound, half the side, center.
     near = _clearance(box[2:], points, buckets, wrap, -1.0, _FAR)
     box[0] = np.sqrt(near) + box[1] * np.sqrt(box.size - 2)
 
@@ -338,7 +338,7 @@ def _set_bound(box: Array, points: Array, buckets: Any, wrap: bool) -> None:
 def fill_holes(points: Array, placed: int, wrap: bool) -> None:
     """Place the rest of points (n, d), the first `placed` given, each as far from all as can be.
 
-    Branch and bound, on the torus or in the cube: in a box of centre c no place is farther from all
+    Branch and bound, on the torus or in the cube: in a box of center c no place is farther from all
     points than c is, plus half the diagonal. Boxes wait in a heap, that of the largest bound on top;
     new points only lower bounds, so that stale ones are mended when they come up.
     """

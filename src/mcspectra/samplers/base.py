@@ -1,6 +1,6 @@
-"""The interface of samplers and randomisations.
+"""The interface of samplers and randomizations.
 
-A `Sampler` draws realisations of a point set, a `Randomization` changes the points of another
+A `Sampler` draws realizations of a point set, a `Randomization` changes the points of another
 sampler; ``sampler.then(randomization)`` chains them. Implementations write `_points` (`_set`,
 `apply`) and declare what they can do; everything else (checks, seeds, shapes) is here.
 """
@@ -39,19 +39,19 @@ __all__ = [
 ]
 
 MAX_COUNT = 2**31
-"""Most points in one realisation, and most numbers in one `draw` of a sampler (16 GiB)."""
+"""Most points in one realization, and most numbers in one `draw` of a sampler (16 GiB)."""
 
 FIRST_STEP = 1 << 16
-"""Label of the stream of the first randomisation; lower ones are free for the samplers' own parts."""
+"""Label of the stream of the first randomization; lower ones are free for the samplers' own parts."""
 
 _MOST_STEPS = 32
 
 Draw: TypeAlias = Callable[[int, np.random.Generator], object]
-"""What makes one realisation: ``draw(n, generator)`` gives points (n, d) in [0,1)."""
+"""What makes one realization: ``draw(n, generator)`` gives points (n, d) in [0,1)."""
 
 
 class Structure(Enum):
-    """The structure that makes a point set better than random; randomisations must keep it."""
+    """The structure that makes a point set better than random; randomizations must keep it."""
 
     NONE = "independent points"
     UNKNOWN = "points from outside"
@@ -61,7 +61,7 @@ class Structure(Enum):
 
 
 class Sampler(Component, ABC):
-    """A randomised point set on [0,1)^d, drawn by the realisation.
+    """A randomized point set on [0,1)^d, drawn by the realization.
 
     Attributes
     ----------
@@ -70,20 +70,20 @@ class Sampler(Component, ABC):
     unbiased
         Whether a point picked at random is uniform on [0,1)^d, so that means are unbiased.
     fixed
-        Whether all realisations are the same set.
+        Whether all realizations are the same set.
     structure
-        The structure that randomisations of this sampler must keep: `Structure`.
+        The structure that randomizations of this sampler must keep: `Structure`.
     sequence
         Whether the first k of n points are those of a set of k points, each run of them good.
     antithetic
         Whether points come in pairs that mirror each other within a cell.
     independent
-        Whether the realisations of a seed are independent of one another.
+        Whether the realizations of a seed are independent of one another.
     min_dims, max_dims, max_count
-        Least and largest dims and largest count of a realisation; beyond them, time or memory run
+        Least and largest dims and largest count of a realization; beyond them, time or memory run
         out. `other_dims` is the advice where there are no others.
     scrambles
-        Randomisations that the sampler itself stands for, as ``halton(scramble='owen')`` does.
+        Randomizations that the sampler itself stands for, as ``halton(scramble='owen')`` does.
     """
 
     dims: int
@@ -112,12 +112,12 @@ class Sampler(Component, ABC):
 
     @property
     def digit_bases(self) -> tuple[int, ...]:
-        """Base of the digits of each coordinate, for randomisations of digits: 2 by default."""
+        """Base of the digits of each coordinate, for randomizations of digits: 2 by default."""
         return (2,) * self.dims
 
     @property
     def powers_only(self) -> bool:
-        """Whether randomisations of digits keep the set at powers of their base only."""
+        """Whether randomizations of digits keep the set at powers of their base only."""
         return self.structure is Structure.STRATA
 
     def digit_strata(self, n: int, base: int) -> bool:
@@ -126,18 +126,18 @@ class Sampler(Component, ABC):
         return True
 
     def draw(self, n: int, *, realizations: int = 1, rng: RngLike = None, first: int = 0) -> Array:
-        """Draw realisations first … first+realizations−1 of a set of `n` points.
+        """Draw realizations first … first+realizations−1 of a set of `n` points.
 
         Parameters
         ----------
         n
-            Number of points in a realisation.
+            Number of points in a realization.
         realizations
-            How many realisations.
+            How many realizations.
         rng
-            Seed in the sense of SPEC 7. Realisation r of a seed is the same whichever call draws it.
+            Seed in the sense of SPEC 7. Realization r of a seed is the same whichever call draws it.
         first
-            Number of the first realisation.
+            Number of the first realization.
 
         Returns
         -------
@@ -154,14 +154,14 @@ class Sampler(Component, ABC):
         start = as_integer("first", first, least=0, most=2**62)
         if n * count * self.dims > MAX_COUNT:
             raise CountError(
-                f"{count} realisations of {n} points in {self.dims} dims are "
+                f"{count} realizations of {n} points in {self.dims} dims are "
                 f"{n * count * self.dims:.3g} numbers; draw at most {MAX_COUNT:.3g} at a time, "
                 "in several calls with first=."
             )
         return self._points(n, Stream.from_rng(rng), start, count)
 
     def draw_stream(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        """Draw `count` realisations from `stream`, `n` already checked: for estimators' inner loops."""
+        """Draw `count` realizations from `stream`, `n` already checked: for estimators' inner loops."""
         return self._points(n, stream, first, count)
 
     def law(self, n: int) -> Law:
@@ -199,7 +199,7 @@ class Sampler(Component, ABC):
         return ()
 
     def as_chain(self, n: int) -> Sampler:  # noqa: ARG002
-        """The sampler and randomisations that this one is short for at n points; itself if for none."""
+        """The sampler and randomizations that this one is short for at n points; itself if for none."""
         return self
 
     @property
@@ -216,7 +216,7 @@ class Sampler(Component, ABC):
         if count > self.max_count:
             raise CountError(
                 f"{self.spec} makes at most {self.max_count} points, not {count}; ask for fewer, or "
-                "use a sampler that needs no optimisation.",
+                "use a sampler that needs no optimization.",
                 (self.max_count,),
             )
         below, above = self._counts_near(count)
@@ -239,21 +239,21 @@ class Sampler(Component, ABC):
         return min(options, key=lambda c: (abs(c - count), c))
 
     def then(self, randomization: Randomization) -> Sampler:
-        """Return this sampler with `randomization` applied to every realisation."""
+        """Return this sampler with `randomization` applied to every realization."""
         if not isinstance(randomization, Randomization):
-            raise ParameterError(f"{randomization!r} is not a randomisation; use e.g. Shift().")
+            raise ParameterError(f"{randomization!r} is not a randomization; use e.g. Shift().")
         fitted = randomization.fit(self)
         base, steps = self.plain, self.randomizations
         if len(steps) == _MOST_STEPS:
             raise ParameterError(
-                f"{base.spec} already has {_MOST_STEPS} randomisations, the most allowed; "
+                f"{base.spec} already has {_MOST_STEPS} randomizations, the most allowed; "
                 "leave the others out."
             )
         return Randomized(base=base._before(fitted), steps=(*steps, fitted))
 
     @abstractmethod
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        """Make realisations first … first+count−1: float64 (count, n, dims)."""
+        """Make realizations first … first+count−1: float64 (count, n, dims)."""
 
     def _before(self, randomization: Randomization) -> Sampler:
         """Return the sampler to draw from before `randomization`: given sets may then be reused."""
@@ -271,7 +271,7 @@ class Sampler(Component, ABC):
 
     @staticmethod
     def from_points(points: object) -> Sampler:
-        """Make a sampler of given points, shape (R, n, d) or (n, d): realisation r is points[r]."""
+        """Make a sampler of given points, shape (R, n, d) or (n, d): realization r is points[r]."""
         return samplers.GivenPoints.from_array(points)
 
     @staticmethod
@@ -333,17 +333,17 @@ class Randomization(Component, ABC):
     debiases: ClassVar[bool] = False
     """Whether every point is uniform afterwards, whatever it was before."""
     fixed: ClassVar[bool] = False
-    """Whether realisations that are the same set remain so."""
+    """Whether realizations that are the same set remain so."""
     pointwise: ClassVar[bool] = False
     """Whether each point moves by itself, so that sequences stay sequences."""
     independent: ClassVar[bool] = True
-    """Whether realisations are moved independently of one another."""
+    """Whether realizations are moved independently of one another."""
     fits: ClassVar[Mapping[Structure, Structure]] = {s: s for s in Structure}
     """The structures that survive, and what is left of each; samplers of others are refused."""
 
     @abstractmethod
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
-        """Return new points (count, n, d) in [0,1) for realisations first … first+count−1."""
+        """Return new points (count, n, d) in [0,1) for realizations first … first+count−1."""
 
     def law_of(self, law: Law, n: int) -> Law:
         """Return the law of `n` points that follow `law` before they are randomized."""
@@ -354,7 +354,7 @@ class Randomization(Component, ABC):
         return n
 
     def fit(self, sampler: Sampler) -> Randomization:
-        """Return this randomisation as it is applied to `sampler`, e.g. in its digits' base.
+        """Return this randomization as it is applied to `sampler`, e.g. in its digits' base.
 
         Raises
         ------
@@ -370,15 +370,15 @@ class Randomization(Component, ABC):
         return self
 
     def left(self, sampler: Sampler) -> Structure:
-        """Return the structure of `sampler` that this randomisation keeps."""
+        """Return the structure of `sampler` that this randomization keeps."""
         return self.fits[sampler.structure]
 
     def draw(
         self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
     ) -> Array:
-        """Draw realisations of `sampler` from `stream` and randomise them from the stream `own`.
+        """Draw realizations of `sampler` from `stream` and randomize them from the stream `own`.
 
-        To be overridden where other counts or realisations of `sampler` are needed than those
+        To be overridden where other counts or realizations of `sampler` are needed than those
         asked for.
         """
         return self.apply(sampler.draw_stream(n, stream, first, count), own, first)
@@ -399,7 +399,7 @@ class Randomization(Component, ABC):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Randomized(Sampler):
-    """A sampler followed by one or more randomisations."""
+    """A sampler followed by one or more randomizations."""
 
     base: Sampler
     steps: tuple[Randomization, ...]

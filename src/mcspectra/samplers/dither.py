@@ -91,7 +91,7 @@ class VoidAndCluster(PlaneSampler, OptimisedSampler):
     cells
         Cells of the grid for each point, from 4 to 256: more of them, less grid in the points.
     sets
-        Largest number of different sets, None for one for each realisation: see `OptimisedSampler`.
+        Largest number of different sets, None for one for each realization: see `OptimisedSampler`.
 
     References
     ----------
@@ -271,7 +271,7 @@ class LowDiscrepancyBlueNoise(PlaneSampler, OptimisedSampler):
     sweeps
         Number of tries to move each point of the blue-noise set that is followed.
     sets
-        Largest number of different sets, None for one for each realisation: see `OptimisedSampler`.
+        Largest number of different sets, None for one for each realization: see `OptimisedSampler`.
 
     Notes
     -----
@@ -281,7 +281,7 @@ class LowDiscrepancyBlueNoise(PlaneSampler, OptimisedSampler):
     cells: follow it by shift where unbiased means are needed.
 
     The set followed is a jittered one, relaxed within its cells until Gaussians of half a cell's width
-    around the points overlap least. It is made anew for every realisation, where the authors keep a
+    around the points overlap least. It is made anew for every realization, where the authors keep a
     table of one.
 
     References

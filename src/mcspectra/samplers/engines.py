@@ -1,6 +1,6 @@
 """Engines of scipy.stats.qmc and generators of QMCPy as samplers.
 
-Both are asked for one realisation at a time, each with fresh randomness of its own. `scipy.stats` (half
+Both are asked for one realization at a time, each with fresh randomness of its own. `scipy.stats` (half
 a second) and `qmcpy` are imported when an engine is first asked for.
 """
 
@@ -42,7 +42,7 @@ _NOT_POINTS = ("DummySampler", "MPMC")
 @final
 @dataclass(frozen=True, kw_only=True)
 class ScipySampler(OneByOne):
-    """An engine of `scipy.stats.qmc`, made anew for each realisation with its own generator.
+    """An engine of `scipy.stats.qmc`, made anew for each realization with its own generator.
 
     Attributes
     ----------
@@ -195,7 +195,7 @@ def _made_engine(
     randomness = next((name for name in _RANDOMNESS if name in parameters), None)
     if randomness is None:
         raise ParameterError(
-            f"{qualified_name(cls)} takes neither rng nor seed, so its realisations cannot be "
+            f"{qualified_name(cls)} takes neither rng nor seed, so its realizations cannot be "
             "seeded; give a function that makes an engine from a generator."
         )
     given = {**({"d": dims} if "d" in parameters else {}), **arguments}
@@ -244,7 +244,7 @@ def _arguments_of(engine: Any) -> dict[str, Any]:
 @final
 @dataclass(frozen=True, kw_only=True)
 class QmcpySampler(OneByOne):
-    """A generator of QMCPy, made anew for each realisation with its own seed.
+    """A generator of QMCPy, made anew for each realization with its own seed.
 
     Dims and counts are those of the generator: its ``d_limit`` and ``n_limit``, powers of two where
     its order is the radical inverse; other refusals come when points are drawn.

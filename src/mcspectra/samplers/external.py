@@ -1,6 +1,6 @@
 """Points from outside: given arrays and files, functions, and programs that print points.
 
-Functions and programs are asked for one realisation at a time, each with fresh randomness of its own.
+Functions and programs are asked for one realization at a time, each with fresh randomness of its own.
 A spec that names code runs only where that code is allowed: `allow_code`, ``--allow-code``.
 """
 
@@ -26,6 +26,7 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from mcspectra.core.checks import Array, as_unit_points
+from mcspectra.core.display import counted, needed
 from mcspectra.core.errors import (
     CountError,
     FileFormatError,
@@ -113,11 +114,11 @@ class PointSets(dict[int, Array]):
 @final
 @dataclass(frozen=True, kw_only=True)
 class GivenPoints(Sampler):
-    """Given points: realisation r is set r of an array or of point-set files.
+    """Given points: realization r is set r of an array or of point-set files.
 
-    More realisations than sets, or an n of which there are none, are errors. Followed by a
-    randomisation that makes every point uniform (shift, digital-shift, owen) the sets are used again
-    and again, each time with fresh randomness: one set is then enough for any number of realisations.
+    More realizations than sets, or an n of which there are none, are errors. Followed by a
+    randomization that makes every point uniform (shift, digital-shift, owen) the sets are used again
+    and again, each time with fresh randomness: one set is then enough for any number of realizations.
 
     Attributes
     ----------
@@ -130,7 +131,7 @@ class GivenPoints(Sampler):
         The sets, shape (R, n, d) or (n, d), in [0,1). Copied, then read-only; of several n, those of
         the least.
     cycle
-        Whether realisation r is set r mod R. Without a randomisation that repeats data:
+        Whether realization r is set r mod R. Without a randomization that repeats data:
         a variance is then that of R sets, however many are drawn.
     dims
         Number of coordinates; by default that of the sets; a given number must agree with them.
@@ -190,7 +191,7 @@ class GivenPoints(Sampler):
         Sampler.__post_init__(self)
         if self.dims != first.shape[2]:
             raise ParameterError(
-                f"points are in {first.shape[2]} dims, but {self.dims} dims are needed."
+                f"points are in {counted(first.shape[2], 'dim')}, but {needed(self.dims, 'dim')}."
             )
 
     @classmethod
@@ -239,8 +240,8 @@ class GivenPoints(Sampler):
         if first + count > sets and not self.cycle:
             of_n = f" of {n} points" if len(self.sets) > 1 else ""
             raise CountError(
-                f"{self.spec} holds {sets} realisation{'s' if sets != 1 else ''}{of_n}, but "
-                f"{first + count} are needed; ask for fewer, give more sets, or add a randomisation "
+                f"{self.spec} holds {sets} realization{'s' if sets != 1 else ''}{of_n}, but "
+                f"{first + count} are needed; ask for fewer, give more sets, or add a randomization "
                 "such as '| shift'."
             )
         return np.asarray(stack[np.arange(first, first + count) % sets])
@@ -375,7 +376,7 @@ def _by_count(sets: Iterable[tuple[str, object]]) -> dict[int, Array]:
         dims = points.shape[-1] if dims is None else dims
         if points.shape[-1] != dims:
             raise ParameterError(
-                f"Set {k + 1} (of {name}) is in {points.shape[-1]} dims, but the first in {dims}; all "
+                f"Set {k + 1} (of {name}) is in {counted(points.shape[-1], 'dim')}, but the first in {dims}; all "
                 "sets of a sampler need the same dims."
             )
         found.setdefault(len(points), []).append(points)
@@ -389,7 +390,7 @@ def _as_sets(given: object) -> Array:
     points = as_unit_points(given)
     if points.ndim not in (2, 3):
         raise ParameterError(
-            f"points have shape {points.shape}; give (n, d), or (R, n, d) for R realisations."
+            f"points have shape {points.shape}; give (n, d), or (R, n, d) for R realizations."
         )
     sets = np.array(points if points.ndim == 3 else points[None], order="C")
     sets.flags.writeable = False
@@ -397,11 +398,11 @@ def _as_sets(given: object) -> Array:
 
 
 class OneByOne(Sampler):
-    """A sampler whose realisations are made one by one, by code of others."""
+    """A sampler whose realizations are made one by one, by code of others."""
 
     @abstractmethod
     def make_one(self, n: int, stream: Stream, realization: int) -> object:
-        """Make realisation number `realization`: points (n, dims)."""
+        """Make realization number `realization`: points (n, dims)."""
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         if self.fixed:
@@ -453,13 +454,13 @@ class _OfCode(OneByOne):
 @final
 @dataclass(frozen=True, kw_only=True)
 class FunctionSampler(_OfCode):
-    """A callable ``draw(n, generator) -> (n, d)``, called once for each realisation.
+    """A callable ``draw(n, generator) -> (n, d)``, called once for each realization.
 
     Attributes
     ----------
     function
         The callable. All its randomness must come from the generator, which is fresh and
-        reproducible for each realisation; threads may call it side by side.
+        reproducible for each realization; threads may call it side by side.
     dims
         Number of coordinates of the points it returns.
     unbiased_
@@ -490,7 +491,7 @@ class FunctionSampler(_OfCode):
 @final
 @dataclass(frozen=True, kw_only=True)
 class PythonSampler(_OfCode):
-    """A Python function ``draw(n, generator) -> (n, d)`` by its name, called once a realisation.
+    """A Python function ``draw(n, generator) -> (n, d)`` by its name, called once a realization.
 
     Attributes
     ----------
@@ -534,14 +535,14 @@ class PythonSampler(_OfCode):
 @final
 @dataclass(frozen=True, kw_only=True)
 class CommandSampler(_OfCode):
-    """A program that prints points, a point a line, run once for each realisation.
+    """A program that prints points, a point a line, run once for each realization.
 
     Attributes
     ----------
     run
         Program and arguments, in which ``{n}`` stands for the number of points, ``{seed}`` for a
-        whole number from 0 to 2^31 − 1, the same for the same realisation, and ``{dims}`` for the
-        number of dims. No shell reads it. Without ``{seed}`` all realisations are one set, and the
+        whole number from 0 to 2^31 − 1, the same for the same realization, and ``{dims}`` for the
+        number of dims. No shell reads it. Without ``{seed}`` all realizations are one set, and the
         program runs once for each draw.
     dims
         Number of coordinates that it prints for a point, blanks or commas between.

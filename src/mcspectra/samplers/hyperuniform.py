@@ -2,9 +2,9 @@
 
 In a hyperuniform set, the power n⟨|S_m|²⟩ goes to 0 as the frequency |m| does.
 
-Legend of the kernels: R realisations, n points, d dims, K frequencies. Complex numbers are kept as two
-real arrays, so that the inner loops run over neighbours in memory without a sum carried along:
-compilers vectorise those.
+Legend of the kernels: R realizations, n points, d dims, K frequencies. Complex numbers are kept as two
+real arrays, so that the inner loops run over neighbors in memory without a sum carried along:
+compilers vectorize those.
 """
 
 from __future__ import annotations
@@ -162,7 +162,7 @@ class StealthyHyperuniform(OptimisedSampler):
     ----------
     stealthiness
         χ, the frequencies constrained per degree of freedom, below ½: K is the largest radius
-        with at most χ d (n − 1) pairs ±m within. From ½ on (1-D: ⅓) the points crystallise.
+        with at most χ d (n − 1) pairs ±m within. From ½ on (1-D: ⅓) the points crystallize.
     iterations
         Most steps of the descent, before it starts again from other points.
     sets
@@ -373,7 +373,7 @@ def _append(re: Array, im: Array, basis: tuple[Array, Array], i: int, cr: Array,
 
 @kernel
 def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], out: Array) -> None:
-    # One realisation. Proposals that a point found before them leaves untested stay in line for
+    # One realization. Proposals that a point found before them leaves untested stay in line for
     # the points after it: what they were tested for is still true.
     n, dims = out.shape
     x, most, within = np.empty((_BATCH, dims)), np.empty(_BATCH), np.empty(_BATCH)

@@ -67,7 +67,7 @@ def _fill_lattice(vector: Array, out: Array) -> None:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Rank1Lattice(_Lattice):
-    """Rank-1 lattice {k z / n}, k = 0 … n−1, deterministic; randomise with shift.
+    """Rank-1 lattice {k z / n}, k = 0 … n−1, deterministic; randomize with shift.
 
     Any dims, any count.
 
@@ -79,7 +79,7 @@ class Rank1Lattice(_Lattice):
 
     Notes
     -----
-    The construction minimises, one component after the other, the squared worst-case error of the
+    The construction minimizes, one component after the other, the squared worst-case error of the
     shifted lattice in the Korobov space of smoothness α = 2 with product weights γ_j = 1/j²,
 
         P_2 = −1 + (1/n) Σ_k Π_j (1 + γ_j 2π² B_2({k z_j/n})),   B_2(x) = x² − x + 1/6,
@@ -135,7 +135,7 @@ def _built_vector(n: int, dims: int) -> tuple[int, ...]:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Korobov(_Lattice):
-    """Korobov lattice: the rank-1 lattice of (1, a, a², …) modulo n; randomise with shift.
+    """Korobov lattice: the rank-1 lattice of (1, a, a², …) modulo n; randomize with shift.
 
     Any dims, any count.
 
@@ -210,7 +210,7 @@ def _first_least(errors: Sequence[float]) -> int:
 class Fibonacci(PlaneSampler, _Lattice):
     """Fibonacci lattice: n = F_m points {k (1, F_(m−1)) / n}, deterministic (2-D).
 
-    The counts are the Fibonacci numbers 1, 2, 3, 5, 8, …. Randomise with shift.
+    The counts are the Fibonacci numbers 1, 2, 3, 5, 8, …. Randomize with shift.
 
     References
     ----------
@@ -236,7 +236,7 @@ while _FIBONACCI[-1] <= MAX_COUNT:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Kronecker(FixedSet):
-    """Kronecker points {k α}, k = 0, 1, …, deterministic; randomise with shift.
+    """Kronecker points {k α}, k = 0, 1, …, deterministic; randomize with shift.
 
     Any dims, any count.
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.decoding import check_decoded_size, opened
+from mcspectra.core.display import needed
 from mcspectra.core.errors import FileFormatError, ParameterError
 from mcspectra.core.fields import settle, whole
 from mcspectra.core.registry import DEFAULT_DIMS
@@ -71,7 +72,7 @@ class _BinaryNet(FixedSet):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Sobol(_BinaryNet):
-    """Sobol' points 0 … n−1, 32 bits, deterministic; randomise with owen or digital-shift.
+    """Sobol' points 0 … n−1, 32 bits, deterministic; randomize with owen or digital-shift.
 
     Attributes
     ----------
@@ -232,7 +233,7 @@ def _read_directions(path: str, base: int, stamp: int) -> Array:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Niederreiter(_BinaryNet):
-    """Niederreiter points 0 … n−1 in base 2, 32 bits, deterministic; randomise with owen.
+    """Niederreiter points 0 … n−1 in base 2, 32 bits, deterministic; randomize with owen.
 
     Up to 1377 dims; any count, with a warning where it is not a power of two.
 
@@ -322,7 +323,7 @@ class LarcherPillichshammer(PlaneSampler, _BinaryNet):
     """Larcher and Pillichshammer's (0, m, 2)-net of n = 2^m points, deterministic (2-D).
 
     The first coordinate is i/n; the matrix of the second is the upper triangle of ones, which
-    makes the star discrepancy less than that of hammersley. Randomise with owen or digital-shift.
+    makes the star discrepancy less than that of hammersley. Randomize with owen or digital-shift.
 
     References
     ----------
@@ -373,7 +374,7 @@ class _AnyBaseNet(FixedSet):
 class Faure(_AnyBaseNet):
     """Faure points 0 … n−1, deterministic: a (0, d)-sequence in a prime base b ≥ d.
 
-    Up to 1000 dims; any count, with a warning where it is not a power of b. Randomise with owen,
+    Up to 1000 dims; any count, with a warning where it is not a power of b. Randomize with owen,
     lms or digital-shift.
 
     Attributes
@@ -434,7 +435,7 @@ def _pascal_powers(base: int, dims: int, digits: int) -> Array:
 @final
 @dataclass(frozen=True, kw_only=True)
 class DigitalNet(_AnyBaseNet):
-    """Digital net from given generator matrices, deterministic; randomise with owen or lms.
+    """Digital net from given generator matrices, deterministic; randomize with owen or lms.
 
     As many dims as matrices; at most b^m points for matrices of m columns, balanced (with luck)
     where n is a power of b.
@@ -479,7 +480,7 @@ class DigitalNet(_AnyBaseNet):
         Sampler.__post_init__(self)
         if self.dims > most:
             raise ParameterError(
-                f"digital-net: {self.dims} dims are needed, but there are {most} matrices; "
+                f"digital-net: {needed(self.dims, 'dim')}, but there are {most} matrices; "
                 "give one for each dim."
             )
 

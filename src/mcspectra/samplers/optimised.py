@@ -1,4 +1,4 @@
-"""What samplers with optimised sets share: a cache, progress reports, reuse of sets; descent.
+"""What samplers with optimized sets share: a cache, progress reports, reuse of sets; descent.
 
 `minimize` is limited-memory BFGS with bits that never vary [Nocedal1980]_. Libraries of linear algebra
 may sum in another order with another number of threads or on another processor; here every sum is
@@ -54,8 +54,8 @@ class OptimisedSampler(Sampler, ABC):
     Attributes
     ----------
     sets
-        None: every realisation is a set of its own, made from its own random numbers. K: only K
-        sets are made, the same for every seed; realisation r is set r mod K under a random
+        None: every realization is a set of its own, made from its own random numbers. K: only K
+        sets are made, the same for every seed; realization r is set r mod K under a random
         toroidal translation. Means and variances stay right on average, but they, and standard
         errors of spectra, know K sets only.
     """
@@ -130,7 +130,7 @@ def _exact(value: object) -> object:
 
 
 def random_points(keys: Array, n: int, dims: int) -> Array:
-    """Return the first n·d numbers of a realisation as independent uniform points (n, d)."""
+    """Return the first n·d numbers of a realization as independent uniform points (n, d)."""
     return uniforms(keys[None], n * dims).reshape(n, dims)
 
 

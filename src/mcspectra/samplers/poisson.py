@@ -45,7 +45,7 @@ Disks: TypeAlias = tuple[float, int, int, Array, bool, int]
 """Radius, cells an axis, reach of a disk in cells, cells it can touch, torus?, darts a cell."""
 
 Throw: TypeAlias = Callable[[Any, Any, int, Array], tuple[int, int]]
-"""Takes the keys of a realisation, the number of the next random number, and points (n, d) to be placed;
+"""Takes the keys of a realization, the number of the next random number, and points (n, d) to be placed;
 returns how many are, and the number of the random number after them."""
 
 DENSEST = (1.0, 2.0 / 3.0**0.5, 2.0**0.5, 2.0, 2.0 * 2.0**0.5, 8.0 / 3.0**0.5, 8.0, 16.0)
@@ -252,7 +252,7 @@ class BestCandidate(Sampler):
 def thrown(
     throw: Throw, sampler: Sampler, n: int, keys: Array, attempts: int, advice: str
 ) -> Array:
-    """Sets of n points of realisations with keys (R, 2): (R, n, d); one that jams is begun anew.
+    """Sets of n points of realizations with keys (R, 2): (R, n, d); one that jams is begun anew.
 
     Raises
     ------

@@ -6,7 +6,7 @@ besides, and where in the half it lies is random: that makes an Owen-scrambled s
 permutations [Helmer2021]_.
 
 Legend of the kernels: ``keys`` uint64 (R, 2) from `Stream.keys`; ``out`` float64 (R, n, 2). A coordinate
-is a word of 53 bits, its level-ℓ bit the one worth 2^-(ℓ+1). Numbers 2i and 2i + 1 of a realisation are
+is a word of 53 bits, its level-ℓ bit the one worth 2^-(ℓ+1). Numbers 2i and 2i + 1 of a realization are
 the low bits of point i, the rest has higher addresses.
 """
 

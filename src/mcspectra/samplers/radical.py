@@ -22,7 +22,7 @@ __all__ = ["Halton", "Hammersley", "RadicalInverses", "VanDerCorput"]
 
 
 class RadicalInverses(FixedSet):
-    """Points whose digits ``scramble`` may randomise: short for a permute or owen that follows.
+    """Points whose digits ``scramble`` may randomize: short for a permute or owen that follows.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class RadicalInverses(FixedSet):
 
     @property
     def scrambles(self) -> int:  # type: ignore[override]
-        """One randomisation inside, if any: those that follow have the streams after its own."""
+        """One randomization inside, if any: those that follow have the streams after its own."""
         return int(self.scramble != "none")
 
     def draw_nested(self, n: int, stream: Stream, first: int, count: int) -> Array:
@@ -232,7 +232,7 @@ def _inverses(bases: tuple[int, ...], start: int, n: int) -> Array:
 
 
 def _nested(bases: tuple[int, ...], n: int, keys: Array) -> Array:
-    """The same with nested scrambling, one realisation for each row of `keys`: float64 (R, n, d)."""
+    """The same with nested scrambling, one realization for each row of `keys`: float64 (R, n, d)."""
     out = np.empty((len(keys), n, len(bases)))
     fill_nested(keys, np.array(bases, np.int64), out)
     return out

@@ -1,4 +1,4 @@
-"""Randomisations that move all points of a set: shifts, rotations, mirror images, pixels.
+"""Randomizations that move all points of a set: shifts, rotations, mirror images, pixels.
 
 Reflected is u → 1 − 2^-53 − u, not 1 − u, which would leave [0,1) for u = 0: multiples of 2^-53,
 which float64 points are, go to such multiples one to one.
@@ -69,7 +69,7 @@ class Shift(Randomization):
         return shifted(law)
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
-        """Translate each realisation by its own vector."""
+        """Translate each realization by its own vector."""
         return translated(points, stream.uniforms(first, len(points), points.shape[2]))
 
     def draw(
@@ -116,7 +116,7 @@ class StrataShift(Randomization):
         )
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
-        """Translate all realisations by the same vector."""
+        """Translate all realizations by the same vector."""
         del stream, first
         _, n, dims = points.shape
         offsets = np.array([as_reals("offset", self.offset, dims)]) * n ** (-1.0 / dims) % 1.0
@@ -180,7 +180,7 @@ class RandomRotation(Randomization):
         return Randomization.law_of(self, law, n)
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
-        """Rotate each realisation by its own symmetry or angle."""
+        """Rotate each realization by its own symmetry or angle."""
         out = np.empty(points.shape)
         keys = stream.keys(first, len(points))
         if self.boundary == "toroidal":
@@ -211,7 +211,7 @@ def _turn(keys: Array, points: Array, out: Array) -> None:
 
 @kernel
 def _seen(points: Array, center: Array, turn: Array, reach: float, found: Array) -> int:
-    # Turned copies within max(|x|, |y|) ≤ reach of the centre into found (25n, 3): x, y, that norm
+    # Turned copies within max(|x|, |y|) ≤ reach of the center into found (25n, 3): x, y, that norm
     size = 0
     for i in range(points.shape[0]):
         x0, y0 = points[i, 0] - center[0], points[i, 1] - center[1]
@@ -228,7 +228,7 @@ def _seen(points: Array, center: Array, turn: Array, reach: float, found: Array)
 
 @kernel
 def _clip_all(keys: Array, points: Array, out: Array) -> None:
-    # Points within the window whose edge the (n + 1)-th nearest to its centre lies on; out (R, n, 2)
+    # Points within the window whose edge the (n + 1)-th nearest to its center lies on; out (R, n, 2)
     count, n, _ = points.shape
     found = np.empty((25 * n, 3))
     numbers = np.empty(5)
@@ -312,7 +312,7 @@ class Mirror(Randomization):
         return n // self._images(sampler)
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
-        """Mirror each realisation; the uniform mode returns 2^d points for each of `points`."""
+        """Mirror each realization; the uniform mode returns 2^d points for each of `points`."""
         if self.mode == "uniform":
             count, n, dims = points.shape
             images = np.arange(1 << dims)[:, None] >> np.arange(dims)[::-1] & 1
@@ -370,25 +370,25 @@ def _reflect_at_random(keys: Array, points: Array, out: Array) -> None:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Decorrelate(Randomization):
-    """Decorrelate pixels: all share one realisation of the sampler, each with its own shift.
+    """Decorrelate pixels: all share one realization of the sampler, each with its own shift.
 
-    Realisation r is pixel (r mod width, r div width) of an image.
+    Realization r is pixel (r mod width, r div width) of an image.
 
     Attributes
     ----------
     mode
-        Randomisation of the shared set in a pixel: ``"shift"``, ``"digital-shift"`` or ``"owen"``.
+        Randomization of the shared set in a pixel: ``"shift"``, ``"digital-shift"`` or ``"owen"``.
     mask
         Source of its random numbers. ``"white"``: independent in all pixels.
         ``"blue-noise"``: a void-and-cluster dither mask, repeated, at a random place for each
-        dim, so that neighbours get very different shifts and the error of the image is blue noise.
+        dim, so that neighbors get very different shifts and the error of the image is blue noise.
         ``"r2"``: the R-sequence of Roberts by the number of the pixel, from a random start.
     width
         Width of the image, and side of the blue-noise mask.
 
     Notes
     -----
-    The realisations of one seed are the pixels of one image: they share a set, and with a mask their
+    The realizations of one seed are the pixels of one image: they share a set, and with a mask their
     shifts too are those of one pattern. Variances over them are those within an image, and do not
     tend to those over seeds.
 

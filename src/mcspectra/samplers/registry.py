@@ -1,4 +1,4 @@
-"""Names of samplers and randomisations, and how any description becomes a `Sampler`."""
+"""Names of samplers and randomizations, and how any description becomes a `Sampler`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mcspectra.core.checks import as_integer
-from mcspectra.core.display import shown
+from mcspectra.core.display import counted, needed, shown
 from mcspectra.core.errors import ParameterError, SpecError, UnknownName
 from mcspectra.core.registry import Registry, classes_of
 from mcspectra.core.spec import Call, parse_chain
@@ -67,7 +67,7 @@ def sampler(spec: str | Sampler, dims: int | None = None) -> Sampler:
     Parameters
     ----------
     spec
-        A sampler, then any number of randomisations after ``|``. Everything that
+        A sampler, then any number of randomizations after ``|``. Everything that
         `as_sampler` accepts is accepted here too.
     dims
         Number of dims; None leaves it to the spec, else to the sampler's default (2).
@@ -114,7 +114,7 @@ def as_sampler(source: Any, dims: int | None = None) -> Sampler:
     made = _from_object(source, _checked(dims))
     if dims is not None and made.dims != dims:
         raise ParameterError(
-            f"The sampler {made.spec} is for {made.dims} dims, but {dims} dims are needed."
+            f"The sampler {made.spec} is for {counted(made.dims, 'dim')}, but {needed(dims, 'dim')}."
         )
     return made
 

@@ -4,7 +4,7 @@ Lloyd's method moves each point to the centroid of its Voronoi cell, again and a
 through optimal transport does the same with the power diagram whose cells have equal areas: that is
 a descent of the cost of transporting the uniform density to the points, of which the gradient by a
 point is 2/n times its distance from the centroid of its cell [deGoes2012]_. Gaussian blue noise descends
-an energy of pairs; farthest-point optimisation moves each point to the farthest place of all.
+an energy of pairs; farthest-point optimization moves each point to the farthest place of all.
 """
 
 from __future__ import annotations
@@ -270,7 +270,7 @@ def near_energy(sigma: float, points: Array) -> tuple[float, Array]:
 
 @lru_cache(maxsize=4)
 def _neighbor_cells(sigma: float, dims: int) -> tuple[Array, Array]:
-    """Return the cells along each of 3 axes and the steps to neighbours: half of them, 0 first."""
+    """Return the cells along each of 3 axes and the steps to neighbors: half of them, 0 first."""
     reach = _CUTOFF * sigma
     side = max(1, min(int(_CELLS / reach), 1024))
     steps = math.ceil(reach * side)
@@ -296,9 +296,9 @@ def series_energy(sigma: float, points: Array) -> tuple[float, Array]:
 @final
 @dataclass(frozen=True, kw_only=True)
 class FarthestPoint(PlaneSampler, OptimisedSampler):
-    """Farthest-point optimised points: minimum distance near that of the densest packing (2-D torus).
+    """Farthest-point optimized points: minimum distance near that of the densest packing (2-D torus).
 
-    From random points on, every point in turn is taken out and put into the centre of the largest
+    From random points on, every point in turn is taken out and put into the center of the largest
     empty disk: the farthest place there is from all others. The minimum distance never decreases. One
     sweep over n points takes O(n²) with a small constant: 1024 points and 30 sweeps, 2 s.
 

@@ -1,4 +1,4 @@
-"""Randomisations of digits: they keep elementary intervals, and strata whose sides are powers.
+"""Randomizations of digits: they keep elementary intervals, and strata whose sides are powers.
 
 All work in the base in which the digits of the sampler mean something (its `digit_bases`): 2, or
 the primes of halton, the base of faure.
@@ -14,6 +14,7 @@ from typing import ClassVar, Self, TypeAlias, final
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.display import counted
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.fields import checked, choice, flag
 from mcspectra.core.streams import Stream
@@ -35,7 +36,7 @@ def _as_base(name: str, base: object) -> Base:
 
 
 class _OfDigits(Randomization):
-    """A randomisation of digits in a `base` of its own, else in that of the sampler, else in base 2."""
+    """A randomization of digits in a `base` of its own, else in that of the sampler, else in base 2."""
 
     pointwise: ClassVar[bool] = True
     fits: ClassVar[Mapping[Structure, Structure]] = {
@@ -87,7 +88,7 @@ class _OfDigits(Randomization):
     def draw(
         self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
     ) -> Array:
-        """Draw a fixed set once; randomise digits where the points are made, if there is a kernel."""
+        """Draw a fixed set once; randomize digits where the points are made, if there is a kernel."""
         out, keys = np.empty((count, n, sampler.dims)), own.keys(first, count)
         if not self._fill(keys, sampler, n, out):
             points = sampler.draw_stream(n, stream, first, 1 if sampler.fixed else count)
@@ -97,7 +98,7 @@ class _OfDigits(Randomization):
         return out
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
-        """Randomise the digits of each realisation by its own random numbers."""
+        """Randomize the digits of each realization by its own random numbers."""
         out = np.empty(points.shape)
         bases = np.array(self._bases(points.shape[2]))
         self._scramble(stream.keys(first, len(points)), bases, points, out)
@@ -105,10 +106,10 @@ class _OfDigits(Randomization):
 
     @abstractmethod
     def _scramble(self, keys: Array, bases: Array, points: Array, out: Array) -> None:
-        """Randomise the digits of points (R or 1, n, d) in these bases."""
+        """Randomize the digits of points (R or 1, n, d) in these bases."""
 
     def _fill(self, keys: Array, sampler: Sampler, n: int, out: Array) -> bool:  # noqa: ARG002
-        """Make the randomised points of `sampler`, or return False where there is no kernel."""
+        """Make the randomized points of `sampler`, or return False where there is no kernel."""
         return False
 
     def _bases(self, dims: int) -> tuple[int, ...]:
@@ -117,7 +118,7 @@ class _OfDigits(Randomization):
             return (self.base or 2,) * dims
         if len(self.base) != dims:
             raise ParameterError(
-                f"base has {len(self.base)} values; give one number or one for each of the {dims} "
+                f"base has {counted(len(self.base), 'value')}; give one number or one for each of the {dims} "
                 "dims."
             )
         return tuple(self.base)

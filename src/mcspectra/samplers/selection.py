@@ -1,4 +1,4 @@
-"""Randomisations that choose among the points of a sampler or reorder them: subset, skip, shuffle."""
+"""Randomizations that choose among the points of a sampler or reorder them: subset, skip, shuffle."""
 
 from __future__ import annotations
 
@@ -212,7 +212,7 @@ class Shuffle(Randomization):
         return law
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
-        """Reorder each realisation by its own permutation."""
+        """Reorder each realization by its own permutation."""
         out = points.copy()
         _shuffle_points(stream.keys(first, len(points)), out)
         return out
@@ -244,7 +244,7 @@ def _picked(
 
 @kernel
 def _pick(keys: Array, run: bool, points: Array, out: Array) -> None:
-    # n of N points of each realisation: out (R, n, d), points (R, N, d)
+    # n of N points of each realization: out (R, n, d), points (R, N, d)
     for r in range(out.shape[0]):
         n, size = out.shape[1], points.shape[1]
         k0, k1 = keys[r, 0], keys[r, 1]

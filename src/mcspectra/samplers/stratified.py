@@ -3,8 +3,8 @@
 The unit cube is cut into n cells of equal volume, s a side (n = s^d) unless other sides are given.
 Points come in row-major order of their cells, the last coordinate fastest.
 
-Legend of the kernels: R realisations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`;
-``out`` float64 (R, n, d). Number i·d + j of a realisation belongs to coordinate j of point i; those of
+Legend of the kernels: R realizations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`;
+``out`` float64 (R, n, d). Number i·d + j of a realization belongs to coordinate j of point i; those of
 shuffles come after them.
 """
 
@@ -21,6 +21,7 @@ import numpy as np
 
 from mcspectra.core.checks import BELOW_ONE, Array, as_integer
 from mcspectra.core.decoding import opened, read_npz
+from mcspectra.core.display import counted, needed
 from mcspectra.core.errors import FileFormatError, ParameterError
 from mcspectra.core.fields import choice, real, settle
 from mcspectra.core.jit import kernel
@@ -105,7 +106,7 @@ class GridSampler(Sampler):
         sides = tuple(as_integer(f"sides[{i}]", s, least=1) for i, s in enumerate(given))
         if len(sides) != self.dims:
             raise ParameterError(
-                f"{self.name}: sides has {len(sides)} numbers; give one for each of the "
+                f"{self.name}: sides has {counted(len(sides), 'number')}; give one for each of the "
                 f"{self.dims} dims."
             )
         if math.prod(sides) > MAX_COUNT:
@@ -133,7 +134,7 @@ class GridSampler(Sampler):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Regular(FixedSet, GridSampler):
-    """Regular grid of s^d points, or of given sides, deterministic; randomise with shift.
+    """Regular grid of s^d points, or of given sides, deterministic; randomize with shift.
 
     Any dims; counts s^d, or only the product of `sides`.
 
@@ -497,7 +498,7 @@ def _fill_correlated(
 @final
 @dataclass(frozen=True, kw_only=True)
 class Hexagonal(PlaneSampler, FixedSet):
-    """Triangular lattice (hexagonal cells) stretched to fit the torus; randomise with shift.
+    """Triangular lattice (hexagonal cells) stretched to fit the torus; randomize with shift.
 
     2-D; counts n = 2ab for a = 1, 2, 3, … and b the whole number nearest to a/√3, at least 1:
     2, 4, 12, 16, 30, 36, 56, 80, …
@@ -506,7 +507,7 @@ class Hexagonal(PlaneSampler, FixedSet):
     -----
     The points are 2b rows of a points, every other row moved by half a step; nothing is random.
     On a square torus no such array is quite regular: that takes b = a/√3. The chosen b is off by ½
-    at most, and the longer of the two distances between neighbours is then 1.41, 1.12, 1.11, 1.12,
+    at most, and the longer of the two distances between neighbors is then 1.41, 1.12, 1.11, 1.12,
     1.03 and 1.12 times the shorter one at the first six counts, at most 1.06 from n = 56 and 1.02
     from n = 780 on.
 
@@ -604,7 +605,7 @@ def _moved_centers(sides: tuple[int, ...], displacements: Array) -> Array:
 class SharedCells(Sampler):
     """One of W sets of n cells, chosen at random; together they hold each of W n cells of a grid once.
 
-    A realisation draws one offset for all cells of its set, a uniform point of a cell, which each
+    A realization draws one offset for all cells of its set, a uniform point of a cell, which each
     cell takes as it is or reflected along some axes. Every point is uniform on [0,1)^d, whatever the
     sets are, so that estimates are unbiased. `design` makes them.
 
@@ -635,7 +636,7 @@ class SharedCells(Sampler):
         Sampler.__post_init__(self)
         if self.dims != cells.shape[2]:
             raise ParameterError(
-                f"The cells of {self.path} are in {cells.shape[2]} dims, but {self.dims} dims are needed."
+                f"The cells of {self.path} are in {counted(cells.shape[2], 'dim')}, but {needed(self.dims, 'dim')}."
             )
 
     @property

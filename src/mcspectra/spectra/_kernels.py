@@ -1,6 +1,6 @@
 """Numba kernels of the spectra: arrays only, no checks.
 
-Legend: r realisations, h flat index over the half spectrum (the frequencies up to and including 0
+Legend: r realizations, h flat index over the half spectrum (the frequencies up to and including 0
 in C order; index M−1−h is the frequency −m_h), k points, j axes.
 """
 

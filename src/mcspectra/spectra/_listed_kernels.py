@@ -2,7 +2,7 @@
 
 Legend: k points, j axes, f frequencies, u factors. A frequency is a list of its nonzero axes in
 compressed rows, start (F+1,) into entries; points lie axis by axis, (d, n), so that the innermost
-loops run over neighbours in memory. They take points in blocks that stay in the first cache.
+loops run over neighbors in memory. They take points in blocks that stay in the first cache.
 """
 
 from __future__ import annotations

@@ -12,11 +12,11 @@ from mcspectra.core.checks import Array
 from mcspectra.core.jit import kernel
 
 Work = tuple[Array, Array]
-"""Scratch space of one chunk of neighbours: squared distances, float64, and bins, int64."""
+"""Scratch space of one chunk of neighbors: squared distances, float64, and bins, int64."""
 
 __all__ = ["count_distances", "count_ordered_pairs"]
 
-_CHUNK = 512  # neighbours at a time: 8 KiB of scratch space stay in a first-level cache
+_CHUNK = 512  # neighbors at a time: 8 KiB of scratch space stay in a first-level cache
 
 
 @kernel
@@ -43,7 +43,7 @@ def _fill_bins(
     """
     squares, bins = work[0][: stop - start], work[1][: stop - start]
     last = coordinates.shape[0] - 1
-    # Several loops over neighbours in memory instead of one: compilers vectorise these.
+    # Several loops over neighbors in memory instead of one: compilers vectorize these.
     squares[:] = 0.0
     for axis in range(last):
         x, others = coordinates[axis, a], coordinates[axis, start:stop]
@@ -58,7 +58,7 @@ def _fill_bins(
 
 @kernel
 def _add_bins(bins: Array, counts: Array) -> None:
-    """Count the bins; neighbours often meet in one, hence four counters (4, …)."""
+    """Count the bins; neighbors often meet in one, hence four counters (4, …)."""
     size = bins.size
     first, second, third, fourth = counts[0], counts[1], counts[2], counts[3]
     for k in range(0, size - 3, 4):

@@ -2,7 +2,7 @@
 
 With an orthonormal basis φ_m of L²([0,1]^d), f_m = ∫ f conj(φ_m) and S_m = Σ_k w_k conj(φ_m(x_k)), the
 estimate is Σ_m conj(f_m) S_m and its variance dc + power + cross, in any basis (docs/theory.md). What
-differs is how much of it is cross term, that is how badly the basis fits the sampler's randomisation, and how fast
+differs is how much of it is cross term, that is how badly the basis fits the sampler's randomization, and how fast
 the sum over m converges:
 
 =========  ==========================================  =====================================
@@ -267,7 +267,7 @@ def fitting_basis(law: Law, half_width: int) -> str:
     """Name a basis that fits what was random about a sampler last.
 
     Fourier after a shift and for sets that are statistically the same after any translation; Walsh
-    after randomisations of binary digits, if the half width is a power of two. Mirrored points: cosine
+    after randomizations of binary digits, if the half width is a power of two. Mirrored points: cosine
     where a shift went before, Walsh else, for reflecting and folding permute Walsh functions but for
     their signs. None of these leaves a cross term there, of strata if they are 2^k to a side.
 

@@ -133,7 +133,7 @@ def nested_variances(
     with counting("nested_variances", max_evaluations):
         coefficients, _ = basis.integrand(integrand)
     squares = basis.full(np.abs(coefficients) ** 2)
-    # The indices of a level are neighbours: 0, 1, 2–3, 4–7, …
+    # The indices of a level are neighbors: 0, 1, 2–3, 4–7, …
     starts = np.concatenate([[0], 2 ** np.arange(levels)])
     for axis in range(1, squares.ndim):
         squares = np.add.reduceat(squares, starts, axis=axis)
@@ -161,7 +161,7 @@ def closed_form_walsh_power(sampler: Sampler | str, n: int, indices: Any) -> Arr
     Raises
     ------
     NoClosedForm
-        Another sampler, another randomisation, or another count.
+        Another sampler, another randomization, or another count.
 
     Examples
     --------

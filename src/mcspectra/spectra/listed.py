@@ -34,6 +34,7 @@ from mcspectra.core.checks import (
     as_integer,
     as_real,
 )
+from mcspectra.core.display import shown
 from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.memory import check_memory, memory_of
 from mcspectra.core.parallel import (
@@ -102,7 +103,7 @@ def power_at(
     density
         Importance density p (or spec string): points are warped and weighted 1/(n p).
     realizations
-        Number of realisations averaged; 2 or more for standard errors.
+        Number of realizations averaged; 2 or more for standard errors.
     rng
         Seed (SPEC 7).
     engine, eps
@@ -125,7 +126,7 @@ def power_at(
 
     Notes
     -----
-    Memory: 32 F bytes for each thread, flat in the number of realisations.
+    Memory: 32 F bytes for each thread, flat in the number of realizations.
 
     Examples
     --------
@@ -273,9 +274,11 @@ def diagonal_frequencies(
     _check_size(half_width, dims)
     direction = np.ones(dims) if signs is None else np.asarray(signs)
     if direction.shape != (dims,) or not np.isin(direction, (-1, 0, 1)).all():
-        raise ParameterError(f"signs is {signs!r}; give −1, 0 or 1 for each of the {dims} dims.")
+        raise ParameterError(
+            f"signs is {shown(signs)}; give −1, 0 or 1 for each of the {dims} dims."
+        )
     if not direction.any():
-        raise ParameterError(f"signs is {signs!r}; at least one must not be 0.")
+        raise ParameterError(f"signs is {shown(signs)}; at least one must not be 0.")
     return np.asarray(step * np.arange(1, half_width + 1)[:, None] * direction.astype(np.float64))
 
 
@@ -312,7 +315,7 @@ def subset_frequencies(
 def _product(dims: int, axes: Any, half_width: int, step: float, *, keep_zero: bool) -> Array:
     dims, half_width, step = _checked(dims, half_width, step)
     if not isinstance(axes, Sequence | np.ndarray) or isinstance(axes, str) or not len(axes):
-        raise ParameterError(f"axes is {axes!r}; give a list of axes from 0 to {dims - 1}.")
+        raise ParameterError(f"axes is {shown(axes)}; give a list of axes from 0 to {dims - 1}.")
     chosen = [as_integer("axes", axis, least=0, most=dims - 1) for axis in axes]
     if len(set(chosen)) < len(chosen):
         raise ParameterError(f"axes is {list(axes)}; name each axis once.")

@@ -31,7 +31,7 @@ __all__ = [
     "pair_correlation",
 ]
 
-_MOST_PAIRS = 2**36  # about a minute a realisation
+_MOST_PAIRS = 2**36  # about a minute a realization
 
 
 def pair_correlation(
@@ -54,7 +54,7 @@ def pair_correlation(
     bins
         Number of equal bins of r in [0, max_distance].
     realizations
-        Number of realisations averaged; 2 or more for standard errors.
+        Number of realizations averaged; 2 or more for standard errors.
     rng
         Seed (SPEC 7).
     boundary
@@ -68,7 +68,7 @@ def pair_correlation(
     Returns
     -------
     xarray.Dataset
-        ``pair_correlation``, ``pair_correlation_se`` on dim r (bin centres), and
+        ``pair_correlation``, ``pair_correlation_se`` on dim r (bin centers), and
         ``pair_correlation_ci``, the 95 % interval by Student's t of the logarithm; 0 to 0 where no
         pair was seen. Where the sampler has fewer sets than realizations, errors and t are those of the
         number of sets.
@@ -78,7 +78,7 @@ def pair_correlation(
     g = pairs in a shell / (n(n−1)/2 · volume of the shell); with the border correction ordered pairs /
     (n(n−1) · volume of the shell · volume (1−2r)^d of where the first may be), which is unbiased if the
     set is stationary. Only points with first coordinates nearer than max_distance are compared: the
-    cost is O(n log n + n² max_distance) a realisation.
+    cost is O(n log n + n² max_distance) a realization.
     """
     analysis = PairCorrelation.of(locals())
     return compute(analysis, Subject(None, as_sampler(sampler)), rng, workers)
@@ -122,7 +122,7 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
                 Parameter("max_distance"),
                 " is 0.5; with the border correction give less: no point is that far inside.",
             )
-        # Counts of four neighbours at a time, sums, edges and expected numbers of each bin
+        # Counts of four neighbors at a time, sums, edges and expected numbers of each bin
         return Need(cost=self._cost, memory=memory_of(self.n, source.dims) + 128 * self.bins)
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[MeanSums]:

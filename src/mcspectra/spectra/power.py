@@ -1,6 +1,6 @@
 """Expected power spectra of point sets, uniform or importance-sampled, by simulation.
 
-Power is summed by frequency, and over rings and wedges of frequencies, realisation by realisation:
+Power is summed by frequency, and over rings and wedges of frequencies, realization by realization:
 frequencies of one set are not independent, since under a density they share the fluctuation of its
 weights. Errors of means over many of them are therefore taken from the means themselves.
 """
@@ -53,7 +53,7 @@ _MOST_COORDINATES = 2**26  # of a set: half a GiB, and several times that in a t
 _EPS = 1e-9  # of transforms in double precision
 _SINGLE_EPS = 1e-5, 1e-6  # that single precision can, the cheaper first
 _MOST_ERROR = 0.02  # of these, in standard errors: a mean over a ring, a tenth of which is the aim
-_TRIED_FROM = 16  # realisations for which trying both pays
+_TRIED_FROM = 16  # realizations for which trying both pays
 
 MAX_WEDGES = 360
 """Most directions into which a half turn is divided."""
@@ -87,7 +87,7 @@ def power_spectrum(
     frequency_step
         Below 1 for real frequencies between the integers.
     realizations
-        Number of realisations averaged; 2 or more for standard errors.
+        Number of realizations averaged; 2 or more for standard errors.
     mean
         Whether to return the complex mean ⟨S_m⟩ too: bias, 0 at integer m ≠ 0 for unbiased sets.
     wedges
@@ -98,7 +98,7 @@ def power_spectrum(
         See `mcspectra.spectra.transforms`.
     eps
         Relative accuracy of the transforms. By default 1e-5 or 1e-6 in single precision where that is far
-        below the statistical error, which the first two realisations show by both (attribute
+        below the statistical error, which the first two realizations show by both (attribute
         ``transform_error``: the largest over all rings of the error over the standard error, less than
         0.02), and 1e-9 elsewhere. What is used is the attribute ``eps``.
     workers
@@ -110,7 +110,7 @@ def power_spectrum(
         ``power``, ``power_se`` on dims m0, m1, … (power 1/n is random sampling; m = 0 holds
         ⟨S_0²⟩; with a density random is ∫1/p / n, the attribute ``random_level`` over n);
         ``radial_power``, ``radial_power_se`` on dim radius (|m|, cycles per unit, rings of one
-        frequency step, without m = 0), the error from the ring means of each realisation, since
+        frequency step, without m = 0), the error from the ring means of each realization, since
         the frequencies of one set are not independent, and ``radial_power_ci``, the 95 % interval:
         Student's t of the logarithm, power · exp(±t se/power), with t of realizations − 1 degrees
         of freedom, the attribute ``student_t`` (it serves ``power_se`` too). Where the sampler has
@@ -129,8 +129,8 @@ def power_spectrum(
     Notes
     -----
     Power is as in the slides, ⟨|S_m|²⟩. Multiply by n for the convention of UTK, random = 1.
-    Cost O(n log^d(1/eps) + M log M) for a pair of realisations of M frequencies. Memory does not grow
-    with the realisations: 100 M bytes for each thread at most, and for its points (and phases, of
+    Cost O(n log^d(1/eps) + M log M) for a pair of realizations of M frequencies. Memory does not grow
+    with the realizations: 100 M bytes for each thread at most, and for its points (and phases, of
     the direct engine) up to 64 MB or, where two sets are larger than that, 100 n d bytes.
 
     Examples
@@ -212,7 +212,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
         return Need(cost=self._cost(grid), memory=memory_of(self.n, dims, 1, grid.size))
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[_SpectrumSums]:
-        """Sums over blocks of realisations; pairs share a transform."""
+        """Sums over blocks of realizations; pairs share a transform."""
         source, p = _warped(subject)
         grid = self._grid(source, p)
         polar = _PolarMeans.of(grid, self.wedges)
@@ -388,14 +388,14 @@ def spectrum_attributes(
 @final
 @dataclass
 class PowerSums:
-    """Sums of |S|² and, if wanted, of S over realisations, by frequency."""
+    """Sums of |S|² and, if wanted, of S over realizations, by frequency."""
 
     power: MeanSums
     mean: SUM | None
 
     @staticmethod
     def zeros(size: int, mean: bool) -> PowerSums:
-        """Sums of no realisations."""
+        """Sums of no realizations."""
         return PowerSums(MeanSums.zeros(size), np.zeros(size, np.complex128) if mean else None)
 
     def take(self, s: Array) -> None:
@@ -478,12 +478,12 @@ class _PolarMeans:
 
 
 def wedge_labels(index: Array, wedges: int) -> Array:
-    """Which of `wedges` parts of the half turn, the first centred on the m0 axis; index (H, 2)."""
+    """Which of `wedges` parts of the half turn, the first centered on the m0 axis; index (H, 2)."""
     turn = np.arctan2(index[:, 1], index[:, 0]) / np.pi
     return np.asarray(np.floor(turn * wedges + 0.5).astype(np.int64) % wedges)
 
 
 def wedge_angles(wedges: int) -> tuple[str, Array, dict[str, str]]:
-    """Centres of the wedges, as a coordinate."""
+    """Centers of the wedges, as a coordinate."""
     angle = np.arange(wedges) * 180.0 / wedges
     return "angle", angle, {"long_name": "direction", "units": "degrees"}

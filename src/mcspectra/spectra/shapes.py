@@ -1,6 +1,6 @@
 """Shapes of a measured spectrum: rings, slices, wedges, its exponent, and the variance that it predicts.
 
-All take the dataset of `power_spectrum`. Standard errors are those over realisations, of the means
+All take the dataset of `power_spectrum`. Standard errors are those over realizations, of the means
 over rings and wedges of each of them.
 
 Directions may have different exponents: a Latin hypercube has m² along its axes and the power of random
@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from mcspectra.core.checks import Array, as_integer, as_real
+from mcspectra.core.display import counted
 from mcspectra.core.errors import (
     CorrelatedFrequenciesWarning,
     FileFormatError,
@@ -114,7 +115,7 @@ class _HalfSpectrum:
 
 
 def radial_statistics(spectrum: xr.Dataset) -> xr.Dataset:
-    """Mean over directions, its standard error over realisations, and anisotropy, by ring.
+    """Mean over directions, its standard error over realizations, and anisotropy, by ring.
 
     Parameters
     ----------
@@ -128,7 +129,7 @@ def radial_statistics(spectrum: xr.Dataset) -> xr.Dataset:
         the spectrum, or of frequencies taken as uncorrelated in a spectrum without it;
         ``anisotropy``, the variance over direction divided by the mean² [Ulichney1988]_, and
         ``anisotropy_db``, 10 log10 of it; ``anisotropy_noise_db``, what noise alone makes of an
-        isotropic spectrum (−10 log10 of the realisations for Gaussian S), to compare with. NaN
+        isotropic spectrum (−10 log10 of the realizations for Gaussian S), to compare with. NaN
         where a ring has one direction or no power.
 
     Examples
@@ -175,7 +176,7 @@ def slices(spectrum: xr.Dataset) -> xr.Dataset:
     -------
     xarray.Dataset
         ``slice_power`` and ``slice_power_se`` on dims slice and multiple: the power at ν = multiple ·
-        frequency step · direction. slice is labelled by its direction, such as (1, -1),
+        frequency step · direction. slice is labeled by its direction, such as (1, -1),
         axes first; the coordinate ``slice_radius`` is |ν|. There are 1, 4, 13 or 40 of them in one to four dims.
     """
     half = _HalfSpectrum.of(spectrum)
@@ -215,13 +216,13 @@ def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
     spectrum
         Result of `power_spectrum` in two dims.
     wedges
-        How many divide the half turn; the first is centred on the m0 axis. Standard errors need
+        How many divide the half turn; the first is centered on the m0 axis. Standard errors need
         the number that `power_spectrum` was given.
 
     Returns
     -------
     xarray.Dataset
-        ``wedge_power`` and ``wedge_power_se`` on dim angle (degrees, centres of the wedges); NaN
+        ``wedge_power`` and ``wedge_power_se`` on dim angle (degrees, centers of the wedges); NaN
         where no frequency lies in a wedge. The errors of points with a density are NaN for other
         numbers of wedges than the spectrum's; those of uniform points then take frequencies as
         uncorrelated.
@@ -230,7 +231,7 @@ def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
     wedges = as_integer("wedges", wedges, least=1, most=MAX_WEDGES)
     if half.grid.dims != 2:
         raise ParameterError(
-            f"The spectrum has {half.grid.dims} dims; wedges are of two: use radial_statistics "
+            f"The spectrum has {counted(half.grid.dims, 'dim')}; wedges are of two: use radial_statistics "
             "or slices."
         )
     label = wedge_labels(half.index, wedges)
@@ -255,7 +256,7 @@ def low_frequency_exponent(
     Parameters
     ----------
     spectrum
-        Result of `power_spectrum`, of two realisations or more; between the integers with its
+        Result of `power_spectrum`, of two realizations or more; between the integers with its
         ``mean=True``, because ⟨S_ν⟩ is not 0 there: what is fitted is then ⟨|S_ν|²⟩ − |⟨S_ν⟩|².
     up_to
         Largest |ν| of the fit; by default a quarter of n^(1/d), the mean frequency of the points,
@@ -271,7 +272,7 @@ def low_frequency_exponent(
         lack of fit, χ² per degree of freedom: an interval is widened by its root where it is above 1.
         Attributes ``up_to``, ``lengths`` and ``directions``, those of the fit. The attribute ``reason``
         says why the exponent is NaN: lengths have no power, as those of a lattice; the power is the
-        same in all realisations; or χ² per degree of freedom is above 10. Or that the exponent is no
+        same in all realizations; or χ² per degree of freedom is above 10. Or that the exponent is no
         finding, because its interval is wider than ±0.5.
 
     Raises
@@ -337,7 +338,7 @@ def low_frequency_exponent(
     power, se, _ = half.mean_by(label, len(lengths))
     if np.isnan(se).any():
         raise ParameterError(
-            "The spectrum has no standard errors to weight the fit by; use two or more realisations."
+            "The spectrum has no standard errors to weight the fit by; use two or more realizations."
         )
     approximate = spectrum.attrs.get("engine") == "nufft"
     least = 10 * spectrum.attrs.get("eps", 0.0) if approximate else 0.0
@@ -353,8 +354,8 @@ def low_frequency_exponent(
         low, high = fit.interval
         if se.max() <= _SAME * power.max():
             reason = (
-                "The power is the same in all realisations, that of one set with its peaks: there is "
-                "no power law; randomise the set further, as with owen."
+                "The power is the same in all realizations, that of one set with its peaks: there is "
+                "no power law; randomize the set further, as with owen."
             )
         elif fit.chi2 > _MISFIT:
             reason = f"χ² per degree of freedom is {fit.chi2:.3g}: there is no power law."
@@ -363,7 +364,7 @@ def low_frequency_exponent(
         elif not high - low <= 2 * _UNRESOLVED:
             reason = (
                 f"The 95 % interval of the exponent, {low:.3g} … {high:.3g}, is wider than ±0.5: it is "
-                "not resolved; use more realisations or a larger half_width."
+                "not resolved; use more realizations or a larger half_width."
             )
     return dataset(
         {
@@ -444,7 +445,7 @@ def _fit_class(
 
 
 def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
-    """Predict a variance as Σ_{ν≠0} |f_ν|² ⟨|S_ν|²⟩ Δν^d, the homogenised formula.
+    """Predict a variance as Σ_{ν≠0} |f_ν|² ⟨|S_ν|²⟩ Δν^d, the homogenized formula.
 
     Parameters
     ----------

@@ -9,9 +9,9 @@ Engines
     twice as fine, which takes 2.3 times as long (512²). In single precision, which halves the time,
     errors are 1e-6 of the peak at best, and 1e-5 on a grid 1.12 times as fine, which takes a fifth
     less; coordinates are rounded to 2^-25. Real frequencies on a grid of step s are integer ones of
-    the coordinates s·x. Two realisations share a transform: weights w of the first plus i times w
+    the coordinates s·x. Two realizations share a transform: weights w of the first plus i times w
     of the second, separated by Hermitian symmetry. Cost O(n log^d(1/eps) + M log M) for a pair.
-    Four dims are 3-D transforms for each frequency of the first axis, of one realisation at a time.
+    Four dims are 3-D transforms for each frequency of the first axis, of one realization at a time.
 ``direct``
     Separable direct summation by matrix products, exact to rounding: the oracle, and the faster
     one for a handful of points. Cost O(n M).
@@ -185,7 +185,7 @@ class FrequencyGrid(IndexGrid):
 
 
 class Transform:
-    """Transforms of blocks of realisations on one frequency grid.
+    """Transforms of blocks of realizations on one frequency grid.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """What a study would take: time, memory and storage of every cell, from short tries of some.
 
-A cell that repeats realisations is computed with few of them, twice, and the difference gives the
+A cell that repeats realizations is computed with few of them, twice, and the difference gives the
 time of one more. Cells that are not tried, because the time for tries is over or they have no
-realisations, are scaled by their cost from those that were.
+realizations, are scaled by their cost from those that were.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import msgspec
 
 from mcspectra.core.analysis import steps_of
 from mcspectra.core.checks import as_real
+from mcspectra.core.display import shown
 from mcspectra.core.errors import ConfigError
 from mcspectra.core.streams import Stream
 from mcspectra.studies.foreign_code import TookTooLong, within
@@ -27,7 +28,7 @@ from mcspectra.studies.schedule import task_seconds
 
 __all__ = ["CellEstimate", "estimate_study", "wall_time"]
 
-_FEW, _MORE = 4, (36, 324, 2916, 26_244)  # realisations of tries
+_FEW, _MORE = 4, (36, 324, 2916, 26_244)  # realizations of tries
 _PATIENCE = 20.0  # seconds that a try may take beyond its time, as for the compilation of a kernel
 _NOMINAL = 1e-7  # seconds for a unit of cost, where nothing was tried
 _ARRAY_BYTES = 1500  # of metadata for every stored array
@@ -70,10 +71,10 @@ def estimate_study(plan: Plan, *, probe_seconds: float = 10.0) -> list[CellEstim
     Returns
     -------
     list of CellEstimate
-        Where an analysis may stop early, as at a precision, seconds are those of all realisations.
+        Where an analysis may stop early, as at a precision, seconds are those of all realizations.
     """
     if not isinstance(plan, Plan):
-        raise ConfigError(f"{plan!r} is not a plan; give what make_plan returns.")
+        raise ConfigError(f"{shown(plan)} is not a plan; give what make_plan returns.")
     probe_seconds = as_real("probe_seconds", probe_seconds, least=0.0)
     seed = plan.config.seed
 
@@ -137,7 +138,7 @@ def wall_time(estimates: Sequence[CellEstimate], workers: int) -> float:
 
 
 def _measured(cell: Cell, seed: int, left: float) -> tuple[float, int] | None:
-    """Seconds of all realisations, bytes of storage; None if it fails or is too large to be tried."""
+    """Seconds of all realizations, bytes of storage; None if it fails or is too large to be tried."""
     realizations: int = cell.analysis.realizations  # type: ignore[attr-defined]
     if cell.need.cost / realizations * _FEW * _NOMINAL > left:
         return None
@@ -147,7 +148,7 @@ def _measured(cell: Cell, seed: int, left: float) -> tuple[float, int] | None:
         again, _ = _timed(cell, few, seed)
         if 2 * again > left:
             return first + again * realizations / few, size
-        # As many realisations as it takes to see what they cost beside what is paid each time
+        # As many realizations as it takes to see what they cost beside what is paid each time
         for more in _MORE if _MORE[0] / _FEW * again < 0.1 * left else (2 * _FEW,):
             count = min(more, realizations)
             seconds, _ = _timed(cell, count, seed)
@@ -160,7 +161,7 @@ def _measured(cell: Cell, seed: int, left: float) -> tuple[float, int] | None:
 
 
 def _timed(cell: Cell, realizations: int, seed: int) -> tuple[float, int]:
-    """Seconds of so many realisations, and bytes of the result in storage."""
+    """Seconds of so many realizations, and bytes of the result in storage."""
     analysis = msgspec.structs.replace(cell.analysis, realizations=realizations)
     start = time.perf_counter()
     result = replace(cell, analysis=analysis).compute(seed)

@@ -34,6 +34,7 @@ from typing import Any, NamedTuple, Protocol, cast, final
 import msgspec
 
 from mcspectra.core.checks import as_integer, as_real
+from mcspectra.core.display import shown
 from mcspectra.core.errors import McspectraError, ParameterError
 from mcspectra.core.parallel import available_workers
 from mcspectra.core.registry import optional_package
@@ -60,7 +61,7 @@ __all__ = [
     "check_time_limit",
 ]
 
-_GRACE = 5.0  # seconds that cancelled threads have to finish: most chunks take about 1 s
+_GRACE = 5.0  # seconds that canceled threads have to finish: most chunks take about 1 s
 _LONGEST_LIMIT = 1e9  # seconds, 30 years: clocks and waits take no more
 _LOOPBACK = "127.0.0.1"
 _ADDRESS = re.compile(
@@ -470,7 +471,7 @@ def _connected(options: Cluster, opened: contextlib.ExitStack) -> Any:
                     target = found.address
                 except (OSError, msgspec.DecodeError) as error:
                     raise ParameterError(
-                        f"{target!r} is not a file that a dask scheduler wrote (--scheduler-file): "
+                        f"{shown(target)} is not a file that a dask scheduler wrote (--scheduler-file): "
                         f"{error}."
                     ) from error
             _greet_scheduler(target, options.patience)

@@ -1,7 +1,7 @@
 """Study files: TOML, typed and checked as a whole before anything runs.
 
 A study names samplers and estimators and, in tables named as analyses are (`mcspectra.core.analysis`),
-what is analysed; an estimator may override any of them. Keys, types, defaults and meanings of a table
+what is analyzed; an estimator may override any of them. Keys, types, defaults and meanings of a table
 are those of its analysis. Unknown keys, wrong types and values out of range are errors that name the
 place. Relative paths inside spec strings are relative to the file.
 
@@ -28,6 +28,7 @@ from msgspec import Meta
 
 from mcspectra.core.analysis import ANALYSES, Analysis
 from mcspectra.core.checks import is_path
+from mcspectra.core.display import shown
 from mcspectra.core.errors import (
     ConfigError,
     McspectraError,
@@ -144,7 +145,7 @@ class EstimatorConfig(_Table, frozen=True, kw_only=True, omit_defaults=True):
     channels: Annotated[
         Literal["own", "shared", "combined", "one"] | None,
         Meta(
-            description="Colour: own or shared points for each channel's density, all densities "
+            description="Color: own or shared points for each channel's density, all densities "
             "combined by MIS, or one density for all channels."
         ),
     ] = None
@@ -256,7 +257,9 @@ def study_file(name: str | Path) -> Path:
         The name is no path.
     """
     if not is_path(name):
-        raise ConfigError(f"{name!r} is not the path of a study file; give that of a .toml file.")
+        raise ConfigError(
+            f"{shown(name)} is not the path of a study file; give that of a .toml file."
+        )
     return BUILT_IN.get(str(name), Path(name))
 
 
@@ -334,18 +337,20 @@ def study_of(table: Mapping[str, Any], source: str = "study") -> StudyConfig:
             raise ConfigError(f"there is nothing to study; give {lists}.")
         (name, times), *_ = Counter(entry.name for entry in config.entries).most_common(1)
         if times > 1:
-            raise ConfigError(f"two estimators are called {name!r}; names must differ.")
+            raise ConfigError(f"two estimators are called {shown(name)}; names must differ.")
         seen = set()
         for entry in config.entries:
             samplers = config.samplers_of(entry)
             if not samplers:
-                raise ConfigError(f"{entry.name!r} has no samplers; list some there or at the top.")
+                raise ConfigError(
+                    f"{shown(entry.name)} has no samplers; list some there or at the top."
+                )
             if id(samplers) not in seen and len(set(samplers)) < len(samplers):
-                raise ConfigError(f"{entry.name!r} lists a sampler twice.")
+                raise ConfigError(f"{shown(entry.name)} lists a sampler twice.")
             seen.add(id(samplers))  # most share one list
         for estimator in config.estimators:
             for complaint in _complaints(estimator):
-                raise ConfigError(f"the estimator {estimator.name!r} {complaint}")
+                raise ConfigError(f"the estimator {shown(estimator.name)} {complaint}")
     except McspectraError as error:
         raise ConfigError(f"{source}: {error}") from None
     return config
@@ -460,7 +465,7 @@ class _Reader:
     def study(self, table: Mapping[str, Any]) -> StudyConfig:
         """A whole study."""
         if not isinstance(table, dict):
-            raise ConfigError(f"a study is a table, not {table!r}.")
+            raise ConfigError(f"a study is a table, not {shown(table)}.")
         lists = _scene_lists(table)
         rest = {k: v for k, v in table.items() if k not in lists and k != "estimators"}
         config = self._with_analyses(rest, StudyConfig, "")
@@ -527,7 +532,9 @@ def _struct(table: Any, kind: type[Struct], place: str, beside: tuple[str, ...] 
             *(key for key, each in tables.items() if top or each.about != "scene"),
         ]
         hint, close = close_match_hint(unknown[0], allowed)
-        sentence = f"{where}there is no key {unknown[0]!r}; allowed here: {', '.join(allowed)}."
+        sentence = (
+            f"{where}there is no key {shown(unknown[0])}; allowed here: {', '.join(allowed)}."
+        )
         raise ConfigError(sentence + (hint if close else ""))
     clean = {}
     for name, option in known.items():
@@ -535,7 +542,7 @@ def _struct(table: Any, kind: type[Struct], place: str, beside: tuple[str, ...] 
             label = f"{place}.{name}" if place else name
             clean[name] = option.check(given[name], label, from_file=True)
         elif option.required:
-            raise ConfigError(f"{where}the key {name!r} is missing.")
+            raise ConfigError(f"{where}the key {shown(name)} is missing.")
     try:
         return msgspec.convert(clean, kind)
     except msgspec.ValidationError as error:  # Types of options of other packages
@@ -551,7 +558,7 @@ def _keys_of(kind: type[msgspec.Struct]) -> dict[str, Option]:
 
 def _shown(value: Any) -> str:
     """What was given, for messages."""
-    return "a table" if isinstance(value, dict) else f"{value!r:.60}"
+    return "a table" if isinstance(value, dict) else shown(value)
 
 
 def _complaints(e: EstimatorConfig) -> Iterator[str]:
@@ -580,7 +587,7 @@ def _complaints(e: EstimatorConfig) -> Iterator[str]:
     if not e.one_sample and (e.probabilities is not None or e.selection is not None):
         yield "has probabilities or selection, which belong to one_sample = true."
 
-    # Densities of colour channels
+    # Densities of color channels
     if e.channels == "one" and e.density is None:
         yield 'has channels = "one", which needs density.'
     if e.channels not in (None, "one") and e.densities is None:
@@ -614,17 +621,17 @@ def apply_overrides(table: dict[str, Any], overrides: Sequence[str]) -> dict[str
     """
     given: Any = overrides
     if not isinstance(given, list | tuple) or not all(isinstance(text, str) for text in given):
-        raise ConfigError(f"The changes are {given!r}; give a list of texts key=value.")
+        raise ConfigError(f"The changes are {shown(given)}; give a list of texts key=value.")
     changed = copy.deepcopy(table) if overrides else table
     for text in overrides:
         path, equals, value = text.partition("=")
         if not equals:
-            raise ConfigError(f"--set {text!r} has no '='; write key=value.")
+            raise ConfigError(f"--set {shown(text)} has no '='; write key=value.")
 
         # Read the place: keys between dots, each with its indices
         if not _PLACE.fullmatch(path.strip()):
             raise ConfigError(
-                f"--set {text!r}: {path.strip()!r} is not a place in a study; write for example "
+                f"--set {shown(text)}: {shown(path.strip())} is not a place in a study; write for example "
                 "seed, samplers[0] or estimators[0].density."
             )
         parts = re.findall(r"\[(\d+)\]|([\w-]+)", path)
@@ -637,7 +644,7 @@ def apply_overrides(table: dict[str, Any], overrides: Sequence[str]) -> dict[str
             found = {}
         if list(found) != ["value"]:
             raise ConfigError(
-                f"--set {text!r}: {value.strip()!r} is not a value of TOML; strings need quotes: "
+                f"--set {shown(text)}: {shown(value.strip())} is not a value of TOML; strings need quotes: "
                 "key='\"text\"'."
             )
 
@@ -646,14 +653,14 @@ def apply_overrides(table: dict[str, Any], overrides: Sequence[str]) -> dict[str
         for i, step in enumerate(steps):
             lack = ""
             if isinstance(step, str) and not isinstance(place, dict):
-                lack = f"there is no table that could hold {step!r}"
+                lack = f"there is no table that could hold {shown(step)}"
             elif isinstance(step, int) and not isinstance(place, list):
                 lack = f"there is no list that could hold [{step}]; count from 0"
             elif isinstance(step, int) and step >= len(place):
                 entries = "1 entry" if len(place) == 1 else f"{len(place)} entries"
                 lack = f"there is no [{step}], the list has {entries}; count from 0"
             if lack:
-                raise ConfigError(f"--set {text!r}: {lack}.")
+                raise ConfigError(f"--set {shown(text)}: {lack}.")
             if i == len(steps) - 1:
                 place[step] = found["value"]
             else:
@@ -689,7 +696,7 @@ def expand_grids(table: dict[str, Any], source: str = "study") -> dict[str, Any]
     """
     try:
         if not isinstance(table, dict):
-            raise ConfigError(f"a study is a table, not {table!r}.")
+            raise ConfigError(f"a study is a table, not {shown(table)}.")
         return _expanded(table)
     except McspectraError as error:
         raise ConfigError(f"{source}: {error}") from None
@@ -748,7 +755,7 @@ def _expanded(table: Mapping[str, Any]) -> dict[str, Any]:
     for key in _SINGLE:
         if any(_placeholders(made.get(key))):
             raise ConfigError(
-                f"{key} is {made[key]!r}, and a study has one; take a study for each value, as "
+                f"{key} is {shown(made[key])}, and a study has one; take a study for each value, as "
                 f"with --set {key}=..."
             )
     for key in lists:
@@ -849,12 +856,16 @@ def _grid_values(grid: Any, place: str) -> dict[str, list[Any]]:
     if grid is None:
         return {}
     if not isinstance(grid, dict):
-        raise ConfigError(f"{place} is {grid!r}; give a table of lists, {{ width = [0.1, 0.2] }}.")
+        raise ConfigError(
+            f"{place} is {shown(grid)}; give a table of lists, {{ width = [0.1, 0.2] }}."
+        )
     for key, values in grid.items():
         if not _KEY.fullmatch(key):
-            raise ConfigError(f"{place}: {key!r} is not a name of letters, digits and '_'.")
+            raise ConfigError(f"{place}: {shown(key)} is not a name of letters, digits and '_'.")
         if not isinstance(values, list) or not values:
-            raise ConfigError(f"{place}.{key} is {values!r}; give a list of one or more values.")
+            raise ConfigError(
+                f"{place}.{key} is {shown(values)}; give a list of one or more values."
+            )
         for value in values:
             _check_grid_value(value, f"{place}.{key}")
     return grid
@@ -865,6 +876,6 @@ def _check_grid_value(value: Any, place: str) -> None:
         for item in value:
             _check_grid_value(item, place)
     elif not isinstance(value, str | int | float | bool):
-        raise ConfigError(f"{place} holds {value!r}; give numbers, strings, or lists of them.")
+        raise ConfigError(f"{place} holds {shown(value)}; give numbers, strings, or lists of them.")
     elif isinstance(value, float) and not math.isfinite(value):
-        raise ConfigError(f"{place} holds {value!r}; give finite numbers.")
+        raise ConfigError(f"{place} holds {shown(value)}; give finite numbers.")

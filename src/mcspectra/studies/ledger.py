@@ -35,6 +35,7 @@ import msgspec
 import numpy as np
 
 from mcspectra.core.analysis import Chunk
+from mcspectra.core.display import shown
 from mcspectra.core.errors import (
     FileFormatError,
     OtherVersionsWarning,
@@ -124,8 +125,20 @@ _TEXTS = "SELECT name, text, digest FROM {} WHERE kind = ?"
 _NOTED = ("texts", "notes")  # tables that have the notes, each
 _ONE_TASK = "SELECT * FROM tasks WHERE path = ? AND run = ? AND first = ? AND blocks = ?"
 
-# Codes of SQLite that are not about the contents of the file: busy, no memory, no right, no disk, …
-_NOT_DAMAGE = (3, 5, 6, 7, 8, 9, 10, 13, 14, 15)
+# Codes of SQLite that are not about the contents of the file, in words
+_NOT_DAMAGE = {
+    3: "the rights do not allow it",
+    5: "another process is using it",
+    6: "another process is using it",
+    7: "no memory is left",
+    8: "the rights do not allow it",
+    9: "the reading was interrupted",
+    10: "the device or its file system failed",
+    13: "the disk is full",
+    14: "it cannot be opened",
+    15: "its file system has no locks",
+}
+_BAD_PAGES = "pages of the file are damaged or missing"
 _SUPER_JOURNAL = bytes.fromhex("d9d505f920a163d7")  # how a journal ends that names another file
 
 _DAMAGE = "its digest does not match"
@@ -746,7 +759,7 @@ class Ledger:
         """Open the file, and read which study it holds; with `salvage` whatever damage it has."""
         _refuse_strangers(self._file)
         if not self._file.is_file():
-            raise StoreError(f"There are no results in {str(self.folder)!r}.")
+            raise StoreError(f"There are no results in {shown(str(self.folder))}.")
         broken = ""
         try:
             self._connect(thoroughly=salvage)
@@ -796,7 +809,7 @@ class Ledger:
         if thoroughly:
             ((first, *_), *_) = self._rows("PRAGMA integrity_check(1)")
             if first != "ok":
-                raise _Damaged(" ".join(str(first).split()))
+                raise _Damaged(_BAD_PAGES)
 
     def _read_pages(self, reason: str) -> None:
         """Go on with a copy of those rows of the damaged file that can be read, page by page."""
@@ -821,7 +834,8 @@ class Ledger:
                             copy.execute(_PUT_COPY[columns], row)
                 copy.execute("COMMIT")
         except (OSError, sqlite3.Error) as error:
-            raise StoreError(f"{str(self._file)!r} cannot be read: {error}.") from None
+            reason = _not_damage(error) or str(error)
+            raise StoreError(f"{str(self._file)!r} cannot be read: {reason}.") from None
 
     def _note(self, name: str, kind: type[_Note]) -> _Note | None:
         """Contents of a note, which has two copies; None if both are damaged."""
@@ -1019,13 +1033,9 @@ class Ledger:
             raise self._unreadable(error) from None
 
     def _unreadable(self, error: BaseException) -> StoreError:
-        code = getattr(error, "sqlite_errorcode", 0) & 0xFF
-        if isinstance(error, MemoryError) or code in _NOT_DAMAGE:
-            return StoreError(
-                f"{str(self._file)!r} cannot be read: {str(error) or 'no memory is left'}."
-            )
-        sentence = f"{str(self._file)!r} cannot be read: {error}; {_REMEDY}."
-        return _Damaged(sentence, str(error))
+        if reason := _not_damage(error):
+            return StoreError(f"{str(self._file)!r} cannot be read: {reason}.")
+        return _Damaged(f"{str(self._file)!r} is damaged: {_BAD_PAGES}; {_REMEDY}.", _BAD_PAGES)
 
     def _text(self, kind: str, name: str, text: str, table: str = "texts") -> _Step:
         """What keeps a text, with a digest."""
@@ -1047,6 +1057,15 @@ class Ledger:
 
     def _is_sound(self, kind: str, key: tuple[Any, ...], content: Any, digest: Any) -> bool:
         return isinstance(content, bytes) and self._digest(kind, key, content) == digest
+
+
+def _not_damage(error: BaseException) -> str:
+    """Why a file cannot be read or written, in words; empty if its contents are the reason."""
+    if isinstance(error, MemoryError):
+        return _NOT_DAMAGE[7]
+    if isinstance(error, OSError):
+        return error.strerror or str(error)
+    return _NOT_DAMAGE.get(getattr(error, "sqlite_errorcode", 0) & 0xFF, "")
 
 
 def _digest(study: StudyNote, kind: str, key: tuple[Any, ...], content: bytes) -> bytes:
@@ -1213,9 +1232,7 @@ def _writing(
     try:
         yield
     except (OSError, sqlite3.Error, MemoryError) as error:
-        reason = error.strerror if isinstance(error, OSError) else str(error)
-        if isinstance(error, MemoryError):
-            reason = "no memory is left"
+        reason = _not_damage(error) or str(error)
         if not remedy and place.exists():
             remedy = "what was finished is kept, and --resume continues it"
         raise kind(

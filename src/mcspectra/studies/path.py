@@ -63,7 +63,7 @@ PATH_SAMPLERS = ("random", "latin-hypercube", "rank1-lattice | shift", "sobol | 
 """Samplers that are compared unless others are given: those that any number of dims leaves any count."""
 
 _EFFORTS = {
-    # counts, realisations, those of the ANOVA, paths for the shares of lights, whether variances are predicted
+    # counts, realizations, those of the ANOVA, paths for the shares of lights, whether variances are predicted
     "quick": ((16, 64, 256, 1024), 200, 10_000, 2**14, False),
     "full": ((16, 64, 256, 1024, 4096), 1000, 100_000, 2**17, True),
 }
@@ -75,7 +75,7 @@ _AXES = {
 }  # as captions call them
 _MOST_GROUPS = 64
 _MOST_SAMPLES = 2**20
-_FEWEST = 100  # realisations that tell one change from another
+_FEWEST = 100  # realizations that tell one change from another
 _LIGHTS = 1  # stream label
 _MOST_LIGHTS = 64
 _PILOT = 2**10  # paths that lights are chosen by

@@ -18,6 +18,7 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.core.checks import as_choice, as_integer
+from mcspectra.core.display import shown
 from mcspectra.core.errors import Parameter, ParameterError, close_match_hint
 from mcspectra.core.parallel import available_workers
 from mcspectra.core.progress import report
@@ -73,7 +74,7 @@ _QUICK_REMEDIES = ("unshifted", "mirrored", "sampler", "heuristic", "techniques"
 _ROUNDING = 1e-5  # of the largest |g|: a hundred roundings of float32
 _MOST_SAMPLES = 2**22
 _LEAST_BUDGET = 8  # of two techniques
-_FEWEST = 100  # realisations that remedies take
+_FEWEST = 100  # realizations that remedies take
 
 Parts: TypeAlias = "dict[str, xr.Dataset]"
 
@@ -298,14 +299,16 @@ def find_pixel(scene: Scene, x: int | str, y: int | None) -> tuple[int, int]:
     if y is not None and not isinstance(x, str):
         return x, y  # checked against the film by whatever uses it
     if y is not None or not isinstance(x, str):
-        raise ParameterError(f"The pixel is {x!r}, {y!r}; give x and y, or the name of a pixel.")
+        raise ParameterError(
+            f"The pixel is {shown(x)}, {shown(y)}; give x and y, or the name of a pixel."
+        )
     names = named_pixels(scene)
     if x in names:
         return names[x]
     hint, _ = close_match_hint(x, names)
     there = f" It has {', '.join(names)}." if names and not hint else hint
     raise ParameterError(
-        f"The scene {scene_name(scene)} has no pixel named {x!r}; give x and y.{there}"
+        f"The scene {scene_name(scene)} has no pixel named {shown(x)}; give x and y.{there}"
     )
 
 
@@ -321,10 +324,10 @@ def check_compared(
         sampler cannot do one of them.
     """
     if isinstance(samplers, str) or not samplers:
-        raise ParameterError(f"samplers is {samplers!r}; give a list of samplers.")
+        raise ParameterError(f"samplers is {shown(samplers)}; give a list of samplers.")
     sources = [as_sampler(s, dims) for s in samplers]
     if len({s.spec for s in sources}) < len(sources):
-        raise ParameterError(f"samplers is {list(samplers)!r:.80}; give each only once.")
+        raise ParameterError(f"samplers is {shown(list(samplers))}; give each only once.")
     ns = [as_integer("counts", n, least=1, most=most) for n in counts]
     for source, n in itertools.product(sources, ns):
         source.check_count(n)

@@ -23,6 +23,7 @@ from mcspectra.core.analysis import (
     steps_of,
 )
 from mcspectra.core.checks import is_path
+from mcspectra.core.display import shown
 from mcspectra.core.errors import ConfigError, LargeStudyWarning, McspectraError, warn
 from mcspectra.core.memory import check_memory
 from mcspectra.core.registry import Registry
@@ -177,7 +178,7 @@ def make_plan(
     """
     as_study(config)
     if not (trust is None or isinstance(trust, Trust)):
-        raise ConfigError(f"trust is {trust!r}; give a Trust, or None.")
+        raise ConfigError(f"trust is {shown(trust)}; give a Trust, or None.")
     if not is_path(folder):
         raise ConfigError(f"folder is {folder!r}; give the path of the study's folder.")
 
@@ -215,7 +216,7 @@ def make_plan(
     if total > MOST_EVALUATIONS and not force:
         raise ConfigError(
             f"The study would take about {total:.2g} evaluations, months of a hundred processors; ask "
-            "for fewer points or realisations, or give --force."
+            "for fewer points or realizations, or give --force."
         )
     return Plan(config, cells, planner.vetting.inputs)
 
@@ -326,11 +327,13 @@ class _Planner:
                     except ConfigError:
                         raise
                     except McspectraError as refusal:
-                        raise ConfigError(f"{whose}, sampler {text!r:.80}: {refusal}") from refusal
+                        raise ConfigError(f"{whose}, sampler {shown(text)}: {refusal}") from refusal
                 sampler, inputs = self._one[text, dims]
                 first = specs.setdefault(sampler.spec, text)
                 if first != text:
-                    raise ConfigError(f"{first!r} and {text!r} are the same sampler; list one.")
+                    raise ConfigError(
+                        f"{shown(first)} and {shown(text)} are the same sampler; list one."
+                    )
                 found.append((text, slugs(text), sampler, inputs))
             self._lists[key] = found
         return self._lists[key]
@@ -353,11 +356,11 @@ def _built(
         calls, names = vetting.calls(text)
         inputs.update(names)
         if len(calls) != 1:
-            raise ConfigError(f"{text!r} chains parts with '|'; only samplers can be chained.")
+            raise ConfigError(f"{shown(text)} chains parts with '|'; only samplers can be chained.")
         if calls[0].name != "python":
             return registry.build(calls[0], dims)
         if registry is not INTEGRANDS:
-            raise ConfigError(f"{text!r}: only integrands can be Python functions.")
+            raise ConfigError(f"{shown(text)}: only integrands can be Python functions.")
         function, names = vetting.function(text, calls[0])
         inputs.update(names)
         return probed(function, dims=2 if dims is None else dims, limit=limit)

@@ -27,7 +27,7 @@ import numpy as np
 
 from mcspectra.core.analysis import ANALYSES
 from mcspectra.core.checks import as_path
-from mcspectra.core.display import csv_cell, register_accessor
+from mcspectra.core.display import QUOTED, csv_cell, printable, register_accessor, shown
 from mcspectra.core.errors import (
     McspectraError,
     MissingDependency,
@@ -145,11 +145,11 @@ class StudyStatus(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def analyses(self) -> dict[str, AnalysisCount]:
-        """Numbers by the analysis: the last part of a cell's path."""
+        """Numbers of cells by the analysis: the last part of a cell's path."""
         counts: defaultdict[str, Counter[str]] = defaultdict(Counter)
         for kind in ("done", "failed", "missing", "damaged"):
             for path in getattr(self, kind):
-                if " " not in path:
+                if are_paths([path]) and "/" in path:
                     counts[path[path.rfind("/") + 1 :]][kind] += 1
         return {name: AnalysisCount(**of) for name, of in sorted(counts.items())}
 
@@ -199,12 +199,14 @@ def _opened(
                 stranger = _unplanned(root["study"], paths)
                 if stranger is not None:
                     raise StoreError(
-                        f"The ledger in {str(ledger.folder)!r} has the cell {stranger!r:.120}, which its "
+                        f"The ledger in {str(ledger.folder)!r} has the cell {shown(stranger)}, which its "
                         "study does not have: it is not as a run wrote it; give another folder."
                     )
             cells = {path: _read_cell(ledger, path) for path in paths}
     if select is not None and not cells:
-        raise StoreError(f"No cell of {str(source)!r} matches {select!r}; paths are a/b/analysis.")
+        raise StoreError(
+            f"No cell of {str(source)!r} matches {shown(select)}; paths are a/b/analysis."
+        )
     return root, cells
 
 
@@ -253,7 +255,8 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
     Parameters
     ----------
     verify
-        Check all of the ledger, and ``results.zarr``, against their digests.
+        Check all of the ledger, and ``results.zarr``, against their digests. The lock is always
+        checked.
 
     Raises
     ------
@@ -296,7 +299,7 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
             _files(root / STORE_NAME)
         except StoreError as error:
             damaged[f"the store {STORE_NAME}"] = str(error)
-    trouble = lock_damage(root) if verify else None
+    trouble = lock_damage(root)
     if trouble is not None:
         damaged["the lock study.lock"] = trouble
     running, lacking = is_held(root), found.failed or found.missing or damaged
@@ -448,7 +451,7 @@ def _ledger(
     given: Any = select
     if given is not None and not (isinstance(given, str) and given):
         raise ParameterError(
-            f"select is {select!r:.80}; give the path of a cell, or a pattern such as 'a/*'."
+            f"select is {shown(select)}; give the path of a cell, or a pattern such as 'a/*'."
         )
     if not os.path.lexists(root / LEDGER_NAME):
         return None
@@ -529,7 +532,7 @@ def _read_cell(ledger: Ledger, path: str) -> xr.Dataset:
         cell: xr.Dataset = unpack(xr.Dataset, ledger.result(path))
         if not are_paths([path]):
             raise StoreError(
-                f"The cell {path!r:.120} is none that a run writes; give another folder."
+                f"The cell {shown(path)} is none that a run writes; give another folder."
             )
         with contextlib.suppress(MissingDependency, UnknownName):  # The package is not installed
             name = path.rpartition("/")[2]
@@ -702,7 +705,7 @@ def _files(source: str | Path) -> dict[str, bytes]:
     shown, place = str(source), Path(source)
     root = place if place.suffix == ".zarr" else place / STORE_NAME
     if not (root / _DOCUMENT).exists():
-        raise StoreError(f"There are no results in {shown!r}.")
+        raise StoreError(f"There are no results in {printable(shown, QUOTED)!r}.")
     try:
         for inner in root.iterdir():
             refuse_links(str(inner))
@@ -725,7 +728,7 @@ def _files(source: str | Path) -> dict[str, bytes]:
         raise StoreError(f"{shown!r} is damaged: its {_DOCUMENT} cannot be read.") from None
     if version != FORMAT:
         raise StoreError(
-            f"{shown!r} has store format {version!r}; this version reads {FORMAT}. "
+            f"{shown!r} has store format {version!r:.80}; this version reads {FORMAT}. "
             "xarray.open_datatree reads stores of earlier formats as they are; for reports and exports "
             "of them take the version that wrote them, or run the study again into another folder."
         )

@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 
 from mcspectra.core import progress
+from mcspectra.core.display import counted
 from mcspectra.core.errors import DamagedResultsWarning, McspectraError, StoreError, warn
 from mcspectra.core.parallel import available_workers
 from mcspectra.studies.executors import Cluster, Dask, Executor, Threads, check_time_limit
@@ -133,8 +134,10 @@ def run_study(
         damaged = [f"{name} ({reason})" for name, reason in ledger.damaged.items()]
         if damaged:
             more = f" and {len(damaged) - _NAMED} more" if len(damaged) > _NAMED else ""
+            parts = counted(len(damaged), "part")
+            verb = "is" if len(damaged) == 1 else "are"
             warn(
-                f"{len(damaged)} parts of the results in {str(out)!r} are damaged, and what is lost is "
+                f"{parts} of the results in {str(out)!r} {verb} damaged, and what is lost is "
                 f"computed again: {', '.join(damaged[:_NAMED])}{more}.",
                 DamagedResultsWarning,
             )
@@ -158,7 +161,7 @@ def run_study(
                         ledger.finish(cell.path, settled.payload, settled.scalars)
                     left -= cell.need.cost
                     share = 1.0 if done == len(plan.cells) else 1.0 - left / max(total, 1e-300)
-                    progress.report(f"study of {len(plan.cells)} cells", share)
+                    progress.report(f"study of {counted(len(plan.cells), 'cell')}", share)
                     if report is not None:
                         report(Progress(cell, done, len(plan.cells)))
         failed = ledger.failures()
@@ -167,7 +170,7 @@ def run_study(
     if failed:
         path, message = next(iter(failed.items()))
         raise CellFailed(
-            f"{len(failed)} of {len(plan.cells)} cells failed; the others are stored, and --resume "
+            f"{len(failed)} of {counted(len(plan.cells), 'cell')} failed; the others are stored, and --resume "
             f"--retry tries these again. First: {path}: {message}",
             failed,
         )

@@ -255,7 +255,7 @@ class Schedule:
     cells
         In any order.
     seed
-        Of all realisations.
+        Of all realizations.
     ledger
         What earlier runs left, and where states go that took long.
     seconds
@@ -331,7 +331,7 @@ class Schedule:
             self._settle(Settled(cell, error=cell.error))
             return False
         seconds = self._paces.get(type(cell.analysis).__name__, math.inf) * cell.need.cost
-        # A wanted precision may take any number of realisations, whatever the first ones took.
+        # A wanted precision may take any number of realizations, whatever the first ones took.
         whole = (
             seconds <= self._target and not _is_adaptive(cell) and not self._ledger.tasks(cell.path)
         )

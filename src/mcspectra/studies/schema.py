@@ -12,6 +12,7 @@ from typing import Any
 
 import msgspec
 
+from mcspectra.core.display import shown
 from mcspectra.core.errors import ConfigError, McspectraError
 from mcspectra.core.options import Option, options_of
 from mcspectra.studies.files import (
@@ -31,6 +32,8 @@ _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _PLACEHOLDER = {"type": "string", "pattern": r"^\{[A-Za-z_][A-Za-z0-9_]*\}$"}
 _NO_TEXT = ("integer", "number", "boolean")
 _NO_PLACEHOLDER = ("grid", "seed", "time_limit")  # a study has one
+# Values in the template of options that a number of points would not fit
+_EXAMPLES = {"target_error": ("0.01",), "budget": ("4096",)}
 _TEMPLATE = Path(__file__).with_name("template.toml")
 _OTHERS = "# {other analyses}\n"  # where those come in it that it does not show
 
@@ -165,7 +168,8 @@ def template() -> str:
 
 def _example(option: Option) -> str:
     """A value that an option can have."""
-    for text in option.choices[:1] or ("16,64", "64", "0.5", "name"):
+    own = _EXAMPLES.get(option.name, ())
+    for text in (*own, *(option.choices[:1] or ("16,64", "64", "0.5", "name"))):
         with contextlib.suppress(McspectraError):
             value = option.read(text)
             return json.dumps(list(value) if isinstance(value, tuple) else value)
@@ -182,12 +186,12 @@ def write_template(path: str | Path) -> Path:
     """
     file = Path(path)
     if file.suffix != ".toml":
-        raise ConfigError(f"{str(file)!r} must end in .toml, as study files do.")
+        raise ConfigError(f"{shown(str(file))} must end in .toml, as study files do.")
     try:
         with file.open("x", encoding="utf-8") as stream:
             stream.write(template())
     except FileExistsError:
-        raise ConfigError(f"{str(file)!r} is there already; give another name.") from None
+        raise ConfigError(f"{shown(str(file))} is there already; give another name.") from None
     except OSError as error:
-        raise ConfigError(f"{str(file)!r} cannot be written: {error.strerror}.") from None
+        raise ConfigError(f"{shown(str(file))} cannot be written: {error.strerror}.") from None
     return file

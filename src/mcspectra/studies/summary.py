@@ -21,7 +21,7 @@ _READ = ("convergence", "terms", "predict")
 
 
 class SummaryRow(msgspec.Struct, frozen=True, kw_only=True):
-    """One estimator with one sampler; what was not analysed is None.
+    """One estimator with one sampler; what was not analyzed is None.
 
     ``ratio`` is predicted over measured variance, and ``method`` the method of the prediction: one of
     `METHODS` where there is a result of ``predict``, else the basis of the sum of ``terms``, whose ratio

@@ -24,6 +24,7 @@ from typing import Any, TypeAlias, final
 import msgspec
 
 from mcspectra.core.analysis import Chunk, Reduction, compute_chunk
+from mcspectra.core.display import shown
 from mcspectra.core.errors import McspectraError, StoreError
 from mcspectra.core.records import pack
 from mcspectra.core.streams import Stream
@@ -137,7 +138,7 @@ class StudyText(msgspec.Struct, frozen=True, kw_only=True):
     folder
         Where relative paths in spec strings start.
     seed
-        Of all realisations.
+        Of all realizations.
     version
         Of this package; a worker of another refuses.
     code, paths
@@ -213,7 +214,9 @@ def _cells(text: StudyText) -> dict[str, Cell]:
 def _cell(text: StudyText, path: str) -> Cell:
     cell = _cells(text).get(path)
     if cell is None:
-        raise StoreError(f"The study has no cell {path!r}; its text or its files have changed.")
+        raise StoreError(
+            f"The study has no cell {shown(path)}; its text or its files have changed."
+        )
     return cell
 
 

@@ -19,6 +19,7 @@ from typing import Any, TypeAlias, final
 import msgspec
 
 from mcspectra.core.analysis import Analysis
+from mcspectra.core.display import shown
 from mcspectra.core.errors import (
     ConfigError,
     FileFormatError,
@@ -134,11 +135,11 @@ class Vetting:
             It is written otherwise, is not allowed, cannot be imported, or is no function.
         """
         if set(call.arguments) != {"function"}:
-            raise ConfigError(f"{text!r}: write python(function='module:function').")
+            raise ConfigError(f"{shown(text)}: write python(function='module:function').")
         name = call.arguments["function"]
         if isinstance(name, str) and FUNCTION.fullmatch(name) and name not in self._trust.code:
             raise ConfigError(
-                f"The study names the Python function {name!r}, and a study file may not run code: if "
+                f"The study names the Python function {shown(name)}, and a study file may not run code: if "
                 f"you trust it, allow it by --allow-code {name}."
             )
         try:
@@ -183,11 +184,11 @@ class Vetting:
         A study may not look around on the disk of who runs it.
         """
         if "\0" in path or path.startswith("~"):  # a folder of the user's
-            raise ConfigError(f"{path!r} is not the name of a file; write it without ~.")
+            raise ConfigError(f"{shown(path)} is not the name of a file; write it without ~.")
         file = self._folder / path
         if not self._reach.reads(file):
             raise ConfigError(
-                f"The file {path!r} is outside the study's folder; move it there, or allow its folder "
+                f"The file {shown(path)} is outside the study's folder; move it there, or allow its folder "
                 f"by --allow-path {file.parent}."
             )
         files[file] = ""

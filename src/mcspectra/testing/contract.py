@@ -25,6 +25,7 @@ from mcspectra.core.analysis import (
     steps_of,
 )
 from mcspectra.core.checks import BELOW_ONE, Array, as_integer
+from mcspectra.core.display import shown
 from mcspectra.core.errors import AnalysisError, DensityError, McspectraError, ParameterError
 from mcspectra.core.options import checked, options_of
 from mcspectra.core.records import pack, unpack
@@ -79,9 +80,9 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
     Raises
     ------
     BrokenContract
-        Points are not float64 of shape (R, n, dims) in [0,1); a realisation depends on the call
+        Points are not float64 of shape (R, n, dims) in [0,1); a realization depends on the call
         that draws it; a fixed set is not the same each time; a count that `nearest_count` names
-        cannot be drawn; or the sampler says that it is unbiased and the points of all realisations
+        cannot be drawn; or the sampler says that it is unbiased and the points of all realizations
         say otherwise (false alarm: 1e-6).
 
     Examples
@@ -90,7 +91,7 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
     """
     source = as_sampler(sampler)
     if not isinstance(counts, Iterable):
-        raise ParameterError(f"counts is {counts!r}; give a list of numbers of points.")
+        raise ParameterError(f"counts is {shown(counts)}; give a list of numbers of points.")
     for each in counts:
         n = source.nearest_count(as_integer("counts", each, least=1))
         who = f"{source.spec} with n = {n}"
@@ -104,21 +105,21 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
         low, high = float(points.min()), float(points.max())
         demand(low >= 0.0 and high < 1.0, who, f"gives points from {low} to {high}, not in [0,1)")
 
-        # Realisations are the same in any call, and those of a fixed set are one set
+        # Realizations are the same in any call, and those of a fixed set are one set
         whole = source.draw(n, realizations=6, rng=7)
         for first, count in ((0, 1), (1, 3), (5, 1)):
             part = source.draw(n, realizations=count, rng=7, first=first)
             same = np.array_equal(part, whole[first : first + count])
-            demand(same, who, f"gives different points for realisation {first} in another call")
+            demand(same, who, f"gives different points for realization {first} in another call")
         same = not source.fixed or bool((whole == whole[0]).all())
-        demand(same, who, "is declared fixed, but its realisations are different sets")
+        demand(same, who, "is declared fixed, but its realizations are different sets")
         if not source.unbiased:
             continue
 
         # Mean counts of points in cells against n over the number of cells, 35 to an axis and 5 × 7 to a
-        # pair of neighbours, which few strata are. The spread over realisations gives the error of each
+        # pair of neighbors, which few strata are. The spread over realizations gives the error of each
         # mean, whatever ties the points of a set together; it is never below that of one point in one
-        # realisation: cells that are always, or never, hit
+        # realization: cells that are always, or never, hit
         from scipy.stats import norm
 
         points = source.draw(n, realizations=_REALIZATIONS, rng=20)
@@ -412,7 +413,7 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
     from mcspectra.estimators import as_subject
 
     if not isinstance(analysis, Analysis):
-        raise ParameterError(f"{analysis!r:.80} is no analysis; give one with its options.")
+        raise ParameterError(f"{shown(analysis)} is no analysis; give one with its options.")
     kind = type(analysis)
     who = kind.__name__
     subject = as_subject("gaussian" if estimator is None else estimator, sampler, lists=True)

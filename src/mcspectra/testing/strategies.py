@@ -54,7 +54,7 @@ def spec_strings(kind: str = "sampler", *, dims: int = 2) -> SearchStrategy[str]
     Parameters
     ----------
     kind
-        ``"sampler"`` (with randomisations), ``"density"`` or ``"integrand"``.
+        ``"sampler"`` (with randomizations), ``"density"`` or ``"integrand"``.
     dims
         1 to 16.
 
@@ -69,7 +69,7 @@ def spec_strings(kind: str = "sampler", *, dims: int = 2) -> SearchStrategy[str]
 
 
 def samplers(*, dims: int = 2) -> SearchStrategy[Sampler]:
-    """Samplers in `dims` dims, often randomised, without the slow ones."""
+    """Samplers in `dims` dims, often randomized, without the slow ones."""
     return spec_strings("sampler", dims=dims).map(lambda spec: sampler(spec, dims))
 
 
@@ -136,7 +136,7 @@ def _names(dims: int) -> tuple[str, ...]:
 
 @st.composite
 def _sampler_specs(draw: Any, dims: int) -> str:
-    """A name and up to two randomisations that fit what is there; others are left out."""
+    """A name and up to two randomizations that fit what is there; others are left out."""
     made = sampler(draw(st.sampled_from(_names(dims))), dims)
     steps = st.lists(st.sampled_from(_POINTWISE), max_size=_MOST_STEPS, unique=True)
     for step in draw(steps):

@@ -27,7 +27,7 @@ from mcspectra.core.streams import RngLike, Stream
 from mcspectra.densities import Density
 from mcspectra.improve.designs.objectives import as_objective
 from mcspectra.improve.designs.searches import KINDS, Design, SearchSettings, mean_variances
-from mcspectra.improve.learned import learned_density
+from mcspectra.improve.learned import LEARNED, learned_density
 from mcspectra.samplers import Sampler
 from mcspectra.samplers import sampler as sampler_of
 from mcspectra.samplers.registry import as_sampler
@@ -186,7 +186,7 @@ def design(
             )
         return learned_density(
             objective,
-            family or "mixture",
+            "mixture" if family is None else as_choice("family", family, tuple(LEARNED)),
             sampler or "sobol | owen",
             n,
             dims=dims,
