@@ -128,6 +128,7 @@ low_frequency_exponent | f | 1 | | b of power ∝ |m|^b at low frequencies
 mean | f | f | strategy? quantity? n? y? x? | mean estimate
 mcse | f | f | quantity? | standard error of the mean of chains
 ess | f | 1 | quantity? | effective number of draws: variance of the draws / squared error of their mean
+burn_in | i | 1 | quantity? | draws at the start of each chain that are left out
 spectrum_at_zero | f | f² | quantity? | spectral density S(0) of a chain in time
 error_share | f | 1 | quantity? band | part of the squared error of the mean from these frequencies
 draw_share | f | 1 | quantity? band | part of the variance of the draws from these frequencies

@@ -71,6 +71,7 @@ Name: TypeAlias = Literal[
     "float-drift",
     "correlated-replicates",
     "stuck-chain",
+    "burn-in",
     "none",
 ]
 

@@ -521,6 +521,8 @@ def _of_draws(draws: Any) -> Profile:
     name, (sentence, *others) = names[0], [f"{each[0].upper()}{each[1:]}." for each in said]
     count, effective = found.attrs["chains"] * found.attrs["draws"], float(found["ess"])
     evidence = {"draws": float(count), "effective": effective}
+    if name == "burn-in":
+        evidence["burn_in"] = float(found["burn_in"])
     if name == "none" and float(found["ess_ci"][1]) < _SETTINGS.dependent * count:
         name = "correlated-replicates"
         sentence = f"The {count} draws depend on each other and count as {effective:.0f}."
