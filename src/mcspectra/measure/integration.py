@@ -9,6 +9,9 @@ points are the first ones of the sets that follow: prefixes of a randomized sequ
 The interval is the hull of Student's t and of Hall's transform of it (`mean_interval`): of 300 seeds at 256
 calls it holds the integral of x^−½ in 88 % (74 % by Student's t alone) and that of e^(x + y) in 97 % (96 %).
 
+Where f grows without bound towards a face of the cube, the errors of strata follow a law of their own,
+whose quantiles replace those of Student's t where they are wider (`estimators/tails.py`).
+
 Both are asymptotic in R, and eight replicates are the least. Events with a probability below 1/R
 for each replicate may be missed, for example a step along an axis next to a line of the net: then
 the interval is too short [Owen2025]_. Intervals that hold for any bounded function would take n =
@@ -33,7 +36,13 @@ import numpy as np
 
 from mcspectra.core.checks import as_choice
 from mcspectra.core.confidence import student_t
-from mcspectra.core.errors import Function, Parameter, ParameterError
+from mcspectra.core.errors import (
+    Function,
+    InfiniteVarianceWarning,
+    Parameter,
+    ParameterError,
+    warn,
+)
 from mcspectra.core.memory import check_memory, memory_of
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
@@ -45,11 +54,17 @@ from mcspectra.estimators import (
     is_function,
 )
 from mcspectra.estimators.moments import Moments, mean_interval, rounding_floor
-from mcspectra.estimators.tails import tail_note
+from mcspectra.estimators.tails import (
+    border_growth,
+    few_note,
+    growing_interval,
+    growth_note,
+    tail_note,
+)
 from mcspectra.integrands import Calls, FunctionIntegrand, Integrand
 from mcspectra.measure.setup import Setup, affordable_count
 from mcspectra.samplers import Sampler, as_sampler
-from mcspectra.samplers.law import Scrambled
+from mcspectra.samplers.law import Independent, Scrambled
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -131,11 +146,17 @@ def integrate(
     Returns
     -------
     xarray.Dataset
-        ``value``, ``interval(bound)`` (95 %, over the replicates; for the median at least, of that of
+        ``value`` (NaN without an integral), ``interval(bound)`` (95 %, over the replicates; for the median at least, of that of
         all replicates, which are as often too large as too small), ``calls`` that were made,
         ``replicates``, ``n`` points of each, and ``rate``, of the variance as it was measured for the
-        split, NaN where it was not. Where all replicates are alike the interval is infinite, and the
-        attribute ``note`` says why.
+        split, NaN where it was not. The interval is infinite where all replicates are alike, where f
+        grows towards a face of the cube so fast that its variance is infinite, and where a few
+        values hold most of the variance; the attribute ``note`` says why. Slower growth makes the interval wider to the side of the growth.
+
+    Warns
+    -----
+    InfiniteVarianceWarning
+        The variance of f is infinite, or f has no integral.
 
     Raises
     ------
@@ -239,7 +260,16 @@ def integrate(
     # The interval, infinite if nothing varies
     means = values.mean(axis=1)
     moments = Moments.of(means, tails=True)
-    value, note, interval = float(moments.mean), tail_note(moments), mean_interval(means)
+    value, interval = float(moments.mean), mean_interval(means)
+    # Growth at the border: strata have skewed errors, and a variance may not exist. Other tails that
+    # are not resolved leave the interval without an end
+    growths = border_growth(x.reshape(-1, known), values.ravel())
+    endless = growth_note(growths)
+    note = None if growths else tail_note(moments) or few_note(values.ravel())
+    if note:
+        interval = -math.inf, math.inf
+    elif endless or not isinstance(law, Independent):
+        interval = growing_interval(means, growths)
     # The median; if no set stands out from its neighbors, f is rough or n is small
     from scipy.special import bdtr
 
@@ -258,6 +288,11 @@ def integrate(
     if alike and not (median and np.ptp(values)):
         interval = -math.inf, math.inf
         note = "all replicates are alike: f is constant, or what varies was not met"
+    elif endless:
+        interval, note = (-math.inf, math.inf), endless
+        if any(growth.without_integral() for growth in growths):
+            value = math.nan
+        warn(f"{calls.name}: {endless}.", InfiniteVarianceWarning)
     return dataset(
         {
             "value": ((), value),

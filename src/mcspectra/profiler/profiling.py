@@ -213,8 +213,8 @@ class Profile:
     Attributes
     ----------
     integral, interval
-        The mean of all nets, and its 95 % interval. The interval is infinite if the variance is
-        infinite or rests on a few evaluations.
+        The mean of all nets, NaN if g has no integral, and its 95 % interval. The interval is
+        infinite if the variance is infinite or rests on a few evaluations.
     calls, budget
         Number of evaluations of f, and the number that was allowed.
     variance, rate, rate_ci
@@ -627,6 +627,11 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     # pole
     names = {cause.name for cause in causes}
     infinite = "infinite-variance" in names
+    no_integral = any(
+        cause.name == "infinite-variance"
+        and cause.evidence.get("exponent", 0.0) >= CAUSE_SETTINGS.no_integral
+        for cause in causes
+    )
     if infinite and best is not None:
         endless = dict.fromkeys(("rmse_given", "gain", "samples_saved"), math.inf)
         endless_best = replace(best, **endless, gain_ci=(math.inf, math.inf))  # type: ignore[arg-type]
@@ -662,7 +667,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     return Profile(
         subject=estimator.spec,
         given=given.spec,
-        integral=float(sets.estimates.mean()),
+        integral=math.nan if no_integral else float(sets.estimates.mean()),
         interval=sets.interval if known else (-math.inf, math.inf),
         calls=calls,
         budget=budget,
@@ -681,6 +686,8 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
 
 def _shown(value: float, low: float, high: float) -> str:
     """Return a number and its interval, with enough digits to distinguish the ends."""
+    if math.isnan(value):
+        return "does not exist"
     digits = 6
     if math.isfinite(high - low) and high > low:
         digits = max(digits, math.ceil(math.log10(max(abs(low), abs(high)) / (high - low))) + 2)
