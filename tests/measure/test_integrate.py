@@ -299,3 +299,28 @@ def test_few_values_that_hold_the_variance_leave_no_interval():
         found = mcs.integrate(oracles.gaussian_peaks(8), budget=25_000, rng=seed)
         assert np.isinf(found["interval"].values).all()
         assert "no upper bound" in found.attrs["note"]
+
+
+@pytest.mark.parametrize("vectorized", [True, False])
+def test_evaluations_that_fail_are_skipped_and_bound_the_result(vectorized):
+    """f has no values for x_0 < 0.02: it may be anything between its least and largest value."""
+
+    def f(x):
+        if np.any(x[..., 0] < 0.02):
+            raise ValueError("no convergence")
+        return 1.0 + x[..., 1]
+
+    options = {"dims": 2, "budget": 1000, "vectorized": vectorized}
+    with pytest.raises(ParameterError, match="no convergence"):
+        mcs.integrate(f, **options)
+    found = mcs.integrate(f, on_error="skip", **options)
+    skipped = int(found["skipped"])
+    assert skipped == pytest.approx(0.02 * int(found["calls"]), abs=4 * np.sqrt(20))
+    assert f"{skipped} of {int(found['calls'])} evaluations failed" in found.attrs["note"]
+    low, high = found["interval"].values
+    assert low < 1.5 - 0.02 / 2 + 0.005
+    assert 1.5 + 0.02 / 2 - 0.005 < high < 1.5 + 0.03
+    with pytest.raises(ParameterError, match="on_error"):
+        mcs.integrate(f, on_error="ignore", **options)
+    with pytest.raises(ParameterError, match="at all points"):
+        mcs.integrate(lambda x: np.nan * x[..., 0], on_error="skip", **options)

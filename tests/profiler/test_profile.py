@@ -725,3 +725,46 @@ def test_samples_of_another_space_are_refused():
     given = (lambda x: x[..., 0] ** 2, lambda x: np.exp(-(x[..., 0] ** 2) / 2), ndtri)
     with pytest.raises(McspectraError, match="leaves the unit cube"):
         mcs.profile(given, dims=1)
+
+
+def borehole(u):
+    """Flow through a borehole (Harper & Gupta 1983): its radius is negative for u_0 < 2e-10."""
+    low = np.array([100, 63070, 990, 63.1, 700, 1120, 9855])
+    high = np.array([50000, 115600, 1110, 116, 820, 1680, 12045])
+    radius = 0.10 + 0.016 * ndtri(u[..., 0])
+    outer, upper, head, lower, level, length, flow = np.moveaxis(
+        low + (high - low) * u[..., 1:], -1, 0
+    )
+    with np.errstate(invalid="ignore"):
+        ratio = np.log(outer / radius)
+    below = ratio * (1 + 2 * length * upper / (ratio * radius**2 * flow) + upper / lower)
+    return 2 * np.pi * upper * (head - level) / below
+
+
+def test_probes_where_no_sample_falls_may_fail():
+    found = mcs.profile(borehole, dims=8, budget=16384)
+    assert found.causes[0].name == "none"
+    (said,) = found.not_tried
+    assert "NaN or infinite" in said
+    assert "9.09495e-13" in said
+    assert found.calls <= 16384
+
+
+@pytest.mark.parametrize("fails", ["NaN", "exception"])
+def test_evaluations_that_fail_are_skipped_counted_and_located(fails):
+    """f has no values for x_0 < 0.02: the interval allows the least and the largest of others."""
+
+    def f(x):
+        if fails == "exception" and (x[..., 0] < 0.02).any():
+            raise ValueError("no convergence")
+        return np.where(x[..., 0] < 0.02, np.nan, 1.0 + x[..., 1])
+
+    with pytest.raises(ParameterError, match="NaN|no convergence"):
+        mcs.profile(f, dims=2)
+    found = mcs.profile(f, dims=2, on_error="skip")
+    low, high = found.interval
+    # E f is 1.5 without x_0 < 0.02, where it may be anything from 1 to 2
+    assert low < 0.98 * 1.5 + 0.02 * 1.0 + 0.003
+    assert high > 0.98 * 1.5 + 0.02 * 2.0 - 0.003
+    assert high - low < 0.05
+    assert "evaluations failed and were skipped, the first at (0.0" in found.not_tried[-1]

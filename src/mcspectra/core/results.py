@@ -240,6 +240,7 @@ selection_ratio | f | 1 | | variance of random paths with lights chosen by secon
 value | f | f | | integral, mean over the replicates
 interval | f | f | bound | 95 % interval: integral
 replicates | i | 1 | | independent point sets
+skipped | i | 1 | | evaluations that failed and were left out
 n | i | 1 | | points of each set
 mean_variance | f | f² | | variance, mean over a class of integrands
 design_ratio | f | 1 | | mean variance of the designed sampler / that of the best rival

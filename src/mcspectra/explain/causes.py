@@ -16,7 +16,7 @@ from typing import Literal, TypeAlias, final
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import DensityError, ParameterError, point_in_words
+from mcspectra.core.errors import BudgetError, DensityError, ParameterError, point_in_words
 from mcspectra.core.streams import Stream
 from mcspectra.densities.base import FunctionDensity
 from mcspectra.estimators import AbstractEstimator, Estimator, Mirrored
@@ -303,6 +303,8 @@ class Evidence:
         Number of evaluations of the integrand.
     missed
         A place, in words, where a density of the user is 0 and f is not; else empty.
+    failed
+        Why g has no values at probes next to the border, with a place; else empty.
     settings
         Thresholds of the detectors.
     """
@@ -318,6 +320,7 @@ class Evidence:
     noise: float = 0.0
     calls: int = 0
     missed: str = ""
+    failed: str = ""
     settings: CauseSettings = CAUSE_SETTINGS
 
     @staticmethod
@@ -357,7 +360,7 @@ class Evidence:
 
         # The mean dimension and a pole of a single technique, then lines of each
         lines: list[Lines] = []
-        mean, pole, noise = math.nan, None, 0.0
+        mean, pole, noise, failed = math.nan, None, 0.0, ""
         allowed = (
             int(settings.lines_share * budget)
             // len(estimator.counts)
@@ -390,12 +393,20 @@ class Evidence:
                 peaked = squares.max() > settings.climbed * squares.mean()
                 if estimator.dims < settings.many_dims or peaked:
                     most = int(settings.pole_share * allowed)
-                    pole = pole_of(g, points, values, most, own, settings.poles)
+                    try:
+                        pole = pole_of(g, points, values, most, own, settings.poles)
+                    except BudgetError:
+                        raise
+                    except ParameterError as error:  # the climb left the region of the samples
+                        failed = str(error)
             lines.append(lines_of(g, estimator.dims, allowed - made, own, settings.lines))
             calls += made * estimator.evaluations_per_point
         curves = sets.curves(settings.curves)
         seen = Evidence(estimator, sampler, sets, curves, tuple(lines), pole, mean)
-        return replace(seen, noise=noise, calls=calls, missed=missed, settings=settings)
+        failed = next((each.failed for each in lines if each.failed), failed)
+        return replace(
+            seen, noise=noise, calls=calls, missed=missed, failed=failed, settings=settings
+        )
 
     @property
     def scale(self) -> float:

@@ -27,6 +27,7 @@ from typing import Any, final
 import numpy as np
 
 from mcspectra.core.checks import BELOW_ONE, Array
+from mcspectra.core.errors import BudgetError, ParameterError
 
 __all__ = [
     "LINE_SETTINGS",
@@ -104,6 +105,8 @@ class LineSettings:
     # 2^10 apart, so that even t^−0.08 grows by 1.7 between them, and 2^−40 is still exact next to
     # 1. Insensitive between half and double.
     ends: tuple[float, ...] = (2.0**-4, 2.0**-12, 2.0**-20, 2.0**-30, 2.0**-40)
+    # Distance from an end at which g must not fail: samples of a few thousand points come as close.
+    inside: float = 2.0**-12
 
     @property
     def line(self) -> int:
@@ -222,6 +225,8 @@ class Lines:
         Variance along the line: (K,).
     settings
         The exponents that distinguish a pole, a jump and a kink.
+    failed
+        Why g has no values close to some ends, with a place; else empty. They lack growth.
     """
 
     axis: Array
@@ -236,6 +241,7 @@ class Lines:
     turns: Array
     spread: Array
     settings: LineSettings = LINE_SETTINGS
+    failed: str = ""
 
     @property
     def _rough(self) -> Array:
@@ -346,7 +352,23 @@ def lines_of(
     growth, ends = np.full((len(axis), 2), np.nan), np.full(len(axis), np.nan)
     gaps = np.array(settings.ends)
     near = np.broadcast_to(gaps, (straight.sum(), len(gaps)))
-    outer = np.stack([at(t, straight) for t in (near, 1.0 - near)])
+    both, failed = np.concatenate([near, 1.0 - near], axis=1), ""
+    try:
+        outer = at(both, straight)
+    except BudgetError:
+        raise
+    except ParameterError:  # g fails where hardly a sample falls: leave those lines without ends
+        outer = np.full(both.shape, np.nan)
+        for k, row in enumerate(np.flatnonzero(straight)):
+            try:
+                outer[k] = at(both[k : k + 1], [row])[0]
+            except BudgetError:
+                raise
+            except ParameterError as error:
+                failed = failed or str(error)
+                inside = np.flatnonzero(np.tile(gaps >= settings.inside, 2))
+                outer[k, inside] = at(both[k : k + 1, inside], [row])[0]
+    outer = np.stack(np.split(outer, 2, axis=1))
     size = np.maximum(np.abs(outer), 1e-300)
     slope = np.log(size[..., -1] / size[..., -2]) / math.log(gaps[-2] / gaps[-1])
     gains = np.diff(size, axis=-1)
@@ -444,6 +466,7 @@ def lines_of(
         turns=turns,
         spread=spread,
         settings=settings,
+        failed=failed,
     )
 
 

@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mcspectra.core.checks import as_choice
+from mcspectra.core.checks import Array, as_choice
 from mcspectra.core.confidence import student_t
 from mcspectra.core.errors import (
     Function,
@@ -119,6 +119,7 @@ def integrate(
     vectorized: bool = True,
     workers: int = 1,
     cache: str | os.PathLike[str] | None = None,
+    on_error: str = "raise",
     rng: RngLike = 0,
 ) -> xr.Dataset:
     """Integrate a function over [0,1)^d within a number of calls, with a 95 % interval.
@@ -140,6 +141,10 @@ def integrate(
     vectorized, workers, cache
         For slow functions: see `mcspectra.integrands.Calls`. An interrupted call continues when it
         is called again with the same cache, and gives the same bits.
+    on_error
+        ``"raise"`` where f fails or is not finite, or ``"skip"``: such points are counted. The value
+        takes the mean of all others for them. The interval reaches from their least to their largest
+        value for each, and the note says how many there are, and where the first one is.
     rng
         Seed (SPEC 7).
 
@@ -147,7 +152,7 @@ def integrate(
     -------
     xarray.Dataset
         ``value`` (NaN without an integral), ``interval(bound)`` (95 %, over the replicates; for the median at least, of that of
-        all replicates, which are as often too large as too small), ``calls`` that were made,
+        all replicates, which are as often too large as too small), ``calls`` that were made, ``skipped`` calls that failed,
         ``replicates``, ``n`` points of each, and ``rate``, of the variance as it was measured for the
         split, NaN where it was not. The interval is infinite where all replicates are alike, where f
         grows towards a face of the cube so fast that its variance is infinite, and where a few
@@ -211,6 +216,7 @@ def integrate(
         vectorized=vectorized,
         workers=workers,
         cache=cache,
+        on_error=on_error,
     )
     setup = Setup(Estimator(FunctionIntegrand(function=calls, dims=known)), source)
     least = _SETTINGS.least_of_median if median else _SETTINGS.least
@@ -233,7 +239,8 @@ def integrate(
             first = calls(source.draw_stream(pilot, stream, 0, few))
             # θ of a variance ∝ n^-θ; the largest if a prefix has no variance
             prefixes = first.shape[1] >> np.arange(_SETTINGS.levels)
-            means = np.stack([first[:, :n].mean(axis=1) for n in prefixes])
+            known_first = _filled(first)
+            means = np.stack([known_first[:, :n].mean(axis=1) for n in prefixes])
             variances, rate = means.var(axis=1, ddof=1), _RATES[1]
             if (variances > rounding_floor(np.abs(means).max(axis=1))).all():
                 slope = np.polyfit(np.log(prefixes), np.log(variances), 1)[0]
@@ -257,7 +264,9 @@ def integrate(
         values[:few, first.shape[1] :] = calls(x[:few, first.shape[1] :])
         values[few:] = calls(x[few:])
 
-    # The interval, infinite if nothing varies
+    # The interval, infinite if nothing varies. Points where f failed have the mean of all others
+    skipped = float(np.isnan(values).mean())
+    values = _filled(values)
     means = values.mean(axis=1)
     moments = Moments.of(means, tails=True)
     value, interval = float(moments.mean), mean_interval(means)
@@ -293,11 +302,20 @@ def integrate(
         if any(growth.without_integral() for growth in growths):
             value = math.nan
         warn(f"{calls.name}: {endless}.", InfiniteVarianceWarning)
+    if calls.skipped:
+        least_value, most_value, middle = values.min(), values.max(), values.mean()
+        interval = (
+            interval[0] - skipped * (middle - least_value),
+            interval[1] + skipped * (most_value - middle),
+        )
+        said = calls.skipped_in_words(least_value, most_value)
+        note = f"{said}; {note}" if note else said
     return dataset(
         {
             "value": ((), value),
             "interval": (("bound",), np.array(interval)),
             "calls": ((), calls.made),
+            "skipped": ((), calls.skipped),
             "replicates": ((), replicates),
             "n": ((), n),
             "rate": ((), -rate),
@@ -309,3 +327,13 @@ def integrate(
         stream_key=f"{stream.key:#x}",
         note=note,
     )
+
+
+def _filled(values: Array) -> Array:
+    """Values with the mean of all others in place of NaN."""
+    failed = np.isnan(values)
+    if not failed.any():
+        return values
+    if failed.all():
+        raise ParameterError("f failed at all points; give a function that has values.")
+    return np.where(failed, values[~failed].mean(), values)

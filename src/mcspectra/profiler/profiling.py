@@ -421,6 +421,7 @@ def profile(
     vectorized: bool = True,
     workers: int = 1,
     cache: str | os.PathLike[str] | None = None,
+    on_error: str = "raise",
 ) -> Profile:
     """Measure an estimator's noise, find its causes, and recommend a change.
 
@@ -444,6 +445,10 @@ def profile(
     vectorized, workers, cache
         Options for slow functions; see `mcspectra.integrands.Calls`. An interrupted profile
         continues from the cache.
+    on_error
+        For functions: ``"raise"`` where f fails or is not finite, or ``"skip"``: such points are
+        counted, take the mean of all others, and make the interval wider, as in
+        `mcspectra.integrate`. Without it only probes closest to the border may fail.
 
     Returns
     -------
@@ -478,8 +483,9 @@ def profile(
             vectorized=vectorized,
             workers=workers,
             cache=cache,
+            on_error=on_error,
         )
-        given = FunctionIntegrand(function=calls, dims=calls.dims)
+        given = FunctionIntegrand(function=_Filled.of(calls), dims=calls.dims)
     with calls if isinstance(calls, Calls) else contextlib.nullcontext():
         estimator = as_estimator(given, dims)
         if density:  # the density is not checked here, since its faults are causes
@@ -499,9 +505,47 @@ def profile(
         subject = Subject(estimator, as_sampler(sampler, estimator.dims))
         Profiling(budget=limit).need(subject)
         found = _profiled(subject, limit, Stream.from_rng(rng))
+        if isinstance(calls, Calls) and calls.skipped:
+            found = _with_skipped(found, calls, given.function)
     if isinstance(calls, Calls):
         calls.budget = sys.maxsize  # the recommended estimator can be used without a limit
     return found
+
+
+@final
+class _Filled:
+    """Calls of a function with the mean of all earlier values in place of NaN, where it failed."""
+
+    def __init__(self, calls: Calls) -> None:
+        self.calls, self.__name__ = calls, calls.name
+        self.count, self.mean, self.least, self.most = 0, 0.0, math.inf, -math.inf
+
+    @staticmethod
+    def of(calls: Calls) -> Any:
+        """The calls themselves if they raise errors."""
+        return _Filled(calls) if calls.skips else calls
+
+    def __call__(self, x: Array) -> Array:
+        values = self.calls(x)
+        failed = np.isnan(values)
+        good = values[~failed]
+        if good.size:
+            self.mean = (self.count * self.mean + float(good.sum())) / (self.count + good.size)
+            self.count += good.size
+            self.least = min(self.least, float(good.min()))
+            self.most = max(self.most, float(good.max()))
+        return np.where(failed, self.mean, values)
+
+
+def _with_skipped(found: Profile, calls: Calls, filled: _Filled) -> Profile:
+    """A profile whose interval allows any usual value where f failed."""
+    share = calls.skipped / (calls.skipped + filled.count)
+    low, high = found.interval
+    if not filled.count:
+        raise ParameterError("f failed at all points; give a function that has values.")
+    ends = low - share * (filled.mean - filled.least), high + share * (filled.most - filled.mean)
+    said = calls.skipped_in_words(filled.least, filled.most)
+    return replace(found, interval=ends, not_tried=[*found.not_tried, said])
 
 
 def _of_draws(draws: Any) -> Profile:
@@ -563,7 +607,11 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     points = budget // each
 
     # Measure the given sampler
-    curves, not_tried = dict(evidence.curves), []
+    curves, not_tried = dict(evidence.curves), list[str]()
+    if evidence.failed:
+        not_tried.append(
+            f"probes closest to the border, where hardly a sample falls: {evidence.failed}"
+        )
     evidence = replace(evidence, curves=curves)
     if is_apart(estimator, given):
         given_stream = stream.child(99)
