@@ -768,3 +768,36 @@ def test_evaluations_that_fail_are_skipped_counted_and_located(fails):
     assert high > 0.98 * 1.5 + 0.02 * 2.0 - 0.003
     assert high - low < 0.05
     assert "evaluations failed and were skipped, the first at (0.0" in found.not_tried[-1]
+
+
+@pytest.mark.slow
+def test_intervals_of_the_rmse_cover_that_of_options():
+    """Estimates of the RMSE of options are 0.2 to 1.1 of the truth, since rates flatten out."""
+    covered, shown = 0, 0
+    cases = (oracles.asian_option(16), oracles.keister(5), FUNCTIONS["disk"][1])
+    for function, dims in zip(cases, (16, 5, 2), strict=True):
+        for seed in range(10):
+            best = mcs.profile(lambda x, f=function: f(x), dims=dims, budget=4096, rng=seed).best
+            n = 4096 // best.estimator.evaluations_per_point
+            measured = mcs.convergence(
+                best.estimator, best.sampler, [n], realizations=100, rng=seed + 100
+            )
+            low, high = best.rmse_ci
+            covered += low <= math.sqrt(float(measured["variance"][0])) <= high
+            shown += 1
+    assert covered >= shown * (0.95 - 3 * math.sqrt(0.05 * 0.95 / shown))
+
+
+def test_the_rmse_and_what_it_would_take_have_intervals():
+    found = mcs.profile("christensen-disk", budget=8192)
+    best, plain = found.best, found.to_dict()["best"]
+    for name in ("rmse", "rmse_given", "gain"):
+        low, high = getattr(best, f"{name}_ci")
+        assert low < getattr(best, name) < high
+        assert list(plain[f"{name}_ci"]) == [low, high]
+    low, high = best.needed_ci
+    assert low < best.samples_saved + found.budget < high
+    shown = f"RMSE {best.rmse:.2g} ({best.rmse_ci[0]:.2g} to {best.rmse_ci[1]:.2g}) instead of"
+    assert shown in found.answer
+    assert re.search(r"would take about \d+ \(\d+ to \d+\) with random", found.answer)
+    assert shown in found._repr_html_()

@@ -125,6 +125,7 @@ _OF_SETS = {"deterministic-set", "few-realizations", "correlated-replicates"}
 # theory
 _EXPONENTS = {"interior-jump": 1.0, "axis-parallel-jump": 1.0, "none": 2.0}
 _FIGURES = ("rmse", "rmse_given", "gain", "samples_saved")
+_INTERVALS = ("rmse", "rmse_given", "gain", "needed")
 
 
 @final
@@ -186,10 +187,15 @@ class Change:
         A short label, and an imperative.
     rmse, rmse_given
         Root mean square error at the budget after the change, and with the given set-up.
+    rmse_ci, rmse_given_ci
+        95 % intervals of both. They include the error of the rate beyond the counts that were
+        measured.
     gain, gain_ci
         Variance with the given set-up over the variance after the change, and its 95 % interval.
     samples_saved
         Evaluations that the given set-up needs for the same error, minus the budget.
+    needed_ci
+        95 % interval of these evaluations.
     estimator, sampler
         The set-up after the change, for `mcspectra.convergence` and similar functions.
     """
@@ -203,6 +209,9 @@ class Change:
     samples_saved: float
     estimator: AbstractEstimator
     sampler: str
+    rmse_ci: tuple[float, float] = (math.nan, math.nan)
+    rmse_given_ci: tuple[float, float] = (math.nan, math.nan)
+    needed_ci: tuple[float, float] = (math.nan, math.nan)
 
 
 @final
@@ -279,12 +288,13 @@ class Profile:
                 f"at {self.budget} evaluations these cannot tell.{why}"
             )
         text = (
-            f"{best.change[0].upper()}{best.change[1:]}: RMSE {best.rmse:.2g} instead of {given} at "
-            f"{self.budget} evaluations"
+            f"{best.change[0].upper()}{best.change[1:]}: RMSE {best.rmse:.2g}"
+            f"{_between(*best.rmse_ci)} instead of {given} at {self.budget} evaluations"
         )
         if math.isfinite(best.samples_saved) and best.samples_saved > 0:
-            needed = float(f"{best.samples_saved + self.budget:.2g}")
-            text += f", which would take about {needed:.0f} with {self.reference}"
+            needed = best.samples_saved + self.budget
+            text += f", which would take about {_rounded(needed)}{_between(*best.needed_ci)} with "
+            text += self.reference
         return f"{text}.{why}"
 
     @property
@@ -682,7 +692,8 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     )
     if infinite and best is not None:
         endless = dict.fromkeys(("rmse_given", "gain", "samples_saved"), math.inf)
-        endless_best = replace(best, **endless, gain_ci=(math.inf, math.inf))  # type: ignore[arg-type]
+        ends = dict.fromkeys(("gain_ci", "rmse_given_ci", "needed_ci"), (math.inf, math.inf))
+        endless_best = replace(best, **endless, **ends)  # type: ignore[arg-type]
         best = None if best.estimator is estimator else endless_best  # no sampler makes it finite
     resolved = bool(Moments.of(sets.pooled, tails=True).resolved)
     known = not infinite and "wrong-pdf" not in names
@@ -711,7 +722,8 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         causes, best, known = [cause], None, known and cause.name == "none"
     # Leave out the size of a gain if the variance is not resolved; only its sign was measured
     if best is not None and not infinite and (not known or best.gain_ci[0] <= 1.0):
-        best = replace(best, **dict.fromkeys(_FIGURES, math.nan), gain_ci=(math.nan, math.nan))  # type: ignore[arg-type]
+        unknown = dict.fromkeys((f"{name}_ci" for name in _INTERVALS), (math.nan, math.nan))
+        best = replace(best, **dict.fromkeys(_FIGURES, math.nan), **unknown)  # type: ignore[arg-type]
     return Profile(
         subject=estimator.spec,
         given=given.spec,
@@ -730,6 +742,18 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         points=points,
         reference=reference,
     )
+
+
+def _rounded(value: float) -> str:
+    """Two digits, without an exponent for numbers of evaluations."""
+    return f"{float(f'{value:.2g}'):.0f}" if value >= 10.0 else f"{value:.2g}"
+
+
+def _between(low: float, high: float) -> str:
+    """An interval in parentheses, or nothing if it has no width or no ends."""
+    if not (math.isfinite(high - low) and high > low):
+        return ""
+    return f" ({_rounded(low)} to {_rounded(high)})"
 
 
 def _shown(value: float, low: float, high: float) -> str:
@@ -824,17 +848,30 @@ def _change(
     gain = other / value if value > 0.0 else math.inf
     half = CONFIDENCE_Z * math.hypot(error, other_error)
     rate = curves[given].rate if math.isfinite(curves[given].rate) else -1.0
-    needed = n * gain ** (-1.0 / rate) if rate < 0.0 and math.isfinite(gain) else math.inf
+    ends = gain * math.exp(-half), gain * math.exp(half)
+
+    def needed(gain: float) -> float:
+        """Points with which the given set-up has the variance after the change."""
+        return n * gain ** (-1.0 / rate) if rate < 0.0 and math.isfinite(gain) else math.inf
+
+    def with_ends(variance: float, error: float) -> tuple[float, float]:
+        """95 % interval of the RMSE."""
+        away = math.exp(0.5 * CONFIDENCE_Z * error)
+        return math.sqrt(variance) / away, math.sqrt(variance) * away
+
     return Change(
         name=name,
         change=change,
         rmse=math.sqrt(value),
         rmse_given=math.sqrt(other),
         gain=gain,
-        gain_ci=(gain * math.exp(-half), gain * math.exp(half)),
-        samples_saved=(needed - n) * sum(setup[0].counts),
+        gain_ci=ends,
+        samples_saved=(needed(gain) - n) * sum(setup[0].counts),
         estimator=setup[0],
         sampler=setup[1],
+        rmse_ci=with_ends(value, error),
+        rmse_given_ci=with_ends(other, other_error),
+        needed_ci=(needed(ends[0]) * sum(setup[0].counts), needed(ends[1]) * sum(setup[0].counts)),
     )
 
 
