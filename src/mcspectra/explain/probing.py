@@ -308,12 +308,18 @@ def lines_of(
     if not pairs:
         none = np.empty(0)
         return Lines(
-            none.astype(int),
-            *[none] * 4,
-            none.astype(bool),
-            np.empty((0, 2)),
-            *[none] * 4,
-            settings,
+            axis=none.astype(int),
+            exponent=none,
+            kept=none,
+            place=none,
+            height=none,
+            straight=none.astype(bool),
+            growth=np.empty((0, 2)),
+            ends=none,
+            waves=none,
+            turns=none,
+            spread=none,
+            settings=settings,
         )
     order = np.concatenate([rng.permutation(dims) for _ in range(pairs // dims + 1)])[:pairs]
     axis = np.concatenate([order, np.full(pairs if dims > 1 else 0, -1)]).astype(int)

@@ -340,9 +340,11 @@ def quantity_error(x: Array, w: Array, settings: ChainSettings = CHAIN_SETTINGS)
     )
     causes = "" if rest["cause"] == "none" else f", {rest['cause']}"
     evidence = f"; {rest['evidence']}" if rest["evidence"] else ""
-    found = {"burn_in": dropped, "cause": f"burn-in{causes}", "evidence": f"burn-in: {said}"}
-    found["evidence"] += evidence if causes else ""
-    return rest | found
+    return rest | {
+        "burn_in": dropped,
+        "cause": f"burn-in{causes}",
+        "evidence": f"burn-in: {said}{evidence if causes else ''}",
+    }
 
 
 def _burn_in(z: Array, settings: ChainSettings) -> int:
@@ -354,7 +356,7 @@ def _burn_in(z: Array, settings: ChainSettings) -> int:
     from scipy.special import ndtri
     from scipy.stats import f, rankdata
 
-    chains, n = z.shape
+    chains, n = map(int, z.shape)
     half = n // 2
     if half < settings.least_draws or not np.ptp(z):
         return 0
