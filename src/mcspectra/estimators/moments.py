@@ -445,7 +445,7 @@ def _tail_end(index: Array, count: int) -> Array:
     row = int(np.clip(np.searchsorted(rows, x) - 1, 0, len(rows) - 2))
     part = (x - rows[row]) / (rows[row + 1] - rows[row])
     first, second = np.log(_TAIL_ENDS[row]), np.log(_TAIL_ENDS[row + 1])
-    return np.exp(np.interp(place, columns, first + part * (second - first)))
+    return np.asarray(np.exp(np.interp(place, columns, first + part * (second - first))))
 
 
 def _outermost(values: Array, kept: int) -> Array:
