@@ -39,7 +39,7 @@ _MOST_ERROR = 2.0  # squared: fewer than one degree of freedom, an upper end abo
 # error for 64 values of a tail, and the index above which nothing bounds the variance. With an
 # index of ¼ the kurtosis is infinite. Of values u^−0.3 and with 1,000 realizations the interval
 # holds in 96 % (85 % by the kurtosis alone); for uniform, normal and exponential ones it is the same.
-_TAILED, _INDEX_ERROR, _MOST_INDEX = 0.05, 0.16, 0.30
+_TAILED, _INDEX_ERROR, _MOST_INDEX = 0.05, 0.16, 0.32
 # Quantile at 97.5 % of log(σ²/s²) for R values u^−k: rows by R, columns by k. Simulated with 1,200
 # to 20,000 sets of each kind
 _TAIL_INDICES = (0.21, 0.26, 0.31, 0.36, 0.41, 0.46)
@@ -358,7 +358,7 @@ class Moments:
         """Whether the values bound their variance from above.
 
         Not if one or two of them make up most of it; nor if the tail index of their squares is more
-        than 0.6, above which their mean is far from normal with any number of them in reach
+        than 0.64, above which their mean is far from normal with any number of them in reach
         [Vehtari2024]_, and their kurtosis more than 4: values in a few clumps have a few far from others, too. Nor if the values that they are
         means of follow a power law, and much of their variance lies beyond all of them.
         """
