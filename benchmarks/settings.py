@@ -164,6 +164,10 @@ def faulty_chains() -> dict[str, tuple[str, list[Array]]]:
             [rng.standard_t(nu, size=(4, 2000)) for nu in (1.0, 1.4) for _ in range(25)],
         ),
         "few": ("few-realizations", [rng.normal(size=(1, 12)) for _ in range(25)]),
+        "start": (
+            "burn-in",
+            [ar(0.5, 4, 1000) + 5.0 * np.exp(-np.arange(1000) / 100) for _ in time],
+        ),
     }
 
 

@@ -79,7 +79,7 @@ _SPOT, _STRIKE, _RATE, _VOLATILITY = 100.0, 100.0, 0.05, 0.2
 _DRIFT = _RATE - 0.5 * _VOLATILITY**2
 
 
-def _log_prices(u):
+def log_prices(u):
     """Logarithms (..., d) of S_k/S_0 at d dates in a year, from independent steps."""
     dates = u.shape[-1]
     return (_DRIFT / dates + _VOLATILITY / math.sqrt(dates) * normal(u)).cumsum(axis=-1)
@@ -89,7 +89,7 @@ def asian_option(dates):
     """A call on the geometric mean of the prices (Kemna and Vorst 1990)."""
 
     def f(u):
-        mean = _SPOT * np.exp(_log_prices(u).mean(axis=-1))
+        mean = _SPOT * np.exp(log_prices(u).mean(axis=-1))
         return math.exp(-_RATE) * np.maximum(mean - _STRIKE, 0.0)
 
     k = np.arange(1, dates + 1)
@@ -105,7 +105,7 @@ def digital_option(dates):
     """1 where the last price is above the strike (Black and Scholes 1973)."""
 
     def f(u):
-        return math.exp(-_RATE) * (_log_prices(u)[..., -1] > math.log(_STRIKE / _SPOT))
+        return math.exp(-_RATE) * (log_prices(u)[..., -1] > math.log(_STRIKE / _SPOT))
 
     value = math.exp(-_RATE) * ndtr((math.log(_SPOT / _STRIKE) + _DRIFT) / _VOLATILITY)
     return Integrand.from_function(f, dims=dates, integral=float(value))

@@ -137,3 +137,31 @@ def test_errors_of_differences_and_ratios_add_as_independent_ones_do():
     zero, unknown = Measured(0.0, 0.0, 0.0), Measured(1.0, 0.5, np.inf)
     assert np.isnan((zero / difference).value)
     assert np.isnan((difference / unknown).high)
+
+
+@pytest.mark.parametrize("exponent", [0.2, 0.3])
+def test_intervals_of_variances_of_heavy_values_cover(exponent):
+    """u^−0.3 has no fourth moment: by the kurtosis alone 85 % of intervals cover."""
+    rng, seeds = np.random.default_rng(1), 400
+    truth = 1.0 / (1.0 - 2.0 * exponent) - 1.0 / (1.0 - exponent) ** 2
+    ends = [
+        Moments.of((1.0 - rng.random(1000)) ** -exponent, tails=True).variance_ci
+        for _ in range(seeds)
+    ]
+    covered = np.mean([low <= truth <= high for low, high in ends])
+    assert covered >= 0.95 - 3 * np.sqrt(0.05 * 0.95 / seeds)
+
+
+def test_a_tail_of_more_values_is_not_resolved_sooner():
+    """The share of runs that are not resolved does not fall with the number of values."""
+    rng = np.random.default_rng(2)
+    shares = [
+        np.mean(
+            [
+                not Moments.of((1.0 - rng.random(count)) ** -0.3, tails=True).resolved
+                for _ in range(600)
+            ]
+        )
+        for count in (1000, 10_000)
+    ]
+    assert abs(shares[1] - shares[0]) < 4 * np.sqrt(2 * 0.25 / 600)

@@ -34,17 +34,17 @@ def test_a_line_takes_the_evaluations_of_its_settings(dims, halvings, steps):
 
     lines = lines_of(g, dims, 2000, np.random.default_rng(0), settings)
     along = int((lines.axis >= 0).sum())
-    parallel = 2 * along * (dims > 1)  # the test of straight edges
-    ends = 2 * len(settings.ends)
-    expected = along * (settings.chord + ends) + (len(lines.axis) - along) * settings.chord
-    assert made == expected + parallel
+    zoomed = settings.steps + 2 * settings.halvings
+    # Displaced places: of lines along axes once, of chords along groups of axes
+    aside = (2 * along + 2 * (len(lines.axis) - along) * settings.groups) * (dims > 1)
+    assert made == len(lines.axis) * zoomed + 2 * along * len(settings.ends) + aside
     assert along * settings.line + (len(lines.axis) - along) * settings.chord <= 2000
 
 
 def test_thresholds_change_the_cause_without_new_evaluations():
     seen = evidence(lambda x: np.abs(x[..., 0] - 0.3), 1)
     assert causes_of(seen)[0].name == "kink"
-    smooth = replace(seen.lines[0].settings, kink=seen.lines[0].settings.jump)
+    smooth = replace(seen.lines[0].settings, kink=seen.lines[0].settings.cusp)
     lines = tuple(replace(each, settings=smooth) for each in seen.lines)
     assert causes_of(replace(seen, lines=lines))[0].name == "none"
     many = replace(CAUSE_SETTINGS, least_lines=len(seen.each("axis")) + 1)
@@ -52,7 +52,7 @@ def test_thresholds_change_the_cause_without_new_evaluations():
 
 
 def test_settings_of_parts_reach_the_parts():
-    lines = replace(LINE_SETTINGS, jump=-1.0, pole=-2.0, kink=-0.5)
+    lines = replace(LINE_SETTINGS, jump=-1.0, pole=-2.0, kink=-0.5, cusp=-1.0)
     settings = replace(CAUSE_SETTINGS, lines=lines, curves=replace(CAUSE_SETTINGS.curves, slabs=64))
     seen = evidence(lambda x: (x[..., 0] > 0.377) + x[..., 1], 2, settings)
     assert seen.lines[0].settings is lines

@@ -298,3 +298,50 @@ def test_structures_of_arviz():
 def test_bad_input_has_a_sentence(draws, options, error, words):
     with pytest.raises(error, match=words):
         mcs.measure.chain_error(draws, **options)
+
+
+def transient(lifetime, seeds, rho=0.0):
+    """Chains (seed, chain, draw) that begin 5 above their mean, 0."""
+    return ar1(rho, (seeds, 4, 1000)) + 5.0 * np.exp(-np.arange(1000) / lifetime)
+
+
+@pytest.mark.parametrize(("lifetime", "rho"), [(20, 0.0), (100, 0.0), (60, 0.5)])
+def test_a_start_far_from_the_mean_is_named_and_left_out(lifetime, rho):
+    seeds = 40
+    found = quantities(transient(lifetime, seeds, rho))
+    names = [str(name) for name in found["cause"].values]
+    assert set(names) <= {"burn-in", "stuck-chain"}  # stuck where half of the draws move
+    named = np.array(names) == "burn-in"
+    assert named.mean() >= 0.7
+    assert (found["burn_in"].values[named] >= lifetime).all()
+    assert (found["burn_in"].values[~named] == 0).all()
+    low, high = found["mean_ci"].values.T
+    assert np.isinf(high[~named]).all()
+    assert ((low <= 0) & (high >= 0)).mean() >= 0.95 - 5 * np.sqrt(0.95 * 0.05 / seeds)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
+def test_stationary_chains_have_no_burn_in(rho):
+    found = quantities(ar1(rho, (200, 4, 1000), seed=7))
+    named = sum("burn-in" in str(name) for name in found["cause"].values)
+    assert named <= 0.02 * 200
+    assert not found["burn_in"].values.any()
+
+
+def test_the_remedy_of_a_burn_in_is_carried_out():
+    x = transient(50, 1)[0]
+    name, evidence, found = cause(x)
+    dropped = int(found["burn_in"])
+    assert name == "burn-in"
+    assert f"the first {dropped} of 1000 of each chain are left out" in evidence
+    alone = mcs.measure.chain_error(x[:, dropped:])
+    for same in ("mean", "mean_ci", "mcse", "ess"):
+        np.testing.assert_allclose(found[same], alone[same], rtol=1e-12)
+    profiled = mcs.profile(x).causes[0]
+    assert (profiled.name, profiled.evidence["burn_in"]) == ("burn-in", dropped)
+
+
+def test_a_start_that_lasts_longer_than_half_of_the_draws_leaves_no_interval():
+    name, _, found = cause(transient(400, 1)[0])
+    assert name == "stuck-chain"
+    assert np.isinf(found["mean_ci"].values).all()

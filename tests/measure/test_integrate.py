@@ -5,11 +5,14 @@ import math
 
 import numpy as np
 import pytest
+from scipy.special import ndtri, stdtrit
 from scipy.stats import t as student
+from tests import oracles
 
 import mcspectra as mcs
 from mcspectra.cli.main import main
-from mcspectra.core.errors import DomainError, ParameterError
+from mcspectra.core.errors import DomainError, InfiniteVarianceWarning, ParameterError
+from mcspectra.estimators.tails import border_growth
 
 E = np.e - 1.0
 
@@ -226,3 +229,98 @@ def test_the_verb(capsys, tmp_path):
     assert main(["integrate", "disk", "--budget", "2000", "--combine", "median"]) == 0
     assert "points of sobol | lms" in capsys.readouterr().out
     assert main(["integrate", "disk", "--budget", "7"]) == 2
+
+
+GROWTHS = {
+    "exponential": (lambda u: -np.log(u), 1.0),
+    "lognormal": (lambda u: np.exp(ndtri(u)), np.exp(0.5)),
+    "power": (lambda u: u**-0.3, 1.0 / 0.7),
+}
+
+
+@pytest.mark.parametrize("sampler", ["jittered", "sobol | owen"])
+@pytest.mark.parametrize("name", GROWTHS)
+def test_intervals_cover_where_f_grows_at_the_border(name, sampler):
+    """Student's t holds 90 to 93 % of these, and misses on one side only."""
+    f, integral = GROWTHS[name]
+    seeds, below, above = 200, 0, 0
+    for seed in range(seeds):
+        found = mcs.integrate(
+            lambda x: f(np.maximum(x[..., 0], 1e-300)),
+            dims=1,
+            budget=512,
+            sampler=sampler,
+            rng=seed,
+        )
+        low, high = found["interval"].values
+        below, above = below + (integral < low), above + (integral > high)
+    # 5 % in all and 4 % on either side, with three standard errors of 200 seeds
+    assert below + above <= seeds * (0.05 + 3 * np.sqrt(0.05 * 0.95 / seeds))
+    assert max(below, above) <= seeds * (0.04 + 3 * np.sqrt(0.04 * 0.96 / seeds))
+
+
+@pytest.mark.parametrize(
+    ("f", "said"),
+    [
+        (lambda x: np.maximum(x[..., 0], 1e-300) ** -0.6, "variance is infinite if that goes on"),
+        (lambda x: stdtrit(3, x[..., 0]) ** 2, "variance is infinite if that goes on"),
+        (lambda x: 1.0 / np.maximum(x[..., 0], 1e-300), "no integral if that goes on"),
+    ],
+)
+def test_what_has_no_variance_or_integral_is_said_as_in_a_profile(f, said):
+    with pytest.warns(InfiniteVarianceWarning, match=said):
+        found = mcs.integrate(f, dims=1, budget=2000)
+    assert said in found.attrs["note"]
+    assert np.isinf(found["interval"].values).all()
+    assert np.isnan(float(found["value"])) == ("integral" in said)
+    profiled = mcs.profile(f, dims=1)
+    assert profiled.causes[0].name == "infinite-variance"
+    assert ("does not exist" in profiled.text) == np.isnan(profiled.integral)
+    assert np.isnan(profiled.integral) == ("integral" in said)
+
+
+def test_growth_of_several_dims_and_of_bounded_functions():
+    x = mcs.sampler("sobol | owen", dims=3).draw(1024, realizations=8, rng=3).reshape(-1, 3)
+    rest = 1.0 + x[:, 1] + x[:, 2] ** 2
+    (found,) = border_growth(x, rest * np.maximum(x[:, 0], 1e-300) ** -0.6)
+    assert (found.axis, found.high, found.sign) == (0, False, 1)
+    # The logarithm of the other factor varies by 0.4, and that of 64 distances by 1: an error of 0.1
+    assert found.exponent == pytest.approx(0.6, abs=0.3)
+    assert found.low < 0.6
+    (found,) = border_growth(x, -rest / np.maximum(1.0 - x[:, 1], 1e-300))
+    assert (found.axis, found.high, found.sign) == (1, True, -1)
+    bounded = (np.exp(x.sum(axis=-1)), np.sqrt(x[:, 0]), np.cos(ndtri(x[:, 0])), x[:, 0] > 0.3)
+    assert not any(border_growth(x, 1.0 * values) for values in bounded)
+
+
+def test_few_values_that_hold_the_variance_leave_no_interval():
+    """Three narrow peaks in 8 dims: intervals of the replicates cover 41 %."""
+    for seed in range(3):
+        found = mcs.integrate(oracles.gaussian_peaks(8), budget=25_000, rng=seed)
+        assert np.isinf(found["interval"].values).all()
+        assert "no upper bound" in found.attrs["note"]
+
+
+@pytest.mark.parametrize("vectorized", [True, False])
+def test_evaluations_that_fail_are_skipped_and_bound_the_result(vectorized):
+    """f has no values for x_0 < 0.02: it may be anything between its least and largest value."""
+
+    def f(x):
+        if np.any(x[..., 0] < 0.02):
+            raise ValueError("no convergence")
+        return 1.0 + x[..., 1]
+
+    options = {"dims": 2, "budget": 1000, "vectorized": vectorized}
+    with pytest.raises(ParameterError, match="no convergence"):
+        mcs.integrate(f, **options)
+    found = mcs.integrate(f, on_error="skip", **options)
+    skipped = int(found["skipped"])
+    assert skipped == pytest.approx(0.02 * int(found["calls"]), abs=4 * np.sqrt(20))
+    assert f"{skipped} of {int(found['calls'])} evaluations failed" in found.attrs["note"]
+    low, high = found["interval"].values
+    assert low < 1.5 - 0.02 / 2 + 0.005
+    assert 1.5 + 0.02 / 2 - 0.005 < high < 1.5 + 0.03
+    with pytest.raises(ParameterError, match="on_error"):
+        mcs.integrate(f, on_error="ignore", **options)
+    with pytest.raises(ParameterError, match="at all points"):
+        mcs.integrate(lambda x: np.nan * x[..., 0], on_error="skip", **options)

@@ -70,7 +70,9 @@ def test_rates_are_judged_by_their_own_interval():
     assert judge(rate_claim("s", _curve(-3.0, 0.5), -3.0)).agrees
     wrong = judge(rate_claim("s", _curve(-3.0, 0.5), -1.0))
     assert wrong.agrees is False
-    assert (wrong.expected, wrong.measured, wrong.interval) == ("−1.0", -3.0, (-3.5, -2.5))
+    half = 0.5 * VERDICT_WIDENING
+    assert (wrong.expected, wrong.measured) == ("−1.0", -3.0)
+    assert wrong.interval == pytest.approx((-3.0 - half, -3.0 + half))
 
 
 @pytest.mark.parametrize("expected", [-1.5, -2.0])
@@ -94,12 +96,28 @@ def test_where_the_other_rate_agrees_too_it_is_said(expected, shown):
         ({"below": 2.0}, True),
         ({"above": 0.0}, True),
         ({"above": 0.0, "below": 2.0}, True),
-        ({"below": 1.17}, False),  # beyond the 95 % interval, not beyond that of verdicts
-        ({"above": 0.83}, False),
+        ({"below": 1.17}, None),  # beyond the 95 % interval, not beyond that of verdicts
+        ({"above": 0.83}, None),
+        ({"above": 1.17}, None),
+        ({"above": 1.3}, False),
+        ({"below": 0.7}, False),
     ],
 )
 def test_beyond_a_bound_with_the_whole_interval(limits, agrees):
-    assert judge(Claim("s", Measured(1.0, 0.9, 1.1), **limits)).agrees is agrees
+    found = judge(Claim("s", Measured(1.0, 0.9, 1.1), **limits))
+    assert found.agrees is agrees
+    assert ("do not decide" in found.note) == (agrees is None)
+
+
+def test_the_interval_that_is_shown_decides():
+    """1.271 (95 %: 1.115 to 1.449) was shown as contradicting a bound of 1."""
+    found = judge(Claim("s", Measured(1.271, 1.115, 1.449, log=True), above=1.0))
+    assert found.interval is not None
+    assert found.interval[0] < 1.0
+    assert found.agrees is None
+    for expected in np.linspace(0.8, 1.8, 101):
+        each = judge(Claim("s", Measured(1.271, 1.115, 1.449, log=True), expected=float(expected)))
+        assert each.agrees == (found.interval[0] <= expected <= found.interval[1])
 
 
 def test_identities_have_an_error_and_no_interval():

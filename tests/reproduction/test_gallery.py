@@ -14,7 +14,7 @@ from mcspectra.cli.main import main
 from mcspectra.core.errors import ParameterError, StoreError, UnknownName
 from mcspectra.plots.description import Line, Panel, Pixels, Plot
 from mcspectra.reproduction import gallery
-from mcspectra.reproduction.claims import Claim, Exhibit, Finding, Measured
+from mcspectra.reproduction.claims import VERDICT_WIDENING, Claim, Exhibit, Finding, Measured
 from mcspectra.reproduction.gallery import Slide, measured_text, reproduce
 
 SLIDES = {
@@ -79,7 +79,9 @@ def test_findings_are_plain_json(good):
         {"exhibit", "statement", "expected", "measured", "interval", "agrees", "note"}
     ] * 3
     assert [row["measured"] for row in rows] == [1.0, "inf", "words"]
-    assert [row["interval"] for row in rows] == [[0.9, 1.1], ["-inf", 2.0], None]
+    ends = pytest.approx((1.0 - 0.1 * VERDICT_WIDENING, 1.0 + 0.1 * VERDICT_WIDENING))
+    assert rows[0]["interval"] == ends
+    assert [row["interval"] for row in rows[1:]] == [["-inf", 2.0], None]
     assert [row["agrees"] for row in rows] == [True, False, None]
 
 

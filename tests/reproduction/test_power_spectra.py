@@ -10,7 +10,7 @@ import xarray as xr
 from tests.reproduction.conftest import Disagreeing
 
 from mcspectra.reproduction import power_spectra
-from mcspectra.reproduction.claims import judge
+from mcspectra.reproduction.claims import VERDICT_WIDENING, judge
 
 
 def test_the_ring_of_the_closed_form_is_a_mean_over_its_frequencies() -> None:
@@ -32,7 +32,8 @@ def test_the_error_of_the_speckle(realizations: int) -> None:
     values = np.array([f.measured for f in found], dtype=float)
     half = np.mean([(f.interval or (0, 0))[1] - (f.interval or (0, 0))[0] for f in found]) / 2
     # The standard deviation of 200 values has a relative error of 1/√400 = 5 %
-    assert values.std(ddof=1) == pytest.approx(half / 1.96, rel=4 * 0.05)
+    error = half / (1.96 * VERDICT_WIDENING)
+    assert values.std(ddof=1) == pytest.approx(error, rel=4 * 0.05)
     assert np.mean([bool(f.agrees) for f in found]) == 1.0
 
 

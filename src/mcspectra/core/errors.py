@@ -40,6 +40,7 @@ __all__ = [
     "FileFormatError",
     "Function",
     "IncompleteImageWarning",
+    "InfiniteVarianceWarning",
     "InfiniteWeightVarianceWarning",
     "LargeStudyWarning",
     "McspectraError",
@@ -211,6 +212,10 @@ class NotPowerOfTwoWarning(UserWarning):
 
 class InfiniteWeightVarianceWarning(UserWarning):
     """∫1/p diverges: the variance of S_0 is infinite, although that of the estimate may not be."""
+
+
+class InfiniteVarianceWarning(UserWarning):
+    """f grows so fast that its variance is infinite: no interval of its integral holds."""
 
 
 class PreasymptoticWarning(UserWarning):

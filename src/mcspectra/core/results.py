@@ -128,6 +128,7 @@ low_frequency_exponent | f | 1 | | b of power ∝ |m|^b at low frequencies
 mean | f | f | strategy? quantity? n? y? x? | mean estimate
 mcse | f | f | quantity? | standard error of the mean of chains
 ess | f | 1 | quantity? | effective number of draws: variance of the draws / squared error of their mean
+burn_in | i | 1 | quantity? | draws at the start of each chain that are left out
 spectrum_at_zero | f | f² | quantity? | spectral density S(0) of a chain in time
 error_share | f | 1 | quantity? band | part of the squared error of the mean from these frequencies
 draw_share | f | 1 | quantity? band | part of the variance of the draws from these frequencies
@@ -239,6 +240,7 @@ selection_ratio | f | 1 | | variance of random paths with lights chosen by secon
 value | f | f | | integral, mean over the replicates
 interval | f | f | bound | 95 % interval: integral
 replicates | i | 1 | | independent point sets
+skipped | i | 1 | | evaluations that failed and were left out
 n | i | 1 | | points of each set
 mean_variance | f | f² | | variance, mean over a class of integrands
 design_ratio | f | 1 | | mean variance of the designed sampler / that of the best rival

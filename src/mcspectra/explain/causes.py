@@ -16,7 +16,7 @@ from typing import Literal, TypeAlias, final
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.errors import DensityError, ParameterError, point_in_words
+from mcspectra.core.errors import BudgetError, DensityError, ParameterError, point_in_words
 from mcspectra.core.streams import Stream
 from mcspectra.densities.base import FunctionDensity
 from mcspectra.estimators import AbstractEstimator, Estimator, Mirrored
@@ -66,10 +66,12 @@ Name: TypeAlias = Literal[
     "border-growth",
     "high-frequency",
     "high-dimension",
+    "cusp",
     "kink",
     "float-drift",
     "correlated-replicates",
     "stuck-chain",
+    "burn-in",
     "none",
 ]
 
@@ -160,6 +162,9 @@ class CauseSettings:
     # it, jumps are parallel to axes. Insensitive between 0.35 and 0.7; above 1 no jump is parallel
     # to an axis.
     straight: float = 0.7
+    # Number of lines through jumps, as a fraction of those through cusps, above which g jumps. One
+    # line in 100 through a cusp of order ½ passes for a jump by chance.
+    jumps_of_cusps: float = 0.05
     # Fraction of the places along a line that are extremes, above which g oscillates. Noise has ⅔.
     # Insensitive between 0.165 and 0.33; with 0.66, the value of noise, four causes are wrong.
     turns: float = 0.33
@@ -298,6 +303,8 @@ class Evidence:
         Number of evaluations of the integrand.
     missed
         A place, in words, where a density of the user is 0 and f is not; else empty.
+    failed
+        Why g has no values at probes next to the border, with a place; else empty.
     settings
         Thresholds of the detectors.
     """
@@ -313,6 +320,7 @@ class Evidence:
     noise: float = 0.0
     calls: int = 0
     missed: str = ""
+    failed: str = ""
     settings: CauseSettings = CAUSE_SETTINGS
 
     @staticmethod
@@ -352,7 +360,7 @@ class Evidence:
 
         # The mean dimension and a pole of a single technique, then lines of each
         lines: list[Lines] = []
-        mean, pole, noise = math.nan, None, 0.0
+        mean, pole, noise, failed = math.nan, None, 0.0, ""
         allowed = (
             int(settings.lines_share * budget)
             // len(estimator.counts)
@@ -385,12 +393,20 @@ class Evidence:
                 peaked = squares.max() > settings.climbed * squares.mean()
                 if estimator.dims < settings.many_dims or peaked:
                     most = int(settings.pole_share * allowed)
-                    pole = pole_of(g, points, values, most, own, settings.poles)
+                    try:
+                        pole = pole_of(g, points, values, most, own, settings.poles)
+                    except BudgetError:
+                        raise
+                    except ParameterError as error:  # the climb left the region of the samples
+                        failed = str(error)
             lines.append(lines_of(g, estimator.dims, allowed - made, own, settings.lines))
             calls += made * estimator.evaluations_per_point
         curves = sets.curves(settings.curves)
         seen = Evidence(estimator, sampler, sets, curves, tuple(lines), pole, mean)
-        return replace(seen, noise=noise, calls=calls, missed=missed, settings=settings)
+        failed = next((each.failed for each in lines if each.failed), failed)
+        return replace(
+            seen, noise=noise, calls=calls, missed=missed, failed=failed, settings=settings
+        )
 
     @property
     def scale(self) -> float:
@@ -708,6 +724,8 @@ def _jumps(seen: Evidence) -> Cause | None:
     # Lines bend at a pole inside of codimension 1 as they do at a jump
     if seen.pole is not None and not seen.pole.border:
         meets &= seen.pole.codimension > 1
+    cusps = sum(int(lines.cusps().sum()) for lines in seen.lines)
+    meets &= meets.sum() > seen.settings.jumps_of_cusps * cusps
     height = seen.each("height")
     alike = len(np.unique(seen.sets.pooled))
     if not meets.any():
@@ -721,11 +739,7 @@ def _jumps(seen: Evidence) -> Cause | None:
         )
     size = float(np.median(height[meets])) / max(seen.scale, 1e-300)
     share = float(meets.mean())
-    along = seen.each("axis") >= 0
-    rough = meets & along
-    if not rough.any():  # only chords found the jump next to a steep part
-        rough = along & np.concatenate([lines.kinks() for lines in seen.lines])
-    straight = rough.any() and seen.each("straight")[rough].mean() > seen.settings.straight
+    straight = seen.each("straight")[meets].mean() > seen.settings.straight
     evidence = {"met_by": share, "height": size}
     met = f"{100 * share:.0f} % of all lines through the cube meet a jump of g, {size:.2g} times its spread"
     if straight or seen.sets.dims == 1:
@@ -735,11 +749,11 @@ def _jumps(seen: Evidence) -> Cause | None:
             evidence,
             ("aligned", "smoothed", "preintegrated"),
         )
+    limit = -1.0 - 1.0 / seen.sets.dims
     return Cause(
         "interior-jump",
-        f"{met}. Strata on the jump keep their noise: the variance of stratified points falls as "
-        f"n^−{1.0 + 1.0 / seen.sets.dims:.3g} at best.",
-        evidence,
+        f"{met}. Strata on the jump keep their noise: {_limited(seen, limit)}.",
+        evidence | {"rate_limit": limit},
         ("preintegrated", "smoothed", "aligned"),
     )
 
@@ -822,9 +836,52 @@ def _high_dimension(seen: Evidence) -> Cause | None:
     )
 
 
+def _limited(seen: Evidence, limit: float) -> str:
+    """The rate that theory allows stratified points, in words that agree with the measured rates.
+
+    Theory holds for large n. A measured rate whose interval is steeper is true of the counts that
+    were measured, so that the sentence names both.
+    """
+    curves = [seen.curves[name] for name in (NETS, "jittered") if name in seen.curves]
+    steepest = min((c for c in curves if c.rate_ci[1] < limit), key=lambda c: c.rate, default=None)
+    if steepest is None:
+        return f"the variance of stratified points tends to n^{limit:.3g} at best".replace("-", "−")
+    said = (
+        f"n^{limit:.3g} is the limit for large n, though up to n = {steepest.counts[-1]:.0f} the "
+        f"variance falls as n^{steepest.rate:.2f}"
+    )
+    return said.replace("-", "−")
+
+
+def _cusps_and_kinks(seen: Evidence) -> tuple[Array, Array]:
+    """Lines through cusps, and through kinks; the more frequent ones are named.
+
+    On a single line the exponent of a cusp or a kink is known to about 0.1 only, and a jump next to
+    a steep part looks like either.
+    """
+    each = [(lines.cusps(), lines.kinks()) for lines in seen.lines]
+    return tuple(map(np.concatenate, zip(*each, strict=True)))  # type: ignore[return-value]
+
+
+def _cusp(seen: Evidence) -> Cause | None:
+    cusps, kinks = _cusps_and_kinks(seen)
+    if not cusps.sum() > kinks.sum():
+        return None
+    order, d = float(np.median(seen.each("exponent")[cusps])), seen.sets.dims
+    # A cell of side h next to the cusp has the variance h^(2a), and n^(1 − 1/d) cells are next to it
+    limit = -1.0 - min(1.0 + 2.0 * order, 2.0) / d
+    return Cause(
+        "cusp",
+        f"{100 * cusps.mean():.0f} % of all lines through the cube meet a cusp of g: it is continuous "
+        f"there, with an infinite slope, about as |t|^{order:.2f}, and {_limited(seen, limit)}.",
+        {"met_by": float(cusps.mean()), "exponent": order, "rate_limit": limit},
+        ("smoothed", "preintegrated"),
+    )
+
+
 def _kink(seen: Evidence) -> Cause | None:
-    kinks = np.concatenate([lines.kinks() for lines in seen.lines])
-    if not kinks.any():
+    cusps, kinks = _cusps_and_kinks(seen)
+    if not 0 < kinks.sum() >= cusps.sum():
         return None
     return Cause(
         "kink",
@@ -850,6 +907,7 @@ CAUSES: tuple[Callable[[Evidence], Cause | None], ...] = (
     partial(_border_growth, slow=False),
     _high_frequency,
     _high_dimension,
+    _cusp,
     _kink,
     partial(_border_growth, slow=True),
 )

@@ -26,7 +26,8 @@ from mcspectra.core.checks import Array
 from mcspectra.core.images import REC709
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import AbstractEstimator
-from mcspectra.estimators.moments import mean_interval, rounding_floor
+from mcspectra.estimators.moments import rounding_floor
+from mcspectra.estimators.tails import border_growth, growing_interval
 from mcspectra.samplers import as_sampler
 
 __all__ = [
@@ -236,8 +237,11 @@ class Sets:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % interval of the mean over all nets."""
-        return mean_interval(self.estimates)
+        """95 % interval of the mean over all nets, wider where g grows at the border."""
+        growths = []
+        if len(self.values) == 1:
+            growths = border_growth(self.points[0].reshape(-1, self.dims), self.values[0].ravel())
+        return growing_interval(self.estimates, growths)
 
     def curves(self, settings: CurveSettings = CURVE_SETTINGS) -> dict[str, Curve]:
         """The variance of each sampler that the evaluations can estimate."""

@@ -534,8 +534,11 @@ class FunctionIntegrand(Integrand):
         spend(x.size // self.dims)
         return self.checked_values(x)
 
-    def checked_values(self, x: Array) -> Array:
-        """Values at points of the unit cube, finite and of the right shape; not counted."""
+    def checked_values(self, x: Array, *, finite: bool = True) -> Array:
+        """Values at points of the unit cube, of the right shape and finite; not counted.
+
+        Without `finite` values may be NaN or infinite.
+        """
         shape = (*x.shape[:-1], self.channels) if self.channels else x.shape[:-1]
         try:
             values = _real_values(self.function, x)
@@ -551,7 +554,7 @@ class FunctionIntegrand(Integrand):
                 f"{self.spec} gave values of shape {values.shape} at points of shape {x.shape}; "
                 f"it must give {shape}."
             )
-        return _finite(values, x, self.spec)
+        return _finite(values, x, self.spec) if finite else values
 
     def _integral(self) -> Any:
         return self.known_integral

@@ -17,12 +17,20 @@ import threading
 from collections.abc import Callable, Generator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from pathlib import Path
 from typing import Any, Self, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_integer, as_real_array, in_unit_cube, is_path
+from mcspectra.core.checks import (
+    Array,
+    as_choice,
+    as_integer,
+    as_real_array,
+    in_unit_cube,
+    is_path,
+)
 from mcspectra.core.errors import (
     BudgetError,
     DomainError,
@@ -66,6 +74,9 @@ class Calls:
     cache
         Path of a file that keeps the values by point; it is made where there is none. It is for one
         function with one set of parameters.
+    on_error
+        ``"raise"`` where f fails, or gives NaN or infinity; or ``"skip"``: values are NaN there. If
+        f fails for several points at once it is called again for each of them.
 
     Attributes
     ----------
@@ -73,6 +84,12 @@ class Calls:
         Calls of f that were made: values of single points.
     left
         Points that may still be asked for: `budget` less all that were, in the cache or not.
+    skipped
+        Number of points where f failed.
+    skips
+        Whether values are NaN where f fails.
+    first_skipped
+        The first of these points (d,), None without any.
 
     Raises
     ------
@@ -101,10 +118,14 @@ class Calls:
         vectorized: bool = True,
         workers: int = 1,
         cache: str | os.PathLike[str] | None = None,
+        on_error: str = "raise",
     ) -> None:
         self.dims = as_integer("dims", dims, least=1)
         self.budget = as_integer("budget", budget, least=1)
         self.made, self._asked = 0, 0
+        self.skipped: int = 0
+        self.first_skipped: Array | None = None
+        skips = as_choice("on_error", on_error, ("raise", "skip")) == "skip"
         if not isinstance(vectorized, bool):
             raise ParameterError(f"vectorized is {vectorized!r:.80}; it must be True or False.")
         if not callable(f):
@@ -126,6 +147,9 @@ class Calls:
         # Counted here, and not again by tallies
         g = self._f
         self._values = g.checked_values if isinstance(g, FunctionIntegrand) else g._evaluate
+        self.skips = skips and isinstance(g, FunctionIntegrand)
+        if self.skips:
+            self._values = partial(_values_or_nan, g)  # type: ignore[arg-type]
         self._pool = (
             _pool(self._f, workers)
             if as_integer("workers", workers, least=1, most=1024) > 1
@@ -175,10 +199,23 @@ class Calls:
                 for where, part in found:
                     values[where] = part
                     self.made, done = self.made + len(part), done + len(part)
+                    if self.skips and (failed := np.flatnonzero(np.isnan(part))).size:
+                        if self.first_skipped is None:
+                            self.first_skipped = flat[where[failed[0]]]
+                        self.skipped += failed.size
                     if self._cache:
                         self._cache.add(flat[where], part)
                     report(f"{self.budget} calls of {self.name}", (before + done) / self.budget)
         return values.reshape(points.shape[:-1])
+
+    def skipped_in_words(self, least: float, most: float) -> str:
+        """How often and where f failed, and what an interval assumes: values from least to most."""
+        assert self.first_skipped is not None
+        return (
+            f"{self.skipped} of {self._asked} evaluations failed and were skipped, the first at "
+            f"{point_in_words(self.first_skipped)}: the interval holds if f lies between {least:.4g} "
+            f"and {most:.4g} there, as it does elsewhere"
+        )
 
     def close(self) -> None:
         """Let the processes and the cache go; what was found stays in its file."""
@@ -210,7 +247,8 @@ class Calls:
             return
         tasks: dict[Future[Array], Array] = {}
         try:
-            tasks = {self._pool.submit(_in_worker, x[where]): where for where in blocks}
+            work = _in_worker_or_nan if self.skips else _in_worker
+            tasks = {self._pool.submit(work, x[where]): where for where in blocks}
             for task in as_completed(tasks):
                 yield tasks[task], task.result()
         except BrokenProcessPool:
@@ -281,6 +319,21 @@ def _start_worker(sent: bytes) -> None:
 
 def _in_worker(x: Array) -> Array:
     return _integrand._evaluate(x)
+
+
+def _in_worker_or_nan(x: Array) -> Array:
+    return _values_or_nan(_integrand, x)  # type: ignore[arg-type]
+
+
+def _values_or_nan(f: FunctionIntegrand, x: Array) -> Array:
+    """Values (k,), NaN where f fails or gives infinity."""
+    try:
+        values = f.checked_values(x, finite=False)
+    except ParameterError:
+        if len(x) == 1:
+            return np.full(1, np.nan)
+        return np.concatenate([_values_or_nan(f, x[i : i + 1]) for i in range(len(x))])
+    return np.where(np.isfinite(values), values, np.nan)
 
 
 @final

@@ -9,6 +9,9 @@ points are the first ones of the sets that follow: prefixes of a randomized sequ
 The interval is the hull of Student's t and of Hall's transform of it (`mean_interval`): of 300 seeds at 256
 calls it holds the integral of x^−½ in 88 % (74 % by Student's t alone) and that of e^(x + y) in 97 % (96 %).
 
+Where f grows without bound towards a face of the cube, the errors of strata follow a law of their own,
+whose quantiles replace those of Student's t where they are wider (`estimators/tails.py`).
+
 Both are asymptotic in R, and eight replicates are the least. Events with a probability below 1/R
 for each replicate may be missed, for example a step along an axis next to a line of the net: then
 the interval is too short [Owen2025]_. Intervals that hold for any bounded function would take n =
@@ -31,9 +34,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mcspectra.core.checks import as_choice
+from mcspectra.core.checks import Array, as_choice
 from mcspectra.core.confidence import student_t
-from mcspectra.core.errors import Function, Parameter, ParameterError
+from mcspectra.core.errors import (
+    Function,
+    InfiniteVarianceWarning,
+    Parameter,
+    ParameterError,
+    warn,
+)
 from mcspectra.core.memory import check_memory, memory_of
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
@@ -45,11 +54,17 @@ from mcspectra.estimators import (
     is_function,
 )
 from mcspectra.estimators.moments import Moments, mean_interval, rounding_floor
-from mcspectra.estimators.tails import tail_note
+from mcspectra.estimators.tails import (
+    border_growth,
+    few_note,
+    growing_interval,
+    growth_note,
+    tail_note,
+)
 from mcspectra.integrands import Calls, FunctionIntegrand, Integrand
 from mcspectra.measure.setup import Setup, affordable_count
 from mcspectra.samplers import Sampler, as_sampler
-from mcspectra.samplers.law import Scrambled
+from mcspectra.samplers.law import Independent, Scrambled
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -104,6 +119,7 @@ def integrate(
     vectorized: bool = True,
     workers: int = 1,
     cache: str | os.PathLike[str] | None = None,
+    on_error: str = "raise",
     rng: RngLike = 0,
 ) -> xr.Dataset:
     """Integrate a function over [0,1)^d within a number of calls, with a 95 % interval.
@@ -125,17 +141,27 @@ def integrate(
     vectorized, workers, cache
         For slow functions: see `mcspectra.integrands.Calls`. An interrupted call continues when it
         is called again with the same cache, and gives the same bits.
+    on_error
+        ``"raise"`` where f fails or is not finite, or ``"skip"``: such points are counted. The value
+        takes the mean of all others for them. The interval reaches from their least to their largest
+        value for each, and the note says how many there are, and where the first one is.
     rng
         Seed (SPEC 7).
 
     Returns
     -------
     xarray.Dataset
-        ``value``, ``interval(bound)`` (95 %, over the replicates; for the median at least, of that of
-        all replicates, which are as often too large as too small), ``calls`` that were made,
+        ``value`` (NaN without an integral), ``interval(bound)`` (95 %, over the replicates; for the median at least, of that of
+        all replicates, which are as often too large as too small), ``calls`` that were made, ``skipped`` calls that failed,
         ``replicates``, ``n`` points of each, and ``rate``, of the variance as it was measured for the
-        split, NaN where it was not. Where all replicates are alike the interval is infinite, and the
-        attribute ``note`` says why.
+        split, NaN where it was not. The interval is infinite where all replicates are alike, where f
+        grows towards a face of the cube so fast that its variance is infinite, and where a few
+        values hold most of the variance; the attribute ``note`` says why. Slower growth makes the interval wider to the side of the growth.
+
+    Warns
+    -----
+    InfiniteVarianceWarning
+        The variance of f is infinite, or f has no integral.
 
     Raises
     ------
@@ -190,6 +216,7 @@ def integrate(
         vectorized=vectorized,
         workers=workers,
         cache=cache,
+        on_error=on_error,
     )
     setup = Setup(Estimator(FunctionIntegrand(function=calls, dims=known)), source)
     least = _SETTINGS.least_of_median if median else _SETTINGS.least
@@ -212,7 +239,8 @@ def integrate(
             first = calls(source.draw_stream(pilot, stream, 0, few))
             # θ of a variance ∝ n^-θ; the largest if a prefix has no variance
             prefixes = first.shape[1] >> np.arange(_SETTINGS.levels)
-            means = np.stack([first[:, :n].mean(axis=1) for n in prefixes])
+            known_first = _filled(first)
+            means = np.stack([known_first[:, :n].mean(axis=1) for n in prefixes])
             variances, rate = means.var(axis=1, ddof=1), _RATES[1]
             if (variances > rounding_floor(np.abs(means).max(axis=1))).all():
                 slope = np.polyfit(np.log(prefixes), np.log(variances), 1)[0]
@@ -236,10 +264,21 @@ def integrate(
         values[:few, first.shape[1] :] = calls(x[:few, first.shape[1] :])
         values[few:] = calls(x[few:])
 
-    # The interval, infinite if nothing varies
+    # The interval, infinite if nothing varies. Points where f failed have the mean of all others
+    skipped = float(np.isnan(values).mean())
+    values = _filled(values)
     means = values.mean(axis=1)
     moments = Moments.of(means, tails=True)
-    value, note, interval = float(moments.mean), tail_note(moments), mean_interval(means)
+    value, interval = float(moments.mean), mean_interval(means)
+    # Growth at the border: strata have skewed errors, and a variance may not exist. Other tails that
+    # are not resolved leave the interval without an end
+    growths = border_growth(x.reshape(-1, known), values.ravel())
+    endless = growth_note(growths)
+    note = None if growths else tail_note(moments) or few_note(values.ravel())
+    if note:
+        interval = -math.inf, math.inf
+    elif endless or not isinstance(law, Independent):
+        interval = growing_interval(means, growths)
     # The median; if no set stands out from its neighbors, f is rough or n is small
     from scipy.special import bdtr
 
@@ -258,11 +297,25 @@ def integrate(
     if alike and not (median and np.ptp(values)):
         interval = -math.inf, math.inf
         note = "all replicates are alike: f is constant, or what varies was not met"
+    elif endless:
+        interval, note = (-math.inf, math.inf), endless
+        if any(growth.without_integral() for growth in growths):
+            value = math.nan
+        warn(f"{calls.name}: {endless}.", InfiniteVarianceWarning)
+    if calls.skipped:
+        least_value, most_value, middle = values.min(), values.max(), values.mean()
+        interval = (
+            interval[0] - skipped * (middle - least_value),
+            interval[1] + skipped * (most_value - middle),
+        )
+        said = calls.skipped_in_words(least_value, most_value)
+        note = f"{said}; {note}" if note else said
     return dataset(
         {
             "value": ((), value),
             "interval": (("bound",), np.array(interval)),
             "calls": ((), calls.made),
+            "skipped": ((), calls.skipped),
             "replicates": ((), replicates),
             "n": ((), n),
             "rate": ((), -rate),
@@ -274,3 +327,13 @@ def integrate(
         stream_key=f"{stream.key:#x}",
         note=note,
     )
+
+
+def _filled(values: Array) -> Array:
+    """Values with the mean of all others in place of NaN."""
+    failed = np.isnan(values)
+    if not failed.any():
+        return values
+    if failed.all():
+        raise ParameterError("f failed at all points; give a function that has values.")
+    return np.where(failed, values[~failed].mean(), values)

@@ -125,6 +125,7 @@ _OF_SETS = {"deterministic-set", "few-realizations", "correlated-replicates"}
 # theory
 _EXPONENTS = {"interior-jump": 1.0, "axis-parallel-jump": 1.0, "none": 2.0}
 _FIGURES = ("rmse", "rmse_given", "gain", "samples_saved")
+_INTERVALS = ("rmse", "rmse_given", "gain", "needed")
 
 
 @final
@@ -186,10 +187,15 @@ class Change:
         A short label, and an imperative.
     rmse, rmse_given
         Root mean square error at the budget after the change, and with the given set-up.
+    rmse_ci, rmse_given_ci
+        95 % intervals of both. They include the error of the rate beyond the counts that were
+        measured.
     gain, gain_ci
         Variance with the given set-up over the variance after the change, and its 95 % interval.
     samples_saved
         Evaluations that the given set-up needs for the same error, minus the budget.
+    needed_ci
+        95 % interval of these evaluations.
     estimator, sampler
         The set-up after the change, for `mcspectra.convergence` and similar functions.
     """
@@ -203,6 +209,9 @@ class Change:
     samples_saved: float
     estimator: AbstractEstimator
     sampler: str
+    rmse_ci: tuple[float, float] = (math.nan, math.nan)
+    rmse_given_ci: tuple[float, float] = (math.nan, math.nan)
+    needed_ci: tuple[float, float] = (math.nan, math.nan)
 
 
 @final
@@ -213,8 +222,8 @@ class Profile:
     Attributes
     ----------
     integral, interval
-        The mean of all nets, and its 95 % interval. The interval is infinite if the variance is
-        infinite or rests on a few evaluations.
+        The mean of all nets, NaN if g has no integral, and its 95 % interval. The interval is
+        infinite if the variance is infinite or rests on a few evaluations.
     calls, budget
         Number of evaluations of f, and the number that was allowed.
     variance, rate, rate_ci
@@ -279,12 +288,13 @@ class Profile:
                 f"at {self.budget} evaluations these cannot tell.{why}"
             )
         text = (
-            f"{best.change[0].upper()}{best.change[1:]}: RMSE {best.rmse:.2g} at {self.budget} evaluations "
-            f"instead of {given}"
+            f"{best.change[0].upper()}{best.change[1:]}: RMSE {best.rmse:.2g}"
+            f"{_between(*best.rmse_ci)} at {self.budget} evaluations instead of {given}"
         )
         if math.isfinite(best.samples_saved) and best.samples_saved > 0:
-            needed = float(f"{best.samples_saved + self.budget:.2g}")
-            text += f"; {self.reference} would need about {needed:.0f} evaluations for it"
+            needed = best.samples_saved + self.budget
+            text += f"; {self.reference} would need about {_rounded(needed)}"
+            text += f"{_between(*best.needed_ci)} evaluations for it"
         return f"{text}.{why}"
 
     @property
@@ -421,6 +431,7 @@ def profile(
     vectorized: bool = True,
     workers: int = 1,
     cache: str | os.PathLike[str] | None = None,
+    on_error: str = "raise",
 ) -> Profile:
     """Measure an estimator's noise, find its causes, and recommend a change.
 
@@ -444,6 +455,10 @@ def profile(
     vectorized, workers, cache
         Options for slow functions; see `mcspectra.integrands.Calls`. An interrupted profile
         continues from the cache.
+    on_error
+        For functions: ``"raise"`` where f fails or is not finite, or ``"skip"``: such points are
+        counted, take the mean of all others, and make the interval wider, as in
+        `mcspectra.integrate`. Without it only probes closest to the border may fail.
 
     Returns
     -------
@@ -478,8 +493,9 @@ def profile(
             vectorized=vectorized,
             workers=workers,
             cache=cache,
+            on_error=on_error,
         )
-        given = FunctionIntegrand(function=calls, dims=calls.dims)
+        given = FunctionIntegrand(function=_Filled.of(calls), dims=calls.dims)
     with calls if isinstance(calls, Calls) else contextlib.nullcontext():
         estimator = as_estimator(given, dims)
         if density:  # the density is not checked here, since its faults are causes
@@ -499,9 +515,47 @@ def profile(
         subject = Subject(estimator, as_sampler(sampler, estimator.dims))
         Profiling(budget=limit).need(subject)
         found = _profiled(subject, limit, Stream.from_rng(rng))
+        if isinstance(calls, Calls) and calls.skipped:
+            found = _with_skipped(found, calls, given.function)
     if isinstance(calls, Calls):
         calls.budget = sys.maxsize  # the recommended estimator can be used without a limit
     return found
+
+
+@final
+class _Filled:
+    """Calls of a function with the mean of all earlier values in place of NaN, where it failed."""
+
+    def __init__(self, calls: Calls) -> None:
+        self.calls, self.__name__ = calls, calls.name
+        self.count, self.mean, self.least, self.most = 0, 0.0, math.inf, -math.inf
+
+    @staticmethod
+    def of(calls: Calls) -> Any:
+        """The calls themselves if they raise errors."""
+        return _Filled(calls) if calls.skips else calls
+
+    def __call__(self, x: Array) -> Array:
+        values = self.calls(x)
+        failed = np.isnan(values)
+        good = values[~failed]
+        if good.size:
+            self.mean = (self.count * self.mean + float(good.sum())) / (self.count + good.size)
+            self.count += good.size
+            self.least = min(self.least, float(good.min()))
+            self.most = max(self.most, float(good.max()))
+        return np.where(failed, self.mean, values)
+
+
+def _with_skipped(found: Profile, calls: Calls, filled: _Filled) -> Profile:
+    """A profile whose interval allows any usual value where f failed."""
+    share = calls.skipped / (calls.skipped + filled.count)
+    low, high = found.interval
+    if not filled.count:
+        raise ParameterError("f failed at all points; give a function that has values.")
+    ends = low - share * (filled.mean - filled.least), high + share * (filled.most - filled.mean)
+    said = calls.skipped_in_words(filled.least, filled.most)
+    return replace(found, interval=ends, not_tried=[*found.not_tried, said])
 
 
 def _of_draws(draws: Any) -> Profile:
@@ -521,6 +575,8 @@ def _of_draws(draws: Any) -> Profile:
     name, (sentence, *others) = names[0], [f"{each[0].upper()}{each[1:]}." for each in said]
     count, effective = found.attrs["chains"] * found.attrs["draws"], float(found["ess"])
     evidence = {"draws": float(count), "effective": effective}
+    if name == "burn-in":
+        evidence["burn_in"] = float(found["burn_in"])
     if name == "none" and float(found["ess_ci"][1]) < _SETTINGS.dependent * count:
         name = "correlated-replicates"
         sentence = f"The {count} draws depend on each other and count as {effective:.0f}."
@@ -561,7 +617,11 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     points = budget // each
 
     # Measure the given sampler
-    curves, not_tried = dict(evidence.curves), []
+    curves, not_tried = dict(evidence.curves), list[str]()
+    if evidence.failed:
+        not_tried.append(
+            f"probes closest to the border, where hardly a sample falls: {evidence.failed}"
+        )
     evidence = replace(evidence, curves=curves)
     if is_apart(estimator, given):
         given_stream = stream.child(99)
@@ -625,9 +685,15 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     # pole
     names = {cause.name for cause in causes}
     infinite = "infinite-variance" in names
+    no_integral = any(
+        cause.name == "infinite-variance"
+        and cause.evidence.get("exponent", 0.0) >= CAUSE_SETTINGS.no_integral
+        for cause in causes
+    )
     if infinite and best is not None:
         endless = dict.fromkeys(("rmse_given", "gain", "samples_saved"), math.inf)
-        endless_best = replace(best, **endless, gain_ci=(math.inf, math.inf))  # type: ignore[arg-type]
+        ends = dict.fromkeys(("gain_ci", "rmse_given_ci", "needed_ci"), (math.inf, math.inf))
+        endless_best = replace(best, **endless, **ends)  # type: ignore[arg-type]
         best = None if best.estimator is estimator else endless_best  # no sampler makes it finite
     resolved = bool(Moments.of(sets.pooled, tails=True).resolved)
     known = not infinite and "wrong-pdf" not in names
@@ -656,11 +722,12 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         causes, best, known = [cause], None, known and cause.name == "none"
     # Leave out the size of a gain if the variance is not resolved; only its sign was measured
     if best is not None and not infinite and (not known or best.gain_ci[0] <= 1.0):
-        best = replace(best, **dict.fromkeys(_FIGURES, math.nan), gain_ci=(math.nan, math.nan))  # type: ignore[arg-type]
+        unknown = dict.fromkeys((f"{name}_ci" for name in _INTERVALS), (math.nan, math.nan))
+        best = replace(best, **dict.fromkeys(_FIGURES, math.nan), **unknown)  # type: ignore[arg-type]
     return Profile(
         subject=estimator.spec,
         given=given.spec,
-        integral=float(sets.estimates.mean()),
+        integral=math.nan if no_integral else float(sets.estimates.mean()),
         interval=sets.interval if known else (-math.inf, math.inf),
         calls=calls,
         budget=budget,
@@ -677,8 +744,22 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     )
 
 
+def _rounded(value: float) -> str:
+    """Two digits, without an exponent for numbers of evaluations."""
+    return f"{float(f'{value:.2g}'):.0f}" if value >= 10.0 else f"{value:.2g}"
+
+
+def _between(low: float, high: float) -> str:
+    """An interval in parentheses, or nothing if it has no width or no ends."""
+    if not (math.isfinite(high - low) and high > low):
+        return ""
+    return f" ({_rounded(low)} to {_rounded(high)})"
+
+
 def _shown(value: float, low: float, high: float) -> str:
     """Return a number and its interval, with enough digits to distinguish the ends."""
+    if math.isnan(value):
+        return "does not exist"
     digits = 6
     if math.isfinite(high - low) and high > low:
         digits = max(digits, math.ceil(math.log10(max(abs(low), abs(high)) / (high - low))) + 2)
@@ -767,17 +848,30 @@ def _change(
     gain = other / value if value > 0.0 else math.inf
     half = CONFIDENCE_Z * math.hypot(error, other_error)
     rate = curves[given].rate if math.isfinite(curves[given].rate) else -1.0
-    needed = n * gain ** (-1.0 / rate) if rate < 0.0 and math.isfinite(gain) else math.inf
+    ends = gain * math.exp(-half), gain * math.exp(half)
+
+    def needed(gain: float) -> float:
+        """Points with which the given set-up has the variance after the change."""
+        return n * gain ** (-1.0 / rate) if rate < 0.0 and math.isfinite(gain) else math.inf
+
+    def with_ends(variance: float, error: float) -> tuple[float, float]:
+        """95 % interval of the RMSE."""
+        away = math.exp(0.5 * CONFIDENCE_Z * error)
+        return math.sqrt(variance) / away, math.sqrt(variance) * away
+
     return Change(
         name=name,
         change=change,
         rmse=math.sqrt(value),
         rmse_given=math.sqrt(other),
         gain=gain,
-        gain_ci=(gain * math.exp(-half), gain * math.exp(half)),
-        samples_saved=(needed - n) * sum(setup[0].counts),
+        gain_ci=ends,
+        samples_saved=(needed(gain) - n) * sum(setup[0].counts),
         estimator=setup[0],
         sampler=setup[1],
+        rmse_ci=with_ends(value, error),
+        rmse_given_ci=with_ends(other, other_error),
+        needed_ci=(needed(ends[0]) * sum(setup[0].counts), needed(ends[1]) * sum(setup[0].counts)),
     )
 
 

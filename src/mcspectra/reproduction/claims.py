@@ -1,8 +1,8 @@
 """What an exhibit is: plots, a caption and claims, each with a verdict that is computed.
 
-A finding shows its 95 % interval. Its verdict takes a wider one: of `GALLERY_FINDINGS` true statements
-with 95 % intervals a dozen would be taken for wrong by chance, so each is judged at the level of
-Šidák [Sidak1967]_, 0.95^(1/250), 99.98 %, at which all of them hold together with 95 %.
+The interval of a finding is the one that decides its verdict. Of `GALLERY_FINDINGS` true statements
+with 95 % intervals a dozen would be taken for wrong by chance, so the interval has the level of Šidák
+[Sidak1967]_, 0.95^(1/250) = 99.98 %, at which all of them hold together with 95 %.
 """
 
 from __future__ import annotations
@@ -82,7 +82,8 @@ class Claim:
     digits
         With which the expected number is shown.
     above, below
-        It agrees where the whole interval at the level of verdicts is beyond them.
+        It agrees where the whole interval at the level of verdicts is beyond them, and does not
+        where the whole interval is on the other side. Else the interval decides nothing.
     at_most
         Limit of the size of an error.
     holds
@@ -127,9 +128,9 @@ class Finding:
     measured
         A number, words, or None where nothing could be measured.
     interval
-        95 % interval of a number, None where it has no error of sampling.
+        Interval of a number with the level of verdicts, None where it has no error of sampling.
     agrees
-        The verdict; None where the statement has none.
+        The verdict; None where the statement has none, or where the interval holds its bound.
     """
 
     statement: str
@@ -178,10 +179,13 @@ class ExhibitFunction(Protocol):
 def judge(claim: Claim) -> Finding:
     """Hold what was measured against what is expected."""
     measured, shown, agrees, interval = claim.measured, claim.shown, claim.holds, None
+    note = claim.note
     low = high = claim.value
     if isinstance(measured, Measured):
         low, high = measured.widened(VERDICT_WIDENING)
-        interval, measured = (measured.low, measured.high), measured.value
+        finite = math.isfinite(measured.value)  # else the widened ends are NaN: it does not agree
+        interval = (low, high) if finite else (measured.low, measured.high)
+        measured = measured.value
     if claim.expected is not None:
         shown = shown or number(claim.expected, claim.digits)
         agrees = bool(low - claim.tolerance <= claim.expected <= high + claim.tolerance)
@@ -193,13 +197,15 @@ def judge(claim: Claim) -> Finding:
         limits += [f"< {number(claim.below)}"] if math.isfinite(claim.below) else []
         shown = shown or " and ".join(limits)
         agrees = bool(claim.above < low and high < claim.below)
+        if not agrees and claim.above < high and low < claim.below:
+            agrees, note = None, f"{note} So few realizations do not decide it.".strip()
     return Finding(
         statement=claim.statement,
         expected=shown,
         measured=measured,
         interval=interval,
         agrees=agrees,
-        note=claim.note,
+        note=note,
     )
 
 

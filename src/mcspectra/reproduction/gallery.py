@@ -317,9 +317,9 @@ def _page(entries: Sequence[Entry], command: str, quick: bool, seed: int) -> htm
                 f"{tally(entries)}."
             ),
             html.Text(
-                text="Intervals are 95 %. A finding agrees where the expected value lies in the wider interval at "
-                f"which {GALLERY_FINDINGS} true findings hold together with 95 % (each at 99.98 %, Šidák), or within "
-                "the tolerance that its note gives.",
+                text=f"Intervals of findings are those at which {GALLERY_FINDINGS} true findings hold together with "
+                "95 % (each at 99.98 %, Šidák); those of plots are 95 %. A finding agrees where the expected value "
+                "lies in its interval, or within the tolerance that its note gives.",
                 kind="soft",
             ),
         ),
@@ -349,7 +349,7 @@ def _section(entry: Entry) -> html.Section:
             for kind, plot in plots.items()
         }
         blocks += html.figures_of(named)
-        columns = ("Statement", "Verdict", "Expected", "Measured", "95 % interval", "Note")
+        columns = ("Statement", "Verdict", "Expected", "Measured", "Interval", "Note")
         rows = []
         for each in entry.findings:
             sign, mark = _SIGNS[each.agrees]
@@ -402,7 +402,7 @@ def _lines(entry: Entry) -> Iterator[tuple[str, str]]:
         parts.append((f"{_SIGNS[finding.agrees][0][0]} {finding.statement}", "bold"))
         measured, interval = measured_text(finding)
         text = f"expected {finding.expected}; measured {measured}"
-        text += f" (95 %: {interval})" if interval else ""
+        text += f" ({interval})" if interval else ""
         parts.append((f"{text}. {finding.note}" if finding.note else text, ""))
     for text, weight in parts:
         if text and weight and text != slide.title:
