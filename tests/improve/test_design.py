@@ -13,6 +13,7 @@ from mcspectra.core.errors import (
     DomainError,
     FileFormatError,
     McspectraError,
+    NoGainWarning,
     ParameterError,
 )
 from mcspectra.core.streams import Stream
@@ -275,6 +276,29 @@ def test_points_begin_with_cosets_of_a_net_where_these_are_better():
         told = mcs.certificate(found, "gaussians", 64, rivals=["sobol | owen"], members=1600)
         ratios.append(told["design_ratio_ci"].values)
     assert ratios[0][1] < ratios[1][0]
+
+
+def _random_points(*_):
+    yield searches.Design(0.0, 1.0, lambda _: mcs.sampler("random", 2))
+
+
+def test_a_design_that_loses_to_a_rival_is_replaced_by_it(tmp_path, monkeypatch):
+    """Also from the cache, and in the file of the user."""
+    monkeypatch.setattr(doors, "KINDS", {"lattice": _random_points})
+    for options in ({}, {}, {"path": tmp_path / "mine.json"}):
+        with pytest.warns(NoGainWarning, match="times .* the mean variance of .*instead"):
+            made = design("lattice", GAUSSIANS, 16, **options)
+        assert made.spec.endswith("| shift | mirror(mode='fold')")
+    assert json.loads((tmp_path / "mine.json").read_text())["spec"] == made.spec
+    found = mcs.certificate(made, GAUSSIANS, 16, members=400, rng=8)
+    assert found["design_ratio_ci"].values[0] < 1.1
+
+
+def test_folded_lattices_and_blue_noise_are_rivals():
+    found = mcs.certificate("sobol | owen", GAUSSIANS, 64, dims=2, members=100, rng=2)
+    assert found.attrs["best_rival"].endswith("| shift | mirror(mode='fold')")
+    assert "pmj02-blue-noise" in found["sampler"].values
+    assert found["design_ratio_ci"].values[0] > 2.0
 
 
 def test_shared_cells_are_uniform_and_refused_else(tmp_path):
