@@ -170,7 +170,7 @@ def design(
     Sampler or Density
         It is unbiased for every integrand. Its `spec` makes it again; kinds with sets name their
         file. If a usual sampler has less variance over fresh members of the class, with 95 %
-        confidence, it is returned with a `NoGainWarning`.
+        confidence, it is returned with a `NoGainWarning`, unless `settings.return_rival` is false.
 
     Raises
     ------
@@ -257,7 +257,9 @@ def design(
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         made, note = best.make(target.with_suffix(".npz")), ""
-        if finished:  # a usual sampler may have less variance over fresh members
+        if (
+            finished and settings.return_rival
+        ):  # a usual sampler may have less variance over fresh members
             made, note = _better_rival(goal, made, n, stream.child(5))
         if note:
             target.with_suffix(".npz").unlink(missing_ok=True)
@@ -416,14 +418,12 @@ def _ratio(above: Array, below: Array) -> tuple[float, float, float]:
 
 def _better_rival(goal: Objective, made: Sampler, n: int, stream: Stream) -> tuple[Sampler, str]:
     """Return the rival that has less variance than a design, and a sentence; else the design."""
-    rivals = [rival for rival in _rivals(None, goal.dims, n) if rival.unbiased]
-    if not rivals:
-        return made, ""
     realizations = _SETTINGS.check_realizations
     members = _SETTINGS.check_evaluations // (n * realizations)
     members = min(_SETTINGS.check_members, max(_SETTINGS.groups, members))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotPowerOfTwoWarning)  # an unbalanced rival loses
+        rivals = [rival for rival in _rivals(None, goal.dims, n) if rival.unbiased]
         sums = _sums_of_groups(goal, [made, *rivals], n, members, realizations, stream)
     best = 1 + int(sums[1:].sum(axis=1).argmin())
     if not sums[best].sum() > 0.0:
