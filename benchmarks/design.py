@@ -6,7 +6,7 @@ owen, pmj02, shifted Korobov, rank-1 and Fibonacci lattices, and, where ``MCSPEC
 folder with their files of direction numbers, OneTwo and quad-optimised nets (base 3) with owen.
 
 The last lines compare with folded lattices, on Gaussians of random orientation. A few narrow members have
-half of the mean variance, so that 40,000 members with two realisations are measured.
+half of the mean variance, so that 20,000 members with 128 realisations for each group are measured.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ def _compare_folded(dims: int, n: int, kinds: tuple[str, ...]) -> None:
     for kind in kinds:
         sampler = mcs.design(kind, _turned(dims), n, dims=dims, rng=0, settings=DESIGNS)
         found = mcs.certificate(
-            sampler, _turned(dims), n, rivals=rivals, members=40_000, realizations=2, rng=2
+            sampler, _turned(dims), n, rivals=rivals, members=20_000, realizations=128, rng=2
         )
         low, high = found["design_ratio_ci"].values
         print(

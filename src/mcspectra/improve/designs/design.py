@@ -74,10 +74,10 @@ class DesignSettings:
         "fibonacci | shift | mirror(mode='fold')",
     )
     # Members, realizations of each group of members, and most evaluations of each sampler, when a
-    # design is compared with its rivals before it is returned. Many members with few realizations
-    # measure best where a few members have most of the variance.
+    # design is compared with its rivals before it is returned. The members of a group share their
+    # realizations, so that 20 groups of 32 have 620 degrees of freedom: an error of 6 %.
     check_members: int = 2000
-    check_realizations: int = 4
+    check_realizations: int = 32
     check_evaluations: int = 2**24
     # Groups of members of a certificate, each with its own realizations. The errors have 19 degrees
     # of freedom, so that intervals by Student's t are 7 % wider than with many groups.
