@@ -13,6 +13,7 @@ from mcspectra.core.errors import (
     DomainError,
     FileFormatError,
     McspectraError,
+    NoGainWarning,
     ParameterError,
 )
 from mcspectra.core.streams import Stream
@@ -30,8 +31,15 @@ KINDS = tuple(searches.KINDS)
 
 # Searches of a second
 SMALL = SearchSettings(
-    cells=2**12, members=256, trials=2**18, frequencies=2**14, trees=16, net_starts=2
+    cells=2**12,
+    members=256,
+    trials=2**18,
+    frequencies=2**14,
+    trees=16,
+    net_starts=2,
+    return_rival=False,
 )
+UNFOLDED = ["sobol | owen", "pmj02", "korobov | shift", "rank1-lattice | shift"]
 
 
 @pytest.fixture(autouse=True)
@@ -118,10 +126,10 @@ def test_flipped_trees_keep_elementary_intervals():
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_designs_beat_the_best_rival_where_the_class_is_known(kind):
+def test_designs_beat_the_best_rival_that_is_not_folded(kind):
     sampler = design(kind, GAUSSIANS, 64, rng=5)
     assert sampler.unbiased
-    found = mcs.certificate(sampler, GAUSSIANS, 64, members=400, realizations=32, rng=11)
+    found = mcs.certificate(sampler, GAUSSIANS, 64, rivals=UNFOLDED, members=400, rng=11)
     assert found["design_ratio_ci"].values[1] < 0.5
     assert float(found["design_ratio"]) == pytest.approx(
         float(found["mean_variance"][0] / found["mean_variance"][1:].min())
@@ -277,6 +285,29 @@ def test_points_begin_with_cosets_of_a_net_where_these_are_better():
     assert ratios[0][1] < ratios[1][0]
 
 
+def _random_points(*_):
+    yield searches.Design(0.0, 1.0, lambda _: mcs.sampler("random", 2))
+
+
+def test_a_design_that_loses_to_a_rival_is_replaced_by_it(tmp_path, monkeypatch):
+    """Also from the cache, and in the file of the user."""
+    monkeypatch.setattr(doors, "KINDS", {"lattice": _random_points})
+    for options in ({}, {}, {"path": tmp_path / "mine.json"}):
+        with pytest.warns(NoGainWarning, match="times .* the mean variance of .*instead"):
+            made = mcs.design("lattice", GAUSSIANS, 64, **options)
+        assert made.spec.endswith("| shift | mirror(mode='fold')")
+    assert json.loads((tmp_path / "mine.json").read_text())["spec"] == made.spec
+    found = mcs.certificate(made, GAUSSIANS, 64, members=400, rng=8)
+    assert found["design_ratio_ci"].values[0] < 1.1
+
+
+def test_folded_lattices_and_blue_noise_are_rivals():
+    found = mcs.certificate("sobol | owen", GAUSSIANS, 64, dims=2, members=100, rng=2)
+    assert found.attrs["best_rival"].endswith("| shift | mirror(mode='fold')")
+    assert "pmj02-blue-noise" in found["sampler"].values
+    assert found["design_ratio_ci"].values[0] > 2.0
+
+
 def test_shared_cells_are_uniform_and_refused_else(tmp_path):
     path = tmp_path / "cells.npz"
     cells = np.indices((4, 2)).reshape(2, -1).T.reshape(2, 4, 2) + 1
@@ -330,7 +361,7 @@ def test_settings_are_of_searches_of_samplers_and_part_of_what_the_cache_knows()
         design("density", "gaussian", 16)
     with pytest.raises(ParameterError, match="settings is 3; give a SearchSettings"):
         design("lattice", "gaussian", 16, settings=3)
-    quick = SearchSettings(cells=2**10, members=32, trials=2**12)
+    quick = SearchSettings(cells=2**10, members=32, trials=2**12, return_rival=False)
     one, other = (dataclasses.replace(quick, rounds=r) for r in (4, 5))
     cells = [
         design("strata", "gaussians", 16, settings=each).draw(16, realizations=4, rng=0)
@@ -394,3 +425,22 @@ def test_the_verb_prints_and_writes_spec_and_certificate(tmp_path, capsys):
     assert "cannot be written" in capsys.readouterr().err
     assert main(["design", "owen", "gaussians", "-n", "9"]) == 2
     assert "power of two" in capsys.readouterr().err
+
+
+def test_the_verb_saves_the_rival_that_its_certificate_prefers(tmp_path, monkeypatch, capsys):
+    """The comparison of `design` and the certificate are two measurements; the last one decides."""
+    from mcspectra.cli import designs as verb
+    from mcspectra.cli.main import main
+
+    monkeypatch.setattr(verb.mcs, "design", lambda *_, **__: mcs.sampler("random", 2))
+    out = tmp_path / "mine.json"
+    for n, rival, told in (
+        ("64", "rank1-lattice | shift | mirror(mode='fold')", "it is saved instead"),
+        ("16", "pmj02-blue-noise", "its points are not uniform, so that this design is kept"),
+    ):
+        words = ["design", "lattice", GAUSSIANS, "-n", n, "--members", "40", "-o", str(out)]
+        assert main(words) == 0
+        assert f"{rival} has less variance than this design; {told}" in capsys.readouterr().out
+        saved = json.loads(out.read_text())
+        assert saved["spec"] == (rival if n == "64" else "random")
+        assert saved["certificate"]["sampler"][0] == "random"

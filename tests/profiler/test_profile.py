@@ -797,7 +797,7 @@ def test_the_rmse_and_what_it_would_take_have_intervals():
         assert list(plain[f"{name}_ci"]) == [low, high]
     low, high = best.needed_ci
     assert low < best.samples_saved + found.budget < high
-    shown = f"RMSE {best.rmse:.2g} ({best.rmse_ci[0]:.2g} to {best.rmse_ci[1]:.2g}) instead of"
+    shown = f"RMSE {best.rmse:.2g} ({best.rmse_ci[0]:.2g} to {best.rmse_ci[1]:.2g})"
     assert shown in found.answer
     assert re.search(r"random would need about \d+ \(\d+ to \d+\) evaluations for it", found.answer)
     assert shown in found._repr_html_()

@@ -44,7 +44,9 @@ _OF_SAMPLERS = ("members",)
         option("--family FAMILY", f"{', '.join(LEARNED)} (default mixture)"),
         option("--sampler SPEC", "a random sampler (default 'sobol | owen')"),
         option(
-            "--budget B", "evaluations to learn from (default 8 n + 8192, 16384 at least)", whole(1)
+            "--budget B",
+            "evaluations to learn from (default 16 n + 8192, 24576 at least)",
+            whole(1),
         ),
         option(
             "--defensive SHARE",
@@ -61,10 +63,11 @@ def design_(options: argparse.Namespace) -> Answer:
     """Search for a sampler or a density of small variance, and measure the gain.
 
     A sampler is searched for a class of integrands. The table compares its mean variance with that of usual
-    samplers, over other integrands of the class. Ctrl-C ends the search and keeps its best sampler.
+    samplers, over other integrands of the class. A usual sampler that has less variance is saved instead.
+    Ctrl-C ends the search and keeps its best sampler.
 
     A density is learned for one integrand and one sampler. The table compares the variances with and without
-    it, at points that it was not learned from.
+    it, at points that it was not learned from. The density is uniform if it does not lower the variance.
     """
     density = options.kind == _DENSITY
     other = "samplers" if density else "densities"
@@ -101,13 +104,23 @@ def _sampler(options: argparse.Namespace, path: str | None) -> tuple[str, dict[s
         )
     ]
     rows[0][0] = "this design"
+    # Save the rival if it is better with 95 % confidence and unbiased
+    spec, saved = sampler.spec, ""
+    if low > 1.0:
+        rival = mcs.sampler(found.attrs["best_rival"], sampler.dims)
+        kept = "its points are not uniform, so that this design is kept"
+        saved = (
+            f"\n{rival.spec} has less variance than this design; "
+            f"{'it is saved instead' if rival.unbiased else kept}"
+        )
+        spec = rival.spec if rival.unbiased else spec
     text = (
-        f"{sampler.spec}\n{text_table(['sampler', 'mean variance', '95 %'], rows)}\n"
+        f"{spec}\n{text_table(['sampler', 'mean variance', '95 %'], rows)}\n"
         f"{float(found['design_ratio']):.3g} times (95 %: {low:.3g} to {high:.3g}) the mean variance of "
-        f"{found.attrs['best_rival']}"
+        f"{found.attrs['best_rival']}{saved}"
     )
     data = {
-        "spec": sampler.spec,
+        "spec": spec,
         "dims": sampler.dims,
         "n": options.n,
         "certificate": {

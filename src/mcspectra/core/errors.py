@@ -47,6 +47,7 @@ __all__ = [
     "MissingDependency",
     "MissingPackageWarning",
     "NoClosedForm",
+    "NoGainWarning",
     "NotPowerOfTwoWarning",
     "OtherVersionsWarning",
     "Parameter",
@@ -240,6 +241,10 @@ class LargeStudyWarning(UserWarning):
 
 class IncompleteImageWarning(UserWarning):
     """An image lacks a part of what the scene would show: a lens, a light, a specular surface."""
+
+
+class NoGainWarning(UserWarning):
+    """A search found nothing better than the usual choice, which is its result."""
 
 
 def close_match_hint(

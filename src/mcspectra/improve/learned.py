@@ -12,7 +12,8 @@ logarithms of the splines' weights, as in P-splines [Eilers1996]_. Numbers of ce
 the weight of the penalty define candidates. Candidates are compared by the variance of f/p with
 points of the sampler itself, on evaluations that were not used in the fit. ∫f²/p alone does not
 measure how rough f/p is, and roughness is the part of the variance that nets and strata do not
-remove.
+remove. The best candidate is checked on fresh points: it must have less variance than uniform
+points, or the result is uniform.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ import numpy as np
 from mcspectra.core.cache import cache_folder
 from mcspectra.core.checks import Array, as_choice, as_integer, as_real
 from mcspectra.core.decoding import path_to_write
-from mcspectra.core.errors import Parameter, ParameterError, writing
+from mcspectra.core.errors import NoGainWarning, Parameter, ParameterError, warn, writing
 from mcspectra.core.progress import report
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.densities import Density, Uniform
@@ -75,15 +76,16 @@ class LearnSettings:
     )
     # Most dims of a learned density. In 24-D a flow takes 9 s to fit.
     most_dims: int = 24
-    # Least number of evaluations that can be asked for. Half of 256 is for the fit; the other half
-    # is six sets of four points for each of five candidates.
+    # Least number of evaluations that can be asked for. Half of 256 is for the fit, a quarter is six
+    # sets of two points for each of five candidates, and a quarter checks the best of them.
     least_evaluations: int = 256
-    # Least number of evaluations by default: with half of them the fit has `most_fitted`
-    # evaluations.
-    usual_evaluations: int = 2**14
-    # Evaluations by default for each of the n points, in addition to `most_fitted`. With 8 n, each
-    # of five candidates can have six sets of n/4 points.
-    evaluations_per_point: int = 8
+    # Least number of evaluations by default: `most_fitted` for the fit, and as many for the choice
+    # and for the check together.
+    usual_evaluations: int = 3 * 2**13
+    # Evaluations by default for each of the n points, in addition to `most_fitted`. With 8 n for
+    # the choice, each of five candidates can have six sets of n/4 points; with 8 n for the check,
+    # the result and uniform points can have 16 sets of n/4 points each.
+    evaluations_per_point: int = 16
     # Divisor of n that gives the smallest count at which candidates may be compared. At n/16 the
     # ratios of variances of nets are already near the ratios at n; at smaller counts nets do not
     # resolve the splines.
@@ -114,6 +116,13 @@ class LearnSettings:
     # Least number of sets for the variance of each candidate. The logarithm of a ratio of two
     # variances of 6 sets has a standard error of √(4/5) = 0.9.
     least_replicates: int = 6
+    # Least number of fresh sets that check the result, for each of the two variances. With 16 sets,
+    # a measured ratio below 1/2.4 is below 1 with 95 % confidence.
+    least_checks: int = 16
+    # Least effective number (Σ|f|)²/Σf² of the uniform points of the fit and of the check. With 16,
+    # a peak that has a third of ∫|f| is missed by all of them with probability e^(−16/3) = 0.5 %.
+    # With 4, of three equal peaks one was missed, and the variance was 2.3 times as large.
+    least_effective: float = 16.0
     # Weight that is added to every spline at the start of a fit, so that logarithms are finite.
     # From 1e-8 to 1e-4 the variances are the same within 0.3 %.
     least_weight: float = 1e-6
@@ -368,8 +377,9 @@ def learned_density(
     dims
         Number of dims, up to 24; needed if neither f nor the sampler has one.
     evaluations
-        Most evaluations of f, at least 256. Half of them, at most 8192, are for the fit, and the
-        others for the choice between candidates. The default is 8 n + 8192, and at least 16384.
+        Most evaluations of f, at least 256. Half of them, at most 8192, are for the fit. One half of
+        the rest is for the choice between candidates, the other half checks the result. The default
+        is 16 n + 8192, and at least 24576.
     defensive
         Least value δ of the density, above 0 and below 1: |f|/p is at most |f|/δ.
     rng
@@ -381,7 +391,8 @@ def learned_density(
     -------
     Density
         A continuous density with an exact inverse and a continuous warp. Its `spec` reads it from
-        its file. It is ``uniform`` if no candidate halves the variance of uniform points.
+        its file. It is ``uniform``, with a `NoGainWarning`, if no candidate halves the variance of
+        uniform points, or if the check does not confirm the gain.
 
     Raises
     ------
@@ -398,7 +409,11 @@ def learned_density(
     -----
     Candidates (`mcspectra.improve.learned.LEARNED`), from smooth to fine, are compared by the
     variance of f/p with at least six realizations of the sampler. The count is n, or the largest
-    count that the evaluations allow: at least n/16, by default usually n/4.
+    count that the evaluations allow: at least n/16, by default usually n/4. The best candidate is
+    checked on fresh points: at least 16 realizations must show with 95 % confidence that its
+    variance is smaller than that of uniform points, and ∫f²/p must be smaller than ∫f². The
+    effective number of uniform points (Σ|f|)²/Σf² must be at least 16, since peaks may be missed
+    otherwise.
     `mcspectra.improve.learned` describes the method of fitting.
 
     Examples
@@ -447,18 +462,23 @@ def learned_density(
         """Return f at points (k, d): (k, channels or 1)."""
         return integrand(x).reshape(len(x), -1)
 
-    # Divide the evaluations between the fit and sets of the sampler for each candidate
+    # Divide the evaluations between the fit, the choice and the check
     half, candidates = min(evaluations // 2, settings.most_fitted), 1 + len(LEARNED[kind])
-    allowed = (evaluations - half) // (settings.least_replicates * candidates)
-    size = min(n, max(allowed, 1))
-    while (count := source.nearest_count(size)) > allowed and size > 1:
-        size //= 2
-    if count > allowed or allowed < n / settings.fewest_divisor:
-        raise ParameterError(
-            f"{evaluations} evaluations are too few to compare {candidates} candidates by "
-            f"{settings.least_replicates} sets of n/{settings.fewest_divisor} points of {source.spec}, "
-            f"n = {n}, or more; give {4 * n} or more."
-        )
+    checked = (evaluations - half) // 2
+    least = (settings.least_replicates * candidates, 2 * settings.least_checks)
+    counts = []
+    for given_to, sets in zip((evaluations - half - checked, checked), least, strict=True):
+        allowed = given_to // sets
+        size = min(n, max(allowed, 1))
+        while (count := source.nearest_count(size)) > allowed and size > 1:
+            size //= 2
+        if count > allowed or allowed < n / settings.fewest_divisor:
+            raise ParameterError(
+                f"{evaluations} evaluations are too few to compare {candidates} candidates and to "
+                f"check the best one by sets of n/{settings.fewest_divisor} points of {source.spec}, "
+                f"n = {n}, or more; give {8 * n} or more."
+            )
+        counts.append(count)
 
     # Fit the candidates to points of densities that follow f better and better
     made = list[Density]()
@@ -482,21 +502,70 @@ def learned_density(
         places = stream.generator(_PARTS)
         made.append(fit_splines(*seen, setting, defensive, places, settings=settings))
 
-    # Choose by the other evaluations
-    left = [Uniform(dims=d), *made]
-    replicates = (evaluations - half) // (count * len(left))
-    u = source.draw_stream(count, stream.child(1), 0, replicates).reshape(-1, d)
-    means = []
-    for p in left:
+    def ratios_at(p: Density, count: int, replicates: int, label: int) -> tuple[Array, Array]:
+        """Return points (replicates, count, d) with density p, and f/p there."""
+        u = source.draw_stream(count, stream.child(label), 0, replicates).reshape(-1, d)
         x, pdf = p.sample_pdf(u)
         ratio = values_at(x) / pdf[:, None]
-        means.append(ratio.reshape(replicates, count, -1).mean(axis=1))
-    scale = np.abs(means).max() or 1.0  # squares of 1e200 would overflow
-    variances = (np.array(means) / scale).var(axis=1, ddof=1).sum(axis=-1)
+        return x, ratio.reshape(replicates, count, -1)
+
+    def variances_of(ratios: Sequence[Array]) -> Array:
+        """Return the variance over realizations for each density; units of f cancel in ratios."""
+        means = np.array([ratio.mean(axis=1) for ratio in ratios])
+        scale = np.abs(means).max() or 1.0  # squares of 1e200 would overflow
+        return np.asarray((means / scale).var(axis=1, ddof=1).sum(axis=-1))
+
+    # Choose by the next evaluations
+    uniform, count = Uniform(dims=d), counts[0]
+    replicates = (evaluations - half - checked) // (count * candidates)
+    left = [uniform, *made]
+    variances = variances_of([ratios_at(p, count, replicates, 1)[1] for p in left])
     place = int(np.argmin(variances))
     best = left[place if variances[place] < settings.most_ratio * variances[0] else 0]
+    no_gain = (
+        f"no candidate has less than {settings.most_ratio:g} of the variance of uniform points"
+    )
+
+    # Check the choice on fresh points: the variances of sets, and the mean squares of single points.
+    # A peak that the fit has missed may lie in none of the sets of p, but then raises ∫f²/p. If few
+    # of the uniform points meet what f has, other peaks may be missed by all points
+    if best is not uniform:
+        from scipy.special import fdtri
+
+        count = counts[1]
+        replicates = checked // (2 * count)
+        both = [ratios_at(p, count, replicates, 2) for p in (best, uniform)]
+        after, before = variances_of([ratio for _, ratio in both])
+        most = float(fdtri(replicates - 1, replicates - 1, 0.95))
+        x = np.concatenate([points for points, _ in both])
+        pdf = best.pdf(x)
+        f_at = np.concatenate([ratio.reshape(len(points), -1) for points, ratio in both])
+        f_at[: len(x) // 2] *= pdf[: len(x) // 2, None]
+        scale = np.abs(f_at).max() or 1.0
+        f_at /= scale
+        squares = (f_at**2).sum(axis=1) / (0.5 * (1.0 + pdf))
+        met = np.concatenate([seen[1][: sizes[0]] / scale, f_at[len(x) // 2 :]])
+        met = np.abs(met).sum(axis=1)
+        effective = met.sum() ** 2 / max((met**2).sum(), 1e-300)
+        if effective < settings.least_effective:
+            best = uniform
+            no_gain = (
+                f"only about {effective:.0f} of {len(met)} uniform points met its peaks, and others "
+                "may be missed"
+            )
+        elif not (after * most < before and (squares / pdf).sum() < squares.sum()):
+            best = uniform
+            no_gain = (
+                f"{2 * replicates * count} fresh evaluations do not confirm that the best candidate "
+                "has less variance than uniform points"
+            )
     report(f"density of {integrand.spec}", 1.0)
     if not isinstance(best, SplineDensity):
+        warn(
+            f"The density of {integrand.spec} is uniform: {no_gain}; use uniform points, or give "
+            f"more than {evaluations} evaluations.",
+            NoGainWarning,
+        )
         if chosen is None:
             return best
         best = SplineDensity(

@@ -64,6 +64,9 @@ class SearchSettings:
     members: int = 1024
     # Most values of a table of all members at the points of a grid: 128 MB in single precision.
     table_values: int = 2**25
+    # Whether a usual sampler that has less variance is returned instead of the design. Without it,
+    # designs of one kind can be compared with designs of another kind.
+    return_rival: bool = True
     # Points at which members are evaluated at once: 64 MB in double precision for 1024 members.
     block: int = 2**13
     # Points and members with which the searches of nets, and of lattices in three dims or more,
