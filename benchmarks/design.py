@@ -3,10 +3,10 @@
 For each class, dims and n the kinds that may do are searched; the one with the least variance over 400
 members is measured over 2,000 others, in 20 groups, each with 32 realizations of its own. Rivals: sobol |
 owen, pmj02, shifted Korobov, rank-1 and Fibonacci lattices, and, where ``MCSPECTRA_NETS`` names a
-folder with their files of direction numbers, OneTwo and quad-optimised nets (base 3) with owen.
+folder with their files of direction numbers, OneTwo and quad-optimized nets (base 3) with owen.
 
 The last lines compare with folded lattices, on Gaussians of random orientation. A few narrow members have
-half of the mean variance, so that 20,000 members with 128 realisations for each group are measured.
+half of the mean variance, so that 20,000 members with 128 realizations for each group are measured.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
 p normal about ½ with σ = 0.02, ∫f²/p is 4e131, and 99.8 % of it come from x within 0.005 of the
 ends, where one sample in 3e134 falls.
 
-Where f grows without bound towards a face of the cube, the outermost stratum makes most of the
+Where f grows without bound toward a face of the cube, the outermost stratum makes most of the
 variance of stratified points. With f ∝ t^−κ at the distance t, the error of a set is that of the
 variable u^−κ, u uniform, whatever the scale. Student's t for few such errors is skewed, and its
 quantiles depend on κ and on the number of sets alone: `growing_interval` takes them from samples.
@@ -91,7 +91,7 @@ TAIL_SETTINGS = TailSettings()
 @final
 @dataclass(frozen=True)
 class BorderGrowth:
-    """Growth of f towards a face of the cube, about as t^−κ with the distance t.
+    """Growth of f toward a face of the cube, about as t^−κ with the distance t.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ class BorderGrowth:
 def border_growth(
     points: Array, values: Array, settings: TailSettings = TAIL_SETTINGS
 ) -> list[BorderGrowth]:
-    """Faces towards which f grows, from its values (N,) at points (N, d).
+    """Faces toward which f grows, from its values (N,) at points (N, d).
 
     c + b (t^−κ − 1)/κ is fitted to the values that are closest to each face, with errors
     proportional to the distance of a value from the median.

@@ -9,7 +9,7 @@ points are the first ones of the sets that follow: prefixes of a randomized sequ
 The interval is the hull of Student's t and of Hall's transform of it (`mean_interval`): of 300 seeds at 256
 calls it holds the integral of x^−½ in 88 % (74 % by Student's t alone) and that of e^(x + y) in 97 % (96 %).
 
-Where f grows without bound towards a face of the cube, the errors of strata follow a law of their own,
+Where f grows without bound toward a face of the cube, the errors of strata follow a law of their own,
 whose quantiles replace those of Student's t where they are wider (`estimators/tails.py`).
 
 Both are asymptotic in R, and eight replicates are the least. Events with a probability below 1/R
@@ -155,7 +155,7 @@ def integrate(
         all replicates, which are as often too large as too small), ``calls`` that were made, ``skipped`` calls that failed,
         ``replicates``, ``n`` points of each, and ``rate``, of the variance as it was measured for the
         split, NaN where it was not. The interval is infinite where all replicates are alike, where f
-        grows towards a face of the cube so fast that its variance is infinite, and where a few
+        grows toward a face of the cube so fast that its variance is infinite, and where a few
         values hold most of the variance; the attribute ``note`` says why. Slower growth makes the interval wider to the side of the growth.
 
     Warns
