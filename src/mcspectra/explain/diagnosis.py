@@ -6,14 +6,10 @@ integrand g that is odd about the center of the cube, are two more reasons.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
 
 from mcspectra.core.errors import McspectraError
-from mcspectra.core.fits import UNRESOLVED, is_resolved
 from mcspectra.core.streams import Stream
 from mcspectra.core.tally import counting
 from mcspectra.estimators import AbstractEstimator
@@ -71,23 +67,25 @@ class Diagnosis:
             )
         return " ".join(found)
 
-    def reason(self, column: Mapping[str, Any]) -> str:
-        """Why a measured change is better, or how the measurement ended if it is not."""
-        if column["verdict"] == "given":
-            return ""
-        if column["blind"]:
-            return "Its estimates are all alike and miss the integral: what is rare was not met."
-        if column["verdict"] == "undecided":
-            return "Its interval does not tell it from the set-up as given."
-        if column["verdict"] == "worse":
-            return f"Its {'mean squared error' if column['biased'] else 'variance'} is larger."
+    def removes(
+        self, kind: str, name: str, *, biased: bool, unbounded: bool, jumps: bool | None
+    ) -> str:
+        """Which cause a better change removes; empty if none is known.
 
+        Parameters
+        ----------
+        kind, name, biased
+            Those of the `mcspectra.improve.answers.Candidate`.
+        unbounded, jumps
+            For other warps: whether ∫1/p diverges, and whether g jumps inside, None if it was not
+            tested.
+        """
         # The cause that this kind of change removes
-        name, inside = str(column["name"]), _jumps(self.causes)
+        inside = _jumps(self.causes)
         wrapped = any(cause.name == "border-jump" for cause in self.causes)
         odd = f"{100 * (self.odd or 0.0):.0f} % of the variance of g"
         uniform = name.endswith("uniform")
-        match column["kind"]:
+        match kind:
             case "mirrored" if uniform and (self.odd or 0.0) >= _SETTINGS.mostly:
                 return f"g is odd about the center ({odd}): the images of a sample cancel it."
             case "unshifted" if wrapped:
@@ -103,13 +101,13 @@ class Diagnosis:
                     "Strata that stay where they are do not wrap around the jump between opposite "
                     "sides."
                 )
-            case "smoothed" if inside and column["biased"]:
+            case "smoothed" if inside and biased:
                 return "The jump inside becomes a ramp, for a bias that the mean squared error contains."
             case "smoothed" if inside:
                 return "The jump inside becomes a ramp; means over boxes keep the integral."
-            case "warp" if self.unbounded and not column["unbounded"]:
+            case "warp" if self.unbounded and not unbounded:
                 return "Its 1/p is bounded."
-            case "warp" if inside and column["jumps"] is False:
+            case "warp" if inside and jumps is False:
                 return "Its g does not jump inside."
             case "fitted":
                 return "Its density is large where g is, as a pilot showed."
@@ -133,13 +131,7 @@ class Diagnosis:
                 return "No channel is left to the samples of a density of another shape."
             case "channels":
                 return "Each channel is divided by a density of its own shape."
-        if math.isnan(column["rate"]):
-            return ""
-        if not is_resolved(*column["rate_ci"]):
-            return f"Its rate is {UNRESOLVED}."
-        if column["rate_verdict"] == "better":
-            return f"Its rate is better, {column['rate']:.2f}."
-        return "By how much its rate differs, the intervals leave open."
+        return ""
 
 
 def diagnose(

@@ -1,8 +1,8 @@
 """Candidates: set-ups of an estimator and a sampler that differ from the given one in one respect.
 
-A *kind* of change is a function that takes the given set-up and yields offers, each with an
-imperative that describes the change. A kind that has nothing to offer raises the reason.
-`other_setups` makes the set-ups.
+A *kind* of change is a function that takes the given set-up and yields candidates, each with an
+imperative that describes the change. A kind that has none raises the reason. `candidates_of` goes
+through the kinds.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ from mcspectra.estimators.heuristics import HEURISTICS, as_heuristic
 from mcspectra.estimators.mirrored import MIRRORINGS
 from mcspectra.explain.diagnosis import jumps_inside
 from mcspectra.improve.alignment import aligned, best_alignment
-from mcspectra.improve.improved import CHANGES, Cubic, evaluated, improvements
+from mcspectra.improve.answers import Candidate
+from mcspectra.improve.improved import CHANGES, Cubic, Evaluations, evaluated, improvements
 from mcspectra.improve.variants import smoothing_scan
 from mcspectra.integrands.smoothing import BoxSmoothed, smoothed
 from mcspectra.measure.setup import Setup, affordable_count
@@ -43,10 +44,9 @@ from mcspectra.samplers.stratified import root
 __all__ = [
     "KINDS",
     "Budget",
-    "Candidate",
     "CandidateSettings",
     "Kind",
-    "other_setups",
+    "candidates_of",
 ]
 
 # Stream label of pilots; the labels 0 and 1 are of the searches for a width and for an offset
@@ -112,38 +112,12 @@ class Budget:
     realizations: int  # number of estimates of each measurement
     stream: Stream  # the search's own random numbers: the chosen change is measured again on others
     settings: CandidateSettings = _SETTINGS
+    # Evaluations of g at uniform points that were needed anyway; else fits take a pilot
+    seen: Evaluations | None = None
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """A set-up that differs from the given one in one respect."""
-
-    kind: str  # one of `KINDS`, or ``"given"``
-    name: str  # short label, unique among those compared
-    change: str  # an imperative that describes the change
-    setup: Setup  # the changed set-up
-    # Whether it estimates another integral, so that the error is taken about the given integral
-    biased: bool = False
-
-    @property
-    def key(self) -> str:
-        """Return a text that is the same for changes that make the same set-up."""
-        specs = f"{self.setup.estimator.spec} with {self.setup.sampler.spec}"
-        return specs if self.setup.at_count is None else f"{specs}, {self.name}"
-
-
-@dataclass(frozen=True)
-class _Offer:
-    """A change that a kind offers."""
-
-    name: str
-    change: str  # an imperative that describes the change
-    make: Callable[[], AbstractEstimator | Sampler | Setup]  # may raise the reason
-    biased: bool = False
-
-
-_Offers: TypeAlias = Iterator[_Offer | str]
-"""Offers, and sentences with the reason why another change cannot be made or has no effect."""
+_Candidates: TypeAlias = Iterator[Candidate | str]
+"""Candidates, and sentences with the reason why another change cannot be made or has no effect."""
 
 Kind: TypeAlias = Literal[
     "unshifted",
@@ -165,7 +139,7 @@ Kind: TypeAlias = Literal[
 """Kinds of change, in the order in which they are tried."""
 
 
-def other_setups(given: Setup, kinds: Sequence[Kind], budget: Budget) -> Iterator[Candidate | str]:
+def candidates_of(given: Setup, kinds: Sequence[Kind], budget: Budget) -> _Candidates:
     """Yield the candidates of the given kinds in order, each once, and ``name: reason`` of others.
 
     If a kind raises an error, the error is the reason. A change of the estimator inside a mirrored
@@ -177,38 +151,55 @@ def other_setups(given: Setup, kinds: Sequence[Kind], budget: Budget) -> Iterato
         outer = own if isinstance(own, Mirrored) and kind in _INSIDE else None
         inner = given if outer is None else replace(given, estimator=outer.estimator)
         try:
-            for offer in KINDS[kind](inner, budget):
-                if isinstance(offer, str):
-                    yield offer
+            for found in KINDS[kind](inner, budget):
+                if isinstance(found, str):
+                    yield found
                     continue
+                made, setup = found, found.setup
                 try:
-                    made = offer.make()
-                    if isinstance(made, AbstractEstimator):
-                        made = replace(inner, estimator=made)
-                    setup = made if isinstance(made, Setup) else replace(inner, sampler=made)
                     if outer is not None:
                         setup = replace(setup, estimator=Mirrored(setup.estimator, outer.mode))
+                        made = replace(found, setup=setup)
                     # This raises an error if there are no such points
                     setup.estimator.randomized(setup.sampler)
                 except McspectraError as error:
-                    yield f"{offer.name}: {error}"
+                    yield f"{made.name}: {error}"
                     continue
-                found = Candidate(kind, offer.name, offer.change, setup, offer.biased)
-                if found.key not in seen:
-                    yield found
-                seen.add(found.key)
+                if made.key not in seen:
+                    yield made
+                seen.add(made.key)
         except McspectraError as error:
             yield f"{kind}: {error}"
 
 
-def leave_shift_out(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
+def _candidate(
+    given: Setup,
+    kind: Kind,
+    name: str,
+    change: str,
+    make: Callable[[], AbstractEstimator | Sampler | Setup],
+    *,
+    biased: bool = False,
+) -> Candidate | str:
+    """The candidate with the estimator, sampler or set-up that `make` gives, or why there is none."""
+    try:
+        made = make()
+    except McspectraError as error:
+        return f"{name}: {error}"
+    if isinstance(made, AbstractEstimator):
+        made = replace(given, estimator=made)
+    setup = made if isinstance(made, Setup) else replace(given, sampler=made)
+    return Candidate(kind, name, change, setup, biased)
+
+
+def leave_shift_out(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
     """Offer the sampler without its shift."""
     plain = _without_shift(given.sampler)
     if plain is None:
         raise ParameterError(f"{given.sampler.spec} has no shift to leave out.")
     if not plain.unbiased:
         raise ParameterError(f"{plain.spec} is biased without its shift.")
-    yield _Offer("unshifted", "leave the shift out", lambda: plain)
+    yield _candidate(given, "unshifted", "unshifted", "leave the shift out", lambda: plain)
 
 
 def _without_shift(sampler: Sampler) -> Sampler | None:
@@ -221,7 +212,7 @@ def _without_shift(sampler: Sampler) -> Sampler | None:
     return plain
 
 
-def align_strata(given: Setup, budget: Budget) -> _Offers:
+def align_strata(given: Setup, budget: Budget) -> _Candidates:
     """Offer strata with borders at known edges, and the best offset of strata at the budget."""
     plain = _without_shift(given.sampler) or given.sampler
     law = plain.law(plain.nearest_count(2**plain.dims))
@@ -242,7 +233,7 @@ def align_strata(given: Setup, budget: Budget) -> _Offers:
         return replace(given, sampler=plain, at_count=at)
 
     change = "bend the strata so that their borders are at the edges"
-    yield _Offer("aligned with edges", change, at_edges)
+    yield _candidate(given, "aligned", "aligned with edges", change, at_edges)
 
     # Search the best offset
     if given.is_black_box:
@@ -267,10 +258,12 @@ def align_strata(given: Setup, budget: Budget) -> _Offers:
     shown = ", ".join(f"{o:.3g}" for o in offset)
     step = StrataShift(offset=tuple(offset) if len(offset) > 1 else offset[0])
     change = f"move the strata by {shown} of their sides"
-    yield _Offer(f"strata moved by {shown}", change, partial(plain.then, step))
+    yield _candidate(
+        given, "aligned", f"strata moved by {shown}", change, partial(plain.then, step)
+    )
 
 
-def mirror(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
+def mirror(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
     """Offer all ways of mirroring."""
     if isinstance(given.estimator, Mirrored):
         raise ParameterError(f"{given.estimator.spec} is mirrored already.")
@@ -281,17 +274,17 @@ def mirror(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
     }
     for mode in MIRRORINGS:
         make = partial(Mirrored, given.estimator, mode)
-        yield _Offer(f"mirrored: {mode}", changes[mode], make)
+        yield _candidate(given, "mirrored", f"mirrored: {mode}", changes[mode], make)
 
 
-def change_sampler(given: Setup, budget: Budget) -> _Offers:
+def change_sampler(given: Setup, budget: Budget) -> _Candidates:
     """Offer samplers of all families."""
     for spec in budget.settings.samplers:
         make = partial(make_sampler, spec, given.estimator.dims)
-        yield _Offer(spec, f"sample with {spec}", make)
+        yield _candidate(given, "sampler", spec, f"sample with {spec}", make)
 
 
-def change_heuristic(given: Setup, budget: Budget) -> _Offers:
+def change_heuristic(given: Setup, budget: Budget) -> _Candidates:
     """Offer other heuristics for the techniques."""
     estimator = given.estimator
     if not isinstance(estimator, Weighted):
@@ -306,20 +299,20 @@ def change_heuristic(given: Setup, budget: Budget) -> _Offers:
             )
             continue
         change = f"combine the techniques by {as_heuristic(name).spec}"
-        yield _Offer(f"heuristic: {name}", change, make)
+        yield _candidate(given, "heuristic", f"heuristic: {name}", change, make)
 
 
-def single_techniques(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
+def single_techniques(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
     """Offer each technique alone."""
     estimator = given.estimator
     if not isinstance(estimator, Weighted) or len(estimator.counts) < 2:
         raise ParameterError(f"{estimator.spec} has one technique only.")
     for technique in range(len(estimator.counts)):
         make, name = partial(estimator.alone, technique), estimator.technique_name(technique)
-        yield _Offer(f"only {name}", f"sample {name} alone", make)
+        yield _candidate(given, "techniques", f"only {name}", f"sample {name} alone", make)
 
 
-def compensate(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
+def compensate(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
     """Offer tables without the part that the other techniques sample ([Karlik2019]_)."""
     estimator = given.estimator
     if not isinstance(estimator, MultipleImportance) or len(estimator.densities) < 2:
@@ -342,12 +335,16 @@ def compensate(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
         if isinstance(density, PiecewiseConstant | ImageDensity | EnvironmentDensity):
             name = f"the table of technique {technique}"
             change = f"leave out of {name} what the other techniques sample often enough"
-            yield _Offer(
-                f"compensated: technique {technique}", change, partial(sharpened, technique)
+            yield _candidate(
+                given,
+                "compensated",
+                f"compensated: technique {technique}",
+                change,
+                partial(sharpened, technique),
             )
 
 
-def change_warp(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
+def change_warp(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
     """Offer the same density by other warps, other densities, and the uniform density."""
     estimator = given.estimator
     density = estimator.density if isinstance(estimator, Estimator) else None
@@ -365,12 +362,14 @@ def change_warp(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
         others.append(Defensive(density=density))
     for other in others:
         make = partial(Estimator, estimator.integrand, other)
-        yield _Offer(f"density: {other.spec}", f"warp by {other.spec}", make)
+        yield _candidate(given, "warp", f"density: {other.spec}", f"warp by {other.spec}", make)
     change = "sample uniformly, without importance sampling"
-    yield _Offer("uniform density", change, partial(Estimator, estimator.integrand))
+    yield _candidate(
+        given, "warp", "uniform density", change, partial(Estimator, estimator.integrand)
+    )
 
 
-def smooth_edges(given: Setup, budget: Budget) -> _Offers:
+def smooth_edges(given: Setup, budget: Budget) -> _Candidates:
     """Offer the width with the least error at the budget, by a scan with own random numbers."""
     estimator = given.estimator
     n = affordable_count(given, budget.evaluations)
@@ -398,10 +397,10 @@ def smooth_edges(given: Setup, budget: Budget) -> _Offers:
     biased = not isinstance(f, BoxSmoothed)  # means over boxes keep the integral
     change = f"smooth the edges of f over a width of {width:.3g}"
     make = partial(Estimator, f, estimator.density)
-    yield _Offer(f"smoothed by {width:.3g}", change, make, biased)
+    yield _candidate(given, "smoothed", f"smoothed by {width:.3g}", change, make, biased=biased)
 
 
-def separate_channels(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
+def separate_channels(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
     """Offer densities for each channel."""
     estimator = given.estimator
     density: Any = estimator.density if isinstance(estimator, Estimator) else None
@@ -420,29 +419,30 @@ def separate_channels(given: Setup, budget: Budget) -> _Offers:  # noqa: ARG001
         ("shared", shared, partial(ChannelSampling, f, own, sets="shared")),
         ("combined", combined, partial(MultipleImportance, f, own)),
     ):
-        yield _Offer(f"channels: {name}", change, make)
+        yield _candidate(given, "channels", f"channels: {name}", change, make)
 
 
-def improve(kind: str, given: Setup, budget: Budget) -> _Offers:
-    """Offer the changes of g that a pilot suggests; its evaluations are part of the budget."""
-    settings, each = budget.settings, given.estimator.evaluations_per_point
-    count = min(budget.evaluations // settings.pilot_divisor, settings.most_pilot) // each
-    if count < settings.least_pilot:
-        raise ParameterError(
-            f"A pilot of {max(count, 0)} points is too small; give a budget of at least "
-            f"{settings.least_pilot * settings.pilot_divisor * each} evaluations."
-        )
-    stream = budget.stream.child(_PILOTS)
-    seen = evaluated(given.estimator, count, stream, adapt=kind == "fitted")
-    charged = given.overhead + count * each
-    found = list(improvements(given.estimator, seen, [kind], charged=charged))
+def improve(kind: Kind, given: Setup, budget: Budget) -> _Candidates:
+    """Offer the changes of g that evaluations suggest: those known, or a pilot in the budget."""
+    seen, charged = budget.seen, 0
+    if seen is None:
+        settings, each = budget.settings, given.estimator.evaluations_per_point
+        count = min(budget.evaluations // settings.pilot_divisor, settings.most_pilot) // each
+        if count < settings.least_pilot:
+            raise ParameterError(
+                f"A pilot of {max(count, 0)} points is too small; give a budget of at least "
+                f"{settings.least_pilot * settings.pilot_divisor * each} evaluations."
+            )
+        stream = budget.stream.child(_PILOTS)
+        seen = evaluated(given.estimator, count, stream, adapt=kind == "fitted")
+        charged = given.overhead + count * each
+    found = list(improvements(given, seen, [kind], charged=charged))
     if not found:
-        raise ParameterError(f"{count} evaluations of a pilot show no gain by it.")
-    for made in found:
-        yield _Offer(made.name, made.change, lambda e=made.estimator: e)  # type: ignore[misc]
+        raise ParameterError(f"{len(seen.points)} evaluations show no gain by it.")
+    yield from found
 
 
-def stratify_cubes(given: Setup, budget: Budget) -> _Offers:
+def stratify_cubes(given: Setup, budget: Budget) -> _Candidates:
     """Offer cubic stratification ([Chopin2024]_) of orders 3 and 4.
 
     Orders 1 and 2 are samplers: ``jittered`` and ``antithetic-jittered``.
@@ -459,10 +459,10 @@ def stratify_cubes(given: Setup, budget: Budget) -> _Offers:
 
     for order in (3, 4):
         change = f"subtract polynomials of degree {order - 1} in the cells of jittered points"
-        yield _Offer(f"cubic: order {order}", change, partial(of_order, order))
+        yield _candidate(given, "cubic", f"cubic: order {order}", change, partial(of_order, order))
 
 
-KINDS: Mapping[Kind, Callable[[Setup, Budget], _Offers]] = {
+KINDS: Mapping[Kind, Callable[[Setup, Budget], _Candidates]] = {
     "unshifted": leave_shift_out,
     "mirrored": mirror,
     "aligned": align_strata,

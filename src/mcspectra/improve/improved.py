@@ -33,16 +33,17 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.densities import Density
 from mcspectra.estimators import AbstractEstimator, Estimator
+from mcspectra.improve.answers import Candidate
 from mcspectra.improve.learned import LearnSettings, fit_splines, in_rounds
 from mcspectra.integrands import integral_accuracy
 from mcspectra.integrands.base import Breaks, Derived, Estimate, Integrand
+from mcspectra.measure.setup import Setup
 
 __all__ = [
     "CHANGES",
     "ChangeSettings",
     "Cubic",
     "Evaluations",
-    "Improvement",
     "RegressionSettings",
     "evaluated",
     "improvements",
@@ -208,35 +209,6 @@ class Evaluations:
         return float(np.average((rest**2).sum(axis=1), weights=weight))
 
 
-@final
-@dataclass(frozen=True)
-class Improvement:
-    """A changed estimator.
-
-    Attributes
-    ----------
-    kind
-        One of `CHANGES`.
-    name, change
-        A short label, and an imperative.
-    estimator
-        The changed estimator of the same integral.
-    ratio
-        Variance of the changed estimator over the variance of the given one at equal cost, with
-        random points. For *order*, ratio of the variance without main effects, which nets do not
-        remove. It is computed from evaluations that were not used in the fit.
-    finite_below
-        If g grows as t^−a at the border, the variance is finite for a below this number.
-    """
-
-    kind: str
-    name: str
-    change: str
-    estimator: Estimator
-    ratio: float
-    finite_below: float
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Changed(Derived):
     """A changed g with the same integral."""
@@ -246,7 +218,7 @@ class _Changed(Derived):
 
     @property
     def finite_below(self) -> float:
-        """See `Improvement`."""
+        """See `mcspectra.improve.answers.Candidate`."""
         return 0.5
 
     @property
@@ -708,19 +680,23 @@ CHANGES: dict[str, Callable[[Integrand, Evaluations, ChangeSettings], _Found]] =
 
 
 def improvements(
-    estimator: AbstractEstimator,
+    given: Setup,
     seen: Evaluations,
     kinds: Sequence[str] = tuple(CHANGES),
     *,
     charged: int = 0,
     settings: ChangeSettings = _SETTINGS,
-) -> Iterator[Improvement]:
+) -> Iterator[Candidate]:
     """Yield changed estimators of the same integral, without new evaluations of g.
+
+    Their expected ratios of variances are for random points. For *order* it is the ratio of the
+    variances without main effects, which nets do not remove. They are computed from evaluations
+    that were not used in the fit.
 
     Parameters
     ----------
-    estimator
-        An estimator of one technique.
+    given
+        A set-up with an estimator of one technique.
     seen
         Evaluations of its `primary_integrand`; all kinds but ``fitted`` take uniform points.
     kinds
@@ -735,7 +711,7 @@ def improvements(
     ParameterError
         Several techniques, or too few evaluations.
     """
-    g = _single(estimator)
+    g = _single(given.estimator)
     if len(seen.points) < 2 * _REGRESSION.evaluations_per_term:
         raise ParameterError(f"{len(seen.points)} evaluations are too few to fit anything.")
     for kind in kinds:
@@ -743,7 +719,15 @@ def improvements(
             if left < settings.most_left:
                 own = replace(changed, pilot_evaluations=charged)
                 cost = own.evaluations_per_point / g.evaluations_per_point
-                yield Improvement(kind, name, change, Estimator(own), left * cost, own.finite_below)
+                setup = replace(given, estimator=Estimator(own))
+                yield Candidate(
+                    kind,
+                    name,
+                    change,
+                    setup,
+                    ratio=left * cost,
+                    finite_below=own.finite_below,
+                )
 
 
 def evaluated(

@@ -1,18 +1,17 @@
 """Remedies: changes that lower an estimator's noise at a budget, measured, ranked and explained.
 
 Every candidate (`mcspectra.improve.candidates`) is run at the same budgets of integrand evaluations
-and on the same random numbers as the given set-up. It is compared with the given set-up realization
-by realization, by influences (docs/theory.md, "Intervals of variances, and stopping"). Intervals of
-all comparisons hold together: a remedy is recommended only if its interval excludes the given
-set-up. If all estimates are equal, either the estimator has no variance, or no estimate has hit a
-rare event. If equal estimates differ from the integral, their error is unknown (NaN), not 0.
+and on the same random numbers as the given set-up (`mcspectra.improve.assess`). Intervals of all
+comparisons hold together: a remedy is recommended only if its interval excludes the given
+set-up.
 """
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, final
 
 import numpy as np
@@ -21,17 +20,15 @@ from msgspec import Meta
 from mcspectra.core.analysis import Counted, Need, Reduction, Subject
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import BudgetError, McspectraError, ParameterError
-from mcspectra.core.fits import RateFit, fit_rate, is_resolved, widening
+from mcspectra.core.fits import UNRESOLVED, is_resolved
 from mcspectra.core.memory import memory_of
-from mcspectra.core.ordered import weighted_sum
-from mcspectra.core.parallel import Block, realization_blocks
-from mcspectra.core.results import dataset
+from mcspectra.core.results import dataset, strict_json
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.core.tally import counting
-from mcspectra.estimators import AbstractEstimator
-from mcspectra.estimators.moments import rounding_floor, variance_interval
 from mcspectra.explain.diagnosis import Diagnosis, diagnose, jumps_inside
-from mcspectra.improve.candidates import KINDS, Budget, Candidate, Kind, other_setups
+from mcspectra.improve.answers import Answer, Candidate, simultaneous_z
+from mcspectra.improve.assess import Assessed, Errors, assessed, estimates_of
+from mcspectra.improve.candidates import KINDS, Budget, Kind, candidates_of
 from mcspectra.measure.doors import answer
 from mcspectra.measure.setup import Setup, affordable_count
 from mcspectra.samplers import Sampler
@@ -39,18 +36,7 @@ from mcspectra.samplers import Sampler
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "Comparison",
-    "Errors",
-    "Remedies",
-    "RemedySettings",
-    "Trial",
-    "compare",
-    "estimates_of",
-    "ranked",
-    "remedies",
-    "simultaneous_z",
-]
+__all__ = ["Remedies", "RemedySettings", "ranked", "remedies"]
 
 
 @final
@@ -80,11 +66,6 @@ class RemedySettings:
     # Number of standard errors of such an integral that are allowed if they exceed
     # `quadrature_tolerance`. A normal error is beyond 4 standard errors with probability 6e-5.
     sigmas: float = 4.0
-    # Weight, in realizations, of the prior belief that estimates are normal, so that Var(ψ) = 2. It
-    # is used in the fit of rates; comparisons do not use it. At 100 realizations it reduces the
-    # scatter of standard errors of normal estimates from 12 to 10 %; intervals cover 93 to 95 % for
-    # any prior from 0 to 40.
-    prior: int = 20
 
 
 _SETTINGS = RemedySettings()
@@ -103,7 +84,6 @@ _DIMS: dict[str, tuple[str, ...]] = {
     "cost": ("remedy", "step"),
     "error_at_cost": ("remedy", "step"),
 }
-_TEXTS = ("kind", "change", "verdict", "rate_verdict", "reason")
 
 
 @final
@@ -176,7 +156,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         def of_kind(index: int) -> _Trials:
             kinds = self._kinds[index - 1 : index] if index else ()
             tried, not_tried = [], list[str]()
-            changes = other_setups(given, kinds, search) if index else iter([start])
+            changes = candidates_of(given, kinds, search) if index else iter([start])
             with counting("This change", share if index else limit) as tally:
                 while True:
                     try:
@@ -210,9 +190,9 @@ class Remedies(Counted, frozen=True, kw_only=True):
         def result(found: _Trials) -> xr.Dataset:
             """Rank all set-ups by their variances; a set-up that two kinds make counts once."""
             assert found.diagnosis is not None
-            first: dict[str, Trial] = {}
-            for trial in found.tried:
-                first.setdefault(trial.setup, trial)
+            first: dict[str, tuple[Candidate, Errors]] = {}
+            for candidate, errors in found.tried:
+                first.setdefault(candidate.key, (candidate, errors))
             return ranked(list(first.values()), found.not_tried, self.budget, found.diagnosis)
 
         return Reduction(
@@ -223,7 +203,9 @@ class Remedies(Counted, frozen=True, kw_only=True):
             result=result,
         )
 
-    def _measured(self, change: Candidate, given: Setup, stream: Stream) -> Trial | None:
+    def _measured(
+        self, change: Candidate, given: Setup, stream: Stream
+    ) -> tuple[Candidate, Errors] | None:
         """Measure errors at counts that fit into the budgets; None for fewer than two counts."""
         setup = change.setup
         cost: list[int] = []
@@ -255,21 +237,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
             tolerance=tolerance,
             overhead=setup.overhead,
         )
-        warp = change.kind == "warp"
-        return Trial(
-            kind=change.kind,
-            name=change.name,
-            change=change.change,
-            setup=change.key,
-            biased=change.biased,
-            errors=errors,
-            unbounded=warp and setup.estimator.infinite_weights,
-            jumps=(
-                jumps_inside(setup.estimator, setup.sampler)
-                if warp and not setup.is_black_box
-                else None
-            ),
-        )
+        return change, errors
 
     @property
     def _kinds(self) -> tuple[Kind, ...]:
@@ -325,8 +293,9 @@ def remedies(
         ``rate`` and ``rate_ci``; ``rate_difference`` with ``rate_difference_ci``, likewise;
         ``rank_by_rate``. Coordinates: ``kind``, ``change`` (an imperative), ``verdict`` and
         ``rate_verdict`` (better, worse, undecided, given) and ``reason``. Variables on (remedy,
-        step): ``cost`` and ``error_at_cost``. The attributes ``diagnosis`` and ``recommendation``
-        are sentences, and ``not_tried`` lists changes that could not be tried, with reasons.
+        step): ``cost`` and ``error_at_cost``. The attributes ``diagnosis`` and ``answer`` are
+        sentences, ``best`` has the numbers of the answer as JSON, and ``not_tried`` lists changes
+        that could not be tried, with reasons.
 
     Raises
     ------
@@ -362,88 +331,132 @@ def remedies(
     return answer(Remedies, locals())
 
 
-@dataclass(frozen=True)
-class Trial:
-    """A set-up that was measured at up to five costs, and its errors."""
-
-    kind: str
-    name: str
-    change: str
-    setup: str  # specs of estimator and sampler, and the name of a change that depends on n
-    biased: bool
-    errors: Errors
-    # For other warps: whether ∫1/p diverges, and whether g jumps inside; None if it was not tested
-    unbounded: bool = False
-    jumps: bool | None = None
-    # Evaluations of a pilot beyond the budget, which are added to the budget of the given set-up
-    pilot: int = 0
-    note: str = ""  # a sentence after the reason
-
-    def column(self, reference: Errors, budget: int, z: float) -> dict[str, Any]:
-        """Return all results of the set-up, compared with the given set-up."""
-        errors, found = self.errors, compare(self.errors, reference, budget, self.pilot)
-        log_error, influence = errors.at(budget)
-        spread = max(math.sqrt(float(np.mean(influence**2)) / len(influence)), 1e-9)
-        fit = RateFit() if self.biased else errors.fit()
-        is_given = self.kind == "given"
-        ratio = _interval(found.log_ratio, z * found.log_ratio_se)
-        difference = math.nan if self.biased else found.rate_difference
-        slope = _interval(difference, z * found.rate_difference_se)
-        return {
-            **vars(self),
-            "blind": bool(errors.blind[-1]),
-            "error": math.exp(log_error),
-            "error_ci": variance_interval(
-                np.asarray(math.exp(log_error)), np.asarray(spread)
-            ).tolist(),
-            "error_ratio": math.exp(found.log_ratio),
-            "error_ratio_ci": [math.exp(b) for b in ratio],
-            "rate": fit.rate,
-            "rate_ci": list(fit.interval),
-            "rate_difference": difference,
-            "rate_difference_ci": slope,
-            "verdict": "given" if is_given else _verdict(ratio),
-            "rate_verdict": "given" if is_given else _verdict(slope),
-            "cost": _padded(errors.cost),
-            "error_at_cost": _padded(errors.error),
-        }
-
-
 def ranked(
-    tried: Sequence[Trial], not_tried: Sequence[str], budget: int, diagnosis: Diagnosis
+    measured: Sequence[tuple[Candidate, Errors]],
+    not_tried: Sequence[str],
+    budget: int,
+    diagnosis: Diagnosis,
 ) -> xr.Dataset:
-    """Compare all trials with the first, the given set-up, and sort them; see `remedies`."""
-    start = tried[0]
-    z = simultaneous_z(2 * (len(tried) - 1))  # one comparison of errors and one of rates each
-    columns = [t.column(start.errors, budget, z) for t in tried]
-    columns.sort(key=lambda c: float(np.nan_to_num(c["error_ratio"], nan=np.inf)))
-    for column in columns:
-        column["reason"] = " ".join(filter(None, [diagnosis.reason(column), column["note"]]))
-    by_rate = np.argsort(np.argsort([np.nan_to_num(c["rate"], nan=np.inf) for c in columns]))
+    """Compare all candidates with the first, the set-up as given, and sort them; see `remedies`."""
+    found = assessed(measured, budget)
+    given = found[0]
+    found.sort(key=lambda each: float(np.nan_to_num(each.ratio, nan=np.inf)))
+    rates = [each.result.rate for each in found]
+    by_rate = np.argsort(np.argsort(np.nan_to_num(rates, nan=np.inf)))
+    reasons = {each.result.name: _reason(each, diagnosis) for each in found}
+    said = _answer(found, given, budget, reasons, diagnosis, not_tried)
+    numbers = {
+        "error": [each.error for each in found],
+        "error_ci": [each.error_ci for each in found],
+        "error_ratio": [each.ratio for each in found],
+        "error_ratio_ci": [each.ratio_ci for each in found],
+        "rate": rates,
+        "rate_ci": [each.result.rate_ci for each in found],
+        "rate_difference": [each.rate_difference for each in found],
+        "rate_difference_ci": [each.rate_difference_ci for each in found],
+        "cost": [_padded(each.errors.cost) for each in found],
+        "error_at_cost": [_padded(each.errors.error) for each in found],
+    }
+    texts = {
+        "kind": [each.candidate.kind for each in found],
+        "change": [each.candidate.change for each in found],
+        "verdict": [each.result.verdict for each in found],
+        "rate_verdict": [each.rate_verdict for each in found],
+        "reason": list(reasons.values()),
+    }
     return dataset(
         {
-            **{n: (dims, np.array([c[n] for c in columns])) for n, dims in _DIMS.items()},
+            **{name: (dims, np.array(numbers[name])) for name, dims in _DIMS.items()},
             "rank_by_rate": (("remedy",), by_rate + 1),
         },
         {
-            "remedy": [c["name"] for c in columns],
-            **{name: ("remedy", [c[name] for c in columns]) for name in _TEXTS},
+            "remedy": [each.result.name for each in found],
+            **{name: ("remedy", values) for name, values in texts.items()},
             "bound": ["low", "high"],
             "step": np.arange(_SETTINGS.steps),
         },
-        simultaneous_z=z,
+        simultaneous_z=simultaneous_z(2 * (len(measured) - 1)),
         diagnosis=diagnosis.text,
-        recommendation=_recommendation(columns, budget, not_tried),
+        answer=str(said),
+        best=json.dumps(strict_json(said.best.to_dict())),
         not_tried=list(not_tried),
-        given_error=float(start.errors.error[-1]),
+        given_error=float(given.errors.error[-1]),
     )
+
+
+def _reason(each: Assessed, diagnosis: Diagnosis) -> str:
+    """Why a candidate is better, or how the measurement ended if it is not."""
+    candidate, setup = each.candidate, each.candidate.setup
+    if each.result.verdict == "given":
+        found = ""
+    elif each.blind:
+        found = "Its estimates are all alike and miss the integral: what is rare was not met."
+    elif each.result.verdict == "undecided":
+        found = "Its interval does not tell it from the set-up as given."
+    elif each.result.verdict == "worse":
+        found = f"Its {'mean squared error' if candidate.biased else 'variance'} is larger."
+    else:
+        warp = candidate.kind == "warp" and not setup.is_black_box
+        found = diagnosis.removes(
+            candidate.kind,
+            candidate.name,
+            biased=candidate.biased,
+            unbounded=candidate.kind == "warp" and setup.estimator.infinite_weights,
+            jumps=jumps_inside(setup.estimator, setup.sampler) if warp else None,
+        )
+        if not found and not math.isnan(each.result.rate):
+            if not is_resolved(*each.result.rate_ci):
+                found = f"Its rate is {UNRESOLVED}."
+            elif each.rate_verdict == "better":
+                found = f"Its rate is better, {each.result.rate:.2f}."
+            else:
+                found = "By how much its rate differs, the intervals leave open."
+    return " ".join(filter(None, [found, candidate.note]))
+
+
+def _answer(
+    found: Sequence[Assessed],
+    given: Assessed,
+    budget: int,
+    reasons: Mapping[str, str],
+    diagnosis: Diagnosis,
+    not_tried: Sequence[str],
+) -> Answer:
+    """The answer that the intervals support."""
+    results = [given.result, *(each.result for each in found if each is not given)]
+    said: dict[str, Any] = {"causes": tuple(diagnosis.causes), "not_tried": tuple(not_tried)}
+    if given.blind:
+        alike = (
+            "All estimates of the set-up as given are alike and miss the integral: none has met what "
+            "makes it. Nothing can be said; give more realizations or a larger budget."
+        )
+        return Answer.of(budget, results[:1], instead=alike, **said)
+    if len(results) == 1:
+        nothing = " ".join(["No change could be tried.", *not_tried[:3]])
+        return Answer.of(budget, results, instead=nothing, **said)
+    answer = Answer.of(budget, results, **said)
+    best = next(each for each in found if each.result is answer.best)
+    why = [] if best is given else [reasons[best.result.name]]
+    # The change with the best rate, if larger budgets favor it
+    resolved = [each for each in found if is_resolved(*each.result.rate_ci) and each is not best]
+    steep = [each for each in resolved if each.rate_verdict == "better"]
+    if steep:
+        first = min(steep, key=lambda each: each.rate_difference_ci[1])
+        low, high = first.result.rate_ci
+        if best is given or high < best.result.rate_ci[0]:
+            rates = [f"{rate:.2f}".replace("-", "−") for rate in (first.result.rate, low, high)]
+            why.append(
+                f"At larger budgets: {first.result.change}, whose rate is {rates[0]} "
+                f"({rates[1]} to {rates[2]})."
+            )
+    return replace(answer, why=" ".join(filter(None, why)))
 
 
 @dataclass(frozen=True)
 class _Trials:
     """Measured set-ups, reasons why others were not measured, and the diagnosis of the given one."""
 
-    tried: list[Trial]
+    tried: list[tuple[Candidate, Errors]]
     not_tried: list[str]
     diagnosis: Diagnosis | None
 
@@ -463,248 +476,6 @@ def _affordable(setup: Setup, budget: int) -> dict[int, int]:
     return found
 
 
-def _interval(centre: float, half: float) -> list[float]:
-    return [centre - half, centre + half]
-
-
-def _verdict(interval: list[float]) -> str:
-    """Return the verdict of an interval of a logarithm or a difference; lower is better."""
-    low, high = interval
-    return "better" if high < 0 else "worse" if low > 0 else "undecided"
-
-
 def _padded(values: Array) -> list[float]:
     """Return the values of all steps, NaN for the first steps, whose budget was too small."""
     return [math.nan] * (_SETTINGS.steps - len(values)) + [float(v) for v in values]
-
-
-def _recommendation(columns: list[dict[str, Any]], budget: int, reasons: Sequence[str]) -> str:
-    """Return the recommendation that the intervals support."""
-    if _given(columns)["blind"]:
-        return (
-            "All estimates of the set-up as given are alike and miss the integral: none has met what "
-            "makes it. Nothing can be said; give more realizations or a larger budget."
-        )
-    changes = len(columns) - 1
-    if not changes:
-        return " ".join(["No change could be tried.", *reasons[:3]])
-    better = [c for c in columns if c["verdict"] == "better"]
-    if not better:
-        tried = (
-            f"None of the {changes} changes that were" if changes > 1 else "The one change that was"
-        )
-        no = "is" if changes > 1 else "is not"
-        return (
-            f"{tried} tried {no} better at {budget} evaluations with 95 % confidence: keep the set-up "
-            "as given." + _later(columns, None)
-        )
-    best = better[0]
-    text = f"{best['change'][0].upper()}{best['change'][1:]}: at {budget} evaluations "
-    if best["error_ratio"] == 0.0:
-        return f"{text}no variance is left. {best['reason']}"
-    low, high = best["error_ratio_ci"]
-    what = "mean squared error" if best["biased"] else "variance"
-    rmse = f"RMSE × {math.sqrt(best['error_ratio']):.2g}"
-    text += f"{what} × {best['error_ratio']:.3g} ({rmse}; 95 %: {low:.3g} to {high:.3g})"
-    rates = best["rate_ci"], _given(columns)["rate_ci"]
-    if best["rate_verdict"] == "better" and all(is_resolved(*ends) for ends in rates):
-        text += f", and its rate {_rate(best['rate'])} instead of {_rate(_given(columns)['rate'])}"
-    reason = "" if best["reason"].startswith("Its rate") else f" {best['reason']}"
-    return f"{text}.{reason}{_later(columns, best)}"
-
-
-def _later(columns: list[dict[str, Any]], best: dict[str, Any] | None) -> str:
-    """Return a sentence about the change with the best rate, if larger budgets favor it."""
-    found = [
-        c
-        for c in columns
-        if c["rate_verdict"] == "better" and c is not best and is_resolved(*c["rate_ci"])
-    ]
-    if not found:
-        return ""
-    steepest = min(found, key=lambda c: float(c["rate_difference_ci"][1]))
-    if best is not None and steepest["rate_ci"][1] >= best["rate_ci"][0]:
-        return ""
-    return (
-        f" At larger budgets: {steepest['change']}, whose rate is {_rate(steepest['rate'])} "
-        f"({_rate(steepest['rate_ci'][0])} to {_rate(steepest['rate_ci'][1])})."
-    )
-
-
-def _rate(value: float) -> str:
-    """Return a rate with two digits and a proper minus, as in tables."""
-    return f"{value:.2f}".replace("-", "−")
-
-
-def _given(columns: list[dict[str, Any]]) -> dict[str, Any]:
-    return next(c for c in columns if c["kind"] == "given")
-
-
-@dataclass(frozen=True)
-class Errors:
-    """Errors of one set-up at several costs."""
-
-    cost: Array  # evaluations of the integrand in an estimate, (N,)
-    error: Array  # mean squared error v, summed over channels, (N,)
-    bias: Array  # mean estimate minus the integral, (N, C)
-    influence: Array  # ψ, (N, R)
-    noise: Array  # v below which the estimates differ by rounding only, (N,)
-    blind: Array  # whether the estimates are all equal, but differ from the integral, (N,)
-    # Evaluations before the first point; the rate leaves them out, since they do not grow
-    overhead: int = 0
-
-    @staticmethod
-    def of(
-        cost: Sequence[int],
-        estimates: Sequence[Array],
-        integral: Array,
-        *,
-        biased: bool = False,
-        tolerance: float = 1e-9,
-        overhead: int = 0,
-    ) -> Errors:
-        """Compute errors of estimates (R, C), one array for each cost, of the integral (C,).
-
-        Errors are about the integral if `biased`, else about the mean of the estimates. `tolerance`
-        is the relative tolerance of the integral.
-        """
-        # Compute mean squared errors and influences (R,), about the integral or the mean
-        parts = []
-        for values in estimates:
-            count = len(values)
-            centre = integral if biased else values.mean(axis=0)
-            squares = ((values - centre) ** 2).sum(axis=1)
-            mean = squares.mean()
-            influence = squares / mean - 1.0 if mean > 0 else np.zeros(count)
-            parts.append((float(squares.sum() / (count if biased else count - 1)), influence))
-        error = np.array([error for error, _ in parts])
-        bias = np.stack([values.mean(axis=0) - integral for values in estimates])
-        noise = np.array([rounding_floor(np.abs(v).mean(axis=0)).sum() for v in estimates])
-        miss = ~(np.abs(bias).max(axis=1) <= tolerance * np.abs(integral).max())  # or not known
-        alike = np.array(
-            [
-                np.ptp(v, axis=0).max() <= 4 * math.sqrt(f)
-                for v, f in zip(estimates, noise, strict=True)
-            ]
-        )
-        return Errors(
-            cost=np.asarray(cost, np.float64),
-            error=error,
-            bias=bias,
-            influence=np.stack([influence for _, influence in parts]),
-            noise=noise,
-            blind=alike & miss & (not biased),
-            overhead=overhead,
-        )
-
-    @property
-    def used(self) -> Array:
-        """Which errors are more than rounding noise, (N,)."""
-        return np.asarray(self.error > self.noise)
-
-    @property
-    def relative_se(self) -> Array:
-        """Standard error of v relative to it, (N,)."""
-        return np.array([_standard_error(psi) for psi in self.influence])
-
-    def rate(self) -> tuple[float, Array]:
-        """Fit the slope of log v against log cost without overhead, and its influences (R,).
-
-        The fit is by weighted least squares as in `mcspectra.core.fits`; NaN for fewer than two
-        errors.
-        """
-        used = self.used
-        if used.sum() < 2:
-            return math.nan, np.full(self.influence.shape[1], np.nan)
-        x, y = np.log(self.cost[used] - self.overhead), np.log(self.error[used])
-        weight = self.relative_se[used] ** -2.0
-        centred = weight * (x - np.average(x, weights=weight))
-        slope = centred / (centred * x).sum()
-        return float((slope * y).sum()), weighted_sum(slope, self.influence[used])
-
-    def fit(self) -> RateFit:
-        """Fit the rate with its interval and lack of fit; see `mcspectra.convergence`."""
-        return fit_rate(self.cost - self.overhead, self.error, self.relative_se, self.noise)
-
-    def at(self, budget: float, *, carry: bool = True) -> tuple[float, Array]:
-        """Return log v at a cost of `budget` and its influences (R,), extrapolated along the rate.
-
-        The last error is not extrapolated after a pilot: its evaluations are lost, and nets then
-        often have half the points that would fit into the budget.
-        """
-        last = len(self.cost) - 1
-        if not self.used[last]:
-            unknown = math.nan if self.blind[last] else -math.inf
-            return unknown, np.zeros(self.influence.shape[1])
-        gap = math.log(budget / self.cost[last]) if carry and not self.overhead else 0.0
-        log_error, influence = math.log(self.error[last]), self.influence[last]
-        if gap == 0.0:
-            return log_error, influence
-        rate, slope = self.rate()
-        if math.isnan(rate):
-            return log_error, influence
-        return log_error + gap * rate, influence + gap * slope
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """Ratio of the variances of two set-ups at a budget, and the difference of their rates."""
-
-    # log(v/v_reference) and its standard error
-    log_ratio: float
-    log_ratio_se: float
-    # Difference of the rate and the reference's rate, and its standard error; NaN if a rate is NaN
-    rate_difference: float
-    rate_difference_se: float
-
-
-def compare(errors: Errors, reference: Errors, budget: float, pilot: int = 0) -> Comparison:
-    """Compare two set-ups with the same number of realizations on the same random numbers.
-
-    The budget of the reference includes `pilot` evaluations that the other set-up took beyond it.
-    """
-    carry = not errors.overhead and not reference.overhead
-    own, own_influence = errors.at(budget, carry=carry)
-    other, other_influence = reference.at(budget + pilot, carry=carry)
-    rate, slope = errors.rate()
-    other_rate, other_slope = reference.rate()
-    # Widen the error of the slope if the curves do not follow a line within their scatter
-    points = ((e, int(e.used.sum()) - 2) for e in (errors, reference))
-    bend = max(widening(free, e.fit().chi2) if free > 0 else 1.0 for e, free in points)
-    return Comparison(
-        own - other,
-        _standard_error(own_influence - other_influence, prior=0),
-        rate - other_rate,
-        bend * _standard_error(slope - other_slope, prior=0),
-    )
-
-
-def estimates_of(
-    estimator: AbstractEstimator,
-    sampler: Sampler,
-    n: int,
-    realizations: int,
-    stream: Stream,
-) -> Array:
-    """Return the estimates of realizations 0 … realizations − 1, (R, channels or 1)."""
-
-    def block(part: Block) -> Array:
-        return estimator.estimate(estimator.draw(sampler, n, stream, *part)).reshape(part[1], -1)
-
-    numbers = n * estimator.dims * sum(estimator.counts)
-    return np.concatenate([block(part) for part in realization_blocks(realizations, numbers)])
-
-
-def simultaneous_z(comparisons: int) -> float:
-    """Return the half width in standard errors of 95 % intervals that hold together [Šidák 1967]."""
-    from scipy.special import ndtri
-
-    single = 0.95 ** (1.0 / max(1, comparisons))
-    return float(ndtri(0.5 * (1.0 + single)))
-
-
-def _standard_error(influence: Array, prior: int = _SETTINGS.prior) -> float:
-    """Return the root mean square over √R, with a prior of normal estimates for few values."""
-    count = len(influence)
-    square = (np.square(influence).sum() + 2.0 * prior) / (count + prior)
-    return math.sqrt(square / count)

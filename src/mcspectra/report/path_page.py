@@ -229,7 +229,7 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
                 f"{known['dims']}, as far as 95 % intervals tell."
             )
         said.append(("padding", text))
-        text = f"With {known['sampler']} as given: {tree['remedies'].attrs['recommendation']}"
+        text = f"With {known['sampler']} as given: {tree['remedies'].attrs['answer']}"
         said.append(("remedies", text))
     return said
 

@@ -33,17 +33,13 @@ from mcspectra.core.results import dataset
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import Estimator
 from mcspectra.explain.diagnosis import Diagnosis
-from mcspectra.improve.remedy import (
-    Errors,
-    Trial,
-    compare,
-    estimates_of,
-    ranked,
-    simultaneous_z,
-)
+from mcspectra.improve.answers import Candidate, simultaneous_z
+from mcspectra.improve.assess import Errors, compare, estimates_of
+from mcspectra.improve.remedy import ranked
 from mcspectra.integrands import Integrand
 from mcspectra.measure.anova import Anova, anova_variances
 from mcspectra.measure.converge import convergence, count_stream
+from mcspectra.measure.setup import Setup
 from mcspectra.prediction.prediction import predict
 from mcspectra.rendering.paths import (
     SCENE_INTEGRATOR,
@@ -338,7 +334,7 @@ def path_remedies(
         or ``selection``. ``error`` is that at the budget, beside a pilot, ``error_ratio`` with it.
     """
     ns, budget = list(counts)[-_COUNTS:], int(counts[-1])
-    tried: list[Trial] = []
+    tried: list[tuple[Candidate, Errors]] = []
     not_tried: list[str] = []
 
     def attempt(
@@ -368,7 +364,9 @@ def path_remedies(
             note = f"Each of its paths costs {cost:.3g} of those as given."
         mean = np.concatenate(estimates).mean(axis=0)
         errors = Errors.of(np.multiply(cost, ns).tolist(), estimates, mean)
-        tried.append(Trial(kind, name, change, name, False, errors, pilot=pilot, note=note))
+        setup = Setup(Estimator(g), points)
+        candidate = Candidate(kind, name, change, setup, pilot=pilot, effort=cost, note=note)
+        tried.append((candidate, errors))
 
     attempt("given", "as given", "leave everything as it is")
 
@@ -404,25 +402,23 @@ def path_remedies(
     not_tried.append(f"heuristic of MIS: {reason}")
 
     # Say of pilots what their changes are without them, and when they pay
-    given, z = tried[0].errors, simultaneous_z(2 * (len(tried) - 1))
-    for k, trial in enumerate(tried):
-        if trial.pilot:
-            found, rate = compare(trial.errors, given, budget), given.rate()[0]
+    given, z = tried[0][1], simultaneous_z(2 * (len(tried) - 1))
+    for k, (candidate, errors) in enumerate(tried):
+        if candidate.pilot:
+            found, rate = compare(errors, given, budget), given.rate()[0]
             low, high = (found.log_ratio + side * z * found.log_ratio_se for side in (-1.0, 1.0))
             ratio, bounds = (
                 math.exp(found.log_ratio),
                 f"{math.exp(low):.3g} to {math.exp(high):.3g}",
             )
-            note = (
-                f"Its pilot takes {trial.pilot} paths; beside it, variance × {ratio:.3g} ({bounds})"
-            )
+            note = f"Its pilot takes {candidate.pilot} paths; beside it, variance × {ratio:.3g} ({bounds})"
             if high < 0.0 and rate < 0.0:
                 # As given, n and the pilot's paths have the variance of this one's n: ((n + P)/n)^rate = ratio
-                pays = trial.pilot / math.expm1(found.log_ratio / rate)
+                pays = candidate.pilot / math.expm1(found.log_ratio / rate)
                 note += f": it pays from about {float(f'{pays:.2g}'):.0f} paths on."
             else:
                 note += ": it does not pay, as far as the interval tells."
-            tried[k] = replace(trial, note=note)
+            tried[k] = replace(candidate, note=note), errors
     ranking = ranked(tried, not_tried, budget, Diagnosis([]))
     return ranking.assign_attrs(estimator=f.spec, sampler=sampler.spec, budget=budget)
 

@@ -1,0 +1,282 @@
+"""The answer to "what should I use?": candidates, their results, and the advice that follows.
+
+A *candidate* is a changed estimator or sampler. Its *result* compares its error at a budget of
+evaluations with the set-up as given. An *answer* names the best candidate, or the set-up as given if
+no interval excludes it. `mcspectra.profile`, `mcspectra.remedies`, `mcspectra.plan` and the studies
+of pixels and paths all print an `Answer`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Literal, final
+
+from mcspectra.core.display import escape_html
+from mcspectra.estimators import AbstractEstimator
+from mcspectra.explain.causes import Cause
+from mcspectra.measure.setup import Setup
+
+if TYPE_CHECKING:
+    from mcspectra.samplers import Sampler
+
+__all__ = ["Answer", "Candidate", "CandidateResult", "Verdict", "rounded", "simultaneous_z"]
+
+Verdict = Literal["given", "better", "worse", "undecided"]
+"""What the interval of a comparison with the set-up as given says."""
+
+
+@final
+@dataclass(frozen=True)
+class Candidate:
+    """A changed estimator or sampler.
+
+    Attributes
+    ----------
+    kind
+        One of `mcspectra.improve.candidates.KINDS`, or ``"given"``.
+    name, change
+        A short label, unique among those compared, and an imperative that describes the change.
+    setup
+        The estimator and the sampler after the change.
+    biased
+        Whether it estimates another integral: its error is then about the given integral.
+    pilot
+        Evaluations beyond the budget that found the change. A pilot within the budget is part of
+        the set-up, `Setup.overhead`.
+    effort
+        Cost of an evaluation over one of the given set-up, for paths that end earlier or later.
+    ratio
+        Expected variance over that of the given estimator at equal cost, NaN if it is not known.
+    finite_below
+        If g grows as t^−a at the border, the variance is finite for a below this number.
+    note
+        A sentence that follows the reason.
+    """
+
+    kind: str
+    name: str
+    change: str
+    setup: Setup
+    biased: bool = False
+    pilot: int = 0
+    effort: float = 1.0
+    ratio: float = math.nan
+    finite_below: float = 0.5
+    note: str = ""
+
+    @property
+    def key(self) -> str:
+        """A text that is the same for changes that make the same set-up."""
+        specs = f"{self.setup.estimator.spec} with {self.setup.sampler.spec}"
+        return specs if self.setup.at_count is None else f"{specs}, {self.name}"
+
+
+@final
+@dataclass(frozen=True)
+class CandidateResult:
+    """The error of a candidate at a budget, and its ratio to the set-up as given.
+
+    Attributes
+    ----------
+    candidate
+        The candidate.
+    n
+        Number of points of an estimate at the budget.
+    rmse, rmse_ci
+        Root mean square error of an estimate, and its 95 % interval. The interval includes the error
+        of the rate beyond the counts that were measured. NaN if the size cannot be told.
+    gain, gain_ci
+        Variance with the set-up as given over the variance after the change, and its interval. The
+        intervals of all candidates hold together at 95 %.
+    rate, rate_ci
+        Slope of log variance against log n.
+    needed, needed_ci
+        Evaluations with which the set-up as given has this RMSE, and their interval.
+    verdict
+        What the interval of the gain says.
+    """
+
+    candidate: Candidate
+    n: int
+    rmse: float
+    rmse_ci: tuple[float, float]
+    gain: float = 1.0
+    gain_ci: tuple[float, float] = (1.0, 1.0)
+    rate: float = math.nan
+    rate_ci: tuple[float, float] = (math.nan, math.nan)
+    needed: float = math.nan
+    needed_ci: tuple[float, float] = (math.nan, math.nan)
+    verdict: Verdict = "given"
+
+    @property
+    def name(self) -> str:
+        """The label of the candidate."""
+        return self.candidate.name
+
+    @property
+    def change(self) -> str:
+        """An imperative that describes the change."""
+        return self.candidate.change
+
+    @property
+    def estimator(self) -> AbstractEstimator:
+        """The estimator after the change, for `mcspectra.convergence` and similar functions."""
+        return self.candidate.setup.estimator
+
+    @property
+    def sampler(self) -> Sampler:
+        """The sampler after the change."""
+        return self.candidate.setup.sampler
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain numbers and texts."""
+        plain = {k: list(v) if isinstance(v, tuple) else v for k, v in vars(self).items()}
+        del plain["candidate"]
+        return {
+            "name": self.name,
+            "change": self.change,
+            "estimator": self.estimator.spec,
+            "sampler": self.sampler.spec,
+            **plain,
+        }
+
+
+@final
+@dataclass(frozen=True)
+class Answer:
+    """What to use at a budget, how good it is, and why.
+
+    Attributes
+    ----------
+    budget
+        Evaluations of the integrand in an estimate.
+    given
+        The set-up with which all candidates are compared.
+    best
+        The candidate of the least error whose interval excludes the set-up as given, or `given`.
+    runner_up
+        The next one after it; None if no other is better than the set-up as given.
+    causes
+        Causes of the noise, the most important first.
+    tried, not_tried
+        Names of the candidates that were compared, and of others with the reason.
+    instead
+        A sentence that takes the place of the advice if there is none.
+    why
+        Sentences after the advice.
+    """
+
+    budget: int
+    given: CandidateResult
+    best: CandidateResult
+    runner_up: CandidateResult | None = None
+    causes: tuple[Cause, ...] = ()
+    tried: tuple[str, ...] = ()
+    not_tried: tuple[str, ...] = ()
+    instead: str = ""
+    why: str = ""
+
+    @staticmethod
+    def of(budget: int, results: Sequence[CandidateResult], **said: Any) -> Answer:
+        """The answer of results whose first is the set-up as given; `said` are other attributes."""
+        given, *others = results
+        better = [result for result in others if result.verdict == "better"]
+        better.sort(key=lambda result: result.rmse)
+        best, runner_up = [*better, None, None][:2]
+        said.setdefault("tried", tuple(result.name for result in others))
+        return Answer(budget, given, best or given, runner_up, **said)
+
+    @property
+    def changes(self) -> bool:
+        """Whether a change is better than the set-up as given."""
+        return self.best is not self.given
+
+    @property
+    def n(self) -> int:
+        """Number of points of an estimate at the budget."""
+        return self.best.n
+
+    @property
+    def rmse(self) -> float:
+        """Root mean square error of an estimate with the best candidate."""
+        return self.best.rmse
+
+    @property
+    def rmse_ci(self) -> tuple[float, float]:
+        """95 % interval of `rmse`."""
+        return self.best.rmse_ci
+
+    @property
+    def gain(self) -> float:
+        """Variance with the set-up as given over that of the best candidate."""
+        return self.best.gain
+
+    @property
+    def gain_ci(self) -> tuple[float, float]:
+        """95 % interval of `gain`."""
+        return self.best.gain_ci
+
+    @property
+    def advice(self) -> str:
+        """The first sentence."""
+        if self.instead:
+            return self.instead
+        best, given = self.best, self.given
+        name = given.sampler.spec
+        if not self.changes:
+            many = f"none of the {len(self.tried)} changes that were tried is better"
+            return f"Keep {name}: {many if len(self.tried) > 1 else 'nothing that was tried is better'}."
+        what = f"{best.change[0].upper()}{best.change[1:]}"
+        if math.isnan(best.gain):
+            return (
+                f"{what}: it was better where both were measured, by how much at {self.budget} evaluations "
+                "these cannot tell."
+            )
+        before = f"{given.rmse:.2g}" if math.isfinite(given.rmse) else "an infinite one"
+        text = f"{what}: RMSE {best.rmse:.2g}{_between(best.rmse_ci)} at {self.budget} evaluations instead of {before}"
+        if math.isfinite(best.needed) and best.needed > self.budget:
+            needed = f"{rounded(best.needed)}{_between(best.needed_ci)}"
+            text += f"; {name} would need about {needed} evaluations for it"
+        return f"{text}."
+
+    def __str__(self) -> str:
+        return f"{self.advice} {self.why}".strip()
+
+    def _repr_html_(self) -> str:
+        return f"<p><b>{escape_html(str(self))}</b></p>"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain numbers, texts and lists."""
+        return {
+            "text": str(self),
+            "budget": self.budget,
+            "given": self.given.to_dict(),
+            "best": self.best.to_dict(),
+            "runner_up": None if self.runner_up is None else self.runner_up.to_dict(),
+            "causes": [{**asdict(cause), "kinds": list(cause.kinds)} for cause in self.causes],
+            "tried": list(self.tried),
+            "not_tried": list(self.not_tried),
+        }
+
+
+def simultaneous_z(comparisons: int) -> float:
+    """Return the half width in standard errors of 95 % intervals that hold together [Šidák 1967]."""
+    from scipy.special import ndtri
+
+    single = 0.95 ** (1.0 / max(1, comparisons))
+    return float(ndtri(0.5 * (1.0 + single)))
+
+
+def rounded(value: float) -> str:
+    """Two digits, without an exponent for numbers of evaluations."""
+    return f"{float(f'{value:.2g}'):.0f}" if value >= 10.0 else f"{value:.2g}"
+
+
+def _between(ends: tuple[float, float]) -> str:
+    """An interval in parentheses, or nothing if it has no width or no ends."""
+    low, high = ends
+    if not (math.isfinite(high - low) and high > low):
+        return ""
+    return f" ({rounded(low)} to {rounded(high)})"
