@@ -267,7 +267,7 @@ ANALYSES = Registry(
             "measure.anova": "Anova AnovaSpectrum",
             "measure.converge": "Convergence",
             "measure.modes": "Modes",
-            "prediction.planning": "Plan",
+            "improve.planning": "Plan",
             "prediction.prediction": "predict=Prediction",
             "profiler.profiling": "profile=Profiling",
             "improve.remedy": "Remedies",
