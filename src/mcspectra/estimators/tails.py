@@ -157,7 +157,7 @@ def border_growth(
         closest = np.argpartition(t, count)[:count]
         closest = closest[np.argsort(t[closest])]
         logs, y = np.log(np.maximum(t[closest], 1e-300)), values[closest]
-        if not np.ptp(y[1:]) or not (y != centre).any():
+        if not np.ptp(y[1:]) or not np.ptp(logs[1:]) or not (y != centre).any():
             continue
         # A single value, which is large by chance, does not make growth
         fits = [fitted(logs, y), fitted(logs[1:], y[1:])]

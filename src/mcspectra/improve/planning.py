@@ -93,8 +93,11 @@ class MeasuredPlanSettings:
     first
         Evaluations of the first stage: as many as `profile` makes by default.
     nets
-        Sets of the first stage; each second stage doubles them. A variance of 32 sets has a standard
-        error of a quarter of it.
+        Sets of the first stage: a variance of 32 sets has a standard error of a quarter of it.
+    doubling
+        Stages after which the sets are doubled instead of their points, once in three: of 2^18 evaluations 128
+        sets remain, whose variance has a standard error of 12 %. Once in two stages leaves sets of half the points, beyond
+        which rates of jumps are uncertain.
     least
         Least points of a set of the first stage: four counts, which show a rate.
     least_sets
@@ -115,6 +118,7 @@ class MeasuredPlanSettings:
     most: int = 2**24
     first: int = 2**12
     nets: int = 32
+    doubling: int = 3
     least: int = 8
     least_sets: int = 3
     narrow: float = 1.5
@@ -305,10 +309,14 @@ class Plan(Counted, frozen=True, kw_only=True):
             target = target * np.abs(integral)
         elif self.relative:
             assert nets is not None
-            means = nets.stage(0).means
-            low, high = np.array([mean_interval(means[:, c]) for c in range(channels)]).T
+            for stage in nets.stages():
+                means = stage.means
+                low, high = np.array([mean_interval(means[:, c]) for c in range(channels)]).T
+                zero = bool(((low <= 0.0) & (high >= 0.0)).any())
+                if not zero:
+                    break
             target = target * np.abs(means.mean(axis=0))
-            if ((low <= 0.0) & (high >= 0.0)).any():
+            if zero:
                 reason = "the integral may be 0, so that no error is a share of it"
                 return target**2, [_Found.none(channels, reason)] * len(subject.samplers)
         found = []
@@ -491,7 +499,7 @@ def _sizes(stage: int, share: int, each: int) -> tuple[int, int] | None:
         if stage:
             return None
         points = share
-    return _MEASURED.nets << stage // 2, points
+    return _MEASURED.nets << stage // _MEASURED.doubling, points
 
 
 def _pooled(
@@ -649,15 +657,21 @@ def _in_stages(source: _Nets | _Own, sampler: Sampler, target: Array) -> _Found:
     stage, curves, curve, n, note = best
     last = min(float(c.counts[-1]) if len(c.counts) else c.vanishes for c in curves)
     vanishing = min(c.vanishes for c in curves)
-    planned = _count_from(estimator, sampler, n)
+    planned = _measured_count_from(estimator, sampler, n)
     if not math.isfinite(planned):
         return _Found.none(len(target), "no count that it can do reaches the error")
     beyond = last < planned < vanishing
     if not note and beyond and any(math.isnan(c.rate) for c in curves):
         note = f"{stage.evaluations} evaluations show no rate beyond n = {last:.0f}"
     low, high = (
-        _count_from(estimator, sampler, math.exp(curve.reaches(target, side))) for side in (-1, 1)
+        _measured_count_from(estimator, sampler, math.exp(curve.reaches(target, side)))
+        for side in (-1, 1)
     )
+    if not note and math.isinf(high):
+        note = (
+            f"{stage.evaluations} evaluations do not show the rate beyond n = {last:.0f} well enough for "
+            "an upper end; give a larger max_evaluations"
+        )
     ends = min(low, planned), math.inf if note else max(high, planned)
     how = f"{stage.evaluations} evaluations"
     if beyond:
@@ -783,6 +797,18 @@ def _count_from(estimator: AbstractEstimator, sampler: Sampler, n: float) -> flo
         if _can(estimator, sampler, count):
             return float(count)
         count = count * base if base else count + 1
+    return math.inf
+
+
+def _measured_count_from(estimator: AbstractEstimator, sampler: Sampler, n: float) -> float:
+    """`_count_from`, of lattices among the powers of two: other counts have lattices of their own."""
+    leaf = leaf_of(estimator.law(sampler, sampler.nearest_count(1)))
+    if not (isinstance(leaf, Fixed) and leaf.even):
+        return _count_from(estimator, sampler, n)
+    for k in range(round(math.log2(min(_SETTINGS.most, sampler.max_count))) + 1):
+        count = sampler.nearest_count(2**k)
+        if count >= n * (1.0 - 1e-6) and _can(estimator, sampler, count):
+            return float(count)
     return math.inf
 
 
