@@ -21,18 +21,17 @@ from msgspec import Meta
 from mcspectra.core.analysis import Counted, Need, Reduction, Subject, whole
 from mcspectra.core.checks import Array
 from mcspectra.core.confidence import student_t
-from mcspectra.core.errors import CountError, Function, NoClosedForm, Parameter, ParameterError
+from mcspectra.core.errors import CountError, NoClosedForm, Parameter, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.core.tally import Tally
 from mcspectra.estimators import AbstractEstimator
 from mcspectra.estimators.moments import Moments, mean_interval
 from mcspectra.estimators.tails import border_growth, few_note, growth_note
 from mcspectra.explain.samples import CURVE_SETTINGS, NETS, Curve, Sets, curve_of
 from mcspectra.measure.doors import NO_VARIANCE, VANISHES, answer
 from mcspectra.prediction.known import Cells
-from mcspectra.prediction.prediction import Prediction, Predictor
+from mcspectra.prediction.prediction import LIMITS, Prediction, Predictor
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.samplers.law import Fixed, Law, leaf_of
 
@@ -85,9 +84,6 @@ class MeasuredPlanSettings:
 
     Attributes
     ----------
-    evaluations
-        Most evaluations unless more are allowed: about a second of a function of 4 µs a point. With
-        64 times the first stage, an interval of n is about eight times narrower.
     most
         Most evaluations whatever is allowed: the points of a stage are in memory, 128 MB in 1-D.
     first
@@ -114,7 +110,6 @@ class MeasuredPlanSettings:
         Places in each octave at which a curve is compared with the error; it is a line between them.
     """
 
-    evaluations: int = 2**18
     most: int = 2**24
     first: int = 2**12
     nets: int = 32
@@ -192,20 +187,19 @@ class Plan(Counted, frozen=True, kw_only=True):
             )
         if not _is_measured(estimator):
             return Need(cost=need.cost * len(_CURVE) * len(samplers), memory=need.memory)
-        limit = self._limit
+        limit = min(self.limit(subject) or _MEASURED.most, _MEASURED.most)
         least = _MEASURED.nets * _MEASURED.least * _each(estimator) * len(self._parts(subject))
-        Tally(Function("plan"), limit, refused=least if least > limit else 0).check()
         return Need(
             cost=float(limit),
             memory=memory_of(limit // sum(estimator.counts), estimator.dims, sum(estimator.counts)),
             evaluations=least,
         )
 
-    @property
-    def _limit(self) -> int:
-        """Most evaluations of a measurement."""
-        limit = _MEASURED.evaluations if self.max_evaluations is None else self.max_evaluations
-        return min(limit, _MEASURED.most)
+    def limit(self, subject: Subject) -> int | None:
+        """Most evaluations of a measurement; predictions of known integrands have no limit of their own."""
+        if self.max_evaluations is None and _is_measured(subject.estimator):
+            return LIMITS.evaluations
+        return self.max_evaluations
 
     def _integral(self, estimator: AbstractEstimator) -> Any:
         """The integral; None where it takes evaluations that are measured."""
@@ -302,7 +296,8 @@ class Plan(Counted, frozen=True, kw_only=True):
         """The wanted variance, (channels,), and the answer for each sampler."""
         estimator, channels = subject.estimator, max(1, subject.estimator.channels)
         parts = self._parts(subject)
-        share = self._limit // max(1, len(parts)) // _each(estimator)
+        limit = min(self.limit(subject) or _MEASURED.most, _MEASURED.most)
+        share = limit // max(1, len(parts)) // _each(estimator)
         nets = _Nets(estimator, share, stream.child(0)) if NETS in parts[:1] else None
         target, integral = np.full(channels, self.target_error), self._integral(estimator)
         if self.relative and integral is not None:
