@@ -69,7 +69,7 @@ NAMED = {
     "covariance_modes": lambda e, m=None: mcs.covariance_modes(
         e, JITTERED, N, half_width=2, modes=2, realizations=R, max_evaluations=m
     ),
-    "predict by all methods": lambda e, m=None: mcs.predict(
+    "predict by all methods": lambda e, m=2**24: mcs.predict(
         e, SHIFTED, [N], method="all", half_width=2, realizations=R, max_evaluations=m
     ),
     "predict": lambda e, m=None: mcs.predict(e, JITTERED, [N], max_evaluations=m),

@@ -26,8 +26,8 @@ from mcspectra.core.memory import memory_of
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator
-from mcspectra.estimators.moments import Moments, mean_interval
-from mcspectra.estimators.tails import border_growth, few_note, growth_note
+from mcspectra.estimators.moments import mean_interval
+from mcspectra.estimators.tails import doubt
 from mcspectra.explain.samples import CURVE_SETTINGS, NETS, Curve, Sets, curve_of
 from mcspectra.measure.doors import NO_VARIANCE, VANISHES, answer
 from mcspectra.prediction.known import Cells
@@ -40,85 +40,59 @@ if TYPE_CHECKING:
 
 __all__ = ["MeasuredPlanSettings", "Plan", "PlanSettings", "plan"]
 
-_TINY = 1e-300
+_TINY = float(np.finfo(float).tiny)
 """Replaces a variance of 0 in logarithms."""
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class PlanSettings:
-    """How the least count is searched in predictions.
+    """How the least count is searched in predictions."""
 
-    Attributes
-    ----------
-    octaves
-        Variances are predicted at powers of two up to this one. Beyond the last one the curve goes on
-        with its rate. It is the largest count at which `predict` looks for the limit of rates.
-    margin
-        Factor by which the curve goes below the wanted variance, so that the upper ends of intervals
-        reach it as well.
-    most
-        Points that a plan still names: more do not fit a 64-bit integer.
-    steps
-        Inverse of the relative step in which n is searched between powers of two: up to 256 it is the
-        least count, beyond that larger by 0.4 % at most, for eight predictions.
-    wide
-        Ratio of the ends of an interval of n above which the recommendation names it.
-    tries
-        Counts that are tried, one after the other, for estimators of several techniques, whose sets
-        the sampler must all be able to draw.
-    """
-
+    # Variances are predicted at powers of two up to this one. Beyond the last one the curve goes
+    # on with its rate. It is the largest count at which `predict` looks for the limit of rates.
     octaves: int = 16
+    # Factor by which the curve goes below the wanted variance, so that the upper ends of
+    # intervals reach it as well.
     margin: float = 4.0
+    # Points that a plan still names: more do not fit a 64-bit integer.
     most: int = 2**62
+    # Inverse of the relative step in which n is searched between powers of two: up to 256 it is
+    # the least count, beyond that larger by 0.4 % at most, for eight predictions.
     steps: int = 256
+    # Ratio of the ends of an interval of n above which the recommendation names it.
     wide: float = 1.25
+    # Counts that are tried, one after the other, for estimators of several techniques, whose sets
+    # the sampler must all be able to draw.
     tries: int = 256
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class MeasuredPlanSettings:
-    """How many evaluations of a function a plan makes.
+    """How many evaluations of a function a plan makes."""
 
-    Attributes
-    ----------
-    most
-        Most evaluations whatever is allowed: the points of a stage are in memory, 128 MB in 1-D.
-    first
-        Evaluations of the first stage: as many as `profile` makes by default.
-    nets
-        Sets of the first stage: a variance of 32 sets has a standard error of a quarter of it.
-    doubling
-        Stages after which the sets are doubled instead of their points, once in three: of 2^18 evaluations 128
-        sets remain, whose variance has a standard error of 12 %. Once in two stages leaves sets of half the points, beyond
-        which rates of jumps are uncertain.
-    least
-        Least points of a set of the first stage: four counts, which show a rate.
-    least_sets
-        Least number of sets for a variance, as in `profile`: for samplers of few stored sets.
-    narrow
-        Ratio of the ends of an interval of n at which a stage is enough.
-    enough
-        Sets of n points whose evaluations are enough for any n. By brute force so many sets give the
-        variance to √(2/256) = 9 %.
-    infinite_error
-        Exponent of growth at the border from which g⁴ has no integral, so that the error of a variance
-        is not known: ¼.
-    parts
-        Places in each octave at which a curve is compared with the error; it is a line between them.
-    """
-
+    # Most evaluations whatever is allowed: the points of a stage are in memory, 128 MB in 1-D.
     most: int = 2**24
+    # Evaluations of the first stage: as many as `profile` makes by default.
     first: int = 2**12
+    # Sets of the first stage: a variance of 32 sets has a standard error of a quarter of it.
     nets: int = 32
+    # Stages after which the sets are doubled instead of their points, once in three: of 2^18
+    # evaluations 128 sets remain, whose variance has a standard error of 12 %. Once in two stages
+    # leaves sets of half the points, beyond which rates of jumps are uncertain.
     doubling: int = 3
+    # Least points of a set of the first stage: four counts, which show a rate.
     least: int = 8
+    # Least number of sets for a variance, as in `profile`: for samplers of few stored sets.
     least_sets: int = 3
+    # Ratio of the ends of an interval of n at which a stage is enough.
     narrow: float = 1.5
+    # Sets of n points whose evaluations are enough for any n. By brute force so many sets give
+    # the variance to √(2/256) = 9 %.
     enough: int = 256
-    infinite_error: float = 0.25
+    # Places in each octave at which a curve is compared with the error; it is a line between
+    # them.
     parts: int = 16
 
 
@@ -634,7 +608,8 @@ def _in_stages(source: _Nets | _Own, sampler: Sampler, target: Array) -> _Found:
         curves = stage.curves.get(sampler.spec)
         if curves is None:  # the variance is lost in its errors
             continue
-        curve, note = _Ladder.of(curves), _doubt(stage)
+        curve = _Ladder.of(curves)
+        note, _ = doubt(stage.points, stage.values) or ("", False)
         n = max(math.exp(curve.reaches(target, 0)), least)
         trusted = stage.largest / _MEASURED.enough
         if not note:
@@ -679,32 +654,6 @@ def _in_stages(source: _Nets | _Own, sampler: Sampler, target: Array) -> _Found:
                 break
     variance = curve.at(planned)[:, 0]
     return _Found(planned, ends, variance, ("measured", how), table, (note,) if note else ())
-
-
-def _doubt(stage: _Stage) -> str:
-    """Why the values of a stage do not bound the variance from above; empty if they do."""
-    for values in stage.values.T:
-        if not np.ptp(values):
-            return (
-                f"f is {values[0]:.6g} at all {len(values)} points: either it is constant, or what "
-                f"varies, in less than about {3 / len(values):.1g} of the volume, was not met"
-            )
-        growths = [] if stage.points is None else border_growth(stage.points, values)
-        steep = [each for each in growths if each.exponent >= _MEASURED.infinite_error]
-        if said := growth_note(growths) or few_note(values):
-            return said
-        if steep:
-            most = max(steep, key=lambda each: each.exponent)
-            return (
-                f"f grows about as t^−{most.exponent:.2f} with the distance t to x_{most.axis} = "
-                f"{int(most.high)}: from ¼ on the error of a measured variance has no bound"
-            )
-        if not Moments.of(values, tails=True).resolved:
-            return (
-                f"a few of {len(values)} evaluations make the variance, which may be far larger; give a "
-                "density that finds them, or a larger max_evaluations"
-            )
-    return ""
 
 
 @final

@@ -40,6 +40,7 @@ from mcspectra.estimators import AbstractEstimator, Estimator
 from mcspectra.estimators.mirrored import FoldedIntegrand, SymmetrizedIntegrand
 from mcspectra.estimators.moments import Moments, rounding_floor
 from mcspectra.estimators.quadrature import Pointwise, in_closed_form, looked_at, mesh, orders_of
+from mcspectra.estimators.tails import doubt
 from mcspectra.integrands import Integrand
 from mcspectra.measure.converge import count_moments, count_stream
 from mcspectra.measure.doors import NO_VARIANCE, VANISHES, answer, counted
@@ -265,6 +266,9 @@ class LimitSettings:
         more, and the count that is predicted is left out.
     beyond
         Largest measured count over the largest that is asked for.
+    probe
+        Part of the evaluations that are made at random points, which show growth toward the border
+        and values that hold most of the variance: 16,384 of 2^18. Such a variance is refused.
     fitted
         Counts that a line goes through: five leave three degrees of freedom, with which Student's t is
         3.2. With four intervals are 1.4 times as wide; six do not follow curves that bend.
@@ -277,6 +281,7 @@ class LimitSettings:
     first: int = 4
     least_counts: int = 6
     beyond: int = 4
+    probe: float = 1 / 16
     fitted: int = 5
 
 
@@ -753,7 +758,9 @@ class Prediction(Counted, frozen=True, kw_only=True):
             limit, least = self.limit(subject) or 0, 0
             for sampler in samplers:
                 counts = _small_counts(estimator, sampler, self.counts[-1])
-                least += LIMITS.least_sets * _each(estimator) * sum(counts[: LIMITS.least_counts])
+                sets = len(samplers) * LIMITS.least_sets / (1.0 - LIMITS.probe)
+                needed = sets * _each(estimator) * sum(counts[: LIMITS.least_counts])
+                least = max(least, math.ceil(needed))
             memory = memory_of(self.counts[-1], estimator.dims, sum(estimator.counts))
             return Need(cost=float(limit), memory=memory, evaluations=least)
         each, sampled = sum(estimator.counts), 0
@@ -803,12 +810,13 @@ class Prediction(Counted, frozen=True, kw_only=True):
         of_estimator = {method.name: method.of_estimator for method in reversed(METHODS)}
         measured: dict[str, ExtrapolationSettings] | None = None
         if self._measures(subject):
-            share = (self.limit(subject) or 0) // (len(samplers) * _each(estimator))
+            share = (self.limit(subject) or 0) // _each(estimator)
+            share = int((1.0 - LIMITS.probe) * share) // len(samplers)
             measured = {
                 s.spec: _within(_small_counts(estimator, s, self.counts[-1]), share)
                 for s in samplers
             }
-        predictor = Predictor(estimator, stream, measured)
+        predictor = Predictor(estimator, stream, measured, self.limit(subject) or 0)
         own, other = (Stream.from_rng(np.random.SeedSequence([stream.key, k])) for k in (0, 1))
 
         # Counts of a sampler: with auto others, too, which show rates and their limit; 0 is none
@@ -1110,9 +1118,10 @@ class Predictor:
         estimator: AbstractEstimator,
         stream: Stream,
         measured: Mapping[str, ExtrapolationSettings] | None = None,
+        limit: int = 0,
     ) -> None:
-        """With `measured`, settings by sampler, variances are measured at small counts alone."""
-        self.estimator, self.measured = estimator, measured
+        """With `measured`, settings by sampler, variances are measured within a limit of evaluations."""
+        self.estimator, self.measured, self._limit = estimator, measured, limit
         self._known = knowledge(estimator)
         self._stream = stream
 
@@ -1134,15 +1143,21 @@ class Predictor:
             if self.measured is not None:
                 if name == _LIMIT:  # it says nothing about rates
                     raise NoClosedForm("a measurement goes no further than the counts asked for")
+                reason, lost = known[0].once("doubt", self._doubted) or ("", False)
+                if lost:
+                    raise NoClosedForm(reason)
                 found = extrapolated(
                     estimator, sampler, n, known[0], stream, self.measured[sampler.spec]
                 )
                 high = found.variance + found.error
                 low = found.variance**2 / high  # as far below on a logarithmic scale
+                if reason:
+                    high = np.full_like(high, math.inf)
                 return Cells.row(
                     *("extrapolated", found.how, found.variance, low, high),
                     share=0.0,
                     tail=found.variance,
+                    note=reason,
                     channels=width,
                 )
             said = [each.constant for each in known]
@@ -1196,6 +1211,17 @@ class Predictor:
         return Cells.row(
             used, how, variance, low, high, share=share, tail=tail, note=note, channels=width
         )
+
+    def _doubted(self) -> tuple[str, bool] | None:
+        """Why random points do not bound the variance: see `mcspectra.estimators.tails.doubt`."""
+        estimator, channels = self.estimator, max(1, self.estimator.channels)
+        count = max(1, int(LIMITS.probe * self._limit) // _each(estimator))
+        rng, dims = self._stream.child(len(estimator.counts)).generator(0), estimator.dims
+        points = [rng.random((count * c, dims)) for c in estimator.counts]
+        values = [estimator.primary_values(t, u[None]) for t, u in enumerate(points)]
+        flat = [v.reshape(-1, channels) for v in values]
+        most = max(range(len(flat)), key=lambda t: float(flat[t].var(axis=0).max()))
+        return doubt(points[0] if len(points) == 1 else None, flat[most])
 
     def slowest(self, sampler: Sampler, counts: Sequence[int]) -> Slowest:
         """What theory knows of the rate at large n: of several techniques the slowest."""
