@@ -24,6 +24,7 @@ from .explain.causes import Cause as Cause
 from .improve.alignment import aligned as aligned
 from .improve.designs.design import certificate as certificate
 from .improve.designs.design import design as design
+from .improve.planning import plan as plan
 from .improve.remedy import remedies as remedies
 from .integrands.base import Integrand as Integrand
 from .integrands.registry import integrand as integrand
@@ -36,7 +37,6 @@ from .measure.modes import covariance_modes as covariance_modes
 from .measure.techniques import technique_terms as technique_terms
 from .measure.terms import variance_terms as variance_terms
 from .prediction.exact import exact_variance as exact_variance
-from .prediction.planning import plan as plan
 from .prediction.prediction import predict as predict
 from .profiler.profiling import Profile as Profile
 from .profiler.profiling import profile as profile

@@ -1,7 +1,7 @@
 """Boards without a page: figures come, go and turn gray as their results do."""
 
-import time
 from dataclasses import replace
+from queue import SimpleQueue
 
 import pytest
 from bokeh.models import InlineStyleSheet
@@ -14,34 +14,50 @@ from mcspectra.plots.backend_bokeh import Drawn
 SMALL = Setup(n=16, half_width=4, realizations=16)
 
 
+class Page:
+    """A page as a board sees it: what a job hands over runs in the page's own thread."""
+
+    def __init__(self):
+        self.acts = SimpleQueue()
+        self.board = Board(
+            "A", InlineStyleSheet(), later=self.acts.put, on_update=lambda _: None,
+            on_shown=lambda _: None,
+        )  # fmt: skip
+
+
 @pytest.fixture
-def board():
-    """A board whose page has a single thread: that of the job."""
-    return Board(
-        "A", InlineStyleSheet(), later=lambda act: act(), on_update=lambda _: None,
-        on_shown=lambda _: None,
-    )  # fmt: skip
+def page():
+    return Page()
 
 
-def shown(board, setup):
+@pytest.fixture
+def board(page):
+    return page.board
+
+
+@pytest.fixture
+def shown(page):
     """Run a set-up to its end; the kinds of its figures."""
-    board.run(setup)
-    end = time.monotonic() + 60
-    while board.busy and time.monotonic() < end:
-        time.sleep(0.01)
-    return set(board.cards)
+
+    def run(board, setup):
+        board.run(setup)
+        while board.busy:
+            page.acts.get(timeout=60)()
+        return set(board.cards)
+
+    return run
 
 
 def is_grey(board, kind):
     return board.cards[kind].layout.styles["opacity"] != "1"
 
 
-def test_figures_of_another_number_of_dims_take_the_place_of_those_before(board):
+def test_figures_of_another_number_of_dims_take_the_place_of_those_before(board, shown):
     assert shown(board, SMALL) == set(FIGURES) - {"lines"}
     assert shown(board, replace(SMALL, dims=1)) == set(FIGURES) - {"spectrum"}
 
 
-def test_figures_turn_grey_and_back(board):
+def test_figures_turn_grey_and_back(board, shown):
     shown(board, SMALL)
     shown(board, replace(SMALL, sampler="no-such"))
     assert board.latest == {}
@@ -50,7 +66,7 @@ def test_figures_turn_grey_and_back(board):
     assert not any(is_grey(board, kind) for kind in board.cards)
 
 
-def test_what_stays_as_it_is_is_not_drawn_again(board, monkeypatch):
+def test_what_stays_as_it_is_is_not_drawn_again(board, shown, monkeypatch):
     shown(board, SMALL)
     updated = []
     monkeypatch.setattr(Drawn, "update", lambda _, plot: updated.append(plot.kind))
@@ -59,7 +75,7 @@ def test_what_stays_as_it_is_is_not_drawn_again(board, monkeypatch):
     assert "integrand" not in updated
 
 
-def test_headings_name_the_side_of_a_pair(board):
+def test_headings_name_the_side_of_a_pair(board, shown):
     shown(board, SMALL)
     board.pair(True)
     heading = board.cards["points"].layout.children[0]
@@ -68,7 +84,7 @@ def test_headings_name_the_side_of_a_pair(board):
     assert heading.text == "<h2>Points</h2>"
 
 
-def test_panels_of_the_integrand_are_smaller_in_a_pair(board):
+def test_panels_of_the_integrand_are_smaller_in_a_pair(board, shown):
     shown(board, SMALL)
     panels = board.cards["integrand"].drawn.model.children
     alone = [panel.frame_width for panel in panels]
@@ -80,7 +96,7 @@ def test_panels_of_the_integrand_are_smaller_in_a_pair(board):
     assert all(panel.left[0].visible for panel in panels)
 
 
-def test_what_is_refused_leaves_grey_figures_and_no_numbers(board):
+def test_what_is_refused_leaves_grey_figures_and_no_numbers(board, shown):
     shown(board, SMALL)
     board.refuse("n is -5; give another.")
     assert board.latest == {}

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from scipy import stats
+from tests.prediction.unlimited import predict
 
 import mcspectra as mcs
 from mcspectra.core.analysis import Subject
@@ -47,7 +48,7 @@ CASES = [
 
 
 def _table(estimator, sampler, n, **options):
-    return mcs.predict(estimator, sampler, [n], method="all", **options).isel(n=0)
+    return predict(estimator, sampler, [n], method="all", **options).isel(n=0)
 
 
 def _values(table):
@@ -100,7 +101,7 @@ def test_deterministic_methods_are_certain_and_sampled_ones_are_not():
     assert (width.sel({"method": ["pair-correlation", "terms", "measured"]}) > 0).all()
     # The mean of f has no part in the variance
     raised = mcs.Integrand.from_function(lambda x: 2 + np.cos(6 * np.pi * x[..., 0]), dims=1)
-    again = mcs.predict(raised, "jittered | shift", [4], method="homogenized", half_width=16)
+    again = predict(raised, "jittered | shift", [4], method="homogenized", half_width=16)
     expected = _of(table, "predicted_variance", "homogenized")
     np.testing.assert_allclose(again["predicted_variance"][0], expected, rtol=1e-9)
 
@@ -108,7 +109,7 @@ def test_deterministic_methods_are_certain_and_sampled_ones_are_not():
 def test_a_cut_spectrum_says_so_and_misses_no_more_than_the_rest_allows():
     """Jittered: |√V − √V_K| ≤ √(‖f − f_K‖²/n), the deviation of what is cut off, at most random's."""
     f, n = mcs.integrand(BELL, dims=1), 8
-    table = mcs.predict(f, "jittered", [n], method="covariance", half_width=8).isel(n=0)
+    table = predict(f, "jittered", [n], method="covariance", half_width=8).isel(n=0)
     share = float(table["energy_share"])
     square = mcs.integrand(f"{BELL}", dims=1)
     whole = mcs.Integrand.from_function(lambda x: square(x) ** 2, dims=1).integral
@@ -116,7 +117,7 @@ def test_a_cut_spectrum_says_so_and_misses_no_more_than_the_rest_allows():
     exact, cut = mcs.exact_variance(f, "jittered", n), float(table["predicted_variance"])
     assert abs(math.sqrt(exact) - math.sqrt(cut)) <= math.sqrt((1 - share) * whole / n)
     assert abs(exact - cut) > 0.1 * exact  # the border of the torus is a jump
-    wide = mcs.predict(f, "jittered", [n], method="covariance", half_width=256)
+    wide = predict(f, "jittered", [n], method="covariance", half_width=256)
     assert abs(exact - float(wide["predicted_variance"][0])) < 0.05 * abs(exact - cut)
 
 
@@ -169,19 +170,17 @@ def test_several_samplers_and_counts_by_all_methods():
     """One block for each: rows are those of single calls, and rates follow along n."""
     options = {"half_width": 4, "realizations": 100, "rng": 5}
     wave = mcs.integrand(WAVES, dims=2)
-    found = mcs.predict(wave, ["random", "jittered"], [16, 64], method="all", **options)
+    found = predict(wave, ["random", "jittered"], [16, 64], method="all", **options)
     assert found["predicted_variance"].dims == ("sampler", "method", "n")
     assert found["how"].dims == ("sampler", "method", "n")
     assert found["predicted_rate"].dims == ("sampler", "method")
-    one = mcs.predict(wave, "jittered", [64], method="all", **options)
+    one = predict(wave, "jittered", [64], method="all", **options)
     both = found.sel(sampler="jittered", n=[64])
     for name in ("predicted_variance", "predicted_variance_ci", "energy_share", "tail_variance"):
         np.testing.assert_array_equal(both[name], one[name])
     rate = found["predicted_rate"].sel({"sampler": "random", "method": "exact"})
     assert float(rate) == pytest.approx(-1.0, abs=1e-6)
-    threads = mcs.predict(
-        wave, ["random", "jittered"], [16, 64], method="all", workers=2, **options
-    )
+    threads = predict(wave, ["random", "jittered"], [16, 64], method="all", workers=2, **options)
     assert found.equals(threads)
 
 
@@ -190,8 +189,8 @@ def test_one_method_is_its_row_of_all(method):
     """Up to rounding: measured alone draws no spectra, whose blocks may be others."""
     arguments = ("gaussian", ["jittered", "jittered | shift", "sobol | digital-shift"], [16])
     options = {"half_width": 4, "realizations": 50, "rng": 5}
-    table = mcs.predict(*arguments, method="all", **options)
-    found = mcs.predict(*arguments, method=method, **options)
+    table = predict(*arguments, method="all", **options)
+    found = predict(*arguments, method=method, **options)
     assert "method" not in found.dims
     row = table.sel({"method": method})
     there = ~np.isnan(row["predicted_variance"].values)
@@ -204,7 +203,7 @@ def test_one_method_is_its_row_of_all(method):
 
 def test_exact_is_exact_variance_with_the_error_of_its_quadrature():
     f = mcs.integrand("gaussian(width=0.3)", dims=2)
-    found = mcs.predict(f, ["jittered", "poisson-disk"], [16, 64], method="exact")
+    found = predict(f, ["jittered", "poisson-disk"], [16, 64], method="exact")
     for k, n in enumerate((16, 64)):
         value = mcs.exact_variance(f, "jittered", n)
         assert float(found["predicted_variance"][0, k]) == pytest.approx(value, rel=1e-12)
@@ -216,8 +215,8 @@ def test_exact_is_exact_variance_with_the_error_of_its_quadrature():
     # A tolerance that a disk cut by strata does not reach, and one that it does
     disk = "disk(center=0.4, radius=0.2)"
     tilted = mcs.Estimator(disk, "linear(slope=1.5)", dims=2)
-    assert np.isnan(mcs.predict(tilted, "random", [4], method="exact")["predicted_variance"]).all()
-    loose = mcs.predict(tilted, "random", [4], method="exact", tolerance=0.1)
+    assert np.isnan(predict(tilted, "random", [4], method="exact")["predicted_variance"]).all()
+    loose = predict(tilted, "random", [4], method="exact", tolerance=0.1)
     assert float(loose["predicted_variance"][0]) > 0.0
 
 
@@ -233,7 +232,7 @@ def test_exact_is_exact_variance_with_the_error_of_its_quadrature():
 )
 def test_a_method_that_does_not_apply_is_refused(sampler, method, words):
     def asked():
-        return mcs.predict("gaussian", sampler, [16], method=method, realizations=8, half_width=2)
+        return predict("gaussian", sampler, [16], method=method, realizations=8, half_width=2)
 
     if words:
         with pytest.raises(NoClosedForm, match=words):
@@ -248,11 +247,11 @@ def test_the_docstring_lists_all_names():
 
 def test_names_and_frequencies_are_refused_in_a_sentence():
     with pytest.raises(ParameterError, match=r"method is 'toru'.*Did you mean 'torus'"):
-        mcs.predict("gaussian", "random", [4], method="toru")
+        predict("gaussian", "random", [4], method="toru")
     six = mcs.integrand("gaussian", dims=6), mcs.sampler("random", dims=6), [4]
     with pytest.raises(ParameterError, match="frequencies"):
-        mcs.predict(*six, method="terms", half_width=32)
-    table = mcs.predict(*six, method="all", half_width=32, realizations=8)
+        predict(*six, method="terms", half_width=32)
+    table = predict(*six, method="all", half_width=32, realizations=8)
     assert "frequencies" in table["how"].sel({"method": "terms"}).item()
     assert float(table["predicted_variance"].sel({"method": "measured", "n": 4})) > 0.0
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.ndimage import map_coordinates
+from tests.prediction.unlimited import predict
 
 import mcspectra as mcs
 from mcspectra.core.confidence import CONFIDENCE_Z
@@ -20,7 +21,7 @@ MIS = mcs.MultipleImportance(
 
 
 def by_pairs(estimator, sampler, n, **options):
-    return mcs.predict(estimator, sampler, [n], method="pair-correlation", **options).isel(n=0)
+    return predict(estimator, sampler, [n], method="pair-correlation", **options).isel(n=0)
 
 
 def se_of(found):

@@ -5,6 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
+from tests.prediction.unlimited import predict
 
 import mcspectra as mcs
 from mcspectra.core.errors import CountError, NotPowerOfTwoWarning, ParameterError
@@ -44,7 +45,7 @@ def _measured(f, sampler, n, realizations):
 )
 def test_torus_invariant_sets_are_predicted_within_their_interval(f, sampler, n):
     f = mcs.integrand(f, dims=2)
-    found = mcs.predict(f, sampler, [n])
+    found = predict(f, sampler, [n])
     value, low, high = (
         float(found["predicted_variance"][0]),
         *found["predicted_variance_ci"].values[0],
@@ -71,12 +72,12 @@ def test_wave_under_a_shifted_lattice_is_its_dual_lattice():
         if abs(np.exp(2j * np.pi * (x @ (i, j))).mean()) > 0.5
     )
     wave = mcs.integrand(f"cosine(frequency={m})", dims=2)
-    found = mcs.predict(wave, points, [n])
+    found = predict(wave, points, [n])
     assert float(found["predicted_variance"][0]) == pytest.approx(0.5, rel=1e-9)
 
 
 def test_random_points_have_the_variance_of_f_over_n():
-    found = mcs.predict(DISK, "random", [16, 64, 1024])
+    found = predict(DISK, "random", [16, 64, 1024])
     area = math.pi * 0.3**2
     expected = area * (1 - area) / found["n"]
     np.testing.assert_allclose(found["predicted_variance"], expected, rtol=1e-5)
@@ -85,9 +86,9 @@ def test_random_points_have_the_variance_of_f_over_n():
 
 
 def test_rate_of_jumps_and_of_one_count():
-    found = mcs.predict(DISK, "jittered | shift", [64, 256, 1024])
+    found = predict(DISK, "jittered | shift", [64, 256, 1024])
     assert float(found["predicted_rate"]) == pytest.approx(-1.5, abs=0.03)
-    one = mcs.predict(DISK, "jittered | shift", [1024])
+    one = predict(DISK, "jittered | shift", [1024])
     assert float(one["predicted_rate"]) == pytest.approx(-1.5, abs=0.05)
     assert one["predicted_variance"].values == found["predicted_variance"].values[-1]
 
@@ -96,7 +97,7 @@ def test_a_list_of_samplers_and_channels():
     f = mcs.Integrand.from_function(
         lambda x: np.stack([np.cos(2 * np.pi * x[..., 0]), 1.0 + 0 * x[..., 0]], axis=-1), dims=2
     )
-    found = mcs.predict(f, ["random", "halton | shift"], [16])
+    found = predict(f, ["random", "halton | shift"], [16])
     assert found["predicted_variance"].dims == ("sampler", "n", "channel")
     first = found["predicted_variance"].sel(sampler="random").values[0]
     assert first[0] == pytest.approx(0.5 / 16, rel=1e-6)
@@ -106,20 +107,20 @@ def test_a_list_of_samplers_and_channels():
 
 @pytest.mark.parametrize("sampler", ["sobol", "halton", "regular"])
 def test_deterministic_sets_have_no_variance_and_say_so(sampler):
-    found = mcs.predict("gaussian", sampler, [16])
+    found = predict("gaussian", sampler, [16])
     assert np.isnan(found["predicted_variance"]).all()
     assert "add owen or shift" in found.attrs["note"]
 
 
 def test_nothing_is_predicted_as_zero():
-    found = mcs.predict("constant", "jittered | shift", [16])
+    found = predict("constant", "jittered | shift", [16])
     assert np.isnan(found["predicted_variance"]).all()
     assert "vanishes to rounding" in found.attrs["note"]
 
 
 def test_mirrored_points_see_another_integrand():
     f = mcs.integrand(DISK, dims=2)
-    found = mcs.predict(f, "halton | shift | mirror(mode='fold')", [256])
+    found = predict(f, "halton | shift | mirror(mode='fold')", [256])
     measured, error = _measured(f, "halton | shift | mirror(mode='fold')", 256, 3200)
     assert str(found["method"].values[0]) == "torus"
     value, half = float(found["predicted_variance"][0]), found["predicted_variance_ci"].values[0]
@@ -129,7 +130,7 @@ def test_mirrored_points_see_another_integrand():
 def test_techniques_add_up_and_dependent_ones_are_measured():
     f = mcs.integrand("gaussian", dims=1)
     mis = mcs.MultipleImportance(f, ["linear(slope=1)", "linear(slope=-1)"])
-    found = mcs.predict(mis, "random", [64])
+    found = predict(mis, "random", [64])
     exact = mcs.exact_variance(mis, "random", 64)
     assert float(found["predicted_variance"][0]) == pytest.approx(exact, rel=1e-6)
 
@@ -140,7 +141,7 @@ def test_jumps_across_many_axes_are_seen_by_scrambles_of_the_set():
     f = mcs.Integrand.from_function(lambda x: (x @ np.arange(1.0, 7.0) > 11.3) * 1.0, dims=6)
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
-        found = mcs.predict(f, sampler, [n])
+        found = predict(f, sampler, [n])
     assert all(str(each.message).startswith("300 Sobol'") for each in said)
     assert str(found["method"].values[0]) == "moves"
     assert str(found["how"].values[0]) == "lms scrambles of the set"
@@ -165,7 +166,7 @@ def test_jumps_across_many_axes_are_seen_by_scrambles_of_the_set():
 def test_sets_that_one_offset_moves_are_moved_where_products_miss_what_f_has(f, sampler, n):
     """Of the simplex on 16 points of a lattice 0.64 ± 0.26 of the variance; the worst were 6 times off."""
     f = mcs.Integrand.from_function(f, dims=4)
-    found = mcs.predict(f, sampler, [n])
+    found = predict(f, sampler, [n])
     how = "digital shifts" if "sobol" in sampler else "offsets of a lattice"
     assert str(found["method"].values[0]) == "moves"
     assert how in str(found["how"].values[0])
@@ -185,7 +186,7 @@ def test_what_no_theory_predicts_is_extrapolated_and_named():
 
     sampler = mcs.Sampler.from_function(strata, dims=4)
     f = "half-space(normal=[1.0, 0.5, 0.7, 0.3], offset=1.2)"
-    found = mcs.predict(f, sampler, [128])
+    found = predict(f, sampler, [128])
     assert str(found["how"].values[0]) == "from measurements at 32, 64, 256, 512"
     measured, error = _measured(mcs.integrand(f, dims=4), sampler, 128, 4000)
     low, high = found["predicted_variance_ci"].values[0]
@@ -204,7 +205,7 @@ def test_what_no_theory_predicts_is_extrapolated_and_named():
 )
 def test_sets_of_any_sampler_measure_a_table(f, sampler, n):
     """Extrapolation was off by 11 times for the narrow one; a pole that the table cuts widens the interval."""
-    found = mcs.predict(mcs.integrand(f, dims=2), sampler, [n], method="table")
+    found = predict(mcs.integrand(f, dims=2), sampler, [n], method="table")
     measured, error = _measured(f, sampler, n, 2000)
     low, high = found["predicted_variance_ci"].values[0]
     assert low - 4 * error < measured < high + 4 * error
@@ -236,7 +237,7 @@ def test_a_table_keeps_its_channels():
     ],
 )
 def test_sets_that_are_scrambles_of_one_set_have_the_variance_of_a_scrambled_net(f, sampler, n):
-    found = mcs.predict(f, sampler, [n])
+    found = predict(f, sampler, [n])
     assert str(found["method"].values[0]) != "extrapolated"
     measured, error = _measured(f, sampler, n, 2000)
     low, high = found["predicted_variance_ci"].values[0]
@@ -245,18 +246,18 @@ def test_sets_that_are_scrambles_of_one_set_have_the_variance_of_a_scrambled_net
 
 
 def test_same_seed_same_bits_whatever_the_threads():
-    one, two = (mcs.predict(DISK, "poisson-disk", [16], workers=w) for w in (1, 2))
+    one, two = (predict(DISK, "poisson-disk", [16], workers=w) for w in (1, 2))
     np.testing.assert_array_equal(one["predicted_variance_ci"], two["predicted_variance_ci"])
 
 
 @pytest.mark.parametrize(
     ("call", "error"),
     [
-        (lambda: mcs.predict("gaussian", "jittered", [7]), CountError),
-        (lambda: mcs.predict("gaussian", ["random", "random"], [4]), ParameterError),
-        (lambda: mcs.predict(["gaussian"], "random", [4]), ParameterError),
-        (lambda: mcs.predict("gaussian", [], [4]), ParameterError),
-        (lambda: mcs.predict("gaussian", "random", []), ParameterError),
+        (lambda: predict("gaussian", "jittered", [7]), CountError),
+        (lambda: predict("gaussian", ["random", "random"], [4]), ParameterError),
+        (lambda: predict(["gaussian"], "random", [4]), ParameterError),
+        (lambda: predict("gaussian", [], [4]), ParameterError),
+        (lambda: predict("gaussian", "random", []), ParameterError),
     ],
 )
 def test_refusals(call, error):
@@ -266,7 +267,7 @@ def test_refusals(call, error):
 
 def _limit(f, sampler, dims, counts=(16, 64, 256, 1024)):
     f = mcs.integrand(f, dims=dims) if isinstance(f, str) else f
-    found = mcs.predict(f, sampler, counts)
+    found = predict(f, sampler, counts)
     return float(found["limit_rate"]), float(found["bend_n"])
 
 
@@ -327,7 +328,7 @@ def test_a_peak_bends_where_strata_resolve_it():
 def test_limits_are_not_known_where_slopes_do_not_agree():
     """Lattices see half planes at −2.8, −2.0, −0.6 in turn, but never at the −3 of smooth functions."""
     f = mcs.integrand("formula(expression='(x0+x1>1)*1.')", dims=2)
-    found = mcs.predict(f, "rank1-lattice | shift", [64, 1024])
+    found = predict(f, "rank1-lattice | shift", [64, 1024])
     assert math.isnan(float(found["limit_rate"]))
     assert "limit_rate is not known: the last local rates are" in found.attrs["note"]
 
@@ -365,19 +366,19 @@ def test_jumps_decide_on_limits(f, density, sampler, counts, limit):
     """One of n strata is cut across an axis: −2; of strata of the cube n^(1 − 1/d): −1 − 1/d."""
     f = mcs.Integrand.from_function(f, dims=2)
     estimator = mcs.Estimator(f, density) if density else f
-    found = mcs.predict(estimator, sampler, counts)
+    found = predict(estimator, sampler, counts)
     assert float(found["limit_rate"]) == pytest.approx(limit, abs=1e-9)
 
 
 def test_random_points_have_their_rate_in_many_dims():
     f = mcs.Integrand.from_function(lambda x: np.exp(-x.sum(axis=-1)), dims=7)
-    assert float(mcs.predict(f, "random", [64, 256])["limit_rate"]) == -1.0
+    assert float(predict(f, "random", [64, 256])["limit_rate"]) == -1.0
 
 
 def test_rates_are_those_that_convergence_fits():
     counts = [16, 64, 256, 1024]
     f = "gaussian(width=0.02,center=0.41)"
-    found = mcs.predict(f, "jittered", counts)
+    found = predict(f, "jittered", counts)
     expected = np.polyfit(np.log(counts), np.log(found["predicted_variance"]), 1)[0]
     assert float(found["predicted_rate"]) == pytest.approx(expected, rel=1e-9)
     measured = mcs.convergence(f, "jittered", counts, realizations=4000, rng=5)
@@ -387,5 +388,5 @@ def test_rates_are_those_that_convergence_fits():
 
 def test_warnings_are_of_the_counts_that_were_asked_for():
     with pytest.warns(NotPowerOfTwoWarning) as said:
-        mcs.predict("gaussian(width=0.25)", "sobol | owen", [100])
+        predict("gaussian(width=0.25)", "sobol | owen", [100])
     assert {str(each.message).split()[0] for each in said} == {"100"}

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from scipy.stats import norm, t
+from tests.prediction.unlimited import predict
 
 import mcspectra as mcs
 from mcspectra.prediction.separable import Curve, separated
@@ -69,7 +70,7 @@ class TestUnbounded:
         between = 2 * n * np.sum((last - first) ** 2)
         exact = 2 * (3.0 - between) / n
         assert exact == pytest.approx(0.012925, rel=1e-4)
-        found = mcs.predict(quantiles, "latin-hypercube", [n], dims=2)
+        found = predict(quantiles, "latin-hypercube", [n], dims=2)
         low, high = found["predicted_variance_ci"].values[0]
         assert low <= exact <= high
         assert found["predicted_variance"].item() == pytest.approx(exact, rel=1e-5)
@@ -103,7 +104,7 @@ class TestUnbounded:
             exact = dims * (square - of_cells(n))
             if product:
                 exact = square**dims + (n - 1) * apart**dims - n * mean ** (2 * dims)
-        found = mcs.predict(powers, sampler, [n], dims=dims)
+        found = predict(powers, sampler, [n], dims=dims)
         value = found["predicted_variance"].item()
         low, high = found["predicted_variance_ci"].values[0]
         assert low <= high
@@ -114,7 +115,7 @@ class TestUnbounded:
 
     @pytest.mark.parametrize("method", ["exact", "levels", "subsets", "table", "moves"])
     def test_no_method_gives_a_number_where_the_square_has_no_integral(self, method):
-        found = mcs.predict(
+        found = predict(
             lambda x: (x**-0.55).sum(-1), "latin-hypercube", [16], dims=2, method=method
         )
         assert not np.isfinite(found["predicted_variance"]).any()

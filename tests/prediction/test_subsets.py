@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import fftconvolve
 from tests import oracles
+from tests.prediction.unlimited import predict
 
 import mcspectra as mcs
 from mcspectra.core.errors import NoClosedForm
@@ -237,7 +238,7 @@ def test_channels():
 def test_a_fit_that_runs_away_where_no_point_is_does_not_predict():
     # Products of twelve axes had a tenth of their energy at the border, and nets six times the variance
     f = oracles.asian_option(12)
-    found = mcs.predict(f, "sobol | owen", [256])
+    found = predict(f, "sobol | owen", [256])
     points = mcs.sampler("sobol | owen", dims=12).draw(256, realizations=400, rng=1)
     measured = f(points).mean(axis=1).var(ddof=1)
     error = measured * (2 / 399) ** 0.5
@@ -253,7 +254,7 @@ def test_jumps_in_more_dims_than_boxes_have():
         return (x[..., 2] > 0.3) * x[..., 0] + x[..., 5] * x[..., 1]
 
     g = mcs.Integrand.from_function(stepped, dims=7)
-    found = mcs.predict(g, "random", [64])
+    found = predict(g, "random", [64])
     # Var(BX) of a Bernoulli variable of 0.7, and Var(XY)
     exact = 0.7 / 3 - 0.35**2 + 1 / 9 - 1 / 16
     low, high = found["predicted_variance_ci"].values[0]

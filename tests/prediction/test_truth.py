@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from tests.prediction.adversarial import make
+from tests.prediction.unlimited import predict
 
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
@@ -137,7 +138,7 @@ def test_predictions_see_a_thin_slab(axis, center, width, sampler):
         middle = (np.arange(n) + 0.5) / n
         both = np.sum((high - low) * (0.5 * (low + high) - middle)) if axis == 0 else 0.0
         expected = apart + 2 * height * both / n
-    found = mcs.predict(_slab(axis, center, width), sampler, [n])
+    found = predict(_slab(axis, center, width), sampler, [n])
     assert float(found["predicted_variance"][0]) == pytest.approx(expected, rel=1e-6)
     assert float(np.diff(found["predicted_variance_ci"][0])[0]) < 1e-3 * expected
 
@@ -151,7 +152,7 @@ def test_no_method_is_sure_of_a_ridge_that_points_hardly_hit(sampler, seed):
     case = make("ridge", 2, seed)
     assert case.volume < 1e-4
     expected = case.variance((4, 4)) if sampler == "jittered" else case.variance(()) / 16
-    low, high = mcs.predict(case.integrand(), sampler, [16])["predicted_variance_ci"].values[0]
+    low, high = predict(case.integrand(), sampler, [16])["predicted_variance_ci"].values[0]
     assert low <= expected <= high
 
 
@@ -167,7 +168,7 @@ def test_no_method_is_sure_of_a_ridge_that_points_hardly_hit(sampler, seed):
 )
 def test_poles_are_infinite_from_one_half_on(f, dims, square):
     integrand = mcs.Integrand.from_function(f, dims=dims)
-    found = mcs.predict(integrand, "random", [16])
+    found = predict(integrand, "random", [16])
     value = mcs.exact_variance(integrand, "random", 16, tolerance=1e-2)
     assert value == found["predicted_variance"][0]
     if np.isinf(square):
@@ -189,7 +190,7 @@ def test_weights_that_grow_far_beyond_all_samples_are_finite():
 def test_a_pole_slows_the_limit_of_strata():
     """n^-2 n^2a from the first stratum, n^-4 Σ (j/n)^-(2 + 2a) from the others: −2 + 2a."""
     f = mcs.Integrand.from_function(lambda x: x[..., 0] ** -0.45, dims=1)
-    found = mcs.predict(f, "jittered", [16, 64, 256])
+    found = predict(f, "jittered", [16, 64, 256])
     assert float(found["limit_rate"]) == pytest.approx(-1.1, abs=0.01)
 
 
@@ -198,7 +199,7 @@ def test_what_was_the_same_everywhere_is_not_called_constant(sampler):
     f = mcs.Integrand.from_function(lambda x: 1.0 * (np.abs(x - 0.3) < 5e-4).all(axis=-1), dims=3)
     with pytest.raises(mcs.NoClosedForm, match="the same at all 131072 points"):
         mcs.exact_variance(f, sampler, 8)
-    found = mcs.predict(f, sampler, [8])
+    found = predict(f, sampler, [8])
     assert np.isnan(found["predicted_variance"]).all()
     assert "the same at all 131072 points" in found.attrs["note"]
     declared = mcs.Integrand.from_function(lambda x: 1.0 + 0.0 * x[..., 0], dims=3, integral=1.0)
@@ -214,7 +215,7 @@ def test_errors_of_a_function_are_named_as_its_own():
 
     f = mcs.Integrand.from_function(broken, dims=1)
     with pytest.raises(ParameterError, match="broken.*failed.*ZeroDivisionError"):
-        mcs.predict(f, "random", [16])
+        predict(f, "random", [16])
 
 
 @pytest.mark.parametrize("exponent", [0.1, 0.2, 0.3, 0.4])

@@ -255,6 +255,10 @@ class Counted(Analysis, frozen=True, kw_only=True):
 
     max_evaluations: Evaluations = None
 
+    def limit(self, subject: Subject) -> int | None:  # noqa: ARG002
+        """Most evaluations of a subject's functions; by default those that were asked for."""
+        return self.max_evaluations
+
 
 ANALYSES = Registry(
     "analysis",
@@ -267,7 +271,7 @@ ANALYSES = Registry(
             "measure.anova": "Anova AnovaSpectrum",
             "measure.converge": "Convergence",
             "measure.modes": "Modes",
-            "prediction.planning": "Plan",
+            "improve.planning": "Plan",
             "prediction.prediction": "predict=Prediction",
             "profiler.profiling": "profile=Profiling",
             "improve.remedy": "Remedies",
@@ -375,7 +379,7 @@ def needed(analysis: Analysis, subject: Subject) -> Need:
         raise AnalysisError(
             f"{type(analysis).__name__} needs {shown(need)}; its need must return a Need."
         )
-    most = _most(analysis)
+    most = _most(analysis, subject)
     if most is not None and need.evaluations > most:
         Tally(_said(analysis), most, refused=need.evaluations).check()
     return need
@@ -385,8 +389,8 @@ def _listed(given: Any) -> list[Any]:
     return list(given) if isinstance(given, list | tuple) else [given]
 
 
-def _most(analysis: Analysis) -> int | None:
-    return analysis.max_evaluations if isinstance(analysis, Counted) else None
+def _most(analysis: Analysis, subject: Subject) -> int | None:
+    return analysis.limit(subject) if isinstance(analysis, Counted) else None
 
 
 def _said(analysis: Analysis) -> str | Function:
@@ -492,7 +496,7 @@ def compute(
     threads = available_workers(workers)
     clean = checked(analysis)
     name = clean.function or type(clean).__name__
-    with counting(_said(clean), _most(clean)) as tally:
+    with counting(_said(clean), _most(clean, subject)) as tally:
         check_memory(needed(clean, subject).memory, _said(clean))
 
         def states_of(step: list[Reduction[Any]]) -> Iterator[Any]:

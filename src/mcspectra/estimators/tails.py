@@ -31,6 +31,7 @@ __all__ = [
     "BorderGrowth",
     "TailSettings",
     "border_growth",
+    "doubt",
     "few_note",
     "growing_interval",
     "growth_note",
@@ -68,6 +69,9 @@ class TailSettings:
     # difference is the error of a fit of 64 points.
     no_variance: float = 0.48
     no_integral: float = 0.95
+    # Exponent from which on f⁴ has no integral, so that the error of a measured variance is not
+    # known: ¼.
+    infinite_error: float = 0.25
     # Largest exponent whose quantiles are computed: above it the interval has no end, if the lower
     # end of the exponent's own interval is above the second value. Of 2,700 integrals of
     # exp(x + y) five had an exponent above the first by chance.
@@ -157,7 +161,7 @@ def border_growth(
         closest = np.argpartition(t, count)[:count]
         closest = closest[np.argsort(t[closest])]
         logs, y = np.log(np.maximum(t[closest], 1e-300)), values[closest]
-        if not np.ptp(y[1:]) or not (y != centre).any():
+        if not np.ptp(y[1:]) or not np.ptp(logs[1:]) or not (y != centre).any():
             continue
         # A single value, which is large by chance, does not make growth
         fits = [fitted(logs, y), fitted(logs[1:], y[1:])]
@@ -240,6 +244,41 @@ def growth_note(
             "use a density that grows there"
         )
     return f"{said}: from ½ on its variance is infinite, so that the error has no upper bound"
+
+
+def doubt(
+    points: Array | None, values: Array, settings: TailSettings = TAIL_SETTINGS
+) -> tuple[str, bool] | None:
+    """Return why values (N, channels) at points (N, d) do not bound their variance from above.
+
+    Returns
+    -------
+    tuple or None
+        A sentence, and whether the values say nothing about the variance at all: it may be infinite,
+        or lie where there is no point. None if they bound it. Without points growth is not looked for.
+    """
+    for each in values.T:
+        if not np.ptp(each):
+            return (
+                f"f is {each[0]:.6g} at all {len(each)} points: either it is constant, or what varies, "
+                f"in less than about {3 / len(each):.1g} of the volume, was not met"
+            ), True
+        growths = [] if points is None else border_growth(points, each, settings)
+        if said := growth_note(growths, settings) or few_note(each, settings):
+            return said, True
+        steep = [growth for growth in growths if growth.exponent >= settings.infinite_error]
+        if steep:
+            most = max(steep, key=lambda growth: growth.exponent)
+            return (
+                f"f grows about as t^−{most.exponent:.2f} with the distance t to x_{most.axis} = "
+                f"{int(most.high)}: from ¼ on the error of a measured variance has no bound"
+            ), False
+        if not Moments.of(each, tails=True).resolved:
+            return (
+                f"a few of {len(each)} evaluations make the variance, which may be far larger; give a "
+                "density that finds them, or a larger max_evaluations"
+            ), False
+    return None
 
 
 def unsampled_share(estimator: AbstractEstimator, samples: int) -> float:

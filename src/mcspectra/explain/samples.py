@@ -15,7 +15,7 @@ all counts of a straight curve determine its rate, and only the last counts of a
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import final
@@ -243,8 +243,10 @@ class Sets:
             growths = border_growth(self.points[0].reshape(-1, self.dims), self.values[0].ravel())
         return growing_interval(self.estimates, growths)
 
-    def curves(self, settings: CurveSettings = CURVE_SETTINGS) -> dict[str, Curve]:
-        """The variance of each sampler that the evaluations can estimate."""
+    def curves(
+        self, settings: CurveSettings = CURVE_SETTINGS, names: Collection[str] | None = None
+    ) -> dict[str, Curve]:
+        """The variance of each sampler that the evaluations can estimate, or of those in `names`."""
         counts = 2 ** np.arange(self.n.bit_length())
         found = {
             NETS: self._curve(_of_strata if self.dims == 1 else _of_nets, counts, settings),
@@ -253,7 +255,8 @@ class Sets:
         if set(self.counts) == {1} and 1 < self.dims <= settings.jittered_dims:
             sides = 2 ** np.arange((self.n.bit_length() - 1) // self.dims + 1)
             found["jittered"] = self._curve(_of_strata, sides**self.dims, settings)
-        if self.dims > 1 and self.n >= settings.slabs:
+        slabs = names is None or "latin-hypercube" in names
+        if slabs and self.dims > 1 and self.n >= settings.slabs:
             of_slabs = partial(_of_slabs, slabs=settings.slabs)
             many = counts[counts >= settings.slabs]
             found["latin-hypercube"] = self._curve(of_slabs, many, settings, -1.0)

@@ -4,6 +4,7 @@ from .alignment import strata_shift_scan as strata_shift_scan
 from .designs.design import certificate as certificate
 from .designs.design import design as design
 from .learned import learned_density as learned_density
+from .planning import plan as plan
 from .remedy import remedies as remedies
 from .variants import mirror_study as mirror_study
 from .variants import smoothing_scan as smoothing_scan
@@ -15,6 +16,7 @@ __all__ = [
     "design",
     "learned_density",
     "mirror_study",
+    "plan",
     "remedies",
     "smoothing_scan",
     "strata_shift_scan",

@@ -1,6 +1,5 @@
 from .exact import exact_variance as exact_variance
 from .image_errors import image_error_spectrum as image_error_spectrum
-from .planning import plan as plan
 from .prediction import predict as predict
 from .rates import DecayFit as DecayFit
 from .rates import fitted_decay as fitted_decay
@@ -13,7 +12,6 @@ __all__ = [
     "fitted_decay",
     "image_error_spectrum",
     "integrand_decay",
-    "plan",
     "predict",
     "predicted_rate",
 ]

@@ -1127,8 +1127,14 @@ def _refuse_strangers(file: Path) -> None:
             raise StoreError(f"{str(beside)!r} is no file; remove it, or take another folder.")
     journal = file.with_name(f"{file.name}-journal")
     if journal.exists():
-        with _reading(journal), journal.open("rb") as stream:
-            stream.seek(max(0, journal.stat().st_size - len(_SUPER_JOURNAL)))
+        tail = b""  # a writer that commits may delete the journal before it is opened
+        with (
+            _reading(journal),
+            contextlib.suppress(FileNotFoundError),
+            journal.open("rb") as stream,
+        ):
+            stream.seek(0, os.SEEK_END)
+            stream.seek(max(0, stream.tell() - len(_SUPER_JOURNAL)))
             tail = stream.read()
         # SQLite deletes the file that is named there
         if tail == _SUPER_JOURNAL:

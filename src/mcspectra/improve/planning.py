@@ -1,0 +1,859 @@
+"""Planning: the least number of points that reaches an error.
+
+The variance of known integrands is predicted at powers of two, and between two of them at counts that halve
+an octave. Functions of users are measured: scrambled nets give the variance of several samplers at
+once (`mcspectra.explain.samples`), and other samplers draw sets of their own. A measurement goes in
+stages, each with twice the evaluations of the one before, none of which is made twice. It ends at the
+first stage that knows n within a factor. A smaller error never takes fewer points: every search
+depends on the error through comparisons only, and no stage plans less than an earlier one excluded.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Annotated, Any, final
+
+import numpy as np
+from msgspec import Meta
+
+from mcspectra.core.analysis import Counted, Need, Reduction, Subject, whole
+from mcspectra.core.checks import Array
+from mcspectra.core.confidence import student_t
+from mcspectra.core.errors import CountError, NoClosedForm, Parameter, ParameterError
+from mcspectra.core.memory import memory_of
+from mcspectra.core.results import dataset
+from mcspectra.core.streams import RngLike, Stream
+from mcspectra.estimators import AbstractEstimator
+from mcspectra.estimators.moments import mean_interval
+from mcspectra.estimators.tails import doubt
+from mcspectra.explain.samples import CURVE_SETTINGS, NETS, Curve, Sets, curve_of
+from mcspectra.measure.doors import NO_VARIANCE, VANISHES, answer
+from mcspectra.prediction.known import Cells
+from mcspectra.prediction.prediction import LIMITS, Prediction, Predictor
+from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.samplers.law import Fixed, Law, leaf_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["MeasuredPlanSettings", "Plan", "PlanSettings", "plan"]
+
+_TINY = float(np.finfo(float).tiny)
+"""Replaces a variance of 0 in logarithms."""
+
+
+@final
+@dataclass(frozen=True)
+class PlanSettings:
+    """How the least count is searched in predictions."""
+
+    # Variances are predicted at powers of two up to this one. Beyond the last one the curve goes
+    # on with its rate. It is the largest count at which `predict` looks for the limit of rates.
+    octaves: int = 16
+    # Factor by which the curve goes below the wanted variance, so that the upper ends of
+    # intervals reach it as well.
+    margin: float = 4.0
+    # Points that a plan still names: more do not fit a 64-bit integer.
+    most: int = 2**62
+    # Inverse of the relative step in which n is searched between powers of two: up to 256 it is
+    # the least count, beyond that larger by 0.4 % at most, for eight predictions.
+    steps: int = 256
+    # Ratio of the ends of an interval of n above which the recommendation names it.
+    wide: float = 1.25
+    # Counts that are tried, one after the other, for estimators of several techniques, whose sets
+    # the sampler must all be able to draw.
+    tries: int = 256
+
+
+@final
+@dataclass(frozen=True)
+class MeasuredPlanSettings:
+    """How many evaluations of a function a plan makes."""
+
+    # Most evaluations whatever is allowed: the points of a stage are in memory, 128 MB in 1-D.
+    most: int = 2**24
+    # Evaluations of the first stage: as many as `profile` makes by default.
+    first: int = 2**12
+    # Sets of the first stage: a variance of 32 sets has a standard error of a quarter of it.
+    nets: int = 32
+    # Stages after which the sets are doubled instead of their points, once in three: of 2^18
+    # evaluations 128 sets remain, whose variance has a standard error of 12 %. Once in two stages
+    # leaves sets of half the points, beyond which rates of jumps are uncertain.
+    doubling: int = 3
+    # Least points of a set of the first stage: four counts, which show a rate.
+    least: int = 8
+    # Least number of sets for a variance, as in `profile`: for samplers of few stored sets.
+    least_sets: int = 3
+    # Ratio of the ends of an interval of n at which a stage is enough.
+    narrow: float = 1.5
+    # Sets of n points whose evaluations are enough for any n. By brute force so many sets give
+    # the variance to √(2/256) = 9 %.
+    enough: int = 256
+    # Places in each octave at which a curve is compared with the error; it is a line between
+    # them.
+    parts: int = 16
+
+
+_SETTINGS, _MEASURED = PlanSettings(), MeasuredPlanSettings()
+_CURVE = tuple(2**k for k in range(_SETTINGS.octaves + 1))
+_OF_NETS = {NETS, "random", "jittered"}
+
+
+@final
+@dataclass(frozen=True)
+class _Found:
+    """The answer for one sampler: n, the ends of its interval, and the variance there, (channels,).
+
+    `curve` has the variance and the ends of its interval at `_CURVE`, (N, channels, 3).
+    """
+
+    n: float
+    ends: tuple[float, float]
+    variance: Array
+    method: tuple[str, str]
+    curve: Array
+    notes: tuple[str, ...] = ()
+
+    @staticmethod
+    def none(channels: int, note: str) -> _Found:
+        """No answer, and the reason."""
+        nan = math.nan
+        curve = np.full((len(_CURVE), channels, 3), nan)
+        return _Found(nan, (nan, nan), np.full(channels, nan), ("none", note), curve, (note,))
+
+
+@final
+class Plan(Counted, frozen=True, kw_only=True):
+    """Smallest number of points that reaches an error, predicted, or measured for users' functions."""
+
+    function = "plan"
+    verb = "plan"
+    several = ("sampler",)
+    variables = (
+        *("planned_n", "planned_n_ci", "planned_error", "target_variance"),
+        *("predicted_variance", "predicted_variance_ci"),
+    )
+
+    target_error: Annotated[
+        float,
+        Meta(gt=0.0, description="Wanted root mean square error of the estimate."),
+    ]
+    relative: Annotated[bool, Meta(description="The error is relative to the integral.")] = False
+
+    def need(self, subject: Subject) -> Need:
+        """What predictions or measurements take; an integral that errors can be relative to."""
+        estimator, samplers = subject.estimator, subject.samplers
+        for sampler in samplers:
+            least = sampler.nearest_count(1)
+            if _is_measured(estimator):
+                estimator.check_sampler(sampler, least)
+            else:
+                need = Prediction(counts=(least,)).need(Subject(estimator, sampler))
+        integral = self._integral(estimator) if self.relative else 1.0
+        if integral is not None and not np.all(np.abs(integral) > 0):
+            raise ParameterError(
+                f"The integral of {estimator.spec} is {integral}, so that no error is a share of it; "
+                "give ",
+                Parameter("target_error"),
+                " without relative.",
+            )
+        if not _is_measured(estimator):
+            return Need(cost=need.cost * len(_CURVE) * len(samplers), memory=need.memory)
+        limit = min(self.limit(subject) or _MEASURED.most, _MEASURED.most)
+        least = _MEASURED.nets * _MEASURED.least * _each(estimator) * len(self._parts(subject))
+        return Need(
+            cost=float(limit),
+            memory=memory_of(limit // sum(estimator.counts), estimator.dims, sum(estimator.counts)),
+            evaluations=least,
+        )
+
+    def limit(self, subject: Subject) -> int | None:
+        """Most evaluations of a measurement; predictions of known integrands have no limit of their own."""
+        if self.max_evaluations is None and _is_measured(subject.estimator):
+            return LIMITS.evaluations
+        return self.max_evaluations
+
+    def _integral(self, estimator: AbstractEstimator) -> Any:
+        """The integral; None where it takes evaluations that are measured."""
+        if _is_measured(estimator) and estimator.integral_source != "exact":
+            return None
+        return estimator.integral
+
+    def _parts(self, subject: Subject) -> list[str]:
+        """Samplers that are drawn for a measurement, which share its evaluations; nets first."""
+        estimator = subject.estimator
+        apart = [s.spec for s in subject.samplers if not _of_nets(estimator, s)]
+        nets = len(apart) < len(subject.samplers)
+        nets |= self.relative and self._integral(estimator) is None
+        fixed = {s.spec for s in subject.samplers if estimator.randomized(s).fixed}
+        return [NETS] * nets + [spec for spec in apart if spec not in fixed]
+
+    def reduction(self, subject: Subject, stream: Stream) -> Reduction[xr.Dataset]:
+        """One sampler after the other; where the search goes depends on what it finds."""
+        return whole(lambda: self._planned(subject, stream), self.need(subject).cost)
+
+    def _planned(self, subject: Subject, stream: Stream) -> xr.Dataset:
+        estimator, samplers = subject.estimator, subject.samplers
+        if _is_measured(estimator):
+            target, found = self._by_measurement(subject, stream)
+        else:
+            scale = np.ones(max(1, estimator.channels))
+            if self.relative:
+                scale = np.atleast_1d(np.abs(np.asarray(estimator.integral, float)))
+            target = (self.target_error * scale) ** 2
+            predictor = Predictor(estimator, stream)
+            found = [_by_prediction(predictor, sampler, target) for sampler in samplers]
+        notes = [
+            f"{sampler.spec}: {note}"
+            for sampler, each in zip(samplers, found, strict=True)
+            for note in each.notes
+        ]
+
+        # In words: the sampler that takes the fewest points, and the others beside it
+        evaluations = sum(estimator.counts)
+        reached = sorted(
+            (each.n, sampler.spec, *each.ends)
+            for sampler, each in zip(samplers, found, strict=True)
+            if np.isfinite(each.n)
+        )
+        sizes = [f"{n:.0f}{_between(low, high)} with {name}" for n, name, low, high in reached]
+        none = "; ".join(dict.fromkeys(notes)) or "no sampler is predicted to reach the error"
+        told = f"n = {' or '.join(sizes)}" if sizes else none
+        if evaluations > 1 and sizes:
+            told += f"; each is {evaluations} evaluations"
+        alone = subject.sampler is samplers[0]
+        names, hows = map(list, zip(*(each.method for each in found), strict=True))
+        curves = np.array([each.curve for each in found])
+        return dataset(
+            {
+                "planned_n": (("sampler",), np.array([each.n for each in found])),
+                "planned_n_ci": (("sampler", "bound"), np.array([each.ends for each in found])),
+                "planned_error": (
+                    ("sampler", "channel"),
+                    np.sqrt([each.variance for each in found]),
+                ),
+                "target_variance": (("channel",), target),
+                "predicted_variance": (("sampler", "n", "channel"), curves[..., 0]),
+                "predicted_variance_ci": (("sampler", "n", "channel", "bound"), curves[..., 1:]),
+            },
+            {
+                "n": ("n", list(_CURVE), {"long_name": "number of points", "units": "1"}),
+                "bound": ["low", "high"],
+                **(
+                    {}
+                    if alone
+                    else {
+                        "sampler": [s.spec for s in samplers],
+                        "method": ("sampler", names, {"long_name": "method of the prediction"}),
+                        "how": (
+                            "sampler",
+                            hows,
+                            {"long_name": "how the method found the variance"},
+                        ),
+                    }
+                ),
+            },
+            drop=["sampler"] * alone + ["channel"] * (not estimator.channels),
+            estimator=estimator.spec,
+            sampler=samplers[0].spec if alone else None,
+            method=names[0] if alone else None,
+            how=hows[0] if alone else None,
+            target_error=self.target_error,
+            relative=self.relative,
+            recommendation=told,
+            note="; ".join(notes) or None,
+        )
+
+    def _by_measurement(self, subject: Subject, stream: Stream) -> tuple[Array, list[_Found]]:
+        """The wanted variance, (channels,), and the answer for each sampler."""
+        estimator, channels = subject.estimator, max(1, subject.estimator.channels)
+        parts = self._parts(subject)
+        limit = min(self.limit(subject) or _MEASURED.most, _MEASURED.most)
+        share = limit // max(1, len(parts)) // _each(estimator)
+        nets = _Nets(estimator, share, stream.child(0)) if NETS in parts[:1] else None
+        target, integral = np.full(channels, self.target_error), self._integral(estimator)
+        if self.relative and integral is not None:
+            target = target * np.abs(integral)
+        elif self.relative:
+            assert nets is not None
+            for stage in nets.stages():
+                means = stage.means
+                low, high = np.array([mean_interval(means[:, c]) for c in range(channels)]).T
+                zero = bool(((low <= 0.0) & (high >= 0.0)).any())
+                if not zero:
+                    break
+            target = target * np.abs(means.mean(axis=0))
+            if zero:
+                reason = "the integral may be 0, so that no error is a share of it"
+                return target**2, [_Found.none(channels, reason)] * len(subject.samplers)
+        found = []
+        for place, sampler in enumerate(subject.samplers):
+            if estimator.randomized(sampler).fixed:
+                found.append(_Found.none(channels, f"a deterministic sampler {NO_VARIANCE}"))
+                continue
+            source: _Nets | _Own | None = nets
+            if not _of_nets(estimator, sampler):
+                source = _Own(estimator, sampler, share, stream.child(1 + place))
+            assert source is not None
+            found.append(_in_stages(source, sampler, target**2))
+        return target**2, found
+
+
+def _between(low: float, high: float) -> str:
+    """An interval in parentheses, where it is wide."""
+    if math.isinf(high):
+        return f" ({low:.0f} or more)"
+    return f" ({low:.0f} to {high:.0f})" if high > _SETTINGS.wide * low else ""
+
+
+# ------------------------------------------------------------------------------------- predictions
+
+
+def _by_prediction(predictor: Predictor, sampler: Sampler, target: Array) -> _Found:
+    """The least count whose predicted variances reach the target, of all channels."""
+    estimator = predictor.estimator
+    counts, found = list[int](), list[Cells]()
+    curve = np.full((len(_CURVE), len(target), 3), np.nan)
+
+    def at(n: int) -> Array:
+        """The predicted variance of a count, which is remembered."""
+        cells = predictor.at(sampler, n)
+        if cells.notes[0] == VANISHES:  # to rounding, which counts as 0
+            cells = replace(cells, variance=np.nan_to_num(cells.variance))
+        counts.append(n)
+        found.append(cells)
+        return np.asarray(cells.variance[0])
+
+    for step, n in enumerate(_CURVE):
+        nearest = sampler.nearest_count(n)
+        if nearest in counts or not _can(estimator, sampler, nearest):
+            continue
+        variance = at(nearest)
+        if nearest == n:
+            curve[step] = np.stack([variance, found[-1].low[0], found[-1].high[0]], axis=-1)
+        if (variance <= target / _SETTINGS.margin).all():
+            break
+    n, variance, method = _least(estimator, sampler, counts, found, target, at)
+    ends = _ends(estimator, sampler, n, counts, found, target)
+    said = dict.fromkeys(str(each.notes[0]) for each in found)
+    notes = tuple(note for note in said if note not in ("", VANISHES))
+    return _Found(n, ends, variance, method, curve, notes)
+
+
+def _least(
+    estimator: AbstractEstimator,
+    sampler: Sampler,
+    counts: list[int],
+    found: list[Cells],
+    target: Array,
+    at: Callable[[int], Array],
+) -> tuple[float, Array, tuple[str, str]]:
+    """The least count at which all channels reach the target, its variance, method and details."""
+    variances = [each.variance[0] for each in found]
+    known = [k for k, v in enumerate(variances) if np.isfinite(v).all()]
+    unknown = np.full(len(target), math.nan)
+    if not known:
+        return math.nan, unknown, found[-1].named() if found else ("none", "")
+    first = next((k for k in known if (variances[k] <= target).all()), None)
+    if first is None:
+        # By the slope of the last predictions, rounded up to a count that the sampler can do
+        last, earlier = known[-1], known[max(0, len(known) - 4)]
+        ends, ratio = variances[last], counts[last] / counts[earlier]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            rate = np.log(ends / variances[earlier]) / np.log(ratio)
+            wanted = counts[last] * float(np.exp(np.max(np.log(target / ends) / rate)))
+        if not (rate < 0.0).all():
+            return math.nan, unknown, ("none", "out of reach")
+        n = _count_from(estimator, sampler, wanted)
+        if not math.isfinite(n):
+            return math.nan, unknown, ("none", "out of reach")
+        variance = ends * (n / counts[last]) ** rate
+        how = f"extrapolated from n = {counts[last]}"
+        return n, variance, (found[last].named()[0], how)
+    best = float(counts[first]), variances[first], found[first].named()
+    before = [k for k in known if k < first]
+
+    # Halve the octaves between the last count that misses the target and the first that reaches it.
+    # Curves go up and down; but two targets take the same way as long as both are met or both are
+    # missed, and then the smaller one goes up. Nets are balanced at powers of their base alone
+    if not before or _base(estimator.law(sampler, counts[first])):
+        return best
+    low, high = counts[before[-1]], counts[first]
+    step = max(1, high // _SETTINGS.steps)
+    while high - low > step:
+        between = sampler.nearest_count((low + high) // 2)
+        if not low < between < high:
+            between = sampler._counts_near(low + 1)[1]
+        if not low < between < high or not _can(estimator, sampler, between):
+            break
+        variance = at(between)
+        if not np.isfinite(variance).all():
+            break
+        if (variance <= target).all():
+            high, best = between, (float(between), variance, found[-1].named())
+        else:
+            low = between
+    return best
+
+
+def _ends(
+    estimator: AbstractEstimator,
+    sampler: Sampler,
+    n: float,
+    counts: list[int],
+    found: list[Cells],
+    target: Array,
+) -> tuple[float, float]:
+    """The least counts at which the lower and the upper ends of predicted variances reach the target.
+
+    Beyond the last count they go on along the last slopes, and are infinite where these never do.
+    """
+    order = [k for k in np.argsort(counts) if np.isfinite(found[k].variance[0]).all()]
+    if not np.isfinite(n) or not order:
+        return math.nan, math.nan
+    x = np.log([counts[k] for k in order])
+    over = np.log(np.maximum([found[k].variance[0] for k in order], _TINY) / target).max(axis=1)
+    slopes = np.diff(over[-4:]) / np.diff(x[-4:])
+    ends = []
+    for side, slope in ((0, slopes.min(initial=0.0)), (1, slopes.max(initial=-math.inf))):
+        limits = np.nan_to_num([(found[k].low, found[k].high)[side][0] for k in order])
+        off = np.log(np.maximum(limits, _TINY) / target).max(axis=1)
+        end = _crossing(x, off)
+        if math.isinf(end) and slope < 0.0:
+            end = x[-1] + off[-1] / -slope
+        ends.append(end)
+    with np.errstate(over="ignore"):
+        low, high = (_count_from(estimator, sampler, each) for each in np.exp(ends))
+    return min(low, n), max(high, n)
+
+
+# ------------------------------------------------------------------------------------ measurements
+
+
+@final
+@dataclass(frozen=True)
+class _Stage:
+    """Curves of variance by sampler and channel, and the values behind them.
+
+    Attributes
+    ----------
+    curves
+        By the spec of a sampler, a curve for each channel.
+    means
+        Estimates of the largest sets, (R, channels).
+    points, values
+        Points (N, d) of a single technique, none of several, and values of each channel (N, channels)
+        of the technique that varies most.
+    largest
+        Evaluations of the largest sets over those of a point: R times their count.
+    evaluations
+        Evaluations of all stages up to this one.
+    """
+
+    curves: dict[str, list[Curve]]
+    means: Array
+    points: Array | None
+    values: Array
+    largest: int
+    evaluations: int
+
+
+def _sizes(stage: int, share: int, each: int) -> tuple[int, int] | None:
+    """Sets of a stage, and the points of all of them; None beyond the share."""
+    first = max(_MEASURED.first // each, _MEASURED.nets * _MEASURED.least)
+    points = first << stage
+    if points > share:
+        if stage:
+            return None
+        points = share
+    return _MEASURED.nets << stage // _MEASURED.doubling, points
+
+
+def _pooled(
+    points: Sequence[Array], values: Sequence[Array], channels: int
+) -> tuple[Array | None, Array]:
+    """`_Stage.points` and `_Stage.values` of points (R, n, d) and values (R, n, channels)."""
+    most = max(values, key=lambda v: float(v.var(axis=(0, 1)).max()))
+    x = points[0].reshape(-1, points[0].shape[2]) if len(points) == 1 else None
+    return x, most.reshape(-1, channels)
+
+
+@dataclass
+class _Nets:
+    """Scrambled nets, which have the points of the stage before among their own."""
+
+    estimator: AbstractEstimator
+    share: int
+    stream: Stream
+    made: list[_Stage] = field(default_factory=list)
+    values: list[Array] = field(default_factory=list)
+    evaluations: int = 0
+
+    def stage(self, place: int) -> _Stage:
+        """A stage, which is made once, after those before it."""
+        while len(self.made) <= place:
+            self.made.append(self._next())
+        return self.made[place]
+
+    def stages(self) -> Iterator[_Stage]:
+        """All stages within the share, each made when it is asked for."""
+        place = 0
+        while _sizes(place, self.share, _each(self.estimator)):
+            yield self.stage(place)
+            place += 1
+
+    def _next(self) -> _Stage:
+        estimator, channels = self.estimator, max(1, self.estimator.channels)
+        sizes = _sizes(len(self.made), self.share, _each(estimator))
+        assert sizes is not None
+        nets, n = sizes[0], 1 << (sizes[1] // sizes[0]).bit_length() - 1
+        points = estimator.draw(as_sampler(NETS, estimator.dims), n, self.stream, 0, nets)
+        # The first points of the first nets are those of the stage before
+        values = []
+        for t, u in enumerate(points):
+            all_values = np.empty((*u.shape[:2], channels))
+            rows, columns = 0, 0
+            if self.values:
+                rows, columns = self.values[t].shape[:2]
+                all_values[:rows, :columns] = self.values[t]
+            for new in ((slice(rows), slice(columns, None)), (slice(rows, None), slice(None))):
+                if u[new].size:
+                    made = estimator.primary_values(t, u[new])
+                    all_values[new] = made.reshape(*made.shape[:2], channels)
+                    self.evaluations += (
+                        made.shape[0] * made.shape[1] * estimator.evaluations_per_point
+                    )
+            values.append(all_values)
+        self.values = values
+        curves: dict[str, list[Curve]] = {}
+        for c in range(channels):
+            sets = Sets(points, [v[..., c] for v in values], estimator.counts)
+            for name, curve in sets.curves(names=_OF_NETS).items():
+                curves.setdefault(name, []).append(curve)
+        return _Stage(
+            {name: each for name, each in curves.items() if len(each) == channels},
+            np.asarray(sum(v.mean(axis=1) for v in values)),
+            *_pooled(points, values, channels),
+            nets * n,
+            self.evaluations,
+        )
+
+
+@dataclass
+class _Own:
+    """Sets of a sampler at powers of a base, to which each stage adds sets and counts."""
+
+    estimator: AbstractEstimator
+    sampler: Sampler
+    share: int
+    stream: Stream
+    made: dict[int, tuple[list[Array], list[Array]]] = field(default_factory=dict)
+    evaluations: int = 0
+
+    def stages(self) -> Iterator[_Stage]:
+        """All stages within the share, each made when it is asked for."""
+        estimator, sampler = self.estimator, self.sampler
+        base = max(sampler.digit_bases, default=2)
+        counts = sorted({
+            count
+            for k in range(int(math.log(self.share, base)) + 1)
+            if _can(estimator, sampler, count := sampler.nearest_count(base**k))
+        })  # fmt: skip
+        stage, channels = 0, max(1, estimator.channels)
+        while sizes := _sizes(stage, self.share, _each(estimator)):
+            sets = int(min(sizes[0], sampler.most_realizations))
+            fit = int(np.searchsorted(np.cumsum(counts) * sets, sizes[1], side="right"))
+            if sets < _MEASURED.least_sets or not fit:
+                return
+            for n in counts[:fit]:
+                self._add(n, sets)
+            estimates = [
+                np.asarray(sum(v.mean(axis=1) for v in self.made[n][1])) for n in counts[:fit]
+            ]
+            curves = [curve_of(counts[:fit], [e[:, c] for e in estimates]) for c in range(channels)]
+            yield _Stage(
+                {sampler.spec: curves},
+                estimates[-1],
+                *_pooled(*self.made[counts[fit - 1]], channels),
+                sets * counts[fit - 1],
+                self.evaluations,
+            )
+            stage += 1
+
+    def _add(self, n: int, sets: int) -> None:
+        """Evaluate more sets of n points, up to `sets` of them."""
+        estimator, channels = self.estimator, max(1, self.estimator.channels)
+        points, values = self.made.get(n, ([], []))
+        have = len(points[0]) if points else 0
+        if have >= sets:
+            return
+        new = estimator.draw(self.sampler, n, self.stream.child(n), have, sets - have)
+        made = [
+            estimator.primary_values(t, u).reshape(*u.shape[:2], channels)
+            for t, u in enumerate(new)
+        ]
+        self.evaluations += (sets - have) * n * _each(estimator)
+        if have:
+            new = [np.concatenate(both) for both in zip(points, new, strict=True)]
+            made = [np.concatenate(both) for both in zip(values, made, strict=True)]
+        self.made[n] = new, made
+
+
+def _in_stages(source: _Nets | _Own, sampler: Sampler, target: Array) -> _Found:
+    """The answer of the first stage that is sure enough of n, or of the last."""
+    estimator, least, best = source.estimator, 0.0, None
+    for stage in source.stages():
+        curves = stage.curves.get(sampler.spec)
+        if curves is None:  # the variance is lost in its errors
+            continue
+        curve = _Ladder.of(curves)
+        note, _ = doubt(stage.points, stage.values) or ("", False)
+        n = max(math.exp(curve.reaches(target, 0)), least)
+        trusted = stage.largest / _MEASURED.enough
+        if not note:
+            trusted = max(trusted, curve.trusted)
+        best = stage, curves, curve, n, note
+        if n <= trusted:
+            break
+        least = max(least, trusted)
+    if best is None:
+        return _Found.none(
+            len(target),
+            f"{source.share * _each(estimator)} evaluations do not tell its variance; give a larger "
+            "max_evaluations",
+        )
+    stage, curves, curve, n, note = best
+    last = min(float(c.counts[-1]) if len(c.counts) else c.vanishes for c in curves)
+    vanishing = min(c.vanishes for c in curves)
+    planned = _measured_count_from(estimator, sampler, n)
+    if not math.isfinite(planned):
+        return _Found.none(len(target), "no count that it can do reaches the error")
+    beyond = last < planned < vanishing
+    if not note and beyond and any(math.isnan(c.rate) for c in curves):
+        note = f"{stage.evaluations} evaluations show no rate beyond n = {last:.0f}"
+    low, high = (
+        _measured_count_from(estimator, sampler, math.exp(curve.reaches(target, side)))
+        for side in (-1, 1)
+    )
+    if not note and math.isinf(high):
+        note = (
+            f"{stage.evaluations} evaluations do not show the rate beyond n = {last:.0f} well enough for "
+            "an upper end; give a larger max_evaluations"
+        )
+    ends = min(low, planned), math.inf if note else max(high, planned)
+    how = f"{stage.evaluations} evaluations"
+    if beyond:
+        how += f", extrapolated from n = {last:.0f}"
+    table = np.full((len(_CURVE), len(target), 3), np.nan)
+    for step, count in enumerate(_CURVE):
+        if sampler.nearest_count(count) == count and _can(estimator, sampler, count):
+            table[step] = curve.at(count)
+            if (table[step, :, 0] <= target / _SETTINGS.margin).all():
+                break
+    variance = curve.at(planned)[:, 0]
+    return _Found(planned, ends, variance, ("measured", how), table, (note,) if note else ())
+
+
+@final
+@dataclass(frozen=True)
+class _Ladder:
+    """Curves of all channels at places that do not depend on the target.
+
+    Attributes
+    ----------
+    curves
+        One for each channel.
+    n
+        Counts at `MeasuredPlanSettings.parts` to the octave, (N,).
+    logs, half
+        Logarithms of variances, and half their 95 % intervals, (N, channels).
+    """
+
+    curves: Sequence[Curve]
+    n: Array
+    logs: Array
+    half: Array
+
+    @staticmethod
+    def of(curves: Sequence[Curve]) -> _Ladder:
+        """The curves, to the largest number of points that a plan names."""
+        octaves = math.log2(_SETTINGS.most)
+        n = np.exp2(np.arange(octaves * _MEASURED.parts + 1) / _MEASURED.parts)
+        found = np.array([[curve.at(each) for curve in curves] for each in n])
+        t = student_t(1 + min(curve.degrees for curve in curves))
+        return _Ladder(curves, n, np.log(np.maximum(found[..., 0], _TINY)), t * found[..., 1])
+
+    def reaches(self, target: Array, side: int) -> float:
+        """Logarithm of the least n at which an end of the interval (0: the variance) meets the target."""
+        off = (self.logs + side * self.half - np.log(target)).max(axis=1)
+        return _crossing(np.log(self.n), off)
+
+    def at(self, n: float) -> Array:
+        """The variance and the ends of its interval, (channels, 3)."""
+        found = np.array([curve.at(n) for curve in self.curves])
+        t = student_t(1 + min(curve.degrees for curve in self.curves))
+        variance, half = found[:, 0], t * found[:, 1]
+        with np.errstate(over="ignore"):
+            return np.stack([variance, variance * np.exp(-half), variance * np.exp(half)], axis=1)
+
+    @property
+    def trusted(self) -> float:
+        """The largest n up to which its interval is narrow."""
+        rates = [c.rate if math.isfinite(c.rate) else -1.0 for c in self.curves]
+        width = (2.0 * self.half / np.maximum(-np.array(rates), 0.5)).max(axis=1)
+        wide = np.flatnonzero(width > math.log(_MEASURED.narrow))
+        if not len(wide):
+            return math.inf
+        return float(self.n[wide[0] - 1]) if wide[0] else 0.0
+
+
+# ------------------------------------------------------------------------------------------ counts
+
+
+def _crossing(x: Array, off: Array) -> float:
+    """First place on a line through (x, off) that is at most 0; infinite if there is none."""
+    reached = np.flatnonzero(off <= 0.0)
+    if not len(reached):
+        return math.inf
+    k = int(reached[0])
+    # A variance that vanishes does so at the count itself
+    if not k or off[k] < off[k - 1] + 0.5 * math.log(_TINY):
+        return float(x[k])
+    return float(np.interp(0.0, -off[k - 1 : k + 1], x[k - 1 : k + 1]))
+
+
+def _count_from(estimator: AbstractEstimator, sampler: Sampler, n: float) -> float:
+    """The least count from n on that the sampler can do: a power of its base for nets.
+
+    Infinite where there is none; `n` counts as reached from a millionth below.
+    """
+    if not n * (1.0 - 1e-6) <= min(_SETTINGS.most, sampler.max_count):
+        return math.inf
+    count = max(1, math.ceil(n * (1.0 - 1e-6)))
+    if base := _base(estimator.law(sampler, sampler.nearest_count(count))):
+        count = base ** math.ceil(math.log(count, base) - 1e-9)
+    for _ in range(_SETTINGS.tries):
+        count = sampler._counts_near(count)[1]
+        if count > sampler.max_count:
+            return math.inf
+        if _can(estimator, sampler, count):
+            return float(count)
+        count = count * base if base else count + 1
+    return math.inf
+
+
+def _measured_count_from(estimator: AbstractEstimator, sampler: Sampler, n: float) -> float:
+    """`_count_from`, of lattices among the powers of two: other counts have lattices of their own."""
+    leaf = leaf_of(estimator.law(sampler, sampler.nearest_count(1)))
+    if not (isinstance(leaf, Fixed) and leaf.even):
+        return _count_from(estimator, sampler, n)
+    for k in range(round(math.log2(min(_SETTINGS.most, sampler.max_count))) + 1):
+        count = sampler.nearest_count(2**k)
+        if count >= n * (1.0 - 1e-6) and _can(estimator, sampler, count):
+            return float(count)
+    return math.inf
+
+
+def _base(law: Law) -> int:
+    """The base of a net, which is balanced at its powers alone; 0 for other points."""
+    leaf = leaf_of(law)
+    bases = set(leaf.bases or ()) if isinstance(leaf, Fixed) else set()
+    return bases.pop() if len(bases) == 1 else 0
+
+
+def _can(estimator: AbstractEstimator, sampler: Sampler, n: int) -> bool:
+    """Whether the sampler can do so many points for each technique."""
+    try:
+        estimator.check_sampler(sampler, n)
+    except CountError:
+        return False
+    return True
+
+
+def _is_measured(estimator: AbstractEstimator) -> bool:
+    """Whether evaluations are dear, so that predictions, which take millions, are not made."""
+    techniques = range(len(estimator.counts))
+    return estimator.is_black_box or any(estimator.primary_integrand(t).costly for t in techniques)
+
+
+def _each(estimator: AbstractEstimator) -> int:
+    """Evaluations of the function for each point."""
+    return sum(estimator.counts) * estimator.evaluations_per_point
+
+
+def _of_nets(estimator: AbstractEstimator, sampler: Sampler) -> bool:
+    """Whether evaluations at nets give the variance of a sampler."""
+    try:
+        estimator.check_independent()
+    except NoClosedForm:
+        return False
+    if sampler.spec == "jittered":
+        few = 1 < estimator.dims <= CURVE_SETTINGS.jittered_dims
+        return few and set(estimator.counts) == {1}
+    return sampler.spec in _OF_NETS
+
+
+def plan(
+    estimator: Any,
+    samplers: Any,
+    *,
+    dims: int | None = None,
+    target_error: float,
+    relative: bool = False,
+    rng: RngLike = 0,
+    max_evaluations: int | None = None,
+    workers: int | None = None,
+) -> xr.Dataset:
+    """Plan the least number of points for which an error is reached, for each sampler.
+
+    Parameters
+    ----------
+    estimator, samplers
+        As in `predict`: an estimator, one sampler or a list.
+    dims
+        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        that is not a spec.
+    target_error
+        Wanted root mean square error; of several channels of each.
+    relative
+        Whether it is a share of the integral.
+    rng
+        Seed (SPEC 7).
+    workers
+        As in `predict`.
+    max_evaluations
+        Most evaluations of a function or of a costly integrand, by default 2^18, which all samplers
+        share. A plan starts with 4,096 and doubles them until the interval of n is narrower than a factor of 1.5.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``planned_n``, the least count with an RMSE of at most the target; NaN where none is known. For nets
+        (sobol, pmj02 and the like, which other counts leave unbalanced) it is a power of their base, for
+        other samplers of known integrands it is found to 0.4 %. A smaller target never has a smaller
+        ``planned_n`` with the same seed. ``planned_n_ci(bound)``, this count if variances were at the ends
+        of their 95 % intervals; its upper end is infinite where the values do not bound the variance, and
+        the attribute ``note`` says why. ``planned_error``, the RMSE at ``planned_n``; ``target_variance``, the
+        square of the target; the curve ``predicted_variance(n)`` with ``predicted_variance_ci(n, bound)`` at
+        powers of two that the sampler can do, to a quarter of the wanted variance or 2^16. Beyond what was
+        predicted or measured n follows from the last slope, and ``how`` says so. The coordinates ``method`` and
+        ``how``, attributes where there is one sampler, are those of `predict`, or ``"measured"`` with the
+        number of evaluations. A list adds the dim sampler. The attribute ``recommendation`` says it in words.
+
+    Raises
+    ------
+    ParameterError
+        The target is not positive, or relative to an integral of 0.
+    BudgetError
+        `max_evaluations` is too few for any measurement.
+
+    Examples
+    --------
+    >>> import mcspectra as mcs
+    >>> found = mcs.plan("gaussian", ["sobol | owen", "random"], target_error=1e-3)
+    >>> found.attrs["recommendation"]
+    'n = 256 with sobol | owen or 66514 with random'
+    """
+    return answer(Plan, locals())

@@ -1,0 +1,289 @@
+"""Plans: the least count that reaches an error, by predictions, by measurements, and beyond them."""
+
+import math
+
+import numpy as np
+import pytest
+from tests.oracles import digital_option
+
+import mcspectra as mcs
+from mcspectra.core.errors import BudgetError, ParameterError
+from mcspectra.core.streams import Stream
+from mcspectra.improve.planning import _Nets
+from mcspectra.plots.kinds import describe
+
+
+def test_random_points_need_the_variance_over_the_squared_error():
+    """f = x has variance 1/12."""
+    f = mcs.integrand("linear", dims=1)
+    for target in (0.02, 1e-3):  # within the curve and far beyond it
+        found = mcs.plan(f, "random", target_error=target)
+        exact = 1 / (12 * target**2)
+        assert exact * (1 - 1e-9) <= float(found["planned_n"]) <= 1.05 * exact + 1
+        assert float(found["planned_error"]) <= target
+    assert found.attrs["how"] == "extrapolated from n = 65536"
+    assert mcs.plan(f, "random", target_error=0.02).attrs["method"] == "exact"
+
+
+def test_strata_reach_it_at_the_first_count_that_they_can_do():
+    """The variance of f = x is 1/(12 n³)."""
+    f = mcs.integrand("linear", dims=1)
+    assert float(mcs.plan(f, "jittered", target_error=0.5)["planned_n"]) == 1
+    found = mcs.plan(f, "jittered", target_error=1e-4)
+    assert float(found["planned_n"]) == math.ceil((1 / (12 * 1e-8)) ** (1 / 3))
+    half = mcs.plan(f, "jittered", target_error=2e-4, relative=True)  # of 1/2
+    assert float(half["planned_n"]) == float(found["planned_n"])
+
+
+def test_planned_counts_do_what_was_planned():
+    f = mcs.integrand("disk(center=(0.4,0.55),radius=0.3)", dims=2)
+    samplers = ["sobol | owen", "jittered | shift", "random"]
+    plan = mcs.plan(f, samplers, target_error=8e-3)
+    for sampler, n in zip(samplers, plan["planned_n"].values, strict=True):
+        measured = mcs.convergence(f, sampler, [int(n)], realizations=1000, rng=3)
+        low, _ = np.sqrt(measured["variance_ci"].values[0])
+        assert low <= 8e-3 * 1.05  # the accuracy of predictions of disks
+    found = plan["planned_n"].sel(sampler="sobol | owen")
+    assert int(found).bit_count() == 1
+    assert f" {int(found):,} with sobol | owen" in plan.attrs["recommendation"]
+    assert plan.attrs["recommendation"].endswith("with random")
+
+
+def test_the_curve_ends_well_below_the_error():
+    curve = mcs.plan("gaussian", "jittered", target_error=1e-3)["predicted_variance"]
+    known = curve.dropna("n").values
+    assert (np.diff(known) < 0).all()
+    assert known[-1] <= 0.25e-6 < known[-2] * 4
+
+
+def test_what_never_varies_has_no_plan():
+    found = mcs.plan("gaussian", ["sobol", "random"], target_error=1e-2)
+    assert np.isnan(found["planned_n"].sel(sampler="sobol"))
+    assert "sobol: a deterministic sampler has no variance" in found.attrs["note"]
+
+
+def test_plans_go_down_to_the_least_count_that_there_is():
+    """One point of any unbiased sampler has σ²; an orthogonal array has 4 at least."""
+    f = mcs.integrand("disk", dims=2)
+    samplers = ["random", "jittered | shift", "sobol | owen", "pmj02"]
+    plan = mcs.plan(f, samplers, target_error=0.5)
+    of_one = math.sqrt(math.pi / 16 * (1 - math.pi / 16))
+    np.testing.assert_allclose(plan["planned_error"], of_one, rtol=1e-9)
+    assert (plan["planned_n"] == 1).all()
+    assert float(mcs.plan(f, "orthogonal-array", target_error=0.5)["planned_n"]) == 4
+
+
+def test_what_vanishes_reaches_every_error():
+    """A constant does at one point; a wave where a grid resolves it."""
+    assert float(mcs.plan("constant", "random", target_error=1e-9)["planned_n"]) == 1
+    wave = mcs.integrand("cosine(frequency=1)", dims=1)
+    found = mcs.plan(wave, "regular | shift", target_error=0.1)
+    assert (float(found["planned_n"]), float(found["planned_error"])) == (2, 0)
+    assert "note" not in found.attrs
+
+
+@pytest.mark.parametrize(
+    ("f", "dims", "sampler", "target", "most"),
+    [
+        ("formula(expression='(x0<1/3)*1.')", 1, "regular | shift", 3e-3, 158),
+        ("disk(center=0.47)", 2, "jittered", 2e-3, 1681),
+    ],
+)
+def test_no_count_nearby_is_less(f, dims, sampler, target, most):
+    """Curves go up and down; digits in base 2 alone are kept to powers of two."""
+    f = mcs.integrand(f, dims=dims)
+    assert float(mcs.predict(f, sampler, [most])["predicted_variance"][0]) <= target**2
+    found = mcs.plan(f, sampler, target_error=target)
+    assert float(found["planned_n"]) <= most
+    assert float(found["planned_error"]) <= target
+
+
+def test_plans_have_intervals():
+    """As wide as those of the predictions; of exact ones there is nothing to say."""
+    f = mcs.integrand("christensen-disk", dims=2)
+    found = mcs.plan(f, ["sobol | owen", "random"], target_error=1e-2)
+    low, high = found["planned_n_ci"].values.T
+    assert (low <= found["planned_n"]).all()
+    assert (found["planned_n"] <= high).all()
+    edge = mcs.integrand("half-space(normal=[1.0, 0.77, 0.63, 0.53], offset=1.3)", dims=4)
+    wide = mcs.plan(edge, "perturbed-lattice | shift", target_error=1e-2)
+    low, high = wide["planned_n_ci"].values
+    assert high > 1.25 * low
+    assert f"({low:.0f} to {high:.0f}) with perturbed-lattice" in wide.attrs["recommendation"]
+    assert f"({low:.0f} … {high:.0f})" in str(describe("prediction", wide).panels[0].marks)
+
+
+@pytest.mark.parametrize("target", [0.0, -1.0, math.nan, math.inf, "small", None])
+def test_targets_that_are_none(target):
+    with pytest.raises(ParameterError, match="target_error"):
+        mcs.plan("gaussian", "random", target_error=target)
+
+
+def test_no_error_is_a_share_of_nothing():
+    f = mcs.integrand("cosine(frequency=1)", dims=1)
+    with pytest.raises(ParameterError, match="without relative"):
+        mcs.plan(f, "random", target_error=0.1, relative=True)
+
+
+# Functions of users: measured, with few evaluations
+FUNCTIONS = {
+    "smooth": (lambda x: np.exp(x.sum(axis=-1)), 2),
+    "kink": (lambda x: np.abs(x.sum(axis=-1) - 0.8), 2),
+    "disk": (lambda x: 1.0 * (((x - 0.5) ** 2).sum(axis=-1) < 0.09), 2),
+    "jump along an axis": (lambda x: (x[..., 0] > 0.37) * np.exp(x[..., 1]), 2),
+    "digital option": (digital_option(16), 16),
+    "pole": (lambda x: x[..., 0] ** -0.3, 1),
+    "Gaussian peak": (lambda x: np.exp(-((x - 0.4) ** 2).sum(axis=-1) / 0.02), 2),
+    "ridge": (lambda x: np.maximum(x.sum(axis=-1) - 2.0, 0.0), 4),
+    "waves": (lambda x: np.cos(9.0 * x.sum(axis=-1)), 3),
+    "product": (lambda x: (1.0 + 0.5 * np.cos(2.0 * np.pi * x)).prod(axis=-1), 4),
+}
+
+
+class Counting:
+    """A function that counts its points."""
+
+    def __init__(self, function, dims):
+        self.function, self.dims, self.calls = function, dims, 0
+
+    def __call__(self, x):
+        self.calls += x.size // self.dims
+        return self.function(x)
+
+
+@pytest.mark.parametrize("sampler", ["random", "sobol | owen"])
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_plans_agree_with_profiles(name, sampler):
+    """The n for the error that a profile claims, within the intervals of both."""
+    f, dims = FUNCTIONS[name]
+    found = mcs.profile(f, dims=dims, sampler=sampler, budget=4096, rng=1)
+    curve = found.samplers[sampler]
+    variance, error = curve.at(found.points)
+    planned = mcs.plan(f, sampler, dims=dims, target_error=math.sqrt(variance), rng=1)
+    low, high = planned["planned_n_ci"].values
+    away = math.exp(1.96 * error / -curve.rate)
+    assert low <= (2 if sampler != "random" else 1) * found.points * away  # n is a power of 2
+    assert found.points / away <= high
+    assert planned.attrs["evaluations"] <= 2**18
+
+
+@pytest.mark.parametrize(
+    "sampler", ["random", "sobol | owen", "jittered", "halton | owen", "rank1-lattice | shift"]
+)
+@pytest.mark.parametrize("name", ["smooth", "disk", "jump along an axis", "pole"])
+def test_a_smaller_error_never_takes_fewer_points(name, sampler):
+    f, dims = FUNCTIONS[name]
+    before = 0.0
+    for target in np.geomspace(0.3, 1e-3, 12):
+        found = mcs.plan(f, sampler, dims=dims, target_error=target, rng=7)
+        n, (low, high) = float(found["planned_n"]), found["planned_n_ci"].values
+        assert before <= n
+        assert low <= n <= high
+        assert np.isfinite(high) or found.attrs["note"]
+        before = n
+
+
+@pytest.mark.parametrize(
+    ("f", "dims", "sampler"),
+    [
+        ("disk(center=0.47)", 2, "jittered"),
+        ("formula(expression='(x0<1/3)*1.')", 1, "regular | shift"),
+        ("christensen-disk", 2, "random"),
+        ("gaussian", 2, "sobol | owen"),
+    ],
+)
+def test_predicted_plans_are_monotone_as_well(f, dims, sampler):
+    f = mcs.integrand(f, dims=dims)
+    targets = np.geomspace(0.05, 4e-3, 9)
+    counts = [float(mcs.plan(f, sampler, target_error=t)["planned_n"]) for t in targets]
+    assert counts == sorted(counts)
+
+
+@pytest.mark.parametrize("sampler", ["random", "sobol | owen", "jittered", "latin-hypercube"])
+def test_measured_plans_are_those_of_predictions(sampler):
+    known = mcs.integrand("gaussian", dims=2)
+    target = 2e-3
+    expected = float(mcs.plan(known, sampler, target_error=target)["planned_n"])
+    low, high = mcs.plan(known.__call__, sampler, dims=2, target_error=target)[
+        "planned_n_ci"
+    ].values
+    assert low <= 1.05 * expected
+    assert expected <= 1.05 * high
+
+
+def test_few_points_take_few_evaluations():
+    """A target that a few points reach takes one stage, whatever the limit."""
+    f = Counting(FUNCTIONS["disk"][0], 2)
+    found = mcs.plan(f, "sobol | owen", dims=2, target_error=0.1, max_evaluations=2**20)
+    assert found.attrs["evaluations"] == 4096
+    assert float(found["planned_n"]) <= 16
+    assert mcs.plan(f, "random", dims=2, target_error=1e-3).attrs["evaluations"] == 4096
+
+
+@pytest.mark.parametrize("most", [1000, 5000, 30_000])
+def test_no_more_evaluations_than_are_allowed(most):
+    f = Counting(FUNCTIONS["disk"][0], 2)
+    samplers = ["sobol | owen", "random", "jittered | shift"]
+    found = mcs.plan(f, samplers, dims=2, target_error=1e-4, max_evaluations=most)
+    assert f.calls - 28 == found.attrs["evaluations"] <= most  # 28 find out how to call it
+    assert np.isfinite(found["planned_n"]).all()
+
+
+def test_too_small_a_limit_is_refused_before_the_first_call():
+    f = Counting(FUNCTIONS["disk"][0], 2)
+    message = "plan takes at least 256 evaluations of the integrand, and max_evaluations is 200"
+    with pytest.raises(BudgetError, match=message):
+        mcs.plan(f, "random", dims=2, target_error=0.1, max_evaluations=200)
+    assert f.calls == 28
+
+
+def test_evaluations_of_earlier_stages_are_the_same_points():
+    """The first points of the first nets do not change, so that none is evaluated again."""
+    f = Counting(FUNCTIONS["disk"][0], 2)
+    estimator = mcs.Estimator(mcs.Integrand.from_function(f, dims=2))
+    nets = _Nets(estimator, 2**16, Stream.from_rng(3))
+    stages = list(nets.stages())
+    sets, n = nets.values[0].shape[:2]
+    (points,) = estimator.draw(mcs.sampler("sobol | owen", dims=2), n, Stream.from_rng(3), 0, sets)
+    np.testing.assert_array_equal(nets.values[0][..., 0], f.function(points))
+    assert stages[-1].evaluations == sets * n == 2**16
+
+
+def test_open_intervals_say_why():
+    pole = mcs.plan(FUNCTIONS["pole"][0], "random", dims=1, target_error=1e-2)
+    assert math.isinf(pole["planned_n_ci"].values[1])
+    assert "f grows about as t^−0.3" in pole.attrs["note"]
+    assert " or more) with random" in pole.attrs["recommendation"]
+    same = mcs.plan(lambda x: 0 * x[..., 0] + 3, "random", dims=2, target_error=1e-2)
+    assert same["planned_n_ci"].values.tolist() == [1, math.inf]
+    assert "either it is constant" in same.attrs["note"]
+
+
+def test_a_share_of_a_measured_integral():
+    """The mean is that of the nets; no quadrature evaluates the function."""
+    f = Counting(FUNCTIONS["smooth"][0], 2)
+    found = mcs.plan(f, "random", dims=2, target_error=0.01, relative=True)
+    assert float(found["target_variance"]) ** 0.5 == pytest.approx(
+        0.01 * (math.e - 1) ** 2, rel=1e-3
+    )
+    assert f.calls - 28 == 4096
+    with_sign = mcs.plan(
+        lambda x: np.sin(2 * np.pi * x[..., 0]), "random", dims=2, target_error=0.01, relative=True
+    )
+    assert "the integral may be 0" in with_sign.attrs["note"]
+
+
+def test_channels_and_techniques_are_measured_together():
+    """Every channel reaches the error; each point of two techniques is two evaluations."""
+    channels = mcs.Integrand.from_function(
+        lambda x: np.stack([x[..., 0], 3 * x[..., 0]], axis=-1), dims=1
+    )
+    both = mcs.plan(channels, "random", target_error=0.01)
+    assert float(both["planned_n"]) == pytest.approx(9 / 12e-4, rel=0.1)
+    mis = mcs.MultipleImportance(
+        mcs.Integrand.from_function(lambda x: x[..., 0] ** 2, dims=1),
+        ["uniform", "linear(slope=0.5)"],
+    )
+    found = mcs.plan(mis, ["random", "jittered"], target_error=0.01)
+    assert (found["planned_n_ci"].sel(bound="high") >= found["planned_n"]).all()
+    assert "each is 2 evaluations" in found.attrs["recommendation"]
