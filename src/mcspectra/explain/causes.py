@@ -428,6 +428,13 @@ class Evidence:
         # A mirrored estimator folds points after the shift, so that faces do not meet
         return shifted and not isinstance(self.estimator, Mirrored)
 
+    @property
+    def opposite(self) -> float:
+        """Mean square difference of g between opposite faces over its variance."""
+        ends = self.each("ends")
+        ends = ends[np.isfinite(ends)]
+        return float(np.mean(ends**2)) / max(self.scale**2, 1e-300) if ends.size else 0.0
+
     def each(self, name: str) -> Array:
         """An attribute of all lines."""
         return np.concatenate([getattr(lines, name) for lines in self.lines])
@@ -759,12 +766,8 @@ def _jumps(seen: Evidence) -> Cause | None:
 
 
 def _border_jump(seen: Evidence) -> Cause | None:
-    if not seen.wraps:
-        return None
-    ends = seen.each("ends")
-    ends = ends[np.isfinite(ends)]
-    size = float(np.mean(ends**2)) / max(seen.scale**2, 1e-300) if ends.size else 0.0
-    if not size > seen.settings.opposite:
+    size = seen.opposite
+    if not (seen.wraps and size > seen.settings.opposite):
         return None
     return Cause(
         "border-jump",

@@ -303,14 +303,16 @@ def scalar(estimator: AbstractEstimator, values: Array) -> Array:
     return np.asarray(values @ weights)
 
 
-def curve_of(counts: Sequence[int], estimates: Sequence[Array]) -> Curve:
+def curve_of(
+    counts: Sequence[int], estimates: Sequence[Array], settings: CurveSettings = CURVE_SETTINGS
+) -> Curve:
     """The curve of independent estimates at several counts, (R,) each."""
     found = np.array([e.var(ddof=1) for e in estimates])
     left = np.stack([
         [np.delete(e, r).var(ddof=1) for e in estimates] for r in range(len(estimates[0]))
     ])  # fmt: skip
     return _fitted(
-        np.array(counts), found, left, float(estimates[-1].mean()), None, CURVE_SETTINGS, exact=True
+        np.array(counts), found, left, float(estimates[-1].mean()), None, settings, exact=True
     )
 
 

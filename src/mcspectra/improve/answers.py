@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Literal, final
 
 from mcspectra.core.display import escape_html
+from mcspectra.core.errors import ParameterError
 from mcspectra.estimators import AbstractEstimator
 from mcspectra.explain.causes import Cause
 from mcspectra.measure.setup import Setup
@@ -80,8 +81,10 @@ class CandidateResult:
 
     Attributes
     ----------
-    candidate
-        The candidate.
+    name, change
+        The label of the candidate, and an imperative that describes the change.
+    setup
+        The estimator and the sampler after the change; None for draws, which are not sampled.
     n
         Number of points of an estimate at the budget.
     rmse, rmse_ci
@@ -98,7 +101,9 @@ class CandidateResult:
         What the interval of the gain says.
     """
 
-    candidate: Candidate
+    name: str
+    change: str
+    setup: Setup | None
     n: int
     rmse: float
     rmse_ci: tuple[float, float]
@@ -111,36 +116,28 @@ class CandidateResult:
     verdict: Verdict = "given"
 
     @property
-    def name(self) -> str:
-        """The label of the candidate."""
-        return self.candidate.name
-
-    @property
-    def change(self) -> str:
-        """An imperative that describes the change."""
-        return self.candidate.change
-
-    @property
     def estimator(self) -> AbstractEstimator:
         """The estimator after the change, for `mcspectra.convergence` and similar functions."""
-        return self.candidate.setup.estimator
+        return self._sampled.estimator
 
     @property
     def sampler(self) -> Sampler:
         """The sampler after the change."""
-        return self.candidate.setup.sampler
+        return self._sampled.sampler
+
+    @property
+    def _sampled(self) -> Setup:
+        if self.setup is None:
+            raise ParameterError("Draws were given, so that nothing is sampled; give a function.")
+        return self.setup
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain numbers and texts."""
         plain = {k: list(v) if isinstance(v, tuple) else v for k, v in vars(self).items()}
-        del plain["candidate"]
-        return {
-            "name": self.name,
-            "change": self.change,
-            "estimator": self.estimator.spec,
-            "sampler": self.sampler.spec,
-            **plain,
-        }
+        del plain["setup"]
+        if self.setup is not None:
+            plain |= {"estimator": self.estimator.spec, "sampler": self.sampler.spec}
+        return plain
 
 
 @final
@@ -155,7 +152,7 @@ class Answer:
     given
         The set-up with which all candidates are compared.
     best
-        The candidate of the least error whose interval excludes the set-up as given, or `given`.
+        The first result that is better than the set-up as given, or `given`.
     runner_up
         The next one after it; None if no other is better than the set-up as given.
     causes
@@ -180,10 +177,12 @@ class Answer:
 
     @staticmethod
     def of(budget: int, results: Sequence[CandidateResult], **said: Any) -> Answer:
-        """The answer of results whose first is the set-up as given; `said` are other attributes."""
+        """The answer of results: the set-up as given, then others, those that are preferred first.
+
+        `said` are other attributes.
+        """
         given, *others = results
         better = [result for result in others if result.verdict == "better"]
-        better.sort(key=lambda result: result.rmse)
         best, runner_up = [*better, None, None][:2]
         said.setdefault("tried", tuple(result.name for result in others))
         return Answer(budget, given, best or given, runner_up, **said)
@@ -270,8 +269,12 @@ def simultaneous_z(comparisons: int) -> float:
 
 
 def rounded(value: float) -> str:
-    """Two digits, without an exponent for numbers of evaluations."""
-    return f"{float(f'{value:.2g}'):.0f}" if value >= 10.0 else f"{value:.2g}"
+    """Two digits, in millions and larger units where numbers of evaluations are large."""
+    for size, name in ((1e12, " trillion"), (1e9, " billion"), (1e6, " million"), (10.0, "")):
+        if size <= value < 1e15:
+            scale = 1.0 if size < 1e6 else size
+            return f"{float(f'{value / scale:.2g}'):.{0 if value / scale >= 10.0 else 1}f}{name}"
+    return f"{value:.2g}"
 
 
 def _between(ends: tuple[float, float]) -> str:

@@ -276,7 +276,9 @@ def assessed(measured: Sequence[tuple[Candidate, Errors]], budget: int) -> list[
         given = candidate.kind == "given"
         ends = variance_interval(np.asarray(math.exp(log_error)), np.asarray(spread))
         own = CandidateResult(
-            candidate=candidate,
+            name=candidate.name,
+            change=candidate.change,
+            setup=candidate.setup,
             n=round(
                 (errors.cost[-1] - errors.overhead) / (candidate.setup.cost * candidate.effort)
             ),
@@ -285,7 +287,7 @@ def assessed(measured: Sequence[tuple[Candidate, Errors]], budget: int) -> list[
             gain=_exp(-against.log_ratio),
             gain_ci=(_exp(-ratio[1]), _exp(-ratio[0])),
             rate=fit.rate,
-            rate_ci=tuple(fit.interval),
+            rate_ci=(float(fit.interval[0]), float(fit.interval[1])),
             needed=needed(against.log_ratio),
             needed_ci=(needed(ratio[1]), needed(ratio[0])),
             verdict="given" if given else _verdict(ratio),

@@ -16,7 +16,7 @@ import os
 import sys
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, final
 
 import numpy as np
@@ -55,8 +55,10 @@ from mcspectra.explain.causes import (
     shares_of,
 )
 from mcspectra.explain.probing import grain
-from mcspectra.explain.samples import NETS, Curve, Sets, curve_of, scalar
-from mcspectra.improve.improved import CHANGES, Evaluations, Improvement, improvements
+from mcspectra.explain.samples import CURVE_SETTINGS, NETS, Curve, Sets, curve_of, scalar
+from mcspectra.improve.answers import Answer, Candidate, CandidateResult, simultaneous_z
+from mcspectra.improve.candidates import Budget, candidates_of
+from mcspectra.improve.improved import CHANGES, Evaluations
 from mcspectra.integrands import Calls, FunctionIntegrand, Integrand
 from mcspectra.measure.chains import chain_error
 from mcspectra.measure.doors import counted
@@ -66,7 +68,7 @@ from mcspectra.samplers import Sampler, as_sampler
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Change", "Profile", "ProfileSettings", "Profiling", "profile"]
+__all__ = ["Profile", "ProfileSettings", "Profiling", "profile"]
 
 
 @final
@@ -113,19 +115,27 @@ class ProfileSettings:
     # for rates of −1.5 or −3; the RMSE after one change differed by a factor of up to 1.9.
     few_points: int = 16
     steepest_rate: float = -2.0
+    # Sets of a lattice at each count: fewer, since what is left of the budget is small and rates of
+    # lattices change with n.
+    lattice_sets: int = 10
+    # Standard deviation of the logarithm of the variance of lattices about its line, as each count
+    # has another vector: 1.3 for smooth functions in 4 to 6 dims, and 0.6 in 2 and 3 dims.
+    lattice_scatter: float = 1.3
+    # Most dims in which pairs in strata are measured, not folded lattices, whose rate is −4: pairs
+    # have −5 in 1-D and −3 in 2-D.
+    paired_dims: int = 1
     # Points of a density's sampler that are tested to lie in the unit cube.
     tested_points: int = 64
 
 
 _SETTINGS = ProfileSettings()
-_PAIRS = "antithetic-jittered"
+_PAIRS, _LATTICE = "antithetic-jittered", "rank1-lattice | shift"
+_FOLDED = f"{_LATTICE} | mirror(mode='fold')"
 # Causes that concern the sets of a sampler, not g
 _OF_SETS = {"deterministic-set", "few-realizations", "correlated-replicates"}
 # Exponents e by cause: variances fall as n^(−1 − e/d) with strata and n^(−1 − e) with nets by
 # theory
 _EXPONENTS = {"interior-jump": 1.0, "axis-parallel-jump": 1.0, "none": 2.0}
-_FIGURES = ("rmse", "rmse_given", "gain", "samples_saved")
-_INTERVALS = ("rmse", "rmse_given", "gain", "needed")
 
 
 @final
@@ -178,44 +188,6 @@ class Profiling(Analysis, frozen=True, kw_only=True):
 
 @final
 @dataclass(frozen=True)
-class Change:
-    """A change of the set-up, and its expected gain.
-
-    Attributes
-    ----------
-    name, change
-        A short label, and an imperative.
-    rmse, rmse_given
-        Root mean square error at the budget after the change, and with the given set-up.
-    rmse_ci, rmse_given_ci
-        95 % intervals of both. They include the error of the rate beyond the counts that were
-        measured.
-    gain, gain_ci
-        Variance with the given set-up over the variance after the change, and its 95 % interval.
-    samples_saved
-        Evaluations that the given set-up needs for the same error, minus the budget.
-    needed_ci
-        95 % interval of these evaluations.
-    estimator, sampler
-        The set-up after the change, for `mcspectra.convergence` and similar functions.
-    """
-
-    name: str
-    change: str
-    rmse: float
-    rmse_given: float
-    gain: float
-    gain_ci: tuple[float, float]
-    samples_saved: float
-    estimator: AbstractEstimator
-    sampler: str
-    rmse_ci: tuple[float, float] = (math.nan, math.nan)
-    rmse_given_ci: tuple[float, float] = (math.nan, math.nan)
-    needed_ci: tuple[float, float] = (math.nan, math.nan)
-
-
-@final
-@dataclass(frozen=True)
 class Profile:
     """The results of a profile; `text` prints them.
 
@@ -234,14 +206,11 @@ class Profile:
     reference
         The sampler with which `best` is compared: the given sampler, or random points if the given
         sampler always draws the same set or could not be measured.
-    causes
-        Causes of the noise, the most important first.
-    best
-        The recommended change; None if no change is better than the given set-up.
+    answer
+        What to use at the budget, how good it is, and why. It is compared with the given sampler, or
+        with random points if the given sampler always draws the same set or could not be measured.
     samplers
         Curves of variance by sampler.
-    tried, not_tried
-        Names of the set-ups that were compared, and of others with the reason.
     """
 
     subject: str
@@ -253,49 +222,24 @@ class Profile:
     variance: float
     rate: float
     rate_ci: tuple[float, float]
-    causes: list[Cause]
-    best: Change | None
+    answer: Answer
     samplers: Mapping[str, Curve]
-    tried: list[str]
-    not_tried: list[str]
     points: int = 0
-    reference: str = ""
 
     @property
-    def answer(self) -> str:
-        """The advice and its reason, in two or three sentences."""
-        cause = self.causes[0]
-        why = "" if cause.name == "none" else f" Cause: {cause.name}. {cause.sentence}"
-        if not self.samplers:
-            low, high = self.interval
-            return f"The mean of the draws is {_shown(self.integral, low, high)}.{why}"
-        if cause.name == "wrong-pdf":
-            return f"Fix the density first.{why}"
-        if self.best is None and math.isinf(self.variance):
-            return f"Nothing that was tried helps.{why}"
-        if self.best is None:
-            untried = ""
-            if cause.evidence.get("resolved_by", math.inf) <= self.points:
-                untried = " One set of as many points as resolve the waves was not tried."
-            if self.reference not in {self.given, ""}:
-                return f"Nothing that was tried is better than {self.reference}.{why}{untried}"
-            return f"Keep {self.given}: nothing that was tried is better.{why}{untried}"
-        best = self.best
-        given = f"{best.rmse_given:.2g}" if math.isfinite(best.rmse_given) else "an infinite one"
-        if math.isnan(best.gain):
-            return (
-                f"{best.change[0].upper()}{best.change[1:]}: it was better where both were measured, by how much "
-                f"at {self.budget} evaluations these cannot tell.{why}"
-            )
-        text = (
-            f"{best.change[0].upper()}{best.change[1:]}: RMSE {best.rmse:.2g}"
-            f"{_between(*best.rmse_ci)} at {self.budget} evaluations instead of {given}"
-        )
-        if math.isfinite(best.samples_saved) and best.samples_saved > 0:
-            needed = best.samples_saved + self.budget
-            text += f"; {self.reference} would need about {_rounded(needed)}"
-            text += f"{_between(*best.needed_ci)} evaluations for it"
-        return f"{text}.{why}"
+    def causes(self) -> tuple[Cause, ...]:
+        """Causes of the noise, the most important first."""
+        return self.answer.causes
+
+    @property
+    def tried(self) -> tuple[str, ...]:
+        """Names of the set-ups that were compared."""
+        return self.answer.tried
+
+    @property
+    def not_tried(self) -> tuple[str, ...]:
+        """Names of other set-ups, with the reason."""
+        return self.answer.not_tried
 
     @property
     def text(self) -> str:
@@ -303,7 +247,7 @@ class Profile:
         low, high = self.interval
         found = [
             # The causes follow with their sentences
-            self.answer.replace(f" {self.causes[0].sentence}", "", 1),
+            str(self.answer).replace(f" {self.causes[0].sentence}", "", 1),
             "",
             f"integral   {_shown(self.integral, low, high)}",
         ]
@@ -356,7 +300,7 @@ class Profile:
             f"<li><b>{cause.name}</b>: {escape_html(cause.sentence)}</li>" for cause in self.causes
         )
         return (
-            f"<p><b>{escape_html(self.answer)}</b></p><ul>{causes}</ul>"
+            f"<p><b>{escape_html(str(self.answer))}</b></p><ul>{causes}</ul>"
             f"<table><tr><th>sampler</th><th>RMSE at {self.budget}</th><th>rate</th></tr>{rows}</table>"
         )
 
@@ -372,7 +316,7 @@ class Profile:
             variance[row, at] = curve.variance
             ends[row, at] = variance_interval(curve.variance, np.maximum(curve.relative_se, 1e-9))
         curves = self.samplers.values()
-        plain = self.to_dict()
+        plain = self.answer.to_dict()
         return dataset(
             {
                 "variance": (("sampler", "n"), variance),
@@ -391,7 +335,7 @@ class Profile:
             },
             budget=self.budget,
             given=self.given,
-            answer=self.answer,
+            answer=str(self.answer),
             text=self.text,
             **{name: json.dumps(strict_json(plain[name])) for name in ("causes", "best")},
             not_tried="; ".join(self.not_tried) or None,
@@ -401,18 +345,10 @@ class Profile:
         """Return plain numbers, texts and lists."""
         found = {
             name: getattr(self, name)
-            for name in (
-                *("subject", "given", "integral", "calls", "budget", "variance", "rate"),
-                *("tried", "not_tried", "answer"),
-            )
+            for name in ("subject", "given", "integral", "calls", "budget", "variance", "rate")
         }
         found["interval"], found["rate_ci"] = list(self.interval), list(self.rate_ci)
-        found["causes"] = [{**asdict(cause), "kinds": list(cause.kinds)} for cause in self.causes]
-        found["best"] = (
-            None
-            if self.best is None
-            else {**vars(self.best), "estimator": self.best.estimator.spec}
-        )
+        found["answer"] = self.answer.to_dict()
         shown = ("counts", "variance", "relative_se", "rate", "rate_ci")
         found["samplers"] = {
             sampler: {name: np.asarray(getattr(curve, name)).tolist() for name in shown}
@@ -474,7 +410,7 @@ def profile(
     --------
     >>> import mcspectra as mcs
     >>> found = mcs.profile(lambda x: abs(x.sum(axis=-1) - 0.8), dims=2)
-    >>> found.causes[0].name, found.best.name
+    >>> found.causes[0].name, found.answer.best.name
     ('kink', 'sobol | owen')
     """
     weighted = isinstance(f, tuple) and len(f) == 3 and all(map(callable, f))
@@ -555,7 +491,8 @@ def _with_skipped(found: Profile, calls: Calls, filled: _Filled) -> Profile:
         raise ParameterError("f failed at all points; give a function that has values.")
     ends = low - share * (filled.mean - filled.least), high + share * (filled.most - filled.mean)
     said = calls.skipped_in_words(filled.least, filled.most)
-    return replace(found, interval=ends, not_tried=[*found.not_tried, said])
+    told = replace(found.answer, not_tried=(*found.not_tried, said))
+    return replace(found, interval=ends, answer=told)
 
 
 def _of_draws(draws: Any) -> Profile:
@@ -586,22 +523,29 @@ def _of_draws(draws: Any) -> Profile:
         name, evidence = "float-drift", {"step": step, "spread": spread}
         sentence = f"Draws are rounded to steps of {step:.2g}; their spread is {spread:.2g}."
     low, high = found["mean_ci"].values.tolist()
+    mean, mcse = float(found["mean"]), float(found["mcse"])
+    causes = (Cause(name, sentence, evidence), *map(Cause, names[1:], others))
+    draw = CandidateResult("draws", "take the draws", None, count, mcse, (math.nan, math.nan))
+    told = f"The mean of the draws is {_shown(mean, low, high)}."
     return Profile(
         subject="draws",
         given="draws",
-        integral=float(found["mean"]),
+        integral=mean,
         interval=(low, high),
         calls=0,
         budget=0,
-        variance=float(found["mcse"]) ** 2,
+        variance=mcse**2,
         rate=-1.0,
         rate_ci=(-1.0, -1.0),
-        causes=[Cause(name, sentence, evidence), *map(Cause, names[1:], others)],
-        best=None,
+        answer=Answer.of(0, [draw], causes=causes, instead=told, why=_why(causes)),
         samplers={},
-        tried=[],
-        not_tried=[],
     )
+
+
+def _why(causes: Sequence[Cause]) -> str:
+    """The first cause in a sentence; nothing if there is none."""
+    first = causes[0]
+    return "" if first.name == "none" else f"Cause: {first.name}. {first.sentence}"
 
 
 def _shape(causes: Sequence[Cause]) -> str:
@@ -644,14 +588,19 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
                 evidence = replace(evidence, replicates=_replicates(drawn, np.empty(0)))
 
     causes = causes_of(evidence)
-    # Measure pairs about the centers of strata, which nets do not include. For a smooth g they have
-    # the rate −1 − 4/d: cubic stratification of second order
-    if _shape(causes) == "none" and estimator.counts == (1,) and given.spec != _PAIRS:
+    # If g is smooth, measure a sampler that gains more from it than nets do
+    rival = _smooth_rival(evidence, causes)
+    if rival and rival != given.spec:
         with contextlib.suppress(McspectraError):  # there are too many dims or too few evaluations
-            pairs = as_sampler(_PAIRS, estimator.dims)
-            curve, _, cost = _measured(estimator, pairs, budget - calls, stream.child(97))
+            source, lattice = as_sampler(rival, estimator.dims), rival != _PAIRS
+            curve, _, cost = _measured(
+                estimator, source, budget - calls, stream.child(97), lattice=lattice
+            )
             calls += cost
-            curves |= {_PAIRS: curve} if math.isfinite(curve.rate) else {}
+            if lattice and curve.counts[-1:].sum() < _SETTINGS.few_points:
+                curve = replace(curve, rate=max(curve.rate, _SETTINGS.steepest_rate))
+            known = math.isfinite(curve.rate) or math.isfinite(curve.vanishes)
+            curves |= {rival: curve} if known else {}
     curves |= {
         name: _by_theory(name, curve, causes, estimator.dims, points)
         for name, curve in curves.items()
@@ -661,25 +610,18 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     if any(cause.name == "deterministic-set" for cause in causes):
         curves.pop(given.spec, None)  # its curve has no error
     reference = "random" if fixed or given.spec not in curves else given.spec
-    best, changed = None, list[str]()
+    usable = {name: c for name, c in curves.items() if name == reference or name != given.spec}
+    found, changed = list[_Found](), list[str]()
     if all(c.name != "infinite-variance" or c.kinds for c in causes):  # the integral exists
-        usable = {name: c for name, c in curves.items() if name == reference or name != given.spec}
-        # Recommend the sampler of least variance if its interval excludes the given one
-        sizes = {name: curve.at(points) for name, curve in usable.items()}
-        name = min(sizes, key=lambda c: sizes[c][0] * math.exp(sizes[c][1]))
-        varies = len(usable[reference].counts) > 0  # else there is no variance to lower
-        if name != reference and varies:
-            source, count, change = as_sampler(name, estimator.dims), points, f"use {name}"
-            if source.nearest_count(points) != points:
-                count = affordable_count(Setup(estimator, source), points * each) or points
-                change += f" with n = {count}"
-            after, setup = usable[name].at(count), (estimator, name)
-            best = _change(usable, reference, points, name, change, after, setup)
-            best = best if best.gain_ci[0] > 1.0 else None
-        best, changed, cost = _improved(
-            evidence, causes, best, reference, budget, budget - calls, stream.child(98)
+        # The sampler of least variance, and a change of the estimator that answers a cause
+        if len(usable[reference].counts) > 0:  # else there is no variance to lower
+            found = _samplers(Setup(estimator, given), usable, reference, points)
+        base = usable[found[0].candidate.name if found else reference]
+        made, changed, cost = _improved(
+            evidence, causes, base, budget, budget - calls, stream.child(98)
         )
         calls += cost
+        found = made + found
     curve = curves.get(given.spec, curves[NETS])
     # The interval is known if the values do not rest on a few of them, or if lines have fitted a
     # pole
@@ -690,11 +632,6 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         and cause.evidence.get("exponent", 0.0) >= CAUSE_SETTINGS.no_integral
         for cause in causes
     )
-    if infinite and best is not None:
-        endless = dict.fromkeys(("rmse_given", "gain", "samples_saved"), math.inf)
-        ends = dict.fromkeys(("gain_ci", "rmse_given_ci", "needed_ci"), (math.inf, math.inf))
-        endless_best = replace(best, **endless, **ends)  # type: ignore[arg-type]
-        best = None if best.estimator is estimator else endless_best  # no sampler makes it finite
     resolved = bool(Moments.of(sets.pooled, tails=True).resolved)
     known = not infinite and "wrong-pdf" not in names
     known &= resolved or "border-growth" in names
@@ -719,11 +656,30 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
                 "difference was not met. Give a density that finds it, or far more points.",
                 {"integral": mean},
             )
-        causes, best, known = [cause], None, known and cause.name == "none"
-    # Leave out the size of a gain if the variance is not resolved; only its sign was measured
-    if best is not None and not infinite and (not known or best.gain_ci[0] <= 1.0):
-        unknown = dict.fromkeys((f"{name}_ci" for name in _INTERVALS), (math.nan, math.nan))
-        best = replace(best, **dict.fromkeys(_FIGURES, math.nan), **unknown)  # type: ignore[arg-type]
+        causes, found, known = [cause], [], known and cause.name == "none"
+    if infinite:  # no sampler makes it finite
+        found = [each for each in found if each.candidate.setup.estimator is not estimator]
+    results = _results(
+        Setup(estimator, as_sampler(reference, estimator.dims) if reference != given.spec else given),
+        usable[reference], points, found, len(usable) - 1 + len(changed),
+        infinite=infinite, known=known,
+    )  # fmt: skip
+    # What is said in place of advice, and after it
+    changes = any(result.verdict == "better" for result in results)
+    instead, why = "", _why(causes)
+    if causes[0].name == "wrong-pdf":
+        instead = "Fix the density first."
+    elif infinite and not changes:
+        instead = "Nothing that was tried helps."
+    elif not changes and reference != given.spec:
+        instead = f"Nothing that was tried is better than {reference}."
+    if not changes and causes[0].evidence.get("resolved_by", math.inf) <= points:
+        why += " One set of as many points as resolve the waves was not tried."
+    names_tried = [name for name in usable if name != reference] + changed
+    answer = Answer.of(
+        budget, results, causes=tuple(causes), tried=tuple(names_tried), not_tried=tuple(not_tried),
+        instead=instead, why=why,
+    )  # fmt: skip
     return Profile(
         subject=estimator.spec,
         given=given.spec,
@@ -734,26 +690,10 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         variance=math.inf if infinite else curve.at(points)[0],
         rate=curve.rate,
         rate_ci=curve.rate_ci,
-        causes=causes,
-        best=best,
+        answer=answer,
         samplers=curves,
-        tried=[*curves, *changed],
-        not_tried=not_tried,
         points=points,
-        reference=reference,
     )
-
-
-def _rounded(value: float) -> str:
-    """Two digits, without an exponent for numbers of evaluations."""
-    return f"{float(f'{value:.2g}'):.0f}" if value >= 10.0 else f"{value:.2g}"
-
-
-def _between(low: float, high: float) -> str:
-    """An interval in parentheses, or nothing if it has no width or no ends."""
-    if not (math.isfinite(high - low) and high > low):
-        return ""
-    return f" ({_rounded(low)} to {_rounded(high)})"
 
 
 def _shown(value: float, low: float, high: float) -> str:
@@ -781,6 +721,10 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     if name != "random" and max(curve.counts, default=math.inf) < resolved_by <= points:
         return replace(curve, rate=math.nan, rate_se=math.nan)
     first = _shape(causes)
+    if name == _FOLDED and math.isfinite(curve.rate):
+        # The variance n^−4 (log n)^(2d − 2) of smooth functions, with two thirds of the logarithms
+        third = (dims - 1) / (3.0 * math.log(curve.counts[-1]))
+        return curve.towards(-4.0 + 4.0 * third, math.hypot(_SETTINGS.theory_error, 2.0 * third))
     if name not in {NETS, "jittered"} or first not in _EXPONENTS or not math.isfinite(curve.rate):
         return curve
     # A jump cuts n^(1 − 1/d) of n strata. For a jump along an axis, or a smooth g, nets have the
@@ -794,12 +738,33 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     return curve.towards(rate, math.hypot(_SETTINGS.theory_error, third))
 
 
+def _smooth_rival(evidence: Evidence, causes: Sequence[Cause]) -> str:
+    """The sampler with the best rate for a smooth g; empty if g is not smooth.
+
+    Lattices have the rates of Fourier series, if opposite faces of the cube meet or points are folded
+    [Hickernell2002]_. Pairs about the centers of strata have the rate −1 − 4/d of cubic
+    stratification of second order.
+    """
+    estimator = evidence.estimator
+    if _shape(causes) not in {"none", "border-jump"} or estimator.counts != (1,):
+        return ""
+    if evidence.opposite <= CAUSE_SETTINGS.opposite:
+        return _LATTICE
+    return _PAIRS if estimator.dims <= _SETTINGS.paired_dims else _FOLDED
+
+
 def _measured(
-    estimator: AbstractEstimator, sampler: Sampler, evaluations: int, stream: Stream
+    estimator: AbstractEstimator,
+    sampler: Sampler,
+    evaluations: int,
+    stream: Stream,
+    *,
+    lattice: bool = False,
 ) -> tuple[Curve, Replicates, int]:
     """Measure the curve of a sampler within `evaluations`; also return replicates and the cost."""
+    most_sets = _SETTINGS.lattice_sets if lattice else CAUSE_SETTINGS.nets
     each, least = sum(estimator.counts) * estimator.evaluations_per_point, _SETTINGS.least_sets
-    sets = drawn = int(min(CAUSE_SETTINGS.nets, sampler.most_realizations))
+    sets = drawn = int(min(most_sets, sampler.most_realizations))
     if sets < least:
         raise CountError(f"{sampler.spec} has {sets} sets; give {least} or more.")
     setup, counts = Setup(estimator, sampler), list[int]()
@@ -822,7 +787,13 @@ def _measured(
         ]
         found.append(np.asarray(sum(v.mean(axis=1) for v in values)))
     cost = sum(counts) * sets * each
-    return curve_of(counts, found), _replicates(points, found[-1]), cost
+    if lattice and estimator.dims > 1:
+        scatter = _SETTINGS.lattice_scatter
+        curve = curve_of(counts, found, replace(CURVE_SETTINGS, floor=scatter))
+        curve = replace(curve, relative_se=np.hypot(curve.relative_se, scatter))
+    else:
+        curve = curve_of(counts, found)
+    return curve, _replicates(points, found[-1]), cost
 
 
 def _replicates(points: Sequence[Array], estimates: Array) -> Replicates:
@@ -834,74 +805,151 @@ def _replicates(points: Sequence[Array], estimates: Array) -> Replicates:
     return Replicates(estimates, np.concatenate(waves, axis=1), different)
 
 
-def _change(
-    curves: Mapping[str, Curve],
-    given: str,
-    n: int,
-    name: str,
-    change: str,
-    after: tuple[float, float],
-    setup: tuple[AbstractEstimator, str],
-) -> Change:
-    """Compare the variance after a change and the error of its logarithm with the given set-up."""
-    (value, error), (other, other_error) = after, curves[given].at(n)
-    gain = other / value if value > 0.0 else math.inf
-    half = CONFIDENCE_Z * math.hypot(error, other_error)
-    rate = curves[given].rate if math.isfinite(curves[given].rate) else -1.0
-    ends = gain * math.exp(-half), gain * math.exp(half)
+@final
+@dataclass(frozen=True)
+class _Found:
+    """A candidate with the count of points at the budget, and its variance there.
+
+    `variance` has the error of its logarithm.
+    """
+
+    candidate: Candidate
+    n: int
+    variance: tuple[float, float]
+    rate: float
+    rate_ci: tuple[float, float]
+    steepens: bool = False  # the rate at larger counts may be steeper by any factor
+
+
+def _samplers(
+    given: Setup, curves: Mapping[str, Curve], reference: str, points: int
+) -> list[_Found]:
+    """The samplers that may have less variance than the reference, the best first."""
+    each = given.cost
+    bounds = dict[str, float]()
+    for name, curve in curves.items():
+        value, error = curve.at(points)
+        bounds[name] = value * math.exp(error)
+    found = []
+    for name in sorted(bounds, key=bounds.__getitem__):
+        if name == reference:
+            break
+        source, count, change = as_sampler(name, given.estimator.dims), points, f"use {name}"
+        if source.nearest_count(points) != points:
+            count = affordable_count(replace(given, sampler=source), points * each) or points
+            change += f" with n = {count}"
+        candidate = Candidate("sampler", name, change, replace(given, sampler=source))
+        curve = curves[name]
+        variance, beyond = curve.at(count), count > curve.counts[-1:].sum()
+        steepens = name == _LATTICE and bool(beyond)  # analytic functions have no power of n
+        found.append(_Found(candidate, count, variance, curve.rate, curve.rate_ci, steepens))
+    return found
+
+
+def _results(
+    given: Setup,
+    curve: Curve,
+    points: int,
+    found: Sequence[_Found],
+    comparisons: int,
+    *,
+    infinite: bool,
+    known: bool,
+) -> list[CandidateResult]:
+    """The given set-up, then candidates, whose intervals of gains hold together at 95 %.
+
+    The size of a gain is left out (NaN) if variances are not known; only its sign was measured.
+    """
+    at_budget, z = curve.at(points), simultaneous_z(comparisons)
+    cost, slope = given.cost, curve.rate if math.isfinite(curve.rate) else -1.0
 
     def needed(gain: float) -> float:
-        """Points with which the given set-up has the variance after the change."""
-        return n * gain ** (-1.0 / rate) if rate < 0.0 and math.isfinite(gain) else math.inf
+        """Evaluations with which the given set-up has the variance after the change."""
+        if not (slope < 0.0 and math.isfinite(gain)):
+            return math.inf
+        return float(cost * points * gain ** (-1.0 / slope))
 
-    def with_ends(variance: float, error: float) -> tuple[float, float]:
-        """95 % interval of the RMSE."""
-        away = math.exp(0.5 * CONFIDENCE_Z * error)
-        return math.sqrt(variance) / away, math.sqrt(variance) * away
+    def with_ends(variance: tuple[float, float]) -> tuple[float, tuple[float, float]]:
+        """The RMSE and its 95 % interval."""
+        rmse, away = math.sqrt(variance[0]), math.exp(0.5 * CONFIDENCE_Z * variance[1])
+        return rmse, (rmse / away, rmse * away)
 
-    return Change(
-        name=name,
-        change=change,
-        rmse=math.sqrt(value),
-        rmse_given=math.sqrt(other),
-        gain=gain,
-        gain_ci=ends,
-        samples_saved=(needed(gain) - n) * sum(setup[0].counts),
-        estimator=setup[0],
-        sampler=setup[1],
-        rmse_ci=with_ends(value, error),
-        rmse_given_ci=with_ends(other, other_error),
-        needed_ci=(needed(ends[0]) * sum(setup[0].counts), needed(ends[1]) * sum(setup[0].counts)),
-    )
+    rmse, ends = (math.inf, (math.inf, math.inf)) if infinite else with_ends(at_budget)
+    name = given.sampler.spec
+    results = [
+        CandidateResult(
+            name, f"keep {name}", given, points, rmse, ends, rate=curve.rate, rate_ci=curve.rate_ci
+        )
+    ]
+    for each in found:
+        (value, error), candidate = each.variance, each.candidate
+        rmse, ends = with_ends(each.variance)
+        gain = math.inf if infinite or not value > 0.0 else at_budget[0] / value
+        half = math.exp(z * math.hypot(error, at_budget[1]))
+        gain_ci = (gain / half, gain * half)
+        if each.steepens:
+            ends, gain_ci = (0.0, ends[1]), (gain_ci[0], math.inf)
+        better = gain_ci[0] > 1.0
+        needs, needs_ci = needed(gain), (needed(gain_ci[0]), needed(gain_ci[1]))
+        if not infinite and not (known and better):
+            nowhere = (math.nan, math.nan)
+            better |= candidate.setup.estimator is not given.estimator  # it was measured
+            rmse, ends, gain, gain_ci, needs, needs_ci = (
+                math.nan,
+                nowhere,
+                math.nan,
+                nowhere,
+                math.nan,
+                nowhere,
+            )
+        results.append(
+            CandidateResult(
+                candidate.name,
+                candidate.change,
+                candidate.setup,
+                n=each.n,
+                rmse=rmse,
+                rmse_ci=ends,
+                gain=gain,
+                gain_ci=gain_ci,
+                rate=each.rate,
+                rate_ci=each.rate_ci,
+                needed=needs,
+                needed_ci=needs_ci,
+                verdict="better" if better else "undecided",
+            )
+        )
+    return results
 
 
 def _improved(
     evidence: Evidence,
     causes: Sequence[Cause],
-    best: Change | None,
-    given: str,
+    base: Curve,
     budget: int,
     left: int,
     stream: Stream,
-) -> tuple[Change | None, list[str], int]:
+) -> tuple[list[_Found], list[str], int]:
     """Find a change of the estimator that answers its causes; also return tried names and calls.
 
     The change is fitted to the evaluations at nets, and measured with nets of as many points as the
-    rest of the budget allows. If it is better than the best sampler at the same evaluations, its
-    own curve gives the variance at the budget.
+    rest of the budget allows. It must be better than `base`, the curve of the best sampler, at the
+    same evaluations; its own curve gives the variance at the budget.
     """
     estimator = evidence.estimator
-    kinds = list(dict.fromkeys(k for cause in causes for k in cause.kinds if k in CHANGES))
+    kinds: list[Any] = list(
+        dict.fromkeys(k for cause in causes for k in cause.kinds if k in CHANGES)
+    )
     if not kinds or len(estimator.counts) > 1 or estimator.channels:
-        return best, [], 0
+        return [], [], 0
     points, values = (
         np.concatenate(list(each[0][:, : _SETTINGS.fitted_points]))
         for each in (evidence.sets.points, evidence.sets.values)
     )
-    offers, seen = list[Improvement](), Evaluations.of(points, values)
-    for kind in kinds:
-        with contextlib.suppress(McspectraError):  # the kind has nothing to offer
-            offers += improvements(estimator, seen, [kind])
+    sampler = as_sampler(NETS, estimator.dims)
+    nets, seen = Setup(estimator, sampler), Evaluations.of(points, values)
+    search = Budget(budget, CAUSE_SETTINGS.nets, stream, seen=seen)
+    offers = [each for each in candidates_of(nets, kinds, search) if isinstance(each, Candidate)]
     # Keep the densities that make an infinite variance finite
     for cause in causes:
         if cause.name == "infinite-variance":
@@ -910,23 +958,22 @@ def _improved(
     # Try the removal of a jump first: its gain with nets is larger than its gain at random points
     jumps = _shape(causes) == "interior-jump"
     offers.sort(key=lambda offer: (not (jumps and offer.kind == "preintegrated"), offer.ratio))
-    sampler, tried, calls = as_sampler(NETS, estimator.dims), list[str](), 0
-    base, least = evidence.curves[given if best is None else best.name], _SETTINGS.least_checked
+    tried, calls, least = list[str](), 0, _SETTINGS.least_checked
     for offer in offers:
-        each, wanted = offer.estimator.evaluations_per_point, CAUSE_SETTINGS.nets
+        each, wanted = offer.setup.cost, CAUSE_SETTINGS.nets
         if jumps and not tried and offer is not offers[-1]:  # leave evaluations for another change
             wanted = (
                 CAUSE_SETTINGS.nets
                 if left >= 2 * least * each * CAUSE_SETTINGS.nets
                 else CAUSE_SETTINGS.nets // 2
             )
-        n = affordable_count(Setup(offer.estimator, sampler), (left - calls) // wanted)
+        n = affordable_count(offer.setup, (left - calls) // wanted)
         if n is None or n < least:
             continue
         tried.append(offer.name)
         calls += n * wanted * each
         cost, at_budget = n * each / estimator.evaluations_per_point, budget // each
-        made = Sets.of(offer.estimator, n, wanted, stream.child(len(tried)))
+        made = Sets.of(offer.setup.estimator, n, wanted, stream.child(len(tried)))
         # Drop a change that does not vary and has another mean: its points missed the peak of g
         seen_sets = evidence.sets.estimates
         off = abs(float(made.estimates.mean() - seen_sets.mean())) * math.sqrt(len(seen_sets))
@@ -945,10 +992,6 @@ def _improved(
         after = math.sqrt(value * kept)
         sure = math.exp(-CONFIDENCE_Z * math.hypot(ours_se, other_se))
         if ours < other * sure and after < at_best:
-            change = f"{offer.change}, and sample with {NETS}"
-            setup = (offer.estimator, NETS)
-            found = _change(
-                evidence.curves, given, points_at_budget, offer.name, change, (after, error), setup
-            )
-            return found, tried, calls
-    return best, tried, calls
+            own = replace(offer, change=f"{offer.change}, and sample with {NETS}")
+            return [_Found(own, at_budget, (after, error), curve.rate, curve.rate_ci)], tried, calls
+    return [], tried, calls
