@@ -126,7 +126,7 @@ def wave(x):
 
 def test_what_is_found_out_stays_in_one_cache():
     f = make(wave, dims=2)
-    mcs.predict(f, ["jittered", "rank1-lattice | shift"], [16])
+    mcs.predict(f, ["jittered", "rank1-lattice | shift"], [16], max_evaluations=2**40)
     mcs.exact_variance(f, "random", 4)
     f.fourier_grid(1)
     fields = {field.name for field in dataclasses.fields(f)}

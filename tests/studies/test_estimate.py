@@ -66,11 +66,15 @@ def test_a_try_that_fails_or_hangs_is_no_try(misbehaving, tmp_path, monkeypatch,
     (misbehaving / "hang").touch()
     monkeypatch.setattr(estimate, "_PATIENCE", 0.1)
     text = f"\"python(function='misbehaving:{name}')\""
-    config = decode_study(
-        STUDY.replace('"gaussian"', text).replace(
-            'samplers = ["random", "jittered"]', 'samplers = ["random"]'
-        )
-    )
+    changes = {
+        '"gaussian"': text,
+        'samplers = ["random", "jittered"]': 'samplers = ["random"]',
+        'method = "exact"': 'method = "exact"\nmax_evaluations = 16777216',
+    }
+    study = STUDY
+    for old, new in changes.items():
+        study = study.replace(old, new)
+    config = decode_study(study)
     trust = Trust((f"misbehaving:{name}",))
     estimates = estimate_study(make_plan(config, tmp_path, trust), probe_seconds=0.3)
     (misbehaving / "hang").unlink()

@@ -364,6 +364,20 @@ def needed(analysis: Analysis, subject: Subject) -> Need:
     McspectraError
         As of its `need`.
     """
+    _check_lists(analysis, subject)
+    need: Any = analysis.need(subject)
+    if not isinstance(need, Need):
+        raise AnalysisError(
+            f"{type(analysis).__name__} needs {shown(need)}; its need must return a Need."
+        )
+    most = _most(analysis, subject)
+    if most is not None and need.evaluations > most:
+        Tally(_said(analysis), most, refused=need.evaluations).check()
+    return need
+
+
+def _check_lists(analysis: Analysis, subject: Subject) -> None:
+    """Check that lists are of what the analysis takes several of, and samplers differ."""
     for what in ("estimator", "sampler"):
         if isinstance(getattr(subject, what), list | tuple) and what not in analysis.several:
             raise ParameterError(
@@ -374,15 +388,6 @@ def needed(analysis: Analysis, subject: Subject) -> Need:
     for name in names:
         if names.count(name) > 1:
             raise ParameterError(f"The sampler {name} is listed twice; list each once.")
-    need: Any = analysis.need(subject)
-    if not isinstance(need, Need):
-        raise AnalysisError(
-            f"{type(analysis).__name__} needs {shown(need)}; its need must return a Need."
-        )
-    most = _most(analysis, subject)
-    if most is not None and need.evaluations > most:
-        Tally(_said(analysis), most, refused=need.evaluations).check()
-    return need
 
 
 def _listed(given: Any) -> list[Any]:
@@ -496,6 +501,7 @@ def compute(
     threads = available_workers(workers)
     clean = checked(analysis)
     name = clean.function or type(clean).__name__
+    _check_lists(clean, subject)
     with counting(_said(clean), _most(clean, subject)) as tally:
         check_memory(needed(clean, subject).memory, _said(clean))
 
