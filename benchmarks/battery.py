@@ -307,12 +307,13 @@ def judge(case: Case, seed: int = 0) -> Outcome:
         if math.isfinite(rate):
             rates.append((curve, rate))
     ratio = math.nan
-    if found.best is not None:
-        changed = found.best.estimator
+    if found.answer.changes:
+        best = found.answer.best
+        changed = best.estimator
         n = max(int(c.counts[-1]) for c in found.samplers.values() if len(c.counts))
         pair = []
         for each, name, size in (
-            (changed, found.best.sampler, n // changed.evaluations_per_point),
+            (changed, best.sampler.spec, n // changed.evaluations_per_point),
             (estimator, found.given, n),
         ):
             source = mcs.sampler(name, dims=estimator.dims)
@@ -333,7 +334,8 @@ def main() -> None:
         found = judge(case)
         outcomes.append(found)
         first = found.found.causes[0].name
-        best = "-" if found.found.best is None else found.found.best.name
+        answer = found.found.answer
+        best = answer.best.name if answer.changes else "-"
         rates = ", ".join(f"{c.rate:.2f} ± {c.rate_se:.2f} ({r:.2f})" for c, r in found.rates)
         print(
             f"{case.name:40} {first:20} {'' if found.names_cause else 'WRONG':6}"

@@ -163,7 +163,7 @@ def remedies() -> Plots:
             row = d.sel(remedy=remedy)
             print(f"  {remedy}: error ratio {with_interval(row['error_ratio'], row['error_ratio_ci'], '.3g')}, "
                   f"rate {with_interval(row['rate'], row['rate_ci'])}, {row['verdict'].item()}")  # fmt: skip
-        print(f"  {d.attrs['recommendation']}")
+        print(f"  {d.attrs['answer']}")
         found[name] = d
     return {"remedies": describe("remedies", found)}
 

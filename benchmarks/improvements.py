@@ -18,6 +18,7 @@ from mcspectra.core.checks import Array
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import AbstractEstimator
 from mcspectra.improve.improved import CHANGES, evaluated, improvements
+from mcspectra.measure.setup import Setup
 
 BUDGET, PILOT = 2**14, 2**11
 PILOTS, REALIZATIONS = 3, 64
@@ -81,13 +82,14 @@ def main() -> None:
     """Print ratios, and the largest distance of a mean from the integral in standard errors."""
     for problem, dims, f, integral in problems():
         plain = mcs.Estimator(mcs.Integrand.from_function(f, dims=dims, integral=integral))
+        given = Setup(plain, mcs.sampler("random", dims=dims))
         before = {sampler: _variance(plain, sampler, 1) for sampler in SAMPLERS}
         found: dict[str, list[tuple[float, ...]]] = {}
         for seed in range(PILOTS):
             for kind in CHANGES:
                 seen = evaluated(plain, PILOT, Stream.from_rng(seed), adapt=kind == "fitted")
-                for made in improvements(plain, seen, [kind], charged=PILOT):
-                    e = made.estimator
+                for made in improvements(given, seen, [kind], charged=PILOT):
+                    e = made.setup.estimator
                     values = e.primary_values(0, np.random.default_rng(7).random((2**15, dims)))
                     away = (values.mean() - integral) / (values.std() / math.sqrt(len(values)))
                     name = made.name.split(" axis")[0]

@@ -42,5 +42,5 @@ def test_remedies_as_table_and_as_json(run, run_json):
     # the same order, and the sentences at the end
     lines = out.splitlines()
     assert [line.split("  ")[0] for line in lines[3 : 3 + len(names)]] == names
-    assert found["recommendation"].split()[-1] in out
+    assert found["answer"].split()[-1] in out
     assert run(*given, "--quiet") == (0, out, "")

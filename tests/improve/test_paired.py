@@ -7,7 +7,8 @@ import pytest
 
 import mcspectra as mcs
 from mcspectra.core.streams import Stream
-from mcspectra.improve.remedy import Errors, compare, estimates_of, simultaneous_z
+from mcspectra.improve.answers import simultaneous_z
+from mcspectra.improve.assess import Errors, compare, estimates_of
 
 COUNTS = (16, 64, 256)
 X = mcs.Estimator("linear", dims=1)

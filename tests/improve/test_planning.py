@@ -45,8 +45,8 @@ def test_planned_counts_do_what_was_planned():
         assert low <= 8e-3 * 1.05  # the accuracy of predictions of disks
     found = plan["planned_n"].sel(sampler="sobol | owen")
     assert int(found).bit_count() == 1
-    assert f" {int(found):,} with sobol | owen" in plan.attrs["recommendation"]
-    assert plan.attrs["recommendation"].endswith("with random")
+    assert f" {int(found):,} with sobol | owen" in plan.attrs["answer"]
+    assert plan.attrs["answer"].endswith("with random")
 
 
 def test_the_curve_ends_well_below_the_error():
@@ -109,7 +109,7 @@ def test_plans_have_intervals():
     wide = mcs.plan(edge, "perturbed-lattice | shift", target_error=1e-2)
     low, high = wide["planned_n_ci"].values
     assert high > 1.25 * low
-    assert f"({low:.0f} to {high:.0f}) with perturbed-lattice" in wide.attrs["recommendation"]
+    assert f"({low:.0f} to {high:.0f}) with perturbed-lattice" in wide.attrs["answer"]
     assert f"({low:.0f} … {high:.0f})" in str(describe("prediction", wide).panels[0].marks)
 
 
@@ -253,7 +253,7 @@ def test_open_intervals_say_why():
     pole = mcs.plan(FUNCTIONS["pole"][0], "random", dims=1, target_error=1e-2)
     assert math.isinf(pole["planned_n_ci"].values[1])
     assert "f grows about as t^−0.3" in pole.attrs["note"]
-    assert " or more) with random" in pole.attrs["recommendation"]
+    assert " or more) with random" in pole.attrs["answer"]
     same = mcs.plan(lambda x: 0 * x[..., 0] + 3, "random", dims=2, target_error=1e-2)
     assert same["planned_n_ci"].values.tolist() == [1, math.inf]
     assert "either it is constant" in same.attrs["note"]
@@ -286,4 +286,4 @@ def test_channels_and_techniques_are_measured_together():
     )
     found = mcs.plan(mis, ["random", "jittered"], target_error=0.01)
     assert (found["planned_n_ci"].sel(bound="high") >= found["planned_n"]).all()
-    assert "each is 2 evaluations" in found.attrs["recommendation"]
+    assert "each is 2 evaluations" in found.attrs["answer"]

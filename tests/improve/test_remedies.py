@@ -1,5 +1,7 @@
 """Remedies: the known ones are found at equal cost, the others are not recommended, and why."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -7,8 +9,8 @@ import mcspectra as mcs
 from mcspectra.core.errors import CountError, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.explain.diagnosis import diagnose
-from mcspectra.improve.candidates import KINDS, Budget, Candidate, CandidateSettings, other_setups
-from mcspectra.improve.remedy import simultaneous_z
+from mcspectra.improve.answers import simultaneous_z
+from mcspectra.improve.candidates import KINDS, Budget, Candidate, CandidateSettings, candidates_of
 from mcspectra.measure.setup import Setup, affordable_count
 
 SMOOTH = "christensen-gaussian"
@@ -21,7 +23,7 @@ def _setup(estimator, sampler):
 
 def _found(estimator, sampler, *kinds, **options):
     budget = Budget(256, 100, Stream.from_rng(0), **options)
-    return list(other_setups(_setup(estimator, sampler), kinds or tuple(KINDS), budget))
+    return list(candidates_of(_setup(estimator, sampler), kinds or tuple(KINDS), budget))
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +52,7 @@ def test_errors_are_in_order_and_the_best_is_recommended(shifted):
     assert (shifted.sel(remedy=["random", "mirrored: random"])["verdict"] == "worse").all()
     best = shifted.isel(remedy=0)
     change = str(best["change"].values)
-    assert shifted.attrs["recommendation"].lower().startswith(change.lower())
+    assert shifted.attrs["answer"].lower().startswith(change.lower())
     assert (shifted["rank_by_rate"].values == 1).sum() == 1
     rates = shifted["rate"].values
     assert shifted["rank_by_rate"].values[np.nanargmin(rates)] == 1
@@ -100,7 +102,7 @@ def test_a_known_edge_is_aligned_with_and_leaves_nothing():
     )
     assert str(found["remedy"].values[0]) == "aligned with edges"
     assert float(found["error"][0]) < 1e-30
-    assert "no variance is left" in found.attrs["recommendation"]
+    assert "RMSE 0 at 1024 evaluations" in found.attrs["answer"]
 
 
 def test_strata_are_aligned_if_the_law_of_the_sampler_has_them():
@@ -138,7 +140,8 @@ def test_nothing_is_recommended_where_nothing_is_better():
         mcs.Estimator(f, "linear(slope=0.9)"), "sobol | owen", 256, realizations=200, kinds=["warp"]
     )
     assert not (found["verdict"] == "better").any()
-    assert "keep the set-up as given" in found.attrs["recommendation"]
+    assert found.attrs["answer"].startswith("Keep sobol | owen: nothing that was tried is better.")
+    assert json.loads(found.attrs["best"])["name"] == "as given"
 
 
 def test_colours_by_their_own_densities():
@@ -209,7 +212,7 @@ def test_jumps_are_found_in_many_dims():
 
 def test_an_estimate_without_variance_needs_no_remedy():
     found = mcs.remedies("constant(value=2)", "random", 64, realizations=100, kinds=["mirrored"])
-    assert "keep the set-up as given" in found.attrs["recommendation"]
+    assert found.attrs["answer"].startswith("Keep random: none of the ")
     assert not (found["verdict"] == "better").any()
 
 
@@ -242,7 +245,7 @@ def test_rare_events_that_nobody_met_are_no_absence_of_variance():
         lambda x: 1.0 * (np.abs(x[..., 0] - 0.37) < 1e-12), dims=1, integral=2e-12
     )
     found = mcs.remedies(never, "random", 64, realizations=100, kinds=["mirrored"])
-    assert "none has met" in found.attrs["recommendation"]
+    assert "none has met" in found.attrs["answer"]
     assert np.isnan(found["error"]).all()
 
 
@@ -330,7 +333,7 @@ def test_a_kind_that_fails_costs_itself_only(monkeypatch):
 
 def test_where_nothing_can_be_tried_the_reasons_are_said():
     found = mcs.remedies(SMOOTH, "jittered", 256, realizations=100, kinds=["warp", "channels"])
-    assert found.attrs["recommendation"].startswith("No change could be tried. warp: ")
+    assert found.attrs["answer"].startswith("No change could be tried. warp: ")
 
 
 def test_a_budget_too_small_for_two_counts_gets_a_sentence():
@@ -360,13 +363,16 @@ def test_mirroring_names_central_symmetry_as_its_cause(integrand, share, words):
 
 
 def test_a_variance_is_not_called_an_error(shifted):
-    """Its ratio goes with that of the RMSE, the square root."""
-    ratio, (low, high) = (shifted[name].values[0] for name in ("error_ratio", "error_ratio_ci"))
-    text = shifted.attrs["recommendation"]
-    assert (
-        f"variance × {ratio:.3g} (RMSE × {np.sqrt(ratio):.2g}; 95 %: {low:.3g} to {high:.3g})"
-        in text
-    )
+    """The answer has the RMSE, its square root, and the numbers are in `best`."""
+    (error, (low, high)), given = (shifted[name].values[0] for name in ("error", "error_ci")), (
+        shifted.sel(remedy="as given")["error"]
+    )  # fmt: skip
+    text = shifted.attrs["answer"]
+    assert f"RMSE {np.sqrt(error):.2g} ({np.sqrt(low):.2g} to {np.sqrt(high):.2g})" in text
+    assert f"instead of {np.sqrt(float(given)):.2g}" in text
+    best = json.loads(shifted.attrs["best"])
+    assert best["rmse"] == pytest.approx(np.sqrt(error))
+    assert best["gain"] == pytest.approx(float(given) / error)
     assert "error" not in text
     assert not any("error" in str(reason) for reason in shifted["reason"].values)
 

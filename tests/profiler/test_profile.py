@@ -329,14 +329,16 @@ def test_what_is_infinite_or_rests_on_few_values_has_no_finite_interval():
         found = mcs.profile(function, dims=dims, budget=2048)
         assert not np.isfinite(found.interval).any(), name
         assert ("inf   none" in found.text) == (name != "peak")
-    assert mcs.profile(FUNCTIONS["pole"][1], dims=1).answer.startswith("Nothing that was tried")
+    assert mcs.profile(FUNCTIONS["pole"][1], dims=1).answer.advice.startswith(
+        "Nothing that was tried"
+    )
 
 
 def test_the_given_sampler_is_measured_and_its_wrapping_seen():
     found = mcs.profile("linear", sampler="jittered | shift", dims=1, budget=8192)
     assert found.causes[0].name == "border-jump"
     assert found.rate == pytest.approx(-2.0, abs=0.4)
-    assert found.best.name == "sobol | owen"
+    assert found.answer.best.name == "antithetic-jittered"
     assert mcs.profile("linear", sampler="sobol", dims=1).causes[0].name == "deterministic-set"
     assert mcs.profile("linear", sampler="random | shift", dims=1).causes[0].name == "none"
     periodic = mcs.profile(
@@ -347,20 +349,20 @@ def test_the_given_sampler_is_measured_and_its_wrapping_seen():
 
 def test_the_answer_as_text_and_as_data():
     found = mcs.profile("christensen-disk")
-    assert found.answer.startswith(found.best.change[0].upper())
+    assert str(found.answer).startswith(found.answer.best.change[0].upper())
     assert "interior-jump" in found.text
-    assert json.loads(json.dumps(found.to_dict()))["causes"][0]["name"] == "interior-jump"
+    assert json.loads(json.dumps(found.to_dict()))["answer"]["causes"][0]["name"] == "interior-jump"
     assert "<table>" in found._repr_html_()
     data = found.dataset
     assert set(data["sampler"].values) == {"random", "jittered", "latin-hypercube", "sobol | owen"}
-    assert json.loads(data.attrs["best"])["name"] == found.best.name
+    assert json.loads(data.attrs["best"])["name"] == found.answer.best.name
 
 
 @pytest.mark.parametrize("name", ["disk", "lognormal", "sum over 8 dims"])
 def test_the_change_that_is_advised_keeps_the_integral_and_lowers_the_variance(name):
     dims, function, _ = FUNCTIONS[name]
     plain = mcs.Estimator(mcs.Integrand.from_function(function, dims=dims, integral=0.0))
-    better = mcs.profile(function, dims=dims, budget=8192, rng=3).best
+    better = mcs.profile(function, dims=dims, budget=8192, rng=3).answer.best
     assert better.gain_ci[0] > 1.0
     cost = better.estimator.evaluations_per_point
     changed = mcs.convergence(better.estimator, better.sampler, [16], realizations=400, rng=5)
@@ -374,46 +376,48 @@ def test_the_change_that_is_advised_keeps_the_integral_and_lowers_the_variance(n
 @pytest.mark.parametrize(("exponent", "helps"), [(0.6, True), (0.7, False)])
 def test_an_infinite_variance_is_left_to_densities_that_make_it_finite(exponent, helps):
     found = mcs.profile(lambda x: inner(x[..., 0]) ** -exponent, dims=1)
-    assert (found.best is not None) == helps
-    if found.best is not None:
-        spread = np.linalg.norm(found.best.estimator.integrand.density.matrix, 2)
+    assert found.answer.changes == helps
+    if found.answer.changes:
+        spread = np.linalg.norm(found.answer.best.estimator.integrand.density.matrix, 2)
         assert 2 * exponent - (1 - spread**-2) < 1  # ∫g²/q, q ∝ u^(1/s² − 1) to logarithms
     else:
-        assert found.answer.startswith("Nothing that was tried helps")
+        assert str(found.answer).startswith("Nothing that was tried helps")
 
 
 @pytest.mark.parametrize("budget", [4096, 16384])
 def test_what_is_advised_is_better_than_all_samplers_shown_beside_it(budget):
     found = mcs.profile(FUNCTIONS["logarithm"][1], dims=1, budget=budget, rng=1)
-    assert found.best.name.startswith("fitted")
-    assert found.best.rmse < float(found.dataset["rmse"].min())
+    assert found.answer.best.name.startswith("fitted")
+    assert found.answer.best.rmse < float(found.dataset["rmse"].min())
 
 
 def test_a_change_that_misses_where_f_is_is_not_better():
     """Few means along lines meet a box of 0.0016: they do not vary, and are 0."""
     found = mcs.profile(lambda x: ((x > 0.4) & (x < 0.6)).all(axis=-1) * 1.0, dims=4, budget=2**16)
     assert "preintegrated along the active direction" in found.tried
-    assert found.best is None or math.isnan(found.best.gain)
+    assert not found.answer.changes or math.isnan(found.answer.best.gain)
 
 
 def test_pairs_in_strata_are_tried_where_g_is_smooth_and_their_error_is_as_said():
     f = mcs.Integrand.from_function(smooth, dims=1, integral=math.e - 1.0)
     for seed in range(2):
-        best = mcs.profile(f, budget=4096, rng=seed).best
+        best = mcs.profile(f, budget=4096, rng=seed).answer.best
         assert best.name == "antithetic-jittered"
         measured = mcs.convergence(f, best.sampler, [4096], realizations=100, rng=seed)
         # Its extrapolation over seven octaves, by a rate known to 0.15: a factor of two in the error
         ratio = best.rmse / math.sqrt(float(measured["variance"][0]))
         assert 0.5 < ratio < 2.0, seed
-    assert mcs.profile(smooth, dims=5).best.name == "sobol | owen"
+    assert mcs.profile(smooth, dims=5).answer.best.name == "sobol | owen"
 
 
 def test_the_count_that_is_advised_can_be_drawn():
     found = mcs.profile(lambda x: np.exp(x[..., 0]), dims=1, budget=5001)
-    n = int(re.search(r"with n = ([\d,]+)", found.best.change)[1].replace(",", ""))
+    n = int(re.search(r"with n = ([\d,]+)", found.answer.best.change)[1].replace(",", ""))
     assert n <= 5001
-    assert mcs.sampler(found.best.sampler, dims=1).nearest_count(n) == n
-    assert found.dataset["rmse"].sel(sampler=found.best.sampler) < found.best.rmse_given
+    assert found.answer.best.sampler.nearest_count(n) == n
+    assert (
+        found.dataset["rmse"].sel(sampler=found.answer.best.sampler.spec) < found.answer.given.rmse
+    )
 
 
 def test_bad_input():
@@ -473,19 +477,19 @@ def test_draws_of_chains_and_estimates_are_profiled():
 
 def test_what_never_changes_is_no_reference():
     found = mcs.profile(FUNCTIONS["disk"][1], sampler="sobol", dims=2, budget=8192)
-    assert found.reference == "random"
-    assert found.best.rmse_given > found.best.rmse > 0.0
+    assert found.answer.given.name == "random"
+    assert found.answer.given.rmse > found.answer.best.rmse > 0.0
     assert "sobol" not in found.samplers
     # It leaves what is known of the jump, and of its rate, as it is
     usual = mcs.profile(FUNCTIONS["disk"][1], sampler="random", dims=2, budget=8192)
     assert [c.name for c in found.causes] == ["deterministic-set", *(c.name for c in usual.causes)]
-    assert found.best.gain_ci == usual.best.gain_ci
+    assert found.answer.best.gain_ci == usual.answer.best.gain_ci
     wave = mcs.profile(
         lambda x: np.cos(2 * np.pi * x.sum(axis=-1)), sampler="halton", dims=8, budget=8192
     )
-    assert wave.answer.startswith("Nothing that was tried is better than random.")
-    assert mcs.profile(FUNCTIONS["pole"][1], dims=1).best is None
-    assert mcs.profile(lambda x: np.ones(len(x)), dims=2).best is None
+    assert str(wave.answer).startswith("Nothing that was tried is better than random.")
+    assert mcs.profile(FUNCTIONS["pole"][1], dims=1).answer.changes is False
+    assert mcs.profile(lambda x: np.ones(len(x)), dims=2).answer.changes is False
 
 
 def test_errors_are_at_the_points_that_the_budget_pays_for():
@@ -493,8 +497,8 @@ def test_errors_are_at_the_points_that_the_budget_pays_for():
     found = mcs.profile(two, budget=4096)
     assert found.points == 2048
     nets = found.samplers["sobol | owen"]
-    assert found.best.rmse == pytest.approx(math.sqrt(nets.at(2048)[0]))
-    assert f"{found.best.rmse:.3g}" in found.text
+    assert found.answer.best.rmse == pytest.approx(math.sqrt(nets.at(2048)[0]))
+    assert f"{found.answer.best.rmse:.3g}" in found.text
 
 
 def smooth(x):
@@ -520,7 +524,7 @@ def test_a_pdf_that_is_not_normalised_or_not_of_its_sampler_is_a_cause():
     assert wrong.causes[0].name == "wrong-pdf"
     assert wrong.causes[0].evidence["of_one"] == pytest.approx(2 / 3, abs=1e-4)
     assert not np.isfinite(wrong.interval).any()
-    assert wrong.answer.startswith("Fix the density first.")
+    assert str(wrong.answer).startswith("Fix the density first.")
     other = leading((smooth, lambda x: np.ones(x.shape[:-1]), sample), dims=1)
     assert other.name == "wrong-pdf"
     assert other.evidence["of_one"] == 1.0  # what a constant does not show
@@ -560,7 +564,7 @@ def test_small_sets_say_nothing_of_larger_ones_that_resolve_the_waves():
     found = mcs.profile(f, dims=2, budget=8192, rng=1)
     assert found.causes[0].name == "high-frequency"
     assert found.causes[0].evidence["resolved_by"] <= 8192
-    assert "was not tried" in found.answer
+    assert "was not tried" in str(found.answer)
     rmse = dict(zip(found.dataset["sampler"].values, found.dataset["rmse"].values, strict=True))
     assert np.isnan(rmse["sobol | owen"])
     assert rmse["random"] == pytest.approx(np.sqrt(0.5 / 8192), rel=0.1)
@@ -601,7 +605,7 @@ def test_sets_that_are_few_alike_or_share_an_error_are_a_cause():
     for name, points in {"none": large, "correlated-replicates": shaken}.items():
         found = mcs.profile(smooth, sampler=mcs.Sampler.from_points(points), dims=2)
         assert found.causes[0].name == name
-        assert found.reference == "random"
+        assert found.answer.given.name == "random"
     samplers = {
         "correlated-replicates": lambda n, own: 0.9 * common[:n] + 0.1 * own.random((n, 2)),
         "none": lambda n, own: own.random((n, 2)),
@@ -649,15 +653,15 @@ def test_rounded_estimates_are_a_cause():
 def test_sets_that_do_not_vary_at_all_have_no_error(dims):
     """A step at ½ along an axis: from two points on every scrambled net is exact."""
     found = mcs.profile("step", dims=dims)
-    assert found.best.name == "sobol | owen"
-    assert found.best.rmse == 0.0
-    assert found.best.rmse_given == pytest.approx(0.5 / 64, rel=0.1)
+    assert found.answer.best.name == "sobol | owen"
+    assert found.answer.best.rmse == 0.0
+    assert found.answer.given.rmse == pytest.approx(0.5 / 64, rel=0.1)
 
 
 def test_what_has_no_error_has_no_rate():
     """Of two points on the variance of nets is known, of four and more it is 0."""
     found = mcs.profile(lambda x: np.sign(x - 0.5).prod(axis=-1), dims=2)
-    assert found.best.rmse == 0.0
+    assert found.answer.best.rmse == 0.0
     assert np.isnan(found.dataset["rate"].sel(sampler="sobol | owen"))
     (row,) = (line.split(maxsplit=4) for line in found.text.splitlines() if "  sobol" in line)
     assert row[3:] == ["0", "no error seen"]
@@ -668,14 +672,14 @@ def test_what_no_point_met_is_not_called_smooth(spec):
     found = mcs.profile(spec, dims=8)
     assert found.interval == (-math.inf, math.inf)
     assert found.causes[0].name == "heavy-tail"
-    assert "was not met" in found.answer
+    assert "was not met" in str(found.answer)
 
 
 def test_the_same_everywhere_is_constant_or_was_not_met():
     found = mcs.profile(lambda x: 3.0 + 0.0 * x[..., 0], dims=2)
     assert found.interval == (-math.inf, math.inf)
     assert "either it is constant" in found.causes[0].sentence
-    assert found.best is None
+    assert not found.answer.changes
     assert found.dataset["rmse"].isnull().all()
     known = mcs.Integrand.from_function(lambda x: 3.0 + 0.0 * x[..., 0], dims=2, integral=3.0)
     assert mcs.profile(known).causes[0].name == "none"
@@ -690,9 +694,9 @@ def test_an_offset_changes_nothing(offset):
         return offset + np.exp(-0.5 * ((x - 0.4) ** 2).sum(-1) / 0.15**2)
 
     found = mcs.profile(bump, dims=2)
-    assert found.best.name == "sobol | owen"
-    assert found.best.rmse == pytest.approx(
-        mcs.profile(lambda x: bump(x) - offset, dims=2).best.rmse, rel=0.2
+    assert found.answer.best.name == "sobol | owen"
+    assert found.answer.best.rmse == pytest.approx(
+        mcs.profile(lambda x: bump(x) - offset, dims=2).answer.best.rmse, rel=0.2
     )
     assert found.samplers["latin-hypercube"].at(4096)[0] > 0.0
     low, high = (float(end) for end in re.search(r"95 %: (\S+) to (\S+)\)", found.text).groups())
@@ -702,16 +706,16 @@ def test_an_offset_changes_nothing(offset):
 def test_points_that_are_given_are_left_for_better_ones():
     sets = np.random.default_rng(0).random((50, 64, 2))
     found = mcs.profile(lambda x: np.exp(x.sum(-1)), dims=2, sampler=sets)
-    assert found.best.name == "sobol | owen"
-    assert found.best.gain_ci[0] > 1.0
+    assert found.answer.best.name == "rank1-lattice | shift | mirror(mode='fold')"
+    assert found.answer.best.gain_ci[0] > 1.0
 
 
 def test_no_gain_is_told_of_what_is_not_resolved():
 
     found = mcs.profile(lambda x: 1.0 * (ndtri(x).sum(-1) > 3 * 8**0.5), dims=8)
     assert found.interval == (-math.inf, math.inf)
-    assert found.best is None or math.isnan(found.best.gain)
-    assert "RMSE" not in found.answer
+    assert not found.answer.changes or math.isnan(found.answer.best.gain)
+    assert "RMSE" not in str(found.answer)
 
 
 @pytest.mark.parametrize("size", [1e-160, 1e200])
@@ -777,7 +781,9 @@ def test_intervals_of_the_rmse_cover_that_of_options():
     cases = (oracles.asian_option(16), oracles.keister(5), FUNCTIONS["disk"][1])
     for function, dims in zip(cases, (16, 5, 2), strict=True):
         for seed in range(10):
-            best = mcs.profile(lambda x, f=function: f(x), dims=dims, budget=4096, rng=seed).best
+            best = mcs.profile(
+                lambda x, f=function: f(x), dims=dims, budget=4096, rng=seed
+            ).answer.best
             n = 4096 // best.estimator.evaluations_per_point
             measured = mcs.convergence(
                 best.estimator, best.sampler, [n], realizations=100, rng=seed + 100
@@ -790,14 +796,56 @@ def test_intervals_of_the_rmse_cover_that_of_options():
 
 def test_the_rmse_and_what_it_would_take_have_intervals():
     found = mcs.profile("christensen-disk", budget=8192)
-    best, plain = found.best, found.to_dict()["best"]
-    for name in ("rmse", "rmse_given", "gain"):
+    best, plain = found.answer.best, found.to_dict()["answer"]["best"]
+    for name in ("rmse", "gain", "needed"):
         low, high = getattr(best, f"{name}_ci")
         assert low < getattr(best, name) < high
-        assert list(plain[f"{name}_ci"]) == [low, high]
-    low, high = best.needed_ci
-    assert low < best.samples_saved + found.budget < high
+        assert plain[f"{name}_ci"] == [low, high]
+    low, high = found.answer.given.rmse_ci
+    assert low < found.answer.given.rmse < high
     shown = f"RMSE {best.rmse:.2g} ({best.rmse_ci[0]:.2g} to {best.rmse_ci[1]:.2g})"
-    assert shown in found.answer
-    assert re.search(r"random would need about \d+ \(\d+ to \d+\) evaluations for it", found.answer)
+    assert shown in str(found.answer)
+    text = r"random would need about \d+ \(\d+ to \d+( million)?\) evaluations for it"
+    assert re.search(text, str(found.answer))
     assert shown in found._repr_html_()
+
+
+def _periodic(x):
+    return np.prod(1.0 + 0.5 * np.cos(2.0 * np.pi * x), axis=-1)
+
+
+def test_a_lattice_is_advised_for_a_periodic_function():
+    """Lattices were not tried: they are exact to rounding, where nets have an RMSE of 3e-4."""
+    found = mcs.profile(_periodic, dims=4)
+    best = found.answer.best
+    assert best.sampler.spec == "rank1-lattice | shift"
+    assert best.rmse == 0.0
+    estimates = _periodic(best.sampler.draw(best.n, realizations=20, rng=1)).mean(axis=1)
+    assert np.ptp(estimates) < 1e-14
+
+
+@pytest.mark.parametrize("dims", [2, 3])
+def test_a_folded_lattice_is_advised_for_a_smooth_function(dims):
+    """It has 40 times less error than nets in 2-D and four times less in 3-D."""
+
+    def smooth(x):
+        return np.exp(x.sum(axis=-1))
+
+    found = mcs.profile(smooth, dims=dims, rng=1)
+    best = found.answer.best
+    assert best.sampler.spec == "rank1-lattice | shift | mirror(mode='fold')"
+    errors = {}
+    for name in (best.sampler.spec, "sobol | owen"):
+        points = mcs.sampler(name, dims=dims).draw(best.n, realizations=60, rng=2)
+        errors[name] = smooth(points).mean(axis=1).std(ddof=1)
+    assert errors[best.sampler.spec] < 0.5 * errors["sobol | owen"]
+    low, high = best.rmse_ci
+    assert low < errors[best.sampler.spec] < high
+
+
+def test_advice_for_draws_has_no_sampler():
+    found = mcs.profile(np.random.default_rng(0).normal(size=(4, 500)))
+    assert found.answer.rmse == pytest.approx(1.0 / math.sqrt(2000), rel=0.2)
+    assert json.loads(json.dumps(found.to_dict()))["answer"]["best"]["name"] == "draws"
+    with pytest.raises(ParameterError, match="nothing is sampled"):
+        _ = found.answer.best.sampler

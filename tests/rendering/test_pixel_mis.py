@@ -8,7 +8,7 @@ import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import HEURISTICS
-from mcspectra.improve.candidates import Budget, other_setups
+from mcspectra.improve.candidates import Budget, candidates_of
 from mcspectra.measure.setup import Setup
 from mcspectra.rendering import Pixel, load_mitsuba, named_pixels, pixel_mis, sky_pixels
 from mcspectra.rendering.pixel import Draws
@@ -190,7 +190,7 @@ def test_analyses_work():
 def test_remedies_try_every_heuristic_and_each_technique():
     given = Setup(pixel_mis(**PLATE), as_sampler("jittered", 2))
     budget = Budget(256, 100, Stream.from_rng(1))
-    others = other_setups(given, ("heuristic", "techniques"), budget)
+    others = candidates_of(given, ("heuristic", "techniques"), budget)
     names = {o.partition(": Its")[0] if isinstance(o, str) else o.name for o in others}
     heuristics = {f"heuristic: {h}" for h in HEURISTICS if h != "balance"}
     assert names == heuristics | {"only light", "only bsdf"}

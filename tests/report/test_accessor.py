@@ -142,7 +142,7 @@ def test_remedies_are_drawn_in_their_order_and_said():
     drawn = np.concatenate([each.get_offsets() for each in dots])
     np.testing.assert_array_equal(np.sort(drawn[:, 0]), np.sort(data["error_ratio"].values))
     said = data.mcspectra.summary()
-    assert data.attrs["recommendation"] in said
+    assert data.attrs["answer"] in said
     assert data.attrs["diagnosis"] in said
 
 

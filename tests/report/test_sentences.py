@@ -248,11 +248,7 @@ def test_one_sentence_without_terms():
     [
         ({}, ""),
         (
-            {
-                "remedies": xr.Dataset(
-                    attrs={"diagnosis": "g jumps.", "recommendation": "Use owen."}
-                )
-            },
+            {"remedies": xr.Dataset(attrs={"diagnosis": "g jumps.", "answer": "Use owen."})},
             "g jumps. Use owen.",
         ),
         (

@@ -102,9 +102,11 @@ def test_the_verb_prints_writes_and_refuses(tmp_path, capsys, tree, monkeypatch)
     first = next(each for each in ranked if each["verdict"] == "better")
     assert printed["answer"].startswith(f"Use sobol | owen with {first['remedy']}: RMSE")
     change = first["change"][:1].upper() + first["change"][1:]
-    assert printed["sentences"]["remedies"].startswith(f"With sobol | owen as given: {change}: at")
+    assert printed["sentences"]["remedies"].startswith(
+        f"With sobol | owen as given: {change}: RMSE"
+    )
     assert printed["sentences"]["sampler"].startswith("With sobol | owen the variance at n = 256")
-    assert printed["remedies"]["recommendation"] in printed["sentences"]["remedies"]
+    assert printed["remedies"]["answer"] in printed["sentences"]["remedies"]
     assert "Cause: the largest parts of the variance are " in printed["answer"]
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "good coordinates" in page

@@ -157,7 +157,7 @@ def test_remedies_are_direct_calls(tree):
     found = tree["remedies"].to_dataset()
     same(found, direct)
     assert found["remedy"].values.tolist() == direct["remedy"].values.tolist()
-    assert found.attrs["recommendation"] == direct.attrs["recommendation"]
+    assert found.attrs["answer"] == direct.attrs["answer"]
 
 
 def test_steps_of_float32_are_no_jumps(tree):
@@ -267,7 +267,7 @@ def test_sentences_name_jumps_bottleneck_and_remedy(tree):
     assert "of all lines through the cube meet a jump of g" in said["light"]
     assert "wraps around: to it g jumps there" in said["light"]
     assert said["bottleneck"] == bottleneck_sentence(tree)
-    assert said["remedies"] == tree["remedies"].attrs["recommendation"]
+    assert said["remedies"] == tree["remedies"].attrs["answer"]
     resolved = [r for r in pixel_rows(tree) if r.rate and r.rate_high - r.rate_low <= 1]
     rates = {(r.estimator, r.sampler): r.rate for r in resolved}
     best = min(rates, key=lambda pair: rates[pair])

@@ -369,10 +369,10 @@ def planned(result: xr.Dataset) -> Answer:
     known = result.attrs
     goal = f"RMSE {known['target_error']:g}{' of the integral' if known['relative'] else ''}"
     return _shown(
-        f"{goal} of {_title(result)}: {known['recommendation']}",
+        f"{goal} of {_title(result)}: {known['answer']}",
         "predicted RMSE" if named and rows else "",
         text_table(header, rows) if rows else "",
-        "" if _note(result) in known["recommendation"] else _note(result),
+        "" if _note(result) in known["answer"] else _note(result),
     )
 
 
@@ -430,7 +430,7 @@ def remedies(result: xr.Dataset) -> Answer:
         one = result.sel(remedy=name)
         listed.append({str(key): v.values for key, v in one.variables.items()})
     title = f"{_title(result)},  {known['budget']} evaluations"
-    said = [textwrap.fill(known[name], _WIDTH) for name in ("diagnosis", "recommendation")]
+    said = [textwrap.fill(known[name], _WIDTH) for name in ("diagnosis", "answer")]
     left_out = [
         textwrap.fill(reason, _WIDTH, initial_indent="  ", subsequent_indent="    ")
         for reason in json.loads(known.get("not_tried", "[]"))

@@ -83,8 +83,8 @@ class CandidateResult:
     ----------
     name, change
         The label of the candidate, and an imperative that describes the change.
-    setup
-        The estimator and the sampler after the change; None for draws, which are not sampled.
+    specs
+        The estimator and the sampler after the change, as texts.
     n
         Number of points of an estimate at the budget.
     rmse, rmse_ci
@@ -99,11 +99,13 @@ class CandidateResult:
         Evaluations with which the set-up as given has this RMSE, and their interval.
     verdict
         What the interval of the gain says.
+    setup
+        The estimator and the sampler themselves; None for draws, and in results that are stored.
     """
 
     name: str
     change: str
-    setup: Setup | None
+    specs: tuple[str, str]
     n: int
     rmse: float
     rmse_ci: tuple[float, float]
@@ -114,6 +116,7 @@ class CandidateResult:
     needed: float = math.nan
     needed_ci: tuple[float, float] = (math.nan, math.nan)
     verdict: Verdict = "given"
+    setup: Setup | None = None
 
     @property
     def estimator(self) -> AbstractEstimator:
@@ -128,16 +131,14 @@ class CandidateResult:
     @property
     def _sampled(self) -> Setup:
         if self.setup is None:
-            raise ParameterError("Draws were given, so that nothing is sampled; give a function.")
+            raise ParameterError(f"{self.name} is known by name only: nothing is sampled here.")
         return self.setup
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain numbers and texts."""
         plain = {k: list(v) if isinstance(v, tuple) else v for k, v in vars(self).items()}
-        del plain["setup"]
-        if self.setup is not None:
-            plain |= {"estimator": self.estimator.spec, "sampler": self.sampler.spec}
-        return plain
+        del plain["setup"], plain["specs"]
+        return {**plain, **dict(zip(("estimator", "sampler"), self.specs, strict=True))}
 
 
 @final
@@ -223,7 +224,7 @@ class Answer:
         if self.instead:
             return self.instead
         best, given = self.best, self.given
-        name = given.sampler.spec
+        name = given.specs[1]
         if not self.changes:
             many = f"none of the {len(self.tried)} changes that were tried is better"
             return f"Keep {name}: {many if len(self.tried) > 1 else 'nothing that was tried is better'}."

@@ -22,6 +22,7 @@ from mcspectra.core.parallel import Block, realization_blocks
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import AbstractEstimator
 from mcspectra.estimators.moments import rounding_floor, variance_interval
+from mcspectra.explain.diagnosis import jumps_inside
 from mcspectra.improve.answers import Candidate, CandidateResult, Verdict, simultaneous_z
 from mcspectra.samplers import Sampler
 
@@ -30,6 +31,7 @@ __all__ = [
     "Assessed",
     "Comparison",
     "Errors",
+    "Measured",
     "assessed",
     "compare",
     "estimates_of",
@@ -215,13 +217,68 @@ def _standard_error(influence: Array, prior: int = _SETTINGS.prior) -> float:
 
 @final
 @dataclass(frozen=True)
-class Assessed:
-    """A candidate with its errors at several costs, its result, and the difference of its rate.
+class Measured:
+    """A candidate with its errors, in texts and numbers, as states of reductions have it.
 
     Attributes
     ----------
-    candidate, errors
-        What was measured.
+    kind, name, change, biased, pilot, note, key
+        See `Candidate`.
+    specs
+        The estimator and the sampler, as texts.
+    n
+        Number of points at the largest cost.
+    errors
+        Errors at several costs.
+    infinite_weights, jumps
+        For changed warps: whether weights are infinite, and whether there are jumps inside, None if
+        that is not known.
+    """
+
+    kind: str
+    name: str
+    change: str
+    specs: tuple[str, str]
+    key: str
+    n: int
+    errors: Errors
+    biased: bool = False
+    pilot: int = 0
+    note: str = ""
+    infinite_weights: bool = False
+    jumps: bool | None = None
+
+    @staticmethod
+    def of(candidate: Candidate, errors: Errors) -> Measured:
+        """A candidate whose estimates have these errors."""
+        setup = candidate.setup
+        warp = candidate.kind == "warp"
+        known = warp and not setup.is_black_box
+        return Measured(
+            candidate.kind,
+            candidate.name,
+            candidate.change,
+            (setup.estimator.spec, setup.sampler.spec),
+            candidate.key,
+            round((errors.cost[-1] - errors.overhead) / (setup.cost * candidate.effort)),
+            errors,
+            biased=candidate.biased,
+            pilot=candidate.pilot,
+            note=candidate.note,
+            infinite_weights=warp and setup.estimator.infinite_weights,
+            jumps=jumps_inside(setup.estimator, setup.sampler) if known else None,
+        )
+
+
+@final
+@dataclass(frozen=True)
+class Assessed:
+    """A candidate with its result, and the difference of its rate.
+
+    Attributes
+    ----------
+    measured
+        The candidate with its errors at several costs.
     result
         Its result at the budget.
     error, error_ci
@@ -234,8 +291,7 @@ class Assessed:
         What this interval says.
     """
 
-    candidate: Candidate
-    errors: Errors
+    measured: Measured
     result: CandidateResult
     error: float
     error_ci: tuple[float, float]
@@ -248,14 +304,14 @@ class Assessed:
     @property
     def blind(self) -> bool:
         """Whether all estimates at the budget are equal and miss the integral."""
-        return bool(self.errors.blind[-1])
+        return bool(self.measured.errors.blind[-1])
 
 
-def assessed(measured: Sequence[tuple[Candidate, Errors]], budget: int) -> list[Assessed]:
+def assessed(measured: Sequence[Measured], budget: int) -> list[Assessed]:
     """Compare all candidates with the first, the set-up as given; intervals hold together at 95 %."""
     # One comparison of errors and one of rates for each change
     z = simultaneous_z(2 * (len(measured) - 1))
-    reference = measured[0][1]
+    reference = measured[0].errors
     slope = reference.rate()[0]
 
     def needed(log_ratio: float) -> float:
@@ -265,7 +321,8 @@ def assessed(measured: Sequence[tuple[Candidate, Errors]], budget: int) -> list[
         return budget * math.exp(min(log_ratio / slope, 700.0))
 
     found = []
-    for candidate, errors in measured:
+    for candidate in measured:
+        errors = candidate.errors
         against = compare(errors, reference, budget, candidate.pilot)
         log_error, influence = errors.at(budget)
         spread = max(math.sqrt(float(np.mean(influence**2)) / len(influence)), 1e-9)
@@ -278,10 +335,8 @@ def assessed(measured: Sequence[tuple[Candidate, Errors]], budget: int) -> list[
         own = CandidateResult(
             name=candidate.name,
             change=candidate.change,
-            setup=candidate.setup,
-            n=round(
-                (errors.cost[-1] - errors.overhead) / (candidate.setup.cost * candidate.effort)
-            ),
+            specs=candidate.specs,
+            n=candidate.n,
             rmse=math.exp(0.5 * log_error),
             rmse_ci=(math.sqrt(float(ends[0])), math.sqrt(float(ends[1]))),
             gain=_exp(-against.log_ratio),
@@ -295,7 +350,6 @@ def assessed(measured: Sequence[tuple[Candidate, Errors]], budget: int) -> list[
         found.append(
             Assessed(
                 candidate,
-                errors,
                 own,
                 error=math.exp(log_error),
                 error_ci=(float(ends[0]), float(ends[1])),

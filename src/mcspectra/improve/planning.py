@@ -60,7 +60,7 @@ class PlanSettings:
     # Inverse of the relative step in which n is searched between powers of two: up to 256 it is
     # the least count, beyond that larger by 0.4 % at most, for eight predictions.
     steps: int = 256
-    # Ratio of the ends of an interval of n above which the recommendation names it.
+    # Ratio of the ends of an interval of n above which the answer names it.
     wide: float = 1.25
     # Counts that are tried, one after the other, for estimators of several techniques, whose sets
     # the sampler must all be able to draw.
@@ -262,7 +262,7 @@ class Plan(Counted, frozen=True, kw_only=True):
             how=hows[0] if alone else None,
             target_error=self.target_error,
             relative=self.relative,
-            recommendation=told,
+            answer=told,
             note="; ".join(notes) or None,
         )
 
@@ -840,7 +840,7 @@ def plan(
         powers of two that the sampler can do, to a quarter of the wanted variance or 2^16. Beyond what was
         predicted or measured n follows from the last slope, and ``how`` says so. The coordinates ``method`` and
         ``how``, attributes where there is one sampler, are those of `predict`, or ``"measured"`` with the
-        number of evaluations. A list adds the dim sampler. The attribute ``recommendation`` says it in words.
+        number of evaluations. A list adds the dim sampler. The attribute ``answer`` says it in words.
 
     Raises
     ------
@@ -853,7 +853,7 @@ def plan(
     --------
     >>> import mcspectra as mcs
     >>> found = mcs.plan("gaussian", ["sobol | owen", "random"], target_error=1e-3)
-    >>> found.attrs["recommendation"]
+    >>> found.attrs["answer"]
     'n = 256 with sobol | owen or 66514 with random'
     """
     return answer(Plan, locals())

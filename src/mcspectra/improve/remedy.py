@@ -25,9 +25,9 @@ from mcspectra.core.memory import memory_of
 from mcspectra.core.results import dataset, strict_json
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.core.tally import counting
-from mcspectra.explain.diagnosis import Diagnosis, diagnose, jumps_inside
+from mcspectra.explain.diagnosis import Diagnosis, diagnose
 from mcspectra.improve.answers import Answer, Candidate, simultaneous_z
-from mcspectra.improve.assess import Assessed, Errors, assessed, estimates_of
+from mcspectra.improve.assess import Assessed, Errors, Measured, assessed, estimates_of
 from mcspectra.improve.candidates import KINDS, Budget, Kind, candidates_of
 from mcspectra.measure.doors import answer
 from mcspectra.measure.setup import Setup, affordable_count
@@ -190,9 +190,9 @@ class Remedies(Counted, frozen=True, kw_only=True):
         def result(found: _Trials) -> xr.Dataset:
             """Rank all set-ups by their variances; a set-up that two kinds make counts once."""
             assert found.diagnosis is not None
-            first: dict[str, tuple[Candidate, Errors]] = {}
-            for candidate, errors in found.tried:
-                first.setdefault(candidate.key, (candidate, errors))
+            first: dict[str, Measured] = {}
+            for each in found.tried:
+                first.setdefault(each.key, each)
             return ranked(list(first.values()), found.not_tried, self.budget, found.diagnosis)
 
         return Reduction(
@@ -203,9 +203,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
             result=result,
         )
 
-    def _measured(
-        self, change: Candidate, given: Setup, stream: Stream
-    ) -> tuple[Candidate, Errors] | None:
+    def _measured(self, change: Candidate, given: Setup, stream: Stream) -> Measured | None:
         """Measure errors at counts that fit into the budgets; None for fewer than two counts."""
         setup = change.setup
         cost: list[int] = []
@@ -237,7 +235,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
             tolerance=tolerance,
             overhead=setup.overhead,
         )
-        return change, errors
+        return Measured.of(change, errors)
 
     @property
     def _kinds(self) -> tuple[Kind, ...]:
@@ -332,7 +330,7 @@ def remedies(
 
 
 def ranked(
-    measured: Sequence[tuple[Candidate, Errors]],
+    measured: Sequence[Measured],
     not_tried: Sequence[str],
     budget: int,
     diagnosis: Diagnosis,
@@ -354,12 +352,12 @@ def ranked(
         "rate_ci": [each.result.rate_ci for each in found],
         "rate_difference": [each.rate_difference for each in found],
         "rate_difference_ci": [each.rate_difference_ci for each in found],
-        "cost": [_padded(each.errors.cost) for each in found],
-        "error_at_cost": [_padded(each.errors.error) for each in found],
+        "cost": [_padded(each.measured.errors.cost) for each in found],
+        "error_at_cost": [_padded(each.measured.errors.error) for each in found],
     }
     texts = {
-        "kind": [each.candidate.kind for each in found],
-        "change": [each.candidate.change for each in found],
+        "kind": [each.measured.kind for each in found],
+        "change": [each.measured.change for each in found],
         "verdict": [each.result.verdict for each in found],
         "rate_verdict": [each.rate_verdict for each in found],
         "reason": list(reasons.values()),
@@ -380,13 +378,13 @@ def ranked(
         answer=str(said),
         best=json.dumps(strict_json(said.best.to_dict())),
         not_tried=list(not_tried),
-        given_error=float(given.errors.error[-1]),
+        given_error=float(given.measured.errors.error[-1]),
     )
 
 
 def _reason(each: Assessed, diagnosis: Diagnosis) -> str:
     """Why a candidate is better, or how the measurement ended if it is not."""
-    candidate, setup = each.candidate, each.candidate.setup
+    candidate = each.measured
     if each.result.verdict == "given":
         found = ""
     elif each.blind:
@@ -396,13 +394,12 @@ def _reason(each: Assessed, diagnosis: Diagnosis) -> str:
     elif each.result.verdict == "worse":
         found = f"Its {'mean squared error' if candidate.biased else 'variance'} is larger."
     else:
-        warp = candidate.kind == "warp" and not setup.is_black_box
         found = diagnosis.removes(
             candidate.kind,
             candidate.name,
             biased=candidate.biased,
-            unbounded=candidate.kind == "warp" and setup.estimator.infinite_weights,
-            jumps=jumps_inside(setup.estimator, setup.sampler) if warp else None,
+            unbounded=candidate.infinite_weights,
+            jumps=candidate.jumps,
         )
         if not found and not math.isnan(each.result.rate):
             if not is_resolved(*each.result.rate_ci):
@@ -456,7 +453,7 @@ def _answer(
 class _Trials:
     """Measured set-ups, reasons why others were not measured, and the diagnosis of the given one."""
 
-    tried: list[tuple[Candidate, Errors]]
+    tried: list[Measured]
     not_tried: list[str]
     diagnosis: Diagnosis | None
 

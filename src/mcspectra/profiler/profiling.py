@@ -525,7 +525,9 @@ def _of_draws(draws: Any) -> Profile:
     low, high = found["mean_ci"].values.tolist()
     mean, mcse = float(found["mean"]), float(found["mcse"])
     causes = (Cause(name, sentence, evidence), *map(Cause, names[1:], others))
-    draw = CandidateResult("draws", "take the draws", None, count, mcse, (math.nan, math.nan))
+    draw = CandidateResult(
+        "draws", "take the draws", ("draws", "draws"), count, mcse, (math.nan, math.nan)
+    )
     told = f"The mean of the draws is {_shown(mean, low, high)}."
     return Profile(
         subject="draws",
@@ -878,7 +880,15 @@ def _results(
     name = given.sampler.spec
     results = [
         CandidateResult(
-            name, f"keep {name}", given, points, rmse, ends, rate=curve.rate, rate_ci=curve.rate_ci
+            name,
+            f"keep {name}",
+            (given.estimator.spec, name),
+            points,
+            rmse,
+            ends,
+            rate=curve.rate,
+            rate_ci=curve.rate_ci,
+            setup=given,
         )
     ]
     for each in found:
@@ -906,7 +916,7 @@ def _results(
             CandidateResult(
                 candidate.name,
                 candidate.change,
-                candidate.setup,
+                (candidate.setup.estimator.spec, candidate.setup.sampler.spec),
                 n=each.n,
                 rmse=rmse,
                 rmse_ci=ends,
@@ -917,6 +927,7 @@ def _results(
                 needed=needs,
                 needed_ci=needs_ci,
                 verdict="better" if better else "undecided",
+                setup=candidate.setup,
             )
         )
     return results

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Result"]
 
-_SENTENCES = ("diagnosis", "recommendation", "note")  # attributes that results have
+_SENTENCES = ("diagnosis", "answer", "note")  # attributes that results have
 
 
 @final

@@ -222,7 +222,7 @@ def pixel_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
     if note:
         said.append(("not met", note))
     if "remedies" in tree.children:
-        said.append(("remedies", str(tree["remedies"].attrs["recommendation"])))
+        said.append(("remedies", str(tree["remedies"].attrs["answer"])))
     return said
 
 
@@ -421,7 +421,7 @@ def remedies_summary(found: xr.Dataset) -> dict[str, Any]:
         {"remedy": str(name)} | {v: found[v].sel(remedy=name).values for v in _REMEDY}
         for name in found["remedy"].values
     ]
-    known = ("budget", "diagnosis", "recommendation", "not_tried")
+    known = ("budget", "diagnosis", "answer", "not_tried")
     return {**{k: found.attrs[k] for k in known}, "ranked": ranked}
 
 
@@ -430,6 +430,6 @@ def remedies_blocks(found: xr.Dataset, sampler: str) -> tuple[html.Block, ...]:
     made = analysis_table("remedies", {sampler: found})
     assert made is not None
     table = html.columns_of(made[1], made[1].columns[1:])
-    text = html.Text(text=found.attrs["recommendation"])
+    text = html.Text(text=found.attrs["answer"])
     figures = html.figures_of({"remedies": describe("remedies", found)})
     return (text, table, *figures)

@@ -37,7 +37,7 @@ __all__ = [
 RESULT_FILES = (".npz", ".csv", ".tex", *backend_matplotlib.FORMATS, ".html")
 """Extensions that `write_result_file` knows."""
 
-_SAID = ("answer", "recommendation", "diagnosis", "note")
+_SAID = ("answer", "diagnosis", "note")
 # Dims of the tables of values
 _TABLES = (
     ("sampler",), ("method",), ("n",), ("sampler", "n"), ("method", "n"), ("sampler", "method"),

@@ -26,7 +26,7 @@ _RATE_MARGIN = (
     1.5  # times the 95 % interval: 3 standard errors, as a page makes dozens of statements
 )
 _SURE = 0.2  # a rate known less well may be another than that of random sampling
-_REMEDY_WORDS = ("diagnosis", "recommendation")
+_REMEDY_WORDS = ("diagnosis", "answer")
 _TERMS = {
     "dc": "weights: p does not follow f",
     "power": "detail at frequencies where the sampler is noisy",

@@ -34,7 +34,7 @@ from mcspectra.core.streams import Stream
 from mcspectra.estimators import Estimator
 from mcspectra.explain.diagnosis import Diagnosis
 from mcspectra.improve.answers import Candidate, simultaneous_z
-from mcspectra.improve.assess import Errors, compare, estimates_of
+from mcspectra.improve.assess import Errors, Measured, compare, estimates_of
 from mcspectra.improve.remedy import ranked
 from mcspectra.integrands import Integrand
 from mcspectra.measure.anova import Anova, anova_variances
@@ -334,7 +334,7 @@ def path_remedies(
         or ``selection``. ``error`` is that at the budget, beside a pilot, ``error_ratio`` with it.
     """
     ns, budget = list(counts)[-_COUNTS:], int(counts[-1])
-    tried: list[tuple[Candidate, Errors]] = []
+    tried: list[Measured] = []
     not_tried: list[str] = []
 
     def attempt(
@@ -366,7 +366,7 @@ def path_remedies(
         errors = Errors.of(np.multiply(cost, ns).tolist(), estimates, mean)
         setup = Setup(Estimator(g), points)
         candidate = Candidate(kind, name, change, setup, pilot=pilot, effort=cost, note=note)
-        tried.append((candidate, errors))
+        tried.append(Measured.of(candidate, errors))
 
     attempt("given", "as given", "leave everything as it is")
 
@@ -402,10 +402,10 @@ def path_remedies(
     not_tried.append(f"heuristic of MIS: {reason}")
 
     # Say of pilots what their changes are without them, and when they pay
-    given, z = tried[0][1], simultaneous_z(2 * (len(tried) - 1))
-    for k, (candidate, errors) in enumerate(tried):
+    given, z = tried[0].errors, simultaneous_z(2 * (len(tried) - 1))
+    for k, candidate in enumerate(tried):
         if candidate.pilot:
-            found, rate = compare(errors, given, budget), given.rate()[0]
+            found, rate = compare(candidate.errors, given, budget), given.rate()[0]
             low, high = (found.log_ratio + side * z * found.log_ratio_se for side in (-1.0, 1.0))
             ratio, bounds = (
                 math.exp(found.log_ratio),
@@ -418,7 +418,7 @@ def path_remedies(
                 note += f": it pays from about {float(f'{pays:.2g}'):.0f} paths on."
             else:
                 note += ": it does not pay, as far as the interval tells."
-            tried[k] = replace(candidate, note=note), errors
+            tried[k] = replace(candidate, note=note)
     ranking = ranked(tried, not_tried, budget, Diagnosis([]))
     return ranking.assign_attrs(estimator=f.spec, sampler=sampler.spec, budget=budget)
 
