@@ -236,7 +236,7 @@ class Answer:
             )
         before = f"{given.rmse:.2g}" if math.isfinite(given.rmse) else "an infinite one"
         text = f"{what}: RMSE {best.rmse:.2g}{_between(best.rmse_ci)} at {self.budget} evaluations instead of {before}"
-        if math.isfinite(best.needed) and best.needed > self.budget:
+        if self.budget < best.needed < _MANY:
             needed = f"{rounded(best.needed)}{_between(best.needed_ci)}"
             text += f"; {name} would need about {needed} evaluations for it"
         return f"{text}."
@@ -261,6 +261,10 @@ class Answer:
         }
 
 
+_MANY = 1e15
+"""Evaluations that nobody makes: more are not named."""
+
+
 def simultaneous_z(comparisons: int) -> float:
     """Return the half width in standard errors of 95 % intervals that hold together [Šidák 1967]."""
     from scipy.special import ndtri
@@ -272,7 +276,7 @@ def simultaneous_z(comparisons: int) -> float:
 def rounded(value: float) -> str:
     """Two digits, in millions and larger units where numbers of evaluations are large."""
     for size, name in ((1e12, " trillion"), (1e9, " billion"), (1e6, " million"), (10.0, "")):
-        if size <= value < 1e15:
+        if size <= value < _MANY:
             scale = 1.0 if size < 1e6 else size
             return f"{float(f'{value / scale:.2g}'):.{0 if value / scale >= 10.0 else 1}f}{name}"
     return f"{value:.2g}"

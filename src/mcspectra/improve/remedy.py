@@ -405,7 +405,7 @@ def _reason(each: Assessed, diagnosis: Diagnosis) -> str:
             if not is_resolved(*each.result.rate_ci):
                 found = f"Its rate is {UNRESOLVED}."
             elif each.rate_verdict == "better":
-                found = f"Its rate is better, {each.result.rate:.2f}."
+                found = f"Its rate is better, {each.result.rate:.2f}.".replace("-", "−")
             else:
                 found = "By how much its rate differs, the intervals leave open."
     return " ".join(filter(None, [found, candidate.note]))
