@@ -24,11 +24,8 @@ from mcspectra.core.analysis import Counted, Need, Reduction, Steps, Subject
 from mcspectra.core.checks import Array
 from mcspectra.core.confidence import CONFIDENCE_Z, student_t
 from mcspectra.core.errors import (
-    BudgetError,
     CountError,
-    Function,
     NoClosedForm,
-    Parameter,
     ParameterError,
 )
 from mcspectra.core.memory import memory_of
@@ -719,34 +716,22 @@ class Prediction(Counted, frozen=True, kw_only=True):
         return any(method.realized for method in METHODS if method.name in self._names)
 
     def limit(self, subject: Subject) -> int | None:
-        """Most evaluations of functions; predictions of known integrands have no limit of their own."""
-        if self.max_evaluations is None and subject.estimator.is_black_box:
+        """Most evaluations of functions.
+
+        There is no limit by default for known integrands, nor for a method that is asked for by name.
+        """
+        chosen = self.method in ("auto", "extrapolated")
+        if self.max_evaluations is None and chosen and subject.estimator.is_black_box:
             return LIMITS.evaluations
         return self.max_evaluations
 
     def _measures(self, subject: Subject) -> bool:
-        """Whether evaluations are too few for anything but measurements at small counts.
-
-        Raises
-        ------
-        BudgetError
-            So they are by default, and another method was asked for.
-        """
+        """Whether evaluations are too few for anything but measurements at small counts."""
         limit = self.limit(subject)
         enough = LIMITS.predictions * len(subject.estimator.counts)
         if limit is None or limit >= enough or not subject.estimator.is_black_box:
             return False
-        if self.method in ("auto", "extrapolated"):
-            return True
-        if self.max_evaluations is None:
-            raise BudgetError(
-                Function("predict"),
-                f" by the method {self.method} may take {enough} evaluations of a function, and by "
-                f"default makes {limit} at most; allow ",
-                Parameter("max_evaluations"),
-                f" {enough}, or give the method auto, which measures small sets.",
-            )
-        return False
+        return self.method in ("auto", "extrapolated")
 
     def need(self, subject: Subject) -> Need:
         """Every sampler can do every count, and the spectra fit."""
@@ -1037,10 +1022,10 @@ def predict(
     workers
         Threads; all processors by default. Results do not depend on it.
     max_evaluations
-        Most evaluations of the integrand. Functions of users are by default evaluated 2^18 times at most;
-        the method ``auto`` then measures sets of small counts, with wider intervals (``extrapolated``), and
-        predicts from 2^24 for each technique on. What takes more is refused, where that is known before it
-        starts.
+        Most evaluations of the integrand. The methods ``auto`` and ``extrapolated`` evaluate users'
+        functions 2^18 times at most by default: they measure sets of small counts, with wider intervals
+        (``extrapolated``). From 2^24 for each technique on, ``auto`` predicts. A method that takes more
+        than the limit is refused, where that is known before it starts.
 
     Returns
     -------
