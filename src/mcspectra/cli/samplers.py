@@ -17,6 +17,7 @@ from mcspectra.cli.common import (
     option,
     out,
     read_sampler,
+    real,
     text_table,
     verb,
     whole,
@@ -199,6 +200,7 @@ def points_(options: argparse.Namespace) -> Answer:
         "--combine HOW",
         "mean of the replicates (default), or median, which is for linear scrambles",
     ),
+    option("--tolerance W", "half width of the interval at which evaluations end", real(above=0.0)),
     option("--cache FILE", "file of values by point, from which a later run continues"),
 )
 def integrate_(options: argparse.Namespace) -> Answer:
@@ -212,6 +214,7 @@ def integrate_(options: argparse.Namespace) -> Answer:
         sampler=options.sampler,
         combine=options.combine or "mean",
         cache=options.cache,
+        tolerance=options.tolerance,
         rng=options.seed or 0,
     )
     data: dict[str, Any] = {str(name): found[name].values.tolist() for name in found}

@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_choice
+from mcspectra.core.checks import Array, as_choice, as_integer, as_real
 from mcspectra.core.confidence import student_t
 from mcspectra.core.errors import (
     Function,
@@ -64,7 +64,7 @@ from mcspectra.estimators.tails import (
 from mcspectra.integrands import Calls, FunctionIntegrand, Integrand
 from mcspectra.measure.setup import Setup, affordable_count
 from mcspectra.samplers import Sampler, as_sampler
-from mcspectra.samplers.law import Independent, Scrambled
+from mcspectra.samplers.law import Independent, Law, Scrambled
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -101,6 +101,14 @@ class IntegrationSettings:
     # intervals of the median hold the integral in 90 instead of 93 % of runs, and with 4 they are
     # 12 % wider.
     stands_out: float = 2.0
+    # Calls before the width is compared with a tolerance the first time: 8 replicates of 128
+    # points, whose interval is right for usual functions.
+    first: int = 2**10
+    # Factor by which calls are more than those that the rate asks for, so that most tolerances take
+    # two rounds: a width of 8 replicates has a standard error of 25 %.
+    margin: float = 1.3
+    # Largest factor between the calls of two rounds, as the first rates are not sure.
+    growth: float = 4.0
 
 
 _SETTINGS = IntegrationSettings()
@@ -120,6 +128,8 @@ def integrate(
     workers: int = 1,
     cache: str | os.PathLike[str] | None = None,
     on_error: str = "raise",
+    tolerance: float | None = None,
+    profile: Any = None,
     rng: RngLike = 0,
 ) -> xr.Dataset:
     """Integrate a function over [0,1)^d within a number of calls, with a 95 % interval.
@@ -145,6 +155,13 @@ def integrate(
         ``"raise"`` where f fails or is not finite, or ``"skip"``: such points are counted. The value
         takes the mean of all others for them. The interval reaches from their least to their largest
         value for each, and the note says how many there are, and where the first one is.
+    tolerance
+        Half width of the interval at which the calls end, although the budget allows more. The note
+        says so if the budget ends first.
+    profile
+        The `mcspectra.Profile` of f. Its answer is carried out: the estimator and the sampler are those
+        that it advises. Its evaluations, which are not part of this budget, are used again: the value
+        is the mean of its integral and the new one, weighted by their intervals.
     rng
         Seed (SPEC 7).
 
@@ -182,6 +199,17 @@ def integrate(
     (1920, 128)
     """
     # The function and the sampler
+    if profile is not None:
+        if sampler is not None or cache is not None:
+            given = "sampler" if sampler is not None else "cache"
+            raise ParameterError(
+                Parameter(given),
+                " is given and ",
+                Parameter("profile"),
+                ", which has its own; give one of both.",
+            )
+        f, sampler = _advised(f, profile)
+    least_width = 0.0 if tolerance is None else as_real("tolerance", tolerance, above=0.0)
     inner, known = f, dims if dims is not None else getattr(sampler, "dims", None)
     if is_function(f):
         known = function_dims(f, known)
@@ -209,70 +237,176 @@ def integrate(
             f" is 'median', and {source.spec} is no linear scramble, few of whose sets make the "
             "variance: take the mean, which is better, or a sampler such as sobol | lms.",
         )
+    each = 1 if is_function(f) else estimator.evaluations_per_point
     calls = Calls(
         inner,  # type: ignore[arg-type]
         dims=known,
-        budget=budget,
+        budget=as_integer("budget", budget, least=1) // each,
         vectorized=vectorized,
         workers=workers,
         cache=cache,
         on_error=on_error,
     )
     setup = Setup(Estimator(FunctionIntegrand(function=calls, dims=known)), source)
-    least = _SETTINGS.least_of_median if median else _SETTINGS.least
-    most = affordable_count(setup, calls.budget // least)
-    if most is None:
-        raise ParameterError(
-            Parameter("budget"),
-            f" is {calls.budget}, too small for {least} replicates of {source.spec}; give more.",
-        )
     check_memory(memory_of(calls.budget, known), "integrate")
     stream = Stream.from_rng(rng)
 
+    # Make replicates; with a tolerance few first, then as many as its interval takes
+    allowed = calls.budget if tolerance is None else min(calls.budget, _SETTINGS.first)
     with calls:
-        # Measure the rate by prefixes of the first replicates
-        few = _SETTINGS.least
-        first, rate = np.empty((few, 0)), math.nan
-        splits = source.sequence and not median
-        pilot = affordable_count(setup, most // _SETTINGS.pilot) if splits else None
-        if pilot is not None and pilot >= 2**_SETTINGS.levels:
+        sets = _sampled(calls, setup, stream, allowed, median=median)
+        found = _estimated(sets, law, median=median, linear=linear)
+        while allowed < calls.budget and not found.half_width <= least_width:
+            # The width falls as the root of the variance; an open interval takes twice the calls
+            more = (found.half_width / least_width) ** (2.0 / sets.rate if sets.rate > 0.0 else 2.0)
+            more = min(max(_SETTINGS.margin * more, 2.0), _SETTINGS.growth)
+            allowed = min(math.ceil(allowed * more), calls.budget)
+            sets = _sampled(calls, setup, stream, allowed, median=median, known=sets)
+            found = _estimated(sets, law, median=median, linear=linear)
+    value, interval, note = found.value, found.interval, found.note
+    if found.endless:
+        warn(f"{calls.name}: {found.endless}.", InfiniteVarianceWarning)
+    values = found.values
+    if calls.skipped:
+        skipped = float(np.isnan(sets.values).mean())
+        least_value, most_value, middle = values.min(), values.max(), values.mean()
+        interval = (
+            interval[0] - skipped * (middle - least_value),
+            interval[1] + skipped * (most_value - middle),
+        )
+        said = calls.skipped_in_words(least_value, most_value)
+        note = f"{said}; {note}" if note else said
+    if profile is not None:
+        value, interval, note = _with_profile(value, interval, note, profile, alike=found.alike)
+    if tolerance is not None and not interval[1] - interval[0] <= 2.0 * least_width:
+        said = f"the budget of {budget} calls ended before the interval was ± {least_width:g}"
+        note = f"{said}; {note}" if note else said
+    replicates, n = values.shape
+    return dataset(
+        {
+            "value": ((), value),
+            "interval": (("bound",), np.array(interval)),
+            "calls": ((), calls.made * each),
+            "skipped": ((), calls.skipped),
+            "replicates": ((), replicates),
+            "n": ((), n),
+            "rate": ((), -sets.rate),
+        },
+        {"bound": ["low", "high"]},
+        integrand=calls.name,
+        sampler=source.spec,
+        budget=calls.budget * each,
+        stream_key=f"{stream.key:#x}",
+        note=note,
+    )
+
+
+@dataclass(frozen=True)
+class _Replicates:
+    """Points (R, n, d) and values (R, n) of replicates, NaN where f failed, and θ of the variance."""
+
+    points: Array
+    values: Array
+    rate: float
+
+
+def _sampled(
+    calls: Calls,
+    setup: Setup,
+    stream: Stream,
+    allowed: int,
+    *,
+    median: bool,
+    known: _Replicates | None = None,
+) -> _Replicates:
+    """Replicates of at most `allowed` points in all; values of `known` ones are not made again."""
+    source, few = setup.sampler, _SETTINGS.least
+    least = _SETTINGS.least_of_median if median else few
+    most = affordable_count(setup, allowed // least)
+    if most is None:
+        raise ParameterError(
+            Parameter("budget"),
+            f" is {allowed}, too small for {least} replicates of {source.spec}; give more.",
+        )
+    # Measure the rate by prefixes of the first replicates
+    first, rate = np.empty((few, 0)), math.nan
+    splits = source.sequence and not median
+    pilot = affordable_count(setup, most // _SETTINGS.pilot) if splits else None
+    if pilot is not None and pilot >= 2**_SETTINGS.levels:
+        if known is not None and splits:
+            first = known.values[:few]
+        else:
             first = calls(source.draw_stream(pilot, stream, 0, few))
-            # θ of a variance ∝ n^-θ; the largest if a prefix has no variance
-            prefixes = first.shape[1] >> np.arange(_SETTINGS.levels)
-            known_first = _filled(first)
-            means = np.stack([known_first[:, :n].mean(axis=1) for n in prefixes])
-            variances, rate = means.var(axis=1, ddof=1), _RATES[1]
-            if (variances > rounding_floor(np.abs(means).max(axis=1))).all():
-                slope = np.polyfit(np.log(prefixes), np.log(variances), 1)[0]
-                rate = float(np.clip(-slope, *_RATES))
+        # θ of a variance ∝ n^-θ; the largest if a prefix has no variance
+        prefixes = first.shape[1] >> np.arange(_SETTINGS.levels)
+        known_first = _filled(first)
+        means = np.stack([known_first[:, :n].mean(axis=1) for n in prefixes])
+        variances, rate = means.var(axis=1, ddof=1), _RATES[1]
+        if (variances > rounding_floor(np.abs(means).max(axis=1))).all():
+            slope = np.polyfit(np.log(prefixes), np.log(variances), 1)[0]
+            rate = float(np.clip(-slope, *_RATES))
 
-        # Choose the number of points of a replicate, then make all of them
-        counts = {most}
-        while rate < _RATES[1] and (n := affordable_count(setup, min(counts) // 2)):
-            if n < max(pilot or 1, 2):
-                break
-            counts.add(n)
-        # Half widths of the interval by Student's t, up to a constant factor
-        widths = {
-            n: student_t(r := calls.budget // n) * n ** (-0.5 * rate) * r**-0.5 for n in counts
-        }
-        n = min(widths, key=lambda n: widths[n])
-        replicates = calls.budget // n
-        x = source.draw_stream(n, stream, 0, replicates)
-        values = np.empty(x.shape[:2])
-        values[:few, : first.shape[1]] = first
-        values[:few, first.shape[1] :] = calls(x[:few, first.shape[1] :])
-        values[few:] = calls(x[few:])
+    # Choose the number of points of a replicate, then make all of them
+    counts = {most}
+    while rate < _RATES[1] and (n := affordable_count(setup, min(counts) // 2)):
+        if n < max(pilot or 1, 2):
+            break
+        counts.add(n)
+    # Half widths of the interval by Student's t, up to a constant factor
+    widths = {n: student_t(r := allowed // n) * n ** (-0.5 * rate) * r**-0.5 for n in counts}
+    n = min(widths, key=lambda n: widths[n])
+    # Values of sets that begin or end as those known do are there already
+    have = first if known is None or not splits else known.values
+    if known is not None and known.values.shape[1] == n:
+        have = known.values
+    have = have[:, :n]
+    rows, columns = have.shape
+    replicates = allowed // n
+    while replicates >= least and replicates * n - min(replicates, rows) * columns > calls.left:
+        replicates -= 1
+    if replicates < least and known is not None:  # too few calls are left for longer sets
+        return known
+    have = have[:replicates]
+    x = source.draw_stream(n, stream, 0, replicates)
+    values = np.empty(x.shape[:2])
+    rows, columns = have.shape
+    values[:rows, :columns] = have
+    values[:rows, columns:] = calls(x[:rows, columns:])
+    values[rows:] = calls(x[rows:])
+    return _Replicates(x, values, rate)
 
-    # The interval, infinite if nothing varies. Points where f failed have the mean of all others
-    skipped = float(np.isnan(values).mean())
-    values = _filled(values)
-    means = values.mean(axis=1)
+
+@dataclass(frozen=True)
+class _Estimated:
+    """The value, its interval and a note; why the variance is infinite, if it is.
+
+    `values` have the mean of all others where f failed; `alike` says that replicates do not vary.
+    """
+
+    value: float
+    interval: tuple[float, float]
+    note: str | None
+    endless: str | None
+    alike: bool
+    values: Array
+
+    @property
+    def half_width(self) -> float:
+        return 0.5 * (self.interval[1] - self.interval[0])
+
+
+def _estimated(sets: _Replicates, law: Law, *, median: bool, linear: bool) -> _Estimated:
+    """The estimate of replicates; its interval is infinite if nothing varies."""
+    from scipy.special import bdtr
+
+    # Points where f failed have the mean of all others
+    values = _filled(sets.values)
+    means, replicates = values.mean(axis=1), len(values)
     moments = Moments.of(means, tails=True)
     value, interval = float(moments.mean), mean_interval(means)
     # Growth at the border: strata have skewed errors, and a variance may not exist. Other tails that
     # are not resolved leave the interval without an end
-    growths = border_growth(x.reshape(-1, known), values.ravel())
+    growths = border_growth(sets.points.reshape(-1, sets.points.shape[-1]), values.ravel())
     endless = growth_note(growths)
     note = None if growths else tail_note(moments) or few_note(values.ravel())
     if note:
@@ -280,8 +414,6 @@ def integrate(
     elif endless or not isinstance(law, Independent):
         interval = growing_interval(means, growths)
     # The median; if no set stands out from its neighbors, f is rough or n is small
-    from scipy.special import bdtr
-
     outer = int((bdtr(np.arange(replicates), replicates, 0.5) < _SIDE).sum()) - 1
     ends = np.sort(means)[[outer, -1 - outer]]
     stand_out = linear and 0.0 < _SETTINGS.stands_out * np.ptp(ends) < np.ptp(interval)
@@ -293,40 +425,56 @@ def integrate(
             note = "no replicate stands out: the mean is as good, unless n is larger or f smoother"
     elif stand_out:
         note = "few replicates make the variance, as linear scrambles do: combine='median' leaves them out"
-    alike = float(moments.variance) <= rounding_floor(moments.mean)
-    if alike and not (median and np.ptp(values)):
-        interval = -math.inf, math.inf
+    alike = bool(moments.variance <= rounding_floor(moments.mean))
+    alike = alike and not (median and bool(np.ptp(values)))
+    if alike:
+        interval, endless = (-math.inf, math.inf), None
         note = "all replicates are alike: f is constant, or what varies was not met"
     elif endless:
         interval, note = (-math.inf, math.inf), endless
         if any(growth.without_integral() for growth in growths):
             value = math.nan
-        warn(f"{calls.name}: {endless}.", InfiniteVarianceWarning)
-    if calls.skipped:
-        least_value, most_value, middle = values.min(), values.max(), values.mean()
-        interval = (
-            interval[0] - skipped * (middle - least_value),
-            interval[1] + skipped * (most_value - middle),
+    return _Estimated(value, interval, note, endless, alike, values)
+
+
+def _advised(f: Any, profile: Any) -> tuple[AbstractEstimator, Sampler]:
+    """The estimator and the sampler that the profile of f advises."""
+    answer = getattr(profile, "answer", None)
+    if answer is None:
+        raise ParameterError(
+            Parameter("profile"), f" is {profile!r:.60}; give what profile(f) returns."
         )
-        said = calls.skipped_in_words(least_value, most_value)
-        note = f"{said}; {note}" if note else said
-    return dataset(
-        {
-            "value": ((), value),
-            "interval": (("bound",), np.array(interval)),
-            "calls": ((), calls.made),
-            "skipped": ((), calls.skipped),
-            "replicates": ((), replicates),
-            "n": ((), n),
-            "rate": ((), -rate),
-        },
-        {"bound": ["low", "high"]},
-        integrand=calls.name,
-        sampler=source.spec,
-        budget=calls.budget,
-        stream_key=f"{stream.key:#x}",
-        note=note,
-    )
+    of = profile.function
+    if not (f is of or (isinstance(f, str) and f == of)):
+        raise ParameterError(
+            Parameter("profile"),
+            f" is of {profile.subject}, not of f; give the same function to both.",
+        )
+    return answer.best.estimator, answer.best.sampler
+
+
+def _with_profile(
+    value: float, interval: tuple[float, float], note: str | None, profile: Any, *, alike: bool
+) -> tuple[float, tuple[float, float], str | None]:
+    """The mean of an estimate and a profile's, whose errors do not correlate, and its interval.
+
+    The advised estimator is fitted to evaluations of the profile. For any of them its estimates have the
+    mean ∫f, so that their errors do not correlate with those of the profile.
+    """
+    low, high = profile.interval
+    if alike and low <= value <= high and high - low < math.inf:
+        # f varied in the profile, and does no more with the points that it advised
+        away = math.sqrt(float(rounding_floor(np.array(value))))
+        return value, (value - away, value + away), "all replicates are alike to rounding"
+    widths = interval[1] - interval[0], high - low
+    if not (math.isfinite(sum(widths)) and min(widths) > 0.0):
+        return value, interval, note
+    share = widths[1] ** 2 / (widths[0] ** 2 + widths[1] ** 2)
+    parts = (share, value, interval), (1.0 - share, profile.integral, (low, high))
+    mean = sum(weight * each for weight, each, _ in parts)
+    below = math.hypot(*(weight * (each - ends[0]) for weight, each, ends in parts))
+    above = math.hypot(*(weight * (ends[1] - each) for weight, each, ends in parts))
+    return mean, (mean - below, mean + above), note
 
 
 def _filled(values: Array) -> Array:

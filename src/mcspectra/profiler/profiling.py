@@ -16,7 +16,7 @@ import os
 import sys
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any, final
 
 import numpy as np
@@ -211,6 +211,8 @@ class Profile:
         with random points if the given sampler always draws the same set or could not be measured.
     samplers
         Curves of variance by sampler.
+    function
+        What was profiled, as it was given.
     """
 
     subject: str
@@ -225,6 +227,7 @@ class Profile:
     answer: Answer
     samplers: Mapping[str, Curve]
     points: int = 0
+    function: Any = field(default=None, repr=False, compare=False)
 
     @property
     def causes(self) -> tuple[Cause, ...]:
@@ -453,6 +456,7 @@ def profile(
         found = _profiled(subject, limit, Stream.from_rng(rng))
         if isinstance(calls, Calls) and calls.skipped:
             found = _with_skipped(found, calls, given.function)
+        found = replace(found, function=f)
     if isinstance(calls, Calls):
         calls.budget = sys.maxsize  # the recommended estimator can be used without a limit
     return found
