@@ -20,6 +20,7 @@ NAMES = (
     "coverage",
     "predictions",
     "closed_forms",
+    "agreement",
     "battery",
     "settings",
     "improvements",
