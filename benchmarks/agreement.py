@@ -5,8 +5,8 @@ verbs are asked what to use at 4,096 evaluations. Brute force then measures the 
 and of those that are advised, afresh, with 200 estimates each. A verb agrees if
 
 * `profile`: its interval of the RMSE overlaps that of brute force, for the set-up that it advises;
-* `remedies`: the same, and its set-up is that of the profile, or one of the two has an RMSE that is not
-  larger within the interval of its own answer;
+* `remedies`: its set-up is that of the profile; or both have measured it, with intervals that overlap; or
+  the RMSE of the set-ups that they advise are the same within their intervals;
 * `plan`: for the RMSE of brute force, its interval of n overlaps that of brute force, ends of which
   are 4,096 evaluations by the slope of the variance;
 * `predict`: its interval of the variance overlaps that of brute force at these evaluations.
@@ -214,6 +214,10 @@ def judge(case: Case, seed: int = 0) -> Found:
             other["name"] == "as given" and not answer.changes
         )
         ends, own = other["rmse_ci"], after[1:]
+        same |= any(
+            each.name == other["name"] and _overlap(each.rmse_ci, tuple(ends))
+            for each in answer.results
+        )
         if other["name"] == "as given" and not _overlap(tuple(ends), before[1:]):
             found.wrong.append(f"remedies {ends[0]:.2g} to {ends[1]:.2g}")
         low, high = answer.rmse_ci
@@ -226,8 +230,10 @@ def judge(case: Case, seed: int = 0) -> Found:
 
     # The plan for the RMSE of the set-up as given, and its prediction
     slope = profile.rate if profile.rate < 0.0 else -1.0
-    reached = tuple(sorted(n * (end / before[0]) ** (2.0 / slope) for end in before[1:]))
-    if before[0] > 0.0:
+    if min(before) > 0.0:
+        low, high = (n * (before[0] / end) ** (2.0 / slope) for end in before[1:])
+        # Nets are planned at powers of their base alone
+        reached = (low, max([high, *(float(n * base) for base in given.sampler.digit_bases)]))
         plan = mcs.plan(estimator, case.sampler, target_error=before[0], rng=seed + 3)
         ends = tuple(np.ravel(plan["planned_n_ci"].values))
         found.words.append(f"plan: {float(plan['planned_n']):.0f} of {n}")

@@ -103,6 +103,9 @@ class Curve:
         the counts.
     vanishes
         Smallest count at which the sets did not vary at all.
+    level, scatter
+        Logarithm of the line over the variance at the last count, and the standard deviation of the
+        logarithms about the line. Both are used beyond the counts, for curves that are no lines.
     """
 
     counts: Array
@@ -113,6 +116,8 @@ class Curve:
     degrees: int
     drift: float = 0.0
     vanishes: float = math.inf
+    level: float = 0.0
+    scatter: float = 0.0
 
     def at(self, n: float) -> tuple[float, float]:
         """The variance at n and the standard error of its logarithm; the rate extrapolates beyond the counts."""
@@ -127,9 +132,9 @@ class Curve:
         known = math.isfinite(self.rate)
         slope, error = (self.rate, self.rate_se) if known else (-1.0, CURVE_SETTINGS.unknown)
         away = math.log(n / self.counts[-1])
-        value = float(self.variance[-1]) * math.exp(slope * away)
+        value = float(self.variance[-1]) * math.exp(self.level + slope * away)
         walk = self.drift * math.sqrt(away**3 / (3.0 * math.log(2.0)))
-        return value, math.hypot(float(self.relative_se[-1]), away * error, walk)
+        return value, math.hypot(float(self.relative_se[-1]), away * error, walk, self.scatter)
 
     def towards(self, rate: float, error: float) -> Curve:
         """This curve with the weighted mean of its rate and a rate of theory, unless the two disagree."""

@@ -22,7 +22,29 @@ from mcspectra.measure.setup import Setup
 if TYPE_CHECKING:
     from mcspectra.samplers import Sampler
 
-__all__ = ["Answer", "Candidate", "CandidateResult", "Verdict", "rounded", "simultaneous_z"]
+__all__ = [
+    "Answer",
+    "AnswerSettings",
+    "Candidate",
+    "CandidateResult",
+    "Verdict",
+    "rounded",
+    "simultaneous_z",
+]
+
+
+@final
+@dataclass(frozen=True)
+class AnswerSettings:
+    """What is said in an answer."""
+
+    # Numbers of evaluations from this one on are not named: at 10^9 a second they take 11 days.
+    many: float = 1e15
+    # Least gain, in variance, at which a change that its interval does not decide is named.
+    may_gain: float = 2.0
+
+
+_SETTINGS = AnswerSettings()
 
 Verdict = Literal["given", "better", "worse", "undecided"]
 """What the interval of a comparison with the set-up as given says."""
@@ -155,11 +177,14 @@ class Answer:
     best
         The first result that is better than the set-up as given, or `given`.
     runner_up
-        The next one after it; None if no other is better than the set-up as given.
+        The next one after it; or the one with the least RMSE of those that their intervals do not
+        decide; None without any.
     causes
         Causes of the noise, the most important first.
+    results
+        Results of all candidates that were compared, the given set-up first.
     tried, not_tried
-        Names of the candidates that were compared, and of others with the reason.
+        Names of the candidates that were tried, and of others with the reason.
     instead
         A sentence that takes the place of the advice if there is none.
     why
@@ -171,6 +196,7 @@ class Answer:
     best: CandidateResult
     runner_up: CandidateResult | None = None
     causes: tuple[Cause, ...] = ()
+    results: tuple[CandidateResult, ...] = ()
     tried: tuple[str, ...] = ()
     not_tried: tuple[str, ...] = ()
     instead: str = ""
@@ -185,6 +211,16 @@ class Answer:
         given, *others = results
         better = [result for result in others if result.verdict == "better"]
         best, runner_up = [*better, None, None][:2]
+        if runner_up is None:
+            open_ones = [
+                each
+                for each in others
+                if each.verdict == "undecided"
+                and each.gain > _SETTINGS.may_gain
+                and each.rmse < (best or given).rmse
+            ]
+            runner_up = min(open_ones, key=lambda result: result.rmse, default=None)
+        said.setdefault("results", tuple(results))
         said.setdefault("tried", tuple(result.name for result in others))
         return Answer(budget, given, best or given, runner_up, **said)
 
@@ -226,8 +262,9 @@ class Answer:
         best, given = self.best, self.given
         name = given.specs[1]
         if not self.changes:
-            many = f"none of the {len(self.tried)} changes that were tried is better"
-            return f"Keep {name}: {many if len(self.tried) > 1 else 'nothing that was tried is better'}."
+            many = f"none of the {len(self.tried)} changes that were tried is surely better"
+            none = many if len(self.tried) > 1 else "nothing that was tried is surely better"
+            return f"Keep {name}: {none}.{self._perhaps()}"
         what = f"{best.change[0].upper()}{best.change[1:]}"
         if math.isnan(best.gain):
             return (
@@ -236,10 +273,20 @@ class Answer:
             )
         before = f"{given.rmse:.2g}" if math.isfinite(given.rmse) else "an infinite one"
         text = f"{what}: RMSE {best.rmse:.2g}{_between(best.rmse_ci)} at {self.budget} evaluations instead of {before}"
-        if self.budget < best.needed < _MANY:
+        if self.budget < best.needed < _SETTINGS.many:
             needed = f"{rounded(best.needed)}{_between(best.needed_ci)}"
             text += f"; {name} would need about {needed} evaluations for it"
         return f"{text}."
+
+    def _perhaps(self) -> str:
+        """The change that may be better, if there is one."""
+        other = self.runner_up
+        if other is None or other.verdict != "undecided":
+            return ""
+        return (
+            f" With {other.name} the RMSE may be {other.rmse:.2g}{_between(other.rmse_ci)} instead of "
+            f"{self.given.rmse:.2g}, which a larger budget would tell."
+        )
 
     def __str__(self) -> str:
         return f"{self.advice} {self.why}".strip()
@@ -261,10 +308,6 @@ class Answer:
         }
 
 
-_MANY = 1e15
-"""Evaluations that nobody makes: more are not named."""
-
-
 def simultaneous_z(comparisons: int) -> float:
     """Return the half width in standard errors of 95 % intervals that hold together [Šidák 1967]."""
     from scipy.special import ndtri
@@ -276,7 +319,7 @@ def simultaneous_z(comparisons: int) -> float:
 def rounded(value: float) -> str:
     """Two digits, in millions and larger units where numbers of evaluations are large."""
     for size, name in ((1e12, " trillion"), (1e9, " billion"), (1e6, " million"), (10.0, "")):
-        if size <= value < _MANY:
+        if size <= value < _SETTINGS.many:
             scale = 1.0 if size < 1e6 else size
             return f"{float(f'{value / scale:.2g}'):.{0 if value / scale >= 10.0 else 1}f}{name}"
     return f"{value:.2g}"

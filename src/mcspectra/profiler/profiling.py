@@ -103,6 +103,11 @@ class ProfileSettings:
     # anywhere next to the jump and the curve is a saw. With 0.25 or 1 the RMSE of 12 profiles
     # changed by 6 % at most.
     teeth_error: float = 0.5
+    # Last counts of a saw whose mean is its level, and the standard deviation of the logarithm of the
+    # variance about it: that of p(1 − p) for a share p of the stratum of the jump that is uniform,
+    # √(4 − π²/3) = 0.84.
+    teeth: int = 4
+    teeth_scatter: float = 0.84
     # Standard error of the belief that a change of the estimator keeps the rate. With 0.2 or 0.8
     # the RMSE of 12 profiles changed by 8 % at most.
     alike_error: float = 0.4
@@ -595,12 +600,13 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
 
     causes = causes_of(evidence)
     # If g is smooth, measure a sampler that gains more from it than nets do
-    rival = _smooth_rival(evidence, causes)
+    offers = _offers(evidence, causes, budget, stream.child(98))
+    rival, left = _smooth_rival(evidence, causes), budget - calls
     if rival and rival != given.spec:
         with contextlib.suppress(McspectraError):  # there are too many dims or too few evaluations
             source, lattice = as_sampler(rival, estimator.dims), rival != _PAIRS
             curve, _, cost = _measured(
-                estimator, source, budget - calls, stream.child(97), lattice=lattice
+                estimator, source, left // 2 if offers else left, stream.child(97), lattice=lattice
             )
             calls += cost
             if lattice and curve.counts[-1:].sum() < _SETTINGS.few_points:
@@ -624,10 +630,11 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
             found = _samplers(Setup(estimator, given), usable, reference, points)
         base = usable[found[0].candidate.name if found else reference]
         made, changed, cost = _improved(
-            evidence, causes, base, budget, budget - calls, stream.child(98)
+            evidence, causes, offers, base, budget, budget - calls, stream.child(98)
         )
         calls += cost
-        found = made + found
+        sure = [each for each in made if each.sure]
+        found = sure + found + [each for each in made if not each.sure]
     curve = curves.get(given.spec, curves[NETS])
     # The interval is known if the values do not rest on a few of them, or if lines have fitted a
     # pole
@@ -740,7 +747,11 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     third = 0.0 if strata else (dims - 1) / (3.0 * math.log(curve.counts[-1]))
     rate = -1.0 - _EXPONENTS[first] / (dims if strata else 1) + 2.0 * third
     if first == "axis-parallel-jump":
-        curve = replace(curve, rate_se=math.hypot(curve.rate_se, _SETTINGS.teeth_error))
+        # The variance is a saw about a line, whose level the last teeth give
+        error = math.hypot(curve.rate_se, _SETTINGS.teeth_error)
+        teeth = np.log(curve.variance) - curve.rate * np.log(curve.counts / curve.counts[-1])
+        level = float(np.mean(teeth[-_SETTINGS.teeth :]) - teeth[-1])
+        curve = replace(curve, rate_se=error, level=level, scatter=_SETTINGS.teeth_scatter)
     return curve.towards(rate, math.hypot(_SETTINGS.theory_error, third))
 
 
@@ -796,7 +807,7 @@ def _measured(
     if lattice and estimator.dims > 1:
         scatter = _SETTINGS.lattice_scatter
         curve = curve_of(counts, found, replace(CURVE_SETTINGS, floor=scatter))
-        curve = replace(curve, relative_se=np.hypot(curve.relative_se, scatter))
+        curve = replace(curve, scatter=scatter)
     else:
         curve = curve_of(counts, found)
     return curve, _replicates(points, found[-1]), cost
@@ -825,6 +836,7 @@ class _Found:
     rate: float
     rate_ci: tuple[float, float]
     steepens: bool = False  # the rate at larger counts may be steeper by any factor
+    sure: bool = False  # surely better where both were measured
 
 
 def _samplers(
@@ -905,9 +917,9 @@ def _results(
             ends, gain_ci = (0.0, ends[1]), (gain_ci[0], math.inf)
         better = gain_ci[0] > 1.0
         needs, needs_ci = needed(gain), (needed(gain_ci[0]), needed(gain_ci[1]))
-        if not infinite and not (known and better):
+        if (not infinite and not known) or (each.sure and not better):
             nowhere = (math.nan, math.nan)
-            better |= candidate.setup.estimator is not given.estimator  # it was measured
+            better |= each.sure
             rmse, ends, gain, gain_ci, needs, needs_ci = (
                 math.nan,
                 nowhere,
@@ -937,26 +949,18 @@ def _results(
     return results
 
 
-def _improved(
-    evidence: Evidence,
-    causes: Sequence[Cause],
-    base: Curve,
-    budget: int,
-    left: int,
-    stream: Stream,
-) -> tuple[list[_Found], list[str], int]:
-    """Find a change of the estimator that answers its causes; also return tried names and calls.
-
-    The change is fitted to the evaluations at nets, and measured with nets of as many points as the
-    rest of the budget allows. It must be better than `base`, the curve of the best sampler, at the
-    same evaluations; its own curve gives the variance at the budget.
-    """
+def _offers(
+    evidence: Evidence, causes: Sequence[Cause], budget: int, stream: Stream
+) -> list[Candidate]:
+    """Changes of the estimator that answer its causes, fitted to the evaluations at nets."""
     estimator = evidence.estimator
     kinds: list[Any] = list(
         dict.fromkeys(k for cause in causes for k in cause.kinds if k in CHANGES)
     )
+    if _shape(causes) == "none":
+        kinds.append("regression")
     if not kinds or len(estimator.counts) > 1 or estimator.channels:
-        return [], [], 0
+        return []
     points, values = (
         np.concatenate(list(each[0][:, : _SETTINGS.fitted_points]))
         for each in (evidence.sets.points, evidence.sets.values)
@@ -973,7 +977,26 @@ def _improved(
     # Try the removal of a jump first: its gain with nets is larger than its gain at random points
     jumps = _shape(causes) == "interior-jump"
     offers.sort(key=lambda offer: (not (jumps and offer.kind == "preintegrated"), offer.ratio))
-    tried, calls, least = list[str](), 0, _SETTINGS.least_checked
+    return offers
+
+
+def _improved(
+    evidence: Evidence,
+    causes: Sequence[Cause],
+    offers: Sequence[Candidate],
+    base: Curve,
+    budget: int,
+    left: int,
+    stream: Stream,
+) -> tuple[list[_Found], list[str], int]:
+    """Measure changes of the estimator; also return tried names and calls.
+
+    A change is measured with nets of as many points as the rest of the budget allows. The first one
+    that is surely better ends the search: it is better than `base`, the curve of the best sampler, at the
+    same evaluations; its own curve gives the variance at the budget.
+    """
+    estimator, jumps = evidence.estimator, _shape(causes) == "interior-jump"
+    found, tried, calls, least = list[_Found](), list[str](), 0, _SETTINGS.least_checked
     for offer in offers:
         each, wanted = offer.setup.cost, CAUSE_SETTINGS.nets
         if jumps and not tried and offer is not offers[-1]:  # leave evaluations for another change
@@ -1006,7 +1029,10 @@ def _improved(
         error = math.hypot(error, 0.5 * math.log(value / kept)) if value > 0.0 < kept else error
         after = math.sqrt(value * kept)
         sure = math.exp(-CONFIDENCE_Z * math.hypot(ours_se, other_se))
-        if ours < other * sure and after < at_best:
-            own = replace(offer, change=f"{offer.change}, and sample with {NETS}")
-            return [_Found(own, at_budget, (after, error), curve.rate, curve.rate_ci)], tried, calls
-    return [], tried, calls
+        better = ours < other * sure and after < at_best
+        own = replace(offer, change=f"{offer.change}, and sample with {NETS}")
+        measured = (after, error)
+        found.append(_Found(own, at_budget, measured, curve.rate, curve.rate_ci, sure=better))
+        if better:
+            break
+    return found, tried, calls
