@@ -230,7 +230,7 @@ def judge(case: Case, seed: int = 0) -> Found:
 
     # The plan for the RMSE of the set-up as given, and its prediction
     slope = profile.rate if profile.rate < 0.0 else -1.0
-    if min(before) > 0.0:
+    if min(before) > 0.0 and max(before) < math.inf:
         low, high = (n * (before[0] / end) ** (2.0 / slope) for end in before[1:])
         # Nets are planned at powers of their base alone
         reached = (low, max([high, *(float(n * base) for base in given.sampler.digit_bases)]))

@@ -398,26 +398,30 @@ def test_a_change_that_misses_where_f_is_is_not_better():
     assert not found.answer.changes or math.isnan(found.answer.best.gain)
 
 
+def bend(x):
+    """A smooth function that polynomials of degree 8 do not follow."""
+    return np.tanh(6.0 * (x[..., 0] - 0.4))
+
+
 def test_pairs_in_strata_are_tried_where_g_is_smooth_and_their_error_is_as_said():
-    f = mcs.Integrand.from_function(smooth, dims=1, integral=math.e - 1.0)
+    f = mcs.Integrand.from_function(bend, dims=1, integral=0.3)
     for seed in range(2):
         best = mcs.profile(f, budget=4096, rng=seed).answer.best
         assert best.name == "antithetic-jittered"
         measured = mcs.convergence(f, best.sampler, [4096], realizations=100, rng=seed)
-        # Its extrapolation over seven octaves, by a rate known to 0.15: a factor of two in the error
-        ratio = best.rmse / math.sqrt(float(measured["variance"][0]))
-        assert 0.5 < ratio < 2.0, seed
-    assert mcs.profile(smooth, dims=5).answer.best.name == "sobol | owen"
+        # Its rate gets steeper over seven octaves, so that the lower end is 0
+        low, high = best.rmse_ci
+        assert low <= math.sqrt(float(measured["variance"][0])) <= high < 1e-5, seed
+    assert mcs.profile(smooth, dims=5).answer.best.name in {"regression", "sobol | owen"}
 
 
 def test_the_count_that_is_advised_can_be_drawn():
-    found = mcs.profile(lambda x: np.exp(x[..., 0]), dims=1, budget=5001)
-    n = int(re.search(r"with n = ([\d,]+)", found.answer.best.change)[1].replace(",", ""))
-    assert n <= 5001
-    assert found.answer.best.sampler.nearest_count(n) == n
-    assert (
-        found.dataset["rmse"].sel(sampler=found.answer.best.sampler.spec) < found.answer.given.rmse
-    )
+    found = mcs.profile(bend, dims=1, budget=5001)
+    best = found.answer.best
+    n = int(re.search(r"with n = ([\d,]+)", best.change)[1].replace(",", ""))
+    assert n == best.n <= 5001
+    assert best.sampler.nearest_count(n) == n
+    assert found.dataset["rmse"].sel(sampler=best.sampler.spec) < found.answer.given.rmse
 
 
 def test_bad_input():
@@ -706,7 +710,7 @@ def test_an_offset_changes_nothing(offset):
 def test_points_that_are_given_are_left_for_better_ones():
     sets = np.random.default_rng(0).random((50, 64, 2))
     found = mcs.profile(lambda x: np.exp(x.sum(-1)), dims=2, sampler=sets)
-    assert found.answer.best.name == "rank1-lattice | shift | mirror(mode='fold')"
+    assert found.answer.best.name == "regression"
     assert found.answer.best.gain_ci[0] > 1.0
 
 
@@ -824,23 +828,35 @@ def test_a_lattice_is_advised_for_a_periodic_function():
     assert np.ptp(estimates) < 1e-14
 
 
-@pytest.mark.parametrize("dims", [2, 3])
-def test_a_folded_lattice_is_advised_for_a_smooth_function(dims):
-    """It has 40 times less error than nets in 2-D and four times less in 3-D."""
+@pytest.mark.parametrize(("dims", "width"), [(2, 16.0), (3, 9.0)])
+def test_a_folded_lattice_is_advised_for_a_smooth_function(dims, width):
+    """Its error is less than a tenth of that of nets."""
 
-    def smooth(x):
-        return np.exp(x.sum(axis=-1))
+    def peak(x):
+        return (1.0 / (1.0 + width * (x - 0.4) ** 2)).prod(axis=-1)
 
-    found = mcs.profile(smooth, dims=dims, rng=1)
-    best = found.answer.best
+    best = mcs.profile(peak, dims=dims, budget=8192, rng=1).answer.best
     assert best.sampler.spec == "rank1-lattice | shift | mirror(mode='fold')"
     errors = {}
     for name in (best.sampler.spec, "sobol | owen"):
         points = mcs.sampler(name, dims=dims).draw(best.n, realizations=60, rng=2)
-        errors[name] = smooth(points).mean(axis=1).std(ddof=1)
-    assert errors[best.sampler.spec] < 0.5 * errors["sobol | owen"]
+        errors[name] = peak(points).mean(axis=1).std(ddof=1)
+    assert errors[best.sampler.spec] < 0.1 * errors["sobol | owen"]
     low, high = best.rmse_ci
-    assert low < errors[best.sampler.spec] < high
+    assert low <= errors[best.sampler.spec] <= high
+
+
+def test_a_change_that_is_not_sure_is_named():
+    """A lattice has 20 times less error than nets here, which few evaluations cannot tell."""
+    found = mcs.profile(
+        lambda x: np.exp(-50.0 * ((x - 0.3) ** 2).sum(axis=-1)), dims=2, sampler="sobol | owen"
+    )
+    answer = found.answer
+    assert not answer.changes
+    assert answer.runner_up.name == "rank1-lattice | shift"
+    assert answer.runner_up.verdict == "undecided"
+    assert " With rank1-lattice | shift the RMSE may be " in str(answer)
+    assert answer.runner_up in answer.results
 
 
 def test_advice_for_draws_has_no_sampler():

@@ -435,6 +435,11 @@ class Evidence:
         ends = ends[np.isfinite(ends)]
         return float(np.mean(ends**2)) / max(self.scale**2, 1e-300) if ends.size else 0.0
 
+    @property
+    def is_periodic(self) -> bool:
+        """Whether opposite faces of the cube meet without a jump, as far as lines tell."""
+        return self.opposite <= self.settings.opposite
+
     def each(self, name: str) -> Array:
         """An attribute of all lines."""
         return np.concatenate([getattr(lines, name) for lines in self.lines])
@@ -767,7 +772,7 @@ def _jumps(seen: Evidence) -> Cause | None:
 
 def _border_jump(seen: Evidence) -> Cause | None:
     size = seen.opposite
-    if not (seen.wraps and size > seen.settings.opposite):
+    if not seen.wraps or seen.is_periodic:
         return None
     return Cause(
         "border-jump",

@@ -467,6 +467,9 @@ def _with_profile(
         away = math.sqrt(float(rounding_floor(np.array(value))))
         return value, (value - away, value + away), "all replicates are alike to rounding"
     widths = interval[1] - interval[0], high - low
+    if math.isinf(widths[0]) and not math.isinf(widths[1]):
+        note = f"the interval is that of the profile, since with what it advises {note}"
+        return profile.integral, (low, high), note
     if not (math.isfinite(sum(widths)) and min(widths) > 0.0):
         return value, interval, note
     share = widths[1] ** 2 / (widths[0] ** 2 + widths[1] ** 2)

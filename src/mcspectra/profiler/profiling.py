@@ -765,7 +765,7 @@ def _smooth_rival(evidence: Evidence, causes: Sequence[Cause]) -> str:
     estimator = evidence.estimator
     if _shape(causes) not in {"none", "border-jump"} or estimator.counts != (1,):
         return ""
-    if evidence.opposite <= CAUSE_SETTINGS.opposite:
+    if evidence.is_periodic:
         return _LATTICE
     return _PAIRS if estimator.dims <= _SETTINGS.paired_dims else _FOLDED
 
@@ -859,7 +859,8 @@ def _samplers(
         candidate = Candidate("sampler", name, change, replace(given, sampler=source))
         curve = curves[name]
         variance, beyond = curve.at(count), count > curve.counts[-1:].sum()
-        steepens = name == _LATTICE and bool(beyond)  # analytic functions have no power of n
+        # The rates of smooth functions are those of larger sets, and of analytic ones no power of n
+        steepens = name in {_LATTICE, _FOLDED, _PAIRS} and bool(beyond)
         found.append(_Found(candidate, count, variance, curve.rate, curve.rate_ci, steepens))
     return found
 
@@ -957,7 +958,7 @@ def _offers(
     kinds: list[Any] = list(
         dict.fromkeys(k for cause in causes for k in cause.kinds if k in CHANGES)
     )
-    if _shape(causes) == "none":
+    if _shape(causes) == "none" and not evidence.is_periodic:
         kinds.append("regression")
     if not kinds or len(estimator.counts) > 1 or estimator.channels:
         return []
