@@ -284,13 +284,17 @@ def measured(variance, mean=1.0, width=1.2):
 def test_the_answer_is_the_least_error_that_is_sure_and_unbiased():
     random = measured([0.04, 0.01, 0.0025])
     setups = {"sobol": measured([0.02, 0.0001]), "random": random}
-    assert answer(setups) == "Use sobol: RMSE 0.0100 instead of 0.100 with random at 16 points."
-    assert answer(setups, why="Jumps are many.").endswith(" points. Cause: jumps are many.")
-    assert "Cause" not in answer(setups, why="No jump was found.")
+    text = "Use sobol: RMSE 0.01 (0.0091 to 0.011) at 16 evaluations instead of 0.1."
+    assert str(answer(setups)) == text
+    assert str(answer(setups, why="Jumps are many.")) == f"{text} Cause: jumps are many."
+    assert "Cause" not in str(answer(setups, why="No jump was found."))
+    slow = {"sobol": setups["sobol"], "random": random.assign(rate=-1.0)}
+    assert "; random would need about 1600 (1100 to 2300) evaluations for it" in str(answer(slow))
     for other in (
         measured([0.02, 0.0099]),  # not surely less
         measured([0.02, 0.0001], mean=1.1),  # another mean
         measured([0.0, 0.0]),  # the same every time
     ):
-        assert answer({"random": random, "other": other}).startswith("Keep random: nothing")
+        found = answer({"random": random, "other": other})
+        assert str(found) == "Keep random: nothing that was tried is surely better."
     assert not answer({"random": random})

@@ -89,7 +89,7 @@ def test_the_cause_is_that_of_the_sampler_that_is_named(monkeypatch):
         rng=3,
     )
     said = pixel_answer(found)
-    assert "with jittered at" in said
+    assert "balance with jittered would need about" in said
     assert "shift carries" not in said
 
 

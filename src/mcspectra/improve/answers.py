@@ -260,7 +260,7 @@ class Answer:
         if self.instead:
             return self.instead
         best, given = self.best, self.given
-        name = given.specs[1]
+        name = given.specs[1]  # that of the sampler
         if not self.changes:
             many = f"none of the {len(self.tried)} changes that were tried is surely better"
             none = many if len(self.tried) > 1 else "nothing that was tried is surely better"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from mcspectra.plots.kinds import describe
 from mcspectra.plots.text import interval, number, percent, rate
 from mcspectra.report import page as html
 from mcspectra.report.pixel_page import remedies_blocks, remedies_summary
-from mcspectra.report.sentences import answer
+from mcspectra.report.sentences import Size, answer, compared
 
 __all__ = [
     "path_answer",
@@ -116,17 +115,16 @@ def path_answer(tree: xr.DataTree) -> str:
         return said["noise"]
     why = said.get("by decision", said.get("by bounce", ""))
     if "remedies" not in tree.children:
-        return answer({str(s): curves.sel(sampler=s) for s in curves["sampler"].values}, why=why)
-    best, other = _advised(tree)
-    budget = f"at {int(tree['remedies'].attrs['budget'])} points"
-    cause = f" Cause: {why[:1].lower()}{why[1:]}" if why else ""
-    if best["remedy"].item() == "as given" and other["verdict"].item() != "worse":
-        return f"Keep {_setup(tree, best)}: nothing that was tried has surely less noise {budget}.{cause}"
-    after, before = (number(math.sqrt(float(each["error"]))) for each in (best, other))
-    return (
-        f"Use {_setup(tree, best)}: RMSE {after} instead of {before} with {_setup(tree, other)} "
-        f"{budget}.{cause}"
-    )
+        measured = {str(s): curves.sel(sampler=s) for s in curves["sampler"].values}
+        return str(answer(measured, why=why) or "Only one sampler was measured.")
+    _, other = _advised(tree)
+    found = tree["remedies"].to_dataset()
+    sizes = {}
+    for k in range(found.sizes["remedy"]):
+        row = found.isel(remedy=k)
+        low, high = row["error_ci"].values
+        sizes[_setup(tree, row)] = Size(float(row["error"]), low, high, float(row["rate"]))
+    return str(compared(sizes, _setup(tree, other), int(tree["remedies"].attrs["budget"]), why))
 
 
 def _advised(tree: xr.DataTree, *kinds: str) -> tuple[xr.Dataset, xr.Dataset]:

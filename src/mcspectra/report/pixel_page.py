@@ -144,7 +144,7 @@ def pixel_answer(tree: xr.DataTree) -> str:
         for sampler in map(str, curves["sampler"].values):
             setups[f"{name} with {sampler}"] = points.sel(sampler=sampler)
     given = f"{STRATEGY_NAMES[_GIVEN]} with {tree.attrs['sampler']}"
-    return answer(setups, given, str(tree.attrs.get(f"diagnosis_{_GIVEN}", "")))
+    return str(answer(setups, given, str(tree.attrs.get(f"diagnosis_{_GIVEN}", ""))))
 
 
 def pixel_rows(tree: xr.DataTree) -> list[SummaryRow]:

@@ -5,18 +5,29 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
 import xarray as xr
 
-from mcspectra.core.checks import Array, as_instance
+from mcspectra.core.checks import as_instance
 from mcspectra.core.confidence import CONFIDENCE_Z
 from mcspectra.core.fits import UNRESOLVED, is_resolved
+from mcspectra.improve.answers import Answer, CandidateResult, Verdict
 from mcspectra.plots.text import NEGLIGIBLE, number, percent, rate, with_error
 from mcspectra.studies import SummaryRow
 
-__all__ = ["answer", "basis_name", "bottleneck", "explain", "further_sentences", "headline"]
+__all__ = [
+    "Size",
+    "answer",
+    "basis_name",
+    "bottleneck",
+    "compared",
+    "explain",
+    "further_sentences",
+    "headline",
+]
 
 _DOMINANT = 0.9
 _AWAY = 4.0  # standard errors between means
@@ -34,7 +45,73 @@ _TERMS = {
 }
 
 
-def answer(curves: Mapping[str, xr.Dataset], given: str = "", why: str = "") -> str:
+@dataclass(frozen=True)
+class Size:
+    """The variance of a set-up with the ends of its 95 % interval, and its rate, NaN if unknown."""
+
+    variance: float
+    low: float
+    high: float
+    rate: float = math.nan
+    mean: float = math.nan
+    mean_se: float = math.inf
+
+
+def compared(sizes: Mapping[str, Size], given: str, evaluations: int, why: str = "") -> Answer:
+    """Return the answer of measured set-ups: the least variance whose interval is below the given one.
+
+    Parameters
+    ----------
+    sizes
+        The variance at equal evaluations, by the name of a set-up.
+    given
+        The set-up with which the others are compared. A set-up with another mean, or without
+        variance, is not advised.
+    evaluations
+        Evaluations of an estimate.
+    why
+        Sentences on what costs the given one precision.
+    """
+    start, results = sizes[given], list[CandidateResult]()
+    for name, size in sorted(sizes.items(), key=lambda item: (item[0] != given, item[1].variance)):
+        low, high = (math.sqrt(max(end, 0.0)) for end in (size.low, size.high))
+        same = not abs(size.mean - start.mean) > _AWAY * math.hypot(size.mean_se, start.mean_se)
+        known = size.variance > 0.0 and same
+        ratios = (
+            (start.variance, size.variance),
+            (start.low, size.high),
+            (start.high, size.low),
+        )
+        gain, least, most = (a / b if b > 0.0 else math.nan for a, b in ratios)
+
+        def needed(gain: float) -> float:
+            """Evaluations with which the given set-up has this gain."""
+            with_rate = start.rate < 0.0 and gain > 0.0
+            return evaluations * gain ** (-1.0 / start.rate) if with_rate else math.nan
+
+        verdict: Verdict = "better" if known and least > 1.0 else "undecided" if known else "worse"
+        results.append(
+            CandidateResult(
+                name,
+                f"use {name}",
+                ("", name),
+                evaluations,
+                math.sqrt(size.variance),
+                (low, high),
+                gain=gain,
+                gain_ci=(least, most),
+                rate=size.rate,
+                needed=needed(gain),
+                needed_ci=(needed(least), needed(most)),
+                verdict="given" if name == given else verdict,
+            )
+        )
+    named = why and not why.startswith("No ")
+    cause = f"Cause: {why[:1].lower()}{why[1:]}" if named else ""
+    return Answer.of(evaluations, results, why=cause)
+
+
+def answer(curves: Mapping[str, xr.Dataset], given: str = "", why: str = "") -> Answer | None:
     """Say what to use instead of what, at the most points that all were measured up to, and why.
 
     Parameters
@@ -42,43 +119,39 @@ def answer(curves: Mapping[str, xr.Dataset], given: str = "", why: str = "") -> 
     curves
         `convergence` by set-up, without channels; n are the points of all techniques.
     given
-        What the others are held against: random points or else the first by default.
+        What the others are compared with: random points or else the first by default.
     why
         Sentences on what costs the given one precision.
 
     Returns
     -------
-    str
-        Empty where there is nothing to compare. A set-up is advised where its 95 % interval ends below
-        that of the given one, if it has the same mean and is not the same set every time.
+    Answer
+        None if there is nothing to compare.
     """
     if len(curves) < 2:
-        return ""
+        return None
     given = given or ("random" if "random" in curves else next(iter(curves)))
     n = min(int(curve["n"][-1]) for curve in curves.values())
-
-    def at(curve: xr.Dataset) -> Array:
-        """Variance and the ends of its interval, along lines between the counts."""
-        sizes = [curve["variance"], *(curve["variance_ci"].isel(bound=b) for b in (0, 1))]
-        logs = [np.log(np.maximum(size.values, np.finfo(float).tiny)) for size in sizes]
-        return np.exp([np.interp(math.log(n), np.log(curve["n"].values), log) for log in logs])
-
-    found = {name: at(curve) for name, curve in curves.items()}
-    best, last = given, {name: curve.isel(n=-1) for name, curve in curves.items()}
-    for name, each in last.items():
-        away = abs(float(each["mean"] - last[given]["mean"]))
-        errors = (float(end.get("mean_se", math.inf)) for end in (each, last[given]))
-        same = not away > _AWAY * math.hypot(*errors)
-        if float(each["variance"]) > 0.0 and found[name][0] < found[best][0] and same:
-            best = name
-    found_one = why and not why.startswith("No ")
-    cause = f" Cause: {why[:1].lower()}{why[1:]}" if found_one else ""
-    if best == given or not found[best][2] < found[given][1]:
-        return (
-            f"Keep {given}: nothing that was measured has surely less noise at {n} points.{cause}"
+    sizes, tiny = {}, np.finfo(float).tiny
+    for name, curve in curves.items():
+        # The variance and the ends of its interval, along lines between the counts
+        last, x = curve.isel(n=-1), np.log(curve["n"].values)
+        ends = (curve["variance"], *(curve["variance_ci"].isel(bound=b) for b in (0, 1)))
+        middle, low, high = (
+            math.exp(np.interp(math.log(n), x, np.log(np.maximum(end.values, tiny))))
+            for end in ends
         )
-    after, before = (number(math.sqrt(found[name][0])) for name in (best, given))
-    return f"Use {best}: RMSE {after} instead of {before} with {given} at {n} points.{cause}"
+        if not float(last["variance"]) > 0.0:
+            middle = low = high = 0.0
+        sizes[name] = Size(
+            middle,
+            low,
+            high,
+            rate=float(curve.get("rate", math.nan)),
+            mean=float(last["mean"]),
+            mean_se=float(last.get("mean_se", math.inf)),
+        )
+    return compared(sizes, given, n, why)
 
 
 def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:

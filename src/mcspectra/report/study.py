@@ -285,15 +285,14 @@ def _answers(estimates: Sequence[Estimates]) -> Iterator[html.Block]:
     rows = []
     for each in estimates:
         kept = each.analyses.get("profile", {})
-        said = [str(found.attrs["answer"]) for found in kept.values()][:1]
+        tried = each.analyses.get("remedies", {})
+        said = [str(found.attrs["answer"]) for found in (*kept.values(), *tried.values())][:1]
         curves = {
             sampler: curve.mean("channel") if "channel" in curve.dims else curve
             for sampler, curve in each.analyses.get("convergence", {}).items()
         }
-        remedies = [found.attrs for found in each.analyses.get("remedies", {}).values()]
-        why = str(remedies[0].get("diagnosis", "")) if remedies else ""
-        text = said[0] if said else answer(curves, why=why)
-        rows += [(each.name, text)] if text else []
+        text = said[0] if said else answer(curves)
+        rows += [(each.name, str(text))] if text else []
     if rows:
         shown, few = html.Sentences(rows=tuple(rows)), len(rows) <= _MOST_ANSWERS
         yield shown if few else html.Folded(summary="What to do", blocks=(shown,))
