@@ -752,7 +752,12 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
         teeth = np.log(curve.variance) - curve.rate * np.log(curve.counts / curve.counts[-1])
         level = float(np.mean(teeth[-_SETTINGS.teeth :]) - teeth[-1])
         curve = replace(curve, rate_se=error, level=level, scatter=_SETTINGS.teeth_scatter)
-    return curve.towards(rate, math.hypot(_SETTINGS.theory_error, third))
+    known = curve.towards(rate, math.hypot(_SETTINGS.theory_error, third))
+    if known is curve and first == "interior-jump" and curve.rate < rate:
+        # Few points do not resolve the jump, which bends the curve to its limit somewhere beyond
+        half = 0.5 * (rate - curve.rate)
+        return replace(curve, rate=curve.rate + half, rate_se=math.hypot(curve.rate_se, half))
+    return known
 
 
 def _smooth_rival(evidence: Evidence, causes: Sequence[Cause]) -> str:
@@ -763,7 +768,7 @@ def _smooth_rival(evidence: Evidence, causes: Sequence[Cause]) -> str:
     stratification of second order.
     """
     estimator = evidence.estimator
-    if _shape(causes) not in {"none", "border-jump"} or estimator.counts != (1,):
+    if _shape(causes) not in {"none", "border-jump"}:
         return ""
     if evidence.is_periodic:
         return _LATTICE
@@ -879,7 +884,8 @@ def _results(
 
     The size of a gain is left out (NaN) if variances are not known; only its sign was measured.
     """
-    at_budget, z = curve.at(points), simultaneous_z(comparisons)
+    count = affordable_count(given, points * given.cost) or points
+    at_budget, z = curve.at(count), simultaneous_z(comparisons)
     cost, slope = given.cost, curve.rate if math.isfinite(curve.rate) else -1.0
 
     def needed(gain: float) -> float:
@@ -900,7 +906,7 @@ def _results(
             name,
             f"keep {name}",
             (given.estimator.spec, name),
-            points,
+            count,
             rmse,
             ends,
             rate=curve.rate,
