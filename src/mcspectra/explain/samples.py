@@ -106,6 +106,8 @@ class Curve:
     level, scatter
         Logarithm of the line over the variance at the last count, and the standard deviation of the
         logarithms about the line. Both are used beyond the counts, for curves that are no lines.
+    bend
+        Expected change of the slope beyond the counts, and its standard error.
     """
 
     counts: Array
@@ -118,6 +120,7 @@ class Curve:
     vanishes: float = math.inf
     level: float = 0.0
     scatter: float = 0.0
+    bend: float = 0.0
 
     def at(self, n: float) -> tuple[float, float]:
         """The variance at n and the standard error of its logarithm; the rate extrapolates beyond the counts."""
@@ -131,6 +134,7 @@ class Curve:
             )
         known = math.isfinite(self.rate)
         slope, error = (self.rate, self.rate_se) if known else (-1.0, CURVE_SETTINGS.unknown)
+        slope, error = slope + self.bend, math.hypot(error, self.bend)
         away = math.log(n / self.counts[-1])
         value = float(self.variance[-1]) * math.exp(self.level + slope * away)
         walk = self.drift * math.sqrt(away**3 / (3.0 * math.log(2.0)))

@@ -755,8 +755,7 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     known = curve.towards(rate, math.hypot(_SETTINGS.theory_error, third))
     if known is curve and first == "interior-jump" and curve.rate < rate:
         # Few points do not resolve the jump, which bends the curve to its limit somewhere beyond
-        half = 0.5 * (rate - curve.rate)
-        return replace(curve, rate=curve.rate + half, rate_se=math.hypot(curve.rate_se, half))
+        return replace(curve, bend=0.5 * (rate - curve.rate))
     return known
 
 
