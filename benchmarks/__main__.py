@@ -18,6 +18,7 @@ NAMES = (
     "pairs",
     "convergence",
     "coverage",
+    "peers",
     "predictions",
     "closed_forms",
     "agreement",
