@@ -277,7 +277,7 @@ def integrate(
         said = calls.skipped_in_words(least_value, most_value)
         note = f"{said}; {note}" if note else said
     if profile is not None:
-        value, interval, note = _with_profile(value, interval, note, profile, alike=found.alike)
+        value, interval, note = _with_profile(value, interval, note, profile, found)
     if tolerance is not None and not interval[1] - interval[0] <= 2.0 * least_width:
         said = f"the budget of {budget} calls ended before the interval was ± {least_width:g}"
         note = f"{said}; {note}" if note else said
@@ -454,7 +454,11 @@ def _advised(f: Any, profile: Any) -> tuple[AbstractEstimator, Sampler]:
 
 
 def _with_profile(
-    value: float, interval: tuple[float, float], note: str | None, profile: Any, *, alike: bool
+    value: float,
+    interval: tuple[float, float],
+    note: str | None,
+    profile: Any,
+    found: _Estimated,
 ) -> tuple[float, tuple[float, float], str | None]:
     """The mean of an estimate and a profile's, whose errors do not correlate, and its interval.
 
@@ -462,7 +466,7 @@ def _with_profile(
     mean ∫f, so that their errors do not correlate with those of the profile.
     """
     low, high = profile.interval
-    if alike and low <= value <= high and high - low < math.inf:
+    if found.alike and low <= value <= high and high - low < math.inf:
         # f varied in the profile, and does no more with the points that it advised
         away = math.sqrt(float(rounding_floor(np.array(value))))
         return value, (value - away, value + away), "all replicates are alike to rounding"
@@ -472,7 +476,11 @@ def _with_profile(
         return profile.integral, (low, high), note
     if not (math.isfinite(sum(widths)) and min(widths) > 0.0):
         return value, interval, note
-    share = widths[1] ** 2 / (widths[0] ** 2 + widths[1] ** 2)
+    # The width of few replicates is not sure: the profile tells what it should be
+    best, (replicates, n) = profile.answer.best, found.values.shape
+    expected = 4.0 * best.rmse * (n / best.n) ** (0.5 * best.rate) * replicates**-0.5
+    own = min(widths[0], expected) if math.isfinite(expected) else widths[0]
+    share = widths[1] ** 2 / (own**2 + widths[1] ** 2)
     parts = (share, value, interval), (1.0 - share, profile.integral, (low, high))
     mean = sum(weight * each for weight, each, _ in parts)
     below = math.hypot(*(weight * (each - ends[0]) for weight, each, ends in parts))
