@@ -40,7 +40,8 @@ class AnswerSettings:
 
     # Numbers of evaluations from this one on are not named: at 10^9 a second they take 11 days.
     many: float = 1e15
-    # Least gain, in variance, at which a change that its interval does not decide is named.
+    # Least gain, in variance, at which a change that its interval does not decide is named: less is
+    # not worth a larger budget.
     may_gain: float = 2.0
 
 

@@ -71,6 +71,7 @@ class CandidateSettings:
         "latin-hypercube",
         "halton | permute",
         "rank1-lattice | shift",
+        "rank1-lattice | shift | mirror(mode='fold')",
         "sobol | owen",
     )
     # Most dims in which strata are aligned with edges. A search for an offset takes 96 variances in
