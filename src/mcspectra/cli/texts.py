@@ -349,7 +349,8 @@ def anova(result: xr.Dataset) -> Answer:
 @_view("profile")
 def profiled(result: xr.Dataset) -> Answer:
     """Prints advice, the causes of the noise with their evidence, and the error and rate of each sampler."""
-    return Answer(result.attrs["text"], {"causes": json.loads(result.attrs["causes"])})
+    plain = {name: json.loads(result.attrs[name]) for name in ("causes", "best")}
+    return Answer(result.attrs["text"], plain)
 
 
 @_view("plan")
@@ -424,19 +425,21 @@ def prediction(result: xr.Dataset) -> Answer:
 
 @_view("remedies")
 def remedies(result: xr.Dataset) -> Answer:
-    """Prints a table in the order of the variances, then advice with its reasons."""
+    """Prints advice with its reasons, then a table in the order of the variances."""
     known, listed = result.attrs, []
     for name in result["remedy"].values:
         one = result.sel(remedy=name)
         listed.append({str(key): v.values for key, v in one.variables.items()})
     title = f"{_title(result)},  {known['budget']} evaluations"
-    said = [textwrap.fill(known[name], _WIDTH) for name in ("diagnosis", "answer")]
+    said = [textwrap.fill(known[name], _WIDTH) for name in ("answer", "diagnosis")]
     left_out = [
         textwrap.fill(reason, _WIDTH, initial_indent="  ", subsequent_indent="    ")
         for reason in json.loads(known.get("not_tried", "[]"))
     ]
     heading = "not tried:" if left_out else ""
-    return _shown(title, remedies_table(result), *said, heading, *left_out, remedies=listed)
+    best = json.loads(known["best"])
+    parts = [*said, "", title, remedies_table(result), heading, *left_out]
+    return _shown("\n".join(parts), remedies=listed, best=best)
 
 
 def remedies_table(result: xr.Dataset) -> str:

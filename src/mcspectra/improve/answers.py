@@ -329,6 +329,8 @@ def rounded(value: float) -> str:
 def _between(ends: tuple[float, float]) -> str:
     """An interval in parentheses, or nothing if it has no width or no ends."""
     low, high = ends
+    if math.isinf(high) and 0.0 < low < math.inf:
+        return f" ({rounded(low)} or more)"
     if not (math.isfinite(high - low) and high > low):
         return ""
     return f" ({rounded(low)} to {rounded(high)})"
