@@ -39,8 +39,10 @@ def test_remedies_as_table_and_as_json(run, run_json):
     )
     code, out, err = run(*given)
     assert (code, err) == (0, "")
-    # the same order, and the sentences at the end
+    # The answer first, then a table in the same order
     lines = out.splitlines()
-    assert [line.split("  ")[0] for line in lines[3 : 3 + len(names)]] == names
-    assert found["answer"].split()[-1] in out
+    assert found["answer"].startswith(lines[0])
+    first = next(k for k, line in enumerate(lines) if line.startswith("---")) + 1
+    assert [line.split("  ")[0] for line in lines[first : first + len(names)]] == names
+    assert found["best"]["name"] == names[0]
     assert run(*given, "--quiet") == (0, out, "")
