@@ -388,3 +388,42 @@ def test_images_that_are_too_many_are_not_tried_and_say_why():
     assert "mirrored: uniform: " in found.attrs["not_tried"]
     assert "use at most 30" in found.attrs["not_tried"]
     assert {"random", "mirrored: random"} <= set(found["remedy"].values)
+
+
+def test_a_lattice_that_is_exact_has_no_error_though_the_integral_is_not_known():
+    """All its estimates are equal, as if what is rare was not met; their value is the mean of all others."""
+
+    def wave(x):
+        return np.prod(1.0 + 0.5 * np.cos(2.0 * np.pi * x), axis=-1)
+
+    found = mcs.remedies(wave, "random", 1024, dims=4, realizations=100, kinds=["sampler"])
+    row = found.sel(remedy="rank1-lattice | shift")
+    assert float(row["error"]) == 0.0
+    assert row["verdict"] == "better"
+    assert json.loads(found.attrs["best"])["sampler"] == "rank1-lattice | shift"
+
+
+def test_what_is_rare_is_not_taken_for_exact():
+    def rare(x):
+        return (x[..., 0] < 1e-3) * 1.0
+
+    found = mcs.remedies(
+        rare, "sobol | owen", 64, dims=2, realizations=400, rng=1, kinds=["sampler"]
+    )
+    assert not (found["error"].sel(remedy=found["verdict"] == "better") == 0.0).any()
+
+
+def test_changes_of_the_estimator_are_tried_with_nets_too():
+    """Means along an axis leave a smooth function, from which nets gain more than strata."""
+
+    def half_space(x):
+        return (x @ np.array([0.6, 0.8]) < 0.7) * 1.0
+
+    found = mcs.remedies(
+        half_space, "jittered", 1024, dims=2, realizations=100, kinds=["preintegrated"]
+    )
+    pair, alone = (
+        float(found["error"].sel(remedy=name))
+        for name in ("preintegrated along axis 1, with sobol | owen", "preintegrated along axis 1")
+    )
+    assert pair < 0.1 * alone

@@ -187,6 +187,13 @@ def test_analyses_work():
     assert float(parts) == pytest.approx(float(terms["predicted_variance"]), rel=1e-9)
 
 
+def test_samplers_of_the_renderer_are_candidates():
+    given = Setup(mcs.Estimator("pixel(scene='figure1', x=96, y=205)"), as_sampler("random", 2))
+    found = candidates_of(given, ("sampler",), Budget(256, 100, Stream.from_rng(1)))
+    names = {each if isinstance(each, str) else each.name for each in found}
+    assert {f"mitsuba(sampler='{name}')" for name in ("multijitter", "ldsampler")} <= names
+
+
 def test_remedies_try_every_heuristic_and_each_technique():
     given = Setup(pixel_mis(**PLATE), as_sampler("jittered", 2))
     budget = Budget(256, 100, Stream.from_rng(1))

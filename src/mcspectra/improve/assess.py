@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -48,6 +48,9 @@ class AssessSettings:
     # scatter of standard errors of normal estimates from 12 to 10 %; intervals cover 93 to 95 % for
     # any prior from 0 to 40.
     prior: int = 20
+    # Standard errors of the mean of the given set-up within which estimates that are all equal are
+    # taken to be exact: a normal mean is beyond 4 with probability 6e-5.
+    sigmas: float = 4.0
 
 
 _SETTINGS = AssessSettings()
@@ -59,7 +62,8 @@ class Errors:
 
     cost: Array  # evaluations of the integrand in an estimate, (N,)
     error: Array  # mean squared error v, summed over channels, (N,)
-    bias: Array  # mean estimate minus the integral, (N, C)
+    mean: Array  # mean estimate, (N, C)
+    bias: Array  # mean estimate minus the integral, (N, C), NaN if that is not known
     influence: Array  # ψ, (N, R)
     noise: Array  # v below which the estimates differ by rounding only, (N,)
     blind: Array  # whether the estimates are all equal, but differ from the integral, (N,)
@@ -103,12 +107,25 @@ class Errors:
         return Errors(
             cost=np.asarray(cost, np.float64),
             error=error,
+            mean=np.stack([values.mean(axis=0) for values in estimates]),
             bias=bias,
             influence=np.stack([influence for _, influence in parts]),
             noise=noise,
             blind=alike & miss & (not biased),
             overhead=overhead,
         )
+
+    def checked(self, reference: Errors) -> Errors:
+        """These errors with a variance of 0 where estimates are all equal to the mean of the reference.
+
+        The integral is not known; the mean of the reference has a standard error.
+        """
+        if not np.isnan(self.bias).any():
+            return self
+        count = self.influence.shape[1]
+        away = np.abs(self.mean - reference.mean[-1]).sum(axis=1)
+        same = away <= _SETTINGS.sigmas * math.sqrt(float(reference.error[-1]) / count)
+        return replace(self, blind=self.blind & ~same)
 
     @property
     def used(self) -> Array:
@@ -321,8 +338,9 @@ def assessed(measured: Sequence[Measured], budget: int) -> list[Assessed]:
         return budget * math.exp(min(log_ratio / slope, 700.0))
 
     found = []
-    for candidate in measured:
-        errors = candidate.errors
+    for each in measured:
+        errors = each.errors.checked(reference)
+        candidate = replace(each, errors=errors)
         against = compare(errors, reference, budget, candidate.pilot)
         log_error, influence = errors.at(budget)
         spread = max(math.sqrt(float(np.mean(influence**2)) / len(influence)), 1e-9)

@@ -30,6 +30,7 @@ from mcspectra.estimators.channels import ChannelSampling
 from mcspectra.estimators.heuristics import HEURISTICS, as_heuristic
 from mcspectra.estimators.mirrored import MIRRORINGS
 from mcspectra.explain.diagnosis import jumps_inside
+from mcspectra.explain.samples import NETS
 from mcspectra.improve.alignment import aligned, best_alignment
 from mcspectra.improve.answers import Candidate
 from mcspectra.improve.improved import CHANGES, Cubic, Evaluations, evaluated, improvements
@@ -279,8 +280,9 @@ def mirror(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
 
 
 def change_sampler(given: Setup, budget: Budget) -> _Candidates:
-    """Offer samplers of all families."""
-    for spec in budget.settings.samplers:
+    """Offer samplers of all families, and those that come with the renderer of g."""
+    stock = getattr(getattr(given.estimator, "integrand", None), "stock_samplers", ())
+    for spec in (*budget.settings.samplers, *stock):
         make = partial(make_sampler, spec, given.estimator.dims)
         yield _candidate(given, "sampler", spec, f"sample with {spec}", make)
 
@@ -441,6 +443,16 @@ def improve(kind: Kind, given: Setup, budget: Budget) -> _Candidates:
     if not found:
         raise ParameterError(f"{len(seen.points)} evaluations show no gain by it.")
     yield from found
+    # Together with the best sampler for what is left, if another one is in use
+    nets = make_sampler(NETS, given.estimator.dims)
+    if nets.spec != given.sampler.spec:
+        for alone in found:
+            yield replace(
+                alone,
+                name=f"{alone.name}, with {NETS}",
+                change=f"{alone.change}, and sample with {NETS}",
+                setup=replace(alone.setup, sampler=nets),
+            )
 
 
 def stratify_cubes(given: Setup, budget: Budget) -> _Candidates:

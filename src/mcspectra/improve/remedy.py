@@ -52,8 +52,8 @@ class RemedySettings:
     # counts.
     ratio: int = 4
     # Expected number of changes of each kind, for the estimate of cost and memory before a run. All
-    # 15 kinds together make 16 to 18 changes of functions in 2-D, and ``sampler`` alone makes
-    # seven.
+    # 15 kinds together make 17 to 24 changes of functions in 2-D, and ``sampler`` alone makes
+    # eight.
     tries: int = 3
     # Largest relative difference between equal estimates and an exact integral that counts as
     # rounding. Means round to about 1e-15; the rest allows for values that cancel to 1e-6 of their

@@ -169,8 +169,11 @@ class Integrand(Component, ABC):
         Number of dimensions d.
     channels
         0 for a scalar function, else the number of channels (last axis of values).
+    stock_samplers
+        Specs of the samplers that come with the program that evaluates f.
     """
 
+    stock_samplers: ClassVar[tuple[str, ...]] = ()
     dims: int
     channels: int = 0
 

@@ -116,6 +116,11 @@ class MitsubaIntegrand(Integrand):
     """Values by Mitsuba of one channel or all, whose integral is a mean of points."""
 
     costly: ClassVar[bool] = True
+    stock_samplers: ClassVar[tuple[str, ...]] = (
+        "mitsuba(sampler='multijitter')",
+        "mitsuba(sampler='orthogonal')",
+        "mitsuba(sampler='ldsampler')",
+    )
     channel: str | int
 
     @property
