@@ -377,7 +377,7 @@ def needed(analysis: Analysis, subject: Subject) -> Need:
 
 
 def _check_lists(analysis: Analysis, subject: Subject) -> None:
-    """Check that lists are of what the analysis takes several of, and samplers differ."""
+    """Check that only parts that may be lists are lists, and that samplers differ."""
     for what in ("estimator", "sampler"):
         if isinstance(getattr(subject, what), list | tuple) and what not in analysis.several:
             raise ParameterError(

@@ -2,8 +2,8 @@
 
 A *candidate* is a changed estimator or sampler. Its *result* compares its error at a budget of
 evaluations with the set-up as given. An *answer* names the best candidate, or the set-up as given if
-no interval excludes it. `mcspectra.profile`, `mcspectra.remedies`, `mcspectra.plan` and the studies
-of pixels and paths all print an `Answer`.
+no interval excludes it. `mcspectra.profile`, `mcspectra.remedies`, and studies of pixels
+and paths print an `Answer`.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ __all__ = [
 @final
 @dataclass(frozen=True)
 class AnswerSettings:
-    """What is said in an answer."""
+    """Limits of the numbers in an answer."""
 
-    # Numbers of evaluations from this one on are not named: at 10^9 a second they take 11 days.
+    # Larger numbers of evaluations are not named: at 10^9 a second they take 11 days.
     many: float = 1e15
     # Least gain, in variance, at which a change that its interval does not decide is named: less is
     # not worth a larger budget.
@@ -48,7 +48,7 @@ class AnswerSettings:
 _SETTINGS = AnswerSettings()
 
 Verdict = Literal["given", "better", "worse", "undecided"]
-"""What the interval of a comparison with the set-up as given says."""
+"""The result of a comparison with the set-up as given, by its interval."""
 
 
 @final
@@ -121,7 +121,7 @@ class CandidateResult:
     needed, needed_ci
         Evaluations with which the set-up as given has this RMSE, and their interval.
     verdict
-        What the interval of the gain says.
+        The result by the interval of the gain.
     setup
         The estimator and the sampler themselves; None for draws, and in results that are stored.
     """
@@ -167,7 +167,7 @@ class CandidateResult:
 @final
 @dataclass(frozen=True)
 class Answer:
-    """What to use at a budget, how good it is, and why.
+    """The recommended set-up at a budget, its error, and the causes of the noise.
 
     Attributes
     ----------
@@ -178,8 +178,7 @@ class Answer:
     best
         The first result that is better than the set-up as given, or `given`.
     runner_up
-        The next one after it; or the one with the least RMSE of those that their intervals do not
-        decide; None without any.
+        The second best; or the undecided candidate with the least RMSE; None without any.
     causes
         Causes of the noise, the most important first.
     results
@@ -187,7 +186,7 @@ class Answer:
     tried, not_tried
         Names of the candidates that were tried, and of others with the reason.
     instead
-        A sentence that takes the place of the advice if there is none.
+        A sentence that replaces the advice.
     why
         Sentences after the advice.
     """

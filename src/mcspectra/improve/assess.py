@@ -305,7 +305,7 @@ class Assessed:
     rate_difference, rate_difference_ci
         Rate minus the rate of the set-up as given, and its interval.
     rate_verdict
-        What this interval says.
+        The result by this interval.
     """
 
     measured: Measured

@@ -355,7 +355,7 @@ def _sampled(
     # Half widths of the interval by Student's t, up to a constant factor
     widths = {n: student_t(r := allowed // n) * n ** (-0.5 * rate) * r**-0.5 for n in counts}
     n = min(widths, key=lambda n: widths[n])
-    # Values of sets that begin or end as those known do are there already
+    # Reuse the values of prefixes of sequences, or of the same count
     have = first if known is None or not splits else known.values
     if known is not None and known.values.shape[1] == n:
         have = known.values
@@ -380,7 +380,7 @@ def _sampled(
 class _Estimated:
     """The value, its interval and a note; why the variance is infinite, if it is.
 
-    `values` have the mean of all others where f failed; `alike` says that replicates do not vary.
+    `values` have the mean of all others where f failed; `alike` is true if replicates do not vary.
     """
 
     value: float
@@ -476,7 +476,7 @@ def _with_profile(
         return profile.integral, (low, high), note
     if not (math.isfinite(sum(widths)) and min(widths) > 0.0):
         return value, interval, note
-    # The width of few replicates is not sure: the profile tells what it should be
+    # The width of few replicates has a large error: use the expected width if it is smaller
     best, (replicates, n) = profile.answer.best, found.values.shape
     expected = 4.0 * best.rmse * (n / best.n) ** (0.5 * best.rate) * replicates**-0.5
     own = min(widths[0], expected) if math.isfinite(expected) else widths[0]

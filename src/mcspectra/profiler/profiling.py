@@ -212,12 +212,12 @@ class Profile:
         The sampler with which `best` is compared: the given sampler, or random points if the given
         sampler always draws the same set or could not be measured.
     answer
-        What to use at the budget, how good it is, and why. It is compared with the given sampler, or
+        The recommended set-up and the causes. It is compared with the given sampler, or
         with random points if the given sampler always draws the same set or could not be measured.
     samplers
         Curves of variance by sampler.
     function
-        What was profiled, as it was given.
+        The function or estimator as given.
     """
 
     subject: str
@@ -554,7 +554,7 @@ def _of_draws(draws: Any) -> Profile:
 
 
 def _why(causes: Sequence[Cause]) -> str:
-    """The first cause in a sentence; nothing if there is none."""
+    """The first cause in a sentence; empty without a cause."""
     first = causes[0]
     return "" if first.name == "none" else f"Cause: {first.name}. {first.sentence}"
 
@@ -677,7 +677,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         usable[reference], points, found, len(usable) - 1 + len(changed),
         infinite=infinite, known=known,
     )  # fmt: skip
-    # What is said in place of advice, and after it
+    # Sentences in place of advice, and after it
     changes = any(result.verdict == "better" for result in results)
     instead, why = "", _why(causes)
     if causes[0].name == "wrong-pdf":

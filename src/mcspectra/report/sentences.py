@@ -70,7 +70,7 @@ def compared(sizes: Mapping[str, Size], given: str, evaluations: int, why: str =
     evaluations
         Evaluations of an estimate.
     why
-        Sentences on what costs the given one precision.
+        Sentences on the causes of the noise.
     """
     start, results = sizes[given], list[CandidateResult]()
     for name, size in sorted(sizes.items(), key=lambda item: (item[0] != given, item[1].variance)):
@@ -119,7 +119,7 @@ def answer(curves: Mapping[str, xr.Dataset], given: str = "", why: str = "") -> 
     curves
         `convergence` by set-up, without channels; n are the points of all techniques.
     given
-        What the others are compared with: random points or else the first by default.
+        The set-up with which the others are compared: random points, or else the first by default.
     why
         Sentences on what costs the given one precision.
 
