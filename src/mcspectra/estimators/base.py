@@ -145,6 +145,11 @@ class AbstractEstimator(ABC):
         return 1 if f is None else f.evaluations_per_point
 
     @property
+    def cost(self) -> int:
+        """Evaluations of the function underneath for each of n points of all techniques."""
+        return sum(self.counts) * self.evaluations_per_point
+
+    @property
     def pilot_evaluations(self) -> int:
         """Evaluations that were spent on a pilot, before any sample."""
         return 0

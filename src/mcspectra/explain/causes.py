@@ -464,7 +464,7 @@ def shares_of(
     ParameterError
         The budget is too small for nets of four points.
     """
-    each = sum(estimator.counts) * estimator.evaluations_per_point
+    each = estimator.cost
     share = 1.0 - settings.lines_share - settings.check_share
     share -= settings.given_share if is_apart(estimator, sampler) else 0.0
     # The error of a rate falls with the number of nets only; that of the integral falls with their

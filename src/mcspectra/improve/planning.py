@@ -162,7 +162,7 @@ class Plan(Counted, frozen=True, kw_only=True):
         if not _is_measured(estimator):
             return Need(cost=need.cost * len(_CURVE) * len(samplers), memory=need.memory)
         limit = min(self.limit(subject) or _MEASURED.most, _MEASURED.most)
-        least = _MEASURED.nets * _MEASURED.least * _each(estimator) * len(self._parts(subject))
+        least = _MEASURED.nets * _MEASURED.least * estimator.cost * len(self._parts(subject))
         return Need(
             cost=float(limit),
             memory=memory_of(limit // sum(estimator.counts), estimator.dims, sum(estimator.counts)),
@@ -271,7 +271,7 @@ class Plan(Counted, frozen=True, kw_only=True):
         estimator, channels = subject.estimator, max(1, subject.estimator.channels)
         parts = self._parts(subject)
         limit = min(self.limit(subject) or _MEASURED.most, _MEASURED.most)
-        share = limit // max(1, len(parts)) // _each(estimator)
+        share = limit // max(1, len(parts)) // estimator.cost
         nets = _Nets(estimator, share, stream.child(0)) if NETS in parts[:1] else None
         target, integral = np.full(channels, self.target_error), self._integral(estimator)
         if self.relative and integral is not None:
@@ -500,13 +500,13 @@ class _Nets:
     def stages(self) -> Iterator[_Stage]:
         """All stages within the share, each made when it is asked for."""
         place = 0
-        while _sizes(place, self.share, _each(self.estimator)):
+        while _sizes(place, self.share, self.estimator.cost):
             yield self.stage(place)
             place += 1
 
     def _next(self) -> _Stage:
         estimator, channels = self.estimator, max(1, self.estimator.channels)
-        sizes = _sizes(len(self.made), self.share, _each(estimator))
+        sizes = _sizes(len(self.made), self.share, estimator.cost)
         assert sizes is not None
         nets, n = sizes[0], 1 << (sizes[1] // sizes[0]).bit_length() - 1
         points = estimator.draw(as_sampler(NETS, estimator.dims), n, self.stream, 0, nets)
@@ -562,7 +562,7 @@ class _Own:
             if _can(estimator, sampler, count := sampler.nearest_count(base**k))
         })  # fmt: skip
         stage, channels = 0, max(1, estimator.channels)
-        while sizes := _sizes(stage, self.share, _each(estimator)):
+        while sizes := _sizes(stage, self.share, estimator.cost):
             sets = int(min(sizes[0], sampler.most_realizations))
             fit = int(np.searchsorted(np.cumsum(counts) * sets, sizes[1], side="right"))
             if sets < _MEASURED.least_sets or not fit:
@@ -594,7 +594,7 @@ class _Own:
             estimator.primary_values(t, u).reshape(*u.shape[:2], channels)
             for t, u in enumerate(new)
         ]
-        self.evaluations += (sets - have) * n * _each(estimator)
+        self.evaluations += (sets - have) * n * estimator.cost
         if have:
             new = [np.concatenate(both) for both in zip(points, new, strict=True)]
             made = [np.concatenate(both) for both in zip(values, made, strict=True)]
@@ -621,7 +621,7 @@ def _in_stages(source: _Nets | _Own, sampler: Sampler, target: Array) -> _Found:
     if best is None:
         return _Found.none(
             len(target),
-            f"{source.share * _each(estimator)} evaluations do not tell its variance; give a larger "
+            f"{source.share * estimator.cost} evaluations do not tell its variance; give a larger "
             "max_evaluations",
         )
     stage, curves, curve, n, note = best
@@ -776,11 +776,6 @@ def _is_measured(estimator: AbstractEstimator) -> bool:
     """Whether evaluations are dear, so that predictions, which take millions, are not made."""
     techniques = range(len(estimator.counts))
     return estimator.is_black_box or any(estimator.primary_integrand(t).costly for t in techniques)
-
-
-def _each(estimator: AbstractEstimator) -> int:
-    """Evaluations of the function for each point."""
-    return sum(estimator.counts) * estimator.evaluations_per_point
 
 
 def _of_nets(estimator: AbstractEstimator, sampler: Sampler) -> bool:

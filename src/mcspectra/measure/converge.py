@@ -144,7 +144,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
         for estimator, sampler, n in itertools.product(estimators, samplers, self.counts):
             estimator.check_sampler(sampler, n)
         evaluations = [sum(e.counts) for e in estimators]
-        each = sum(sum(e.counts) * e.evaluations_per_point for e in estimators) * len(samplers)
+        each = sum(e.cost for e in estimators) * len(samplers)
         whole = self.relative_error is None
         return Need(
             evaluations=sum(self.counts) * self.realizations * each if whole else 0,

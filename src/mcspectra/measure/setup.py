@@ -42,7 +42,7 @@ class Setup:
     @property
     def cost(self) -> int:
         """Evaluations of the integrand for each of n points."""
-        return sum(self.estimator.counts) * self.estimator.evaluations_per_point
+        return self.estimator.cost
 
     @property
     def overhead(self) -> int:

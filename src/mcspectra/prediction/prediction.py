@@ -744,7 +744,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
             for sampler in samplers:
                 counts = _small_counts(estimator, sampler, self.counts[-1])
                 sets = len(samplers) * LIMITS.least_sets / (1.0 - LIMITS.probe)
-                needed = sets * _each(estimator) * sum(counts[: LIMITS.least_counts])
+                needed = sets * estimator.cost * sum(counts[: LIMITS.least_counts])
                 least = max(least, math.ceil(needed))
             memory = memory_of(self.counts[-1], estimator.dims, sum(estimator.counts))
             return Need(cost=float(limit), memory=memory, evaluations=least)
@@ -795,7 +795,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
         of_estimator = {method.name: method.of_estimator for method in reversed(METHODS)}
         measured: dict[str, ExtrapolationSettings] | None = None
         if self._measures(subject):
-            share = (self.limit(subject) or 0) // _each(estimator)
+            share = (self.limit(subject) or 0) // estimator.cost
             share = int((1.0 - LIMITS.probe) * share) // len(samplers)
             measured = {
                 s.spec: _within(_small_counts(estimator, s, self.counts[-1]), share)
@@ -1200,7 +1200,7 @@ class Predictor:
     def _doubted(self) -> tuple[str, bool] | None:
         """Why random points do not bound the variance: see `mcspectra.estimators.tails.doubt`."""
         estimator, channels = self.estimator, max(1, self.estimator.channels)
-        count = max(1, int(LIMITS.probe * self._limit) // _each(estimator))
+        count = max(1, int(LIMITS.probe * self._limit) // estimator.cost)
         rng, dims = self._stream.child(len(estimator.counts)).generator(0), estimator.dims
         points = [rng.random((count * c, dims)) for c in estimator.counts]
         values = [estimator.primary_values(t, u[None]) for t, u in enumerate(points)]
@@ -1291,11 +1291,6 @@ def _of_the_set_inside(law: Law, known: Known, stream: Stream, name: str) -> Pre
     coins = np.maximum(known.square[0] - average.square[0], 0.0) / law.n
     rounding = np.hypot(found.error, (known.square[1] + average.square[1]) / law.n)
     return replace(found, variance=found.variance + coins, error=rounding)
-
-
-def _each(estimator: AbstractEstimator) -> int:
-    """Evaluations of the function for each point."""
-    return sum(estimator.counts) * estimator.evaluations_per_point
 
 
 def _small_counts(estimator: AbstractEstimator, sampler: Sampler, largest: int) -> list[int]:

@@ -568,7 +568,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     estimator, given = subject.estimator, subject.sampler
     evidence = Evidence.of(estimator, given, budget, stream)
     sets, calls = evidence.sets, evidence.calls
-    each = sum(estimator.counts) * estimator.evaluations_per_point
+    each = estimator.cost
     points = budget // each
 
     # Measure the given sampler
@@ -784,7 +784,7 @@ def _measured(
 ) -> tuple[Curve, Replicates, int]:
     """Measure the curve of a sampler within `evaluations`; also return replicates and the cost."""
     most_sets = _SETTINGS.lattice_sets if lattice else CAUSE_SETTINGS.nets
-    each, least = sum(estimator.counts) * estimator.evaluations_per_point, _SETTINGS.least_sets
+    each, least = estimator.cost, _SETTINGS.least_sets
     sets = drawn = int(min(most_sets, sampler.most_realizations))
     if sets < least:
         raise CountError(f"{sampler.spec} has {sets} sets; give {least} or more.")
