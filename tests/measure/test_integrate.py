@@ -400,6 +400,11 @@ def test_a_budget_that_ends_before_the_tolerance_is_said():
     found = mcs.integrate(jump, dims=2, budget=3000, tolerance=1e-9)
     assert int(found["calls"]) <= 3000
     assert "the budget of 3000 calls ended" in found.attrs["note"]
+    for sampler in ("random", "jittered", "halton | permute", "latin-hypercube"):
+        least = mcs.integrate(
+            jump, budget=5000, tolerance=1e-300, sampler=mcs.sampler(sampler, dims=2)
+        )
+        assert int(least["calls"]) <= 5000
     for tolerance in (0.0, -1.0, math.nan, math.inf):
         with pytest.raises(ParameterError, match="tolerance"):
             mcs.integrate(jump, dims=2, budget=3000, tolerance=tolerance)

@@ -258,7 +258,8 @@ def integrate(
         found = _estimated(sets, law, median=median, linear=linear)
         while allowed < calls.budget and not found.half_width <= least_width:
             # The width falls as the root of the variance; an open interval takes twice the calls
-            more = (found.half_width / least_width) ** (2.0 / sets.rate if sets.rate > 0.0 else 2.0)
+            wider = min(found.half_width / least_width, 2.0**_SETTINGS.growth)
+            more = wider ** (2.0 / sets.rate if sets.rate > 0.0 else 2.0)
             more = min(max(_SETTINGS.margin * more, 2.0), _SETTINGS.growth)
             allowed = min(math.ceil(allowed * more), calls.budget)
             sets = _sampled(calls, setup, stream, allowed, median=median, known=sets)
@@ -333,7 +334,7 @@ def _sampled(
     splits = source.sequence and not median
     pilot = affordable_count(setup, most // _SETTINGS.pilot) if splits else None
     if pilot is not None and pilot >= 2**_SETTINGS.levels:
-        if known is not None and splits:
+        if known is not None and known.values.shape[1] >= 2**_SETTINGS.levels:
             first = known.values[:few]
         else:
             first = calls(source.draw_stream(pilot, stream, 0, few))
