@@ -106,7 +106,7 @@ def test_plans_have_intervals():
     assert (low <= found["planned_n"]).all()
     assert (found["planned_n"] <= high).all()
     edge = mcs.integrand("half-space(normal=[1.0, 0.77, 0.63, 0.53], offset=1.3)", dims=4)
-    wide = mcs.plan(edge, "perturbed-lattice | shift", target_error=1e-2)
+    wide = mcs.plan(edge, "perturbed-lattice | shift", target_error=5e-2)
     low, high = wide["planned_n_ci"].values
     assert high > 1.25 * low
     assert f"({low:.0f} to {high:.0f}) with perturbed-lattice" in wide.attrs["answer"]

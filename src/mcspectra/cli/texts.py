@@ -436,9 +436,9 @@ def remedies(result: xr.Dataset) -> Answer:
         textwrap.fill(reason, _WIDTH, initial_indent="  ", subsequent_indent="    ")
         for reason in json.loads(known.get("not_tried", "[]"))
     ]
-    heading = "not tried:" if left_out else ""
+    left_out = ["not tried:", *left_out] if left_out else []
     best = json.loads(known["best"])
-    parts = [*said, "", title, remedies_table(result), heading, *left_out]
+    parts = [*said, "", title, remedies_table(result), *left_out]
     return _shown("\n".join(parts), remedies=listed, best=best)
 
 

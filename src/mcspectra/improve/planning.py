@@ -849,6 +849,6 @@ def plan(
     >>> import mcspectra as mcs
     >>> found = mcs.plan("gaussian", ["sobol | owen", "random"], target_error=1e-3)
     >>> found.attrs["answer"]
-    'n = 256 with sobol | owen or 66514 with random'
+    'n = 256 with sobol | owen or 66513 with random'
     """
     return answer(Plan, locals())
