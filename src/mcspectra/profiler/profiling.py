@@ -734,10 +734,14 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     if name != "random" and max(curve.counts, default=math.inf) < resolved_by <= points:
         return replace(curve, rate=math.nan, rate_se=math.nan)
     first = _shape(causes)
-    if name == _FOLDED and math.isfinite(curve.rate):
-        # The variance n^−4 (log n)^(2d − 2) of smooth functions, with two thirds of the logarithms
-        third = (dims - 1) / (3.0 * math.log(curve.counts[-1]))
-        return curve.towards(-4.0 + 4.0 * third, math.hypot(_SETTINGS.theory_error, 2.0 * third))
+    if name in {_LATTICE, _FOLDED} and math.isfinite(curve.rate):
+        # The variance n^−4 (log n)^(2d − 2) of smooth functions, with two thirds of the logarithms.
+        # A few points in many dims may seem to fall faster: they are not trusted beyond this rate
+        third = (dims - 1) / (3.0 * math.log(max(curve.counts[-1], 2.0)))
+        limit = min(-4.0 + 4.0 * third, -1.0)
+        curve = replace(curve, rate=max(curve.rate, limit))
+        error = math.hypot(_SETTINGS.theory_error, 2.0 * third)
+        return curve.towards(limit, error) if name == _FOLDED else curve
     if name not in {NETS, "jittered"} or first not in _EXPONENTS or not math.isfinite(curve.rate):
         return curve
     # A jump cuts n^(1 − 1/d) of n strata. For a jump along an axis, or a smooth g, nets have the
