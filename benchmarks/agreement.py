@@ -1,8 +1,8 @@
 """Do `profile`, `remedies`, `plan`, `predict` and brute force give the same answer?
 
 Sixty estimators: functions, importance densities, multiple importance sampling, pixels and paths. All
-verbs are asked what to use at 4,096 evaluations. Brute force then measures the RMSE of the given set-up
-and of those that are advised, afresh, with 200 estimates each. A verb agrees if
+verbs are asked for the best set-up at 4,096 evaluations. Brute force then measures the RMSE of the given
+and of the advised set-ups with 200 new estimates each. A verb agrees if
 
 * `profile`: its interval of the RMSE overlaps that of brute force, for the set-up that it advises;
 * `remedies`: its set-up is that of the profile; or both have measured it (a preintegration along some
@@ -35,8 +35,8 @@ from mcspectra.estimators import AbstractEstimator, as_estimator
 from mcspectra.measure.setup import Setup, affordable_count
 
 BUDGET = 4096
-ESTIMATES = 200  # of brute force
-REALIZATIONS = 100  # of remedies
+ESTIMATES = 200  # by brute force, of each set-up
+REALIZATIONS = 100  # in remedies, of each candidate
 KINDS = ("sampler", "unshifted", "mirrored", "regression", "preintegrated", "fitted", "techniques")
 SIGMAS = 1.96
 
@@ -53,7 +53,7 @@ class Case:
 
 @dataclass
 class Found:
-    """What the verbs say of a case: their words, and which of them disagree."""
+    """Results of a case: verbs that disagree, bad advice, exceeded budgets, and the answers."""
 
     wrong: list[str] = field(default_factory=list)
     worse: list[str] = field(default_factory=list)

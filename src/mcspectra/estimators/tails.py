@@ -69,7 +69,7 @@ class TailSettings:
     # difference is the error of a fit of 64 points.
     no_variance: float = 0.48
     no_integral: float = 0.95
-    # Exponent from which on f⁴ has no integral, so that the error of a measured variance is not
+    # Least exponent at which f⁴ has no integral, so that the error of a measured variance is not
     # known: ¼.
     infinite_error: float = 0.25
     # Largest exponent whose quantiles are computed: above it the interval has no end, if the lower

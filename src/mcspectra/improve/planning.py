@@ -88,7 +88,7 @@ class MeasuredPlanSettings:
     least_sets: int = 3
     # Ratio of the ends of an interval of n at which a stage is enough.
     narrow: float = 1.5
-    # Sets of n points whose evaluations are enough for any n. By brute force so many sets give
+    # A stage is enough for any n if it has the evaluations of 256 sets of n points: 256 sets give
     # the variance to √(2/256) = 9 %.
     enough: int = 256
     # Places in each octave at which a curve is compared with the error; it is a line between
@@ -191,7 +191,7 @@ class Plan(Counted, frozen=True, kw_only=True):
         return [NETS] * nets + [spec for spec in apart if spec not in fixed]
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[xr.Dataset]:
-        """One sampler after the other; where the search goes depends on what it finds."""
+        """Plan in one block, since each step of the search depends on the one before."""
         return whole(lambda: self._planned(subject, stream), self.need(subject).cost)
 
     def _planned(self, subject: Subject, stream: Stream) -> xr.Dataset:
@@ -211,7 +211,7 @@ class Plan(Counted, frozen=True, kw_only=True):
             for note in each.notes
         ]
 
-        # In words: the sampler that takes the fewest points, and the others beside it
+        # The answer names the sampler with the fewest points first
         evaluations = sum(estimator.counts)
         reached = sorted(
             (each.n, sampler.spec, *each.ends)
@@ -440,12 +440,12 @@ class _Stage:
     Attributes
     ----------
     curves
-        By the spec of a sampler, a curve for each channel.
+        A curve for each channel, by the spec of the sampler.
     means
         Estimates of the largest sets, (R, channels).
     points, values
-        Points (N, d) of a single technique, none of several, and values of each channel (N, channels)
-        of the technique that varies most.
+        Points (N, d) of a single technique, None for several, and the values (N, channels) of the
+        technique with the largest variance.
     largest
         Evaluations of the largest sets over those of a point: R times their count.
     evaluations
@@ -700,7 +700,7 @@ class _Ladder:
 
     @property
     def trusted(self) -> float:
-        """The largest n up to which its interval is narrow."""
+        """The largest n with a narrow interval, at it and at all smaller n."""
         rates = [c.rate if math.isfinite(c.rate) else -1.0 for c in self.curves]
         width = (2.0 * self.half / np.maximum(-np.array(rates), 0.5)).max(axis=1)
         wide = np.flatnonzero(width > math.log(_MEASURED.narrow))
@@ -713,7 +713,7 @@ class _Ladder:
 
 
 def _crossing(x: Array, off: Array) -> float:
-    """First place on a line through (x, off) that is at most 0; infinite if there is none."""
+    """First x at which a line through (x, off) is 0 or less; infinite if it stays above 0."""
     reached = np.flatnonzero(off <= 0.0)
     if not len(reached):
         return math.inf
@@ -725,9 +725,9 @@ def _crossing(x: Array, off: Array) -> float:
 
 
 def _count_from(estimator: AbstractEstimator, sampler: Sampler, n: float) -> float:
-    """The least count from n on that the sampler can do: a power of its base for nets.
+    """The least count of the sampler that is not less than n; for nets a power of their base.
 
-    Infinite where there is none; `n` counts as reached from a millionth below.
+    Infinite if the sampler has no such count. A count may be less than n by a millionth.
     """
     if not n * (1.0 - 1e-6) <= min(_SETTINGS.most, sampler.max_count):
         return math.inf
@@ -764,7 +764,7 @@ def _base(law: Law) -> int:
 
 
 def _can(estimator: AbstractEstimator, sampler: Sampler, n: int) -> bool:
-    """Whether the sampler can do so many points for each technique."""
+    """Whether the sampler has sets of n points for each technique."""
     try:
         estimator.check_sampler(sampler, n)
     except CountError:
@@ -773,7 +773,7 @@ def _can(estimator: AbstractEstimator, sampler: Sampler, n: int) -> bool:
 
 
 def _is_measured(estimator: AbstractEstimator) -> bool:
-    """Whether evaluations are dear, so that predictions, which take millions, are not made."""
+    """Whether evaluations are too costly for predictions, which take millions of them."""
     techniques = range(len(estimator.counts))
     return estimator.is_black_box or any(estimator.primary_integrand(t).costly for t in techniques)
 
@@ -806,7 +806,7 @@ def plan(
     Parameters
     ----------
     estimator, samplers
-        As in `predict`: an estimator, one sampler or a list.
+        An estimator, and one sampler or a list of them.
     dims
         Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
         that is not a spec.
@@ -817,7 +817,7 @@ def plan(
     rng
         Seed (SPEC 7).
     workers
-        As in `predict`.
+        Threads; all processors by default. Results do not depend on it.
     max_evaluations
         Most evaluations of a function or of a costly integrand, by default 2^18, which all samplers
         share. A plan starts with 4,096 and doubles them until the interval of n is narrower than a factor of 1.5.
@@ -825,17 +825,17 @@ def plan(
     Returns
     -------
     xarray.Dataset
-        ``planned_n``, the least count with an RMSE of at most the target; NaN where none is known. For nets
+        ``planned_n``, the least count with an RMSE of at most the target; NaN if it is not known. For nets
         (sobol, pmj02 and the like, which other counts leave unbalanced) it is a power of their base, for
         other samplers of known integrands it is found to 0.4 %. A smaller target never has a smaller
         ``planned_n`` with the same seed. ``planned_n_ci(bound)``, this count if variances were at the ends
-        of their 95 % intervals; its upper end is infinite where the values do not bound the variance, and
-        the attribute ``note`` says why. ``planned_error``, the RMSE at ``planned_n``; ``target_variance``, the
+        of their 95 % intervals; its upper end is infinite if the values do not bound the variance; the
+        attribute ``note`` has the reason. ``planned_error``, the RMSE at ``planned_n``; ``target_variance``, the
         square of the target; the curve ``predicted_variance(n)`` with ``predicted_variance_ci(n, bound)`` at
         powers of two that the sampler can do, to a quarter of the wanted variance or 2^16. Beyond what was
         predicted or measured n follows from the last slope, and ``how`` says so. The coordinates ``method`` and
         ``how``, attributes where there is one sampler, are those of `predict`, or ``"measured"`` with the
-        number of evaluations. A list adds the dim sampler. The attribute ``answer`` says it in words.
+        number of evaluations. A list adds the dim sampler. The attribute ``answer`` is a sentence.
 
     Raises
     ------

@@ -253,7 +253,7 @@ class LimitSettings:
         Most evaluations unless more are allowed: a second of a function that takes 4 µs a point. Ends of
         intervals are then variances times or over 1.5 at counts that are measured, and 2 at 4,096.
     predictions
-        Evaluations, for each technique, from which on methods predict. For smooth functions and jumps
+        Least evaluations, for each technique, with which methods predict. For smooth functions and jumps
         in 1-D to 4-D with four samplers they took 1.2 to 13 million.
     sets, least_sets
         Realizations of each count above which larger counts are measured, and least number of them:
@@ -1126,7 +1126,7 @@ class Predictor:
                 raise NoClosedForm(f"a deterministic sampler {NO_VARIANCE}")
             known, stream = self._known, self._stream
             if self.measured is not None:
-                if name == _LIMIT:  # it says nothing about rates
+                if name == _LIMIT:  # a measurement has no limit of rates
                     raise NoClosedForm("a measurement goes no further than the counts asked for")
                 reason, lost = known[0].once("doubt", self._doubted) or ("", False)
                 if lost:
@@ -1135,7 +1135,7 @@ class Predictor:
                     estimator, sampler, n, known[0], stream, self.measured[sampler.spec]
                 )
                 high = found.variance + found.error
-                low = found.variance**2 / high  # as far below on a logarithmic scale
+                low = found.variance**2 / high  # the same distance on a logarithmic scale
                 if reason:
                     high = np.full_like(high, math.inf)
                 return Cells.row(
@@ -1306,7 +1306,7 @@ def _small_counts(estimator: AbstractEstimator, sampler: Sampler, largest: int) 
 
 
 def _within(counts: Sequence[int], points: int) -> ExtrapolationSettings:
-    """Settings whose measurements take so many points in all."""
+    """Settings whose measurements take `points` points in all."""
     used = list(counts)
     while len(used) > LIMITS.least_counts and points // sum(used) < LIMITS.sets:
         used.pop()

@@ -677,7 +677,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         usable[reference], points, found, len(usable) - 1 + len(changed),
         infinite=infinite, known=known,
     )  # fmt: skip
-    # Sentences in place of advice, and after it
+    # Sentences that replace or follow the advice
     changes = any(result.verdict == "better" for result in results)
     instead, why = "", _why(causes)
     if causes[0].name == "wrong-pdf":
