@@ -412,6 +412,13 @@ def test_what_is_rare_is_not_taken_for_exact():
     )
     assert not (found["error"].sel(remedy=found["verdict"] == "better") == 0.0).any()
 
+    def rarer(x):
+        return (x[..., 0] < 1e-9) * 1.0
+
+    found = mcs.remedies(rarer, "random", 64, dims=2, realizations=100, kinds=["sampler"])
+    assert np.isnan(found["error"].values).all()
+    assert "none has met" in found.attrs["answer"]
+
 
 def test_changes_of_the_estimator_are_tried_with_nets_too():
     """Means along an axis leave a smooth function, from which nets gain more than strata."""

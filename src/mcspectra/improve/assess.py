@@ -120,7 +120,7 @@ class Errors:
 
         The integral is not known; the mean of the reference has a standard error.
         """
-        if not np.isnan(self.bias).any():
+        if not np.isnan(self.bias).any() or reference.blind[-1]:
             return self
         count = self.influence.shape[1]
         away = np.abs(self.mean - reference.mean[-1]).sum(axis=1)
