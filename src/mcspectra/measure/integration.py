@@ -467,8 +467,10 @@ def _with_profile(
     mean ∫f, so that their errors do not correlate with those of the profile.
     """
     low, high = profile.interval
-    if found.alike and low <= value <= high and high - low < math.inf:
-        # f varied in the profile, and does no more with the points that it advised
+    twice = 2.0 * low - profile.integral, 2.0 * high - profile.integral
+    if found.alike and twice[0] <= value <= twice[1] and high - low < math.inf:
+        # f varied in the profile, and does no more with the points that it advised. The value is within
+        # two half widths, about four standard errors, of the mean of the profile
         away = math.sqrt(float(rounding_floor(np.array(value))))
         return value, (value - away, value + away), "all replicates are alike to rounding"
     widths = interval[1] - interval[0], high - low
