@@ -281,6 +281,28 @@ def test_readers_see_whole_commits_while_it_is_written(tmp_path):
     assert len(set(seen)) > 2
 
 
+def test_a_commit_while_a_reader_verifies_is_no_damage(tmp_path, monkeypatch):
+    committed = []
+    with Ledger.create(tmp_path, NOTE, PATHS) as ledger, Ledger.read(tmp_path) as reader:
+        rows = reader._rows
+
+        def finish():
+            ledger.finish(PATHS[0], payload(PATHS[0]))
+            ledger.commit()
+
+        def between(statement, values=()):
+            if "FROM results" in statement and not committed:
+                committed.append(threading.Thread(target=finish))
+                committed[0].start()
+                committed[0].join(0.3)  # it goes on when the reader is through with this cell
+            return rows(statement, values)
+
+        monkeypatch.setattr(reader, "_rows", between)
+        assert reader.verify().damaged == {}
+        committed[0].join()
+        assert reader.verify().done == PATHS[:1]
+
+
 KILLED = """
 import os, random, sys, threading, time
 from tests.studies.test_ledger import *

@@ -933,11 +933,7 @@ class Ledger:
         left, unproven = int(self.tally.digest, 16), list[tuple[str, int, bytes]]()
         made = 0
         for place, path in enumerate(paths):
-            try:
-                cells = self._rows("SELECT path, digest FROM cells WHERE place = ?", (place,))
-                results = self._rows(_PAYLOADS, (place,))
-            except _Damaged:
-                cells = results = []
+            cells, results = self._cell_rows(place)
             digests = [digest for found, digest in cells if found == path]
             payloads = [payload for (payload,) in results if isinstance(payload, bytes)]
             found = [(each, self._digest("result", (path,), each)) for each in payloads]
@@ -990,6 +986,17 @@ class Ledger:
                     yield _Change(path, [self._text("failure", path, sentence)], failure=sentence)
         except _Damaged as error:
             self.damaged["recorded tasks and failures"] = error.reason
+
+    def _cell_rows(self, place: int) -> tuple[list[tuple[Any, ...]], list[tuple[Any, ...]]]:
+        """Rows of one cell in the tables ``cells`` and ``results``; none of either if one is damaged."""
+        with self._guard, contextlib.suppress(_Damaged):
+            self._rows("BEGIN")  # a commit between the two reads would look like damage
+            try:
+                cells = self._rows("SELECT path, digest FROM cells WHERE place = ?", (place,))
+                return cells, self._rows(_PAYLOADS, (place,))
+            finally:
+                self._opened.rollback()
+        return [], []
 
     def _with_scalars(
         self, path: str, payload: bytes, digest: bytes
