@@ -138,6 +138,16 @@ _PAIRS, _LATTICE = "antithetic-jittered", "rank1-lattice | shift"
 _FOLDED = f"{_LATTICE} | mirror(mode='fold')"
 # Causes that concern the sets of a sampler, not g
 _OF_SETS = {"deterministic-set", "few-realizations", "correlated-replicates"}
+# Causes with which lattices are tried as well as with a smooth g
+_GAINED = {
+    "kink",
+    "cusp",
+    "high-frequency",
+    "high-dimension",
+    "interior-jump",
+    "axis-parallel-jump",
+}
+_JUMPS = {"interior-jump", "axis-parallel-jump"}
 # Exponents e by cause: variances fall as n^(−1 − e/d) with strata and n^(−1 − e) with nets by
 # theory
 _EXPONENTS = {"interior-jump": 1.0, "axis-parallel-jump": 1.0, "none": 2.0}
@@ -599,20 +609,29 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
                 evidence = replace(evidence, replicates=_replicates(drawn, np.empty(0)))
 
     causes = causes_of(evidence)
-    # If g is smooth, measure a sampler that gains more from it than nets do
     offers = _offers(evidence, causes, budget, stream.child(98))
-    rival, left = _smooth_rival(evidence, causes), budget - calls
-    if rival and rival != given.spec:
+    # Measure a sampler that may gain more than nets do, with half of the evaluations that are left,
+    # or with those that the removal of a jump does not need
+    rival, left = _rival(evidence, causes), budget - calls
+    rival = rival if rival != given.spec else ""
+    jumps, nets = _shape(causes) in _JUMPS, CAUSE_SETTINGS.nets
+    least = [_SETTINGS.least_checked * offer.setup.cost * nets for offer in offers]
+    if jumps:
+        left -= next((n if n <= left // 2 else n // 2 for n in least if n // 2 <= left), 0)
+    elif any(n <= left // 2 for n in least):
+        left //= 2
+    enough = _is_smooth(causes) or left >= 2 * _SETTINGS.lattice_sets * _SETTINGS.least_checked
+    if rival and not enough:
+        not_tried.append(f"{rival}: {left} evaluations are left for it")
+    elif rival:
         with contextlib.suppress(McspectraError):  # there are too many dims or too few evaluations
             source, lattice = as_sampler(rival, estimator.dims), rival != _PAIRS
-            curve, _, cost = _measured(
-                estimator, source, left // 2 if offers else left, stream.child(97), lattice=lattice
-            )
+            curve, _, cost = _measured(estimator, source, left, stream.child(97), lattice=lattice)
             calls += cost
             if lattice and curve.counts[-1:].sum() < _SETTINGS.few_points:
                 curve = replace(curve, rate=max(curve.rate, _SETTINGS.steepest_rate))
-            known = math.isfinite(curve.rate) or math.isfinite(curve.vanishes)
-            curves |= {rival: curve} if known else {}
+            # Small sets of a g that jumps may be equal although larger ones are not
+            curves |= {} if jumps and math.isfinite(curve.vanishes) else {rival: curve}
     curves |= {
         name: _by_theory(name, curve, causes, estimator.dims, points)
         for name, curve in curves.items()
@@ -628,7 +647,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         # The sampler of least variance, and a change of the estimator that answers a cause
         if len(usable[reference].counts) > 0:  # else there is no variance to lower
             found = _samplers(Setup(estimator, given), usable, reference, points)
-        base = usable[found[0].candidate.name if found else reference]
+        base = min(usable.values(), key=lambda each: _bound(each, points))
         made, changed, cost = _improved(
             evidence, causes, offers, base, budget, budget - calls, stream.child(98)
         )
@@ -741,7 +760,7 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
         limit = min(-4.0 + 4.0 * third, -1.0)
         curve = replace(curve, rate=max(curve.rate, limit))
         error = math.hypot(_SETTINGS.theory_error, 2.0 * third)
-        return curve.towards(limit, error) if name == _FOLDED else curve
+        return curve.towards(limit, error) if name == _FOLDED and _is_smooth(causes) else curve
     if name not in {NETS, "jittered"} or first not in _EXPONENTS or not math.isfinite(curve.rate):
         return curve
     # A jump cuts n^(1 − 1/d) of n strata. For a jump along an axis, or a smooth g, nets have the
@@ -763,19 +782,27 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     return known
 
 
-def _smooth_rival(evidence: Evidence, causes: Sequence[Cause]) -> str:
-    """The sampler with the best rate for a smooth g; empty if g is not smooth.
+def _is_smooth(causes: Sequence[Cause]) -> bool:
+    """Whether g is smooth inside the cube as far as the causes show."""
+    return _shape(causes) in {"none", "border-jump"}
+
+
+def _rival(evidence: Evidence, causes: Sequence[Cause]) -> str:
+    """The sampler that may gain more from g than nets do; empty without one.
 
     Lattices have the rates of Fourier series, if opposite faces of the cube meet or points are folded
-    [Hickernell2002]_. Pairs about the centers of strata have the rate −1 − 4/d of cubic
-    stratification of second order.
+    [Hickernell2002]_. They also gain from kinks, cusps and waves. Pairs about the centers of strata
+    have the rate −1 − 4/d of cubic stratification of second order for smooth g.
     """
-    estimator = evidence.estimator
-    if _shape(causes) not in {"none", "border-jump"}:
+    smooth = _is_smooth(causes)
+    grows = any(cause.name in {"border-growth", "heavy-tail"} for cause in causes)
+    if grows or not (smooth or _shape(causes) in _GAINED):
         return ""
     if evidence.is_periodic:
         return _LATTICE
-    return _PAIRS if estimator.dims <= _SETTINGS.paired_dims else _FOLDED
+    if evidence.estimator.dims > _SETTINGS.paired_dims:
+        return _FOLDED
+    return _PAIRS if smooth else ""
 
 
 def _measured(
@@ -847,19 +874,27 @@ class _Found:
     sure: bool = False  # surely better where both were measured
 
 
+def _bound(curve: Curve, points: int) -> float:
+    """The variance at `points` points plus a standard error of its logarithm."""
+    value, error = curve.at(points)
+    return value * math.exp(error)
+
+
 def _samplers(
     given: Setup, curves: Mapping[str, Curve], reference: str, points: int
 ) -> list[_Found]:
-    """The samplers that may have less variance than the reference, the best first."""
+    """The samplers that may have less variance than the reference, the best first.
+
+    A rival whose rate at larger counts may be steeper by any factor is always one of them.
+    """
     each = given.cost
-    bounds = dict[str, float]()
-    for name, curve in curves.items():
-        value, error = curve.at(points)
-        bounds[name] = value * math.exp(error)
+    bounds = {name: _bound(curve, points) for name, curve in curves.items()}
     found = []
+    rivals = {_LATTICE, _FOLDED, _PAIRS}
     for name in sorted(bounds, key=bounds.__getitem__):
-        if name == reference:
-            break
+        worse = bounds[name] >= bounds[reference]
+        if name == reference or (worse and name not in rivals):
+            continue
         source, count, change = as_sampler(name, given.estimator.dims), points, f"use {name}"
         if source.nearest_count(points) != points:
             count = affordable_count(replace(given, sampler=source), points * each) or points
@@ -868,7 +903,7 @@ def _samplers(
         curve = curves[name]
         variance, beyond = curve.at(count), count > curve.counts[-1:].sum()
         # The rates of smooth functions are those of larger sets, and of analytic ones no power of n
-        steepens = name in {_LATTICE, _FOLDED, _PAIRS} and bool(beyond)
+        steepens = name in rivals and bool(beyond)
         found.append(_Found(candidate, count, variance, curve.rate, curve.rate_ci, steepens))
     return found
 
@@ -984,9 +1019,12 @@ def _offers(
         if cause.name == "infinite-variance":
             index = cause.evidence.get("exponent", cause.evidence.get("tail_index", 0.0))
             offers = [offer for offer in offers if offer.finite_below > index]
-    # Try the removal of a jump first: its gain with nets is larger than its gain at random points
-    jumps = _shape(causes) == "interior-jump"
-    offers.sort(key=lambda offer: (not (jumps and offer.kind == "preintegrated"), offer.ratio))
+    # Try the removal of a jump first: its gain with nets is larger than its gain at random points.
+    # Means along an axis remove a jump on planes normal to it
+    shape = _shape(causes)
+    first = {"interior-jump": "preintegrated", "axis-parallel-jump": "preintegrated along axis"}
+    removes = first.get(shape, "-")
+    offers.sort(key=lambda offer: (not offer.name.startswith(removes), offer.ratio))
     return offers
 
 
@@ -1005,16 +1043,13 @@ def _improved(
     that is surely better ends the search: it is better than `base`, the curve of the best sampler, at the
     same evaluations; its own curve gives the variance at the budget.
     """
-    estimator, jumps = evidence.estimator, _shape(causes) == "interior-jump"
+    estimator, jumps = evidence.estimator, _shape(causes) in _JUMPS
     found, tried, calls, least = list[_Found](), list[str](), 0, _SETTINGS.least_checked
     for offer in offers:
         each, wanted = offer.setup.cost, CAUSE_SETTINGS.nets
-        if jumps and not tried and offer is not offers[-1]:  # leave evaluations for another change
-            wanted = (
-                CAUSE_SETTINGS.nets
-                if left >= 2 * least * each * CAUSE_SETTINGS.nets
-                else CAUSE_SETTINGS.nets // 2
-            )
+        if jumps and not tried:  # half the nets if all of them would leave too few evaluations
+            others = 2 if offer is not offers[-1] else 1
+            wanted = wanted if left >= others * least * each * wanted else wanted // 2
         n = affordable_count(offer.setup, (left - calls) // wanted)
         if n is None or n < least:
             continue
@@ -1028,7 +1063,10 @@ def _improved(
         if not np.ptp(made.estimates) > 0.0 and off > _SETTINGS.off_sigmas * float(seen_sets.std()):
             continue
         curve = made.curves()[NETS].towards(base.rate, _SETTINGS.alike_error)
+        # What is left without a jump may be smooth, with a rate that a few points do not show
+        smooths = jumps and offer.kind == "preintegrated" and n < at_budget
         if n < _SETTINGS.few_points:
+            smooths |= curve.rate < _SETTINGS.steepest_rate
             curve = replace(curve, rate=max(curve.rate, _SETTINGS.steepest_rate))
         (ours, ours_se), (other, other_se) = curve.at(n), base.at(cost)
         # Extrapolate by the geometric mean of its rate and its gain, half their difference as the
@@ -1042,7 +1080,9 @@ def _improved(
         better = ours < other * sure and after < at_best
         own = replace(offer, change=f"{offer.change}, and sample with {NETS}")
         measured = (after, error)
-        found.append(_Found(own, at_budget, measured, curve.rate, curve.rate_ci, sure=better))
+        found.append(
+            _Found(own, at_budget, measured, curve.rate, curve.rate_ci, smooths, sure=better)
+        )
         if better:
             break
     return found, tried, calls
