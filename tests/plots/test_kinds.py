@@ -16,8 +16,9 @@ from mcspectra.plots import backend_matplotlib
 from mcspectra.plots.description import Bars, Dots, Image, Line, Rule
 from mcspectra.plots.groups import labelled
 from mcspectra.plots.kinds import KINDS, describe, kinds_of
-from mcspectra.plots.style import sampler_styles
+from mcspectra.plots.style import TERM_COLORS, sampler_styles
 from mcspectra.plots.variance import usable_counts
+from mcspectra.reproduction.panels import term_panel
 
 # the plots that results of `QUICK` have
 PATHS = (
@@ -138,29 +139,44 @@ def test_terms__zero_variance(make, kind):
     drawn_by_both(describe(kind, {"regular": zero}))
 
 
-def test_terms__bars_are_as_long_as_the_terms_with_their_intervals(make):
+def test_terms__bars_are_a_waterfall_with_the_intervals_of_the_terms(make):
     data = make["terms"]()
     names = ("dc_term", "power_term", "cross_term", "predicted_variance", "measured_variance")
     for name in names[1:3]:
         data[f"{name}_ci"] = ("bound", float(data[name]) * np.array([0.5, 2.0]))
     plot = describe("terms", {"jittered": data})
-    bars = marks(plot, Bars)
-    np.testing.assert_allclose(np.concatenate([b.value for b in bars]), [data[n] for n in names])
-    ends = np.concatenate([np.stack([b.low, b.high], axis=1) for b in bars])
+    (bars,) = marks(plot, Bars)
+    terms = [float(data[n]) for n in names]
+    np.testing.assert_allclose(bars.value - bars.base, terms, atol=1e-18)
+    np.testing.assert_allclose(bars.base[1:3], bars.value[:2])  # each begins where the last ended
+    np.testing.assert_allclose(bars.value[2], terms[3])  # and the last one ends at the prediction
+    np.testing.assert_array_equal(bars.base[3:], 0.0)
+    ends = np.stack([bars.low, bars.high], axis=1)
     assert np.isnan(ends[0]).all()
-    np.testing.assert_allclose(ends[1:], [data[f"{n}_ci"] for n in names[1:]])
+    shifted = [data[f"{n}_ci"] + start for n, start in zip(names[1:], bars.base[1:], strict=True)]
+    np.testing.assert_allclose(ends[1:], shifted)
     (panel,) = plot.panels
-    assert panel.x.low < np.nanmin(ends)
-    assert panel.x.high > np.nanmax(ends)
+    assert panel.x.kind == "linear"
+    assert panel.x.low <= 0.0 < np.max(bars.value) < panel.x.high
 
 
-def test_terms__rounding_does_not_stretch_the_axis(make):
+def test_terms__a_term_of_rounding_size_is_a_printed_number(make):
     data = make["terms"]()
     data["dc_term"] = data["dc_term"] * 0.0 + 1e-17
     plot = describe("terms", {"jittered": data})
     assert "≈ 0" in said(plot)
-    smallest = float(data["measured_variance"])
-    assert smallest / 10 < plot.panels[0].x.threshold <= smallest
+    (bars,) = marks(plot, Bars)
+    assert bars.value[0] == 0.0
+
+
+def test_terms__colors_are_those_of_the_exhibits(make):
+    data = make["terms"]()
+    for name in ("dc_term", "power_term", "cross_term"):
+        data[f"{name}_ci"] = ("bound", float(data[name]) * np.array([0.5, 2.0]))
+    (bars,) = marks(describe("terms", {"jittered": data}), Bars)
+    (slide,) = (m for m in term_panel(data, 1.0, "title").marks if isinstance(m, Bars))
+    assert list(bars.color) == list(TERM_COLORS.values())
+    assert list(slide.color) == list(bars.color)[:4]
 
 
 def test_contributions__a_panel_for_each_technique(make):

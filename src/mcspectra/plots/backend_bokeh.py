@@ -307,9 +307,11 @@ def _layers(mark: Mark, panel: Panel) -> list[_Layer]:
             return [dots, *_whiskers(mark, at, along, color, mark.across)]
         case Bars():
             along, other = (panel.x, panel.y) if mark.lying else (panel.y, panel.x)
-            base = along.low if along.kind == "log" and mark.base <= 0 else mark.base
+            base = np.broadcast_to(mark.base, np.shape(mark.at)).astype(float)
+            if along.kind == "log":
+                base = np.where(base <= 0, along.low or 0.0, base)
             at, end = _place(other, mark.at), _place(along, mark.value)
-            start = np.full(len(at), _place(along, base))
+            start = _place(along, base)
             several = [mark.color] * len(at) if isinstance(mark.color, str) else mark.color
             colors, paint = [_seen(each) for each in several], {"alpha": mark.opacity}
             if mark.thickness:

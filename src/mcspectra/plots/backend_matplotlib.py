@@ -503,21 +503,22 @@ def _mark(axes: Axes, mark: Mark, depth: float) -> ScalarMappable | None:
         case Bars():
             there = np.isfinite(mark.value)
             at, value = mark.at[there], mark.value[there]
+            base = np.broadcast_to(mark.base, np.shape(mark.value))[there]
             if not isinstance(mark.color, str):
                 pairs = zip(mark.color, there, strict=True)
                 look |= {"color": [each for each, present in pairs if present]}
             if mark.thickness:
                 options = look | {"alpha": mark.opacity, "linewidth": 0}
                 if mark.lying:
-                    axes.barh(at, value - mark.base, mark.thickness, left=mark.base, **options)
+                    axes.barh(at, value - base, mark.thickness, left=base, **options)
                 else:
-                    axes.bar(at, value - mark.base, mark.thickness, bottom=mark.base, **options)
+                    axes.bar(at, value - base, mark.thickness, bottom=base, **options)
             else:
                 room = axes.get_window_extent()
                 length = (room.height if mark.lying else room.width) * 72 / axes.figure.dpi
                 width = float(np.clip(0.55 * length / max(len(mark.at), 1), 0.5, 5.0))
                 stems = axes.hlines if mark.lying else axes.vlines
-                stems(at, mark.base, value, lw=width, alpha=mark.opacity, **look)
+                stems(at, base, value, lw=width, alpha=mark.opacity, **look)
             if mark.low is not None and mark.high is not None:
                 # An end that is not finite has no whisker
                 low, high = (np.where(np.isfinite(e), e, mark.value) for e in (mark.low, mark.high))

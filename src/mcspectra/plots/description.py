@@ -179,6 +179,8 @@ class Bars:
         In data coordinates; 0 draws stems.
     color
         One, or one each.
+    base
+        Where bars begin, one number or (k,).
     lying
         Whether bars run along x, at places on the y axis.
     texts
@@ -189,7 +191,7 @@ class Bars:
     value: Array
     color: str | Sequence[str]
     thickness: float = 0.8
-    base: float = 0.0
+    base: float | Array = 0.0
     low: Array | None = None
     high: Array | None = None
     lying: bool = False

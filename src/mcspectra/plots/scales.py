@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,6 +19,7 @@ __all__ = [
     "log_scale",
     "log_ticks",
     "name_axis",
+    "scaled_axis",
     "signed_axis",
     "signed_place",
     "signed_scale",
@@ -44,6 +46,17 @@ def linear_axis(label: str, low: float, high: float, most: int = 6) -> Axis:
     low, high = low - pad if low else low, high + pad
     ticks = {tick: tick_label(tick) for tick in _round_steps(low, high, most)}
     return Axis(label=label, low=low, high=high, ticks=ticks)
+
+
+def scaled_axis(label: str, low: float, high: float, most: int = 6) -> Axis:
+    """Return a linear axis whose label holds the power of ten of small or large ticks."""
+    axis = linear_axis(label, low, high, most)
+    top = max(abs(tick) for tick in axis.ticks or {0.0: ""})
+    power = math.floor(math.log10(top)) if top else 0
+    if -2 <= power <= 3:
+        return axis
+    ticks = {tick: tick_label(tick / 10.0**power) for tick in axis.ticks or {}}
+    return replace(axis, label=f"{label}   (× {power_of_ten(power)})", ticks=ticks)
 
 
 def log_axis(label: str, low: float, high: float, most: int = 6) -> Axis:

@@ -22,6 +22,7 @@ __all__ = [
     "MARKERS",
     "PALETTE",
     "PAPER",
+    "TERM_COLORS",
     "LineStyle",
     "labels",
     "line_widths",
@@ -34,6 +35,14 @@ DASHES: tuple[Dashes, ...] = ("-", "--", ":", "-.")
 INK, GRAY, FAINT, PAPER = "#262626", "#8A8A8A", "#DCDCDC", "#FCFCFA"
 """Text and main marks, marks of lesser weight, grids and shapes behind, the ground. Backends turn them about on dark pages."""
 ACCENT = "#D55E00"
+TERM_COLORS = {
+    "dc_term": "#56B4E9",
+    "power_term": "#0072B2",
+    "cross_term": "#D55E00",
+    "predicted_variance": "#B4B4B4",
+    "measured_variance": "#757575",
+}
+"""Colors of the terms of the variance, their sum and the measured variance in every figure."""
 GRADIENTS = {
     "sequential": "viridis",
     "diverging": ("#0B3A63", "#0072B2", "#8CC1E0", "#F7F7F7", "#F2B488", "#D55E00", "#6E2C00"),

@@ -11,7 +11,17 @@ import xarray as xr
 
 from mcspectra.core.checks import Array
 from mcspectra.core.confidence import CONFIDENCE_Z
-from mcspectra.plots.description import Axis, Bars, Dots, Line, Mark, Panel, Plot, Rule
+from mcspectra.plots.description import (
+    Axis,
+    Bars,
+    Dots,
+    Line,
+    Mark,
+    Panel,
+    Plot,
+    Rule,
+    Segments,
+)
 from mcspectra.plots.groups import (
     Group,
     Styles,
@@ -28,6 +38,7 @@ from mcspectra.plots.scales import (
     linear_axis,
     log_axis,
     name_axis,
+    scaled_axis,
     signed_axis,
     whole_ticks,
 )
@@ -37,6 +48,7 @@ from mcspectra.plots.style import (
     INK,
     MARKERS,
     PALETTE,
+    TERM_COLORS,
     LineStyle,
     labels,
     sampler_styles,
@@ -54,6 +66,7 @@ __all__ = [
     "techniques",
     "terms",
     "usable_counts",
+    "waterfall",
 ]
 
 _TERMS = {
@@ -63,6 +76,7 @@ _TERMS = {
     "predicted_variance": "sum: predicted",
     "measured_variance": "measured",
 }
+_PARTS = 3  # dc, power and cross, which the sum follows
 _LEAST_SHOWN = 1e-3  # of a variance, as the lower end of its interval
 _WIDE = 1.25  # ratio of the ends of an interval of n that is shown
 _LINEAR_TOP = 4.0  # captured shares up to here are shown on a linear axis
@@ -296,35 +310,59 @@ def _known_curves(group: Group, styles: Styles, what: str, caption: str) -> Plot
     )
 
 
-def terms(group: Group, styles: Styles) -> Plot:
-    """Dc, power and cross term, their sum and the measured variance as signed bars."""
-    values = {n: np.array([float(d[term]) for term in _TERMS]) for n, d in group.items()}
-    ends = {
-        n: np.array([d[f"{t}_ci"].values if f"{t}_ci" in d else [math.nan] * 2 for t in _TERMS])
-        for n, d in group.items()
-    }
-    # What is rounding beside the largest is 0
-    sizes = [np.max(np.abs(v), where=np.isfinite(v), initial=0.0) for v in values.values()]
-    above = [
-        np.where(np.abs(v) > NEGLIGIBLE * size, v, 0.0)
-        for v, size in zip(values.values(), sizes, strict=True)
-    ]
-    axis = signed_axis("part of the variance", above, whiskers=np.concatenate(list(ends.values())))
-    panels = []
-    for (name, each), shown, size in zip(values.items(), above, sizes, strict=True):
-        texts = [number_beside(v, size) if math.isfinite(v) else not_finite(v) for v in each]
-        whiskers = np.where((shown != 0)[:, None], ends[name], np.nan)
-        rows, opacities = list(_TERMS.values()), (0.35, 0.35, 0.35, 0.75, 1.0)
-        color = styles[name].color
-        panels.append(_bar_panel(name, color, rows, shown, whiskers, texts, axis, opacities))
+def terms(group: Group, _: Styles) -> Plot:
+    """Dc, power and cross term as a waterfall that ends at their sum; below it, the measured variance."""
+    panels = [waterfall(name, each) for name, each in group.items()]
     return Plot(
         panels=tuple(panels),
-        caption="The terms of the variance, signed: dc + power + cross = predicted, with the measured "
-        "variance below; whiskers are 95 % intervals.",
+        caption="The terms of the variance: each bar begins where the one above it ends, so that dc + power "
+        "+ cross = predicted, with the measured variance below. Whiskers are 95 % intervals."
+        + (" Each panel has its own scale." if len(panels) > 1 else ""),
         words="Bars of the three terms. " + for_each(group, _term_words),
         height=0.24,
-        share="x",
     )
+
+
+def waterfall(title: str, data: xr.Dataset) -> Panel:
+    """The terms of the variance of one sampler on a linear axis, so that their sum can be seen.
+
+    Parameters
+    ----------
+    title
+        Title of the panel.
+    data
+        Result of `mcspectra.variance_terms` at one n. The measured variance may be missing.
+    """
+    rows = {term: label for term, label in _TERMS.items() if term in data}
+    values = np.array([float(data[term]) for term in rows])
+    size = float(np.max(np.abs(values), where=np.isfinite(values), initial=0.0))
+    texts = [number_beside(v, size) if math.isfinite(v) else not_finite(v) for v in values]
+    # A term of rounding size is 0
+    values = np.where(np.abs(values) > NEGLIGIBLE * size, values, 0.0)
+    parts = np.where(np.isfinite(values[:_PARTS]), values[:_PARTS], 0.0)
+    base = np.zeros(len(values))
+    base[1:_PARTS] = np.cumsum(parts)[:-1]
+    ends = np.array([
+        data[f"{term}_ci"].values if f"{term}_ci" in data else [math.nan] * 2 for term in rows
+    ])  # fmt: skip
+    whiskers = np.where((values != 0)[:, None], ends, np.nan) + base[:, None]
+
+    # The whiskers get at most as much room again as the bars
+    places = np.concatenate([base, base + np.where(np.isfinite(values), values, 0.0)])
+    low, high = float(places.min(initial=0.0)), float(places.max(initial=0.0))
+    known = whiskers[np.isfinite(whiskers)]
+    room = high - low
+    low = min(low, max(float(known.min(initial=0.0)), low - room))
+    high = max(high, min(float(known.max(initial=0.0)), high + room))
+    panel = _bar_panel(
+        title, [TERM_COLORS[term] for term in rows], list(rows.values()), base + values, whiskers,
+        texts, scaled_axis("part of the variance", low, high, 5), base=base, said=ends,
+    )  # fmt: skip
+
+    # A thin line leads from the end of each term to the start of the next bar
+    steps = [np.array([[total, k], [total, k + 1.0]]) for k, total in enumerate(np.cumsum(parts))]
+    joints = Segments(ends=np.stack(steps), color=GRAY, width=0.6)
+    return replace(panel, marks=(joints, *panel.marks))
 
 
 def captured(group: Group, styles: Styles) -> Plot:
@@ -524,41 +562,39 @@ def usable_counts(curve: xr.Dataset) -> Array:
 
 def _bar_panel(
     name: str,
-    color: str,
+    color: str | Sequence[str],
     rows: Sequence[str],
     values: Array,
     ends: Array,
     texts: Sequence[str],
     axis: Axis,
-    opacities: Sequence[float] = (),
+    *,
+    base: Array | float = 0.0,
+    said: Array | None = None,
 ) -> Panel:
-    """Lying bars of one sampler, their names at the left and their values at the right."""
-    opacity = np.array(opacities or [1.0] * len(rows))
-    marks: list[Mark] = []
-    for each in dict.fromkeys(opacity):
-        k = np.flatnonzero(opacity == each)
-        own, said = ([each_[i] for i in k.tolist()] for each_ in (rows, texts))
-        marks.append(
-            Bars(
-                at=k.astype(float),
-                value=np.where(np.isfinite(values), values, np.nan)[k],
-                color=color,
-                thickness=0.68,
-                low=ends[k, 0],
-                high=ends[k, 1],
-                lying=True,
-                opacity=float(each),
-                texts=said,
-                hover={
-                    "sampler": [name] * k.size,
-                    "part": own,
-                    "value": said,
-                    "95 %": intervals(ends[k]),
-                },
-            )
-        )
-    marks.append(Rule(at=0.0, axis="x", color=GRAY, width=0.7))
-    return Panel(marks=tuple(marks), x=axis, y=name_axis(rows), title=name)
+    """Lying bars of one sampler, their names at the left and their values at the right.
+
+    `values` and `ends` are places on the axis; `said` are the intervals in words, by default `ends`.
+    """
+    bars = Bars(
+        at=np.arange(float(len(rows))),
+        value=np.where(np.isfinite(values), values, np.nan),
+        base=base,
+        color=color,
+        thickness=0.68,
+        low=ends[:, 0],
+        high=ends[:, 1],
+        lying=True,
+        texts=texts,
+        hover={
+            "sampler": [name] * len(rows),
+            "part": list(rows),
+            "value": list(texts),
+            "95 %": intervals(ends if said is None else said),
+        },
+    )
+    marks = (bars, Rule(at=0.0, axis="x", color=GRAY, width=0.7))
+    return Panel(marks=marks, x=axis, y=name_axis(rows), title=name)
 
 
 def _variance_panel(marks: Sequence[Mark], results: Iterable[xr.Dataset]) -> Panel:

@@ -21,10 +21,19 @@ from mcspectra.plots.description import (
     Plot,
     Rule,
     Scale,
+    Segments,
     Text,
 )
 from mcspectra.plots.scales import count_axis, log_axis, name_axis, unit_panel
-from mcspectra.plots.style import FAINT, INK, MARKERS, PALETTE, line_widths
+from mcspectra.plots.style import (
+    FAINT,
+    GRAY,
+    INK,
+    MARKERS,
+    PALETTE,
+    TERM_COLORS,
+    line_widths,
+)
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Measured
 
@@ -187,22 +196,28 @@ def interval_panel(
 
 
 def term_panel(data: xr.Dataset, scale: float, title: str, y: str = "") -> Panel:
-    """Return bars of the three terms and their sum over `scale`, with 95 % intervals."""
+    """Return the three terms over `scale` as a waterfall to their sum, with 95 % intervals."""
     names = {**_TERMS, "predicted_variance": "sum"}
     found = [Measured.of(data, name) / scale for name in names]
     value, low, high = np.array([(each.value, each.low, each.high) for each in found]).T
     rounding = _ROUNDING * np.abs(value).max()
     texts = [number(v, 2) if abs(v) > rounding else "0" for v in value]
-    at = np.arange(4.0)
-    bars = Bars(at=at, value=value, low=low, high=high, color=PALETTE[:4], thickness=0.72)
+    at, base = np.arange(4.0), np.append(0.0, np.cumsum(value[:3]))
+    base[3] = 0.0
+    low, high, value = low + base, high + base, value + base
+    colors = [TERM_COLORS[name] for name in names]
+    bars = Bars(at=at, value=value, base=base, low=low, high=high, color=colors, thickness=0.72)
+    steps = [[[k, value[k]], [k + 1.0, value[k]]] for k in range(3)]
+    joints = Segments(ends=np.array(steps), color=GRAY, width=0.6)
+    tops = np.maximum(high, np.maximum(base, value))
     above = (
-        Text(x=float(place), y=max(float(end), 0.0), text=text, side="above")
-        for place, end, text in zip(at, high, texts, strict=True)
+        Text(x=float(place), y=float(end), text=text, side="above")
+        for place, end, text in zip(at, tops, texts, strict=True)
     )
-    bottom, top = min(low.min(), 0.0), max(high.max(), 0.0)
+    bottom, top = min(low.min(), 0.0), max(tops.max(), 0.0)
     room = top - bottom
     return Panel(
-        marks=(bars, Rule(at=0.0, color=INK, width=0.7), *above),
+        marks=(joints, bars, Rule(at=0.0, color=INK, width=0.7), *above),
         x=Axis(low=-0.6, high=3.6, ticks=dict(zip(at.tolist(), names.values(), strict=True))),
         y=Axis(label=y, low=bottom - 0.05 * room * (bottom < 0), high=top + 0.17 * room),
         title=title,

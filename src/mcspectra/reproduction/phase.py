@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import xarray as xr
 import mcspectra as mcs
 from mcspectra.core.checks import Array
 from mcspectra.plots.description import Axis, Line, Mark, Panel, Plot, Rule
-from mcspectra.plots.style import INK, PALETTE
+from mcspectra.plots.style import INK, PALETTE, TERM_COLORS
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text
 from mcspectra.reproduction.panels import plot_of, variance_panel, whiskers
@@ -65,8 +66,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         term = np.array([each.value for each in found])
         ends = np.array([(each.low, each.high) for each in found])
         marks += [
-            Line(x=at, y=term, color=PALETTE[k], label=label),
-            whiskers(at, term, ends, k, label),
+            Line(x=at, y=term, color=TERM_COLORS[name], label=label),
+            replace(whiskers(at, term, ends, k, label), color=TERM_COLORS[name]),
         ]
     known = 1e3 * np.array([exact_bar(float(t), N) for t in s])
     label = "exact variance, all frequencies"
