@@ -11,6 +11,7 @@ from tests import oracles
 
 import mcspectra as mcs
 from mcspectra.core.errors import McspectraError, ParameterError
+from mcspectra.estimators import as_estimator
 from mcspectra.explain.probing import lines_of, pole_of
 from mcspectra.explain.samples import Sets
 
@@ -865,3 +866,41 @@ def test_advice_for_draws_has_no_sampler():
     assert json.loads(json.dumps(found.to_dict()))["answer"]["best"]["name"] == "draws"
     with pytest.raises(ParameterError, match="nothing is sampled"):
         _ = found.answer.best.sampler
+
+
+@pytest.mark.parametrize(
+    ("f", "sampler"),
+    [
+        (lambda x: np.abs(x[..., 0] - 0.37) * (1.0 + x[..., 1]), "jittered"),
+        (lambda x: np.sqrt(np.abs(x.sum(axis=-1) - 0.9)), "jittered"),
+        (lambda x: 1.0 + np.cos(60.0 * x[..., 0]) * x[..., 1], "jittered"),
+    ],
+    ids=["kink", "cusp", "waves"],
+)
+def test_a_folded_lattice_is_measured_where_it_may_gain_more_than_nets(f, sampler):
+    found = mcs.profile(f, dims=2, sampler=sampler, budget=4096)
+    lattice = next(r for r in found.answer.results if "fold" in r.name)
+    # Few points say nothing of how steep the curve is at more points, so that the end is open
+    assert lattice.rmse_ci[0] == 0.0
+    truth = mcs.convergence(as_estimator(f, 2), lattice.setup.sampler, [4096], realizations=40)
+    assert math.sqrt(float(truth["variance"][0])) < lattice.rmse_ci[1]
+    assert found.calls <= 4096
+
+
+def test_a_jump_along_an_axis_is_removed_by_means_along_it():
+    def step(x):
+        return (x[..., 0] < 0.377) * (1.0 + x[..., 1])
+
+    found = mcs.profile(step, dims=2, sampler="jittered", budget=4096)
+    assert found.causes[0].name == "axis-parallel-jump"
+    means = next(r for r in found.answer.results if r.name == "preintegrated along axis 0")
+    truth = mcs.convergence(means.setup.estimator, "sobol | owen", [means.n], realizations=100)
+    assert means.rmse_ci[0] <= math.sqrt(float(truth["variance"][0])) <= means.rmse_ci[1]
+
+
+def test_small_lattices_that_agree_about_a_jump_are_not_called_exact():
+    # The line passes through the center, and the few points of a small folded set lie evenly about it
+    found = mcs.profile(
+        lambda x: (x @ np.array([0.6, 0.8]) < 0.7) * 1.0, dims=2, sampler="sobol | owen"
+    )
+    assert all(result.rmse > 0.0 for result in found.answer.results)

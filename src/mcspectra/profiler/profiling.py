@@ -3,8 +3,8 @@
 Most of the budget goes to scrambled nets, which give the variances of several samplers at once
 (`samples`). A fifth goes to lines that detect discontinuities and kinks (`probing`), and a part to
 the given sampler, if the nets do not give its variance. `causes` finds the causes in these
-evaluations. The rest of the budget measures a change that answers the causes, or antithetic pairs
-in strata if there is no cause.
+evaluations. The rest of the budget measures changes that answer the causes and one more sampler:
+a lattice, or antithetic pairs in strata for smooth functions of one dim.
 """
 
 from __future__ import annotations
@@ -1055,7 +1055,8 @@ def _improved(
             continue
         tried.append(offer.name)
         calls += n * wanted * each
-        cost, at_budget = n * each / estimator.evaluations_per_point, budget // each
+        cost = n * each / estimator.evaluations_per_point
+        at_budget = affordable_count(offer.setup, budget) or n
         made = Sets.of(offer.setup.estimator, n, wanted, stream.child(len(tried)))
         # Drop a change that does not vary and has another mean: its points missed the peak of g
         seen_sets = evidence.sets.estimates
