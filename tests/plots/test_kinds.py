@@ -601,3 +601,10 @@ def test_describing_changes_nothing_of_a_result(make):
 def test_rules_mark_the_level_of_random_points(make):
     for kind in ("lines", "radial"):
         assert [r.at for r in marks(describe(kind, make["spectrum"]()), Rule)] == [1.0]
+
+
+def test_a_bench_has_all_the_plots_that_it_lists():
+    bench = mcs.sampler_bench(["jittered", "random"], counts=[16, 64], dims=2, realizations=10)
+    assert {"spectrum", "radial", "pair-correlation", "points"} <= set(bench.mcspectra.kinds)
+    for kind in bench.mcspectra.kinds:
+        drawn_by_both(describe(kind, bench))

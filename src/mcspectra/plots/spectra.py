@@ -95,7 +95,7 @@ def lines(group: Group, styles: Styles) -> Plot:
     for name, each in group.items():
         half = each["power_se"].values if "power_se" in each else np.zeros(each.sizes["m0"])
         half = each.attrs.get("student_t", CONFIDENCE_Z) * half
-        half *= int(each.attrs["n"]) / _random_level(each)
+        half *= _points(each) / _random_level(each)
         power = curves[name][1]
         hover[name] = [
             number(float(p), 4) + (f" ± {number(float(h), 2)}" if h > 0 else "")
@@ -113,7 +113,7 @@ def radial(group: Group, styles: Styles) -> Plot:
     """Mean power over directions against |m| in units of n^(1/d)."""
     curves = {}
     for name, each in group.items():
-        n, dims = int(each.attrs["n"]), len(frequency_dims(each))
+        n, dims = _points(each), len(frequency_dims(each))
         power = n / _random_level(each) * each["radial_power"].values
         curves[name] = (each["radius"].values / n ** (1 / dims), power)
     every = np.concatenate([x[x > 0] for x, _ in curves.values()])
@@ -478,10 +478,15 @@ def _bases(group: Group) -> dict[str, str]:
 def relative_power(data: xr.Dataset) -> Array:
     """Return n · power over that of random points, (m0, m1, …), with NaN at m = 0."""
     names = frequency_dims(data)
-    scale = int(data.attrs["n"]) / _random_level(data)
+    scale = _points(data) / _random_level(data)
     power = np.array(scale * data["power"].transpose(*names).values)
     power[tuple(size // 2 for size in power.shape)] = np.nan
     return power
+
+
+def _points(data: xr.Dataset) -> int:
+    """Return the number of points n of a spectrum; a bench has one for each sampler."""
+    return int(data.attrs["n"] if "n" in data.attrs else data["pictured_n"])
 
 
 def _random_level(data: xr.Dataset) -> float:
@@ -582,7 +587,7 @@ def _share(value: float) -> str:
 def _power_words(data: xr.Dataset) -> str:
     if "radial_power" not in data:
         return f"n = {data.attrs['n']}"
-    low, high = (int(data.attrs["n"]) * float(data["radial_power"].values[i]) for i in (0, -1))
+    low, high = (_points(data) * float(data["radial_power"].values[i]) for i in (0, -1))
     return f"{number(low)} at the lowest and {number(high)} at the highest frequencies"
 
 
