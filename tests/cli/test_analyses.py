@@ -460,3 +460,13 @@ def test_errors_name_options_and_verbs_as_they_are_typed(run):
         mcs.core.errors.BudgetError, match=r"^variance_terms takes .*max_evaluations is"
     ):
         mcs.variance_terms("gaussian", "random", 64, max_evaluations=100)
+
+
+def test_the_picture_is_that_of_the_view(run, tmp_path):
+    radial = ("spectrum", "jittered", "-n", 16, "--dims", 2, "--realizations", 5)
+    assert run(*radial, "--show", "radial", "-o", tmp_path / "radial.svg")[0] == 0
+    assert "|m| / √n" in (tmp_path / "radial.svg").read_text("utf-8")
+    matrix = ("variance", "gaussian", "--dims", 1, "--sampler", "jittered", "-n", 16)
+    matrix += ("--half-width", 2, "--realizations", 20, "--cross-matrix")
+    assert run(*matrix, "-o", tmp_path / "matrix.svg")[0] == 0
+    assert "imaginary: jittered" in (tmp_path / "matrix.svg").read_text("utf-8")

@@ -285,7 +285,7 @@ def test_half_widths_that_differ_keep_their_own_limits(make, kind):
 def test_cross_matrix__large_ones_are_cut_far_from_dc():
     m = np.arange(300)
     matrix = xr.DataArray(np.eye(300, dtype=complex), {"m": m, "l": m}, ("m", "l"))
-    data = xr.Dataset({"cross_matrix": matrix}, attrs={"basis": "cosine"})
+    data = xr.Dataset({"cross_matrix": matrix}, {"m0": m}, attrs={"basis": "cosine"})
     first, _ = describe("cross-matrix", {"x": data}).panels
     assert (first.x.low, first.x.high) == (-0.5, 256.5)
 
@@ -608,3 +608,14 @@ def test_a_bench_has_all_the_plots_that_it_lists():
     assert {"spectrum", "radial", "pair-correlation", "points"} <= set(bench.mcspectra.kinds)
     for kind in bench.mcspectra.kinds:
         drawn_by_both(describe(kind, bench))
+
+
+def test_a_result_with_its_cross_matrix_is_drawn_as_the_matrix(make):
+    data = make["terms"](matrix=True, half_width=2, realizations=20)
+    assert kinds_of(data)[0] == "cross-matrix"
+    plane = mcs.variance_terms(
+        "gaussian", "jittered", 16, half_width=1, realizations=20, cross_matrix=True
+    )
+    assert kinds_of(plane)[0] == "terms"
+    with pytest.raises(ParameterError, match="2 frequency dims; the plot 'cross-matrix' shows 1"):
+        describe("cross-matrix", {"x": plane})

@@ -184,7 +184,7 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
             given = {"realizations": len(sets), **given}
         result = compute(analysis(**given), subject, options.seed or 0)
         for file in options.out:
-            write_result_file(result, file, f"mcspectra {analysis.command()}")
+            write_result_file(result, file, f"mcspectra {analysis.command()}", view)
         shown = views[view](result)
         return Answer(shown.text, {**data_of(result), **shown.data})
 

@@ -155,11 +155,11 @@ def _places(values: xr.DataArray, dim: Any) -> tuple[Array, Mapping[float, str] 
 
 KINDS: Mapping[str, Kind] = {
     "convergence": Kind(variance.convergence, ("n", "variance", "variance_ci", "mean", "rate", "rate_ci")),
+    "cross-matrix": Kind(spectra.cross_matrix, ("cross_matrix",), 1),
     "terms": Kind(variance.terms, ("dc_term", "power_term", "cross_term", "predicted_variance_ci", "measured_variance_ci")),
     "captured": Kind(variance.captured, ("captured_by_half_width",)),
     "contributions": Kind(spectra.contributions, ("contribution", "power_contribution")),
     "bands": Kind(spectra.bands, ("band_covariance",)),
-    "cross-matrix": Kind(spectra.cross_matrix, ("cross_matrix",)),
     "spectrum": Kind(spectra.spectrum, ("power",), 2),
     "lines": Kind(spectra.lines, ("power",), 1),
     "radial": Kind(spectra.radial, ("power", "radial_power")),
@@ -218,9 +218,10 @@ def describe(kind: str, data: Data, styles: Styles | None = None) -> Plot:
                 f"analysis that the plot {shown(kind)} shows."
             )
         if not chosen.fits(each):
+            other = "'radial'" if "power" in chosen.variables else "'contributions'"
             raise ParameterError(
-                f"The spectrum of {shown(name)} has {len(frequency_dims(each))} frequency dims; the plot "
-                f"{shown(kind)} shows {chosen.dims}: use 'radial' for any number of dims."
+                f"The result for {shown(name)} has {len(frequency_dims(each))} frequency dims; the plot "
+                f"{shown(kind)} shows {chosen.dims}: use {other} for any number of dims."
             )
     plot = chosen.describe(group, styles or sampler_styles(list(group)))
     plot = replace(plot, kind=kind)

@@ -67,7 +67,7 @@ def check_result_file(file: str, known: tuple[str, ...] = RESULT_FILES) -> None:
         html.check_page_packages()
 
 
-def write_result_file(result: xr.Dataset, file: str, title: str) -> None:
+def write_result_file(result: xr.Dataset, file: str, title: str, kind: str = "") -> None:
     """Write the result of an analysis in the format of the file's extension.
 
     Parameters
@@ -79,6 +79,8 @@ def write_result_file(result: xr.Dataset, file: str, title: str) -> None:
         first kind of plot that shows the result, ``.html`` a page.
     title
         Of the page.
+    kind
+        Kind of plot of a picture, used if it shows the result.
 
     Raises
     ------
@@ -110,7 +112,9 @@ def write_result_file(result: xr.Dataset, file: str, title: str) -> None:
                         Parameter("out"),
                         f" is {file!r}; no picture shows this result, give a .npz file.",
                     )
-                backend_matplotlib.write(describe(kinds[0], result), file)
+                backend_matplotlib.write(
+                    describe(kind if kind in kinds else kinds[0], result), file
+                )
 
 
 def result_table(
