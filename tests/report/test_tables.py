@@ -5,6 +5,7 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.report import summary_table, terms_table
+from mcspectra.report.page import markup
 from mcspectra.report.sentences import bottleneck
 from mcspectra.studies import SummaryRow
 
@@ -169,3 +170,10 @@ def test_bottleneck__where_half_of_the_power_term_lies():
     )
     walsh = msgspec.structs.replace(row, basis="walsh")
     assert bottleneck(walsh, high) == "detail at frequencies where the sampler is noisy"
+
+
+def test_bottlenecks_are_written_to_pages_without_escapes():
+    text = bottleneck(msgspec.structs.replace(FULL, terms_n=8), terms([0, 0, 0, 5, 9, 5, 0, 0, 1]))
+    plain = text.replace("\u00a0", " ")
+    assert markup("{}", text) == plain
+    assert markup("{}", f"\u202e{text}") == rf"\u202e{plain}"

@@ -415,15 +415,19 @@ def write_json(file: Path, value: Any) -> None:
         file.write_text(text + "\n", encoding="utf-8")
 
 
+_JOINER = "\u2060"  # has no width, and keeps a browser from breaking a line
+
+
 def markup(template: str, *texts: object) -> Markup:
     """Return a template of ours whose ``{}`` are replaced by texts of others, printable and escaped."""
     return Markup(template).format(*map(_shown, texts))
 
 
 def _shown(value: Any) -> Any:
-    """Text of others without controls; markup stays."""
-    is_text = isinstance(value, str) and not hasattr(value, "__html__")
-    return printable(value, lines=True) if is_text else value
+    """Text of others without controls; markup stays, and so do word joiners of our own sentences."""
+    if not isinstance(value, str) or hasattr(value, "__html__"):
+        return value
+    return _JOINER.join(printable(part, lines=True) for part in value.split(_JOINER))
 
 
 def _figures_in(blocks: Iterable[Block]) -> Iterable[Figure]:
