@@ -14,7 +14,6 @@ from mcspectra.core.errors import StoreError
 from mcspectra.plots import backend_matplotlib
 from mcspectra.plots.description import Axis, Line, Panel, Plot
 from mcspectra.report.page import (
-    Cell,
     Facts,
     Figure,
     Figures,
@@ -24,6 +23,7 @@ from mcspectra.report.page import (
     Section,
     Sentences,
     Table,
+    TableCell,
     Text,
     anchors,
     columns_of,
@@ -46,11 +46,15 @@ def page(evil=EVIL, live=False):
         caption=evil,
         columns=("Name", "Value", "Why"),
         rows=(
-            (Cell(text=evil, link="#a"), Cell(text="1.0", order=1.0), Cell(text="–", why=evil)),
             (
-                Cell(text="b", numeric=False),
-                Cell(text="2", order=2.0),
-                Cell(text="agrees", mark="yes"),
+                TableCell(text=evil, link="#a"),
+                TableCell(text="1.0", order=1.0),
+                TableCell(text="–", why=evil),
+            ),
+            (
+                TableCell(text="b", numeric=False),
+                TableCell(text="2", order=2.0),
+                TableCell(text="agrees", mark="yes"),
             ),
         ),
         sortable=True,

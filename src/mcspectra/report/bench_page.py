@@ -264,11 +264,11 @@ def _page(bench: xr.Dataset, cards: Sequence[Card]) -> html.Page:
     names = _labels(bench)
     anchors = html.anchors(names, "s-")
     linked = [
-        html.Cell(text=name, numeric=False, link=f"#{anchor}" if cards else "")
+        html.TableCell(text=name, numeric=False, link=f"#{anchor}" if cards else "")
         for name, anchor in zip(names, anchors, strict=True)
     ]
 
-    def cells(rows: Iterable[Iterable[tuple[str, float]]]) -> list[list[str | html.Cell]]:
+    def cells(rows: Iterable[Iterable[tuple[str, float]]]) -> list[list[str | html.TableCell]]:
         """Rows of samplers, which can be sorted by their numbers."""
         return [
             [name, *(html.number_cell(text, value) for text, value in row)]
@@ -277,7 +277,7 @@ def _page(bench: xr.Dataset, cards: Sequence[Card]) -> html.Page:
 
     heads, own = _sampler_table(bench)
     columns, shown = bench_table(bench)
-    rates: Sequence[Sequence[str | html.Cell]] = shown
+    rates: Sequence[Sequence[str | html.TableCell]] = shown
     if by_sampler := columns[0] == "Sampler":
         values = bench["rate"].transpose("sampler", "integrand").values.tolist()
         rates = cells(

@@ -184,7 +184,7 @@ def _side_by_side(first: Curves, second: Curves) -> Iterator[html.Block]:
 
 def _row(
     pair: tuple[str, str], first: xr.Dataset, second: xr.Dataset
-) -> tuple[str | html.Cell, ...]:
+) -> tuple[str | html.TableCell, ...]:
     cell = partial(html.number_cell, why="the two have no such number in common")
     found = compare_curves(first, second)
     variances = [

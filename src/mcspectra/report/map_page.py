@@ -168,7 +168,7 @@ def map_table(summary: Mapping[str, Any]) -> html.Table:
 
 def _worst_row(
     pixel: Mapping[str, Any], known: Mapping[str, Any], root: Path
-) -> tuple[html.Cell | str, ...]:
+) -> tuple[html.TableCell | str, ...]:
     """A pixel with the command that explains it, and a link to its page where that was run."""
     x, y = pixel["x"], pixel["y"]
     page = f"pixel-{x}-{y}/report.html"
@@ -185,10 +185,12 @@ def _worst_row(
         command = MISSING
         why = "The scene is no file, or the map's pixels are not those of its film."
     return (
-        html.Cell(text=f"({x}, {y})", numeric=False, link=page if (root / page).is_file() else ""),
+        html.TableCell(
+            text=f"({x}, {y})", numeric=False, link=page if (root / page).is_file() else ""
+        ),
         number(pixel["variance"]),
         percent(pixel["share"]),
-        html.Cell(text=command, why=why, numeric=False),
+        html.TableCell(text=command, why=why, numeric=False),
     )
 
 

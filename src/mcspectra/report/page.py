@@ -30,7 +30,6 @@ from mcspectra.plots.text import MISSING, slug
 
 __all__ = [
     "Block",
-    "Cell",
     "Facts",
     "Figure",
     "Figures",
@@ -40,6 +39,7 @@ __all__ = [
     "Section",
     "Sentences",
     "Table",
+    "TableCell",
     "Text",
     "anchors",
     "check_page_packages",
@@ -100,7 +100,7 @@ class Sentences:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Cell:
+class TableCell:
     """Text of a cell.
 
     Attributes
@@ -140,7 +140,7 @@ class Table:
 
     caption: str
     columns: tuple[str, ...]
-    rows: tuple[tuple[Cell, ...], ...]
+    rows: tuple[tuple[TableCell, ...], ...]
     heads: int = 1
     sortable: bool = False
     stacked: bool = False
@@ -238,17 +238,17 @@ def anchors(names: Iterable[str], head: str = "") -> list[str]:
     return found
 
 
-def number_cell(text: str, order: float | None = None, *, why: str = "") -> Cell:
+def number_cell(text: str, order: float | None = None, *, why: str = "") -> TableCell:
     """Return the cell of a number: why there is none where there is none, and what it is sorted by."""
     known = order is not None and math.isfinite(order)
     why = why if text.startswith(MISSING) else ""
-    return Cell(text=text, why=why, order=order if known else None)
+    return TableCell(text=text, why=why, order=order if known else None)
 
 
 def table_of(
     caption: str,
     columns: Sequence[str],
-    rows: Iterable[Sequence[str | Cell]],
+    rows: Iterable[Sequence[str | TableCell]],
     *,
     words: Iterable[int] = (0,),
     **options: Any,
@@ -260,7 +260,7 @@ def table_of(
     places = {place % len(columns) for place in words}
     cells = tuple(
         tuple(
-            each if isinstance(each, Cell) else Cell(text=each, numeric=k not in places)
+            each if isinstance(each, TableCell) else TableCell(text=each, numeric=k not in places)
             for k, each in enumerate(row)
         )
         for row in rows

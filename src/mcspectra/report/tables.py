@@ -23,7 +23,7 @@ from mcspectra.plots.text import (
     rate,
     with_error,
 )
-from mcspectra.report.page import Cell, Table, number_cell, table_of
+from mcspectra.report.page import Table, TableCell, number_cell, table_of
 from mcspectra.report.sentences import basis_name, bottleneck, headline
 from mcspectra.studies import SummaryRow
 
@@ -37,7 +37,7 @@ _NO_NUMBER = "there is no finite number"
 _ROW = "a row of mcspectra.studies.summarize"
 _DRAWN = ("convergence", "terms", "spectrum", "points", "pcf")  # have figures, and the main tables
 
-Rows = Iterator[Sequence[str | Cell]]
+Rows = Iterator[Sequence[str | TableCell]]
 Analyses = Mapping[str, Any]
 
 
@@ -84,7 +84,7 @@ def summary_table(
         limit = bottleneck(row, terms, slow)
         cells.append(
             (
-                Cell(text=row.estimator, numeric=False, link=link),
+                TableCell(text=row.estimator, numeric=False, link=link),
                 row.sampler,
                 number_cell(
                     rate(row.rate, row.rate_low, row.rate_high),
@@ -95,7 +95,7 @@ def summary_table(
                 number_cell(
                     f"{predicted} ({method})" if method else predicted, row.ratio, why=no_term
                 ),
-                Cell(text=limit or MISSING, why="" if limit else no_term, numeric=False),
+                TableCell(text=limit or MISSING, why="" if limit else no_term, numeric=False),
                 headline(row, terms, len(rows)),
             )
         )
@@ -247,7 +247,7 @@ def _predict(sampler: str, data: xr.Dataset) -> Rows:
             yield (
                 sampler,
                 str(n),
-                Cell(text=number(value, 6 if certain else 3), why=why),
+                TableCell(text=number(value, 6 if certain else 3), why=why),
                 interval(low, high),
                 method_of(one),
                 *rates,

@@ -353,7 +353,7 @@ def _section(entry: Entry) -> html.Section:
         rows = []
         for each in entry.findings:
             sign, mark = _SIGNS[each.agrees]
-            verdict = html.Cell(text=sign, numeric=False, mark=mark)
+            verdict = html.TableCell(text=sign, numeric=False, mark=mark)
             rows.append((each.statement, verdict, each.expected, *measured_text(each), each.note))
         blocks.append(html.table_of("", columns, rows, words=(0, -1), stacked=True))
     wrong = any(finding.agrees is False for finding in entry.findings)
