@@ -14,7 +14,7 @@ from mcspectra.core.errors import StoreError
 from mcspectra.plots import backend_matplotlib
 from mcspectra.plots.description import Axis, Line, Panel, Plot
 from mcspectra.report.page import (
-    Facts,
+    FactList,
     Figure,
     Figures,
     Folded,
@@ -66,7 +66,7 @@ def page(evil=EVIL, live=False):
         Text(text=evil, kind="quote"),
         Text(text=evil, kind="code"),
         Text(text=Markup("<math><mi>x</mi></math>"), kind="formula"),
-        Facts(rows=((evil, evil),), code=True),
+        FactList(rows=((evil, evil),), code=True),
         Sentences(rows=((evil, evil),)),
         table,
         Folded(summary=evil, blocks=(Figures(figures=(Figure(plot=plot(evil), name="folded"),)),)),

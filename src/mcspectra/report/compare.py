@@ -112,7 +112,7 @@ def _written(folders: list[Path], file: Path, second: str) -> Path:
     for letter, tree, folder in zip("AB", trees, folders, strict=True):
         origins += [
             html.Text(text=letter, kind="heading"),
-            html.Facts(rows=provenance(tree, folder)),
+            html.FactList(rows=provenance(tree, folder)),
         ]
     titles = [str((tree.attrs.get("study") or {}).get("title", "Results")) for tree in trees]
     named = [
@@ -123,11 +123,11 @@ def _written(folders: list[Path], file: Path, second: str) -> Path:
     page = html.Page(
         title="Comparison",
         what=f"comparison of {titles[0]} and {titles[1]}",
-        lead=(html.Facts(rows=tuple(facts)),),
+        lead=(html.FactList(rows=tuple(facts)),),
         sections=html.sections_of(
             {
                 "Side by side": tuple(_side_by_side(*curves)),
-                "Provenance": (*origins, html.Facts(rows=(("To redo it", command),), code=True)),
+                "Provenance": (*origins, html.FactList(rows=(("To redo it", command),), code=True)),
             }
         ),
     )

@@ -30,7 +30,7 @@ from mcspectra.plots.text import MISSING, slug
 
 __all__ = [
     "Block",
-    "Facts",
+    "FactList",
     "Figure",
     "Figures",
     "Folded",
@@ -83,7 +83,7 @@ class Text:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Facts:
+class FactList:
     """Names and what is known of them, as a list; `code` sets the texts in a fixed width."""
 
     rows: tuple[tuple[str, str | Markup], ...]
@@ -186,7 +186,7 @@ class Folded:
     blocks: tuple[Block, ...]
 
 
-Block: TypeAlias = Text | Facts | Sentences | Table | Figures | Folded
+Block: TypeAlias = Text | FactList | Sentences | Table | Figures | Folded
 
 
 @final
@@ -278,10 +278,10 @@ def sections_of(blocks: Mapping[str, Sequence[Block]]) -> tuple[Section, ...]:
 
 def provenance(
     facts: Iterable[tuple[str, str]], attributes: Mapping[Any, Any], *, code: bool = False
-) -> tuple[Facts]:
+) -> tuple[FactList]:
     """Return where a result comes from: facts, and the versions that its attributes name."""
     own = ("versions" if code else "Versions", versions_of(attributes))
-    return (Facts(rows=(*facts, own), code=code),)
+    return (FactList(rows=(*facts, own), code=code),)
 
 
 def columns_of(table: Table, names: Sequence[str]) -> Table:

@@ -116,7 +116,7 @@ def write_pixel(tree: xr.DataTree, folder: str | Path) -> Path:
     about = tuple((name.capitalize(), text) for name, text in about_pixel(tree))
     said = tuple((name[:1].upper() + name[1:], text) for name, text in pixel_sentences(tree))
     sees = (
-        html.Facts(rows=about),
+        html.FactList(rows=about),
         html.Text(text="Explanation", kind="heading"),
         html.Sentences(rows=said),
     )

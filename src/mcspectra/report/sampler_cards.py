@@ -330,7 +330,7 @@ def card_sections(cards: Sequence[Card], anchors: Sequence[str]) -> list[html.Se
         blocks: tuple[html.Block, ...] = (
             html.Text(text=card.facts.summary if card.facts else ""),
             *html.figures_of([_card_plot(card)]),
-            html.Facts(rows=tuple(facts)),
+            html.FactList(rows=tuple(facts)),
         )
         sections.append(html.Section(title=card.name, anchor=anchor, blocks=blocks, code=True))
     return sections

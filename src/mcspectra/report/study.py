@@ -188,7 +188,7 @@ def _written(root: Path, file: Path) -> Path:
         ("To write this page again", write),
     )
     origin = (
-        html.Facts(rows=facts),
+        html.FactList(rows=facts),
         html.Folded(summary="The study", blocks=(html.Text(text=text, kind="code"),)),
     )
     sections.append(html.Section(title="Provenance", anchor="provenance", blocks=origin))
@@ -327,7 +327,7 @@ def _summary(
         summary="How to read this",
         blocks=(
             html.Text(text=_HOW_TO_READ),
-            html.Facts(rows=_TERMS),
+            html.FactList(rows=_TERMS),
             html.Text(
                 text="The sum runs over frequencies up to a half width, so it predicts only a part of the "
                 "variance: the ratio predicted / measured says which. All intervals are 95 %."
@@ -393,7 +393,7 @@ def _estimator(
     """Sentences, the figures that say most, tables; all else is folded."""
     if each.spec:
         spec = html.markup("<code>{}</code>", each.spec)
-        yield html.Facts(rows=(("Integrand / density", spec),))
+        yield html.FactList(rows=(("Integrand / density", spec),))
 
     # Sentences about each sampler, and analyses that some samplers lack
     sentences = []
@@ -450,7 +450,7 @@ def _estimator(
     for summary, figures in details.items():
         if figures:
             yield html.Folded(summary=summary, blocks=(html.Figures(figures=tuple(figures)),))
-    yield html.Folded(summary="Settings", blocks=(html.Facts(rows=tuple(_settings(each))),))
+    yield html.Folded(summary="Settings", blocks=(html.FactList(rows=tuple(_settings(each))),))
     for place in dict.fromkeys(linked.values()):
         what = " and ".join(
             "pair correlation" if a == "pcf" else a for a in linked if linked[a] == place

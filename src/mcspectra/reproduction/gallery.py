@@ -306,7 +306,7 @@ def _page(entries: Sequence[Entry], command: str, quick: bool, seed: int) -> htm
         except importlib.metadata.PackageNotFoundError:
             versions[name] = "not installed"
     facts = {"Command": command, "Seed": str(seed), "Quality": "quick" if quick else "full"}
-    how = html.Facts(rows=tuple((facts | versions).items()), code=True)
+    how = html.FactList(rows=tuple((facts | versions).items()), code=True)
     return html.Page(
         title="The slides, reproduced",
         what="gallery",
