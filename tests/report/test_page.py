@@ -20,11 +20,11 @@ from mcspectra.report.page import (
     Folded,
     Markup,
     Page,
+    Paragraph,
     Section,
     Sentences,
     Table,
     TableCell,
-    Text,
     anchors,
     columns_of,
     table_of,
@@ -61,11 +61,11 @@ def page(evil=EVIL, live=False):
         stacked=True,
     )
     blocks = (
-        Text(text=evil),
-        Text(text=evil, kind="heading"),
-        Text(text=evil, kind="quote"),
-        Text(text=evil, kind="code"),
-        Text(text=Markup("<math><mi>x</mi></math>"), kind="formula"),
+        Paragraph(text=evil),
+        Paragraph(text=evil, kind="heading"),
+        Paragraph(text=evil, kind="quote"),
+        Paragraph(text=evil, kind="code"),
+        Paragraph(text=Markup("<math><mi>x</mi></math>"), kind="formula"),
         FactList(rows=((evil, evil),), code=True),
         Sentences(rows=((evil, evil),)),
         table,
@@ -73,10 +73,10 @@ def page(evil=EVIL, live=False):
         Figures(figures=(Figure(plot=plot(), name="a-line", live=live),)),
     )
     first = Section(title=evil, anchor="a", blocks=blocks, beside=evil, mark="no", fresh=True)
-    second = Section(title="b", anchor="b", blocks=(Text(text="b"),), code=True)
+    second = Section(title="b", anchor="b", blocks=(Paragraph(text="b"),), code=True)
     left_out = Section(title="c", anchor="c", blocks=())
     return Page(
-        title=evil, what="test", lead=(Text(text=evil),), sections=(first, second, left_out)
+        title=evil, what="test", lead=(Paragraph(text=evil),), sections=(first, second, left_out)
     )
 
 

@@ -17,7 +17,7 @@ from mcspectra.plots import backend_bokeh, backend_matplotlib
 from mcspectra.plots.text import number
 from mcspectra.report import study as module
 from mcspectra.report import write_report
-from mcspectra.report.page import Table, Text
+from mcspectra.report.page import Paragraph, Table
 from mcspectra.report.study import study_toml
 from mcspectra.studies import StudyStatus, open_results
 from mcspectra.studies.files import decode_study, plain_study
@@ -268,7 +268,7 @@ def lacking(failed, missing=()):
 def gaps():
     """Sentence and table of what a study lacks."""
     _, sentence, table = module._gaps(Path(), ASKED)
-    assert isinstance(sentence, Text)
+    assert isinstance(sentence, Paragraph)
     assert isinstance(table, Table)
     return str(sentence.text), table
 
@@ -302,7 +302,7 @@ def test_analyses_of_one_reason_share_a_row(monkeypatch):
 def test_only_missing_ones_need_no_retry(monkeypatch):
     monkeypatch.setattr(module, "study_status", lambda _: lacking({}, ("e/shift/terms",)))
     (_, sentence, _) = module._gaps(Path(), ASKED)
-    assert isinstance(sentence, Text)
+    assert isinstance(sentence, Paragraph)
     assert "--resume" in sentence.text
     assert "--retry" not in sentence.text
 

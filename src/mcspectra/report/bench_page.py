@@ -298,7 +298,7 @@ def _page(bench: xr.Dataset, cards: Sequence[Card]) -> html.Page:
         sections.append(html.Section(title=title, anchor=f"part-{k}", blocks=blocks))
     if cards:
         sections += card_sections(cards, anchors)
-    lead = tuple(html.Text(text=sentence) for sentence in _said(bench))
+    lead = tuple(html.Paragraph(text=sentence) for sentence in _said(bench))
     return html.Page(title="Sampler bench", what="bench", lead=lead, sections=tuple(sections))
 
 

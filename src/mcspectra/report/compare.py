@@ -111,7 +111,7 @@ def _written(folders: list[Path], file: Path, second: str) -> Path:
     origins: list[html.Block] = []
     for letter, tree, folder in zip("AB", trees, folders, strict=True):
         origins += [
-            html.Text(text=letter, kind="heading"),
+            html.Paragraph(text=letter, kind="heading"),
             html.FactList(rows=provenance(tree, folder)),
         ]
     titles = [str((tree.attrs.get("study") or {}).get("title", "Results")) for tree in trees]
@@ -160,7 +160,7 @@ def _side_by_side(first: Curves, second: Curves) -> Iterator[html.Block]:
             sortable=True,
         )
     else:
-        yield html.Text(text="No estimator and sampler has a convergence in both.")
+        yield html.Paragraph(text="No estimator and sampler has a convergence in both.")
     plots = []
     for estimator in dict.fromkeys(name for name, _ in both):
         overlay = {
@@ -179,7 +179,7 @@ def _side_by_side(first: Curves, second: Curves) -> Iterator[html.Block]:
             if (estimator, sampler) not in both
         ]
         if lines:
-            yield html.Text(text=f"Only in {letter}: {'; '.join(lines)}.")
+            yield html.Paragraph(text=f"Only in {letter}: {'; '.join(lines)}.")
 
 
 def _row(

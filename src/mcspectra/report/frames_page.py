@@ -280,10 +280,10 @@ def write_frames(result: xr.Dataset, folder: str | Path) -> Path:
     page = html.Page(
         title=f"Noise of {Path(found['frames']).name}",
         what="frames",
-        lead=tuple(html.Text(text=text) for text in said[:1]),
+        lead=tuple(html.Paragraph(text=text) for text in said[:1]),
         sections=html.sections_of(
             {
-                "Summary": (frame_table(found), *(html.Text(text=text) for text in said[1:])),
+                "Summary": (frame_table(found), *(html.Paragraph(text=text) for text in said[1:])),
                 "Pixels": html.figures_of(plots),
                 "Provenance": html.provenance(facts, result.attrs),
             }

@@ -113,7 +113,7 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
         f"{width} × {height} pixels from ({x0}, {y0}), sampler {known['sampler']}, n = {counts} {each}, "
         f"{known['realizations']} realizations, {known['points']} points."
     )
-    sentences = tuple(html.Text(text=text) for text in _sentences(summary))
+    sentences = tuple(html.Paragraph(text=text) for text in _sentences(summary))
     last = str(result["strategy"].values[-1])
     first = f" by {result['sampler'].values[0]}" if "sampler" in result.dims else ""
     worst = html.table_of(
@@ -142,8 +142,8 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
         title=f"Variance map of {Path(known['scene']).name}",
         what="map",
         lead=(
-            *([html.Text(text=summary["answer"])] if "answer" in summary else []),
-            html.Text(text=settings, kind="soft"),
+            *([html.Paragraph(text=summary["answer"])] if "answer" in summary else []),
+            html.Paragraph(text=settings, kind="soft"),
         ),
         sections=html.sections_of(
             {

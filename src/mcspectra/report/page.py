@@ -36,11 +36,11 @@ __all__ = [
     "Folded",
     "Markup",
     "Page",
+    "Paragraph",
     "Section",
     "Sentences",
     "Table",
     "TableCell",
-    "Text",
     "anchors",
     "check_page_packages",
     "columns_of",
@@ -74,7 +74,7 @@ class Markup(str):
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Text:
+class Paragraph:
     """A paragraph, a heading within a section, a quotation, code, or a formula as MathML."""
 
     text: str | Markup
@@ -186,7 +186,7 @@ class Folded:
     blocks: tuple[Block, ...]
 
 
-Block: TypeAlias = Text | FactList | Sentences | Table | Figures | Folded
+Block: TypeAlias = Paragraph | FactList | Sentences | Table | Figures | Folded
 
 
 @final

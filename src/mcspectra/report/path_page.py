@@ -299,7 +299,7 @@ def write_path(tree: xr.DataTree, folder: str | Path) -> Path:
             if one["kind"].item() in _CHARGED
         ]
         costs += [each.split(": ", 1) for each in json.loads(found.attrs["not_tried"])]
-        about = html.Text(text=_ABOUT_CHARGED, kind="soft")
+        about = html.Paragraph(text=_ABOUT_CHARGED, kind="soft")
         blocks = remedies_blocks(found, str(known["sampler"]))
         sections["Remedies"] = (*blocks, about, html.Sentences(rows=tuple(costs)))
     facts = (
@@ -312,7 +312,7 @@ def write_path(tree: xr.DataTree, folder: str | Path) -> Path:
     page = html.Page(
         title=f"Pixel ({known['x']}, {known['y']}) of {Path(known['scene']).name}: whole paths",
         what="pixel",
-        lead=(html.Text(text=path_answer(tree)), html.Text(text=settings, kind="soft")),
+        lead=(html.Paragraph(text=path_answer(tree)), html.Paragraph(text=settings, kind="soft")),
         sections=html.sections_of(sections),
     )
     return html.write_page(page, root / "report.html", root / "figures")

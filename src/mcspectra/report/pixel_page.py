@@ -117,13 +117,13 @@ def write_pixel(tree: xr.DataTree, folder: str | Path) -> Path:
     said = tuple((name[:1].upper() + name[1:], text) for name, text in pixel_sentences(tree))
     sees = (
         html.FactList(rows=about),
-        html.Text(text="Explanation", kind="heading"),
+        html.Paragraph(text="Explanation", kind="heading"),
         html.Sentences(rows=said),
     )
     page = html.Page(
         title=f"Pixel ({known['x']}, {known['y']}) of {Path(known['scene']).name}",
         what="pixel",
-        lead=(html.Text(text=pixel_answer(tree)), html.Text(text=settings, kind="soft")),
+        lead=(html.Paragraph(text=pixel_answer(tree)), html.Paragraph(text=settings, kind="soft")),
         sections=html.sections_of(
             {
                 "What it sees": sees,
@@ -370,7 +370,7 @@ def _sections(tree: xr.DataTree) -> Iterator[tuple[str, tuple[html.Block, ...]]]
     where = f"At n = {first['n']} with {known['sampler']}, {basis_name(first['basis'])} basis."
     bars = replace(bars, caption=f"{bars.caption} {where}")
     figures = html.figures_of({"terms": bars, "captured": shares})
-    yield "Three terms", (html.Text(text=_ABOUT_TERMS), table, *figures)
+    yield "Three terms", (html.Paragraph(text=_ABOUT_TERMS), table, *figures)
 
     # Integrands on the square, and the light that arrives
     if "pictures" in tree.children:
@@ -408,7 +408,7 @@ def _sections(tree: xr.DataTree) -> Iterator[tuple[str, tuple[html.Block, ...]]]
         ("Technique", "Rate", "Variance", "Part of all"),
         rows,
     )
-    yield "Bottleneck", (html.Text(text=bottleneck_sentence(tree)), table)
+    yield "Bottleneck", (html.Paragraph(text=bottleneck_sentence(tree)), table)
 
     # Remedies
     if "remedies" in tree.children:
@@ -430,6 +430,6 @@ def remedies_blocks(found: xr.Dataset, sampler: str) -> tuple[html.Block, ...]:
     made = analysis_table("remedies", {sampler: found})
     assert made is not None
     table = html.columns_of(made[1], made[1].columns[1:])
-    text = html.Text(text=found.attrs["answer"])
+    text = html.Paragraph(text=found.attrs["answer"])
     figures = html.figures_of({"remedies": describe("remedies", found)})
     return (text, table, *figures)

@@ -259,7 +259,7 @@ def write_result(result: xr.Dataset, out: str | Path, title: str = "Result") -> 
     page = html.Page(
         title=f"{title}: {about}" if about else title,
         what="result",
-        lead=tuple(html.Text(text=sentence) for sentence in said),
+        lead=tuple(html.Paragraph(text=sentence) for sentence in said),
         sections=html.sections_of(parts),
     )
     return html.write_page(page, Path(out))

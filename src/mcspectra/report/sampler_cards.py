@@ -328,7 +328,7 @@ def card_sections(cards: Sequence[Card], anchors: Sequence[str]) -> list[html.Se
             text = ADDRESS.sub(r'<a href="\g<0>">\g<0></a>', escape_html(value))
             facts.append((name, html.Markup(text)))
         blocks: tuple[html.Block, ...] = (
-            html.Text(text=card.facts.summary if card.facts else ""),
+            html.Paragraph(text=card.facts.summary if card.facts else ""),
             *html.figures_of([_card_plot(card)]),
             html.FactList(rows=tuple(facts)),
         )

@@ -189,7 +189,7 @@ def _written(root: Path, file: Path) -> Path:
     )
     origin = (
         html.FactList(rows=facts),
-        html.Folded(summary="The study", blocks=(html.Text(text=text, kind="code"),)),
+        html.Folded(summary="The study", blocks=(html.Paragraph(text=text, kind="code"),)),
     )
     sections.append(html.Section(title="Provenance", anchor="provenance", blocks=origin))
     absent = len(asked) - len(estimates)
@@ -202,7 +202,7 @@ def _written(root: Path, file: Path) -> Path:
     page = html.Page(
         title=study.get("title", "Results"),
         what="report",
-        lead=(*_answers(estimates), html.Text(text=lead, kind="soft")),
+        lead=(*_answers(estimates), html.Paragraph(text=lead, kind="soft")),
         sections=tuple(sections),
     )
     figures = file.parent / "figures"
@@ -309,7 +309,7 @@ def _summary(
     if rows:
         summary, analyses, links = zip(*rows, strict=True)
         yield summary_table(summary, analyses=analyses, links=links)
-        yield html.Text(
+        yield html.Paragraph(
             text=Markup(
                 "A dash stands where there is no number; its tooltip says why. <span "
                 'class="scripted">A click on a head sorts by it. In the figures the pointer shows exact '
@@ -318,17 +318,17 @@ def _summary(
             kind="soft",
         )
     elif any_results:
-        yield html.Text(
+        yield html.Paragraph(
             text="This study has neither convergence nor terms; its other results follow."
         )
     else:
-        yield html.Text(text="There are no results yet.")
+        yield html.Paragraph(text="There are no results yet.")
     yield html.Folded(
         summary="How to read this",
         blocks=(
-            html.Text(text=_HOW_TO_READ),
+            html.Paragraph(text=_HOW_TO_READ),
             html.FactList(rows=_TERMS),
-            html.Text(
+            html.Paragraph(
                 text="The sum runs over frequencies up to a half width, so it predicts only a part of the "
                 "variance: the ratio predicted / measured says which. All intervals are 95 %."
             ),
@@ -347,12 +347,12 @@ def _stored(names: Iterable[str]) -> dict[str, str]:
 
 def _gaps(root: Path, asked: Mapping[str, Sequence[str]]) -> Iterator[html.Block]:
     """What the study lacks: analyses that failed, with their reasons, and those not computed yet."""
-    heading = html.Text(text="What is missing", kind="heading")
+    heading = html.Paragraph(text="What is missing", kind="heading")
     try:
         status = study_status(root)
     except StoreError as error:  # a store alone, without its ledger, does not say which ones failed
         yield heading
-        yield html.Text(text=f"Whether analyses failed is unknown. {error}")
+        yield html.Paragraph(text=f"Whether analyses failed is unknown. {error}")
         return
     lacking = {**dict.fromkeys(status.missing, _NOT_DONE), **status.failed}
     if not lacking:
@@ -361,7 +361,7 @@ def _gaps(root: Path, asked: Mapping[str, Sequence[str]]) -> Iterator[html.Block
     counts = [f"{k} {what}" for k, what in ((failed, "failed"), (missing, _NOT_DONE)) if k]
     again = "--resume --retry tries" if failed else "--resume computes"
     yield heading
-    yield html.Text(
+    yield html.Paragraph(
         text=f"Of {len(status.done) + failed + missing} analyses, {' and '.join(counts)}; mcspectra run "
         f"with {again} them. All others are here."
     )
@@ -409,7 +409,9 @@ def _estimator(
     for analysis, found in each.analyses.items():
         lacking = [sampler for sampler in each.rows if sampler not in found]
         if lacking:
-            yield html.Text(text=f"No {analysis} results for {', '.join(lacking)}.", kind="soft")
+            yield html.Paragraph(
+                text=f"No {analysis} results for {', '.join(lacking)}.", kind="soft"
+            )
 
     # Figures; those of samples that an estimator before has as well are linked
     shown: list[html.Figure] = []
@@ -443,7 +445,7 @@ def _estimator(
         if analysis in _FOLDED:
             yield html.Folded(summary=made[0], blocks=(made[1],))
         else:
-            yield html.Text(text=made[0], kind="heading")
+            yield html.Paragraph(text=made[0], kind="heading")
             yield made[1]
 
     # Details
@@ -456,7 +458,7 @@ def _estimator(
             "pair correlation" if a == "pcf" else a for a in linked if linked[a] == place
         )
         text = html.markup('The same samples as in <a href="#{}">{}</a>: see its {}.', *place, what)
-        yield html.Text(text=text, kind="soft")
+        yield html.Paragraph(text=text, kind="soft")
 
 
 def _with_predictions(

@@ -311,12 +311,12 @@ def _page(entries: Sequence[Entry], command: str, quick: bool, seed: int) -> htm
         title="The slides, reproduced",
         what="gallery",
         lead=(
-            html.Text(
+            html.Paragraph(
                 text="Every figure and statement of the slides of “Fourier Analysis of Correlated Monte Carlo "
                 "Importance Sampling” (Singh, Subr, Coeurjolly, Ostromoukhov, Jarosz), computed anew. "
                 f"{tally(entries)}."
             ),
-            html.Text(
+            html.Paragraph(
                 text=f"Intervals of findings are those at which {GALLERY_FINDINGS} true findings hold together with "
                 "95 % (each at 99.98 %, Šidák); those of plots are 95 %. A finding agrees where the expected value "
                 "lies in its interval, or within the tolerance that its note gives.",
@@ -332,17 +332,19 @@ def _page(entries: Sequence[Entry], command: str, quick: bool, seed: int) -> htm
 
 def _section(entry: Entry) -> html.Section:
     slide = slides()[entry.name]
-    blocks: list[html.Block] = [html.Text(text=f"mcspectra reproduce {entry.name}", kind="code")]
+    blocks: list[html.Block] = [
+        html.Paragraph(text=f"mcspectra reproduce {entry.name}", kind="code")
+    ]
     if entry.exhibit is None:
-        blocks.append(html.Text(text=f"✗ It could not be made: {entry.problem}"))
+        blocks.append(html.Paragraph(text=f"✗ It could not be made: {entry.problem}"))
     else:
-        blocks.append(html.Text(text=slide.slide, kind="quote"))
+        blocks.append(html.Paragraph(text=slide.slide, kind="quote"))
         if slide.formula:
             from latex2mathml.converter import convert
 
             formula = html.Markup(convert(" ".join(slide.formula.split()), display="block"))
-            blocks.append(html.Text(text=formula, kind="formula"))
-        blocks.append(html.Text(text=entry.exhibit.caption))
+            blocks.append(html.Paragraph(text=formula, kind="formula"))
+        blocks.append(html.Paragraph(text=entry.exhibit.caption))
         plots = {slug(plot.kind): plot for plot in entry.exhibit.plots}
         named = {
             kind if kind.startswith(entry.name) else f"{entry.name}-{kind}": plot
