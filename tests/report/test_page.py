@@ -14,10 +14,10 @@ from mcspectra.core.errors import StoreError
 from mcspectra.plots import backend_matplotlib
 from mcspectra.plots.description import Axis, Line, Panel, Plot
 from mcspectra.report.page import (
+    Collapsible,
     FactList,
     Figure,
     Figures,
-    Folded,
     Markup,
     Page,
     Paragraph,
@@ -69,7 +69,9 @@ def page(evil=EVIL, live=False):
         FactList(rows=((evil, evil),), code=True),
         Sentences(rows=((evil, evil),)),
         table,
-        Folded(summary=evil, blocks=(Figures(figures=(Figure(plot=plot(evil), name="folded"),)),)),
+        Collapsible(
+            summary=evil, blocks=(Figures(figures=(Figure(plot=plot(evil), name="folded"),)),)
+        ),
         Figures(figures=(Figure(plot=plot(), name="a-line", live=live),)),
     )
     first = Section(title=evil, anchor="a", blocks=blocks, beside=evil, mark="no", fresh=True)

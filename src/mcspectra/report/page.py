@@ -30,10 +30,10 @@ from mcspectra.plots.text import MISSING, slug
 
 __all__ = [
     "Block",
+    "Collapsible",
     "FactList",
     "Figure",
     "Figures",
-    "Folded",
     "Markup",
     "Page",
     "Paragraph",
@@ -179,14 +179,14 @@ class Figures:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Folded:
+class Collapsible:
     """What is shown on a click on its summary, and on paper."""
 
     summary: str
     blocks: tuple[Block, ...]
 
 
-Block: TypeAlias = Paragraph | FactList | Sentences | Table | Figures | Folded
+Block: TypeAlias = Paragraph | FactList | Sentences | Table | Figures | Collapsible
 
 
 @final
@@ -430,7 +430,7 @@ def _figures_in(blocks: Iterable[Block]) -> Iterable[Figure]:
     for block in blocks:
         if isinstance(block, Figures):
             yield from block.figures
-        elif isinstance(block, Folded):
+        elif isinstance(block, Collapsible):
             yield from _figures_in(block.blocks)
 
 

@@ -189,7 +189,7 @@ def _written(root: Path, file: Path) -> Path:
     )
     origin = (
         html.FactList(rows=facts),
-        html.Folded(summary="The study", blocks=(html.Paragraph(text=text, kind="code"),)),
+        html.Collapsible(summary="The study", blocks=(html.Paragraph(text=text, kind="code"),)),
     )
     sections.append(html.Section(title="Provenance", anchor="provenance", blocks=origin))
     absent = len(asked) - len(estimates)
@@ -295,7 +295,7 @@ def _answers(estimates: Sequence[Estimates]) -> Iterator[html.Block]:
         rows += [(each.name, str(text))] if text else []
     if rows:
         shown, few = html.Sentences(rows=tuple(rows)), len(rows) <= _MOST_ANSWERS
-        yield shown if few else html.Folded(summary="What to do", blocks=(shown,))
+        yield shown if few else html.Collapsible(summary="What to do", blocks=(shown,))
 
 
 def _allowed(study: str) -> str:
@@ -323,7 +323,7 @@ def _summary(
         )
     else:
         yield html.Paragraph(text="There are no results yet.")
-    yield html.Folded(
+    yield html.Collapsible(
         summary="How to read this",
         blocks=(
             html.Paragraph(text=_HOW_TO_READ),
@@ -437,13 +437,13 @@ def _estimator(
     # Tables
     terms = terms_table([row for rows in each.rows.values() for row in rows])
     if terms.rows:
-        yield html.Folded(summary="Three terms in numbers", blocks=(terms,))
+        yield html.Collapsible(summary="Three terms in numbers", blocks=(terms,))
     for analysis, found in each.analyses.items():
         made = analysis_table(analysis, found)
         if made is None:
             continue
         if analysis in _FOLDED:
-            yield html.Folded(summary=made[0], blocks=(made[1],))
+            yield html.Collapsible(summary=made[0], blocks=(made[1],))
         else:
             yield html.Paragraph(text=made[0], kind="heading")
             yield made[1]
@@ -451,8 +451,8 @@ def _estimator(
     # Details
     for summary, figures in details.items():
         if figures:
-            yield html.Folded(summary=summary, blocks=(html.Figures(figures=tuple(figures)),))
-    yield html.Folded(summary="Settings", blocks=(html.FactList(rows=tuple(_settings(each))),))
+            yield html.Collapsible(summary=summary, blocks=(html.Figures(figures=tuple(figures)),))
+    yield html.Collapsible(summary="Settings", blocks=(html.FactList(rows=tuple(_settings(each))),))
     for place in dict.fromkeys(linked.values()):
         what = " and ".join(
             "pair correlation" if a == "pcf" else a for a in linked if linked[a] == place
