@@ -20,7 +20,7 @@ from mcspectra.plots.description import (
     Axis,
     Bars,
     Dots,
-    Image,
+    Heatmap,
     Line,
     Panel,
     Pixels,
@@ -54,16 +54,16 @@ def marks(factor):
         "bars": Bars(at=X, value=y, color=PALETTE[2], hover=hover, texts=list("abcd"), **ends),
         "lying": Bars(at=X, value=y, color=PALETTE[:4], lying=True, texts=list("abcd"), **ends),
         "stems": Bars(at=X, value=y, color=PALETTE[2], thickness=0, hover=hover),
-        "image": Image(
+        "image": Heatmap(
             values=field, x=GRID, y=GRID, scale=scales.signed_scale("c", [field]), hover={"m": field}
         ),
-        "log image": Image(
+        "log image": Heatmap(
             values=np.abs(field), x=GRID, y=GRID, scale=scales.log_scale("power", 1e-3, 4.0 * factor)
         ),
-        "beyond": Image(
+        "beyond": Heatmap(
             values=field, x=GRID, y=GRID, scale=Scale(label="p", high=factor, beyond=True)
         ),
-        "names": Image(
+        "names": Heatmap(
             values=np.abs(field) // 1 % 2, x=GRID, y=GRID,
             scale=Scale(kind="names", names=("no", "yes"), colors=PALETTE[:2]),
         ),

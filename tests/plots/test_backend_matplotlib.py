@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from matplotlib.text import Text as MplText
-from PIL import Image as Picture
+from PIL import Heatmap as Picture
 
 from mcspectra.core.errors import FileFormatError, ParameterError
 from mcspectra.plots.backend_matplotlib import FORMATS, draw, encode, panel_axes, write
@@ -17,7 +17,7 @@ from mcspectra.plots.description import (
     Axis,
     Bars,
     Dots,
-    Image,
+    Heatmap,
     Line,
     Panel,
     Pixels,
@@ -120,7 +120,7 @@ def test_bars_without_thickness_are_stems(lying):
 def test_images_lie_where_their_cells_are(scale):
     values = field()
     values[0, 0] = math.nan
-    axes, figure = drawn(Image(values=values, x=GRID, y=GRID, scale=scale), square=True)
+    axes, figure = drawn(Heatmap(values=values, x=GRID, y=GRID, scale=scale), square=True)
     (image,) = axes.images
     assert image.get_extent() == [-3.5, 3.5, -3.5, 3.5]
     assert image.origin == "lower"
@@ -135,7 +135,7 @@ def test_images_lie_where_their_cells_are(scale):
 def test_a_signed_scale_has_half_a_decade_of_room_for_its_linear_part():
     """As `signed_place`, which bokeh draws."""
     scale = signed_scale("v", [np.array([1e-3, 1.0])])
-    axes, _ = drawn(Image(values=field(), x=GRID, y=GRID, scale=scale))
+    axes, _ = drawn(Heatmap(values=field(), x=GRID, y=GRID, scale=scale))
     norm = axes.images[0].norm
     top = 0.5 + math.log10(scale.high / scale.threshold)
     assert norm(scale.threshold) == pytest.approx(0.5 + 0.5 * 0.5 / top)
@@ -146,7 +146,7 @@ def test_names_of_a_scale_stand_in_the_legend():
     scale = Scale(kind="names", names=("no", "yes"), colors=("#0072B2", "#D55E00"))
     values = np.array([[0.0, 1.0], [math.nan, 0.0]])
     at = np.arange(2.0)
-    axes, figure = drawn(Image(values=values, x=at, y=at, scale=scale))
+    axes, figure = drawn(Heatmap(values=values, x=at, y=at, scale=scale))
     assert [t.get_text() for t in figure.legends[0].get_texts()] == ["no", "yes"]
     shown = axes.images[0].to_rgba(axes.images[0].get_array())
     assert mpl.colors.to_hex(shown[0, 1]).upper() == "#D55E00"
@@ -155,8 +155,8 @@ def test_names_of_a_scale_stand_in_the_legend():
 
 def test_one_bar_for_panels_of_one_scale_and_none_without_a_label():
     scale = Scale(label="v")
-    image = Image(values=field(), x=GRID, y=GRID, scale=scale)
-    bare = Image(values=field(), x=GRID, y=GRID, scale=Scale())
+    image = Heatmap(values=field(), x=GRID, y=GRID, scale=scale)
+    bare = Heatmap(values=field(), x=GRID, y=GRID, scale=Scale())
     figure = draw(
         plot(Panel(marks=(image,)), Panel(marks=(image,)), Panel(marks=(bare,)), columns=3)
     )

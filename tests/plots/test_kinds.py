@@ -13,7 +13,7 @@ import mcspectra as mcs
 from mcspectra.core.analysis import ANALYSES, Subject, compute
 from mcspectra.core.errors import ParameterError
 from mcspectra.plots import backend_matplotlib
-from mcspectra.plots.description import Bars, Dots, Image, Line, Rule
+from mcspectra.plots.description import Bars, Dots, Heatmap, Line, Rule
 from mcspectra.plots.groups import labelled
 from mcspectra.plots.kinds import KINDS, describe, kinds_of
 from mcspectra.plots.style import sampler_styles
@@ -184,7 +184,7 @@ def test_contributions__shells_sum_to_what_lies_inside_the_half_width(make):
 
 def test_contributions__an_image_is_not_transposed(make):
     data = make["terms"](dims=2, half_width=3, realizations=20)
-    (image,) = marks(describe("contributions", {"x": data}), Image)
+    (image,) = marks(describe("contributions", {"x": data}), Heatmap)
     np.testing.assert_array_equal(image.values, data["contribution"].transpose("m1", "m0"))
     np.testing.assert_array_equal(image.x, data["m0"])
 
@@ -212,7 +212,7 @@ def test_bands__many_shells_have_whole_ticks_and_one_legend(make):
 
 def test_cross_matrix__real_and_imaginary(make):
     data = make["terms"](matrix=True, half_width=4, realizations=20)
-    real, imaginary = marks(describe("cross-matrix", {"x": data}), Image)
+    real, imaginary = marks(describe("cross-matrix", {"x": data}), Heatmap)
     np.testing.assert_array_equal(real.values, data["cross_matrix"].values.real)
     np.testing.assert_array_equal(imaginary.values, data["cross_matrix"].values.imag)
 
@@ -294,7 +294,7 @@ def test_the_first_of_several_channels_is_shown_and_said(make):
 
 def test_spectrum__n_times_power_without_dc(make):
     data = make["spectrum"](dims=2, half_width=3)
-    (image,) = marks(describe("spectrum", {"x": data}), Image)
+    (image,) = marks(describe("spectrum", {"x": data}), Heatmap)
     expected = 16 * data["power"].values.T
     expected[3, 3] = np.nan
     np.testing.assert_allclose(image.values, expected)
@@ -302,7 +302,7 @@ def test_spectrum__n_times_power_without_dc(make):
 
 def test_spectrum__one_colour_scale(make):
     data = {s: make["spectrum"](s, dims=2, half_width=3) for s in ("random", "jittered")}
-    assert len({image.scale for image in marks(describe("spectrum", data), Image)}) == 1
+    assert len({image.scale for image in marks(describe("spectrum", data), Heatmap)}) == 1
 
 
 @pytest.mark.parametrize("kind", ["spectrum", "lines"])

@@ -7,7 +7,7 @@ from tests.plots.drawing import drawn_by_both, marks
 
 from mcspectra.core.errors import McspectraError, ParameterError
 from mcspectra.core.streams import Stream
-from mcspectra.plots.description import Image, Pixels
+from mcspectra.plots.description import Heatmap, Pixels
 from mcspectra.plots.kinds import KINDS, describe, kinds_of
 from mcspectra.plots.maps import incident_maps, rms_error, strategy_images
 from mcspectra.rendering.files import encode_srgb
@@ -55,7 +55,7 @@ def test_maps_are_drawn(kind):
         assert [mark.rgb.shape for mark in marks(plot, Pixels)] == [(3, 4, 3)]
         return
     assert plot.wide
-    assert len({image.scale for image in marks(plot, Image)}) == 1
+    assert len({image.scale for image in marks(plot, Heatmap)}) == 1
     assert "pixels for a, b | c" in plot.words
     assert all(panel.y.flipped for panel in plot.panels)
 
@@ -63,19 +63,19 @@ def test_maps_are_drawn(kind):
 def test_maps__the_largest_number_of_samples_a_panel_a_strategy():
     plot = describe("map-variance", variance_map())
     assert [panel.title for panel in plot.panels] == ["light sampling", "BSDF sampling"]
-    shown = [image.values for image in marks(plot, Image)]
+    shown = [image.values for image in marks(plot, Heatmap)]
     np.testing.assert_array_equal(shown, variance_map()["variance"].isel(n=-1))
     several = describe("map-mean", {"a": variance_map(), "b": variance_map()})
     assert several.panels[3].title == "b: BSDF sampling"
 
 
 def test_maps__techniques_have_names_and_ratios_a_scale_about_one():
-    (image,) = marks(describe("map-bottleneck", variance_map()), Image)
+    (image,) = marks(describe("map-bottleneck", variance_map()), Heatmap)
     assert image.scale.names == ("undecided", "light", "BSDF")
     assert (
         "undecided 33 %, light 33 %, BSDF 33 %" in describe("map-bottleneck", variance_map()).words
     )
-    (image,) = marks(describe("map-gain", variance_map()), Image)
+    (image,) = marks(describe("map-gain", variance_map()), Heatmap)
     assert image.scale.low * image.scale.high == pytest.approx(1.0)
     assert image.scale.ticks[1.0] == "1"
 
@@ -83,17 +83,17 @@ def test_maps__techniques_have_names_and_ratios_a_scale_about_one():
 def test_maps__bounces_decisions_and_samplers_have_names():
     plot = describe("map-bounces", {"a": variance_map(), "b": variance_map()})
     assert [panel.title for panel in plot.panels] == ["camera", "bounce 1"]  # of all samplers alike
-    low = marks(plot, Image)[0].scale.low
+    low = marks(plot, Heatmap)[0].scale.low
     assert -0.1 <= low < 0.0  # estimates below 0 are told apart from 0
-    (image,) = marks(describe("map-largest-decision", variance_map()), Image)
+    (image,) = marks(describe("map-largest-decision", variance_map()), Heatmap)
     assert image.scale.names == ("undecided", "film", "light")
     best = describe("map-best-sampler", {"a": variance_map(), "b | c": variance_map()})
-    assert marks(best, Image)[0].scale.names == ("no difference", "a", "b | c")
+    assert marks(best, Heatmap)[0].scale.names == ("no difference", "a", "b | c")
     assert [panel.title for panel in best.panels] == ["light sampling", "BSDF sampling"]
 
 
 def test_maps__predictions_are_shown_where_there_are_any():
-    shown = marks(describe("map-predicted", variance_map()), Image)
+    shown = marks(describe("map-predicted", variance_map()), Heatmap)
     assert {image.values.shape for image in shown} == {(3, 2)}
 
 
@@ -190,7 +190,7 @@ def sky(values):
 
 def test_light_has_a_logarithmic_scale_black_where_there_is_none():
     plot = incident_maps(sky(np.array([[0.0, 1.0, 10.0], [1e-9, 5.0, 2.0]])))
-    shown = marks(plot, Image)[0]
+    shown = marks(plot, Heatmap)[0]
     assert shown.scale.kind == "log"
     assert shown.values.min() == shown.scale.low == pytest.approx(10.0 * 1e-4 / 2)
     drawn_by_both(plot)

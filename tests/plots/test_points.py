@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 import xarray as xr
-from PIL import Image as Picture
+from PIL import Heatmap as Picture
 from tests.plots.drawing import marks
 
 import mcspectra as mcs
 from mcspectra.core.errors import DomainError, ParameterError
 from mcspectra.plots.backend_matplotlib import draw, write
-from mcspectra.plots.description import Dots, Image, Line, Segments
+from mcspectra.plots.description import Dots, Heatmap, Line, Segments
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.points import point_sets, sampler_card
 
@@ -123,7 +123,7 @@ def test_cards_show_points_spectrum_and_sections(dims, panels):
     power = mcs.power_spectrum(sampler, 16, half_width=3, realizations=20)
     plot = sampler_card({"points": points, "spectrum": power})
     assert len(plot.panels) == panels
-    assert len(marks(plot, Image)) == (dims == 2)
+    assert len(marks(plot, Heatmap)) == (dims == 2)
     more = sampler_card({"points": points, "spectrum": power}, random_sets(1, 9, 2)[0])
     assert len(more.panels) == panels + 1
     assert more.panels[-1].title == "4-D: axes 2, 3 (n = 9)"

@@ -8,7 +8,7 @@ from tests.plots.drawing import drawn_by_both, marks
 
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
-from mcspectra.plots.description import Image, Line, Rule, Segments
+from mcspectra.plots.description import Heatmap, Line, Rule, Segments
 from mcspectra.plots.kinds import describe
 
 SIDE = 16
@@ -42,7 +42,7 @@ def test_an_axis_is_not_swapped():
     plot = describe("warp", {"table": warp("piecewise-constant(values=[[1, 2], [8, 1]])")})
     (torn,) = marks(plot, Segments)
     np.testing.assert_allclose(torn.ends[..., 1], 0.25)
-    (stretch,) = marks(plot, Image)
+    (stretch,) = marks(plot, Heatmap)
     assert stretch.values.shape == (SIDE, SIDE)
 
 
@@ -55,7 +55,7 @@ def test_grid_lines_are_broken_where_the_warp_jumps():
 
 def test_warps__several_and_one_alone():
     plot = describe("warp", {"a": warp("disk"), "b": warp('disk(warp="polar")')})
-    assert len({image.scale for image in marks(plot, Image)}) == 1
+    assert len({image.scale for image in marks(plot, Heatmap)}) == 1
     assert "continuous\nmean stretch" in plot.panels[1].x.label
     assert len(plot.panels) == 4
     assert describe("warp", warp("disk")).panels[0].title == "disk"

@@ -43,7 +43,7 @@ from mcspectra.plots.description import (
     Axis,
     Bars,
     Dots,
-    Image,
+    Heatmap,
     Line,
     Mark,
     Panel,
@@ -327,7 +327,7 @@ def _layers(mark: Mark, panel: Panel) -> list[_Layer]:
                     _Layer("scatter", tips, {**paint, "size": 4}, mark.hover),
                 ]
             return [*found, *_whiskers(mark, at, along, _INK, mark.lying)]
-        case Image():
+        case Heatmap():
             left, width = _extent(mark.x)
             low, height = _extent(mark.y)
             across, up = np.meshgrid(mark.x, mark.y)
@@ -499,7 +499,7 @@ def _stacked(plot: Plot) -> bool:
 
 def _figure(panel: Panel, options: dict[str, Any]) -> Any:
     """Make an empty figure with tools but none active: these would take gestures that scroll pages."""
-    padding = 0.0 if any(isinstance(mark, Image | Pixels) for mark in panel.marks) else 0.06
+    padding = 0.0 if any(isinstance(mark, Heatmap | Pixels) for mark in panel.marks) else 0.06
     ranges: Any = {
         name: DataRange1d(flipped=axis.flipped, range_padding=padding)
         if axis.low is None or axis.high is None

@@ -25,7 +25,7 @@ from mcspectra.plots.description import (
     Axis,
     Bars,
     Dots,
-    Image,
+    Heatmap,
     Line,
     Mark,
     Panel,
@@ -158,7 +158,7 @@ def encode(figure: Figure) -> tuple[bytes, bytes]:
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_pdf import FigureCanvasPdf
-    from PIL import Image as Picture
+    from PIL import Heatmap as Picture
 
     # Names in scripts that the font lacks show as boxes; the page has them in full
     with warnings.catch_warnings(), mpl.rc_context({"pdf.fonttype": 42}):
@@ -532,7 +532,7 @@ def _mark(axes: Axes, mark: Mark, depth: float) -> ScalarMappable | None:
                     escaped(text), end, xycoords=frame, xytext=offset, textcoords="offset points",
                     ha=across, va=up, fontsize=_SMALL, color=INK,
                 )  # fmt: skip
-        case Image():
+        case Heatmap():
             norm, colors = _norm(mark.scale)
             halves = [float(at[1] - at[0]) / 2 if len(at) > 1 else 0.5 for at in (mark.x, mark.y)]
             (left, right), (bottom, top) = (

@@ -17,8 +17,8 @@ __all__ = [
     "Axis",
     "Bars",
     "Dots",
+    "Heatmap",
     "Hover",
-    "Image",
     "Line",
     "Mark",
     "Panel",
@@ -201,7 +201,7 @@ class Bars:
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Image:
+class Heatmap:
     """Values on a regular grid; NaN is gray.
 
     Attributes
@@ -268,7 +268,7 @@ class Text:
     side: Literal["right", "left", "above", "below", "middle"] = "right"
 
 
-Mark: TypeAlias = Line | Dots | Bars | Image | Pixels | Segments | Rule | Text
+Mark: TypeAlias = Line | Dots | Bars | Heatmap | Pixels | Segments | Rule | Text
 
 
 @final

@@ -13,7 +13,7 @@ from mcspectra.core.checks import Array, as_choice
 from mcspectra.core.display import shown
 from mcspectra.core.errors import ParameterError
 from mcspectra.plots import maps, points, spectra, variance, warps
-from mcspectra.plots.description import Axis, Dots, Image, Line, Mark, Panel, Plot, Scale
+from mcspectra.plots.description import Axis, Dots, Heatmap, Line, Mark, Panel, Plot, Scale
 from mcspectra.plots.groups import (
     Data,
     Group,
@@ -105,7 +105,7 @@ def anything(group: Group, styles: Styles) -> Plot:
                 (y, y_ticks), (x, x_ticks) = (_places(each[name], dim) for dim in each[name].dims)
                 panels.append(
                     Panel(
-                        marks=(Image(values=shown, x=x, y=y, scale=scale, name=name),),
+                        marks=(Heatmap(values=shown, x=x, y=y, scale=scale, name=name),),
                         x=Axis(label=over[1], ticks=x_ticks),
                         y=Axis(label=over[0], ticks=y_ticks),
                         title=sampler if len(group) > 1 else label,

@@ -13,7 +13,7 @@ import xarray as xr
 
 from mcspectra.core.checks import Array, as_real
 from mcspectra.core.errors import ParameterError
-from mcspectra.plots.description import Axis, Image, Line, Mark, Panel, Pixels, Plot, Rule, Scale
+from mcspectra.plots.description import Axis, Heatmap, Line, Mark, Panel, Pixels, Plot, Rule, Scale
 from mcspectra.plots.groups import Group, Styles, abreast, shared
 from mcspectra.plots.scales import log_axis, log_scale
 from mcspectra.plots.style import PALETTE
@@ -110,7 +110,7 @@ def _over_pixels(
 ) -> Panel:
     """An image with rows from the top, half a pixel beyond the centers at its ends."""
     return Panel(
-        marks=(Image(values=values, x=x, y=y, scale=scale, name=name),),
+        marks=(Heatmap(values=values, x=x, y=y, scale=scale, name=name),),
         x=Axis(label=labels[0], low=x[0] - 0.5, high=x[-1] + 0.5),
         y=Axis(label=labels[1], low=y[0] - 0.5, high=y[-1] + 0.5, flipped=True),
         title=title,
@@ -350,7 +350,7 @@ def incident_maps(data: xr.Dataset) -> Plot:
         low = float(np.min(shown, where=shown > 0, initial=np.inf))
         low = min(max(low, top * 10.0**-_LIGHT_DECADES), 0.5 * top) / 2
         scale = replace(log_scale(str(data[name].attrs.get("units", "")), low, top), palette="gray")
-        image = Image(
+        image = Heatmap(
             values=np.maximum(shown, low),
             x=data["azimuth"].values.astype(float),
             y=data["elevation"].values.astype(float),

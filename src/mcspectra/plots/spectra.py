@@ -18,7 +18,7 @@ from mcspectra.plots.description import (
     Axis,
     Bars,
     Dots,
-    Image,
+    Heatmap,
     Line,
     Mark,
     Panel,
@@ -261,7 +261,7 @@ def bands(group: Group, _: Styles) -> Plot:
                 note="" if np.isfinite(own).any() else "no finite share",
             )
         )
-        image = Image(
+        image = Heatmap(
             values=matrix,
             x=at,
             y=at,
@@ -321,7 +321,7 @@ def cross_matrix(group: Group, _: Styles) -> Plot:
         for part, word in ((matrix.values.real, "real"), (matrix.values.imag, "imaginary")):
             panels.append(
                 Panel(
-                    marks=(Image(values=part, x=m, y=m, scale=scale, name=f"{word} part"), *dc),
+                    marks=(Heatmap(values=part, x=m, y=m, scale=scale, name=f"{word} part"), *dc),
                     x=Axis(label=f"l{bases[name]}", **ends),  # type: ignore[arg-type]
                     y=Axis(label=f"m{bases[name]}", **ends),  # type: ignore[arg-type]
                     title=f"{word}: {name}",
@@ -536,7 +536,7 @@ def frequency_map(
         for label, m in (("m₀", m0), ("m₁", m1))
     )
     return Panel(
-        marks=(Image(values=values.T, x=m0, y=m1, scale=scale, name=name, hover=more),),
+        marks=(Heatmap(values=values.T, x=m0, y=m1, scale=scale, name=name, hover=more),),
         x=x,
         y=y,
         title=title,

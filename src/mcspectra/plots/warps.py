@@ -9,7 +9,17 @@ import xarray as xr
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
-from mcspectra.plots.description import Axis, Image, Line, Mark, Panel, Plot, Rule, Scale, Segments
+from mcspectra.plots.description import (
+    Axis,
+    Heatmap,
+    Line,
+    Mark,
+    Panel,
+    Plot,
+    Rule,
+    Scale,
+    Segments,
+)
 from mcspectra.plots.groups import Group, Styles, abreast, for_each, numbers
 from mcspectra.plots.scales import log_scale, unit_axis, unit_panel
 from mcspectra.plots.style import ACCENT, GRAY, INK
@@ -141,9 +151,9 @@ def _curve(
     )
 
 
-def _cells(values: Array, scale: Scale, name: str) -> Image:
+def _cells(values: Array, scale: Scale, name: str) -> Heatmap:
     centres = (np.arange(len(values)) + 0.5) / len(values)
-    return Image(values=values.T, x=centres, y=centres, scale=scale, name=name)
+    return Heatmap(values=values.T, x=centres, y=centres, scale=scale, name=name)
 
 
 def _torn_sides(heights: Array) -> Array:

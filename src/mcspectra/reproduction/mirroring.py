@@ -21,7 +21,7 @@ from mcspectra.core.checks import BELOW_ONE, Array
 from mcspectra.plots.description import (
     Axis,
     Dots,
-    Image,
+    Heatmap,
     Line,
     Mark,
     Panel,
@@ -214,7 +214,7 @@ def _integrands() -> Plot:
     for folded, title in ((t % 1.0, "original: wrapped around"), (np.abs(t), "mirrored")):
         values = np.exp(-(folded[:, None] ** 2) - folded**2)
         borders = [Rule(at=0.0, axis=a, color="#FFFFFF", width=0.8) for a in AXES]
-        image = Image(values=values, x=t, y=t, scale=scale, name="f")
+        image = Heatmap(values=values, x=t, y=t, scale=scale, name="f")
         images.append(
             Panel(
                 marks=(image, *borders),

@@ -14,7 +14,7 @@ from mcspectra.plots.description import (
     Axis,
     Bars,
     Dots,
-    Image,
+    Heatmap,
     Line,
     Mark,
     Panel,
@@ -129,7 +129,7 @@ def frequency_panel(values: Array, scale: Scale, title: str, *, y: bool = True) 
     shown[half, half] = np.nan
     side = np.arange(-half, half + 1.0)
     ticks = {float(v): number(float(v), 2 if half < 100 else 3) for v in (-half, 0, half)}
-    image = Image(values=shown.T, x=side, y=side, scale=scale, name="power")
+    image = Heatmap(values=shown.T, x=side, y=side, scale=scale, name="power")
     return Panel(
         marks=(image,),
         x=Axis(label="m₀ (cycles per unit)", ticks=ticks),
@@ -151,7 +151,7 @@ def primary_panel(integrand: Callable[[Array], Array], title: str) -> Panel:
     values = np.asarray(integrand(np.stack(np.meshgrid(u, u), axis=-1)))
     shown = values / values.mean()
     scale = Scale(label="f/p (over its mean)", high=float(shown.max()))
-    image = Image(values=shown, x=u, y=u, scale=scale, name="f/p over its mean")
+    image = Heatmap(values=shown, x=u, y=u, scale=scale, name="f/p over its mean")
     return unit_panel([image], title, "u₀", "u₁")
 
 

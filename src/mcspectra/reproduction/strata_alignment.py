@@ -7,7 +7,7 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Image, Line, Plot, Scale
+from mcspectra.plots.description import Heatmap, Line, Plot, Scale
 from mcspectra.plots.scales import unit_panel
 from mcspectra.plots.style import INK
 from mcspectra.plots.text import number
@@ -153,7 +153,7 @@ def _strata() -> Plot:
         panels.append(
             unit_panel(
                 (
-                    Image(values=values, x=middle, y=middle, scale=scale, name="stratum"),
+                    Heatmap(values=values, x=middle, y=middle, scale=scale, name="stratum"),
                     *strata(side),
                     Line(x=np.array([low, high]), y=np.array([0.0, 1.0]), color=INK, width=1.6),
                 ),

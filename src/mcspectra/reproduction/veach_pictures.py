@@ -11,7 +11,7 @@ import mcspectra as mcs
 from mcspectra.core.checks import Array
 from mcspectra.plots.description import (
     Axis,
-    Image,
+    Heatmap,
     Mark,
     Panel,
     Pixels,
@@ -182,7 +182,7 @@ def _who_wins(renders: Renders) -> Plot:
         label="log₁₀ of error by light / by BSDF sampling", low=-3.0, high=3.0, palette="diverging"
     )
     marks: list[Mark] = [
-        Image(values=values, x=np.arange(width) + 0.5, y=np.arange(height) + 0.5, scale=scale)
+        Heatmap(values=values, x=np.arange(width) + 0.5, y=np.arange(height) + 0.5, scale=scale)
     ]
     for name, label in _LABELS.items():
         rows, columns = renders.window(name)
