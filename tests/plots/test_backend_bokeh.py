@@ -25,7 +25,7 @@ from mcspectra.plots.description import (
     Panel,
     Pixels,
     Plot,
-    Rule,
+    ReferenceLine,
     Scale,
     Segments,
     Text,
@@ -69,7 +69,7 @@ def marks(factor):
         ),
         "pixels": Pixels(rgb=np.arange(24, dtype=np.uint8).reshape(2, 4, 3)),
         "segments": Segments(ends=factor * np.ones((3, 2, 2)), color="#DCDCDC", label="cuts"),
-        "rule": Rule(at=factor, axis="x", label="rule"),
+        "rule": ReferenceLine(at=factor, axis="x", label="rule"),
         "text": Text(x=1.0, y=factor, text=EVIL, side="above"),
     }  # fmt: skip
 

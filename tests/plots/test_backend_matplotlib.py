@@ -22,7 +22,7 @@ from mcspectra.plots.description import (
     Panel,
     Pixels,
     Plot,
-    Rule,
+    ReferenceLine,
     Scale,
     Segments,
     Text,
@@ -168,8 +168,8 @@ def test_segments_rules_texts_and_notes():
     ends = np.array([[[0.0, 0.0], [1.0, 2.0]]])
     axes, figure = drawn(
         Segments(ends=ends, color="#D55E00"),
-        Rule(at=1.0, axis="x"),
-        Rule(at=2.0),
+        ReferenceLine(at=1.0, axis="x"),
+        ReferenceLine(at=2.0),
         Text(x=0.5, y=0.5, text="here $x$", side="below"),
         note="nothing to see",
     )

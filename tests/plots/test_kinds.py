@@ -13,7 +13,7 @@ import mcspectra as mcs
 from mcspectra.core.analysis import ANALYSES, Subject, compute
 from mcspectra.core.errors import ParameterError
 from mcspectra.plots import backend_matplotlib
-from mcspectra.plots.description import Bars, Dots, Heatmap, Line, Rule
+from mcspectra.plots.description import Bars, Dots, Heatmap, Line, ReferenceLine
 from mcspectra.plots.groups import labelled
 from mcspectra.plots.kinds import KINDS, describe, kinds_of
 from mcspectra.plots.style import sampler_styles
@@ -484,7 +484,7 @@ def test_convergence__one_count_has_no_lines_and_none_in_the_caption():
 def test_plan__the_wanted_error_is_a_line_and_the_axis_ends_with_the_curve():
     found = mcs.plan(mcs.integrand("gaussian", dims=1), "jittered", target_error=0.1, relative=True)
     plot = describe("prediction", found)
-    (rule,), (line,) = marks(plot, Rule), marks(plot, Line)
+    (rule,), (line,) = marks(plot, ReferenceLine), marks(plot, Line)
     assert rule.at == pytest.approx((0.1 * mcs.integrand("gaussian", dims=1).integral) ** 2)
     assert line.x[-1] < plot.panels[0].x.high < 2 * line.x[-1] < found["n"][-1]
 
@@ -584,4 +584,4 @@ def test_describing_changes_nothing_of_a_result(make):
 
 def test_rules_mark_the_level_of_random_points(make):
     for kind in ("lines", "radial"):
-        assert [r.at for r in marks(describe(kind, make["spectrum"]()), Rule)] == [1.0]
+        assert [r.at for r in marks(describe(kind, make["spectrum"]()), ReferenceLine)] == [1.0]

@@ -8,7 +8,7 @@ from tests.plots.drawing import drawn_by_both, marks
 
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
-from mcspectra.plots.description import Heatmap, Line, Rule, Segments
+from mcspectra.plots.description import Heatmap, Line, ReferenceLine, Segments
 from mcspectra.plots.kinds import describe
 
 SIDE = 16
@@ -64,7 +64,7 @@ def test_warps__several_and_one_alone():
 
 def test_warps__one_dim():
     plot = describe("warp", {"table": warp("piecewise-constant(values=[1, 0, 1])", 1)})
-    (curve,), (jump,) = marks(plot, Line), marks(plot, Rule)
+    (curve,), (jump,) = marks(plot, Line), marks(plot, ReferenceLine)
     assert np.isnan(curve.y).sum() == 1
     assert jump.at == pytest.approx(0.5)
 

@@ -49,7 +49,7 @@ from mcspectra.plots.description import (
     Panel,
     Pixels,
     Plot,
-    Rule,
+    ReferenceLine,
     Scale,
     Segments,
     Text,
@@ -354,7 +354,7 @@ def _layers(mark: Mark, panel: Panel) -> list[_Layer]:
             columns |= {f"y{k}": _place(panel.y, pairs[k, 1]) for k in (0, 1)}
             paint = {"line_color": _seen(mark.color), "line_width": mark.width * _PIXELS}
             return [_Layer("segment", columns, paint)]
-        case Rule():
+        case ReferenceLine():
             place = _place(panel.x if mark.axis == "x" else panel.y, [mark.at])
             stroke = {"line_color": _seen(mark.color), **_stroke(mark)}
             glyph = "vspan" if mark.axis == "x" else "hspan"
@@ -371,7 +371,7 @@ def _layers(mark: Mark, panel: Panel) -> list[_Layer]:
             assert_never(mark)
 
 
-def _stroke(mark: Line | Rule) -> dict[str, Any]:
+def _stroke(mark: Line | ReferenceLine) -> dict[str, Any]:
     return {"line_dash": _DASHES[mark.dashes], "line_width": mark.width * _PIXELS}
 
 

@@ -31,7 +31,7 @@ from mcspectra.plots.description import (
     Panel,
     Pixels,
     Plot,
-    Rule,
+    ReferenceLine,
     Scale,
     Segments,
     Text,
@@ -558,7 +558,7 @@ def _mark(axes: Axes, mark: Mark, depth: float) -> ScalarMappable | None:
         case Segments():
             lines = LineCollection(list(mark.ends), linewidths=mark.width, capstyle="round", **look)
             axes.add_collection(lines)
-        case Rule():
+        case ReferenceLine():
             line = axes.axvline if mark.axis == "x" else axes.axhline
             line(mark.at, ls=mark.dashes, lw=mark.width, **look)
         case Text():
@@ -657,7 +657,7 @@ def _handle(marks: list[Mark | str]) -> Any:
         return Patch(facecolor=first, edgecolor=GRAY, linewidth=0.5)
     color = getattr(first, "color", INK)
     color = color if isinstance(color, str) else INK if isinstance(first, Dots) else color[0]
-    lines = [m for m in marks if isinstance(m, Line | Rule | Segments) and m.width]
+    lines = [m for m in marks if isinstance(m, Line | ReferenceLine | Segments) and m.width]
     dots = [m for m in marks if isinstance(m, Dots)]
     if not lines and not dots:
         opacity = first.opacity if isinstance(first, Bars) else 1.0

@@ -24,7 +24,7 @@ __all__ = [
     "Panel",
     "Pixels",
     "Plot",
-    "Rule",
+    "ReferenceLine",
     "Scale",
     "Segments",
     "Text",
@@ -245,7 +245,7 @@ class Segments:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Rule:
+class ReferenceLine:
     """A line across the panel at a place on the x or the y axis."""
 
     at: float
@@ -268,7 +268,7 @@ class Text:
     side: Literal["right", "left", "above", "below", "middle"] = "right"
 
 
-Mark: TypeAlias = Line | Dots | Bars | Heatmap | Pixels | Segments | Rule | Text
+Mark: TypeAlias = Line | Dots | Bars | Heatmap | Pixels | Segments | ReferenceLine | Text
 
 
 @final

@@ -13,7 +13,17 @@ import xarray as xr
 
 from mcspectra.core.checks import Array, as_real
 from mcspectra.core.errors import ParameterError
-from mcspectra.plots.description import Axis, Heatmap, Line, Mark, Panel, Pixels, Plot, Rule, Scale
+from mcspectra.plots.description import (
+    Axis,
+    Heatmap,
+    Line,
+    Mark,
+    Panel,
+    Pixels,
+    Plot,
+    ReferenceLine,
+    Scale,
+)
 from mcspectra.plots.groups import Group, Styles, abreast, shared
 from mcspectra.plots.scales import log_axis, log_scale
 from mcspectra.plots.style import PALETTE
@@ -224,7 +234,7 @@ def _picture(group: Group, _: Styles, *, caption: str) -> Plot:
 def _spectrum(group: Group, _: Styles) -> Plot:
     """Radial power of the errors for every number of samples, white noise 1."""
     data = next(iter(group.values()))  # each result has a page of its own
-    marks: list[Mark] = [Rule(at=1.0, dashes="--", label="white noise")]
+    marks: list[Mark] = [ReferenceLine(at=1.0, dashes="--", label="white noise")]
     levels = []
     for k, n in enumerate(data["n"].values):
         power, ends = (

@@ -8,7 +8,17 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_unit_points
 from mcspectra.core.errors import ParameterError
-from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, Plot, Rule, Scale, Segments
+from mcspectra.plots.description import (
+    Axis,
+    Dots,
+    Line,
+    Mark,
+    Panel,
+    Plot,
+    ReferenceLine,
+    Scale,
+    Segments,
+)
 from mcspectra.plots.groups import Group, Styles, abreast, numbers
 from mcspectra.plots.scales import log_axis, name_axis, unit_axis, unit_panel
 from mcspectra.plots.spectra import frequency_map, relative_power
@@ -135,7 +145,13 @@ def sampler_card(group: Group, projected: Array | None = None) -> Plot:
     x_axis = log_axis(f"|m| / {root}", float(radius.min()), float(radius.max()), 4)
     y_axis = log_axis("", min(0.05, float(mean.min())), max(2.0, float(mean.max())), 4)
     panels.append(
-        Panel(marks=(Rule(at=1.0), line), x=x_axis, y=y_axis, title="n · radial mean", grid=True)
+        Panel(
+            marks=(ReferenceLine(at=1.0), line),
+            x=x_axis,
+            y=y_axis,
+            title="n · radial mean",
+            grid=True,
+        )
     )
     if dims <= 2:
         # Power along the axes, where projections on them show, and along the diagonal
@@ -156,7 +172,7 @@ def sampler_card(group: Group, projected: Array | None = None) -> Plot:
         top = max(1.5, *(float(np.max(line.y)) for line in sections if isinstance(line, Line)))
         panels.append(
             Panel(
-                marks=(Rule(at=1.0), *sections),
+                marks=(ReferenceLine(at=1.0), *sections),
                 x=Axis(label="m", low=0.0, high=float(half)),
                 y=Axis(low=0.0, high=min(1.4 * top, 4.0)),
                 title="n · power" if dims == 1 else "n · power along",

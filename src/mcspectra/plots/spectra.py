@@ -23,7 +23,7 @@ from mcspectra.plots.description import (
     Mark,
     Panel,
     Plot,
-    Rule,
+    ReferenceLine,
     Scale,
 )
 from mcspectra.plots.groups import (
@@ -135,7 +135,7 @@ def pair_correlation(group: Group, styles: Styles) -> Plot:
     for name, each in group.items():
         g, ends = (each[f"pair_correlation{part}"].values for part in ("", "_ci"))
         curves[name] = (each["r"].values, g, *ends.T)
-    found: list[Mark] = [Rule(at=1.0), *lines_of(curves, styles, ("r", "g"))]
+    found: list[Mark] = [ReferenceLine(at=1.0), *lines_of(curves, styles, ("r", "g"))]
     axis = Axis(label="pair correlation g(r)", low=0.0)
     panel = Panel(marks=tuple(found), x=Axis(label="distance r"), y=axis, grid=True)
     return Plot(
@@ -186,7 +186,7 @@ def contributions(group: Group, styles: Styles) -> Plot:
                 Line(x=m, y=power, low=np.zeros(m.size), high=power, color=FAINT, width=0.0,
                      step=True, label="power part |fₘ|² Cₘₘ"),
                 Bars(at=m, value=total, color=styles[name].color, thickness=0.0, hover=shown),
-                Rule(at=0.0, width=0.6),
+                ReferenceLine(at=0.0, width=0.6),
             )  # fmt: skip
             panels.append(
                 Panel(
@@ -254,7 +254,7 @@ def bands(group: Group, _: Styles) -> Plot:
         ]
         panels.append(
             Panel(
-                marks=(*marks, Rule(at=0.0, width=0.6)),
+                marks=(*marks, ReferenceLine(at=0.0, width=0.6)),
                 x=Axis(label=f"band a{unit}", low=-0.7, high=count - 0.3, ticks=ticks),
                 y=axis,
                 title=name,
@@ -317,7 +317,9 @@ def cross_matrix(group: Group, _: Styles) -> Plot:
         m = matrix["m"].values.astype(float)
         ends = {"low": float(m[0]) - 0.5, "high": float(m[-1]) + 0.5, "ticks": _frequency_ticks(m)}
         # Frame the row and the column of frequency 0
-        dc = [Rule(at=at, axis=axis, width=0.4) for at in (-0.5, 0.5) for axis in ("x", "y")]
+        dc = [
+            ReferenceLine(at=at, axis=axis, width=0.4) for at in (-0.5, 0.5) for axis in ("x", "y")
+        ]
         for part, word in ((matrix.values.real, "real"), (matrix.values.imag, "imaginary")):
             panels.append(
                 Panel(
@@ -369,7 +371,9 @@ def modes(group: Group, styles: Styles) -> Plot:
             hover=shown,
         )
         edge = float(each["noise_edge"]) if "noise_edge" in each else np.nan
-        rule = [Rule(at=edge, dashes="--", label="largest of pure noise")] if edge > 0 else []
+        rule = (
+            [ReferenceLine(at=edge, dashes="--", label="largest of pure noise")] if edge > 0 else []
+        )
         every = np.array([*size, *(size + spread), *(r.at for r in rule)])
         every = every[np.isfinite(every) & (every > 0)]
         axis = log_axis("eigenvalue", float(every.min(initial=np.inf)), float(every.max(initial=0)))
@@ -508,7 +512,7 @@ def _power_panel(
     logarithmic = axis.kind == "log" or top > _LINEAR_TOP
     shown = {n: (x, np.maximum(y, _FLOOR) if logarithmic else y) for n, (x, y) in curves.items()}
     under = (axis.label.partition(" ")[0], "power")
-    marks: list[Mark] = [Rule(at=1.0), *lines_of(shown, styles, under, texts=hover)]
+    marks: list[Mark] = [ReferenceLine(at=1.0), *lines_of(shown, styles, under, texts=hover)]
     label = _power_label(group)
     power = Axis(label=label, low=0.0, high=1.08 * top)
     if logarithmic:

@@ -11,7 +11,7 @@ import xarray as xr
 
 from mcspectra.core.checks import Array
 from mcspectra.core.confidence import CONFIDENCE_Z
-from mcspectra.plots.description import Axis, Bars, Dots, Line, Mark, Panel, Plot, Rule
+from mcspectra.plots.description import Axis, Bars, Dots, Line, Mark, Panel, Plot, ReferenceLine
 from mcspectra.plots.groups import (
     Group,
     Styles,
@@ -263,7 +263,9 @@ def _known_curves(group: Group, styles: Styles, what: str, caption: str) -> Plot
                 f" → {number(limit)}" if np.isfinite(limit) else ""
             )
             if np.isfinite(bend):
-                marks.append(Rule(at=bend, axis="x", color=styles[name].color, dashes="--"))
+                marks.append(
+                    ReferenceLine(at=bend, axis="x", color=styles[name].color, dashes="--")
+                )
         if "planned_n" in each and np.isfinite(each["planned_n"]):
             notes[name] = f": n = {int(each['planned_n'])}"
             low, high = each["planned_n_ci"].values if "planned_n_ci" in each else (1.0, 1.0)
@@ -275,7 +277,7 @@ def _known_curves(group: Group, styles: Styles, what: str, caption: str) -> Plot
     wanted = [
         np.ravel(each["target_variance"]) for each in group.values() if "target_variance" in each
     ]
-    marks += [Rule(at=float(at), color=INK, dashes="--") for at in np.unique(wanted)]
+    marks += [ReferenceLine(at=float(at), color=INK, dashes="--") for at in np.unique(wanted)]
     values = np.concatenate([*(variance for _, variance in curves.values()), *wanted])
     # Further counts have no values
     shown = np.concatenate([n for n, _ in curves.values()])
@@ -343,7 +345,7 @@ def captured(group: Group, styles: Styles) -> Plot:
     }
     none = {n: "" if np.isfinite(c).any() else ": no finite prediction" for n, c in curves.items()}
     marks: list[Mark] = [
-        Rule(at=1.0),
+        ReferenceLine(at=1.0),
         *lines_of(shown, styles, ("half width", "share"), notes=none),
     ]
     label, top = "predicted / measured", float(positive.max(initial=1.0))
@@ -477,7 +479,7 @@ def remedies(group: Group, _: Styles) -> Plot:
     for name, each in group.items():
         ratio, ends = each["error_ratio"].values, np.maximum(each["error_ratio_ci"].values, 1e-12)
         rows, verdicts = (each[key].values.astype(str) for key in ("remedy", "verdict"))
-        marks: list[Mark] = [Rule(at=1.0, axis="x", color=GRAY, width=0.7)]
+        marks: list[Mark] = [ReferenceLine(at=1.0, axis="x", color=GRAY, width=0.7)]
         for verdict in dict.fromkeys(verdicts):
             of = (verdicts == verdict) & (ratio > 0)
             shown = {
@@ -557,7 +559,7 @@ def _bar_panel(
                 },
             )
         )
-    marks.append(Rule(at=0.0, axis="x", color=GRAY, width=0.7))
+    marks.append(ReferenceLine(at=0.0, axis="x", color=GRAY, width=0.7))
     return Panel(marks=tuple(marks), x=axis, y=name_axis(rows), title=name)
 
 

@@ -16,7 +16,7 @@ from mcspectra.plots.description import (
     Mark,
     Panel,
     Plot,
-    Rule,
+    ReferenceLine,
     Scale,
     Segments,
 )
@@ -137,10 +137,13 @@ def _curve(
         Line(x=x, y=y, color=INK, width=1.2, hover={"u": numbers(x), label: numbers(y)})
     ]
     inside = _INSIDE if words else ""
-    marks += [Rule(at=float(b), axis="x", color=ACCENT, width=1.4, label=inside) for b in borders]
+    marks += [
+        ReferenceLine(at=float(b), axis="x", color=ACCENT, width=1.4, label=inside) for b in borders
+    ]
     if "face_jump" in data and float(data["face_jump"].values[0]) > 0:
         marks += [
-            Rule(at=end, axis="x", color=_BOUNDARY, width=3.0, label=_SIDES) for end in (0.0, 1.0)
+            ReferenceLine(at=end, axis="x", color=_BOUNDARY, width=3.0, label=_SIDES)
+            for end in (0.0, 1.0)
         ]
     below = f"u\n{words}" if words else "u"
     return Panel(

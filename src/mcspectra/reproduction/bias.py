@@ -8,7 +8,7 @@ import numpy as np
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Axis, Dots, Panel, Rule
+from mcspectra.plots.description import Axis, Dots, Panel, ReferenceLine
 from mcspectra.plots.scales import count_axis
 from mcspectra.plots.style import PALETTE
 from mcspectra.plots.text import number
@@ -52,7 +52,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     errors = [(v**2).mean() - 1 / 3 - box_bias(n, 0.0) for n, v in middles.items()]
 
     # Draw the means of S, and the bias times N²
-    zero, panels = Rule(at=0.0, color=PALETTE[-1]), list[Panel]()
+    zero, panels = ReferenceLine(at=0.0, color=PALETTE[-1]), list[Panel]()
     for title, each in {
         "jittered, p = ½ + x": weighted["jittered"],
         "middle halves of strata": boxes,
@@ -62,7 +62,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         x, y = Axis(label="frequency m (cycles per unit)"), Axis(label="" if panels else "Re ⟨S_m⟩")
         panels.append(Panel(marks=marks, x=x, y=y, title=title, grid=True))
     n, known = np.array(_COUNTS, float), "−(1 − w²)/12"
-    rule = Rule(at=box_bias(1), color=PALETTE[1], dashes="--", width=1.2, label=known)
+    rule = ReferenceLine(at=box_bias(1), color=PALETTE[1], dashes="--", width=1.2, label=known)
     dots = [
         _with_errors(n * 1.04 ** (k - 1), n**2 * np.array(list(values.values())).T, k, label)
         for k, (label, values) in enumerate(biases.items())

@@ -9,7 +9,7 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, Plot, Rule, Text
+from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, Plot, ReferenceLine, Text
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import ACCENT, PALETTE
@@ -226,7 +226,7 @@ def _sizes() -> Plot:
             marks.append(Dots(x=dims, y=y, color=color))
     memory = 2**36 / _BYTES
     marks += [
-        Rule(at=memory, color=ACCENT, width=1.0),
+        ReferenceLine(at=memory, color=ACCENT, width=1.0),
         Text(x=1.0, y=memory, text="64 GiB", color=ACCENT, side="above"),
     ]
     ticks = {float(d): str(int(d)) for d in dims}

@@ -9,7 +9,7 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Dots, Mark, Panel, Rule, Scale
+from mcspectra.plots.description import Dots, Mark, Panel, ReferenceLine, Scale
 from mcspectra.plots.scales import log_axis, unit_panel
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
@@ -68,7 +68,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         x, y = p.sample(mcs.sampler(name, 2).draw(N, rng=seed)[0]).T
         points.append(unit_panel([Dots(x=x, y=y, color=PALETTE[0], size=1.8)], name))
     radii = np.arange(1, HALF_WIDTH + 1)
-    marks: list[Mark] = [Rule(at=LEVEL, color=INK, width=1.0, label="∫1/p")]
+    marks: list[Mark] = [ReferenceLine(at=LEVEL, color=INK, width=1.0, label="∫1/p")]
     for k, (name, data) in enumerate(spectra.items()):
         found = [at_ring(data, int(ring), N) for ring in radii]
         ends = np.array([(each.low, each.high) for each in found])

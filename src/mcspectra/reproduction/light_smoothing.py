@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 import mcspectra as mcs
-from mcspectra.plots.description import Line, Mark, Panel, Rule
+from mcspectra.plots.description import Line, Mark, Panel, ReferenceLine
 from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
@@ -52,7 +52,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         mse = cell["mse"].values
         edge = float(scan["mse"].sel(n=n, width=0.0))
         marks += [
-            Rule(at=edge, color=PALETTE[k], dashes=":"),
+            ReferenceLine(at=edge, color=PALETTE[k], dashes=":"),
             Line(x=widths, y=mse, color=PALETTE[k], width=1.1, label=label),
             whiskers(widths, mse, cell["mse_ci"].values, k, label),
         ]

@@ -26,7 +26,7 @@ from mcspectra.plots.description import (
     Mark,
     Panel,
     Plot,
-    Rule,
+    ReferenceLine,
     Scale,
     Text,
 )
@@ -213,7 +213,7 @@ def _integrands() -> Plot:
     images, sections = [], []
     for folded, title in ((t % 1.0, "original: wrapped around"), (np.abs(t), "mirrored")):
         values = np.exp(-(folded[:, None] ** 2) - folded**2)
-        borders = [Rule(at=0.0, axis=a, color="#FFFFFF", width=0.8) for a in AXES]
+        borders = [ReferenceLine(at=0.0, axis=a, color="#FFFFFF", width=0.8) for a in AXES]
         image = Heatmap(values=values, x=t, y=t, scale=scale, name="f")
         images.append(
             Panel(

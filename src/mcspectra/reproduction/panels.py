@@ -19,7 +19,7 @@ from mcspectra.plots.description import (
     Mark,
     Panel,
     Plot,
-    Rule,
+    ReferenceLine,
     Scale,
     Text,
 )
@@ -139,10 +139,12 @@ def frequency_panel(values: Array, scale: Scale, title: str, *, y: bool = True) 
     )
 
 
-def strata(side: int) -> tuple[Rule, ...]:
+def strata(side: int) -> tuple[ReferenceLine, ...]:
     """Return the borders of side × side strata of the unit square."""
     places = (np.arange(1, side) / side).tolist()
-    return tuple(Rule(at=at, axis=axis, color=FAINT, width=0.7) for axis in AXES for at in places)
+    return tuple(
+        ReferenceLine(at=at, axis=axis, color=FAINT, width=0.7) for axis in AXES for at in places
+    )
 
 
 def primary_panel(integrand: Callable[[Array], Array], title: str) -> Panel:
@@ -170,7 +172,9 @@ def interval_panel(
     rows: Mapping[str, Sequence[Measured]], labels: Sequence[str], x: str, at: float | None = None
 ) -> Panel:
     """Return horizontal intervals, one row a name; `labels` say what the first, second … of a row are."""
-    marks: list[Mark] = [] if at is None else [Rule(at=at, axis="x", color=INK, dashes="--")]
+    marks: list[Mark] = (
+        [] if at is None else [ReferenceLine(at=at, axis="x", color=INK, dashes="--")]
+    )
     for k, label in enumerate(labels):
         found = [row[k] for row in rows.values()]
         away = 0.26 * (k - (len(labels) - 1) / 2)
@@ -202,7 +206,7 @@ def term_panel(data: xr.Dataset, scale: float, title: str, y: str = "") -> Panel
     bottom, top = min(low.min(), 0.0), max(high.max(), 0.0)
     room = top - bottom
     return Panel(
-        marks=(bars, Rule(at=0.0, color=INK, width=0.7), *above),
+        marks=(bars, ReferenceLine(at=0.0, color=INK, width=0.7), *above),
         x=Axis(low=-0.6, high=3.6, ticks=dict(zip(at.tolist(), names.values(), strict=True))),
         y=Axis(label=y, low=bottom - 0.05 * room * (bottom < 0), high=top + 0.17 * room),
         title=title,

@@ -9,7 +9,7 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Axis, Line, Mark, Panel, Plot, Rule
+from mcspectra.plots.description import Axis, Line, Mark, Panel, Plot, ReferenceLine
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text
@@ -59,7 +59,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     # Draw the terms against the offset
     names = {"power_term": "second term", "cross_term": "third term", "predicted_variance": "sum"}
     at, s = np.array(OFFSETS), np.linspace(0.0, 1.0, 100)
-    marks: list[Mark] = [Rule(at=0.0, color=INK, width=0.7)]
+    marks: list[Mark] = [ReferenceLine(at=0.0, color=INK, width=0.7)]
     for k, (name, label) in enumerate(names.items()):
         found = [Measured.of(data, name) / 1e-3 for data in scan.values()]
         term = np.array([each.value for each in found])
