@@ -18,7 +18,7 @@ from mcspectra.plots import scales
 from mcspectra.plots.backend_bokeh import draw, packed, script
 from mcspectra.plots.description import (
     Axis,
-    Bars,
+    BarChart,
     Dots,
     Heatmap,
     Line,
@@ -51,9 +51,9 @@ def marks(factor):
         "dots": Dots(x=X, y=y, color=PALETTE[6], marker="P", label="dots", **ends),
         "shaded": Dots(x=X, y=y, color=y, size=3 + X, scale=scales.signed_scale("y", [y]), hover=hover),
         "across": Dots(x=X, y=y, color="#262626", across=True, low=X - 1, high=X + 1),
-        "bars": Bars(at=X, value=y, color=PALETTE[2], hover=hover, texts=list("abcd"), **ends),
-        "lying": Bars(at=X, value=y, color=PALETTE[:4], lying=True, texts=list("abcd"), **ends),
-        "stems": Bars(at=X, value=y, color=PALETTE[2], thickness=0, hover=hover),
+        "bars": BarChart(at=X, value=y, color=PALETTE[2], hover=hover, texts=list("abcd"), **ends),
+        "lying": BarChart(at=X, value=y, color=PALETTE[:4], lying=True, texts=list("abcd"), **ends),
+        "stems": BarChart(at=X, value=y, color=PALETTE[2], thickness=0, hover=hover),
         "image": Heatmap(
             values=field, x=GRID, y=GRID, scale=scales.signed_scale("c", [field]), hover={"m": field}
         ),
@@ -134,7 +134,9 @@ def test_another_structure_is_refused():
 def test_signed_axes_have_places_and_ticks_of_their_own():
     values = np.array([-3e-4, 2e-8, 0.7])
     axis = scales.signed_axis("y", [values])
-    bars = Bars(at=np.arange(3.0), value=values, color=PALETTE[0], low=values / 2, high=values * 2)
+    bars = BarChart(
+        at=np.arange(3.0), value=values, color=PALETTE[0], low=values / 2, high=values * 2
+    )
     model: Any = draw(Plot(kind="t", panels=(Panel(marks=(bars,), y=axis),))).model
     found = next(each for each in data(model) if "top" in each)
     np.testing.assert_array_equal(found["top"], scales.signed_place(values, axis.threshold))

@@ -15,7 +15,7 @@ from mcspectra.core.errors import FileFormatError, ParameterError
 from mcspectra.plots.backend_matplotlib import FORMATS, draw, encode, panel_axes, write
 from mcspectra.plots.description import (
     Axis,
-    Bars,
+    BarChart,
     Dots,
     Heatmap,
     Line,
@@ -91,7 +91,7 @@ def test_dots_show_values_of_a_scale():
 @pytest.mark.parametrize("lying", [False, True])
 def test_bars_leave_out_what_is_no_number(lying):
     value = np.array([1.0, -2.0, math.nan, 3.0])
-    bars = Bars(at=X, value=value, color=["red", "green", "blue", "black"], lying=lying,
+    bars = BarChart(at=X, value=value, color=["red", "green", "blue", "black"], lying=lying,
                 low=value - 1, high=value + 1, texts=["a", "b", "c", "d"])  # fmt: skip
     axes, figure = drawn(bars)
     sizes = [p.get_width() if lying else p.get_height() for p in axes.patches]
@@ -102,7 +102,7 @@ def test_bars_leave_out_what_is_no_number(lying):
 
 @pytest.mark.parametrize("lying", [False, True])
 def test_bars_without_thickness_are_stems(lying):
-    axes, _ = drawn(Bars(at=X, value=X, color="#0072B2", thickness=0.0, lying=lying))
+    axes, _ = drawn(BarChart(at=X, value=X, color="#0072B2", thickness=0.0, lying=lying))
     ends = np.array([s[:, 0 if lying else 1] for s in axes.collections[0].get_segments()])
     np.testing.assert_array_equal(ends, np.stack([0 * X, X], axis=1))
 
@@ -200,7 +200,7 @@ def test_labels_that_would_touch_are_turned():
 def test_the_legend_has_an_entry_a_label():
     line = Line(x=X, y=X, color="#0072B2", dashes=":", label="both")
     dots = Dots(x=X, y=X, color="#0072B2", marker="s", label="both")
-    bars = Bars(at=X, value=X, color="#D55E00", label="bars")
+    bars = BarChart(at=X, value=X, color="#D55E00", label="bars")
     _, figure = drawn(line, dots, bars)
     (legend,) = figure.legends
     assert [t.get_text() for t in legend.get_texts()] == ["both", "bars"]

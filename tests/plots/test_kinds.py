@@ -13,7 +13,7 @@ import mcspectra as mcs
 from mcspectra.core.analysis import ANALYSES, Subject, compute
 from mcspectra.core.errors import ParameterError
 from mcspectra.plots import backend_matplotlib
-from mcspectra.plots.description import Bars, Dots, Heatmap, Line, ReferenceLine
+from mcspectra.plots.description import BarChart, Dots, Heatmap, Line, ReferenceLine
 from mcspectra.plots.groups import labelled
 from mcspectra.plots.kinds import KINDS, describe, kinds_of
 from mcspectra.plots.style import sampler_styles
@@ -144,7 +144,7 @@ def test_terms__bars_are_as_long_as_the_terms_with_their_intervals(make):
     for name in names[1:3]:
         data[f"{name}_ci"] = ("bound", float(data[name]) * np.array([0.5, 2.0]))
     plot = describe("terms", {"jittered": data})
-    bars = marks(plot, Bars)
+    bars = marks(plot, BarChart)
     np.testing.assert_allclose(np.concatenate([b.value for b in bars]), [data[n] for n in names])
     ends = np.concatenate([np.stack([b.low, b.high], axis=1) for b in bars])
     assert np.isnan(ends[0]).all()
@@ -175,7 +175,7 @@ def test_contributions__a_panel_for_each_technique(make):
 
 def test_contributions__shells_sum_to_what_lies_inside_the_half_width(make):
     data = make["terms"](dims=3, n=8, half_width=2, realizations=20)
-    (bars,) = marks(describe("contributions", {"x": data}), Bars)
+    (bars,) = marks(describe("contributions", {"x": data}), BarChart)
     m = np.arange(-2, 3)
     length = np.sqrt(sum(g**2 for g in np.meshgrid(m, m, m)))
     expected = data["contribution"].values[np.rint(length) <= 2].sum()
@@ -207,7 +207,7 @@ def test_bands__many_shells_have_whole_ticks_and_one_legend(make):
         assert len(panel.x.ticks) <= 7
         assert all(tick.is_integer() for tick in panel.x.ticks)
     assert plot.labels == ("within the band", "with other bands")
-    assert len({bars.color for bars in marks(plot, Bars)}) == 2
+    assert len({bars.color for bars in marks(plot, BarChart)}) == 2
 
 
 def test_cross_matrix__real_and_imaginary(make):
@@ -497,12 +497,12 @@ def test_anova__the_largest_parts_first_and_few():
         {"subset_label": ("subset", labels)},
     )
     plot = describe("anova", {"a": data})
-    (bars,) = marks(plot, Bars)
+    (bars,) = marks(plot, BarChart)
     np.testing.assert_array_equal(bars.value, np.arange(20.0, 8.0, -1.0))
     assert "8 smaller parts are left out" in plot.caption
     assert "each axis of primary space alone and from each set of them together" in plot.caption
     size[[3, 7, 17]] = 0.0, -1e-15, 1e-15  # rounding
-    (bars,) = marks(describe("anova", {"a": data.assign_attrs(axes="bounce", order=1)}), Bars)
+    (bars,) = marks(describe("anova", {"a": data.assign_attrs(axes="bounce", order=1)}), BarChart)
     np.testing.assert_array_equal(bars.value, [20, 19, 17, 16, 15, 14, 13, 12, 11, 10, 9, 7])
 
 
@@ -514,7 +514,7 @@ def test_techniques__bars_sum_to_the_variance():
             "technique_variance_ci": (("technique", "bound"), [[1.5, 2.5], [0.5, 1.5]]),
         }
     )
-    (bars,) = marks(describe("techniques", {"a": data}), Bars)
+    (bars,) = marks(describe("techniques", {"a": data}), BarChart)
     assert bars.value.sum() == matrix.sum()
     assert np.isnan(bars.low).tolist() == [False, False, True]
 
@@ -530,7 +530,7 @@ def test_techniques__rates_of_each_and_of_their_sum():
     ]
     first = marks(plot, Dots)[0]
     np.testing.assert_array_equal(first.y, data["technique_variance"].isel(technique=0))
-    (bars, _) = marks(describe("techniques", {"a": data, "b": data}), Bars)
+    (bars, _) = marks(describe("techniques", {"a": data, "b": data}), BarChart)
     last = data["technique_covariance"].isel(n=-1)
     assert bars.value.sum() == pytest.approx(float(last.sum()))
 

@@ -41,7 +41,7 @@ from mcspectra.core.display import printable
 from mcspectra.core.errors import ParameterError
 from mcspectra.plots.description import (
     Axis,
-    Bars,
+    BarChart,
     Dots,
     Heatmap,
     Line,
@@ -305,7 +305,7 @@ def _layers(mark: Mark, panel: Panel) -> list[_Layer]:
             dots = _Layer("scatter", xy, fixed, mark.hover)
             at, along = (xy["y"], panel.x) if mark.across else (xy["x"], panel.y)
             return [dots, *_whiskers(mark, at, along, color, mark.across)]
-        case Bars():
+        case BarChart():
             along, other = (panel.x, panel.y) if mark.lying else (panel.y, panel.x)
             base = along.low if along.kind == "log" and mark.base <= 0 else mark.base
             at, end = _place(other, mark.at), _place(along, mark.value)
@@ -375,7 +375,9 @@ def _stroke(mark: Line | ReferenceLine) -> dict[str, Any]:
     return {"line_dash": _DASHES[mark.dashes], "line_width": mark.width * _PIXELS}
 
 
-def _whiskers(mark: Dots | Bars, at: Array, axis: Axis, color: str, lying: bool) -> list[_Layer]:
+def _whiskers(
+    mark: Dots | BarChart, at: Array, axis: Axis, color: str, lying: bool
+) -> list[_Layer]:
     if mark.low is None or mark.high is None:
         return []
     ends = _segments(at, *_ends(axis, mark.low, mark.high), lying)
@@ -535,7 +537,7 @@ def _texts(panel: Panel) -> dict[str, dict[float, str]]:
     """What is written at the far end of bars, by place: ticks of an axis at the right, or above."""
     found: dict[str, dict[float, str]] = {}
     for mark in panel.marks:
-        if isinstance(mark, Bars) and mark.texts:
+        if isinstance(mark, BarChart) and mark.texts:
             at = _place(panel.y if mark.lying else panel.x, mark.at).tolist()
             here = found.setdefault("right" if mark.lying else "above", {})
             here |= dict(zip(at, mark.texts, strict=True))

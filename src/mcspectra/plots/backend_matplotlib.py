@@ -23,7 +23,7 @@ from mcspectra.core.display import printable
 from mcspectra.core.errors import FileFormatError, ParameterError, writing
 from mcspectra.plots.description import (
     Axis,
-    Bars,
+    BarChart,
     Dots,
     Heatmap,
     Line,
@@ -375,7 +375,7 @@ def _exact_figure(plot: Plot, shape: tuple[int, ...], pyplot: bool) -> tuple[Fig
 
 def _panel(axes: Axes, panel: Panel) -> Iterator[tuple[Scale, ScalarMappable]]:
     """Draw the marks of a panel; yields its color scales with the marks that show them."""
-    named = any(isinstance(mark, Bars) and mark.lying for mark in panel.marks)
+    named = any(isinstance(mark, BarChart) and mark.lying for mark in panel.marks)
     # Thin axes on two sides or four, small dark ticks, faint lines where they are wanted
     axes.set_facecolor("white")
     for side, spine in axes.spines.items():
@@ -500,7 +500,7 @@ def _mark(axes: Axes, mark: Mark, depth: float) -> ScalarMappable | None:
                 rasterized=len(mark.x) > _MOST_VECTORS, **shown,
             )  # fmt: skip
             return None if plain else drawn
-        case Bars():
+        case BarChart():
             there = np.isfinite(mark.value)
             at, value = mark.at[there], mark.value[there]
             if not isinstance(mark.color, str):
@@ -660,7 +660,7 @@ def _handle(marks: list[Mark | str]) -> Any:
     lines = [m for m in marks if isinstance(m, Line | ReferenceLine | Segments) and m.width]
     dots = [m for m in marks if isinstance(m, Dots)]
     if not lines and not dots:
-        opacity = first.opacity if isinstance(first, Bars) else 1.0
+        opacity = first.opacity if isinstance(first, BarChart) else 1.0
         return Patch(facecolor=color, alpha=opacity, linewidth=0)
     return Line2D(
         [], [], color=color, ls=getattr(lines[0], "dashes", "-") if lines else "none",

@@ -15,7 +15,7 @@ from mcspectra.core.checks import Array
 
 __all__ = [
     "Axis",
-    "Bars",
+    "BarChart",
     "Dots",
     "Heatmap",
     "Hover",
@@ -168,7 +168,7 @@ class Dots:
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Bars:
+class BarChart:
     """Bars from `base` to `value` at places `at`, upright or lying, with whiskers where given.
 
     Attributes
@@ -268,7 +268,7 @@ class Text:
     side: Literal["right", "left", "above", "below", "middle"] = "right"
 
 
-Mark: TypeAlias = Line | Dots | Bars | Heatmap | Pixels | Segments | ReferenceLine | Text
+Mark: TypeAlias = Line | Dots | BarChart | Heatmap | Pixels | Segments | ReferenceLine | Text
 
 
 @final

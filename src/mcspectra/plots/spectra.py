@@ -16,7 +16,7 @@ from mcspectra.core.confidence import CONFIDENCE_Z
 from mcspectra.core.errors import ParameterError
 from mcspectra.plots.description import (
     Axis,
-    Bars,
+    BarChart,
     Dots,
     Heatmap,
     Line,
@@ -185,7 +185,7 @@ def contributions(group: Group, styles: Styles) -> Plot:
             marks = (
                 Line(x=m, y=power, low=np.zeros(m.size), high=power, color=FAINT, width=0.0,
                      step=True, label="power part |fₘ|² Cₘₘ"),
-                Bars(at=m, value=total, color=styles[name].color, thickness=0.0, hover=shown),
+                BarChart(at=m, value=total, color=styles[name].color, thickness=0.0, hover=shown),
                 ReferenceLine(at=0.0, width=0.6),
             )  # fmt: skip
             panels.append(
@@ -239,7 +239,7 @@ def bands(group: Group, _: Styles) -> Plot:
         at = np.arange(float(count))
         each = {"share of band a by itself": own, "share of band a with others": through}
         marks = [
-            Bars(
+            BarChart(
                 at=at + side,
                 value=part,
                 color=color,

@@ -11,7 +11,7 @@ import xarray as xr
 
 from mcspectra.core.checks import Array
 from mcspectra.core.confidence import CONFIDENCE_Z
-from mcspectra.plots.description import Axis, Bars, Dots, Line, Mark, Panel, Plot, ReferenceLine
+from mcspectra.plots.description import Axis, BarChart, Dots, Line, Mark, Panel, Plot, ReferenceLine
 from mcspectra.plots.groups import (
     Group,
     Styles,
@@ -541,7 +541,7 @@ def _bar_panel(
         k = np.flatnonzero(opacity == each)
         own, said = ([each_[i] for i in k.tolist()] for each_ in (rows, texts))
         marks.append(
-            Bars(
+            BarChart(
                 at=k.astype(float),
                 value=np.where(np.isfinite(values), values, np.nan)[k],
                 color=color,

@@ -12,7 +12,7 @@ import xarray as xr
 from mcspectra.core.checks import Array
 from mcspectra.plots.description import (
     Axis,
-    Bars,
+    BarChart,
     Dots,
     Heatmap,
     Line,
@@ -198,7 +198,7 @@ def term_panel(data: xr.Dataset, scale: float, title: str, y: str = "") -> Panel
     rounding = _ROUNDING * np.abs(value).max()
     texts = [number(v, 2) if abs(v) > rounding else "0" for v in value]
     at = np.arange(4.0)
-    bars = Bars(at=at, value=value, low=low, high=high, color=PALETTE[:4], thickness=0.72)
+    bars = BarChart(at=at, value=value, low=low, high=high, color=PALETTE[:4], thickness=0.72)
     above = (
         Text(x=float(place), y=max(float(end), 0.0), text=text, side="above")
         for place, end, text in zip(at, high, texts, strict=True)
