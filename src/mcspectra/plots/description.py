@@ -19,6 +19,7 @@ __all__ = [
     "Dots",
     "Heatmap",
     "Hover",
+    "Label",
     "Line",
     "Mark",
     "Panel",
@@ -27,7 +28,6 @@ __all__ = [
     "ReferenceLine",
     "Scale",
     "Segments",
-    "Text",
 ]
 
 Hover: TypeAlias = Mapping[str, Sequence[str]]
@@ -258,7 +258,7 @@ class ReferenceLine:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Text:
+class Label:
     """A short text at a place, ``side`` of it."""
 
     x: float
@@ -268,7 +268,7 @@ class Text:
     side: Literal["right", "left", "above", "below", "middle"] = "right"
 
 
-Mark: TypeAlias = Line | Dots | BarChart | Heatmap | Pixels | Segments | ReferenceLine | Text
+Mark: TypeAlias = Line | Dots | BarChart | Heatmap | Pixels | Segments | ReferenceLine | Label
 
 
 @final

@@ -6,7 +6,16 @@ import numpy as np
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Axis, Dots, Line, Panel, Plot, ReferenceLine, Segments, Text
+from mcspectra.plots.description import (
+    Axis,
+    Dots,
+    Label,
+    Line,
+    Panel,
+    Plot,
+    ReferenceLine,
+    Segments,
+)
 from mcspectra.plots.scales import unit_panel
 from mcspectra.plots.style import ACCENT, INK, sampler_styles
 from mcspectra.plots.text import number
@@ -115,8 +124,8 @@ def _combs(seed: int) -> Plot:
             Line(x=x, y=f, color=INK, width=1.4),
             Line(x=x, y=pdf(x), color=ACCENT, dashes="--", width=1.4),
             ReferenceLine(at=0.0, width=0.6),
-            Text(x=0.24, y=1.0, text="f(x)", side="left"),
-            Text(x=0.02, y=1.72, text="p(x)", color=ACCENT),
+            Label(x=0.24, y=1.0, text="f(x)", side="left"),
+            Label(x=0.02, y=1.72, text="p(x)", color=ACCENT),
         ),
         y=Axis(label="value", low=0.0, high=1.9),
     )
