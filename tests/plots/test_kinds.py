@@ -15,7 +15,7 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.plots import backend_matplotlib
 from mcspectra.plots.description import BarChart, Dots, Heatmap, Line, ReferenceLine
 from mcspectra.plots.groups import labelled
-from mcspectra.plots.kinds import KINDS, describe, kinds_of
+from mcspectra.plots.kinds import PLOT_KINDS, describe, kinds_of
 from mcspectra.plots.style import sampler_styles
 from mcspectra.plots.variance import usable_counts
 
@@ -41,7 +41,7 @@ PLOTS = {
     "profile": ["profile"],
     "remedies": ["remedies"],
     "modes": ["modes"],
-    "map": [kind for kind in KINDS if kind.startswith("map-") and kind not in PATHS],
+    "map": [kind for kind in PLOT_KINDS if kind.startswith("map-") and kind not in PATHS],
 }
 TERMS = ("terms", "captured", "contributions", "bands")
 
@@ -413,7 +413,7 @@ def test_nothing_to_draw(data):
         describe("terms", data)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "anything"])
+@pytest.mark.parametrize("kind", [kind for kind in PLOT_KINDS if kind != "anything"])
 def test_wrong_analysis(kind):
     with pytest.raises(ParameterError, match="has no "):
         describe(kind, {"random": xr.Dataset()})

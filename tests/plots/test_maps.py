@@ -8,7 +8,7 @@ from tests.plots.drawing import drawn_by_both, marks
 from mcspectra.core.errors import McspectraError, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.plots.description import Heatmap, Pixels
-from mcspectra.plots.kinds import KINDS, describe, kinds_of
+from mcspectra.plots.kinds import PLOT_KINDS, describe, kinds_of
 from mcspectra.plots.maps import incident_maps, rms_error, strategy_images
 from mcspectra.rendering.files import encode_srgb
 
@@ -40,7 +40,7 @@ def variance_map(**changes):
     return xr.Dataset(found | changes, coords, {"labels_strategy": ["light", "bsdf"]})
 
 
-MAPS = [kind for kind in KINDS if kind.startswith("map-")]
+MAPS = [kind for kind in PLOT_KINDS if kind.startswith("map-")]
 
 
 def test_maps_have_a_plot_for_each_quantity():

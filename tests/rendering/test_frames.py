@@ -15,7 +15,7 @@ from mcspectra import rendering
 from mcspectra.cli.main import main
 from mcspectra.core.errors import FileFormatError, ParameterError
 from mcspectra.core.images import read_image
-from mcspectra.plots.kinds import KINDS, describe, kinds_of
+from mcspectra.plots.kinds import PLOT_KINDS, describe, kinds_of
 from mcspectra.rendering import frame_statistics, write_exr, write_png
 from mcspectra.report.frames_page import frame_findings
 
@@ -398,7 +398,7 @@ def test_page_layers_and_json(tmp_path, capsys, plain, found):
 def test_plots_by_both_backends(tmp_path, plain):
     other = write(tmp_path / "b", seed=3)
     result = frames(plain["white"], against=other, target=0.05, flip=True)
-    kinds = [kind for kind in KINDS if kind.startswith("frames-")]
+    kinds = [kind for kind in PLOT_KINDS if kind.startswith("frames-")]
     if "flip" not in result:
         kinds.remove("frames-flip")
     assert set(kinds) <= set(kinds_of(result))

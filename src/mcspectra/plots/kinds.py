@@ -27,12 +27,12 @@ from mcspectra.plots.groups import (
 from mcspectra.plots.scales import name_axis
 from mcspectra.plots.style import labels, sampler_styles
 
-__all__ = ["KINDS", "Kind", "anything", "describe", "kinds_of", "shown_variables"]
+__all__ = ["PLOT_KINDS", "PlotKind", "anything", "describe", "kinds_of", "shown_variables"]
 
 
 @final
 @dataclass(frozen=True)
-class Kind:
+class PlotKind:
     """A kind of plot.
 
     Attributes
@@ -153,33 +153,33 @@ def _places(values: xr.DataArray, dim: Any) -> tuple[Array, Mapping[float, str] 
     return np.arange(float(at.size)), {float(k): str(text) for k, text in enumerate(at)}
 
 
-KINDS: Mapping[str, Kind] = {
-    "convergence": Kind(variance.convergence, ("n", "variance", "variance_ci", "mean", "rate", "rate_ci")),
-    "terms": Kind(variance.terms, ("dc_term", "power_term", "cross_term", "predicted_variance_ci", "measured_variance_ci")),
-    "captured": Kind(variance.captured, ("captured_by_half_width",)),
-    "contributions": Kind(spectra.contributions, ("contribution", "power_contribution")),
-    "bands": Kind(spectra.bands, ("band_covariance",)),
-    "cross-matrix": Kind(spectra.cross_matrix, ("cross_matrix",)),
-    "spectrum": Kind(spectra.spectrum, ("power",), 2),
-    "lines": Kind(spectra.lines, ("power",), 1),
-    "radial": Kind(spectra.radial, ("power", "radial_power")),
-    "pair-correlation": Kind(spectra.pair_correlation, ("pair_correlation", "pair_correlation_ci")),
-    "points": Kind(points.points, ("points", "axis")),
-    "remedies": Kind(variance.remedies, ("remedy", "error_ratio", "error_ratio_ci", "verdict")),
-    "techniques": Kind(variance.techniques, ("technique_covariance", "technique_variance_ci")),
-    "technique-rates": Kind(variance.technique_rates, ("n", "technique_variance", "technique_rate", "rate_ci")),
-    "anova": Kind(variance.anova, ("anova_variance", "anova_variance_se", "subset_label")),
-    "profile": Kind(variance.profile, ("n", "variance", "variance_ci", "integral")),
-    "prediction": Kind(variance.prediction, ("n", "predicted_variance", "predicted_variance_ci")),
-    "modes": Kind(spectra.modes, ("eigenvalue", "eigenvalue_se", "eigenvalue_share", "mode_vector")),
-    "chains": Kind(spectra.chains, ("error_share", "chain_spectrum", "fitted_spectrum")),
-    "warp": Kind(warps.warp, ("warped", "stretch", "jump")),
-    "primary": Kind(warps.primary, ("primary_value", "primary_jump", "face_jump")),
+PLOT_KINDS: Mapping[str, PlotKind] = {
+    "convergence": PlotKind(variance.convergence, ("n", "variance", "variance_ci", "mean", "rate", "rate_ci")),
+    "terms": PlotKind(variance.terms, ("dc_term", "power_term", "cross_term", "predicted_variance_ci", "measured_variance_ci")),
+    "captured": PlotKind(variance.captured, ("captured_by_half_width",)),
+    "contributions": PlotKind(spectra.contributions, ("contribution", "power_contribution")),
+    "bands": PlotKind(spectra.bands, ("band_covariance",)),
+    "cross-matrix": PlotKind(spectra.cross_matrix, ("cross_matrix",)),
+    "spectrum": PlotKind(spectra.spectrum, ("power",), 2),
+    "lines": PlotKind(spectra.lines, ("power",), 1),
+    "radial": PlotKind(spectra.radial, ("power", "radial_power")),
+    "pair-correlation": PlotKind(spectra.pair_correlation, ("pair_correlation", "pair_correlation_ci")),
+    "points": PlotKind(points.points, ("points", "axis")),
+    "remedies": PlotKind(variance.remedies, ("remedy", "error_ratio", "error_ratio_ci", "verdict")),
+    "techniques": PlotKind(variance.techniques, ("technique_covariance", "technique_variance_ci")),
+    "technique-rates": PlotKind(variance.technique_rates, ("n", "technique_variance", "technique_rate", "rate_ci")),
+    "anova": PlotKind(variance.anova, ("anova_variance", "anova_variance_se", "subset_label")),
+    "profile": PlotKind(variance.profile, ("n", "variance", "variance_ci", "integral")),
+    "prediction": PlotKind(variance.prediction, ("n", "predicted_variance", "predicted_variance_ci")),
+    "modes": PlotKind(spectra.modes, ("eigenvalue", "eigenvalue_se", "eigenvalue_share", "mode_vector")),
+    "chains": PlotKind(spectra.chains, ("error_share", "chain_spectrum", "fitted_spectrum")),
+    "warp": PlotKind(warps.warp, ("warped", "stretch", "jump")),
+    "primary": PlotKind(warps.primary, ("primary_value", "primary_jump", "face_jump")),
     **{
-        kind: Kind(describe, variables, pixels=True)
+        kind: PlotKind(describe, variables, pixels=True)
         for kind, (variables, describe) in maps.MAPS.items()
     },
-    "anything": Kind(anything, (), pixels=True),
+    "anything": PlotKind(anything, (), pixels=True),
 }  # fmt: skip
 """The first kind that fits a result is the one that its accessor's ``plot`` draws."""
 
@@ -187,7 +187,7 @@ KINDS: Mapping[str, Kind] = {
 def kinds_of(data: Data) -> tuple[str, ...]:
     """Return the kinds of plots that show a result; ``anything`` where no other kind does."""
     first = next(iter(as_group(data)[0].values()))
-    fitting = (name for name, kind in KINDS.items() if kind.fits(first) and name != "anything")
+    fitting = (name for name, kind in PLOT_KINDS.items() if kind.fits(first) and name != "anything")
     return tuple(fitting) or (("anything",) if shown_variables(first) else ())
 
 
@@ -197,7 +197,7 @@ def describe(kind: str, data: Data, styles: Styles | None = None) -> Plot:
     Parameters
     ----------
     kind
-        One of `KINDS`.
+        One of `PLOT_KINDS`.
     data
         A dataset, perhaps with the dims estimator and sampler, or datasets by name; of several
         channels the first is shown.
@@ -209,7 +209,7 @@ def describe(kind: str, data: Data, styles: Styles | None = None) -> Plot:
     ParameterError
         No such kind, nothing to draw, or a result of another analysis.
     """
-    chosen = KINDS[as_choice("kind", kind, tuple(KINDS))]
+    chosen = PLOT_KINDS[as_choice("kind", kind, tuple(PLOT_KINDS))]
     group, note = as_group(data)
     for name, each in group.items():
         if lacking := chosen.lacks(each):

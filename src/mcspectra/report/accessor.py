@@ -18,7 +18,7 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.core.results import VARIABLES
 from mcspectra.plots.backend_matplotlib import GivenAxes, draw, panel_axes
 from mcspectra.plots.groups import along, labelled, method_of, pairs, variant_dims
-from mcspectra.plots.kinds import KINDS, describe, kinds_of
+from mcspectra.plots.kinds import PLOT_KINDS, describe, kinds_of
 from mcspectra.plots.text import interval, number, rate
 from mcspectra.report.sentences import explain
 from mcspectra.studies.summary import rows_of
@@ -127,7 +127,9 @@ class Result:
 
 def _sentences(data: xr.Dataset) -> Iterator[str]:
     """`explain` of every estimator, sampler and channel; nothing for other results."""
-    analysis = next((kind for kind in ("convergence", "terms") if KINDS[kind].fits(data)), None)
+    analysis = next(
+        (kind for kind in ("convergence", "terms") if PLOT_KINDS[kind].fits(data)), None
+    )
     if analysis is None:
         return
     several = {"estimator", "sampler", "channel", *variant_dims(data)} & set(data.dims)
