@@ -48,7 +48,7 @@ __all__ = [
     "QUALITY_HEADS",
     "QUICK",
     "Card",
-    "Effort",
+    "CardEffort",
     "all_samplers",
     "card_sections",
     "measure_card",
@@ -83,7 +83,7 @@ _INTEGRANDS = {1: ("gaussian", "step(at=0.3)"), 2: ("gaussian", "disk")}
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Effort:
+class CardEffort:
     """How much is drawn for a card.
 
     Attributes
@@ -103,8 +103,8 @@ class Effort:
     slow_rates: int = 400
 
 
-FULL = Effort()
-QUICK = Effort(
+FULL = CardEffort()
+QUICK = CardEffort(
     n=256, spectra=40, rates=300, counts=(16, 64, 256), slow_counts=(16, 64, 256), slow_rates=100
 )
 
@@ -165,7 +165,7 @@ def write_cards(
     folder: str | Path,
     specs: Sequence[str] | None = None,
     *,
-    effort: Effort = FULL,
+    effort: CardEffort = FULL,
     rng: int = 0,
 ) -> Path:
     """Measure samplers and write their cards as Markdown: the page of samplers in the documentation.
@@ -232,7 +232,7 @@ def write_cards(
     return page
 
 
-def measure_card(spec: str, *, effort: Effort = FULL, rng: int = 0) -> Card:
+def measure_card(spec: str, *, effort: CardEffort = FULL, rng: int = 0) -> Card:
     """Measure a sampler: in 2-D, else in the only dims it can do.
 
     Raises
@@ -294,7 +294,7 @@ def _projection(spec: str, n: int, rng: int) -> Array | None:
 
 
 def _curves(
-    dims: int, source: Sampler, effort: Effort, rng: int, *, slow: bool
+    dims: int, source: Sampler, effort: CardEffort, rng: int, *, slow: bool
 ) -> dict[str, xr.Dataset]:
     """Convergence on some integrands; none where fewer than two counts are possible."""
     wanted = effort.slow_counts if slow else effort.counts
@@ -371,7 +371,7 @@ def _card_facts(card: Card) -> list[tuple[str, str]]:
     return [(name, value) for name, value in facts if value]
 
 
-def _settings(effort: Effort) -> str:
+def _settings(effort: CardEffort) -> str:
     """How the cards were made, in a sentence or two."""
     low, high = effort.counts[0], effort.counts[-1]
     return (
