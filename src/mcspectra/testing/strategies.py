@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 __all__ = ["counts", "densities", "integrands", "point_sets", "samplers", "spec_strings"]
 
-KINDS = ("sampler", "density", "integrand")
+COMPONENT_KINDS = ("sampler", "density", "integrand")
 MAX_DIMS = 16
 _MOST_STEPS = 2
 _FOREIGN = (
@@ -64,7 +64,7 @@ def spec_strings(kind: str = "sampler", *, dims: int = 2) -> SearchStrategy[str]
         Another kind, or dims out of range.
     """
     make = {"sampler": _sampler_specs, "density": _density_specs, "integrand": _integrand_specs}
-    name = as_choice("kind", kind, KINDS)
+    name = as_choice("kind", kind, COMPONENT_KINDS)
     return make[name](as_integer("dims", dims, least=1, most=MAX_DIMS))
 
 
