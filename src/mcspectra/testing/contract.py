@@ -309,13 +309,13 @@ def check_integrand(integrand: Integrand | str, *, dims: int | None = None) -> N
         shape = np.shape(part)
         demand(shape == (len(low), *channels), who, f"has box moments of shape {shape}")
         for claimed, a, b in zip(np.asarray(part), low, high, strict=True):
-            box = _Seen(f, tuple(a), tuple(b), power)
+            box = _Restricted(f, tuple(a), tuple(b), power)
             _compare(box, "box moments", claimed[..., None], x, one)
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class _Seen(Integrand):
+class _Restricted(Integrand):
     """Values of another integrand, or of its square, over a box: without any closed form."""
 
     name: ClassVar[str] = "seen"
@@ -374,7 +374,7 @@ def _compare(f: Integrand, what: str, claimed: Array, x: Array, factors: Array) 
     # Points may miss a small region: does a quadrature of the values find the integral?
     agree = False
     if factors.shape[-1] == 1 and f.dims <= _QUADRATURE_DIMS:
-        seen = f if isinstance(f, _Seen) else _Seen(f, (0.0,) * f.dims, (1.0,) * f.dims)
+        seen = f if isinstance(f, _Restricted) else _Restricted(f, (0.0,) * f.dims, (1.0,) * f.dims)
         limit = _REMAINDER * integral_accuracy(seen)[1] + 1e-13
         agree = bool(np.abs(np.asarray(seen.integral) - claimed[..., 0]).max() <= limit)
     claim, found, spread = (float(a[off][0]) for a in (claimed, mean, error))
