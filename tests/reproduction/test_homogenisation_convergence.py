@@ -17,11 +17,11 @@ def test_swapped_samplers_and_a_function_that_is_not_periodic_disagree(
 ) -> None:
     measured, exact = module.measured, module.exact
 
-    def swapped(case: module.Case, _: int, seed: int, *samplers: Any) -> Any:
+    def swapped(case: module.ConvergenceCase, _: int, seed: int, *samplers: Any) -> Any:
         found = measured(case, 400, seed, *samplers)
         return dict(zip(found, reversed(found.values()), strict=True))
 
-    def not_periodic(case: module.Case, sampler: str) -> Any:
+    def not_periodic(case: module.ConvergenceCase, sampler: str) -> Any:
         return exact(module.BELL if case == module.COSINE else case, sampler)
 
     assert {0, 1, 8, 9, 10} <= set(disagreeing(module, measured=swapped, exact=not_periodic))

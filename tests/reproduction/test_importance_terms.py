@@ -17,7 +17,7 @@ from mcspectra.reproduction.panels import term_panel
 
 
 @pytest.mark.parametrize("case", [module.GOOD, module.BAD, module.FLAT], ids=lambda c: c.title)
-def test_the_terms_of_random_points_sum_to_the_variance(case: module.Case) -> None:
+def test_the_terms_of_random_points_sum_to_the_variance(case: module.TermsCase) -> None:
     """By another route: ∫f²/p − I² over N by adaptive quadrature."""
     f, p = case.estimator.integrand, case.estimator.density
     assert p is not None
@@ -42,7 +42,7 @@ def test_the_third_term_of_the_bar_is_what_a_shift_takes_away() -> None:
 def test_other_cases_and_a_second_term_that_may_be_zero_disagree(
     disagreeing: Disagreeing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    right = module.Case.terms
+    right = module.TermsCase.terms
     others = {
         module.GOOD: module.BAD,
         module.BAD: module.GOOD,
@@ -51,14 +51,14 @@ def test_other_cases_and_a_second_term_that_may_be_zero_disagree(
         module.STRATIFIED: module.BAD,
     }
 
-    def wrong(case: module.Case, _: int, seed: int) -> Any:
+    def wrong(case: module.TermsCase, _: int, seed: int) -> Any:
         if case.function != "line":
             return right(others[case], 300, seed)
         data = right(replace(case, sampler="jittered"), 300, seed)
         size = float(data["power_term"])
         return data.assign(power_term_ci=("bound", [-0.01 * size, 3 * size]))
 
-    monkeypatch.setattr(module.Case, "terms", wrong)
+    monkeypatch.setattr(module.TermsCase, "terms", wrong)
     assert disagreeing(module) == [0, 3, 4, 5, 6, 7, 8, 9, 11, 13]
 
 

@@ -24,7 +24,7 @@ _HALF_WIDTH = 384  # the disk's power beyond adds 2e-7 to N times its variance, 
 
 @final
 @dataclass(frozen=True)
-class Case:
+class ConvergenceCase:
     """An integrand, and the rates of jittered points on it, plain and shifted."""
 
     title: str
@@ -39,10 +39,10 @@ class Case:
         return mcs.integrand(self.spec, self.dims)
 
 
-LINE = Case("f(x) = x, one dim", "linear", 1, -3.0, -2.0)
-BELL = Case("exp(−x² − y²), two dims", "christensen-gaussian", 2, -2.0, -1.5)
-DISK = Case("disk, two dims", "disk(center=[0.45, 0.52], radius=0.3)", 2, -1.5, -1.5)
-COSINE = Case("cos(2π(x + y)), two dims", "cosine(frequency=[1, 1])", 2, -2.0, -2.0)
+LINE = ConvergenceCase("f(x) = x, one dim", "linear", 1, -3.0, -2.0)
+BELL = ConvergenceCase("exp(−x² − y²), two dims", "christensen-gaussian", 2, -2.0, -1.5)
+DISK = ConvergenceCase("disk, two dims", "disk(center=[0.45, 0.52], radius=0.3)", 2, -1.5, -1.5)
+COSINE = ConvergenceCase("cos(2π(x + y)), two dims", "cosine(frequency=[1, 1])", 2, -2.0, -2.0)
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
@@ -103,7 +103,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def measured(
-    case: Case, realizations: int, seed: int, samplers: tuple[str, ...] = SAMPLERS
+    case: ConvergenceCase, realizations: int, seed: int, samplers: tuple[str, ...] = SAMPLERS
 ) -> dict[str, xr.Dataset]:
     """Convergence of two samplers."""
     data = mcs.convergence(
@@ -112,7 +112,7 @@ def measured(
     return {name: data.sel(sampler=name) for name in samplers}
 
 
-def exact(case: Case, sampler: str) -> Array:
+def exact(case: ConvergenceCase, sampler: str) -> Array:
     """Exact variances at the counts."""
     f = case.integrand
     if case != DISK or sampler == "jittered":

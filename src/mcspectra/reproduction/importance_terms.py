@@ -22,7 +22,7 @@ _FEW, _MANY = 4, 64  # half widths: f with one cycle needs no more than 1
 
 @final
 @dataclass(frozen=True)
-class Case:
+class TermsCase:
     """An estimator and a sampler.
 
     Attributes
@@ -73,12 +73,12 @@ class Case:
         return float(first) / N, float(second) / N, float(third) / N
 
 
-LINE = Case("f = x, p = 1, jittered", "line", 0.0, "jittered")
-BAR = Case("bar, p = 1, jittered", "bar", 0.0, "jittered")
-GOOD = Case("cosine, p as f, random", "cosine", -0.8, "random")
-STRATIFIED = Case("cosine, p as f, jittered", "cosine", -0.8, "jittered")
-BAD = Case("cosine, p against f, random", "cosine", 0.8, "random")
-FLAT = Case("f = 1, p as cosine, random", "one", -0.8, "random")
+LINE = TermsCase("f = x, p = 1, jittered", "line", 0.0, "jittered")
+BAR = TermsCase("bar, p = 1, jittered", "bar", 0.0, "jittered")
+GOOD = TermsCase("cosine, p as f, random", "cosine", -0.8, "random")
+STRATIFIED = TermsCase("cosine, p as f, jittered", "cosine", -0.8, "jittered")
+BAD = TermsCase("cosine, p against f, random", "cosine", 0.8, "random")
+FLAT = TermsCase("f = 1, p as cosine, random", "one", -0.8, "random")
 
 
 def _wave(height: float) -> mcs.Integrand:
@@ -99,7 +99,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Measure terms in cases that confirm the statements of the slides, and in some that do not."""
     realizations = 1000 if quick else 20_000
     of = {case: case.terms(realizations, seed) for case in (LINE, BAR, GOOD, STRATIFIED, BAD, FLAT)}
-    shifted = Case("", "line", 0.0, "jittered | shift").terms(realizations, seed)
+    shifted = TermsCase("", "line", 0.0, "jittered | shift").terms(realizations, seed)
     third = {case: number(float(data["cross_term"])) for case, data in of.items()}
     with_f = "With IS that follows f, {} points, the third term is negative."
     # With p = f every estimate is I: the third term is minus the other two
@@ -210,7 +210,7 @@ def exact_bar(half_width: int) -> float:
     return float((matrix.sum() - np.trace(matrix)).real)
 
 
-def _crucial(case: Case, data: xr.Dataset) -> Claim:
+def _crucial(case: TermsCase, data: xr.Dataset) -> Claim:
     """First and second term over the measured variance, whose interval it takes."""
     both = float(data["dc_term"] + data["power_term"])
     variance = Measured.of(data, "measured_variance")
