@@ -21,7 +21,6 @@ from mcspectra.plots.description import (
     BarChart,
     Dots,
     Heatmap,
-    Label,
     Line,
     Panel,
     Pixels,
@@ -29,6 +28,7 @@ from mcspectra.plots.description import (
     ReferenceLine,
     Scale,
     Segments,
+    TextMark,
 )
 from mcspectra.plots.style import PALETTE
 
@@ -70,7 +70,7 @@ def marks(factor):
         "pixels": Pixels(rgb=np.arange(24, dtype=np.uint8).reshape(2, 4, 3)),
         "segments": Segments(ends=factor * np.ones((3, 2, 2)), color="#DCDCDC", label="cuts"),
         "rule": ReferenceLine(at=factor, axis="x", label="rule"),
-        "text": Label(x=1.0, y=factor, text=EVIL, side="above"),
+        "text": TextMark(x=1.0, y=factor, text=EVIL, side="above"),
     }  # fmt: skip
 
 

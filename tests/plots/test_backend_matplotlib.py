@@ -8,7 +8,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from matplotlib.text import Label as MplText
+from matplotlib.text import TextMark as MplText
 from PIL import Heatmap as Picture
 
 from mcspectra.core.errors import FileFormatError, ParameterError
@@ -18,7 +18,6 @@ from mcspectra.plots.description import (
     BarChart,
     Dots,
     Heatmap,
-    Label,
     Line,
     Panel,
     Pixels,
@@ -26,6 +25,7 @@ from mcspectra.plots.description import (
     ReferenceLine,
     Scale,
     Segments,
+    TextMark,
 )
 from mcspectra.plots.scales import log_scale, name_axis, signed_axis, signed_scale
 from mcspectra.plots.style import FAINT
@@ -170,7 +170,7 @@ def test_segments_rules_texts_and_notes():
         Segments(ends=ends, color="#D55E00"),
         ReferenceLine(at=1.0, axis="x"),
         ReferenceLine(at=2.0),
-        Label(x=0.5, y=0.5, text="here $x$", side="below"),
+        TextMark(x=0.5, y=0.5, text="here $x$", side="below"),
         note="nothing to see",
     )
     np.testing.assert_array_equal(axes.collections[0].get_segments()[0], ends[0])

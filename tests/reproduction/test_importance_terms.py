@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import quad
 from tests.reproduction.conftest import Disagreeing
 
-from mcspectra.plots.description import Label
+from mcspectra.plots.description import TextMark
 from mcspectra.prediction.exact import exact_variance
 from mcspectra.reproduction import importance_terms as module
 from mcspectra.reproduction.panels import term_panel
@@ -65,6 +65,6 @@ def test_other_cases_and_a_second_term_that_may_be_zero_disagree(
 def test_bars_of_rounding_errors_have_the_label_0() -> None:
     data = module.FLAT.terms(100, 1)
     panel = term_panel(data.assign(cross_term=1e-14 * data["dc_term"]), 1e-3, "f = 1")
-    labels = [mark.text for mark in panel.marks if isinstance(mark, Label)]
+    labels = [mark.text for mark in panel.marks if isinstance(mark, TextMark)]
     assert labels[1:3] == ["0", "0"]
     assert labels[0] == labels[3] != "0"

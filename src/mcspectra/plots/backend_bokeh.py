@@ -44,7 +44,6 @@ from mcspectra.plots.description import (
     BarChart,
     Dots,
     Heatmap,
-    Label,
     Line,
     Mark,
     Panel,
@@ -53,6 +52,7 @@ from mcspectra.plots.description import (
     ReferenceLine,
     Scale,
     Segments,
+    TextMark,
 )
 from mcspectra.plots.scales import log_ticks, signed_place
 from mcspectra.plots.style import FAINT, GRADIENTS, GRAY, INK
@@ -359,7 +359,7 @@ def _layers(mark: Mark, panel: Panel) -> list[_Layer]:
             stroke = {"line_color": _seen(mark.color), **_stroke(mark)}
             glyph = "vspan" if mark.axis == "x" else "hspan"
             return [_Layer(glyph, {mark.axis: place}, stroke)]
-        case Label():
+        case TextMark():
             align, baseline, *away = _SIDES[mark.side]
             spot = {"x": _place(panel.x, [mark.x]), "y": _place(panel.y, [mark.y])}
             fixed = {

@@ -26,7 +26,6 @@ from mcspectra.plots.description import (
     BarChart,
     Dots,
     Heatmap,
-    Label,
     Line,
     Mark,
     Panel,
@@ -35,6 +34,7 @@ from mcspectra.plots.description import (
     ReferenceLine,
     Scale,
     Segments,
+    TextMark,
 )
 from mcspectra.plots.scales import log_ticks
 from mcspectra.plots.style import FAINT, GRADIENTS, GRAY, INK, PAPER
@@ -561,7 +561,7 @@ def _mark(axes: Axes, mark: Mark, depth: float) -> ScalarMappable | None:
         case ReferenceLine():
             line = axes.axvline if mark.axis == "x" else axes.axhline
             line(mark.at, ls=mark.dashes, lw=mark.width, **look)
-        case Label():
+        case TextMark():
             offset, across, up = _SIDES[mark.side]
             axes.annotate(
                 escaped(mark.text), (mark.x, mark.y), xytext=offset, textcoords="offset points",

@@ -19,7 +19,6 @@ __all__ = [
     "Dots",
     "Heatmap",
     "Hover",
-    "Label",
     "Line",
     "Mark",
     "Panel",
@@ -28,6 +27,7 @@ __all__ = [
     "ReferenceLine",
     "Scale",
     "Segments",
+    "TextMark",
 ]
 
 Hover: TypeAlias = Mapping[str, Sequence[str]]
@@ -258,7 +258,7 @@ class ReferenceLine:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Label:
+class TextMark:
     """A short text at a place, ``side`` of it."""
 
     x: float
@@ -268,7 +268,7 @@ class Label:
     side: Literal["right", "left", "above", "below", "middle"] = "right"
 
 
-Mark: TypeAlias = Line | Dots | BarChart | Heatmap | Pixels | Segments | ReferenceLine | Label
+Mark: TypeAlias = Line | Dots | BarChart | Heatmap | Pixels | Segments | ReferenceLine | TextMark
 
 
 @final

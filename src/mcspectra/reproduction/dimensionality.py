@@ -9,7 +9,7 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Axis, Dots, Label, Line, Mark, Panel, Plot, ReferenceLine
+from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, Plot, ReferenceLine, TextMark
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import ACCENT, PALETTE
@@ -227,7 +227,7 @@ def _sizes() -> Plot:
     memory = 2**36 / _BYTES
     marks += [
         ReferenceLine(at=memory, color=ACCENT, width=1.0),
-        Label(x=1.0, y=memory, text="64 GiB", color=ACCENT, side="above"),
+        TextMark(x=1.0, y=memory, text="64 GiB", color=ACCENT, side="above"),
     ]
     ticks = {float(d): str(int(d)) for d in dims}
     x = Axis(label="number of dims d", low=0.8, high=6.2, ticks=ticks)

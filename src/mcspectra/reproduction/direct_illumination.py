@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 
 import mcspectra as mcs
-from mcspectra.plots.description import Dots, Label, Panel, Pixels, Plot
+from mcspectra.plots.description import Dots, Panel, Pixels, Plot, TextMark
 from mcspectra.plots.style import ACCENT
 from mcspectra.rendering.files import encode_srgb
 from mcspectra.reproduction.claims import Claim, Exhibit, largest_distance, pixel_rate, rate_text
@@ -120,7 +120,7 @@ def _scene(spp: int, seed: int) -> Plot:
                     Dots(x=x, y=height - y, color="#FFFFFF", size=8.0),
                     Dots(x=x, y=height - y, color=ACCENT, size=6.0),
                     *(
-                        Label(x=px, y=height - py, text=name)
+                        TextMark(x=px, y=height - py, text=name)
                         for name, px, py in zip(
                             mcs.rendering.named_pixels(scene), x, y, strict=True
                         )

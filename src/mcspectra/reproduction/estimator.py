@@ -9,12 +9,12 @@ from mcspectra.core.checks import Array
 from mcspectra.plots.description import (
     Axis,
     Dots,
-    Label,
     Line,
     Panel,
     Plot,
     ReferenceLine,
     Segments,
+    TextMark,
 )
 from mcspectra.plots.scales import unit_panel
 from mcspectra.plots.style import ACCENT, INK, sampler_styles
@@ -124,8 +124,8 @@ def _combs(seed: int) -> Plot:
             Line(x=x, y=f, color=INK, width=1.4),
             Line(x=x, y=pdf(x), color=ACCENT, dashes="--", width=1.4),
             ReferenceLine(at=0.0, width=0.6),
-            Label(x=0.24, y=1.0, text="f(x)", side="left"),
-            Label(x=0.02, y=1.72, text="p(x)", color=ACCENT),
+            TextMark(x=0.24, y=1.0, text="f(x)", side="left"),
+            TextMark(x=0.02, y=1.72, text="p(x)", color=ACCENT),
         ),
         y=Axis(label="value", low=0.0, high=1.9),
     )

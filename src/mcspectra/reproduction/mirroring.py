@@ -22,13 +22,13 @@ from mcspectra.plots.description import (
     Axis,
     Dots,
     Heatmap,
-    Label,
     Line,
     Mark,
     Panel,
     Plot,
     ReferenceLine,
     Scale,
+    TextMark,
 )
 from mcspectra.plots.scales import unit_panel
 from mcspectra.plots.style import ACCENT, INK, PALETTE
@@ -93,7 +93,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             limits=(1e-9, 1e-3),
         )
         at, text = float(exact[key][1]), f"slope {number(RATES[key], 2)}"
-        slope = Label(x=float(_COUNTS[1]), y=2.0 * at, text=text)
+        slope = TextMark(x=float(_COUNTS[1]), y=2.0 * at, text=text)
         curves.append(replace(panel, marks=(*panel.marks, slope)))
     return Exhibit(
         numbers={

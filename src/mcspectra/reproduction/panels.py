@@ -15,13 +15,13 @@ from mcspectra.plots.description import (
     BarChart,
     Dots,
     Heatmap,
-    Label,
     Line,
     Mark,
     Panel,
     Plot,
     ReferenceLine,
     Scale,
+    TextMark,
 )
 from mcspectra.plots.scales import count_axis, log_axis, name_axis, unit_panel
 from mcspectra.plots.style import FAINT, INK, MARKERS, PALETTE, line_widths
@@ -200,7 +200,7 @@ def term_panel(data: xr.Dataset, scale: float, title: str, y: str = "") -> Panel
     at = np.arange(4.0)
     bars = BarChart(at=at, value=value, low=low, high=high, color=PALETTE[:4], thickness=0.72)
     above = (
-        Label(x=float(place), y=max(float(end), 0.0), text=text, side="above")
+        TextMark(x=float(place), y=max(float(end), 0.0), text=text, side="above")
         for place, end, text in zip(at, high, texts, strict=True)
     )
     bottom, top = min(low.min(), 0.0), max(high.max(), 0.0)

@@ -12,13 +12,13 @@ from mcspectra.core.checks import Array
 from mcspectra.plots.description import (
     Axis,
     Heatmap,
-    Label,
     Mark,
     Panel,
     Pixels,
     Plot,
     Scale,
     Segments,
+    TextMark,
 )
 from mcspectra.plots.style import INK
 from mcspectra.plots.text import number
@@ -197,7 +197,7 @@ def _who_wins(renders: Renders) -> Plot:
         marks += [Segments(ends=ends, color="#FFFFFF", width=3.2), Segments(ends=ends, color=INK)]
         marks.append(
             # Above the reflection, which is dark
-            Label(x=(left + right) / 2, y=2.0 * high - low, text=label, side="above")
+            TextMark(x=(left + right) / 2, y=2.0 * high - low, text=label, side="above")
         )
     axis = Axis(ticks={})
     return Plot(
