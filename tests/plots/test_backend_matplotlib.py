@@ -8,8 +8,8 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from matplotlib.text import TextMark as MplText
-from PIL import Heatmap as Picture
+from matplotlib.text import Text as MplText
+from PIL import Image as Picture
 
 from mcspectra.core.errors import FileFormatError, ParameterError
 from mcspectra.plots.backend_matplotlib import FORMATS, draw, encode, panel_axes, write

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import xarray as xr
-from PIL import Heatmap as Picture
+from PIL import Image as Picture
 from tests.plots.drawing import marks
 
 import mcspectra as mcs

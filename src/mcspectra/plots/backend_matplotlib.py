@@ -158,7 +158,7 @@ def encode(figure: Figure) -> tuple[bytes, bytes]:
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_pdf import FigureCanvasPdf
-    from PIL import Heatmap as Picture
+    from PIL import Image as Picture
 
     # Names in scripts that the font lacks show as boxes; the page has them in full
     with warnings.catch_warnings(), mpl.rc_context({"pdf.fonttype": 42}):
