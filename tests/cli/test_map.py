@@ -55,7 +55,7 @@ def test_pictures_and_page(made):
     assert {"mean", "variance", "rate", "rate_se", "bottleneck", "gain"} <= set(kinds)
     for kind in kinds:
         assert (folder / f"{kind}.png").read_bytes().startswith(b"\x89PNG")
-    assert "All pixels have the same points, so their errors are alike" in page
+    assert "All pixels share the same points, so their errors are correlated" in page
     assert "<h1>Variance map of " in page
     assert "light sampling" in page
     assert not any(raw in page for raw in ("stream_key", "labels_strategy", "estimator_name"))
@@ -90,7 +90,7 @@ def test_text_has_a_row_a_strategy(tmp_path, capsys):
         "Medians over the 24 pixels that see a lit surface; mean and variance at"
     )
     assert "Half of the light or more is missed by BSDF sampling" in note
-    assert "All pixels have the same points" in note
+    assert "All pixels share the same points" in note
     assert header.split()[:4] == ["Strategy", "Mean", "Variance", "Rate"]
     assert [row.partition("  ")[0] for row in rows] == ["light sampling", "BSDF sampling"]
     assert last == f"map: {tmp_path / 'report.html'}"

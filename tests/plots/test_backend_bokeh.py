@@ -127,7 +127,7 @@ def test_another_structure_is_refused():
         dataclasses.replace(plot("line"), panels=plot("line").panels * 2),
     ):
         assert not drawn.fits(other)
-        with pytest.raises(ParameterError, match="draw it anew"):
+        with pytest.raises(ParameterError, match="draw it again"):
             drawn.update(other)
 
 

@@ -261,7 +261,7 @@ def test_axes_of_somebody_else_keep_their_figure_and_get_the_legend():
 
 @pytest.mark.parametrize("axes", ["here", 3, [], [1], np.zeros(1), Figure().subplots(1, 3)])
 def test_what_are_no_axes_is_refused(axes):
-    with pytest.raises(ParameterError, match="this result takes one matplotlib Axes"):
+    with pytest.raises(ParameterError, match="this result needs one matplotlib Axes"):
         draw(plot(Panel(marks=())), axes)
     with pytest.raises(ParameterError, match="2 matplotlib Axes of one figure"):
         draw(plot(Panel(marks=()), Panel(marks=())), [Figure().subplots(), Figure().subplots()])

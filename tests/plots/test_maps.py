@@ -145,9 +145,9 @@ def test_pictures_say_samples_and_errors():
         "MIS",
     ]
     off = [f"rms error {rms_error(made[s], made['reference']):.3g}" for s in ("light", "mis")]
-    assert panels[0].x.label == "1024 + 1024 samples a pixel\nrms standard error 0.25"
-    assert panels[1].x.label == f"4 samples a pixel\n{off[0]}"
-    assert panels[3].x.label == f"2 + 2 samples a pixel\n{off[1]}"
+    assert panels[0].x.label == "1024 + 1024 samples per pixel\nrms standard error 0.25"
+    assert panels[1].x.label == f"4 samples per pixel\n{off[0]}"
+    assert panels[3].x.label == f"2 + 2 samples per pixel\n{off[1]}"
     drawn_by_both(strategy_images(made))
 
 
@@ -169,7 +169,7 @@ def test_error_is_over_pixels_and_channels():
     ],
 )
 def test_what_is_no_comparison_is_refused(given):
-    with pytest.raises(ParameterError, match="what compare_strategies returns"):
+    with pytest.raises(ParameterError, match="give the result of compare_strategies"):
         strategy_images(given)
 
 

@@ -105,7 +105,7 @@ def test_dark_pixels_lie_at_the_points(tmp_path):
 @pytest.mark.parametrize(
     ("points", "error", "words"),
     [
-        (np.full((2**20 + 1, 2), 0.5), ParameterError, "too many to see"),
+        (np.full((2**20 + 1, 2), 0.5), ParameterError, "too many for a plot"),
         ([0.5], ParameterError, "give .n, d."),
         ([[0.5, 1.0]], DomainError, r"\[0,1\)"),
         ([], DomainError, "at least one point"),

@@ -101,7 +101,7 @@ def test_primary__constant_and_channels():
 @pytest.mark.parametrize("kind", ["warp", "primary"])
 def test_results_without_a_variable_and_of_several_dims_are_refused(kind):
     make = {"warp": lambda d: warp("uniform", d), "primary": lambda d: picture("constant", dims=d)}
-    with pytest.raises(ParameterError, match="different figures"):
+    with pytest.raises(ParameterError, match="cannot share a figure"):
         describe(kind, {"a": make[kind](2), "b": make[kind](1)})
     with pytest.raises(ParameterError, match="has no"):
         describe(kind, {"a": warp("uniform").drop_vars(["jump"])})

@@ -153,7 +153,7 @@ def test_rates_are_said():
 
 def test_terms_are_said():
     data = mcs.variance_terms("disk", "random", 16, half_width=1, realizations=1000)
-    assert "is captured at half width 1" in data.mcspectra.summary()
+    assert "The spectrum up to half width 1 accounts for only" in data.mcspectra.summary()
 
 
 def test_other_results_say_their_numbers():

@@ -108,7 +108,7 @@ def test_nothing_in_common(make, tmp_path):
         for n in "ab"
     )
     text = write_comparison(a, b, tmp_path / "c.html").read_text(encoding="utf-8")
-    assert "No estimator and sampler has a convergence in both." in text
+    assert "The studies share no estimator and sampler with a convergence." in text
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -58,7 +58,7 @@ def test_latex_is_plain_text_of_latex():
     assert r"a\_b & x \\" in text  # a name of the user's
     assert r"50 \% \& \{more\} & 1.25$\times10^{-7}$ \\" in text
     assert r"mine & -- \\" in text
-    with pytest.raises(ParameterError, match="more than 500"):
+    with pytest.raises(ParameterError, match="limited to 500"):
         latex_table(["a"], [[1.0]] * 501)
 
 

@@ -120,7 +120,7 @@ def test_samplers_that_cannot_be_made_write_nothing(tmp_path, specs):
 
 
 def test_no_samplers_are_no_page():
-    with pytest.raises(ParameterError, match="name one at least"):
+    with pytest.raises(ParameterError, match="give at least one"):
         write_cards("unused", [])
 
 

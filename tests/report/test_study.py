@@ -186,7 +186,7 @@ def test_odd_results(make, tmp_path):
     assert "Shown: channel 0 of 3." in page.text
     assert "No convergence results for shift." in page.text
     assert "No points results for random, jittered." in page.text
-    assert "Every technique has a panel of its own." in page.text
+    assert "Each technique has its own panel." in page.text
     assert "there is no rate to fit" in page.text
     assert page.all("abbr")
     assert all(attributes["title"] for attributes in page.all("abbr"))
@@ -203,7 +203,7 @@ def test_predictions_stand_in_the_measured_curves(make, tmp_path):
         ("other", "random"): {"convergence": curve, "predict": mcs.predict(f, "random", [25])},
     }
     page = Parsed(write_report(make["study"](tmp_path, cells)).read_text(encoding="utf-8"))
-    assert page.text.count("Crosses are predicted") == 1
+    assert page.text.count("Crosses are predictions") == 1
     assert page.text.count("Predicted variance against the number of points") == 1
     assert page.text.count("Predictions in numbers") == 2
     text = " ".join(page.text.split())
@@ -227,9 +227,9 @@ def test_a_plan_and_a_prediction_have_files_of_their_own(make, tmp_path):
 def test_only_spectra(make, tmp_path):
     cells = {("e", "random"): {"spectrum": make["spectrum"](dims=3, n=8, half_width=2)}}
     page = Parsed(write_report(make["study"](tmp_path, cells)).read_text(encoding="utf-8"))
-    assert "neither convergence nor terms" in page.text
+    assert "no convergence and no terms" in page.text
     assert len(page.all("img")) == 1
-    assert "In this many dims it stands for the whole spectrum." in page.text
+    assert "dims it replaces an image of the whole spectrum." in page.text
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -295,7 +295,7 @@ def test_analyses_of_one_reason_share_a_row(monkeypatch):
         ("E!", "random", "spectrum, terms", "It raised."),
         ("E!", "shift", "terms", "not computed yet"),
     ]
-    assert "Of 6 analyses, 4 failed and 1 not computed yet;" in sentence
+    assert "Of 6 analyses, 4 failed and 1 not computed yet." in sentence
     assert "--resume --retry" in sentence
 
 
@@ -322,7 +322,7 @@ def test_an_unreadable_ledger_is_said(small, monkeypatch):
 
     monkeypatch.setattr(module, "study_status", refuse)
     text = write_report(small).read_text(encoding="utf-8")
-    assert "Whether analyses failed is unknown. The ledger has format 9 &lt;x&gt;." in text
+    assert "It is unknown whether analyses failed. The ledger has format 9 &lt;x&gt;." in text
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -342,7 +342,7 @@ def test_figures_of_the_same_samples_stand_once(make, tmp_path):
     cells["other", "random"] = {"spectrum": 2.0 * spectra["random"].assign_attrs()}
     cells["other", "random"]["spectrum"].attrs = spectra["random"].attrs
     page = Parsed(write_report(make["study"](tmp_path, cells)).read_text(encoding="utf-8"))
-    assert "The same samples as in first: see its spectrum." in page.text
+    assert "Same samples as in first; see its spectrum." in page.text
     names = {p.name for p in (tmp_path / "figures").glob("*.png")}
     kinds = ("spectrum", "radial")
     assert names == {f"first-{k}.png" for k in kinds} | {f"other-{k}.png" for k in kinds} | {
