@@ -349,8 +349,8 @@ MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
                 "variance_ratio",
                 _ratios("variance / variance of the others"),
                 (
-                    "Variance of a frame divided by the variance of the others; below 1, these frames "
-                    "are better."
+                    "Variance of a frame divided by the variance of the others; below 1, these "
+                    "frames are better."
                 ),
             ),
         )
@@ -401,8 +401,8 @@ MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
                 "dominant_technique",
                 _which,
                 (
-                    "Technique whose share of MIS has the larger variance, at the largest number of "
-                    "samples."
+                    "Technique whose share of MIS has the larger variance, at the largest number "
+                    "of samples."
                 ),
             ),
             (
@@ -410,8 +410,8 @@ MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
                 "mis_gain",
                 _ratios("variance of the better strategy / of MIS"),
                 (
-                    "Variance of the better single strategy divided by the variance of MIS, at equal "
-                    "total samples. Above 1, MIS is better."
+                    "Variance of the better single strategy divided by the variance of MIS, at "
+                    "equal total samples. Above 1, MIS is better."
                 ),
             ),
             (
@@ -425,8 +425,8 @@ MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
                 "bounce_share",
                 _shares,
                 (
-                    "Variance that first appears with the random numbers of a bounce, as a share of "
-                    "the total. Estimates of small shares may be negative."
+                    "Variance that first appears with the random numbers of a bounce, as a share "
+                    "of the total. Estimates of small shares may be negative."
                 ),
             ),
             (
@@ -434,8 +434,8 @@ MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
                 "decision_share",
                 _shares,
                 (
-                    "Variance that first appears with a decision, summed over all bounces, as a share "
-                    "of the total."
+                    "Variance that first appears with a decision, summed over all bounces, as a "
+                    "share of the total."
                 ),
             ),
         )
@@ -452,8 +452,8 @@ MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
                 "bounce",
                 "undecided",
                 (
-                    "Bounce with the largest share, if the 95 % intervals of its differences from all "
-                    "other bounces are above 0."
+                    "Bounce with the largest share, if the 95 % intervals of its differences from "
+                    "all other bounces are above 0."
                 ),
             ),
             (
@@ -462,8 +462,8 @@ MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
                 "decision",
                 "undecided",
                 (
-                    "Decision with the largest share, if the 95 % intervals of its differences from "
-                    "all other decisions are above 0."
+                    "Decision with the largest share, if the 95 % intervals of its differences "
+                    "from all other decisions are above 0."
                 ),
             ),
             (
