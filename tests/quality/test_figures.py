@@ -89,7 +89,7 @@ def test_projections_are_limited_and_it_is_said():
     assert list(figures) == wanted
     assert figures.attrs["projections"].startswith("45 of 435 pairs")
     flat = mcs.quality_figures("random", 4, figures=wanted, realizations=1)
-    assert "3 or more dims" in flat["worst_projected_distance"].attrs["missing"]
+    assert "at least 3 dims" in flat["worst_projected_distance"].attrs["missing"]
 
 
 def test_given_points_are_all_measured():

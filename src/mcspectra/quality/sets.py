@@ -121,8 +121,8 @@ def best_minimum_distance(n: int, dims: int) -> float:
     """Return a proven upper bound of the minimum distance of `n` points on the torus.
 
     The bound is the distance in the densest sphere packing: equidistant points in 1-D, the
-    hexagonal lattice in 2-D, face-centered cubic in 3-D [Hales2005]_, E8 in 8-D [Viazovska2017]_ and the
-    Leech lattice in 24-D [Cohn2017]_.
+    hexagonal lattice in 2-D, face-centered cubic in 3-D [Hales2005]_, E8 in 8-D [Viazovska2017]_
+    and the Leech lattice in 24-D [Cohn2017]_.
 
     Raises
     ------

@@ -30,7 +30,7 @@ Case: TypeAlias = tuple[str, str]
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Draw the integrands of two pixels on the square, and measure their eight rates."""
+    """Draw the integrands of two pixels on the unit square, and measure their eight rates."""
     f, spp = integrands(), 16 if quick else 64
     options: dict[str, Any] = {"realizations": 80 if quick else 800, "rng": seed}
     found = mcs.convergence(list(f.values()), list(SAMPLERS), _COUNTS, **options)
@@ -83,18 +83,18 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def integrands() -> dict[Case, Any]:
-    """f/p of each pixel and strategy as a function of the random numbers."""
+    """Return f/p of each pixel and strategy as a function of the random numbers."""
     pixels = mcs.rendering.named_pixels(_SCENE)
     return {(p, s): mcs.rendering.pixel_strategies(_SCENE, *pixels[p])[s] for p, s in _CASES}
 
 
 def _expected(case: Case, sampler: str) -> float:
-    """Smooth is light sampling of a light that is seen whole, as long as nothing wraps around."""
+    """Return the expected rate: −2 only if the light is fully visible and points do not wrap."""
     return -2.0 if (case, sampler) == (("P", "light"), "jittered") else -1.5
 
 
 def _same_integral(curves: Mapping[tuple[Case, str], xr.Dataset]) -> Claim:
-    """Differences of light and BSDF sampling at the largest N."""
+    """Compare the means of light and BSDF sampling at the largest N."""
     differences, errors = [], []
     for point, sampler in itertools.product("PQ", SAMPLERS):
         light, bsdf = (curves[(point, s), sampler].isel(n=-1) for s in _NAMES)
