@@ -41,7 +41,7 @@ def _disagreeing(monkeypatch: pytest.MonkeyPatch) -> Disagreeing:
         return [
             place
             for place, finding in enumerate(found)
-            if finding.agrees is False or "do not decide" in finding.note
+            if finding.agrees is False or "are needed to decide" in finding.note
         ]
 
     return made

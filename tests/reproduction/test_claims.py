@@ -79,7 +79,7 @@ def test_rates_are_judged_by_their_own_interval():
 def test_a_clear_rate_of_a_pixel_agrees_with_itself_alone(expected):
     clear = judge(pixel_rate("s", _curve(expected, 0.05), expected))
     assert clear.agrees is True
-    assert "rule out" not in clear.note
+    assert "are needed to exclude" not in clear.note
     assert judge(pixel_rate("s", _curve(-3.5 - expected, 0.05), expected)).agrees is False
 
 
@@ -87,7 +87,7 @@ def test_a_clear_rate_of_a_pixel_agrees_with_itself_alone(expected):
 def test_where_the_other_rate_agrees_too_it_is_said(expected, shown):
     weak = judge(pixel_rate("s", _curve(-1.75, 0.2), expected))
     assert weak.agrees is True
-    assert weak.note.endswith(f"So few realizations do not rule out {shown}.")
+    assert weak.note.endswith(f"More realizations are needed to exclude {shown}.")
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_where_the_other_rate_agrees_too_it_is_said(expected, shown):
 def test_beyond_a_bound_with_the_whole_interval(limits, agrees):
     found = judge(Claim("s", Measured(1.0, 0.9, 1.1), **limits))
     assert found.agrees is agrees
-    assert ("do not decide" in found.note) == (agrees is None)
+    assert ("are needed to decide" in found.note) == (agrees is None)
 
 
 def test_the_interval_that_is_shown_decides():

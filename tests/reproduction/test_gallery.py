@@ -95,7 +95,7 @@ def test_a_failing_exhibit_fails_itself_only(tmp_path):
     assert (failed["exhibit"], failed["agrees"]) == ("bad", False)
     assert "ZeroDivisionError: it broke" in failed["note"]
     page = made.page.read_text(encoding="utf-8")
-    assert "It could not be made: ZeroDivisionError: it broke" in page
+    assert "This exhibit failed: ZeroDivisionError: it broke" in page
 
 
 def test_the_page_stands_alone_and_escapes(good):
@@ -204,7 +204,7 @@ def test_bad_input_is_refused_before_anything_is_made(tmp_path):
         with pytest.raises(ParameterError, match="seed"):
             reproduce(out, ["good"], seed=seed)
     assert not out.exists()
-    with pytest.raises(ParameterError, match="no name"):
+    with pytest.raises(ParameterError, match="is empty"):
         reproduce("", ["good"])
     (tmp_path / "file").write_text("")
     with pytest.raises(StoreError, match="cannot be written"):

@@ -22,7 +22,7 @@ def made() -> Exhibit:
 
 def test_all_findings_agree(made: Exhibit, sound: Callable[[Exhibit], None]) -> None:
     sound(made)
-    assert "in place of 1024" in made.caption
+    assert "instead of 1024" in made.caption
 
 
 def synthetic(noise: dict[str, float]) -> veach.Renders:
