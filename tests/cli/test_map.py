@@ -87,7 +87,7 @@ def test_text_has_a_row_a_strategy(tmp_path, capsys):
     assert code == 0
     header, _, *rows, note, last = out.splitlines()
     assert note.startswith(
-        "Medians over the 24 pixels that see a lit surface; mean and variance at"
+        "Medians over the 24 pixels that show a lit surface; mean and variance at"
     )
     assert "Half of the light or more is missed by BSDF sampling" in note
     assert "All pixels share the same points" in note
@@ -205,9 +205,9 @@ def test_the_answer_is_what_has_the_least_variance_at_most_pixels():
     )
     said = map_summary(result)["answer"]
     assert said.startswith(
-        "Use BSDF sampling with jittered: at as many samples in all it has the least variance at 50 % "
+        "Use BSDF sampling with jittered: for equal total samples it has the least variance at 50 % "
         "of the pixels, light sampling at 25 %, MIS at 25 %. Median RMSE at n = 16 of each technique, at "
-        "pixels where none misses light: light sampling 2.00, BSDF sampling 2.00, MIS 1.41."
+        "pixels where no strategy misses light: light sampling 2.00, BSDF sampling 2.00, MIS 1.41."
     )
 
 

@@ -1,4 +1,4 @@
-"""Results become plots: every analysis has one, and odd results do not break them."""
+"""Kinds of plots: every analysis has a plot, and unusual results can be drawn."""
 
 import dataclasses
 import math
@@ -19,7 +19,7 @@ from mcspectra.plots.kinds import PLOT_KINDS, describe, kinds_of
 from mcspectra.plots.style import sampler_styles
 from mcspectra.plots.variance import usable_counts
 
-# the plots that results of `QUICK` have
+# Kinds of plots of the results of `QUICK`
 PATHS = (
     "map-bounces",
     "map-decisions",
@@ -47,7 +47,7 @@ TERMS = ("terms", "captured", "contributions", "bands")
 
 
 def said(plot):
-    """All text of a plot in one string."""
+    """Return all text of a plot as one string."""
     found = [plot.caption, plot.words, *plot.labels]
     for panel in plot.panels:
         found += [panel.title, panel.note, panel.x.label, panel.y.label]
@@ -73,13 +73,13 @@ def test_every_analysis_has_plots_that_both_backends_draw(name):
         assert plot.caption.endswith(".")
         assert plot.words.endswith(".")
         drawn_by_both(plot)
-        # Several by name are one plot as well; layers of a map are all drawn alike
+        # Several results by name also give one plot; all layers of a map use the same function
         if kind in expected[:4]:
             drawn_by_both(describe(kind, {"one": result, "another | of them": result}))
 
 
-def test_methods__side_by_side_at_the_largest_n():
-    """Those without a value there have no row; the dots are the values."""
+def test_methods__one_row_per_method_at_the_largest_n():
+    """Methods without a value have no row; the dots are at the values."""
     samplers = ["jittered | shift", "sobol | owen"]
     found = mcs.predict("gaussian", samplers, [16, 64], method="all", half_width=4, realizations=50)
     assert kinds_of(found) == ("prediction",)
@@ -104,7 +104,7 @@ def test_chains__spectra_and_shares_of_one_and_of_many():
     np.testing.assert_array_equal(draw, one["draw_share"])
     drawn_by_both(plot)
     plot = describe("chains", many)
-    assert "2 quantities of more effective draws are left out" in plot.caption
+    assert "2 quantities with more effective draws are omitted" in plot.caption
     assert len(plot.labels) == 6
     drawn_by_both(plot)
     drawn_by_both(describe("chains", {"a": one, "still": mcs.measure.chain_error(np.ones(300))}))
@@ -123,7 +123,7 @@ def test_terms__every_dim(make, kind, dims):
 
 @pytest.mark.parametrize("kind", TERMS)
 @pytest.mark.parametrize("dims", [1, 2])
-def test_terms__infinite_ones_are_named(make, kind, dims):
+def test_terms__infinite_terms_are_labeled(make, kind, dims):
     plot = describe(kind, {"random": make["infinite"](dims=dims, half_width=3, realizations=20)})
     assert "infinite" in said(plot) or "no finite" in said(plot)
     assert "nan" not in said(plot).lower()
@@ -138,7 +138,7 @@ def test_terms__zero_variance(make, kind):
     drawn_by_both(describe(kind, {"regular": zero}))
 
 
-def test_terms__bars_are_as_long_as_the_terms_with_their_intervals(make):
+def test_terms__bars_and_whiskers_have_correct_lengths(make):
     data = make["terms"]()
     names = ("dc_term", "power_term", "cross_term", "predicted_variance", "measured_variance")
     for name in names[1:3]:
@@ -173,7 +173,7 @@ def test_contributions__a_panel_for_each_technique(make):
     assert (len(plot.panels), plot.columns) == (4, 2)
 
 
-def test_contributions__shells_sum_to_what_lies_inside_the_half_width(make):
+def test_contributions__shells_sum_to_the_part_within_the_half_width(make):
     data = make["terms"](dims=3, n=8, half_width=2, realizations=20)
     (bars,) = marks(describe("contributions", {"x": data}), BarChart)
     m = np.arange(-2, 3)
@@ -224,7 +224,7 @@ def test_cross_matrix__only_of_one_dimension(make):
 
 
 def cosine(data):
-    """A result as in a basis without negative frequencies."""
+    """Return a result in a basis without negative frequencies."""
     m = {"m0": 0, "m1": 1, "m": 0, "l": 0}
     ends = {d: data[d].values - data[d].values[0] for d in m if d in data.coords}
     return data.assign_coords(ends).assign_attrs(basis="cosine")
@@ -238,7 +238,7 @@ def cosine(data):
         ("cross-matrix", {"matrix": True, "dims": 1}),
     ],
 )
-def test_frequencies_of_different_bases_are_all_seen_and_named(make, kind, options):
+def test_frequencies_of_different_bases_are_shown_and_labeled(make, kind, options):
     data = make["terms"](half_width=3, realizations=20, **options)
     plot = describe(kind, {"fourier one": data, "cosine one": cosine(data)})
     assert plot.share in ("", "y")
@@ -258,7 +258,7 @@ def test_frequencies_of_different_bases_are_all_seen_and_named(make, kind, optio
 
 
 @pytest.mark.parametrize("kind", ["contributions", "spectrum"])
-def test_half_widths_that_differ_keep_their_own_limits(make, kind):
+def test_different_half_widths_have_separate_limits(make, kind):
     make_it = make["terms" if kind == "contributions" else "spectrum"]
     plot = describe(kind, {f"h{h}": make_it(dims=2, half_width=h) for h in (2, 4)})
     assert plot.share == ""
@@ -266,7 +266,7 @@ def test_half_widths_that_differ_keep_their_own_limits(make, kind):
     assert [each.get_xlim() for each in axes] == [(-2.5, 2.5), (-4.5, 4.5)]
 
 
-def test_cross_matrix__large_ones_are_cut_far_from_dc():
+def test_cross_matrix__large_matrices_are_cropped_around_dc():
     m = np.arange(300)
     matrix = xr.DataArray(np.eye(300, dtype=complex), {"m": m, "l": m}, ("m", "l"))
     data = xr.Dataset({"cross_matrix": matrix}, attrs={"basis": "cosine"})
@@ -274,7 +274,7 @@ def test_cross_matrix__large_ones_are_cut_far_from_dc():
     assert (first.x.low, first.x.high) == (-0.5, 256.5)
 
 
-def test_frequencies_have_whole_ticks_and_the_legend_no_colour_of_one_sampler(make):
+def test_frequency_ticks_are_integers_and_the_legend_has_no_sampler_color(make):
     data = make["terms"](dims=1, half_width=2, realizations=20)
     plot = describe("contributions", {"one": data, "other": data})
     assert plot.labels == ("power part |fₘ|² Cₘₘ",)
@@ -283,7 +283,7 @@ def test_frequencies_have_whole_ticks_and_the_legend_no_colour_of_one_sampler(ma
             assert all(float(tick).is_integer() for tick in panel.x.ticks)
 
 
-def test_the_first_of_several_channels_is_shown_and_said(make):
+def test_the_first_channel_is_shown_and_named(make):
     data = make["terms"](channels=3, half_width=3, realizations=20)
     data["dc_term"][1:] = 99.0
     plot = describe("terms", {"x": data})
@@ -300,7 +300,7 @@ def test_spectrum__n_times_power_without_dc(make):
     np.testing.assert_allclose(image.values, expected)
 
 
-def test_spectrum__one_colour_scale(make):
+def test_spectrum__one_color_scale(make):
     data = {s: make["spectrum"](s, dims=2, half_width=3) for s in ("random", "jittered")}
     assert len({image.scale for image in marks(describe("spectrum", data), Heatmap)}) == 1
 
@@ -324,7 +324,7 @@ def test_radial__axis_in_units_of_the_root_of_n(make, dims):
 def test_convergence__fitted_line_and_label(make):
     plot = describe("convergence", {"jittered": make["curve"]("jittered")})
     line = next(m for m in marks(plot, Line) if m.label.startswith("jittered"))
-    # An exact power law: the fitted line goes through its ends
+    # For an exact power law, the fitted line passes through the ends
     np.testing.assert_allclose(line.y, 0.08 * np.array([16.0, 1024.0]) ** -3)
     assert line.label == "jittered  −3.00 ± 0.03"
 
@@ -343,14 +343,14 @@ def test_convergence__only_the_last_counts_were_fitted(make):
         ({"counts": (64,), "zero": ()}, "random"),
     ],
 )
-def test_convergence__odd_curves(make, options, words):
+def test_convergence__unusual_curves(make, options, words):
     plot = describe("convergence", {"random": make["curve"]("random", **options)})
     assert words in said(plot)
     drawn_by_both(plot)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_convergence__what_is_not_finite_is_said_and_drawn(make, bad):
+def test_convergence__values_that_are_not_finite_are_counted(make, bad):
     data = make["curve"]("random", zero=(0,))
     data["variance"][3] = bad
     plot = describe("convergence", {"random": data})
@@ -375,7 +375,7 @@ def test_convergence__no_line_without_intervals(make):
 
 
 @pytest.mark.parametrize(("kind", "dims"), [("spectrum", 2), ("lines", 1), ("contributions", 2)])
-def test_spectra_of_no_numbers_are_not_called_infinite(make, kind, dims):
+def test_spectra_of_nan_are_not_called_infinite(make, kind, dims):
     data = make["terms" if kind == "contributions" else "spectrum"](dims=dims, half_width=2)
     empty = data.map(lambda v: v * math.nan, keep_attrs=True)
     plot = describe(kind, {"x": empty})
@@ -386,13 +386,13 @@ def test_spectra_of_no_numbers_are_not_called_infinite(make, kind, dims):
         assert infinite.panels[0].note == "infinite: ∫1/p diverges"
 
 
-def test_convergence__rounding_noise_is_no_variance(make):
+def test_convergence__rounding_noise_is_not_drawn(make):
     data = make["curve"]("random")
     data["variance"][3] = 1e-33  # (16 ulps of 0.5)² is 3e-30
     assert usable_counts(data).tolist() == [True, True, True, False]
 
 
-def test_one_result_alone_and_with_dims(make):
+def test_single_results_with_and_without_dims(make):
     one = make["curve"]("jittered")
     assert "jittered" in said(describe("convergence", one))
     two = xr.concat([make["curve"]("random"), one], dim="sampler", combine_attrs="drop_conflicts")
@@ -419,7 +419,7 @@ def test_wrong_analysis(kind):
         describe(kind, {"random": xr.Dataset()})
 
 
-def test_unknown_kinds_name_those_there_are(make):
+def test_errors_for_unknown_kinds_list_the_kinds(make):
     with pytest.raises(ParameterError, match="kind is 'radail'.*Did you mean 'radial'"):
         describe("radail", make["spectrum"]())
 
@@ -434,7 +434,7 @@ def correlation(values=(0.0, 0.5, 1.0)):
     )
 
 
-def test_pair_correlation__says_where_it_is_least():
+def test_pair_correlation__describes_the_minimum():
     plot = describe("pair-correlation", {"random": correlation(), "shift": correlation()})
     assert "random: least 0 at r = 0.100" in plot.words
     (random, shift) = marks(plot, Line)
@@ -445,7 +445,7 @@ def test_pair_correlation__says_where_it_is_least():
 
 
 def remedies():
-    """What a study's store holds: text as attributes."""
+    """Return a result as in a store, with text as attributes."""
     ratio = np.array([0.5, 1.0, math.nan])
     found = {
         "error_ratio": ("remedy", ratio),
@@ -455,7 +455,7 @@ def remedies():
     return xr.Dataset(found, attrs={"labels_remedy": names, "labels_verdict": verdicts})
 
 
-def test_remedies__of_a_store_have_a_panel_for_each_sampler():
+def test_remedies__stored_results_have_a_panel_per_sampler():
     assert kinds_of(remedies()) == ("remedies",)
     plot = describe("remedies", {"a": remedies(), "b": remedies()})
     assert [panel.title for panel in plot.panels] == ["a", "b"]
@@ -465,13 +465,13 @@ def test_remedies__of_a_store_have_a_panel_for_each_sampler():
     drawn_by_both(plot)
 
 
-def test_labels_of_another_length_are_left_alone():
+def test_labels_of_another_length_are_ignored():
     found = labelled(remedies().assign_attrs(labels_other=["one"]))
     assert list(found["verdict"].values) == ["better", "given", "undecided"]
     assert "other" not in found.coords
 
 
-def test_convergence__one_count_has_no_lines_and_none_in_the_caption():
+def test_convergence__one_count_has_no_lines_in_plot_and_caption():
     curve = mcs.convergence("gaussian", "random", [16, 32], realizations=8, rng=0)
     one, two = (
         describe("convergence", each) for each in (curve.isel(n=[0]).assign(rate=np.nan), curve)
@@ -481,7 +481,7 @@ def test_convergence__one_count_has_no_lines_and_none_in_the_caption():
     assert "fitted lines" in two.caption
 
 
-def test_plan__the_wanted_error_is_a_line_and_the_axis_ends_with_the_curve():
+def test_plan__the_target_is_a_line_and_the_axis_ends_with_the_curve():
     found = mcs.plan(mcs.integrand("gaussian", dims=1), "jittered", target_error=0.1, relative=True)
     plot = describe("prediction", found)
     (rule,), (line,) = marks(plot, ReferenceLine), marks(plot, Line)
@@ -489,7 +489,7 @@ def test_plan__the_wanted_error_is_a_line_and_the_axis_ends_with_the_curve():
     assert line.x[-1] < plot.panels[0].x.high < 2 * line.x[-1] < found["n"][-1]
 
 
-def test_anova__the_largest_parts_first_and_few():
+def test_anova__a_few_parts_with_the_largest_first():
     size = np.arange(1.0, 21.0)
     labels = [f"x{k}" for k in range(20)]
     data = xr.Dataset(
@@ -499,8 +499,8 @@ def test_anova__the_largest_parts_first_and_few():
     plot = describe("anova", {"a": data})
     (bars,) = marks(plot, BarChart)
     np.testing.assert_array_equal(bars.value, np.arange(20.0, 8.0, -1.0))
-    assert "8 smaller parts are left out" in plot.caption
-    assert "each axis of primary space alone and from each set of them together" in plot.caption
+    assert "8 smaller parts are omitted" in plot.caption
+    assert "each axis of primary space alone and from the interactions of each set" in plot.caption
     size[[3, 7, 17]] = 0.0, -1e-15, 1e-15  # rounding
     (bars,) = marks(describe("anova", {"a": data.assign_attrs(axes="bounce", order=1)}), BarChart)
     np.testing.assert_array_equal(bars.value, [20, 19, 17, 16, 15, 14, 13, 12, 11, 10, 9, 7])
@@ -562,7 +562,7 @@ def test_anything__curves_and_maps():
     drawn_by_both(plot)
 
 
-def test_anything__names_along_an_axis_and_single_numbers():
+def test_anything__text_labels_along_an_axis_and_scalars():
     named = stranger().assign_coords(place=["a", "b", "c"])[["curve"]]
     (dots,) = marks(describe("anything", named), Dots)
     assert dots.low is None
@@ -573,7 +573,7 @@ def test_anything__names_along_an_axis_and_single_numbers():
     drawn_by_both(alone)
 
 
-def test_describing_changes_nothing_of_a_result(make):
+def test_describe_does_not_change_results(make):
     data = make["terms"](dims=2, half_width=3, realizations=20)
     before = data.copy(deep=True)
     for kind in kinds_of(data):
@@ -582,6 +582,6 @@ def test_describing_changes_nothing_of_a_result(make):
     xr.testing.assert_identical(data, before)
 
 
-def test_rules_mark_the_level_of_random_points(make):
+def test_reference_lines_mark_the_level_of_random_points(make):
     for kind in ("lines", "radial"):
         assert [r.at for r in marks(describe(kind, make["spectrum"]()), ReferenceLine)] == [1.0]

@@ -18,7 +18,7 @@ def case(
     width=1.02,
     space="domain",
 ):
-    """Return a row and its terms; 95 % intervals extend by the factor `width` in both directions."""
+    """Return a row and its terms; 95 % intervals extend by the factor `width` both ways."""
     cross = predicted - dc - power
     ends = [predicted / width, predicted * width]
     terms = xr.Dataset(
@@ -151,7 +151,7 @@ def test_infinite_terms(make):
 
 
 def test_simulated_jitter_of_a_ramp(make):
-    """For f = x, power is 1/(6n²) − …, cross is negative, the sum is 1/(12n³); a shift loses this."""
+    """For f = x, power is 1/(6n²) − …, cross is negative, and the sum is 1/(12n³)."""
     terms = make["terms"]("jittered", n=16, half_width=32, realizations=400)
     low, high = terms["measured_variance_ci"].values
     row = SummaryRow(
@@ -267,7 +267,7 @@ def test_further_sentences(analyses, text):
 
 
 def measured(variance, mean=1.0, width=1.2):
-    """Return a curve at n = 4, 16, …; intervals extend by `width`, means have standard error 0.01."""
+    """Return a curve at n = 4, 16, …; intervals extend by `width`, means have error 0.01."""
     n = [4 ** (k + 1) for k in range(len(variance))]
     ends = [[v / width, v * width] for v in variance]
     return xr.Dataset(

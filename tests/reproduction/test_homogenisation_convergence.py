@@ -1,4 +1,4 @@
-"""Homogenization and convergence: findings, and what would contradict them."""
+"""Homogenization and convergence: findings, and wrong inputs that must disagree."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_swapped_samplers_and_a_function_that_is_not_periodic_disagree(
 
 
 def test_the_disk_after_a_shift_is_the_mean_over_fixed_offsets() -> None:
-    """The variance of the homogenized set is that of displaced strata, averaged over the offset."""
+    """The variance of homogenized sets is the mean variance of displaced strata over offsets."""
     case = module.DISK
     found = module.exact(case, "jittered | shift")[1]
     n, side = module.COUNTS[1], 12
@@ -37,5 +37,5 @@ def test_the_disk_after_a_shift_is_the_mean_over_fixed_offsets() -> None:
         exact_variance(case.spec, f"jittered | strata-shift(offset=[{i / side}, {j / side}])", n)
         for i, j in offsets
     ]
-    # A mean over 144 offsets of a continuous periodic function with kinks: errors of 1/144.
+    # The mean over 144 offsets of a continuous periodic function with kinks has the error 1/144.
     assert np.mean(values) == pytest.approx(found, rel=1 / 144)

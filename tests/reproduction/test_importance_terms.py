@@ -1,4 +1,4 @@
-"""Terms under importance sampling: findings, and what would contradict them."""
+"""Terms for importance sampling: findings, and wrong inputs that must disagree."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mcspectra.reproduction.panels import term_panel
 
 @pytest.mark.parametrize("case", [module.GOOD, module.BAD, module.FLAT], ids=lambda c: c.title)
 def test_the_terms_of_random_points_sum_to_the_variance(case: module.TermsCase) -> None:
-    """By another route: ∫f²/p − I² over N by adaptive quadrature."""
+    """The sum agrees with (∫f²/p − I²) / N by adaptive quadrature."""
     f, p = case.estimator.integrand, case.estimator.density
     assert p is not None
 
@@ -30,8 +30,8 @@ def test_the_terms_of_random_points_sum_to_the_variance(case: module.TermsCase) 
     assert sum(case.exact_random()) == pytest.approx(expected, rel=1e-9)
 
 
-def test_the_third_term_of_the_bar_is_what_a_shift_takes_away() -> None:
-    """1/(2N²) less 1/(3N²); sums up to 128 and 256, extrapolated in 1/K."""
+def test_the_third_term_of_the_bar_is_removed_by_a_shift() -> None:
+    """The difference 1/(2N²) − 1/(3N²) agrees with sums up to 128 and 256, extrapolated in 1/K."""
     near, far = (module.exact_bar(k) for k in (128, 256))
     assert 2 * far - near == pytest.approx(1 / (6 * module.N**2), rel=5e-3)
     f = module.BAR.integrand
@@ -39,7 +39,7 @@ def test_the_third_term_of_the_bar_is_what_a_shift_takes_away() -> None:
     assert gap == pytest.approx(1 / (6 * module.N**2), rel=1e-6)
 
 
-def test_other_cases_and_a_second_term_that_may_be_zero_disagree(
+def test_wrong_cases_and_an_undecided_second_term_disagree(
     disagreeing: Disagreeing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     right = module.TermsCase.terms

@@ -392,8 +392,8 @@ def map_note(summary: Mapping[str, Any]) -> str:
     lost = [_named(name) for name, mean in rows.items() if mean < 0.5 * max(rows.values())]
     if lost:
         note += (
-            f" Their means show that half of the light or more is missed by {' and '.join(lost)}: "
-            "the variances of these strategies are too small."
+            f" Half of the light or more is missed by {' and '.join(lost)}, as the means show: the "
+            "variances of these strategies are too small."
         )
     if summary["points"] == "own":
         return note
