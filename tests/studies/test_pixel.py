@@ -302,7 +302,7 @@ def test_the_page_stands_alone(tree, tmp_path):
     assert not re.search(r"https?:|<script src|<link|src=\"(?!data:)|url\(", page)
     said = pixel_answer(tree)
     assert said.startswith(("Use ", "Keep "))
-    assert page.index(said) < page.index("What it sees")
+    assert page.index(said) < page.index("Surface and lights")
     for name, _ in pixel_sentences(tree):
         assert f"<b>{name[0].upper()}{name[1:]}</b>" in page
     for strategy in STRATEGY_NAMES.values():

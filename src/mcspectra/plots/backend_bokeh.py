@@ -467,7 +467,7 @@ def _compact(values: Array) -> Array:
     return np.ascontiguousarray(rounded, dtype=np.float32)
 
 
-# What stays: figures, legends, color bars
+# Parts that an update keeps: figures, legends, color bars
 
 
 def _options(plot: Plot, k: int) -> dict[str, Any]:

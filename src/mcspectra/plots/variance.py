@@ -364,7 +364,7 @@ def captured(group: Group, styles: Styles) -> Plot:
         panels=(panel,),
         caption="Share of the measured variance that the spectrum predicts up to each half width; "
         "at 1 the sum is complete.",
-        words="Predicted over measured variance against the half width. "
+        words="Predicted / measured variance against the half width. "
         + for_each(group, _captured_words),
         height=0.5,
     )

@@ -110,7 +110,7 @@ def quality_figures(
             raise ParameterError(f"There is no quality figure {shown(name)}.{known}")
     names = list(dict.fromkeys(given))
     bases = set(sampler.digit_bases)
-    base = bases.pop() if len(bases) == 1 else 0  # of the digits of all coordinates
+    base = bases.pop() if len(bases) == 1 else 0  # base of the digits; 0 if coordinates differ
     stream = Stream.from_rng(rng)
     count = different_realizations(sampler, n, stream) if realizations is None else realizations
     count = as_integer("realizations", count, least=1, most=MAX_REALIZATIONS)

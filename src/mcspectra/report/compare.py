@@ -127,7 +127,10 @@ def _written(folders: list[Path], file: Path, second: str) -> Path:
         sections=html.sections_of(
             {
                 "Side by side": tuple(_side_by_side(*curves)),
-                "Provenance": (*origins, html.FactList(rows=(("To redo it", command),), code=True)),
+                "Provenance": (
+                    *origins,
+                    html.FactList(rows=(("To reproduce", command),), code=True),
+                ),
             }
         ),
     )

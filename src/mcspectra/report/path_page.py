@@ -34,13 +34,13 @@ _ABOUT_CHARGED = (
     "leaves out the pilot's cost."
 )
 _TABLES = {
-    # title: columns (empty columns at the end are dropped) and caption
+    # Columns and caption by title; empty columns at the end are dropped
     "Rates": (
         ("Sampler", "Rate", "n", "Variance", "95 % interval", "Predicted"),
         "Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval.",
     ),
     "Parts of the variance": (
-        ("Part", "Alone", "With all others", "Up to here"),
+        ("Part", "Alone", "With interactions", "Up to here"),
         (
             "Shares of the variance of one random path by the bounce or decision that uses the "
             "random numbers, in their order: alone (first-order Sobol' index), with all "

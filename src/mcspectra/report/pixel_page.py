@@ -127,7 +127,7 @@ def write_pixel(tree: xr.DataTree, folder: str | Path) -> Path:
         lead=(html.Paragraph(text=pixel_answer(tree)), html.Paragraph(text=settings, kind="soft")),
         sections=html.sections_of(
             {
-                "What it sees": sees,
+                "Surface and lights": sees,
                 **dict(_sections(tree)),
                 "Provenance": html.provenance(facts, tree["convergence"].attrs),
             }

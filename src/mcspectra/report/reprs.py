@@ -115,7 +115,7 @@ def _density(density: Density) -> tuple[Pictures, Rows]:
     if density.warps:
         rows.append(("warps", ", ".join(density.warps)))
     if values is not None:
-        rows.append(("pdf", f"{_range(values)} (in the picture)"))
+        rows.append(("pdf", f"{_range(values)} (in the image)"))
     own = type(density).reciprocal_integral is not Density.reciprocal_integral
     if own and not _is_costly(density):
         rows.append(("∫ 1/p", number(density.reciprocal_integral())))
@@ -128,7 +128,7 @@ def _integrand(integrand: Integrand) -> tuple[Pictures, Rows]:
     if integrand.channels:
         rows.append(("channels", str(integrand.channels)))
     if values is not None:
-        rows.append(("values", f"{_range(values)} (in the picture)"))
+        rows.append(("values", f"{_range(values)} (in the image)"))
     if not _is_costly(integrand):
         rows += _integral(integrand)
         rows.append(("coefficients", integrand.fourier_source))

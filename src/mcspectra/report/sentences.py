@@ -188,7 +188,7 @@ def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
             None if row.ratio_low is None else 0.5 * ((row.ratio_high or math.inf) - row.ratio_low)
         )
         shown = with_error(row.ratio, half)
-        sentences.append(f"Predicted over measured variance is {shown} ({row.method}).")
+        sentences.append(f"Predicted / measured variance is {shown} ({row.method}).")
     sentences += () if terms is None else _term_sentences(row, terms)
     return " ".join(sentence for sentence in sentences if sentence)
 

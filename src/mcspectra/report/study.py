@@ -29,7 +29,7 @@ __all__ = ["REPORT_NAME", "Estimates", "collect", "provenance", "study_toml", "w
 
 REPORT_NAME = "report.html"
 
-_FIRST = ("convergence", "terms", "spectrum", "points")  # analyses shown first, in this order
+_FIRST = ("convergence", "terms", "spectrum", "points")  # analyses that are shown before all others
 _OF_SAMPLERS = ("spectrum", "points", "pcf")  # analyses that estimators with one sampler may share
 _WITHOUT_SETTINGS = ("points",)  # analyses whose caption already has the only setting, n
 _FOLDED = ("predict",)  # analyses whose tables are collapsed
@@ -185,8 +185,8 @@ def _written(root: Path, file: Path) -> Path:
     )
     facts = (
         *provenance(tree, root),
-        ("To compute it again", redo),
-        ("To write this page again", write),
+        ("To repeat the study", redo),
+        ("To rewrite this page", write),
     )
     origin = (
         html.FactList(rows=facts),

@@ -123,7 +123,7 @@ def summary_table(
             "Variance" if usual is None else f"Variance at n = {usual}",
             "Predicted / measured",
             "Bottleneck",
-            "In a sentence",
+            "In words",
         ),
         cells,
         words=(0, 1, -1),

@@ -186,9 +186,7 @@ def judge(claim: Claim) -> Finding:
     low = high = claim.value
     if isinstance(measured, Measured):
         low, high = measured.widened(VERDICT_WIDENING)
-        finite = math.isfinite(
-            measured.value
-        )  # otherwise the widened ends are NaN, which disagrees
+        finite = math.isfinite(measured.value)  # widened ends of an infinite value would be NaN
         interval = (low, high) if finite else (measured.low, measured.high)
         measured = measured.value
     if claim.expected is not None:

@@ -24,7 +24,7 @@ _CASES = tuple(itertools.product("PQ", ("light", "bsdf")))
 SAMPLERS = ("jittered", "jittered | shift")
 _COUNTS = tuple(side**2 for side in (8, 11, 16, 23, 32, 45, 64))
 _NAMES = {"light": "light sampling", "bsdf": "BSDF sampling"}
-_SEEN = {"P": "sees all of the light", "Q": "sees a part of it"}
+_SEEN = {"P": "all of the light is visible", "Q": "a part of the light is visible"}
 
 Case: TypeAlias = tuple[str, str]
 
@@ -71,7 +71,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         claims=(
             *(
                 pixel_rate(
-                    f"Rate of {_NAMES[strategy]} at {point}, which {_SEEN[point]}, {sampler}.",
+                    f"Rate of {_NAMES[strategy]} at {point}, where {_SEEN[point]}, {sampler}.",
                     curve,
                     _expected((point, strategy), sampler),
                 )

@@ -39,7 +39,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         name: beyond() / N / float(data["measured_variance"]) for name, data in shifted.items()
     }
 
-    # For f(x) = x: (1/(6N²) − 1/(12N³)) / (1/(12N³)) = 2N − 1, with the variance by quadrature
+    # On f(x) = x the ratio is (1/(6N²) − 1/(12N³)) / (1/(12N³)) = 2N − 1; compare with quadrature
     line = mcs.integrand("linear", 1)
     power = 1 / (6 * N**2) - 1 / (12 * N**3)
     times = power / float(mcs.exact_variance(line, "jittered", N))

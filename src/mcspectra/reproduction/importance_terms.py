@@ -28,7 +28,7 @@ class TermsCase:
     Attributes
     ----------
     function
-        ``line``, ``bar``, ``one``, or ``cosine``: 1 − cos 2πx.
+        Name of the integrand: ``line``, ``bar``, ``one``, or ``cosine`` for 1 − cos 2πx.
     amplitude
         Amplitude a of the density 1 + a cos(2πx); 0 for a constant density.
     """

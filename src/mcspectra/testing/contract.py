@@ -96,7 +96,7 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
         n = source.nearest_count(as_integer("counts", each, least=1))
         who = f"{source.spec} with n = {n}"
 
-        # Type, shape and range
+        # Check type, shape and range
         points = source.draw(n, realizations=3, rng=1)
         kind, wanted = type(points).__name__, (3, n, source.dims)
         demand(isinstance(points, np.ndarray), who, f"gives {kind}, not an array")
