@@ -10,6 +10,7 @@ from mcspectra.core.streams import Stream
 from mcspectra.plots.description import Heatmap, Pixels
 from mcspectra.plots.kinds import PLOT_KINDS, describe, kinds_of
 from mcspectra.plots.maps import incident_maps, rms_error, strategy_images
+from mcspectra.plots.text import number
 from mcspectra.rendering.files import encode_srgb
 
 
@@ -147,8 +148,8 @@ def test_strategy_images_are_labeled_with_samples_and_errors():
         "BSDF sampling",
         "MIS",
     ]
-    off = [f"rms error {rms_error(made[s], made['reference']):.3g}" for s in ("light", "mis")]
-    assert panels[0].x.label == "1024 + 1024 samples per pixel\nrms standard error 0.25"
+    off = [f"rms error {number(rms_error(made[s], made['reference']))}" for s in ("light", "mis")]
+    assert panels[0].x.label == "1024 + 1024 samples per pixel\nrms standard error 0.250"
     assert panels[1].x.label == f"4 samples per pixel\n{off[0]}"
     assert panels[3].x.label == f"2 + 2 samples per pixel\n{off[1]}"
     drawn_by_both(strategy_images(made))

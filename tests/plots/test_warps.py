@@ -72,7 +72,7 @@ def test_warps__one_dim():
 def test_primary__interior_and_boundary():
     plot = describe("primary", {"half": picture("half-space(normal=[1, 0], offset=0.5)")})
     assert (
-        plot.panels[0].x.label == "u₀\ninside 1 × 1\nsides 1 × 1"
+        plot.panels[0].x.label == "u₀\ninside 1.00 × 1.00\nsides 1.00 × 1.00"
     )  # two lines, since one line would be too long
     assert plot.labels == ("jump inside", "jump between opposite sides")
     whole = [line for line in marks(plot, Line) if np.isfinite(line.x + line.y).all()]
@@ -87,7 +87,7 @@ def test_primary__one_dim_and_poles():
     }
     plot = describe("primary", data)
     assert "sides unbounded" in plot.words
-    assert "inside 1 ×" in plot.words
+    assert "inside 1.00 ×" in plot.words
     drawn_by_both(plot)
 
 
@@ -95,7 +95,7 @@ def test_primary__constant_and_channels():
     assert "inside none, sides none" in describe("primary", picture("constant")).words
     colors = mcs.Integrand.from_function(lambda x: x[..., [0, 1, 0]], dims=2)
     assert (
-        "sides 2 ×"
+        "sides 2.00 ×"
         in describe("primary", mcs.explain.primary_picture(colors, resolution=SIDE)).words
     )
 

@@ -562,11 +562,11 @@ def strategy_images(images: Group, *, exposure: float = 0.0) -> Plot:
     for name, data in images.items():
         each = int(data.attrs["spp"]) * int(data.attrs["realizations"])
         count = f"{each} + {each}" if data.attrs["strategy"] == "mis" else f"{each}"
-        error = f"rms error {rms_error(data, images['reference']):.3g}"
+        error = f"rms error {number(rms_error(data, images['reference']))}"
         if name == "reference":
             known = "image_se" in data
             error = (
-                f"rms standard error {np.sqrt(np.mean(data['image_se'].values ** 2)):.3g}"
+                f"rms standard error {number(np.sqrt(np.mean(data['image_se'].values ** 2)))}"
                 if known
                 else ""
             )

@@ -23,6 +23,7 @@ from mcspectra.plots.description import (
 from mcspectra.plots.groups import Group, Styles, abreast, for_each, numbers
 from mcspectra.plots.scales import log_scale, unit_axis, unit_panel
 from mcspectra.plots.style import ACCENT, GRAY, INK
+from mcspectra.plots.text import number
 
 __all__ = ["primary", "warp"]
 
@@ -172,16 +173,16 @@ def _torn_sides(heights: Array) -> Array:
 
 def _warp_words(data: xr.Dataset) -> str:
     jumps = float(data["jump_length"])
-    torn = f"jumps of length {jumps:.3g}" if jumps else "continuous"
-    return f"{torn}, mean stretch {float(data['mean_stretch']):.3g}"
+    torn = f"jumps of length {number(jumps)}" if jumps else "continuous"
+    return f"{torn}, mean stretch {number(float(data['mean_stretch']))}"
 
 
 def _jump_words(data: xr.Dataset) -> str:
-    """Return lengths × mean heights of jumps, such as ``inside 1.89 × 1, sides none``."""
+    """Return lengths × mean heights of jumps, such as ``inside 1.89 × 1.00, sides none``."""
     words = []
     for kind, word in (("interior", "inside"), ("boundary", "sides")):
         length = float(data["primary_jump_length"].sel(kind=kind))
         height = float(data["primary_jump_height"].sel(kind=kind))
-        size = "unbounded" if np.isinf(height) else f"{length:.3g} × {height:.3g}"
+        size = "unbounded" if np.isinf(height) else f"{number(length)} × {number(height)}"
         words.append(f"{word} {size if length or np.isinf(height) else 'none'}")
     return ", ".join(words)

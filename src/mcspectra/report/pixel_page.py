@@ -249,7 +249,7 @@ def bottleneck_sentence(tree: xr.DataTree) -> str:
     part, later = float(last[slow] / last.sum()), ""
     if part < 0.5:
         n, slopes = int(found["n"][-1]), found["technique_rate"].values
-        later = f" at larger n; at n = {n} it has {100 * part:.2g} % of the variance"
+        later = f" at larger n; at n = {n} it has {percent(part)} of the variance"
         gap = float(slopes[slow] - slopes[1 - slow])
         if gap > 0.0 and last[slow] > 0.0:  # the fitted lines cross here
             crossing = n * float(last[1 - slow] / last[slow]) ** (1.0 / gap)
