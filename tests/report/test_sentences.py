@@ -101,7 +101,11 @@ def test_rate(row, words):
         ({"predicted": 2.9}, ["predicts 2.90 times the measured variance"], []),
         ({"predicted": 0.98}, ["agree (98 %)"], []),
         ({"predicted": 1.00002}, ["agree (100 %)"], []),
-        ({"predicted": 0.7, "power": 0.7, "width": 1.5}, ["accounts for 70 %"], ["only"]),
+        (
+            {"predicted": 0.7, "power": 0.7, "width": 1.5},
+            ["predicts 70 % of the measured variance; the 95 % interval"],
+            ["only"],
+        ),
         (
             {"measured": 0.0, "predicted": 0.0, "power": 0.0},
             ["The measured variance is zero, so no term needs an explanation."],

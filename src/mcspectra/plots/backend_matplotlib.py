@@ -79,7 +79,7 @@ _TICKS: dict[str, Any] = {
     "color": GRAY,
     "labelcolor": INK,
 }
-_LINEAR = 0.45  # gives each side of the linear part half a decade, see `Axis`
+_LINEAR = 0.45  # value that gives each side of the linear part half a decade, see `Axis`
 _SIDES = {
     "right": ((4, 0), "left", "center"),
     "left": ((-4, 0), "right", "center"),

@@ -385,8 +385,8 @@ def _captured_sentence(row: SummaryRow, terms: xr.Dataset) -> str:
         share = f"{row.captured:.0%}".replace("%", " %")
         return f"Prediction and measurement agree ({share})."
     return (
-        f"The spectrum up to half width {half_width} accounts for {percent(row.captured)} of the "
-        "measured variance; higher frequencies may account for the rest."
+        f"The spectrum up to half width {half_width} predicts {percent(row.captured)} of the "
+        "measured variance; the 95 % interval of this share contains 100 %."
     )
 
 

@@ -76,7 +76,7 @@ class Slide:
     title, summary
         A title, and a description in one line for lists.
     slide
-        Quotation of the statement or figure.
+        Quotation of the slide's statement or figure.
     caption
         Description of the result; names in braces are numbers of the exhibit.
     plots
