@@ -157,7 +157,7 @@ def test_star_discrepancy_of_one_point(points, value):
     assert star_discrepancy(points) == value
 
 
-def test_star_discrepancy_of_centred_and_van_der_corput_points():
+def test_star_discrepancy_of_centered_and_van_der_corput_points():
     n = 64
     assert star_discrepancy((np.arange(n)[:, None] + 0.5) / n) == pytest.approx(0.5 / n)
     assert star_discrepancy(sampler("van-der-corput", 1).draw(n)[0]) == pytest.approx(1 / n)

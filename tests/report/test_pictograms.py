@@ -70,7 +70,7 @@ def test_a_map_has_axis_0_to_the_right_and_axis_1_upwards():
     np.testing.assert_array_equal(shown[-1, 0], [68, 1, 84])
 
 
-def test_three_channels_are_colours_and_two_are_not():
+def test_three_channels_are_colors_and_two_are_not():
     values = np.zeros((10, 10, 3))
     values[..., 0] = 1.0
     assert (pixels_of(map_image(values, "f")) == [255, 0, 0]).all()
