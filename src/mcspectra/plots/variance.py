@@ -242,7 +242,7 @@ def profile(group: Group, styles: Styles) -> Plot:
 
 
 def _known_curves(group: Group, styles: Styles, what: str, caption: str) -> Plot:
-    """Plot variances that were not measured against n."""
+    """Plot variances of a prediction or a profile against n."""
     variable = what.replace(" ", "_")
     curves, bands = {}, {}
     for name, each in group.items():

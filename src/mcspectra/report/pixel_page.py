@@ -137,7 +137,7 @@ def write_pixel(tree: xr.DataTree, folder: str | Path) -> Path:
 
 
 def pixel_answer(tree: xr.DataTree) -> str:
-    """Return a recommendation at equal evaluations, relative to MIS with the terms' sampler."""
+    """Recommend a strategy and sampler at equal evaluations, compared with MIS as given."""
     curves, setups = tree["convergence"].to_dataset(), {}
     for strategy, name in STRATEGY_NAMES.items():
         techniques = 1 if strategy in ("light", "bsdf") else 2
@@ -251,7 +251,7 @@ def bottleneck_sentence(tree: xr.DataTree) -> str:
         n, slopes = int(found["n"][-1]), found["technique_rate"].values
         later = f" at larger n; at n = {n} it has {percent(part)} of the variance"
         gap = float(slopes[slow] - slopes[1 - slow])
-        if gap > 0.0 and last[slow] > 0.0:  # the fitted lines cross here
+        if gap > 0.0 and last[slow] > 0.0:  # n at which the fitted lines cross
             crossing = n * float(last[1 - slow] / last[slow]) ** (1.0 / gap)
             later += f", and more than half beyond n ≈ {number(crossing, 2)} by the fitted lines"
     name = names[slow][0].upper() + names[slow][1:]
