@@ -13,7 +13,7 @@ import numpy as np
 import mcspectra as mcs
 from benchmarks.finding_figures import Curve, slopes, variance_panels, variance_plot, with_interval
 from mcspectra.estimators import split_mixture
-from mcspectra.plots.description import Line, Panel, Plot, Rule
+from mcspectra.plots.description import Line, Panel, Plot, ReferenceLine
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import GRAY, INK
@@ -116,7 +116,7 @@ def infinite_weights() -> Plots:
         mcs.integrand("polynomial(coefficients=[0, 0, 1])", dims=1),
         mcs.density("linear(slope=2)", dims=1),
     )
-    marks: list[Line | Rule] = []
+    marks: list[Line | ReferenceLine] = []
     for seed in range(4):
         x = mcs.sampler("random", dims=1).draw(n, realizations=int(sizes[-1]), rng=seed)
         weights = 1 / p.pdf(p.sample(x)).reshape(-1, n)
@@ -131,7 +131,7 @@ def infinite_weights() -> Plots:
     interval = 72 * n * d["variance_ci"].values[0]
     print(f"72 n Var(I): exact 1, measured {72 * n * float(d['variance'][0]):.3f} "
           f"({interval[0]:.3f} … {interval[1]:.3f})")  # fmt: skip
-    marks.append(Rule(at=1.0, color=INK, width=1.2, label="72 n Var(I), exact"))
+    marks.append(ReferenceLine(at=1.0, color=INK, width=1.2, label="72 n Var(I), exact"))
     every = np.concatenate([m.y for m in marks if isinstance(m, Line)])
     left = Panel(
         marks=tuple(marks),

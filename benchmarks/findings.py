@@ -23,7 +23,7 @@ from benchmarks.finding_figures import (
     with_interval,
 )
 from mcspectra.plots.backend_matplotlib import draw, encode
-from mcspectra.plots.description import Axis, Line, Panel, Plot, Rule, Segments
+from mcspectra.plots.description import Axis, Line, Panel, Plot, ReferenceLine, Segments
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import ACCENT, INK
@@ -107,7 +107,7 @@ def alignment() -> Plots:
         (
             "1[0.2<x<0.74], n = 16",
             scan,
-            [Rule(at=0.0, color=ACCENT, width=1.6, label="aligned strata")],
+            [ReferenceLine(at=0.0, color=ACCENT, width=1.6, label="aligned strata")],
         ),
     ):
         values = 256 * data["variance"].squeeze().values

@@ -364,7 +364,7 @@ COMMAND = _rows(
     ("points random -n 4 -o p", "p has no extension"),
     ("points random -n 4 -o no/such/folder/p.dat", "no/such/folder"),
     ("points random -n 4 -o no/such/folder/p.svg", "no/such/folder"),
-    ("points random -n 2000000 -o p.png", "too many to see"),
+    ("points random -n 2000000 -o p.png", "too many for a plot"),
     ("points random -n 4 -o p.dat -o p.xyz", "p.xyz has the extension '.xyz'"),
     ("points random -n 4 --quality -m 0", "--realizations"),
     ("points points(path='no-such.npz') -n 4", "no-such.npz"),

@@ -55,7 +55,7 @@ def test_pictures_and_page(made):
     assert {"mean", "variance", "rate", "rate_se", "bottleneck", "gain"} <= set(kinds)
     for kind in kinds:
         assert (folder / f"{kind}.png").read_bytes().startswith(b"\x89PNG")
-    assert "All pixels have the same points, so their errors are alike" in page
+    assert "All pixels share the same points, so their errors are correlated" in page
     assert "<h1>Variance map of " in page
     assert "light sampling" in page
     assert not any(raw in page for raw in ("stream_key", "labels_strategy", "estimator_name"))
@@ -87,10 +87,10 @@ def test_text_has_a_row_a_strategy(tmp_path, capsys):
     assert code == 0
     header, _, *rows, note, last = out.splitlines()
     assert note.startswith(
-        "Medians over the 24 pixels that see a lit surface; mean and variance at"
+        "Medians over the 24 pixels that show a lit surface; mean and variance at"
     )
     assert "Half of the light or more is missed by BSDF sampling" in note
-    assert "All pixels have the same points" in note
+    assert "All pixels share the same points" in note
     assert header.split()[:4] == ["Strategy", "Mean", "Variance", "Rate"]
     assert [row.partition("  ")[0] for row in rows] == ["light sampling", "BSDF sampling"]
     assert last == f"map: {tmp_path / 'report.html'}"
@@ -205,9 +205,9 @@ def test_the_answer_is_what_has_the_least_variance_at_most_pixels():
     )
     said = map_summary(result)["answer"]
     assert said.startswith(
-        "Use BSDF sampling with jittered: at as many samples in all it has the least variance at 50 % "
+        "Use BSDF sampling with jittered: for equal total samples it has the least variance at 50 % "
         "of the pixels, light sampling at 25 %, MIS at 25 %. Median RMSE at n = 16 of each technique, at "
-        "pixels where none misses light: light sampling 2.00, BSDF sampling 2.00, MIS 1.41."
+        "pixels where no strategy misses light: light sampling 2.00, BSDF sampling 2.00, MIS 1.41."
     )
 
 

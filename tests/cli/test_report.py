@@ -76,9 +76,9 @@ def test_no_page_is_written_into_a_store(folders, capsys):
     store = f"{folders[0]}/results.zarr"
     for arguments in (["report", store], ["report", str(folders[0]), "--compare", store]):
         assert main(arguments) == 2
-        assert "is a store" in (said := capsys.readouterr().err)
+        assert "is a Zarr store" in (said := capsys.readouterr().err)
         assert "--out" in said
-    with pytest.raises(ParameterError, match="is a store, in which no page is written"):
+    with pytest.raises(ParameterError, match="is a Zarr store, which cannot hold a page"):
         write_report(store)
     open_results(store)
 

@@ -1,4 +1,4 @@
-"""Small results, as the tests of reports make them."""
+"""Small results from the tests of reports."""
 
 from tests.report.conftest import _make
 

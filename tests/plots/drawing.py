@@ -1,4 +1,4 @@
-"""What tests of plots look at."""
+"""Helpers for tests of plots."""
 
 from bokeh.core.serialization import Serializer
 
@@ -6,11 +6,11 @@ from mcspectra.plots import backend_bokeh, backend_matplotlib
 
 
 def marks(plot, kind):
-    """Marks of a kind, over all panels."""
+    """Return the marks of a class in all panels."""
     return [m for panel in plot.panels for m in panel.marks if isinstance(m, kind)]
 
 
 def drawn_by_both(plot):
-    """Draw with either backend; the models of bokeh can be written."""
+    """Draw with both backends, and check that the Bokeh models can be written."""
     backend_matplotlib.draw(plot).canvas.draw()
     Serializer().encode(backend_bokeh.draw(plot).model)

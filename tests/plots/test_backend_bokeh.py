@@ -1,4 +1,4 @@
-"""The backend of pages: every mark, axis and scale; updates; nothing from a network."""
+"""The Bokeh backend: every mark, axis and scale; updates; no network requests."""
 
 import base64
 import dataclasses
@@ -18,17 +18,17 @@ from mcspectra.plots import scales
 from mcspectra.plots.backend_bokeh import draw, packed, script
 from mcspectra.plots.description import (
     Axis,
-    Bars,
+    BarChart,
     Dots,
-    Image,
+    Heatmap,
     Line,
     Panel,
     Pixels,
     Plot,
-    Rule,
+    ReferenceLine,
     Scale,
     Segments,
-    Text,
+    TextMark,
 )
 from mcspectra.plots.style import PALETTE
 
@@ -38,7 +38,7 @@ EVIL = r"$$x$$ \(y\) \[z\]"
 
 
 def marks(factor):
-    """One of each kind, and variants; values grow with the factor."""
+    """Return one mark of each class, and variants; values are proportional to `factor`."""
     y = factor * np.array([0.5, np.nan, -2.0, 1e-4])
     hover = {"y": [f"{v:.3g}" for v in y], EVIL: ["a"] * 4}
     field = factor * np.add.outer(GRID, GRID**2)
@@ -49,33 +49,44 @@ def marks(factor):
         "step": Line(x=X, y=y, color=PALETTE[1], step=True, dashes="--", hover=hover, **ends),
         "area": Line(x=X, y=y, color=PALETTE[1], width=0, **ends),
         "dots": Dots(x=X, y=y, color=PALETTE[6], marker="P", label="dots", **ends),
-        "shaded": Dots(x=X, y=y, color=y, size=3 + X, scale=scales.signed_scale("y", [y]), hover=hover),
+        "shaded": Dots(
+            x=X, y=y, color=y, size=3 + X, scale=scales.signed_scale("y", [y]), hover=hover
+        ),
         "across": Dots(x=X, y=y, color="#262626", across=True, low=X - 1, high=X + 1),
-        "bars": Bars(at=X, value=y, color=PALETTE[2], hover=hover, texts=list("abcd"), **ends),
-        "lying": Bars(at=X, value=y, color=PALETTE[:4], lying=True, texts=list("abcd"), **ends),
-        "stems": Bars(at=X, value=y, color=PALETTE[2], thickness=0, hover=hover),
-        "image": Image(
-            values=field, x=GRID, y=GRID, scale=scales.signed_scale("c", [field]), hover={"m": field}
+        "bars": BarChart(at=X, value=y, color=PALETTE[2], hover=hover, texts=list("abcd"), **ends),
+        "lying": BarChart(at=X, value=y, color=PALETTE[:4], lying=True, texts=list("abcd"), **ends),
+        "stems": BarChart(at=X, value=y, color=PALETTE[2], thickness=0, hover=hover),
+        "image": Heatmap(
+            values=field,
+            x=GRID,
+            y=GRID,
+            scale=scales.signed_scale("c", [field]),
+            hover={"m": field},
         ),
-        "log image": Image(
-            values=np.abs(field), x=GRID, y=GRID, scale=scales.log_scale("power", 1e-3, 4.0 * factor)
+        "log image": Heatmap(
+            values=np.abs(field),
+            x=GRID,
+            y=GRID,
+            scale=scales.log_scale("power", 1e-3, 4.0 * factor),
         ),
-        "beyond": Image(
+        "beyond": Heatmap(
             values=field, x=GRID, y=GRID, scale=Scale(label="p", high=factor, beyond=True)
         ),
-        "names": Image(
-            values=np.abs(field) // 1 % 2, x=GRID, y=GRID,
+        "names": Heatmap(
+            values=np.abs(field) // 1 % 2,
+            x=GRID,
+            y=GRID,
             scale=Scale(kind="names", names=("no", "yes"), colors=PALETTE[:2]),
         ),
         "pixels": Pixels(rgb=np.arange(24, dtype=np.uint8).reshape(2, 4, 3)),
         "segments": Segments(ends=factor * np.ones((3, 2, 2)), color="#DCDCDC", label="cuts"),
-        "rule": Rule(at=factor, axis="x", label="rule"),
-        "text": Text(x=1.0, y=factor, text=EVIL, side="above"),
-    }  # fmt: skip
+        "rule": ReferenceLine(at=factor, axis="x", label="rule"),
+        "text": TextMark(x=1.0, y=factor, text=EVIL, side="above"),
+    }
 
 
 def plot(name, factor=1.0, y=None, **options):
-    """A plot of one mark."""
+    """Return a plot of one mark."""
     panel = Panel(marks=(marks(factor)[name],), y=y or Axis(label="y"), title="a panel")
     return Plot(kind="test", panels=(panel,), words=f"{name} {factor}", **options)
 
@@ -85,12 +96,12 @@ def content(model):
 
 
 def data(model):
-    """Columns of all that is drawn."""
+    """Return the data columns of all glyphs."""
     return [dict(source.data) for source in model.select({"type": ColumnDataSource})]
 
 
 @pytest.mark.parametrize("name", marks(1.0))
-def test_every_mark_is_a_quiet_figure_in_words(name):
+def test_every_mark_is_drawn_without_warnings_and_described(name):
     model = draw(plot(name)).model
     assert isinstance(model, figure)
     assert model.toolbar.active_drag is None
@@ -105,7 +116,7 @@ def test_every_mark_is_a_quiet_figure_in_words(name):
 
 
 @pytest.mark.parametrize("name", marks(1.0))
-def test_an_update_is_as_if_drawn_anew_and_brings_no_new_models(name):
+def test_an_update_equals_a_new_plot_without_new_models(name):
     first, second = plot(name, 1.0), plot(name, 3.0)
     drawn = draw(first)
     document = Document()
@@ -118,7 +129,7 @@ def test_an_update_is_as_if_drawn_anew_and_brings_no_new_models(name):
     assert content(drawn.model) == content(draw(second).model)
 
 
-def test_another_structure_is_refused():
+def test_an_update_with_another_structure_gives_an_error():
     drawn = draw(plot("line"))
     for other in (
         plot("dots"),
@@ -127,14 +138,16 @@ def test_another_structure_is_refused():
         dataclasses.replace(plot("line"), panels=plot("line").panels * 2),
     ):
         assert not drawn.fits(other)
-        with pytest.raises(ParameterError, match="draw it anew"):
+        with pytest.raises(ParameterError, match="draw it again"):
             drawn.update(other)
 
 
-def test_signed_axes_have_places_and_ticks_of_their_own():
+def test_signed_axes_have_correct_positions_and_ticks():
     values = np.array([-3e-4, 2e-8, 0.7])
     axis = scales.signed_axis("y", [values])
-    bars = Bars(at=np.arange(3.0), value=values, color=PALETTE[0], low=values / 2, high=values * 2)
+    bars = BarChart(
+        at=np.arange(3.0), value=values, color=PALETTE[0], low=values / 2, high=values * 2
+    )
     model: Any = draw(Plot(kind="t", panels=(Panel(marks=(bars,), y=axis),))).model
     found = next(each for each in data(model) if "top" in each)
     np.testing.assert_array_equal(found["top"], scales.signed_place(values, axis.threshold))
@@ -147,7 +160,7 @@ def test_signed_axes_have_places_and_ticks_of_their_own():
     assert [model.y_range.start, model.y_range.end] == ends.tolist()
 
 
-def test_logarithmic_axes_have_no_place_for_zero():
+def test_zero_is_not_drawn_on_logarithmic_axes():
     y = np.array([0.0, 1.0, -1.0])
     mark = Dots(x=y + 2, y=y, color=PALETTE[0], low=y - 1, high=y + 1)
     axis = Axis(kind="log", low=0.1, high=2.0)
@@ -170,7 +183,7 @@ def test_gaps_interrupt_bands():
 
 
 @pytest.mark.parametrize("name", ["image", "log image", "beyond"])
-def test_shades_follow_the_values_and_nothing_has_none(name):
+def test_shades_follow_the_values_and_nan_has_no_shade(name):
     mark: Any = marks(1.0)[name]
     (columns,) = data(draw(plot(name)).model)
     shades, values = columns["image"][0], mark.values
@@ -196,7 +209,7 @@ def test_signed_maps_are_white_at_zero_with_ticks_at_their_shades():
     assert 0.0 in bar.ticker.ticks
 
 
-def test_names_have_a_legend_and_are_read_under_the_pointer():
+def test_names_are_in_the_legend_and_in_tooltips():
     model: Any = draw(plot("names")).model
     assert [item.label.value for item in model.select_one({"type": Legend}).items] == ["no", "yes"]
     columns = next(each for each in data(model) if "image" in each)
@@ -238,11 +251,11 @@ def test_one_button_turns_all_tooltips_off():
     assert sorted(tool.visible for tool in tools) == [False, True]
 
 
-def test_limits_that_stay_keep_the_zoom():
+def test_unchanged_limits_keep_the_zoom():
     axis = Axis(low=0.0, high=2.0)
     drawn = draw(plot("line", 1.0, y=axis))
     model: Any = drawn.model
-    model.y_range.update(start=0.5, end=0.6)  # as a reader's zoom does
+    model.y_range.update(start=0.5, end=0.6)  # like the zoom of a reader
     drawn.update(plot("line", 3.0, y=axis))
     assert (model.y_range.start, model.y_range.end) == (0.5, 0.6)
     drawn.update(plot("line", 3.0, y=Axis(low=0.0, high=3.0)))
@@ -253,13 +266,13 @@ def test_the_same_plot_is_the_same_text():
     assert packed(draw(plot("line")).model) == packed(draw(plot("line")).model)
 
 
-def test_the_script_stands_alone():
+def test_the_script_is_self_contained():
     code = gzip.decompress(base64.b64decode(script())).decode()
     assert "embed_item" in code
     assert "sourceMappingURL" not in code or "http" not in code.split("sourceMappingURL")[-1][:200]
 
 
-def test_colors_are_seen_on_dark_and_light():
+def test_colors_are_visible_on_dark_and_light_pages():
     def luminance(color):
         parts = [int(color[i : i + 2], 16) / 255 for i in (1, 3, 5)]
         linear = [p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts]

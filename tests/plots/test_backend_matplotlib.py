@@ -1,4 +1,4 @@
-"""The backend of files and notebooks: marks, axes, scales, legends, the axes of others, bytes."""
+"""The Matplotlib backend: marks, axes, scales, legends, given axes, reproducible bytes."""
 
 import io
 import math
@@ -15,17 +15,17 @@ from mcspectra.core.errors import FileFormatError, ParameterError
 from mcspectra.plots.backend_matplotlib import FORMATS, draw, encode, panel_axes, write
 from mcspectra.plots.description import (
     Axis,
-    Bars,
+    BarChart,
     Dots,
-    Image,
+    Heatmap,
     Line,
     Panel,
     Pixels,
     Plot,
-    Rule,
+    ReferenceLine,
     Scale,
     Segments,
-    Text,
+    TextMark,
 )
 from mcspectra.plots.scales import log_scale, name_axis, signed_axis, signed_scale
 from mcspectra.plots.style import FAINT
@@ -39,7 +39,7 @@ def plot(*panels, **options):
 
 
 def drawn(*marks, **options):
-    """The axes of a panel with these marks, and its figure."""
+    """Return the axes and the figure of a panel with the given marks."""
     figure = draw(plot(Panel(marks=marks, **options)))
     figure.canvas.draw()
     return figure.axes[0], figure
@@ -89,9 +89,9 @@ def test_dots_show_values_of_a_scale():
 
 
 @pytest.mark.parametrize("lying", [False, True])
-def test_bars_leave_out_what_is_no_number(lying):
+def test_nan_draws_no_bar(lying):
     value = np.array([1.0, -2.0, math.nan, 3.0])
-    bars = Bars(at=X, value=value, color=["red", "green", "blue", "black"], lying=lying,
+    bars = BarChart(at=X, value=value, color=["red", "green", "blue", "black"], lying=lying,
                 low=value - 1, high=value + 1, texts=["a", "b", "c", "d"])  # fmt: skip
     axes, figure = drawn(bars)
     sizes = [p.get_width() if lying else p.get_height() for p in axes.patches]
@@ -102,7 +102,7 @@ def test_bars_leave_out_what_is_no_number(lying):
 
 @pytest.mark.parametrize("lying", [False, True])
 def test_bars_without_thickness_are_stems(lying):
-    axes, _ = drawn(Bars(at=X, value=X, color="#0072B2", thickness=0.0, lying=lying))
+    axes, _ = drawn(BarChart(at=X, value=X, color="#0072B2", thickness=0.0, lying=lying))
     ends = np.array([s[:, 0 if lying else 1] for s in axes.collections[0].get_segments()])
     np.testing.assert_array_equal(ends, np.stack([0 * X, X], axis=1))
 
@@ -117,10 +117,10 @@ def test_bars_without_thickness_are_stems(lying):
         Scale(label="v", low=0.0, high=1.0, palette="paper"),
     ],
 )
-def test_images_lie_where_their_cells_are(scale):
+def test_heatmaps_have_correct_positions(scale):
     values = field()
     values[0, 0] = math.nan
-    axes, figure = drawn(Image(values=values, x=GRID, y=GRID, scale=scale), square=True)
+    axes, figure = drawn(Heatmap(values=values, x=GRID, y=GRID, scale=scale), square=True)
     (image,) = axes.images
     assert image.get_extent() == [-3.5, 3.5, -3.5, 3.5]
     assert image.origin == "lower"
@@ -132,31 +132,31 @@ def test_images_lie_where_their_cells_are(scale):
     assert mpl.colors.to_hex(nothing).upper() == FAINT
 
 
-def test_a_signed_scale_has_half_a_decade_of_room_for_its_linear_part():
-    """As `signed_place`, which bokeh draws."""
+def test_each_side_of_the_linear_part_takes_half_a_decade():
+    """Positions agree with `signed_place`, which the Bokeh backend uses."""
     scale = signed_scale("v", [np.array([1e-3, 1.0])])
-    axes, _ = drawn(Image(values=field(), x=GRID, y=GRID, scale=scale))
+    axes, _ = drawn(Heatmap(values=field(), x=GRID, y=GRID, scale=scale))
     norm = axes.images[0].norm
     top = 0.5 + math.log10(scale.high / scale.threshold)
     assert norm(scale.threshold) == pytest.approx(0.5 + 0.5 * 0.5 / top)
     assert norm(0.0) == pytest.approx(0.5)
 
 
-def test_names_of_a_scale_stand_in_the_legend():
+def test_names_of_a_scale_are_in_the_legend():
     scale = Scale(kind="names", names=("no", "yes"), colors=("#0072B2", "#D55E00"))
     values = np.array([[0.0, 1.0], [math.nan, 0.0]])
     at = np.arange(2.0)
-    axes, figure = drawn(Image(values=values, x=at, y=at, scale=scale))
+    axes, figure = drawn(Heatmap(values=values, x=at, y=at, scale=scale))
     assert [t.get_text() for t in figure.legends[0].get_texts()] == ["no", "yes"]
     shown = axes.images[0].to_rgba(axes.images[0].get_array())
     assert mpl.colors.to_hex(shown[0, 1]).upper() == "#D55E00"
     assert len(figure.axes) == 1
 
 
-def test_one_bar_for_panels_of_one_scale_and_none_without_a_label():
+def test_panels_with_one_scale_share_a_labeled_color_bar():
     scale = Scale(label="v")
-    image = Image(values=field(), x=GRID, y=GRID, scale=scale)
-    bare = Image(values=field(), x=GRID, y=GRID, scale=Scale())
+    image = Heatmap(values=field(), x=GRID, y=GRID, scale=scale)
+    bare = Heatmap(values=field(), x=GRID, y=GRID, scale=Scale())
     figure = draw(
         plot(Panel(marks=(image,)), Panel(marks=(image,)), Panel(marks=(bare,)), columns=3)
     )
@@ -168,9 +168,9 @@ def test_segments_rules_texts_and_notes():
     ends = np.array([[[0.0, 0.0], [1.0, 2.0]]])
     axes, figure = drawn(
         Segments(ends=ends, color="#D55E00"),
-        Rule(at=1.0, axis="x"),
-        Rule(at=2.0),
-        Text(x=0.5, y=0.5, text="here $x$", side="below"),
+        ReferenceLine(at=1.0, axis="x"),
+        ReferenceLine(at=2.0),
+        TextMark(x=0.5, y=0.5, text="here $x$", side="below"),
         note="nothing to see",
     )
     np.testing.assert_array_equal(axes.collections[0].get_segments()[0], ends[0])
@@ -190,17 +190,17 @@ def test_axes_have_the_limits_ticks_and_direction_of_the_description():
     assert all("$" not in t.get_text() for t in log.get_xticklabels())
 
 
-def test_labels_that_would_touch_are_turned():
+def test_labels_that_would_touch_are_rotated():
     names = [f"a long name {k}" for k in range(9)]
     axis = name_axis(names, flipped=False)
     axes, _ = drawn(Dots(x=np.arange(9.0), y=np.arange(9.0), color="#0072B2"), x=axis)
     assert {t.get_rotation() for t in axes.get_xticklabels()} == {90.0}
 
 
-def test_the_legend_has_an_entry_a_label():
+def test_the_legend_has_an_entry_per_label():
     line = Line(x=X, y=X, color="#0072B2", dashes=":", label="both")
     dots = Dots(x=X, y=X, color="#0072B2", marker="s", label="both")
-    bars = Bars(at=X, value=X, color="#D55E00", label="bars")
+    bars = BarChart(at=X, value=X, color="#D55E00", label="bars")
     _, figure = drawn(line, dots, bars)
     (legend,) = figure.legends
     assert [t.get_text() for t in legend.get_texts()] == ["both", "bars"]
@@ -208,7 +208,7 @@ def test_the_legend_has_an_entry_a_label():
     assert (sign.get_linestyle(), sign.get_marker()) == (":", "s")
 
 
-def test_names_with_dollars_are_no_mathematics():
+def test_dollar_signs_do_not_start_mathematics():
     name = r"from-file(path='$a_{$\frac')"
     line = Line(x=X, y=X, color="#0072B2", label=name)
     figure = draw(
@@ -218,7 +218,7 @@ def test_names_with_dollars_are_no_mathematics():
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 7])
-def test_panels_stand_in_reading_order(count):
+def test_panels_are_in_reading_order(count):
     panels = [
         Panel(marks=(), title=f"p{k}", x=Axis(label="x"), y=Axis(label="y")) for k in range(count)
     ]
@@ -234,7 +234,7 @@ def test_panels_stand_in_reading_order(count):
         assert each is axes[0] or each.get_shared_x_axes().joined(axes[0], each)
 
 
-def test_a_figure_is_unknown_to_pyplot_unless_it_is_asked_for():
+def test_figures_are_registered_in_pyplot_only_on_request():
     from matplotlib import pyplot as plt
 
     before = dict(mpl.rcParams)
@@ -248,7 +248,7 @@ def test_a_figure_is_unknown_to_pyplot_unless_it_is_asked_for():
     assert dict(mpl.rcParams) == before
 
 
-def test_axes_of_somebody_else_keep_their_figure_and_get_the_legend():
+def test_given_axes_keep_their_figure_and_get_the_legend():
     figure = Figure()
     axes = figure.subplots(1, 2)
     line = Line(x=X, y=X, color="#0072B2", label="a")
@@ -260,14 +260,14 @@ def test_axes_of_somebody_else_keep_their_figure_and_get_the_legend():
 
 
 @pytest.mark.parametrize("axes", ["here", 3, [], [1], np.zeros(1), Figure().subplots(1, 3)])
-def test_what_are_no_axes_is_refused(axes):
-    with pytest.raises(ParameterError, match="this result takes one matplotlib Axes"):
+def test_invalid_axes_give_an_error(axes):
+    with pytest.raises(ParameterError, match="this result needs one matplotlib Axes"):
         draw(plot(Panel(marks=())), axes)
     with pytest.raises(ParameterError, match="2 matplotlib Axes of one figure"):
         draw(plot(Panel(marks=()), Panel(marks=())), [Figure().subplots(), Figure().subplots()])
 
 
-def test_bytes_are_the_same_and_say_nothing_about_the_time():
+def test_encoded_bytes_are_reproducible_without_time_stamps():
     line = Line(x=X, y=X, color="#D55E00", width=6.0, label="推定 $x")
     one = plot(Panel(marks=(line,), title="a title"))
     with np.testing.assert_no_warnings():
@@ -278,14 +278,14 @@ def test_bytes_are_the_same_and_say_nothing_about_the_time():
     assert b"CreationDate" not in pdf
     assert b"Type3" not in pdf
     image = Picture.open(io.BytesIO(png)).convert("RGB")
-    assert image.getpixel((0, 0)) == (0xFC, 0xFC, 0xFA)  # no seam to the frame in the page
+    assert image.getpixel((0, 0)) == (0xFC, 0xFC, 0xFA)  # same color as the frame on the page
     away = np.abs(np.asarray(image).astype(int) - (0xD5, 0x5E, 0x00)).max(axis=2)
-    # The line covers 6 pt x ~4 in: far more than 1 % of the pixels have its color
+    # The line covers 6 pt x ~4 in, so far more than 1 % of the pixels have its color
     assert (away <= 16).mean() > 0.01
 
 
 @pytest.mark.parametrize("shape", [(5, 7), (3, 240), (11, 239)])
-def test_pictures_have_their_very_pixels(shape):
+def test_images_keep_their_exact_pixels(shape):
     rgb = np.random.default_rng(0).integers(0, 256, (2, *shape, 3)).astype(np.uint8)
     panels = [Panel(marks=(Pixels(rgb=each),), title="a", x=Axis(label="one\ntwo")) for each in rgb]
     found = np.asarray(Picture.open(io.BytesIO(encode(draw(plot(*panels, columns=2)))[0])))
@@ -297,7 +297,7 @@ def test_pictures_have_their_very_pixels(shape):
         np.testing.assert_array_equal(shown, each.repeat(zoom, axis=0).repeat(zoom, axis=1))
 
 
-def test_pictures_beyond_all_bounds_are_refused():
+def test_images_that_are_too_large_give_an_error():
     panels = [Panel(marks=(Pixels(rgb=np.zeros((1, 9000, 3), np.uint8)),))] * 4
     with pytest.raises(ParameterError, match="give a crop"):
         draw(plot(*panels, columns=4))
@@ -313,16 +313,16 @@ def test_files_have_the_same_bytes(tmp_path, extension):
     assert len(files[0].read_bytes()) > 1000
 
 
-def test_many_dots_are_an_image_within_the_svg(tmp_path):
+def test_many_dots_are_rasterized_in_the_svg(tmp_path):
     for n, inside in ((5000, 0), (5001, 1)):
         x = np.random.default_rng(0).random(n)
         write(plot(Panel(marks=(Dots(x=x, y=x, color="#0072B2"),))), tmp_path / "p.svg")
         assert len(re.findall("<image", (tmp_path / "p.svg").read_text())) == inside
 
 
-def test_files_that_are_no_pictures_or_cannot_be_written(tmp_path):
+def test_unknown_extensions_and_unwritable_files_give_errors(tmp_path):
     one = plot(Panel(marks=()))
-    with pytest.raises(FileFormatError, match="give .svg, .png, .pdf"):
+    with pytest.raises(FileFormatError, match="give one of .svg, .png, .pdf"):
         write(one, tmp_path / "p.gif")
     with pytest.raises(FileFormatError, match="cannot be written"):
         write(one, tmp_path / "no" / "p.png")

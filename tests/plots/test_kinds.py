@@ -1,4 +1,4 @@
-"""Results become plots: every analysis has one, and odd results do not break them."""
+"""Kinds of plots: every analysis has a plot, and unusual results can be drawn."""
 
 import dataclasses
 import math
@@ -13,14 +13,14 @@ import mcspectra as mcs
 from mcspectra.core.analysis import ANALYSES, Subject, compute
 from mcspectra.core.errors import ParameterError
 from mcspectra.plots import backend_matplotlib
-from mcspectra.plots.description import Bars, Dots, Image, Line, Rule
+from mcspectra.plots.description import BarChart, Dots, Heatmap, Line, ReferenceLine
 from mcspectra.plots.groups import labelled
-from mcspectra.plots.kinds import KINDS, describe, kinds_of
+from mcspectra.plots.kinds import PLOT_KINDS, describe, kinds_of
 from mcspectra.plots.style import TERM_COLORS, sampler_styles
 from mcspectra.plots.variance import usable_counts
 from mcspectra.reproduction.panels import term_panel
 
-# the plots that results of `QUICK` have
+# Kinds of plots of the results of `QUICK`
 PATHS = (
     "map-bounces",
     "map-decisions",
@@ -42,13 +42,13 @@ PLOTS = {
     "profile": ["profile"],
     "remedies": ["remedies"],
     "modes": ["modes"],
-    "map": [kind for kind in KINDS if kind.startswith("map-") and kind not in PATHS],
+    "map": [kind for kind in PLOT_KINDS if kind.startswith("map-") and kind not in PATHS],
 }
 TERMS = ("terms", "captured", "contributions", "bands")
 
 
 def said(plot):
-    """All text of a plot in one string."""
+    """Return all text of a plot as one string."""
     found = [plot.caption, plot.words, *plot.labels]
     for panel in plot.panels:
         found += [panel.title, panel.note, panel.x.label, panel.y.label]
@@ -74,13 +74,13 @@ def test_every_analysis_has_plots_that_both_backends_draw(name):
         assert plot.caption.endswith(".")
         assert plot.words.endswith(".")
         drawn_by_both(plot)
-        # Several by name are one plot as well; layers of a map are all drawn alike
+        # Several results by name also give one plot; all layers of a map use the same function
         if kind in expected[:4]:
             drawn_by_both(describe(kind, {"one": result, "another | of them": result}))
 
 
-def test_methods__side_by_side_at_the_largest_n():
-    """Those without a value there have no row; the dots are the values."""
+def test_methods__one_row_per_method_at_the_largest_n():
+    """Methods without a value have no row; the dots are at the values."""
     samplers = ["jittered | shift", "sobol | owen"]
     found = mcs.predict("gaussian", samplers, [16, 64], method="all", half_width=4, realizations=50)
     assert kinds_of(found) == ("prediction",)
@@ -105,7 +105,7 @@ def test_chains__spectra_and_shares_of_one_and_of_many():
     np.testing.assert_array_equal(draw, one["draw_share"])
     drawn_by_both(plot)
     plot = describe("chains", many)
-    assert "2 quantities of more effective draws are left out" in plot.caption
+    assert "2 quantities with more effective draws are omitted" in plot.caption
     assert len(plot.labels) == 6
     drawn_by_both(plot)
     drawn_by_both(describe("chains", {"a": one, "still": mcs.measure.chain_error(np.ones(300))}))
@@ -124,7 +124,7 @@ def test_terms__every_dim(make, kind, dims):
 
 @pytest.mark.parametrize("kind", TERMS)
 @pytest.mark.parametrize("dims", [1, 2])
-def test_terms__infinite_ones_are_named(make, kind, dims):
+def test_terms__infinite_terms_are_labeled(make, kind, dims):
     plot = describe(kind, {"random": make["infinite"](dims=dims, half_width=3, realizations=20)})
     assert "infinite" in said(plot) or "no finite" in said(plot)
     assert "nan" not in said(plot).lower()
@@ -145,7 +145,7 @@ def test_terms__bars_are_a_waterfall_with_the_intervals_of_the_terms(make):
     for name in names[1:3]:
         data[f"{name}_ci"] = ("bound", float(data[name]) * np.array([0.5, 2.0]))
     plot = describe("terms", {"jittered": data})
-    (bars,) = marks(plot, Bars)
+    (bars,) = marks(plot, BarChart)
     terms = [float(data[n]) for n in names]
     np.testing.assert_allclose(bars.value - bars.base, terms, atol=1e-18)
     np.testing.assert_allclose(bars.base[1:3], bars.value[:2])  # each begins where the last ended
@@ -165,7 +165,7 @@ def test_terms__a_term_of_rounding_size_is_a_printed_number(make):
     data["dc_term"] = data["dc_term"] * 0.0 + 1e-17
     plot = describe("terms", {"jittered": data})
     assert "≈ 0" in said(plot)
-    (bars,) = marks(plot, Bars)
+    (bars,) = marks(plot, BarChart)
     assert bars.value[0] == 0.0
 
 
@@ -173,8 +173,8 @@ def test_terms__colors_are_those_of_the_exhibits(make):
     data = make["terms"]()
     for name in ("dc_term", "power_term", "cross_term"):
         data[f"{name}_ci"] = ("bound", float(data[name]) * np.array([0.5, 2.0]))
-    (bars,) = marks(describe("terms", {"jittered": data}), Bars)
-    (slide,) = (m for m in term_panel(data, 1.0, "title").marks if isinstance(m, Bars))
+    (bars,) = marks(describe("terms", {"jittered": data}), BarChart)
+    (slide,) = (m for m in term_panel(data, 1.0, "title").marks if isinstance(m, BarChart))
     assert list(bars.color) == list(TERM_COLORS.values())
     assert list(slide.color) == list(bars.color)[:4]
 
@@ -189,9 +189,9 @@ def test_contributions__a_panel_for_each_technique(make):
     assert (len(plot.panels), plot.columns) == (4, 2)
 
 
-def test_contributions__shells_sum_to_what_lies_inside_the_half_width(make):
+def test_contributions__shells_sum_to_the_part_within_the_half_width(make):
     data = make["terms"](dims=3, n=8, half_width=2, realizations=20)
-    (bars,) = marks(describe("contributions", {"x": data}), Bars)
+    (bars,) = marks(describe("contributions", {"x": data}), BarChart)
     m = np.arange(-2, 3)
     length = np.sqrt(sum(g**2 for g in np.meshgrid(m, m, m)))
     expected = data["contribution"].values[np.rint(length) <= 2].sum()
@@ -200,7 +200,7 @@ def test_contributions__shells_sum_to_what_lies_inside_the_half_width(make):
 
 def test_contributions__an_image_is_not_transposed(make):
     data = make["terms"](dims=2, half_width=3, realizations=20)
-    (image,) = marks(describe("contributions", {"x": data}), Image)
+    (image,) = marks(describe("contributions", {"x": data}), Heatmap)
     np.testing.assert_array_equal(image.values, data["contribution"].transpose("m1", "m0"))
     np.testing.assert_array_equal(image.x, data["m0"])
 
@@ -223,12 +223,12 @@ def test_bands__many_shells_have_whole_ticks_and_one_legend(make):
         assert len(panel.x.ticks) <= 7
         assert all(tick.is_integer() for tick in panel.x.ticks)
     assert plot.labels == ("within the band", "with other bands")
-    assert len({bars.color for bars in marks(plot, Bars)}) == 2
+    assert len({bars.color for bars in marks(plot, BarChart)}) == 2
 
 
 def test_cross_matrix__real_and_imaginary(make):
     data = make["terms"](matrix=True, half_width=4, realizations=20)
-    real, imaginary = marks(describe("cross-matrix", {"x": data}), Image)
+    real, imaginary = marks(describe("cross-matrix", {"x": data}), Heatmap)
     np.testing.assert_array_equal(real.values, data["cross_matrix"].values.real)
     np.testing.assert_array_equal(imaginary.values, data["cross_matrix"].values.imag)
 
@@ -240,7 +240,7 @@ def test_cross_matrix__only_of_one_dimension(make):
 
 
 def cosine(data):
-    """A result as in a basis without negative frequencies."""
+    """Return a result in a basis without negative frequencies."""
     m = {"m0": 0, "m1": 1, "m": 0, "l": 0}
     ends = {d: data[d].values - data[d].values[0] for d in m if d in data.coords}
     return data.assign_coords(ends).assign_attrs(basis="cosine")
@@ -254,7 +254,7 @@ def cosine(data):
         ("cross-matrix", {"matrix": True, "dims": 1}),
     ],
 )
-def test_frequencies_of_different_bases_are_all_seen_and_named(make, kind, options):
+def test_frequencies_of_different_bases_are_shown_and_labeled(make, kind, options):
     data = make["terms"](half_width=3, realizations=20, **options)
     plot = describe(kind, {"fourier one": data, "cosine one": cosine(data)})
     assert plot.share in ("", "y")
@@ -274,7 +274,7 @@ def test_frequencies_of_different_bases_are_all_seen_and_named(make, kind, optio
 
 
 @pytest.mark.parametrize("kind", ["contributions", "spectrum"])
-def test_half_widths_that_differ_keep_their_own_limits(make, kind):
+def test_different_half_widths_have_separate_limits(make, kind):
     make_it = make["terms" if kind == "contributions" else "spectrum"]
     plot = describe(kind, {f"h{h}": make_it(dims=2, half_width=h) for h in (2, 4)})
     assert plot.share == ""
@@ -282,7 +282,7 @@ def test_half_widths_that_differ_keep_their_own_limits(make, kind):
     assert [each.get_xlim() for each in axes] == [(-2.5, 2.5), (-4.5, 4.5)]
 
 
-def test_cross_matrix__large_ones_are_cut_far_from_dc():
+def test_cross_matrix__large_matrices_are_cropped_around_dc():
     m = np.arange(300)
     matrix = xr.DataArray(np.eye(300, dtype=complex), {"m": m, "l": m}, ("m", "l"))
     data = xr.Dataset({"cross_matrix": matrix}, {"m0": m}, attrs={"basis": "cosine"})
@@ -290,7 +290,7 @@ def test_cross_matrix__large_ones_are_cut_far_from_dc():
     assert (first.x.low, first.x.high) == (-0.5, 256.5)
 
 
-def test_frequencies_have_whole_ticks_and_the_legend_no_colour_of_one_sampler(make):
+def test_frequency_ticks_are_integers_and_the_legend_has_no_sampler_color(make):
     data = make["terms"](dims=1, half_width=2, realizations=20)
     plot = describe("contributions", {"one": data, "other": data})
     assert plot.labels == ("power part |fₘ|² Cₘₘ",)
@@ -299,7 +299,7 @@ def test_frequencies_have_whole_ticks_and_the_legend_no_colour_of_one_sampler(ma
             assert all(float(tick).is_integer() for tick in panel.x.ticks)
 
 
-def test_the_first_of_several_channels_is_shown_and_said(make):
+def test_the_first_channel_is_shown_and_named(make):
     data = make["terms"](channels=3, half_width=3, realizations=20)
     data["dc_term"][1:] = 99.0
     plot = describe("terms", {"x": data})
@@ -310,15 +310,15 @@ def test_the_first_of_several_channels_is_shown_and_said(make):
 
 def test_spectrum__n_times_power_without_dc(make):
     data = make["spectrum"](dims=2, half_width=3)
-    (image,) = marks(describe("spectrum", {"x": data}), Image)
+    (image,) = marks(describe("spectrum", {"x": data}), Heatmap)
     expected = 16 * data["power"].values.T
     expected[3, 3] = np.nan
     np.testing.assert_allclose(image.values, expected)
 
 
-def test_spectrum__one_colour_scale(make):
+def test_spectrum__one_color_scale(make):
     data = {s: make["spectrum"](s, dims=2, half_width=3) for s in ("random", "jittered")}
-    assert len({image.scale for image in marks(describe("spectrum", data), Image)}) == 1
+    assert len({image.scale for image in marks(describe("spectrum", data), Heatmap)}) == 1
 
 
 @pytest.mark.parametrize("kind", ["spectrum", "lines"])
@@ -340,7 +340,7 @@ def test_radial__axis_in_units_of_the_root_of_n(make, dims):
 def test_convergence__fitted_line_and_label(make):
     plot = describe("convergence", {"jittered": make["curve"]("jittered")})
     line = next(m for m in marks(plot, Line) if m.label.startswith("jittered"))
-    # An exact power law: the fitted line goes through its ends
+    # For an exact power law, the fitted line passes through the ends
     np.testing.assert_allclose(line.y, 0.08 * np.array([16.0, 1024.0]) ** -3)
     assert line.label == "jittered  −3.00 ± 0.03"
 
@@ -359,14 +359,14 @@ def test_convergence__only_the_last_counts_were_fitted(make):
         ({"counts": (64,), "zero": ()}, "random"),
     ],
 )
-def test_convergence__odd_curves(make, options, words):
+def test_convergence__unusual_curves(make, options, words):
     plot = describe("convergence", {"random": make["curve"]("random", **options)})
     assert words in said(plot)
     drawn_by_both(plot)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_convergence__what_is_not_finite_is_said_and_drawn(make, bad):
+def test_convergence__values_that_are_not_finite_are_counted(make, bad):
     data = make["curve"]("random", zero=(0,))
     data["variance"][3] = bad
     plot = describe("convergence", {"random": data})
@@ -391,7 +391,7 @@ def test_convergence__no_line_without_intervals(make):
 
 
 @pytest.mark.parametrize(("kind", "dims"), [("spectrum", 2), ("lines", 1), ("contributions", 2)])
-def test_spectra_of_no_numbers_are_not_called_infinite(make, kind, dims):
+def test_spectra_of_nan_are_not_called_infinite(make, kind, dims):
     data = make["terms" if kind == "contributions" else "spectrum"](dims=dims, half_width=2)
     empty = data.map(lambda v: v * math.nan, keep_attrs=True)
     plot = describe(kind, {"x": empty})
@@ -402,13 +402,13 @@ def test_spectra_of_no_numbers_are_not_called_infinite(make, kind, dims):
         assert infinite.panels[0].note == "infinite: ∫1/p diverges"
 
 
-def test_convergence__rounding_noise_is_no_variance(make):
+def test_convergence__rounding_noise_is_not_drawn(make):
     data = make["curve"]("random")
     data["variance"][3] = 1e-33  # (16 ulps of 0.5)² is 3e-30
     assert usable_counts(data).tolist() == [True, True, True, False]
 
 
-def test_one_result_alone_and_with_dims(make):
+def test_single_results_with_and_without_dims(make):
     one = make["curve"]("jittered")
     assert "jittered" in said(describe("convergence", one))
     two = xr.concat([make["curve"]("random"), one], dim="sampler", combine_attrs="drop_conflicts")
@@ -429,13 +429,13 @@ def test_nothing_to_draw(data):
         describe("terms", data)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "anything"])
+@pytest.mark.parametrize("kind", [kind for kind in PLOT_KINDS if kind != "anything"])
 def test_wrong_analysis(kind):
     with pytest.raises(ParameterError, match="has no "):
         describe(kind, {"random": xr.Dataset()})
 
 
-def test_unknown_kinds_name_those_there_are(make):
+def test_errors_for_unknown_kinds_list_the_kinds(make):
     with pytest.raises(ParameterError, match="kind is 'radail'.*Did you mean 'radial'"):
         describe("radail", make["spectrum"]())
 
@@ -450,7 +450,7 @@ def correlation(values=(0.0, 0.5, 1.0)):
     )
 
 
-def test_pair_correlation__says_where_it_is_least():
+def test_pair_correlation__describes_the_minimum():
     plot = describe("pair-correlation", {"random": correlation(), "shift": correlation()})
     assert "random: least 0 at r = 0.100" in plot.words
     (random, shift) = marks(plot, Line)
@@ -461,7 +461,7 @@ def test_pair_correlation__says_where_it_is_least():
 
 
 def remedies():
-    """What a study's store holds: text as attributes."""
+    """Return a result as in a store, with text as attributes."""
     ratio = np.array([0.5, 1.0, math.nan])
     found = {
         "error_ratio": ("remedy", ratio),
@@ -471,7 +471,7 @@ def remedies():
     return xr.Dataset(found, attrs={"labels_remedy": names, "labels_verdict": verdicts})
 
 
-def test_remedies__of_a_store_have_a_panel_for_each_sampler():
+def test_remedies__stored_results_have_a_panel_per_sampler():
     assert kinds_of(remedies()) == ("remedies",)
     plot = describe("remedies", {"a": remedies(), "b": remedies()})
     assert [panel.title for panel in plot.panels] == ["a", "b"]
@@ -481,13 +481,13 @@ def test_remedies__of_a_store_have_a_panel_for_each_sampler():
     drawn_by_both(plot)
 
 
-def test_labels_of_another_length_are_left_alone():
+def test_labels_of_another_length_are_ignored():
     found = labelled(remedies().assign_attrs(labels_other=["one"]))
     assert list(found["verdict"].values) == ["better", "given", "undecided"]
     assert "other" not in found.coords
 
 
-def test_convergence__one_count_has_no_lines_and_none_in_the_caption():
+def test_convergence__one_count_has_no_lines_in_plot_and_caption():
     curve = mcs.convergence("gaussian", "random", [16, 32], realizations=8, rng=0)
     one, two = (
         describe("convergence", each) for each in (curve.isel(n=[0]).assign(rate=np.nan), curve)
@@ -497,15 +497,15 @@ def test_convergence__one_count_has_no_lines_and_none_in_the_caption():
     assert "fitted lines" in two.caption
 
 
-def test_plan__the_wanted_error_is_a_line_and_the_axis_ends_with_the_curve():
+def test_plan__the_target_is_a_line_and_the_axis_ends_with_the_curve():
     found = mcs.plan(mcs.integrand("gaussian", dims=1), "jittered", target_error=0.1, relative=True)
     plot = describe("prediction", found)
-    (rule,), (line,) = marks(plot, Rule), marks(plot, Line)
+    (rule,), (line,) = marks(plot, ReferenceLine), marks(plot, Line)
     assert rule.at == pytest.approx((0.1 * mcs.integrand("gaussian", dims=1).integral) ** 2)
     assert line.x[-1] < plot.panels[0].x.high < 2 * line.x[-1] < found["n"][-1]
 
 
-def test_anova__the_largest_parts_first_and_few():
+def test_anova__a_few_parts_with_the_largest_first():
     size = np.arange(1.0, 21.0)
     labels = [f"x{k}" for k in range(20)]
     data = xr.Dataset(
@@ -513,12 +513,12 @@ def test_anova__the_largest_parts_first_and_few():
         {"subset_label": ("subset", labels)},
     )
     plot = describe("anova", {"a": data})
-    (bars,) = marks(plot, Bars)
+    (bars,) = marks(plot, BarChart)
     np.testing.assert_array_equal(bars.value, np.arange(20.0, 8.0, -1.0))
-    assert "8 smaller parts are left out" in plot.caption
-    assert "each axis of primary space alone and from each set of them together" in plot.caption
+    assert "8 smaller parts are omitted" in plot.caption
+    assert "each axis of primary space alone and from the interactions of each set" in plot.caption
     size[[3, 7, 17]] = 0.0, -1e-15, 1e-15  # rounding
-    (bars,) = marks(describe("anova", {"a": data.assign_attrs(axes="bounce", order=1)}), Bars)
+    (bars,) = marks(describe("anova", {"a": data.assign_attrs(axes="bounce", order=1)}), BarChart)
     np.testing.assert_array_equal(bars.value, [20, 19, 17, 16, 15, 14, 13, 12, 11, 10, 9, 7])
 
 
@@ -530,7 +530,7 @@ def test_techniques__bars_sum_to_the_variance():
             "technique_variance_ci": (("technique", "bound"), [[1.5, 2.5], [0.5, 1.5]]),
         }
     )
-    (bars,) = marks(describe("techniques", {"a": data}), Bars)
+    (bars,) = marks(describe("techniques", {"a": data}), BarChart)
     assert bars.value.sum() == matrix.sum()
     assert np.isnan(bars.low).tolist() == [False, False, True]
 
@@ -546,7 +546,7 @@ def test_techniques__rates_of_each_and_of_their_sum():
     ]
     first = marks(plot, Dots)[0]
     np.testing.assert_array_equal(first.y, data["technique_variance"].isel(technique=0))
-    (bars, _) = marks(describe("techniques", {"a": data, "b": data}), Bars)
+    (bars, _) = marks(describe("techniques", {"a": data, "b": data}), BarChart)
     last = data["technique_covariance"].isel(n=-1)
     assert bars.value.sum() == pytest.approx(float(last.sum()))
 
@@ -578,7 +578,7 @@ def test_anything__curves_and_maps():
     drawn_by_both(plot)
 
 
-def test_anything__names_along_an_axis_and_single_numbers():
+def test_anything__text_labels_along_an_axis_and_scalars():
     named = stranger().assign_coords(place=["a", "b", "c"])[["curve"]]
     (dots,) = marks(describe("anything", named), Dots)
     assert dots.low is None
@@ -589,7 +589,7 @@ def test_anything__names_along_an_axis_and_single_numbers():
     drawn_by_both(alone)
 
 
-def test_describing_changes_nothing_of_a_result(make):
+def test_describe_does_not_change_results(make):
     data = make["terms"](dims=2, half_width=3, realizations=20)
     before = data.copy(deep=True)
     for kind in kinds_of(data):
@@ -598,9 +598,9 @@ def test_describing_changes_nothing_of_a_result(make):
     xr.testing.assert_identical(data, before)
 
 
-def test_rules_mark_the_level_of_random_points(make):
+def test_reference_lines_mark_the_level_of_random_points(make):
     for kind in ("lines", "radial"):
-        assert [r.at for r in marks(describe(kind, make["spectrum"]()), Rule)] == [1.0]
+        assert [r.at for r in marks(describe(kind, make["spectrum"]()), ReferenceLine)] == [1.0]
 
 
 def test_a_bench_has_all_the_plots_that_it_lists():

@@ -1,4 +1,4 @@
-"""Plots of scenes: maps, pictures by each strategy, the light at a pixel."""
+"""Plots of scenes: maps, images by strategy, and incident light at a pixel."""
 
 import numpy as np
 import pytest
@@ -7,14 +7,15 @@ from tests.plots.drawing import drawn_by_both, marks
 
 from mcspectra.core.errors import McspectraError, ParameterError
 from mcspectra.core.streams import Stream
-from mcspectra.plots.description import Image, Pixels
-from mcspectra.plots.kinds import KINDS, describe, kinds_of
+from mcspectra.plots.description import Heatmap, Pixels
+from mcspectra.plots.kinds import PLOT_KINDS, describe, kinds_of
 from mcspectra.plots.maps import incident_maps, rms_error, strategy_images
+from mcspectra.plots.text import number
 from mcspectra.rendering.files import encode_srgb
 
 
 def variance_map(**changes):
-    """A map as a store holds it: text as attributes."""
+    """Return a map as in a store, with text as attributes."""
     values = np.random.default_rng(1).random((2, 3, 4))
     pixels = ("y", "x")
     found = {
@@ -40,7 +41,7 @@ def variance_map(**changes):
     return xr.Dataset(found | changes, coords, {"labels_strategy": ["light", "bsdf"]})
 
 
-MAPS = [kind for kind in KINDS if kind.startswith("map-")]
+MAPS = [kind for kind in PLOT_KINDS if kind.startswith("map-")]
 
 
 def test_maps_have_a_plot_for_each_quantity():
@@ -55,45 +56,48 @@ def test_maps_are_drawn(kind):
         assert [mark.rgb.shape for mark in marks(plot, Pixels)] == [(3, 4, 3)]
         return
     assert plot.wide
-    assert len({image.scale for image in marks(plot, Image)}) == 1
+    assert len({image.scale for image in marks(plot, Heatmap)}) == 1
     assert "pixels for a, b | c" in plot.words
     assert all(panel.y.flipped for panel in plot.panels)
 
 
-def test_maps__the_largest_number_of_samples_a_panel_a_strategy():
+def test_maps__a_panel_per_strategy_at_the_largest_number_of_samples():
     plot = describe("map-variance", variance_map())
     assert [panel.title for panel in plot.panels] == ["light sampling", "BSDF sampling"]
-    shown = [image.values for image in marks(plot, Image)]
+    shown = [image.values for image in marks(plot, Heatmap)]
     np.testing.assert_array_equal(shown, variance_map()["variance"].isel(n=-1))
     several = describe("map-mean", {"a": variance_map(), "b": variance_map()})
     assert several.panels[3].title == "b: BSDF sampling"
 
 
-def test_maps__techniques_have_names_and_ratios_a_scale_about_one():
-    (image,) = marks(describe("map-bottleneck", variance_map()), Image)
+def test_maps__techniques_are_named_and_ratio_scales_are_symmetric():
+    (image,) = marks(describe("map-bottleneck", variance_map()), Heatmap)
     assert image.scale.names == ("undecided", "light", "BSDF")
     assert (
         "undecided 33 %, light 33 %, BSDF 33 %" in describe("map-bottleneck", variance_map()).words
     )
-    (image,) = marks(describe("map-gain", variance_map()), Image)
+    (image,) = marks(describe("map-gain", variance_map()), Heatmap)
     assert image.scale.low * image.scale.high == pytest.approx(1.0)
     assert image.scale.ticks[1.0] == "1"
 
 
 def test_maps__bounces_decisions_and_samplers_have_names():
     plot = describe("map-bounces", {"a": variance_map(), "b": variance_map()})
-    assert [panel.title for panel in plot.panels] == ["camera", "bounce 1"]  # of all samplers alike
-    low = marks(plot, Image)[0].scale.low
-    assert -0.1 <= low < 0.0  # estimates below 0 are told apart from 0
-    (image,) = marks(describe("map-largest-decision", variance_map()), Image)
+    assert [panel.title for panel in plot.panels] == [
+        "camera",
+        "bounce 1",
+    ]  # shown once for all samplers
+    low = marks(plot, Heatmap)[0].scale.low
+    assert -0.1 <= low < 0.0  # estimates below 0 are distinguished from 0
+    (image,) = marks(describe("map-largest-decision", variance_map()), Heatmap)
     assert image.scale.names == ("undecided", "film", "light")
     best = describe("map-best-sampler", {"a": variance_map(), "b | c": variance_map()})
-    assert marks(best, Image)[0].scale.names == ("no difference", "a", "b | c")
+    assert marks(best, Heatmap)[0].scale.names == ("no difference", "a", "b | c")
     assert [panel.title for panel in best.panels] == ["light sampling", "BSDF sampling"]
 
 
-def test_maps__predictions_are_shown_where_there_are_any():
-    shown = marks(describe("map-predicted", variance_map()), Image)
+def test_maps__predictions_are_cropped_to_known_pixels():
+    shown = marks(describe("map-predicted", variance_map()), Heatmap)
     assert {image.values.shape for image in shown} == {(3, 2)}
 
 
@@ -104,7 +108,7 @@ def test_maps__without_a_number():
     drawn_by_both(plot)
 
 
-def test_maps__what_is_no_map_is_refused():
+def test_maps__other_results_give_an_error():
     with pytest.raises(ParameterError, match="has no rate"):
         describe("map-mean", variance_map().drop_vars("rate"))
 
@@ -127,7 +131,7 @@ def images(**options):
 
 
 @pytest.mark.parametrize("exposure", [0.0, -1.5])
-def test_pictures_are_the_images(exposure):
+def test_strategy_images_show_the_given_pixels(exposure):
     made = images()
     shown = marks(strategy_images(made, exposure=exposure), Pixels)
     for pixels, data in zip(shown, made.values(), strict=True):
@@ -135,7 +139,7 @@ def test_pictures_are_the_images(exposure):
         np.testing.assert_array_equal(pixels.rgb, expected)
 
 
-def test_pictures_say_samples_and_errors():
+def test_strategy_images_are_labeled_with_samples_and_errors():
     made = images()
     panels = strategy_images(made).panels
     assert [panel.title for panel in panels] == [
@@ -144,10 +148,10 @@ def test_pictures_say_samples_and_errors():
         "BSDF sampling",
         "MIS",
     ]
-    off = [f"rms error {rms_error(made[s], made['reference']):.3g}" for s in ("light", "mis")]
-    assert panels[0].x.label == "1024 + 1024 samples a pixel\nrms standard error 0.25"
-    assert panels[1].x.label == f"4 samples a pixel\n{off[0]}"
-    assert panels[3].x.label == f"2 + 2 samples a pixel\n{off[1]}"
+    off = [f"rms error {number(rms_error(made[s], made['reference']))}" for s in ("light", "mis")]
+    assert panels[0].x.label == "1024 + 1024 samples per pixel\nrms standard error 0.250"
+    assert panels[1].x.label == f"4 samples per pixel\n{off[0]}"
+    assert panels[3].x.label == f"2 + 2 samples per pixel\n{off[1]}"
     drawn_by_both(strategy_images(made))
 
 
@@ -168,13 +172,13 @@ def test_error_is_over_pixels_and_channels():
         {"reference": xr.Dataset(), "mis": xr.Dataset()},
     ],
 )
-def test_what_is_no_comparison_is_refused(given):
-    with pytest.raises(ParameterError, match="what compare_strategies returns"):
+def test_invalid_comparisons_give_an_error(given):
+    with pytest.raises(ParameterError, match="give the result of compare_strategies"):
         strategy_images(given)
 
 
 @pytest.mark.parametrize("exposure", [np.nan, np.inf, 65, "bright"])
-def test_exposures_that_are_refused(exposure):
+def test_invalid_exposures_give_an_error(exposure):
     with pytest.raises(McspectraError, match="exposure"):
         strategy_images(images(), exposure=exposure)
 
@@ -188,15 +192,15 @@ def sky(values):
     return xr.Dataset(both, coords)
 
 
-def test_light_has_a_logarithmic_scale_black_where_there_is_none():
+def test_light_has_a_logarithmic_scale_with_black_for_no_light():
     plot = incident_maps(sky(np.array([[0.0, 1.0, 10.0], [1e-9, 5.0, 2.0]])))
-    shown = marks(plot, Image)[0]
+    shown = marks(plot, Heatmap)[0]
     assert shown.scale.kind == "log"
     assert shown.values.min() == shown.scale.low == pytest.approx(10.0 * 1e-4 / 2)
     drawn_by_both(plot)
 
 
-def test_no_light_is_said():
+def test_missing_light_is_noted():
     plot = incident_maps(sky(np.zeros((2, 3))))
     assert plot.panels[0].note == "no light from the center of any cell"
     drawn_by_both(plot)

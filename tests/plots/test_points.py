@@ -1,4 +1,4 @@
-"""Point sets: every point where it belongs, limits said; the card of a sampler."""
+"""Point sets: correct positions, reported limits, and the card of a sampler."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from tests.plots.drawing import marks
 import mcspectra as mcs
 from mcspectra.core.errors import DomainError, ParameterError
 from mcspectra.plots.backend_matplotlib import draw, write
-from mcspectra.plots.description import Dots, Image, Line, Segments
+from mcspectra.plots.description import Dots, Heatmap, Line, Segments
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.points import point_sets, sampler_card
 
@@ -18,7 +18,7 @@ def random_sets(count, n, dims):
     return np.random.default_rng(0).random((count, n, dims))
 
 
-def test_strips_have_their_names_and_the_borders_of_strata(make):
+def test_strips_have_names_and_borders_of_strata(make):
     data = {"jittered": make["points"](n=8), "random": make["points"]("random", n=8)}
     (panel,) = describe("points", data).panels
     assert list(panel.y.ticks.values()) == ["jittered", "random"]
@@ -33,7 +33,7 @@ def test_the_first_two_of_three_axes(make):
     np.testing.assert_array_equal(dots.y, make["points"](dims=3, n=8)["points"][:, 1])
 
 
-def test_weights_make_areas(make):
+def test_dot_areas_are_proportional_to_weights(make):
     data = make["points"](dims=2, n=16)
     data["weights"] = ("point", np.where(np.arange(16) < 8, 1.0, 4.0))
     (dots,) = marks(describe("points", {"x": data}), Dots)
@@ -54,7 +54,7 @@ def test_a_square_holds_all_points():
 
 @pytest.mark.parametrize(("count", "shown"), [(1, 1), (2, 2), (4, 4), (6, 6), (9, 6)])
 @pytest.mark.parametrize("dims", [1, 2])
-def test_sets_stand_side_by_side_up_to_a_limit(count, shown, dims):
+def test_sets_are_drawn_side_by_side_up_to_a_limit(count, shown, dims):
     x = random_sets(count, 8, dims)
     plot = point_sets(x, "random")
     assert len(plot.panels) == shown
@@ -64,7 +64,7 @@ def test_sets_stand_side_by_side_up_to_a_limit(count, shown, dims):
 
 
 @pytest.mark.parametrize(("dims", "shown", "said"), [(3, 3, ""), (6, 6, ""), (9, 6, " of 9")])
-def test_more_dims_are_pairs_of_axes(dims, shown, said):
+def test_more_dims_are_drawn_as_pairs_of_axes(dims, shown, said):
     x = random_sets(2, 8, dims)
     plot = point_sets(x)
     pairs = [(i, j) for j in range(1, shown) for i in range(j)]
@@ -76,7 +76,7 @@ def test_more_dims_are_pairs_of_axes(dims, shown, said):
 
 
 @pytest.mark.parametrize("n", [1, 16, 1024, 65536])
-def test_dots_neither_vanish_nor_touch(n):
+def test_dots_are_visible_and_separate(n):
     figure = draw(point_sets(random_sets(1, n, 2)))
     figure.canvas.draw()
     (axes,) = figure.axes
@@ -86,7 +86,7 @@ def test_dots_neither_vanish_nor_touch(n):
     assert diameter < 0.5 * spacing
 
 
-def test_dark_pixels_lie_at_the_points(tmp_path):
+def test_dark_pixels_are_at_the_points(tmp_path):
     points = np.array([[0.25, 0.75], [0.6, 0.1]])
     plot = point_sets(points)
     write(plot, tmp_path / "p.png")
@@ -105,13 +105,13 @@ def test_dark_pixels_lie_at_the_points(tmp_path):
 @pytest.mark.parametrize(
     ("points", "error", "words"),
     [
-        (np.full((2**20 + 1, 2), 0.5), ParameterError, "too many to see"),
+        (np.full((2**20 + 1, 2), 0.5), ParameterError, "too many for a plot"),
         ([0.5], ParameterError, "give .n, d."),
         ([[0.5, 1.0]], DomainError, r"\[0,1\)"),
         ([], DomainError, "at least one point"),
     ],
 )
-def test_what_cannot_be_drawn(points, error, words):
+def test_invalid_points_give_an_error(points, error, words):
     with pytest.raises(error, match=words):
         point_sets(points)
 
@@ -123,7 +123,7 @@ def test_cards_show_points_spectrum_and_sections(dims, panels):
     power = mcs.power_spectrum(sampler, 16, half_width=3, realizations=20)
     plot = sampler_card({"points": points, "spectrum": power})
     assert len(plot.panels) == panels
-    assert len(marks(plot, Image)) == (dims == 2)
+    assert len(marks(plot, Heatmap)) == (dims == 2)
     more = sampler_card({"points": points, "spectrum": power}, random_sets(1, 9, 2)[0])
     assert len(more.panels) == panels + 1
     assert more.panels[-1].title == "4-D: axes 2, 3 (n = 9)"

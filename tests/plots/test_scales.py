@@ -1,4 +1,4 @@
-"""Axes and color scales chosen from data."""
+"""Axes and color scales from data."""
 
 import itertools
 import math
@@ -25,7 +25,7 @@ NOTHING = np.array([math.nan, 0.0, math.inf])
 
 @pytest.mark.parametrize("high", [1.0001, 1.3, 2.0, 9.0, 50.0, 1e3, 1e9, 1e60])
 @pytest.mark.parametrize("low", [1e-30, 0.3, 1.0, 7e8])
-def test_log_ticks__few_and_inside(low, high):
+def test_log_ticks__few_ticks_within_the_limits(low, high):
     ticks = log_ticks(low, low * high)
     assert all(low * (1 - 1e-8) <= t <= low * high * (1 + 1e-8) for t in ticks)
     assert len(ticks) <= 7
@@ -35,7 +35,7 @@ def test_log_ticks__few_and_inside(low, high):
 
 @pytest.mark.parametrize("high", [0.0, 1e-6, 3.0, 1e5])
 @pytest.mark.parametrize("low", [0.0, -1e-6, -3.0, -1e5])
-def test_signed_axis__ticks_at_zero_in_order_and_inside(low, high):
+def test_signed_axis__ticks_are_ordered_within_the_limits_and_include_zero(low, high):
     axis = signed_axis("v", [np.array([low, high, 1e-7])])
     ticks = list(axis.ticks)
     assert 0.0 in ticks
@@ -45,7 +45,7 @@ def test_signed_axis__ticks_at_zero_in_order_and_inside(low, high):
     assert ticks[-1] <= axis.high
 
 
-def test_signed_axis__says_where_it_turns_logarithmic():
+def test_signed_axis__label_has_the_threshold():
     assert signed_axis("v", [np.array([1.0, -2.0, math.nan])]).label == "v"
     axis = signed_axis("v", [np.array([1.0, -1e-4])])
     assert (axis.kind, axis.label) == ("signed", "v   (log beyond ±10⁻⁴)")
@@ -56,17 +56,17 @@ def test_signed_axis__says_where_it_turns_logarithmic():
 
 @pytest.mark.parametrize("high", [2e-6, 3e-5, 0.02, 1.0, 7e3])
 @pytest.mark.parametrize("low", [-1e-6, -4e-6, -3e-4, -5.0])
-def test_signed_axis__has_ticks_on_both_sides_whose_labels_do_not_touch(low, high):
+def test_signed_axis__labels_on_both_sides_do_not_touch(low, high):
     axis = signed_axis("v", [np.array([low, high, 1e-6])])
     if axis.kind == "signed" and min(-low, high) > axis.threshold / 10:
         assert min(axis.ticks) < 0 < max(axis.ticks)
         places = signed_place(np.array(list(axis.ticks)), axis.threshold)
-        # Nothing between 1 and 2 thresholds is farther from 0 than half a decade
+        # Values between 1 and 2 thresholds are at most half a decade from 0
         assert np.diff(places).min() >= (0.6 if min(-low, high) >= 2 * axis.threshold else 0.5)
 
 
 @pytest.mark.parametrize("far", [-4e-5, -0.02, -1e9, -math.inf])
-def test_signed_axis__has_room_and_ticks_for_whiskers(far):
+def test_signed_axis__includes_whiskers(far):
     bars = np.array([1e-4, 0.03])
     axis = signed_axis("v", [bars], whiskers=np.array([far, 0.05, math.nan]))
     assert (axis.kind, axis.threshold) == ("signed", pytest.approx(1e-4))
@@ -79,13 +79,13 @@ def test_signed_axis__has_room_and_ticks_for_whiskers(far):
     assert straight == signed_axis("v", [bars + 0.01])
 
 
-def test_nothing_to_show_is_a_zero():
+def test_empty_data_give_an_axis_with_zero():
     assert list(signed_axis("v", [NOTHING]).ticks) == [0.0]
     assert (signed_scale("v", [NOTHING]).low, signed_scale("v", [NOTHING]).high) == (-1.0, 1.0)
     assert signed_axis("v", []).kind == "linear"
 
 
-def test_signed_scale__is_symmetric_and_tells_the_smaller_array_apart():
+def test_signed_scale__is_symmetric_and_resolves_the_smaller_array():
     scale = signed_scale("v", [np.array([1e-3, -2e-5]), np.array([math.nan, 1e-6, 1e-12])])
     assert (scale.low, scale.high) == (-1e-3, 1e-3)
     assert scale.threshold == pytest.approx(1e-9)
@@ -93,7 +93,7 @@ def test_signed_scale__is_symmetric_and_tells_the_smaller_array_apart():
     np.testing.assert_allclose(places, [0.0, 4.5, -4.5, 0.5, math.nan])
 
 
-def test_count_axis__labels_are_counts_apart_from_one_another():
+def test_count_axis__labels_do_not_touch():
     counts = [*range(1, 65), 1024]
     ticks = count_axis("n", counts).ticks
     assert set(ticks) <= set(counts)
@@ -106,7 +106,7 @@ def test_count_axis__labels_are_counts_apart_from_one_another():
 
 
 @pytest.mark.parametrize("ends", [(1e-5, 1e-5), (math.nan, 1.0), (2.0, 1.0), (0.0, 0.0)])
-def test_logarithms_of_odd_ends(ends):
+def test_log_axes_with_invalid_ends(ends):
     for made in (log_axis("v", *ends), log_scale("v", *ends)):
         assert 0 < made.low < made.high
 

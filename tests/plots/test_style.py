@@ -3,7 +3,7 @@
 from mcspectra.plots.style import DASHES, PALETTE, labels, line_widths, sampler_styles
 
 
-def test_sampler_styles__the_same_for_the_same_name_and_distinct():
+def test_sampler_styles__distinct_per_name():
     names = [f"s{i}" for i in range(len(PALETTE) * len(DASHES))]
     styles = sampler_styles([*names, "s0"])
     assert list(styles) == names
@@ -23,7 +23,7 @@ def test_labels__short_and_distinct():
     assert made["$a$"] == "$a$"
 
 
-def test_line_widths__the_first_is_seen_beneath_the_last():
+def test_line_widths__the_first_line_is_visible_below_the_last():
     widths = line_widths(3)
     assert widths == sorted(widths, reverse=True)
     assert len(line_widths(0)) == 0

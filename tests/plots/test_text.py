@@ -1,4 +1,4 @@
-"""Numbers and names as people read them."""
+"""Formatting of numbers and names."""
 
 import math
 
@@ -27,7 +27,7 @@ from mcspectra.plots.text import (
         (0.0, "0"),
         (1.0, "1.00"),
         (-1.523, "−1.52"),
-        (9.996, "10.0"),  # rounds into the next power of ten
+        (9.996, "10.0"),  # rounds to the next power of ten
         (0.00123, "0.00123"),
         (0.0009996, "0.00100"),
         (4.56e-6, "4.56×10⁻⁶"),
@@ -44,7 +44,7 @@ def test_number(value, text):
 @pytest.mark.parametrize(
     ("values", "text"),
     [
-        ((0.961, 0.11), "0.96 ± 0.11"),  # to one place
+        ((0.961, 0.11), "0.96 ± 0.11"),  # value and error have the same place
         ((1.00004, 0.0018), "1.0000 ± 0.0018"),
         ((9.996, 0.02), "9.996 ± 0.020"),
         ((39.7, 12.0), "40 ± 12"),
@@ -87,7 +87,7 @@ def test_rate(values, text):
         (0.97, "97 %"),
         (1.0, "100 %"),
         (0.0, "0 %"),
-        (0.99968, "99.97 %"),  # never rounds to 100
+        (0.99968, "99.97 %"),  # never rounded to 100
         (0.0004, "0.04 %"),
         (-0.25, "−25 %"),
         (29.0, "2900 %"),
@@ -97,7 +97,7 @@ def test_percent(fraction, text):
     assert percent(fraction) == text
 
 
-def test_number_beside__rounding_is_no_number():
+def test_number_beside__rounding_error_is_about_zero():
     assert number_beside(4e-17, 1e-3) == "≈ 0"
     assert number_beside(-4e-17, 1e-3) == "≈ 0"
     assert number_beside(0.0, 1e-3) == "0"
@@ -122,7 +122,7 @@ def test_shorten__one_line_of_at_most_the_length():
     assert long.endswith("end")
 
 
-def test_shorten__words_stay_whole_where_little_is_lost():
+def test_shorten__words_stay_whole_if_little_is_lost():
     text = "stratified(jitter=uniform) | shift(kind=patterson) | homogenize"
     assert shorten(text, 50) == "stratified(jitter=uniform) |…) | homogenize"
     assert all(len(shorten(text, length)) <= length for length in range(2, 60))

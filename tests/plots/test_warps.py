@@ -1,4 +1,4 @@
-"""Plots of warps and of primary-space integrands: what they show and say."""
+"""Plots of warps and of primary-space integrands: marks and texts."""
 
 import math
 
@@ -8,7 +8,7 @@ from tests.plots.drawing import drawn_by_both, marks
 
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
-from mcspectra.plots.description import Image, Line, Rule, Segments
+from mcspectra.plots.description import Heatmap, Line, ReferenceLine, Segments
 from mcspectra.plots.kinds import describe
 
 SIDE = 16
@@ -24,8 +24,8 @@ def picture(integrand, density=None, dims=2):
     )
 
 
-def test_jumps_lie_where_they_are():
-    """The seam of the octahedral map: from the center to the right."""
+def test_jumps_have_correct_positions():
+    """The seam of the octahedral map runs from the center to the right."""
     plot = describe("warp", {"sphere": warp("sphere")})
     (torn,) = marks(plot, Segments)
     assert len(torn.ends) == SIDE / 2
@@ -37,25 +37,25 @@ def test_jumps_lie_where_they_are():
     drawn_by_both(plot)
 
 
-def test_an_axis_is_not_swapped():
-    """Rows of a table tear along u_1 = ¼, all along u_0."""
+def test_axes_are_not_swapped():
+    """The warp of a table jumps between rows at u_1 = ¼, for all u_0."""
     plot = describe("warp", {"table": warp("piecewise-constant(values=[[1, 2], [8, 1]])")})
     (torn,) = marks(plot, Segments)
     np.testing.assert_allclose(torn.ends[..., 1], 0.25)
-    (stretch,) = marks(plot, Image)
+    (stretch,) = marks(plot, Heatmap)
     assert stretch.values.shape == (SIDE, SIDE)
 
 
-def test_grid_lines_are_broken_where_the_warp_jumps():
+def test_grid_lines_are_interrupted_at_jumps():
     smooth, torn = (describe("warp", {"a": warp(s)}) for s in ("disk", "sphere"))
     gaps = [sum(np.isnan(line.x).sum() for line in marks(p, Line)) for p in (smooth, torn)]
-    assert gaps[0] == 2 * SIDE  # one after each line
+    assert gaps[0] == 2 * SIDE  # one gap after each line
     assert gaps[1] > gaps[0]
 
 
-def test_warps__several_and_one_alone():
+def test_warps__several_results_and_a_single_one():
     plot = describe("warp", {"a": warp("disk"), "b": warp('disk(warp="polar")')})
-    assert len({image.scale for image in marks(plot, Image)}) == 1
+    assert len({image.scale for image in marks(plot, Heatmap)}) == 1
     assert "continuous\nmean stretch" in plot.panels[1].x.label
     assert len(plot.panels) == 4
     assert describe("warp", warp("disk")).panels[0].title == "disk"
@@ -64,14 +64,16 @@ def test_warps__several_and_one_alone():
 
 def test_warps__one_dim():
     plot = describe("warp", {"table": warp("piecewise-constant(values=[1, 0, 1])", 1)})
-    (curve,), (jump,) = marks(plot, Line), marks(plot, Rule)
+    (curve,), (jump,) = marks(plot, Line), marks(plot, ReferenceLine)
     assert np.isnan(curve.y).sum() == 1
     assert jump.at == pytest.approx(0.5)
 
 
 def test_primary__interior_and_boundary():
     plot = describe("primary", {"half": picture("half-space(normal=[1, 0], offset=0.5)")})
-    assert plot.panels[0].x.label == "u₀\ninside 1 × 1\nsides 1 × 1"  # too wide for one line
+    assert (
+        plot.panels[0].x.label == "u₀\ninside 1.00 × 1.00\nsides 1.00 × 1.00"
+    )  # two lines, since one line would be too long
     assert plot.labels == ("jump inside", "jump between opposite sides")
     whole = [line for line in marks(plot, Line) if np.isfinite(line.x + line.y).all()]
     assert [set(line.x) for line in whole] == [{0.0}, {1.0}]
@@ -85,7 +87,7 @@ def test_primary__one_dim_and_poles():
     }
     plot = describe("primary", data)
     assert "sides unbounded" in plot.words
-    assert "inside 1 ×" in plot.words
+    assert "inside 1.00 ×" in plot.words
     drawn_by_both(plot)
 
 
@@ -93,15 +95,15 @@ def test_primary__constant_and_channels():
     assert "inside none, sides none" in describe("primary", picture("constant")).words
     colors = mcs.Integrand.from_function(lambda x: x[..., [0, 1, 0]], dims=2)
     assert (
-        "sides 2 ×"
+        "sides 2.00 ×"
         in describe("primary", mcs.explain.primary_picture(colors, resolution=SIDE)).words
     )
 
 
 @pytest.mark.parametrize("kind", ["warp", "primary"])
-def test_results_without_a_variable_and_of_several_dims_are_refused(kind):
+def test_missing_variables_and_mixed_dims_give_errors(kind):
     make = {"warp": lambda d: warp("uniform", d), "primary": lambda d: picture("constant", dims=d)}
-    with pytest.raises(ParameterError, match="different figures"):
+    with pytest.raises(ParameterError, match="cannot share a figure"):
         describe(kind, {"a": make[kind](2), "b": make[kind](1)})
     with pytest.raises(ParameterError, match="has no"):
         describe(kind, {"a": warp("uniform").drop_vars(["jump"])})

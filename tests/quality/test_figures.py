@@ -10,7 +10,7 @@ from mcspectra.core.errors import CountError, ParameterError
 from mcspectra.quality import FIGURES, diaphony, star_discrepancy, summarize
 
 
-def test_every_figure_of_every_realization_with_its_meaning():
+def test_all_figures_of_all_realizations_are_described():
     figures = mcs.quality_figures("jittered", 16, realizations=3)
     assert set(figures) == {name for name in FIGURES if "projected" not in name}
     for array in figures.values():
@@ -36,14 +36,14 @@ def test_realizations_do_not_depend_on_threads():
         ("regular(position='corner')", 2, 16, 2, 2),
     ],
 )
-def test_nets_in_the_base_of_their_digits(spec, dims, n, base, t):
+def test_net_figures_use_the_base_of_the_digits(spec, dims, n, base, t):
     figures = mcs.quality_figures(mcs.sampler(spec, dims), n, realizations=1)
     assert figures.attrs["base"] == base
     assert figures["t_value"].item() == t
     assert figures["elementary_intervals"].item() == (t == 0)
 
 
-def test_what_cannot_be_had_is_missing_with_a_reason():
+def test_figures_that_cannot_be_computed_have_a_reason():
     figures = mcs.quality_figures(mcs.sampler("random", 5), 10, realizations=2)
     reasons = {name: array.attrs.get("missing", "") for name, array in figures.items()}
     assert "1, 2, 3, 8, 24 dims, not in 5" in reasons["relative_minimum_distance"]
@@ -83,13 +83,13 @@ def test_projections_worst_and_mean():
     assert figures.attrs["projections"].startswith("3 of 3 pairs")
 
 
-def test_projections_are_limited_and_it_is_said():
+def test_projections_are_limited_and_reported():
     wanted = ["worst_projected_distance"]
     figures = mcs.quality_figures(mcs.sampler("random", 30), 4, figures=wanted, realizations=1)
     assert list(figures) == wanted
     assert figures.attrs["projections"].startswith("45 of 435 pairs")
     flat = mcs.quality_figures("random", 4, figures=wanted, realizations=1)
-    assert "3 or more dims" in flat["worst_projected_distance"].attrs["missing"]
+    assert "at least 3 dims" in flat["worst_projected_distance"].attrs["missing"]
 
 
 def test_given_points_are_all_measured():
@@ -128,7 +128,7 @@ def test_bad_arguments(arguments, words):
         mcs.quality_figures("random", 8, **arguments)
 
 
-def test_a_count_is_needed_and_must_be_possible():
+def test_a_missing_or_impossible_count_gives_an_error():
     with pytest.raises(ParameterError, match="give the number of points to draw from random"):
         mcs.quality_figures("random")
     with pytest.raises(CountError, match="nearest counts are 4 and 9"):

@@ -1,4 +1,4 @@
-"""Jumps between cells: positions, lengths, and slopes, roots and poles that are none."""
+"""Jumps between cells: positions and lengths; slopes, roots and poles are not jumps."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def test_a_step(at, height):
 
 
 def test_a_step_on_a_slope():
-    """Its height is found to the slope over 2^-30 of a cell."""
+    """The error of the height is the slope over 2^-30 of a cell."""
     for height in (0.1, 0.001):
         jumps = found(lambda x, height=height: 3 * x[:, 0] + height * (x[:, 0] > 1 / 3))
         assert np.count_nonzero(jumps.heights) == 1
@@ -47,7 +47,7 @@ def test_a_step_on_a_slope():
         lambda x: np.tanh((x - 0.5) * 1e4),
     ],
 )
-def test_what_is_continuous_has_no_jumps(function):
+def test_continuous_functions_have_no_jumps(function):
     jumps = found(lambda x: function(x[:, 0]))
     assert not jumps.heights.any()
     assert jumps.length == 0
@@ -60,7 +60,7 @@ def test_a_pole_at_an_edge():
 
 
 def test_lines_and_circles():
-    """Axis-parallel lines exactly, others but for ends of blocks, circles to a few per cent."""
+    """Lengths are exact for axis-parallel lines, and within a few percent for circles."""
     side = 256
     across = found(lambda x: x[:, 0] > 0.3, 2, side)
     assert across.length == 1.0
@@ -79,7 +79,7 @@ def test_the_largest_change_of_a_vector_counts():
     assert set(np.unique(jumps.heights)) == {0.0, 3.0, 4.0}
 
 
-def test_lengths_of_marks():
+def test_curve_length_of_marked_intervals():
     crossed = np.zeros((2, 20, 20), bool)
     assert curve_length(crossed) == 0
     crossed[0, 7] = True

@@ -1,4 +1,4 @@
-"""Figures of one set against hand calculation, brute force, SciPy, packings and Fourier series."""
+"""Figures of one set, compared with hand calculation, brute force, SciPy and Fourier series."""
 
 import itertools
 import math
@@ -34,21 +34,21 @@ def brute_force(x):
 
 
 @pytest.mark.parametrize(("side", "dims"), [(8, 1), (4, 2), (3, 3), (2, 7)])
-def test_a_grid_is_as_wide_as_its_cells(side, dims):
+def test_points_of_a_grid_have_the_distance_of_cells(side, dims):
     np.testing.assert_allclose(nearest_distances(grid(side, dims)), 1 / side, rtol=1e-14)
 
 
 @pytest.mark.parametrize("dims", [1, 2, 3, 6, 7, 9])
-def test_brute_force_finds_the_same(dims):
+def test_distances_agree_with_brute_force(dims):
     x = np.random.default_rng(dims).random((50, dims))
     np.testing.assert_allclose(nearest_distances(x), brute_force(x), rtol=1e-12)
 
 
-def test_neighbours_across_the_border_count():
+def test_distances_are_periodic():
     np.testing.assert_allclose(nearest_distances([[0.05, 0.5], [0.95, 0.5]]), [0.1, 0.1])
 
 
-def test_points_at_the_same_place_are_0_apart():
+def test_equal_points_have_distance_0():
     assert nearest_distances([[0.3, 0.7], [0.3, 0.7], [0.1, 0.1]])[:2].tolist() == [0.0, 0.0]
 
 
@@ -68,8 +68,8 @@ CROWDED = {
 
 
 @pytest.mark.parametrize("kind", CROWDED)
-def test_distances_of_crowded_points_take_no_time_of_all_pairs(kind):
-    """64,000 equal points took 45 s."""
+def test_distances_of_equal_points_are_fast(kind):
+    """A tree without a test for duplicates took 45 s for 64,000 equal points."""
     points = CROWDED[kind]
     begun = time.process_time()
     distances = nearest_distances(points)
@@ -89,7 +89,7 @@ def test_distances_of_crowded_points_take_no_time_of_all_pairs(kind):
     "spec",
     ["random", "jittered", "dart-throwing", "rank1-lattice", "sobol", "regular", "random(dims=6)"],
 )
-def test_distances_of_usual_sets_are_those_of_a_tree(spec):
+def test_distances_of_distinct_points_agree_with_a_tree(spec):
     points = sampler(spec).draw(1024, rng=1)[0]
     tree = cKDTree(points, boxsize=np.ones(points.shape[1]))
     assert nearest_distances(points).tobytes() == tree.query(points, k=2)[0][:, 1].tobytes()
@@ -100,19 +100,19 @@ def fcc():
 
 
 def e8():
-    """E8 modulo (2Z)^8: coordinates all whole or all half, with even sum."""
+    """Return E8 modulo (2Z)^8: coordinates are all integers or all half-integers, with even sum."""
     whole = np.array(list(itertools.product((0.0, 1.0), repeat=8)))
     points = np.concatenate([whole, whole + 0.5])
     return points[points.sum(1) % 2 == 0] / 2
 
 
 @pytest.mark.parametrize("points", [grid(16, 1), fcc(), e8()], ids=["1-D", "fcc", "E8"])
-def test_the_densest_packings_are_the_best_possible(points):
+def test_the_densest_packings_reach_the_bound(points):
     assert relative_minimum_distance(points) == pytest.approx(1.0, rel=1e-12)
 
 
-def test_a_nearly_hexagonal_lattice_is_nearly_the_best_possible():
-    rows, columns = 8, 7  # 8 rows of 7: rows 1/8 apart, √3/2 · 1/7 = 0.1237 would be hexagonal
+def test_a_nearly_hexagonal_lattice_is_near_the_bound():
+    rows, columns = 8, 7  # row distance 1/8; √3/2 · 1/7 = 0.1237 would be hexagonal
     points = np.array(
         [((i + 0.5 * (j % 2)) / columns, j / rows) for j in range(8) for i in range(7)]
     )
@@ -122,13 +122,13 @@ def test_a_nearly_hexagonal_lattice_is_nearly_the_best_possible():
     assert 0.98 < relative_minimum_distance(points) < 1
 
 
-def test_own_images_count_for_the_best_distance():
-    # Two points of the 8-D torus can be √2 apart, but are 1 from their own images.
+def test_periodic_images_limit_the_minimum_distance():
+    # Two points of the 8-D torus can have distance √2, but their own images have distance 1.
     assert relative_minimum_distance([[0.0] * 8, [0.5] * 8]) == 1 / best_minimum_distance(2, 8)
 
 
 def brute_force_star(x):
-    """Try every box whose corner is on the grid of coordinates, closed and open."""
+    """Try every closed and open box with a corner on the grid of coordinates."""
     worst = 0.0
     for corner in itertools.product(*[[*x[:, k], 1.0] for k in range(x.shape[1])]):
         volume = math.prod(corner)
@@ -140,12 +140,12 @@ def brute_force_star(x):
 
 @pytest.mark.parametrize("dims", [1, 2])
 @pytest.mark.parametrize("n", [1, 2, 5, 12])
-def test_star_discrepancy_is_that_of_the_worst_box(n, dims):
+def test_star_discrepancy_agrees_with_the_worst_box(n, dims):
     rng = np.random.default_rng(10 * n + dims)
     for _ in range(10):
         x = rng.random((n, dims))
         assert star_discrepancy(x) == pytest.approx(brute_force_star(x), rel=1e-12)
-        ties = np.floor(4 * x) / 4  # many equal coordinates, some equal points
+        ties = np.floor(4 * x) / 4  # many equal coordinates and some equal points
         assert star_discrepancy(ties) == pytest.approx(brute_force_star(ties), rel=1e-12)
 
 
@@ -157,7 +157,7 @@ def test_star_discrepancy_of_one_point(points, value):
     assert star_discrepancy(points) == value
 
 
-def test_star_discrepancy_of_centred_and_van_der_corput_points():
+def test_star_discrepancy_of_centered_and_van_der_corput_points():
     n = 64
     assert star_discrepancy((np.arange(n)[:, None] + 0.5) / n) == pytest.approx(0.5 / n)
     assert star_discrepancy(sampler("van-der-corput", 1).draw(n)[0]) == pytest.approx(1 / n)
@@ -173,7 +173,7 @@ def test_star_discrepancy_does_not_depend_on_the_order_of_points():
     ("kind", "name", "power"),
     [("star", "L2-star", 1), ("centered", "CD", 2), ("wraparound", "WD", 2), ("mixture", "MD", 2)],
 )
-def test_l2_discrepancies_are_scipys_with_the_root_taken(kind, name, power):
+def test_l2_discrepancies_agree_with_scipy(kind, name, power):
     x = np.random.default_rng(5).random((40, 3))
     assert l2_discrepancy(x, kind) ** power == pytest.approx(qmc.discrepancy(x, method=name))
 
@@ -187,7 +187,7 @@ def test_l2_discrepancies_of_one_point_on_a_line(x):
 
 
 @pytest.mark.parametrize("dims", [1, 2, 4])
-def test_generalised_l2_discrepancy_sums_those_of_all_projections(dims):
+def test_generalized_l2_discrepancy_sums_all_projections(dims):
     x = np.random.default_rng(dims).random((30, dims))
     axes = [c for k in range(dims) for c in itertools.combinations(range(dims), k + 1)]
     squares = sum(l2_discrepancy(x[:, list(chosen)]) ** 2 for chosen in axes)
@@ -196,13 +196,13 @@ def test_generalised_l2_discrepancy_sums_those_of_all_projections(dims):
 
 @pytest.mark.parametrize(("side", "dims"), [(1, 1), (16, 1), (4, 2), (3, 3)])
 def test_diaphony_of_a_grid(side, dims):
-    # Only frequencies that are multiples of the grid's remain: (1 + π²/(3 s²))^d − 1.
+    # Only multiples of the grid's frequency contribute: (1 + π²/(3 s²))^d − 1.
     expected = math.sqrt((1 + math.pi**2 / (3 * side**2)) ** dims - 1)
     assert diaphony(grid(side, dims)) == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("dims", [1, 2])
-def test_diaphony_is_its_fourier_series(dims):
+def test_diaphony_agrees_with_its_fourier_series(dims):
     x = np.random.default_rng(dims).random((9, dims))
     limit = 500
     axis = np.arange(-limit, limit + 1)
@@ -212,13 +212,13 @@ def test_diaphony_is_its_fourier_series(dims):
     power = np.abs(product.mean(-1)) ** 2
     terms = power / np.prod(np.maximum(1.0, np.abs(m)) ** 2, axis=-1)
     series = float(terms.sum() - 1.0)
-    # Frequencies with a component beyond the limit weigh less than d · 2/limit · (1 + π²/3)^(d−1).
+    # Frequencies with a component beyond the limit add less than d · 2/limit · (1 + π²/3)^(d−1).
     left_out = dims * 2 / limit * (1 + math.pi**2 / 3) ** (dims - 1)
     assert series <= diaphony(x) ** 2 <= series + left_out
     assert left_out < 0.1 * series
 
 
-def test_diaphony_does_not_change_when_the_set_is_moved():
+def test_diaphony_is_invariant_under_translations():
     x = np.random.default_rng(8).random((30, 3))
     assert diaphony((x + np.array([0.3, 0.8, 0.1])) % 1) == pytest.approx(diaphony(x), rel=1e-10)
 
@@ -246,12 +246,12 @@ def test_mean_square_of_the_diaphony_of_random_points():
         (nearest_distances, np.full((2**21 + 1, 1), 0.5), "too many"),
     ],
 )
-def test_sets_that_are_refused(figure, points, words):
+def test_invalid_sets_give_an_error(figure, points, words):
     with pytest.raises(ParameterError, match=words):
         figure(points)
 
 
-def test_unknown_kinds_packings_and_points_outside_are_refused():
+def test_unknown_kinds_and_packings_and_outside_points_give_errors():
     with pytest.raises(ParameterError, match="centered"):
         l2_discrepancy([[0.5]], "centred")
     with pytest.raises(ParameterError, match="1, 2, 3, 8, 24"):

@@ -1,4 +1,4 @@
-"""Quality of warps: closed forms of stretch and distortion, and where T is torn."""
+"""Quality of warps: closed forms of stretch and distortion, and positions of jumps."""
 
 import math
 
@@ -23,22 +23,22 @@ def test_uniform_and_products():
 
 
 def test_the_polar_disk():
-    """|∂T/∂u_0| = 2π r √u_1 and |∂T/∂u_1| = r/(2√u_1), at right angles: their ratio is 4π u_1."""
+    """|∂T/∂u_0| = 2π r √u_1 and |∂T/∂u_1| = r/(2√u_1) are orthogonal, with ratio 4π u_1."""
     side = 64
     data = mcs.quality.warp_quality('disk(warp="polar")', resolution=side)
     u = (np.arange(side) + 0.5 + 0.17) / side
     ratio = 4 * np.pi * u
     expected = np.maximum(ratio, 1 / ratio)
-    # One-sided differences over a thousandth of a cell: relative error of step/(4 u)
+    # One-sided differences over a thousandth of a cell have the relative error step/(4 u)
     np.testing.assert_allclose(data["stretch"], expected[None, :].repeat(side, 0), rtol=1e-3)
-    # Diagonals of the image of a unit square: √(a² + b²); over √(2ab)
+    # Diagonals of the image of a unit square, √(a² + b²), divided by √(2ab)
     distortion = np.exp(np.log(np.sqrt((ratio + 1 / ratio) / 2)).mean())
     assert float(data["distortion"]) == pytest.approx(distortion, rel=1e-3)
     assert float(data["mean_stretch"]) == pytest.approx(np.exp(np.log(expected).mean()), rel=1e-3)
 
 
 def test_the_concentric_disk_distorts_less():
-    """In the sector φ = (π/4) b/a: σ from the closed form of ∂(x, y)/∂(a, b)."""
+    """Singular values come from the closed form of ∂(x, y)/∂(a, b) in the sector φ = (π/4) b/a."""
     data = mcs.quality.warp_quality("disk", resolution=64)
     i, j = 60, 40
     a, b = (2 * (np.array([i, j]) + 0.5 + [0.31, 0.17]) / 64 - 1).tolist()
@@ -48,7 +48,7 @@ def test_the_concentric_disk_distorts_less():
     slopes = np.stack([along - math.pi / 4 * b / a * around, math.pi / 4 * around], axis=1)
     values = np.linalg.svd(slopes, compute_uv=False)
     assert float(data["stretch"][i, j]) == pytest.approx(values[0] / values[1], rel=1e-4)
-    # Largest on the diagonals, b = a
+    # The stretch is largest on the diagonals, b = a
     corner = np.linalg.svd([[1, 0], [-math.pi / 4, math.pi / 4]], compute_uv=False)
     assert float(data["max_stretch"]) == pytest.approx(corner[0] / corner[1], rel=0.05)
     polar = mcs.quality.warp_quality('disk(warp="polar")', resolution=64)
@@ -56,8 +56,8 @@ def test_the_concentric_disk_distorts_less():
         assert float(data[name]) < float(polar[name])
 
 
-def test_directions_are_torn_at_the_seam():
-    """Of the concentric maps x_0 jumps by 1 along u_1 = ½, u_0 > ½; of the polar ones nothing."""
+def test_warps_of_directions_jump_at_the_seam():
+    """x_0 of concentric maps jumps by 1 at u_1 = ½, u_0 > ½; polar maps have no jumps."""
     for kind in ("sphere", "hemisphere"):
         data = mcs.quality.warp_quality(kind, resolution=64)
         torn = np.argwhere(data["jump"].values > 0)
@@ -72,8 +72,8 @@ def test_directions_are_torn_at_the_seam():
         )
 
 
-def test_a_table_is_torn_between_rows():
-    """x_0 at both sides of u_1 = 3/7; by hand for each column of cells."""
+def test_warps_of_tables_jump_between_rows():
+    """The jump of x_0 at u_1 = 3/7 is computed by hand for each column of cells."""
     data = mcs.quality.warp_quality(f"piecewise-constant(values={TABLE})", resolution=64)
     u = data["u0"].values
 
@@ -82,7 +82,7 @@ def test_a_table_is_torn_between_rows():
 
     heights = data["jump"].sel(axis=1).values
     border = int(3 / 7 * 64 - 0.5)
-    # To the slope over 2^-30 of a cell
+    # Tolerance: the slope over 2^-30 of a cell
     np.testing.assert_allclose(
         heights[:, border], np.abs(inverse(1 / 3) - inverse(3 / 4)), atol=1e-8
     )
@@ -92,7 +92,7 @@ def test_a_table_is_torn_between_rows():
     assert float(data["jump_length"]) == 1.0
 
 
-def test_warps_of_one_pdf_by_how_they_tear():
+def test_warps_of_one_pdf_have_different_jumps():
     table = [[1, 0.5, 2], [0.1, 0.2, 0.5], [4, 1, 0.1]]
     data = {
         warp: mcs.quality.warp_quality(
@@ -135,7 +135,7 @@ def test_bad_input(density, options, message):
 
 
 def test_distortion_of_the_concentric_disk():
-    """Columns of ∂T along and around: (1, −πq/4) and (0, π/4), q = short/long; area π/4."""
+    """∂T has the columns (1, −πq/4) and (0, π/4) with q = short/long, and area π/4."""
     side = 32
     line = 2 * (np.arange(side) + 0.5) / side - 1
     a, b = line[:, None] + 2 * 0.31 / side, line[None, :] + 2 * 0.17 / side

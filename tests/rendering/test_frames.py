@@ -15,7 +15,7 @@ from mcspectra import rendering
 from mcspectra.cli.main import main
 from mcspectra.core.errors import FileFormatError, ParameterError
 from mcspectra.core.images import read_image
-from mcspectra.plots.kinds import KINDS, describe, kinds_of
+from mcspectra.plots.kinds import PLOT_KINDS, describe, kinds_of
 from mcspectra.rendering import frame_statistics, write_exr, write_png
 from mcspectra.report.frames_page import frame_findings
 
@@ -121,8 +121,8 @@ def test_frames_of_few_and_of_many_together_have_no_bias_of_the_rate(tmp_path):
 def test_blue_noise_filters_and_tiles_are_told_apart(found):
     assert "white between pixels" in said(found["white"])
     assert "Blue noise" in said(found["blue"])
-    assert "Neighbors err together" in said(found["filtered"])
-    assert "repeats after 32 pixels across and 0 down" in said(found["tiled"])
+    assert "Errors of neighboring pixels are correlated" in said(found["filtered"])
+    assert "repeats after 32 pixels horizontally and 0 vertically" in said(found["tiled"])
     assert not any("repeats" in said(found[name]) for name in ("white", "blue", "filtered"))
 
 
@@ -149,9 +149,9 @@ def test_frames_of_one_seed_are_named(tmp_path, found):
     result = frames(folder)
     text = said(result)
     assert "view_64spp_2.npy" in text
-    assert "view_64spp_5.npy are not independent" in text
-    assert "correlate by 1.00" in text
-    assert "not independent" not in said(found["white"])
+    assert "view_64spp_5.npy have correlation" in text
+    assert "have correlation 1.00" in text
+    assert "Give every frame its own seed" not in said(found["white"])
 
 
 def test_fireflies_are_named_and_leave_no_upper_bound(tmp_path, plain, found):
@@ -179,7 +179,7 @@ def test_pixels_without_numbers_are_counted_and_left_out(tmp_path):
     result = frames(write(tmp_path / "a", change=spoil))
     assert np.isnan(result["variance"].values[:, [3, 5], [4, 6]]).all()
     assert np.isfinite(result["variance"].values).sum() == 2 * (HEIGHT * WIDTH - 2)
-    assert "NaN or infinite in some frame, and have no numbers: 2." in said(result)
+    assert "Pixels excluded because a frame is NaN or infinite there: 2." in said(result)
 
 
 def test_two_sets_are_held_against_each_other(tmp_path, plain):
@@ -191,7 +191,7 @@ def test_two_sets_are_held_against_each_other(tmp_path, plain):
     low, high = same["picture_ratio_ci"].values
     assert low < 1.0 < high
     assert float(same["equal_time_ratio"]) == pytest.approx(2.0 * float(same["picture_ratio"]))
-    assert "No bias is seen" in said(same)
+    assert "The means agree" in said(same)
     # Deviates of equal sets are standard normal: 12,288 of them
     z = same["difference_z"].values
     assert abs(z.std() - 1.0) < 4 / np.sqrt(2 * z.size)
@@ -203,7 +203,7 @@ def test_two_sets_are_held_against_each_other(tmp_path, plain):
         return image
 
     text = said(frames(a, against=write(tmp_path / "d", change=brighten, seed=4)))
-    assert "do not converge to one picture: 384 of 12288 pixels" in text
+    assert "do not converge to one image: 384 of 12288 pixels" in text
 
 
 def test_pixels_without_numbers_in_one_set_are_left_out_of_both(tmp_path):
@@ -263,7 +263,7 @@ def test_the_least_period_is_named(tmp_path):
     def small_tiles(rng):
         return np.tile(rng.standard_normal((8, 8)), (12, 16))
 
-    assert "repeats after 8 pixels across and 0 down" in said(
+    assert "repeats after 8 pixels horizontally and 0 vertically" in said(
         frames(write(tmp_path / "a", small_tiles))
     )
 
@@ -275,9 +275,9 @@ def test_frames_of_few_pixels_are_told_in_words(tmp_path, shape, capsys):
         np.save(tmp_path / f"{k}.npy", -1.0 - rng.random(shape))
     assert main(["frames", str(tmp_path), "--target", "0.1", "--no-flip"]) == 0
     shown = capsys.readouterr()
-    assert "not resolved" in shown.out
+    assert "cannot decide whether the noise is white" in shown.out
     assert shown.err == ""
-    assert "not resolved" in frames(tmp_path, flip=False).mcspectra.summary()
+    assert "cannot decide" in frames(tmp_path, flip=False).mcspectra.summary()
 
 
 def test_names_and_headers_that_disagree_are_refused(tmp_path):
@@ -390,7 +390,7 @@ def test_page_layers_and_json(tmp_path, capsys, plain, found):
     assert {file.name for file in out.iterdir()} >= {"frames.exr", "frames_rate.png"}
     told = json.loads((out / "frames.json").read_text())
     assert all(sentence in text for sentence in told["findings"])
-    assert "No bias is seen" in (out / "report.html").read_text()
+    assert "The means agree" in (out / "report.html").read_text()
     layer = read_image(out / "frames.exr", layer="variance.n16")[..., 0]
     np.testing.assert_allclose(layer, found["white"]["variance"].sel(n=16), rtol=1e-6)
 
@@ -398,7 +398,7 @@ def test_page_layers_and_json(tmp_path, capsys, plain, found):
 def test_plots_by_both_backends(tmp_path, plain):
     other = write(tmp_path / "b", seed=3)
     result = frames(plain["white"], against=other, target=0.05, flip=True)
-    kinds = [kind for kind in KINDS if kind.startswith("frames-")]
+    kinds = [kind for kind in PLOT_KINDS if kind.startswith("frames-")]
     if "flip" not in result:
         kinds.remove("frames-flip")
     assert set(kinds) <= set(kinds_of(result))

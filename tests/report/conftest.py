@@ -1,4 +1,4 @@
-"""Small results like those of a study, made with plain numpy: f(x) = Π x_i and simple samplers."""
+"""Small results of a study, computed with NumPy only: f(x) = Π x_i and simple samplers."""
 
 import itertools
 import math
@@ -22,7 +22,7 @@ SAMPLERS = ("random", "jittered", "jittered | shift")
 
 
 def draw(sampler, n, dims, realizations, seed=1):
-    """Points (R, n, d) of one of `SAMPLERS`."""
+    """Return points (R, n, d) of one of `SAMPLERS`."""
     generator = np.random.default_rng(seed)
     x = generator.random((realizations, n, dims))
     if sampler == "random":
@@ -34,7 +34,7 @@ def draw(sampler, n, dims, realizations, seed=1):
 
 
 def spectra(points, half_width):
-    """S_m on the full grid, complex (R, (2K+1)^d), by direct summation, one axis at a time."""
+    """Return S_m on the full grid, complex (R, (2K+1)^d), by direct summation per axis."""
     m = np.arange(-half_width, half_width + 1)
     phases = np.exp(-2j * np.pi * points[..., None] * m)  # (R, n, d, 2K+1)
     letters = "abc"[: points.shape[-1]]
@@ -44,7 +44,7 @@ def spectra(points, half_width):
 
 
 def coefficients(half_width, dims):
-    """f_m of Π x_i on the full grid, flat."""
+    """Return f_m of Π x_i on the full grid, flattened."""
     m = np.arange(-half_width, half_width + 1)
     one = np.where(m == 0, 0.5, 1j / (2 * np.pi * np.where(m == 0, 1, m)))
     f = one
@@ -54,7 +54,7 @@ def coefficients(half_width, dims):
 
 
 def interval(variance, realizations):
-    """Interval of a variance of normal values."""
+    """Return the interval of a variance of normal values."""
     factor = math.exp(Z * math.sqrt(2 / realizations))
     return np.stack([variance / factor, variance * factor], axis=-1)
 
@@ -70,7 +70,7 @@ def make_terms(
     channels=0,
     techniques=1,
 ):
-    """What `variance_terms` returns."""
+    """Return a dataset like `variance_terms`."""
     points = draw(sampler, n, dims, realizations)
     s, f = spectra(points, half_width), coefficients(half_width, dims)
     s = s - s.mean(axis=0)
@@ -133,7 +133,7 @@ def make_terms(
 
 
 def make_infinite(terms):
-    """Replace the spectral part as `variance_terms` does where ∫1/p diverges."""
+    """Replace the spectral part as in `variance_terms` if ∫1/p diverges."""
     changed = terms.copy(deep=True)
     for name in changed.data_vars:
         if "measured" not in str(name):
@@ -154,7 +154,7 @@ def make_curve(
     channels=0,
     half=0.03,
 ):
-    """What `convergence` returns: a power law; variances number `zero` are 0."""
+    """Return a dataset like `convergence` with a power law; variances with index `zero` are 0."""
     slope = RATES.get(sampler, -1.5) if rate is None else rate
     variance = 0.08 * np.array(counts, dtype=float) ** slope
     variance[list(zero)] = 0.0
@@ -177,7 +177,7 @@ def make_curve(
 
 
 def make_spectrum(sampler="jittered", *, dims=1, n=16, half_width=16):
-    """What `power_spectrum` returns."""
+    """Return a dataset like `power_spectrum`."""
     power = (np.abs(spectra(draw(sampler, n, dims, 60), half_width)) ** 2).mean(axis=0)
     names = tuple(f"m{i}" for i in range(dims))
     m = np.arange(-half_width, half_width + 1)
@@ -199,7 +199,7 @@ def make_spectrum(sampler="jittered", *, dims=1, n=16, half_width=16):
 
 
 def make_points(sampler="jittered", *, dims=1, n=16):
-    """What a study's cell of points holds."""
+    """Return a dataset like a study's cell of points."""
     values = {"points": (("point", "axis"), draw(sampler, n, dims, 1)[0])}
     return dataset(values, {"axis": np.arange(dims)}, n=n).assign_attrs(sampler_spec=sampler)
 
@@ -209,7 +209,7 @@ Cells = dict[tuple[str, str], dict[str, xr.Dataset]]
 
 
 def write_study(folder, cells, title="A study"):
-    """Write a ledger as `run_study` does; `cells` by (estimator, sampler) and analysis."""
+    """Write a ledger like `run_study`; `cells` are by (estimator, sampler) and analysis."""
     found: dict[str, bytes] = {}
     slug, own = Slugs(), defaultdict(Slugs)
     slugs = {name: slug(name) for name in dict.fromkeys(name for name, _ in cells)}
@@ -234,7 +234,7 @@ def write_study(folder, cells, title="A study"):
 
 
 def study_config(title, cells):
-    """A study file's contents with these estimators and samplers."""
+    """Return the contents of a study file with the estimators and samplers of `cells`."""
     lines = [f"title = {quoted(title)}", "seed = 1"]
     for estimator in dict.fromkeys(e for e, _ in cells):
         samplers = ", ".join(quoted(s) for e, s in cells if e == estimator)
@@ -244,12 +244,12 @@ def study_config(title, cells):
 
 
 def quoted(text):
-    """A TOML string."""
+    """Return a TOML string."""
     return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
 def all_analyses(sampler, dims=1, n=None):
-    """Every analysis of one pair, small."""
+    """Return small results of every analysis for one pair."""
     count = n or {1: 16, 2: 16, 3: 27}[dims]
     width = {1: 16, 2: 6, 3: 3}[dims]
     return {
@@ -261,7 +261,7 @@ def all_analyses(sampler, dims=1, n=None):
 
 
 def words_alone(figure, *_):
-    """A figure as the template takes it, without a picture."""
+    """Return a figure for the template without an image."""
     plot = figure.plot
     blank = {**dict.fromkeys(("png", "file", "live"), ""), "width": 1, "height": 1}
     said = {"words": plot.words, "caption": plot.caption}
@@ -270,13 +270,13 @@ def words_alone(figure, *_):
 
 @pytest.fixture
 def undrawn(monkeypatch):
-    """Pages whose figures are words alone: for tests of what else they say."""
+    """Replace figures of pages by their words, for tests of other contents."""
     monkeypatch.setattr(page, "_drawn", words_alone)
 
 
 @pytest.fixture(name="make", scope="session")
 def _make():
-    """Makers of results, by name."""
+    """Return functions that make results, by name."""
     return {
         "terms": make_terms,
         "infinite": lambda **options: make_infinite(make_terms(**options)),
@@ -290,7 +290,7 @@ def _make():
 
 @pytest.fixture(scope="session")
 def study_folder(tmp_path_factory):
-    """A study of three samplers: all analyses in one dim, spectra in two."""
+    """Write a study of three samplers: all analyses in one dim, spectra in two dims."""
     cells: Cells = {("product in 1-D", sampler): all_analyses(sampler, 1) for sampler in SAMPLERS}
     for sampler in SAMPLERS:
         flat = all_analyses(sampler, 2)

@@ -1,10 +1,10 @@
-"""Pages, parsed."""
+"""A strict parser of HTML pages."""
 
 from html.parser import HTMLParser
 
 
 class Parsed(HTMLParser):
-    """Parses strictly: every tag closed in order, text and attributes kept."""
+    """Parser that requires every tag to be closed in order, and keeps text and attributes."""
 
     def __init__(self, text):
         super().__init__(convert_charrefs=True)

@@ -1,4 +1,4 @@
-"""Results draw and explain themselves."""
+"""The accessor of results: figures and sentences."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ PANELS = {"warp": 2}
 
 @pytest.fixture(autouse=True)
 def _close():
-    """Pyplot keeps the figures of `plot` until they are closed."""
+    """Close the figures of `plot`, which pyplot keeps open."""
     yield
     plt.close("all")
 
@@ -67,11 +67,11 @@ def test_given_axes_are_drawn_into_and_returned(result):
     assert drawn is wanted or list(drawn) == list(wanted)
     assert panels[0].has_data()
     assert panels[1].has_data() == (kind in PANELS)
-    assert not figure.legends  # a legend of the whole figure is the owner's
+    assert not figure.legends  # a legend of the whole figure belongs to the user
     figure.canvas.draw()
 
 
-def test_a_figure_per_kind_takes_axes_too():
+def test_figures_of_each_kind_accept_axes():
     data = RESULTS["terms"]()
     for kind in data.mcspectra.kinds:
         count = len(data.mcspectra.plot(kind)) if kind == "bands" else 1
@@ -80,7 +80,7 @@ def test_a_figure_per_kind_takes_axes_too():
         assert all(axes.has_data() for axes in panels)
 
 
-def test_ax_is_axes_of_one_panel():
+def test_ax_is_an_alias_of_axes_for_one_panel():
     data = RESULTS["convergence"]()
     one = Figure().subplots()
     assert data.mcspectra.plot(ax=one) is one
@@ -107,7 +107,7 @@ def test_the_legend_in_given_axes_covers_no_curve(samplers):
             assert not path.intersects_bbox(box, filled=False)
 
 
-def test_the_figure_says_which_channel_is_shown():
+def test_the_caption_names_the_shown_channel():
     data = mcs.convergence("environment", ["random", "jittered"], [16, 64], **FAST)
     axes = data.mcspectra.plot()
     assert "channel 0 of 3" in axes.get_title("left") + axes.get_title()
@@ -122,7 +122,7 @@ def test_several_estimators_are_drawn_by_name():
     assert "gaussian, random: " in data.mcspectra.summary()
 
 
-def test_variants_of_a_sampler_have_a_curve_and_a_sentence_each():
+def test_each_variant_of_a_sampler_has_a_curve_and_a_sentence():
     data = mcs.improve.mirror_study("disk", "jittered", [16, 64], realizations=40)
     shown = [t.get_text() for t in data.mcspectra.plot().figure.legends[0].get_texts()]
     said = data.mcspectra.summary()
@@ -133,7 +133,7 @@ def test_variants_of_a_sampler_have_a_curve_and_a_sentence_each():
             assert sum(text.startswith(f"{name}  ") for text in shown) == 1
 
 
-def test_remedies_are_drawn_in_their_order_and_said():
+def test_remedies_are_drawn_in_order_and_described():
     data = RESULTS["remedies"]()
     axes = data.mcspectra.plot()
     names = [label.get_text() for label in axes.get_yticklabels()]
@@ -146,17 +146,17 @@ def test_remedies_are_drawn_in_their_order_and_said():
     assert data.attrs["diagnosis"] in said
 
 
-def test_rates_are_said():
+def test_summary_has_rates():
     data = mcs.convergence("gaussian", "jittered", [16, 64, 256], realizations=300)
     assert "faster" in data.mcspectra.summary() or "−2" in data.mcspectra.summary()
 
 
-def test_terms_are_said():
+def test_summary_has_terms():
     data = mcs.variance_terms("disk", "random", 16, half_width=1, realizations=1000)
-    assert "is captured at half width 1" in data.mcspectra.summary()
+    assert "The spectrum up to half width 1 accounts for only" in data.mcspectra.summary()
 
 
-def test_other_results_say_their_numbers():
+def test_summary_of_other_results_has_numbers():
     data = xr.Dataset({"rate": 2.5, "rate_ci": ("bound", [2.0, 3.0]), "power": ("m0", [1.0])})
     assert data.mcspectra.summary() == (
         "fitted exponent of variance in n; random sampling: −1: 2.50 (2.00 … 3.00); expected power "
@@ -164,13 +164,13 @@ def test_other_results_say_their_numbers():
     )
 
 
-def test_channels_are_said_one_by_one():
+def test_summary_describes_each_channel():
     data = mcs.convergence("environment", "random", [16, 64], **FAST)
     said = data.mcspectra.summary()
     assert all(f"environment [{k}], random: " in said for k in range(3))
 
 
-def test_what_has_nothing_to_draw_is_refused_in_one_sentence():
+def test_results_without_a_figure_give_an_error():
     data = xr.Dataset({"words": ("x", ["a"])})
     for draw in (data.mcspectra.plot, data.mcspectra.figures):
         with pytest.raises(ParameterError, match="No figure shows words"):

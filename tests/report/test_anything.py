@@ -1,4 +1,4 @@
-"""An analysis of another package: a table of its numbers, curves and images, without code here."""
+"""Reports of analyses from other packages: a table of scalars, curves and maps without own code."""
 
 import numpy as np
 import xarray as xr
@@ -28,7 +28,7 @@ def result(shift=0.0, **coords):
 GAPS = {name: result(k) for k, name in enumerate(("random", "jittered"))}
 
 
-def test_numbers_stand_in_a_table_with_meaning_and_interval():
+def test_scalars_are_in_a_table_with_meaning_and_interval():
     heading, table = analysis_table("gaps", GAPS)
     assert heading == "Gaps"
     shown = [[cell.text for cell in row] for row in table.rows]
@@ -43,7 +43,7 @@ def test_results_without_numbers_have_no_table():
 
 
 class Gaps(Analysis, frozen=True, kw_only=True):
-    """Gaps between points, as another package might measure them."""
+    """Gaps between points, an analysis of another package."""
 
     variables = tuple(
         Variable("made up", "1", None, "fU", name)
@@ -51,7 +51,7 @@ class Gaps(Analysis, frozen=True, kw_only=True):
     )
 
 
-def test_curves_are_drawn_and_settings_said(make, tmp_path, monkeypatch):
+def test_curves_are_drawn_and_settings_are_listed(make, tmp_path, monkeypatch):
     monkeypatch.setattr(ANALYSES, "_builtin", {**ANALYSES._builtin, "gaps": f"{__name__}:Gaps"})
     cells = {("e", s): {"gaps": each} for s, each in GAPS.items()}
     page = write_report(make["study"](tmp_path, cells))

@@ -1,4 +1,4 @@
-"""The pages of a bench, in every format, and the verb that writes them."""
+"""Pages of a bench in every format, and the command that writes them."""
 
 import csv
 import re
@@ -32,7 +32,7 @@ def test_the_table_has_rates_and_ranks(bench):
                 assert text.endswith(f"({low:.0f})" if low == high else f"({low:.0f}–{high:.0f})")
 
 
-def test_many_samplers_have_rows_and_pictures_of_ten_at_a_time(bench, tmp_path, monkeypatch):
+def test_many_samplers_become_rows_and_figures_of_ten(bench, tmp_path, monkeypatch):
     many = xr.concat([bench.isel(sampler=[k % 3]) for k in range(12)], "sampler")
     many = many.assign_coords(label=("sampler", [f"s{k}" for k in range(12)]))
     columns, rows = bench_table(many)
@@ -40,7 +40,7 @@ def test_many_samplers_have_rows_and_pictures_of_ten_at_a_time(bench, tmp_path, 
     assert [row[0] for row in rows] == [f"s{k}" for k in range(12)]
     quality = [plot for title, plot in bench_plots(many) if title == "Quality"]
     assert len(quality) == 2
-    # Its page without pictures, which take most of the time
+    # The page without images, which take most of the time
     monkeypatch.setattr(bench_page, "bench_plots", lambda *_: iter(()))
     page = write_bench(many.isel(integrand=slice(2)), str(tmp_path / "many.html")).read_text(
         "utf-8"
@@ -48,7 +48,7 @@ def test_many_samplers_have_rows_and_pictures_of_ten_at_a_time(bench, tmp_path, 
     assert page.count('<table class="sortable"') == 2  # both tables can be sorted
 
 
-def test_every_part_is_pictured(bench):
+def test_every_part_has_a_figure(bench):
     titles = [title for title, _ in bench_plots(bench)]
     assert titles == [
         "Convergence in 2-D", "Convergence in 3-D", "Spectra and pairs: spectra",
@@ -57,7 +57,7 @@ def test_every_part_is_pictured(bench):
         "Projections: jittered", "Projections: sobol | owen",
     ]  # fmt: skip
     plots = dict(bench_plots(bench))
-    # Three pairs of axes, named
+    # Three labeled pairs of axes
     named = [(p.x.label, p.y.label) for p in plots["Projections: jittered"].panels]
     assert named == [("x₀", "x₁"), ("x₀", "x₂"), ("x₁", "x₂")]
     assert [p.title for p in plots["Points"].panels] == ["pmj02"]
@@ -65,7 +65,7 @@ def test_every_part_is_pictured(bench):
     assert all(plot.words for _, plot in bench_plots(bench))
 
 
-def test_files(bench, tmp_path):
+def test_all_file_formats_are_written(bench, tmp_path):
     bench = bench.isel(integrand=slice(2))
     for extension in ("html", "pdf", "csv", "tex", "pgf"):
         write_bench(bench, str(tmp_path / f"r.{extension}"))
@@ -93,7 +93,7 @@ def test_files(bench, tmp_path):
     assert r"\begin{pgfpicture}" in (tmp_path / "r.pgf").read_text()
 
 
-def test_the_verb(capsys, tmp_path):
+def test_the_command_writes_files(capsys, tmp_path):
     arguments = ["bench", "jittered", "random", "-n", "16,64", "-m", "20", "--quiet"]
     assert main([*arguments, "-o", str(tmp_path / "r.csv")]) == 0
     assert "jittered" in (tmp_path / "r.csv").read_text()

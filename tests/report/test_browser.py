@@ -1,4 +1,4 @@
-"""The report in Chromium: tooltips, legends, sorting, phones, paper; no network, no errors."""
+"""The report in Chromium: tooltips, legends, sorting, phones, print; no network and no errors."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -21,7 +21,7 @@ EVIL = "</script><script>document.title='run'</script>$$x$$"
 
 @pytest.fixture(scope="module", name="folder")
 def _folder(make, tmp_path_factory):
-    """Reports of a small study, one of whose names tries to break out, and of a comparison."""
+    """Write reports of a small study, which has a malicious name, and of a comparison."""
     root = tmp_path_factory.mktemp("browser")
     cells = {("1-D", s): make["analyses"](s, 1) for s in ("random", "jittered")}
     cells["2-D", "random"] = {"terms": make["terms"]("random", dims=2, half_width=6)}
@@ -38,7 +38,7 @@ def _folder(make, tmp_path_factory):
 
 
 class Visit:
-    """A page that is open, what it asked of a network, and what it complained about."""
+    """An open page with its network requests and error messages."""
 
     def __init__(self, browser, path, **options):
         self.asked: list[str] = []
@@ -62,7 +62,7 @@ class Visit:
             self.complaints.append(message.text)
 
     def show(self, label, *, last=False):
-        """Scroll to the first or last plot whose words begin so, and wait until it is drawn."""
+        """Scroll to the first or last plot whose words start with `label`, and wait for it."""
         self.unfold()
         found = self.page.locator(f".live:has(img[alt^='{label}'])")
         plot = (found.last if last else found.first).locator(".plot")
@@ -72,11 +72,11 @@ class Visit:
         return plot
 
     def unfold(self):
-        """Open all that is folded."""
+        """Open all details."""
         self.page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })")
 
     def wrongs(self):
-        """What axe-core calls serious or worse."""
+        """Return the findings of axe-core that are serious or critical."""
         self.page.evaluate((files("axe_playwright_python") / "axe.min.js").read_text("utf-8"))
         found = self.page.evaluate("axe.run({resultTypes: ['violations']})")["violations"]
         return [
@@ -86,7 +86,7 @@ class Visit:
         ]
 
     def leave(self):
-        """Close; nothing was asked of a network and nothing went wrong."""
+        """Close the page, and check that there were no network requests and no errors."""
         self.page.context.close()
         assert self.asked == []
         assert self.complaints == []
@@ -104,7 +104,7 @@ def sweep(visit, plot, word):
     return False
 
 
-def test_the_pointer_shows_exact_values(browser, folder):
+def test_tooltips_show_exact_values(browser, folder):
     visit = Visit(browser, folder / "a" / "report.html")
     assert sweep(visit, visit.show("Bars of the three terms"), "95 %:")
     assert sweep(
@@ -130,7 +130,7 @@ def test_a_click_in_the_legend_hides_a_line(browser, folder):
     visit.leave()
 
 
-def test_the_overview_sorts(browser, folder):
+def test_the_summary_table_can_be_sorted(browser, folder):
     visit = Visit(browser, folder / "a" / "report.html")
     head = visit.page.get_by_role("button", name="Rate")
     rates = """() => Array.from(document.querySelectorAll(".sortable tbody tr"))
@@ -145,8 +145,8 @@ def test_the_overview_sorts(browser, folder):
 
 
 @pytest.mark.parametrize("name", ["a/report.html", "comparison.html", "bench/index.html"])
-def test_every_plot_draws_nothing_spills_and_axe_finds_nothing_serious(browser, folder, name):
-    """On a phone and on a desk, in both schemes: the page is the same, its styles differ."""
+def test_all_plots_are_drawn_without_overflow_or_serious_axe_findings(browser, folder, name):
+    """Check the page on a phone and on a desktop, in both color schemes."""
     visit = Visit(browser, folder / name, viewport={"width": 390, "height": 800})
     visit.unfold()
     places = visit.page.locator(".live")
@@ -163,7 +163,7 @@ def test_every_plot_draws_nothing_spills_and_axe_finds_nothing_serious(browser, 
     visit.leave()
 
 
-def test_pictures_without_scripts_and_on_paper(browser, folder):
+def test_images_replace_plots_without_scripts_and_in_print(browser, folder):
     visit = Visit(browser, folder / "a" / "report.html", java_script_enabled=False)
     for summary in visit.page.locator("summary").all():
         summary.click()
@@ -179,7 +179,7 @@ def test_pictures_without_scripts_and_on_paper(browser, folder):
     visit.leave()
 
 
-def test_a_link_into_folded_details_opens_them(browser, folder):
+def test_a_link_into_closed_details_opens_them(browser, folder):
     visit = Visit(browser, folder / "a" / "report.html")
     inside = visit.page.locator("details dl").first
     assert not inside.is_visible()

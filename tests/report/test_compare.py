@@ -1,4 +1,4 @@
-"""Comparison of two studies: exact ratios and differences, what only one has, bad input."""
+"""Comparison of two studies: exact ratios and differences, unshared pairs, bad input."""
 
 import html
 import math
@@ -17,7 +17,7 @@ Z = 1.959963984540054
 
 
 def test_power_laws(make):
-    """Makers' intervals are those of R = 1000 normal values: log-variances have se √(2/R)."""
+    """Intervals belong to R = 1000 normal values, so log-variances have se √(2/R)."""
     first = make["curve"]("random", rate=-1.0, half=0.03)
     second = make["curve"]("random", rate=-1.5, half=0.04)
     found = compare_curves(first, second)
@@ -30,7 +30,7 @@ def test_power_laws(make):
     assert found.rate.high - found.rate.value == pytest.approx(0.05)
 
 
-def test_turned_round(make):
+def test_swapped_studies_give_inverse_differences(make):
     pair = make["curve"]("random"), make["curve"]("jittered")
     there, back = compare_curves(*pair), compare_curves(*pair[::-1])
     assert there.ratio.value * back.ratio.value == pytest.approx(1.0)
@@ -38,8 +38,8 @@ def test_turned_round(make):
     assert there.rate.value == -back.rate.value
 
 
-def test_intervals_cover(make):
-    """Of 2000 pairs of sample variances with a true ratio of 2, 95 % lie inside: within 4 σ."""
+def test_intervals_have_95_percent_coverage(make):
+    """For 2000 pairs of sample variances with ratio 2, coverage is 95 % within 4 σ."""
     generator = np.random.default_rng(5)
     size, trials, inside = 200, 2000, 0
     factor = math.exp(Z * math.sqrt(2 / size))
@@ -71,19 +71,25 @@ def test_zero_variance_has_no_ratio(make):
     assert math.isnan(compare_curves(second, first).ratio.high)
 
 
-def test_channels__the_first(make):
+def test_channels__only_the_first_is_compared(make):
     found = compare_curves(make["curve"]("random", channels=3), make["curve"]("random"))
     assert found.ratio.value == pytest.approx(1.0)
 
 
 @pytest.fixture(name="folders")
 def _folders(make, tmp_path):
-    """Two studies that share a pair."""
+    """Write two studies that share a pair."""
     curve = make["curve"]
     cells = [
-        {("e", "random"): {"convergence": curve("random")}, ("e <b>", "jittered"): {"convergence": curve("jittered")}},
-        {("e", "random"): {"convergence": curve("random", rate=-1.25)}, ("e", "other"): {"convergence": curve("random")}},
-    ]  # fmt: skip
+        {
+            ("e", "random"): {"convergence": curve("random")},
+            ("e <b>", "jittered"): {"convergence": curve("jittered")},
+        },
+        {
+            ("e", "random"): {"convergence": curve("random", rate=-1.25)},
+            ("e", "other"): {"convergence": curve("random")},
+        },
+    ]
     return [make["study"](tmp_path / n, c, title=n) for n, c in zip("ab", cells, strict=True)]
 
 
@@ -102,13 +108,13 @@ def test_page(folders):
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_nothing_in_common(make, tmp_path):
+def test_studies_without_common_pairs(make, tmp_path):
     a, b = (
         make["study"](tmp_path / n, {(n, "random"): {"convergence": make["curve"]("random")}})
         for n in "ab"
     )
     text = write_comparison(a, b, tmp_path / "c.html").read_text(encoding="utf-8")
-    assert "No estimator and sampler has a convergence in both." in text
+    assert "The studies share no estimator and sampler with a convergence." in text
 
 
 @pytest.mark.usefixtures("undrawn")

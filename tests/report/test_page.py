@@ -1,4 +1,4 @@
-"""Pages: blocks in order, escaping, self-containment, one step, words for every figure."""
+"""Pages: order of blocks, escaping, self-containment, atomic writing, descriptions of figures."""
 
 import base64
 import json
@@ -14,17 +14,17 @@ from mcspectra.core.errors import StoreError
 from mcspectra.plots import backend_matplotlib
 from mcspectra.plots.description import Axis, Line, Panel, Plot
 from mcspectra.report.page import (
-    Cell,
-    Facts,
+    Collapsible,
+    FactList,
     Figure,
     Figures,
-    Folded,
     Markup,
     Page,
+    Paragraph,
     Section,
     Sentences,
     Table,
-    Text,
+    TableCell,
     anchors,
     columns_of,
     table_of,
@@ -46,38 +46,44 @@ def page(evil=EVIL, live=False):
         caption=evil,
         columns=("Name", "Value", "Why"),
         rows=(
-            (Cell(text=evil, link="#a"), Cell(text="1.0", order=1.0), Cell(text="–", why=evil)),
             (
-                Cell(text="b", numeric=False),
-                Cell(text="2", order=2.0),
-                Cell(text="agrees", mark="yes"),
+                TableCell(text=evil, link="#a"),
+                TableCell(text="1.0", order=1.0),
+                TableCell(text="–", why=evil),
+            ),
+            (
+                TableCell(text="b", numeric=False),
+                TableCell(text="2", order=2.0),
+                TableCell(text="agrees", mark="yes"),
             ),
         ),
         sortable=True,
         stacked=True,
     )
     blocks = (
-        Text(text=evil),
-        Text(text=evil, kind="heading"),
-        Text(text=evil, kind="quote"),
-        Text(text=evil, kind="code"),
-        Text(text=Markup("<math><mi>x</mi></math>"), kind="formula"),
-        Facts(rows=((evil, evil),), code=True),
+        Paragraph(text=evil),
+        Paragraph(text=evil, kind="heading"),
+        Paragraph(text=evil, kind="quote"),
+        Paragraph(text=evil, kind="code"),
+        Paragraph(text=Markup("<math><mi>x</mi></math>"), kind="formula"),
+        FactList(rows=((evil, evil),), code=True),
         Sentences(rows=((evil, evil),)),
         table,
-        Folded(summary=evil, blocks=(Figures(figures=(Figure(plot=plot(evil), name="folded"),)),)),
+        Collapsible(
+            summary=evil, blocks=(Figures(figures=(Figure(plot=plot(evil), name="folded"),)),)
+        ),
         Figures(figures=(Figure(plot=plot(), name="a-line", live=live),)),
     )
     first = Section(title=evil, anchor="a", blocks=blocks, beside=evil, mark="no", fresh=True)
-    second = Section(title="b", anchor="b", blocks=(Text(text="b"),), code=True)
+    second = Section(title="b", anchor="b", blocks=(Paragraph(text="b"),), code=True)
     left_out = Section(title="c", anchor="c", blocks=())
     return Page(
-        title=evil, what="test", lead=(Text(text=evil),), sections=(first, second, left_out)
+        title=evil, what="test", lead=(Paragraph(text=evil),), sections=(first, second, left_out)
     )
 
 
 def test_regions_have_distinct_labels(tmp_path):
-    """Two tables alike, in one section and in another."""
+    """Equal tables in one section and in two sections have different labels."""
     table = table_of("Rates.", ("Name",), [("a",)])
     sections = [Section(title=t, anchor=t, blocks=(table, table)) for t in ("one", "two")]
     file = write_page(Page(title="p", what="test", sections=tuple(sections)), tmp_path / "x.html")
@@ -86,15 +92,15 @@ def test_regions_have_distinct_labels(tmp_path):
 
 
 @pytest.mark.parametrize(("count", "classes"), [(1, "wide"), (2, "wide abreast")])
-def test_panels_abreast_alone_scroll_on_a_phone(tmp_path, count, classes):
+def test_only_panels_in_one_row_scroll_on_a_phone(tmp_path, count, classes):
     wide = replace(plot(), panels=plot().panels * count, columns=2, wide=True)
     section = Section(title="a", anchor="a", blocks=(Figures(figures=(Figure(plot=wide),)),))
     file = write_page(Page(title="p", what="test", sections=(section,)), tmp_path / "x.html")
     assert Parsed(file.read_text("utf-8")).all("figure") == [{"class": classes}]
 
 
-def test_no_half_of_a_page_stays_empty(tmp_path):
-    """What has no neighbor takes both columns, as do rows of live panels."""
+def test_figures_without_a_neighbor_are_full_width(tmp_path):
+    """A figure without a neighbor takes both columns, and so does a row of live panels."""
     rows = Figure(plot=replace(plot(), panels=plot().panels * 4, columns=2), live=True)
     three = Figure(plot=replace(plot(), panels=plot().panels * 3, columns=3))
     figures = tuple(Figure(plot=plot()) for _ in range(3))
@@ -161,7 +167,7 @@ def test_a_page_that_fails_leaves_the_old_one(tmp_path, monkeypatch):
     assert file.read_bytes() == before
 
 
-def test_no_place_for_a_page(tmp_path):
+def test_a_missing_folder_gives_an_error(tmp_path):
     with pytest.raises(StoreError, match="cannot be written"):
         write_page(page(), tmp_path / "nowhere" / "x.html")
     with pytest.raises(StoreError, match="cannot be written"):
@@ -185,14 +191,14 @@ def test_columns_are_chosen_by_name():
     assert [cell.text for cell in chosen.rows[0]] == ["3", "1"]
 
 
-def test_what_is_inserted_in_html_is_escaped_once():
+def test_values_inserted_in_html_are_escaped_once():
     inner = Markup("<b>{}</b>").format(EVIL)
     assert inner == "<b>&lt;/script&gt;&lt;u&gt;&amp;&quot;&#x27;</b>"
     assert Markup("<p>{}{}</p>").format(inner, 2) == f"<p>{inner}2</p>"
 
 
-def test_links_in_the_place_of_what_is_written_are_not_followed(tmp_path):
-    """A stranger's could lead anywhere."""
+def test_symbolic_links_at_output_paths_are_not_followed(tmp_path):
+    """A link made by somebody else could lead to any file."""
     key, figures = tmp_path / "key", tmp_path / "figures"
     key.write_text("mine")
     figures.mkdir()

@@ -1,4 +1,4 @@
-"""Small pictures: what is drawn lies where the numbers say, in SVG that parses."""
+"""Small images: marks have correct positions, and the SVG can be parsed."""
 
 import base64
 import io
@@ -24,7 +24,7 @@ def path_of(svg, index):
     return np.array(re.findall(r"[ML]([\d.-]+) ([\d.-]+)", path.get("d")), dtype=float)
 
 
-def test_points_are_where_they_should_be():
+def test_points_have_correct_positions():
     points = np.array([[0.0, 0.0], [0.25, 0.75], [0.999, 0.5]])
     dots = ET.fromstring(scatter(points, "p")).iter(f"{SVG}circle")
     found = np.array([[float(d.get("cx")), float(d.get("cy"))] for d in dots])
@@ -37,15 +37,13 @@ def test_points_of_one_dim_are_lines():
 
 
 def test_a_curve_runs_through_its_values():
-    values = np.linspace(
-        0, 2, 201
-    )  # the highest and the lowest half per cent are beyond 0.01, 1.99
+    values = np.linspace(0, 2, 201)  # 0.5 % of the values are clipped at each end, at 0.01 and 1.99
     xy = path_of(curve(values, "f"), 1)
     np.testing.assert_allclose(xy[:, 0], 100 * (np.arange(201) + 0.5) / 201, atol=0.006)
     np.testing.assert_allclose(xy[:, 1], 95 - 90 * values / 1.99, atol=0.006)
 
 
-def test_a_curve_stops_where_there_is_no_value():
+def test_a_curve_has_gaps_at_missing_values():
     svg = curve(np.array([1.0, np.nan, 2.0, 3.0]), "f")
     (line,) = ET.fromstring(svg).findall(f"{SVG}path")[1:]
     assert line.get("d").count("M") == 2
@@ -65,14 +63,14 @@ def test_flat_and_missing_values_are_drawn(values):
 
 def test_a_map_has_axis_0_to_the_right_and_axis_1_upwards():
     values = np.zeros((200, 100))
-    values[150:, 90:] = 1.0  # right, at the top
+    values[150:, 90:] = 1.0  # top right
     shown = pixels_of(map_image(values, "f"))
     assert shown.shape == (100, 200, 3)
     np.testing.assert_array_equal(shown[0, -1], [253, 231, 37])
     np.testing.assert_array_equal(shown[-1, 0], [68, 1, 84])
 
 
-def test_three_channels_are_colours_and_two_are_not():
+def test_three_channels_are_colors_and_two_are_not():
     values = np.zeros((10, 10, 3))
     values[..., 0] = 1.0
     assert (pixels_of(map_image(values, "f")) == [255, 0, 0]).all()

@@ -1,4 +1,4 @@
-"""What notebooks show of components: well-formed, with the right figures, without long work."""
+"""Notebook representations of components: well-formed, correct and cheap."""
 
 import time
 import xml.etree.ElementTree as ET
@@ -16,7 +16,7 @@ from mcspectra.samplers import SAMPLERS
 
 
 def parsed(component):
-    """Rows of the table and the number of pictures."""
+    """Return the rows of the table and the number of images."""
     page = ET.fromstring(component_html(component))
     rows = {r[0].text or "": r[1].text for r in page.iter("tr")}
     return rows, sum(e.tag.endswith("svg") for e in page.iter())
@@ -34,14 +34,14 @@ ALL = [c for names, make in FAMILIES for n in names if (c := made(make, n)) is n
 
 
 @pytest.mark.parametrize("component", ALL, ids=lambda c: f"{type(c).__name__}")
-def test_everything_registered_is_shown(component):
+def test_all_registered_components_have_a_representation(component):
     rows, pictures = parsed(component)
     assert pictures == 1 or "take long" in rows["picture"]
     assert rows["dims"].startswith(str(component.dims))
 
 
 @pytest.mark.parametrize("dims", [1, 5])
-def test_what_is_registered_is_shown_in_other_dims(dims):
+def test_registered_components_in_other_dims_have_a_representation(dims):
     made_so = [
         component
         for names, make in FAMILIES
@@ -75,7 +75,7 @@ def test_all_dims_are_shown(dims):
     assert parsed(mcs.Estimator("gaussian", "linear(slope=0.5)", dims=dims))[1] == 3
 
 
-def test_figures_are_those_of_the_component():
+def test_figures_agree_with_the_component():
     rows, _ = parsed(mcs.density("linear(slope=1)", dims=1))
     assert float(rows["∫ 1/p"]) == pytest.approx(np.log(3), abs=6e-3)  # three digits
     rows, _ = parsed(mcs.integrand("linear(gradient=[1, 1], offset=0.25)"))
@@ -90,7 +90,7 @@ def test_the_smallest_distance_is_toroidal():
     assert rows["smallest distance"].startswith("0.0500")
 
 
-def test_techniques_have_a_picture_each():
+def test_each_technique_has_an_image():
     mis = mcs.MultipleImportance("gaussian", ["linear", "uniform"], counts=(1, 2))
     rows, pictures = parsed(mis)
     assert pictures == 3
@@ -112,13 +112,13 @@ def test_markup_in_specs_is_escaped():
     ET.fromstring(html)
 
 
-def test_randomisations_have_a_sentence():
+def test_randomizations_have_a_sentence():
     assert mcs.samplers.Shift.summary() in "".join(
         ET.fromstring(component_html(mcs.samplers.Shift())).itertext()
     )
 
 
-def test_slow_functions_have_no_picture():
+def test_slow_functions_have_no_image():
     calls = []
 
     def slow(x):
@@ -127,13 +127,13 @@ def test_slow_functions_have_no_picture():
 
     _, pictures = parsed(mcs.Integrand.from_function(slow, dims=2, integral=0.5))
     assert pictures == 0
-    assert len(calls) <= 6  # one tries the shape
+    assert len(calls) <= 6  # one call checks the shape
 
 
-def test_costly_parts_are_found_wherever_they_are():
+def test_costly_parts_are_found_in_nested_components():
     @dataclass(frozen=True, kw_only=True)
     class Costly(mcs.Integrand):
-        """Takes a day."""
+        """Integrand that would take a day."""
 
         name: ClassVar[str] = "costly"
         costly: ClassVar[bool] = True
@@ -155,7 +155,7 @@ def test_huge_sets_are_not_drawn():
     assert "10201 points" in rows["picture"]
 
 
-def test_poles_and_zeros_do_not_disturb():
+def test_poles_and_zeros_give_valid_images():
     p = mcs.Density.from_functions(pdf=lambda x: 2 * x[..., 0], sample=np.sqrt, invert=np.square)
     assert parsed(p)[1] == 1
     assert parsed(mcs.Estimator("gaussian", "power(exponent=5)", dims=1))[1] == 3

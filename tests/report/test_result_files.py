@@ -1,4 +1,4 @@
-"""Results as files: tables that programs and LaTeX read, pictures in every format."""
+"""Results as files: tables for programs and LaTeX, and images in every format."""
 
 import io
 from dataclasses import replace
@@ -22,7 +22,7 @@ def curve():
     )
 
 
-def test_a_table_has_a_row_for_each_place(curve, tmp_path):
+def test_a_table_has_a_row_per_coordinate(curve, tmp_path):
     columns, rows = result_table(curve)
     assert columns[:5] == ["sampler", "n", "variance", "variance_low", "variance_high"]
     assert [row[:2] for row in rows] == [
@@ -32,7 +32,7 @@ def test_a_table_has_a_row_for_each_place(curve, tmp_path):
     np.testing.assert_array_equal(
         [row[4] for row in rows], curve["variance_ci"].values[..., 1].ravel()
     )
-    # What has fewer dims is repeated
+    # Variables with fewer dims are repeated
     at = columns.index("rate")
     np.testing.assert_array_equal([row[at] for row in rows], np.repeat(curve["rate"].values, 2))
 
@@ -45,20 +45,20 @@ def test_a_table_has_a_row_for_each_place(curve, tmp_path):
     assert "# seed: 0" in text
 
 
-def test_single_numbers_stand_above_the_table(curve, tmp_path):
+def test_scalars_are_in_comments_above_the_table(curve, tmp_path):
     one = curve.isel(sampler=0)
     write_result_file(one, str(tmp_path / "c.csv"), "t")
     assert f"# rate: {float(one['rate'])}" in (tmp_path / "c.csv").read_text()
 
 
-def test_latex_is_plain_text_of_latex():
+def test_latex_tables_are_escaped():
     text = latex_table(
         ["a_b", "x"], [["50 % & {more}", 1.25e-7], ["points(path='p', name='mine')", None]]
     )
-    assert r"a\_b & x \\" in text  # a name of the user's
+    assert r"a\_b & x \\" in text  # a name given by the user
     assert r"50 \% \& \{more\} & 1.25$\times10^{-7}$ \\" in text
     assert r"mine & -- \\" in text
-    with pytest.raises(ParameterError, match="more than 500"):
+    with pytest.raises(ParameterError, match="limited to 500"):
         latex_table(["a"], [[1.0]] * 501)
 
 
@@ -73,14 +73,14 @@ def test_pictures_in_every_format(curve, tmp_path, extension):
         assert b"/Type /Font" in data
         assert (
             b"/Subtype /Type3" not in data
-        )  # Type 42 is TrueType, which editors and printers keep
+        )  # Type 42 is TrueType, which editors and printers support
     again = tmp_path / f"d.{extension}"
     write_result_file(curve, str(again), "t")
     assert again.read_bytes() == data
 
 
-def test_a_pgf_has_the_maths_of_latex(tmp_path):
-    """Fonts of LaTeX have no ⁻, and its oldest ones a dash in place of the bar."""
+def test_pgf_files_use_latex_mathematics(tmp_path):
+    """LaTeX fonts lack ⁻, and the oldest ones have a dash instead of a bar."""
     result = mcs.convergence("disk", "sobol | owen", [16, 64], realizations=20, rng=0)
     write_result_file(result, str(tmp_path / "c.pgf"), "t")
     text = (tmp_path / "c.pgf").read_text("utf-8")
@@ -90,8 +90,8 @@ def test_a_pgf_has_the_maths_of_latex(tmp_path):
     assert text.isascii()
 
 
-def test_names_are_no_commands_of_latex(tmp_path):
-    r"""A name such as ``\input{…}`` was one."""
+def test_names_are_escaped_in_latex(tmp_path):
+    r"""A name such as ``\input{…}`` must not run as a command."""
     name = r"\input{/etc/passwd} $x$ %_#&~^"
     result = mcs.convergence("linear(dims=1)", "random", [4, 8], realizations=8)
     plot = describe("convergence", result)
@@ -105,20 +105,20 @@ def test_names_are_no_commands_of_latex(tmp_path):
     assert r"\input{" not in text
 
 
-def test_maps_are_no_pgf(tmp_path):
+def test_maps_cannot_be_written_as_pgf(tmp_path):
     result = mcs.power_spectrum("jittered", 16, half_width=4, realizations=4)
     with pytest.raises(ParameterError, match="give a .pdf"):
         write_result_file(result, str(tmp_path / "s.pgf"), "t")
     assert not (tmp_path / "s.pgf").exists()
 
 
-def test_a_place_that_is_none(curve, tmp_path):
+def test_missing_folders_give_an_error(curve, tmp_path):
     for extension in ("csv", "tex", "npz", "pgf", "pdf"):
         with pytest.raises(FileFormatError, match="cannot be written"):
             write_result_file(curve, str(tmp_path / f"no/such.{extension}"), "t")
 
 
-def test_no_cell_of_a_table_is_a_formula():
+def test_table_cells_are_not_spreadsheet_formulas():
     about = {"estimator": "a,=1+1;@x", "title": "\x1b[2J"}
     text = csv_text(["=name", "value"], [["=1+1", -1.5], ["-2", None], ["+x", 2]], about)
     assert text.splitlines() == [

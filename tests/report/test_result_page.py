@@ -1,4 +1,4 @@
-"""The page of one result: what it says, its values with their intervals and methods."""
+"""The page of one result: sentences, and values with intervals and methods."""
 
 import html
 import re
@@ -13,7 +13,7 @@ from mcspectra.report.result_files import write_result
 
 @pytest.fixture
 def shown(tmp_path):
-    """Write a page; return its words without what is between them."""
+    """Write a page and return its text without markup."""
 
     def write(result):
         page = write_result(result, tmp_path / "page.html").read_text(encoding="utf-8")
@@ -23,7 +23,7 @@ def shown(tmp_path):
     return write
 
 
-def test_predictions_stand_with_their_methods(shown):
+def test_predictions_are_listed_with_their_methods(shown):
     found = mcs.predict("disk", ["random", "rank1-lattice | shift", "sobol"], [16, 64])
     words = shown(found)
     assert "sobol: a deterministic sampler has no variance" in words
@@ -46,7 +46,7 @@ def test_all_methods_have_rows_by_n(shown):
     assert "torus 16" not in words
 
 
-def test_a_plan_says_n_in_its_table_and_its_figure(shown):
+def test_a_plan_has_n_in_its_table_and_its_figure(shown):
     found = mcs.plan("gaussian", ["sobol | owen", "random"], target_error=1e-2)
     words = shown(found)
     for sampler in ("sobol | owen", "random"):
@@ -63,7 +63,7 @@ def test_infinite_predictions_are_named(shown):
     assert "random: infinite" in str(describe("prediction", found))
 
 
-def test_rates_that_are_no_finding_are_not_reported(shown):
+def test_unresolved_rates_are_not_reported(shown):
     found = mcs.convergence("gaussian", "random", [16, 64], realizations=5)
     assert np.diff(found["rate_ci"]) > 1
     assert "rate unresolved" in shown(found)

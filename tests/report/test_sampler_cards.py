@@ -1,4 +1,4 @@
-"""Cards of samplers: what is measured for them, and the pages and files that they become."""
+"""Cards of samplers: measurements, pages and files."""
 
 import json
 import re
@@ -19,7 +19,7 @@ TINY = replace(QUICK, n=16, spectra=6, rates=40, counts=(4, 16, 64))
 PNG = b"\x89PNG\r\n\x1a\n"
 
 
-def test_a_card_shows_what_the_analyses_give():
+def test_a_card_agrees_with_the_analyses():
     card = measure_card("jittered", effort=TINY, rng=3)
     assert card.n == 16
     np.testing.assert_array_equal(card.points, mcs.sampler("jittered").draw(16, rng=3)[0])
@@ -31,14 +31,14 @@ def test_a_card_shows_what_the_analyses_give():
     assert card.speed > 0
 
 
-def test_sets_that_are_always_the_same_are_randomized_for_their_rates():
+def test_deterministic_sets_are_randomized_for_their_rates():
     net, lattice = (measure_card(s, effort=TINY) for s in ("sobol", "rank1-lattice"))
     assert (net.randomized, lattice.randomized) == ("sobol | owen", "rank1-lattice | shift")
     assert net.spectrum.attrs["realizations"] == 1
     assert net.rates["gaussian"][0] < -1.5
 
 
-def test_given_points_stand_beside_known_samplers(tmp_path):
+def test_given_points_have_a_card(tmp_path):
     sets = np.random.default_rng(1).random((3, 20, 2))
     np.savez(tmp_path / "mine.npz", points=sets)
     card = measure_card(f"points(path='{(tmp_path / 'mine.npz').as_posix()}')", effort=TINY)
@@ -47,7 +47,7 @@ def test_given_points_stand_beside_known_samplers(tmp_path):
     assert card.rates == {}  # one count has no rate
 
 
-def test_all_samplers_are_those_that_need_nothing():
+def test_all_samplers_need_no_parameters_or_packages():
     heads = {spec.partition("|")[0].partition("(")[0].strip() for spec in all_samplers()}
     outside = {"command", "points", "python", "scipy", "qmcpy", "mitsuba", "digital-net"}
     assert heads == set(SAMPLERS) - outside - {"shared-cells"}
@@ -56,7 +56,7 @@ def test_all_samplers_are_those_that_need_nothing():
 
 
 class Reader(HTMLParser):
-    """Collects anchors, links and what would be loaded."""
+    """Collect anchors, links and resources that the page would load."""
 
     def __init__(self):
         super().__init__()
@@ -70,7 +70,7 @@ class Reader(HTMLParser):
         self.loaded += [given[k] for k in ("src", "srcset", "data") if given.get(k)]
 
 
-def test_the_page_stands_alone(tmp_path):
+def test_the_page_is_self_contained(tmp_path):
     specs = ["random", "sobol | owen"]
     bench = mcs.sampler_bench(specs, counts=[4, 16], realizations=20)
     cards = [measure_card(spec, effort=replace(TINY, counts=())) for spec in specs]
@@ -94,7 +94,7 @@ def test_the_page_stands_alone(tmp_path):
     assert "https://doi.org/10.1137/070709359" in reader.links
 
 
-def test_markdown_has_a_picture_and_the_facts_of_each(tmp_path):
+def test_markdown_has_an_image_and_facts_for_each_sampler(tmp_path):
     page = write_cards(tmp_path, ["random", "halton"], effort=TINY)
     text = page.read_text(encoding="utf-8")
     for name in re.findall(r"\]\((.*?\.png)\)", text):
@@ -104,7 +104,7 @@ def test_markdown_has_a_picture_and_the_facts_of_each(tmp_path):
     assert "* Counts: any" in text
 
 
-def test_numbers_are_there_for_programs(tmp_path):
+def test_numbers_are_written_as_json(tmp_path):
     write_cards(tmp_path, ["random"], effort=TINY)
     (card,) = json.loads((tmp_path / "gallery.json").read_text(encoding="utf-8"))
     assert card["name"] == card["spec"] == card["randomized"] == "random"
@@ -119,8 +119,8 @@ def test_samplers_that_cannot_be_made_write_nothing(tmp_path, specs):
     assert not (tmp_path / "out").exists()
 
 
-def test_no_samplers_are_no_page():
-    with pytest.raises(ParameterError, match="name one at least"):
+def test_an_empty_list_of_samplers_gives_an_error():
+    with pytest.raises(ParameterError, match="give at least one"):
         write_cards("unused", [])
 
 
@@ -130,7 +130,7 @@ def test_a_folder_that_cannot_be_written(tmp_path):
         write_cards(tmp_path / "file", ["random"], effort=TINY)
 
 
-def test_a_program_that_knows_two_dims_is_a_card(tmp_path):
+def test_a_program_with_two_dims_has_a_card(tmp_path):
     program = tmp_path / "mine.py"
     program.write_text(
         "import sys\n"
@@ -141,7 +141,7 @@ def test_a_program_that_knows_two_dims_is_a_card(tmp_path):
     run = f"{sys.executable} {program} {{n}}"
     mcs.samplers.allow_code(run)
     card = measure_card(f"command({run!r}, name='mine')", effort=TINY)
-    assert card.projected is None  # it prints two coordinates, whatever it is asked for
+    assert card.projected is None  # the program always prints two coordinates
     assert card.randomized.endswith("| shift")
     assert card.speed > 0
     assert card.points[0].tolist() == [0.5 / card.n, 0.0]

@@ -1,4 +1,4 @@
-"""Rules of the sentences: what is said, and what is not when intervals do not support it."""
+"""Sentences about results: their contents, and no statements that intervals do not support."""
 
 import msgspec
 import pytest
@@ -18,7 +18,7 @@ def case(
     width=1.02,
     space="domain",
 ):
-    """A row and its terms; `width` is the factor of the 95 % intervals either way."""
+    """Return a row and its terms; 95 % intervals extend by the factor `width` both ways."""
     cross = predicted - dc - power
     ends = [predicted / width, predicted * width]
     terms = xr.Dataset(
@@ -50,7 +50,7 @@ def case(
 
 
 def curve(rate, half=0.03, **more):
-    """A row with a rate alone."""
+    """Return a row that has only a rate."""
     ends = {} if rate is None else {"rate_low": rate - half, "rate_high": rate + half}
     return SummaryRow(estimator="e", sampler="s", n=1024, rate=rate, **ends, **more)
 
@@ -61,8 +61,8 @@ def curve(rate, half=0.03, **more):
         (curve(-1.52), "−1.52 ± 0.03 is faster than"),
         (curve(-0.5), "−0.50 ± 0.03 is slower than"),
         (curve(-1.52, fit_first_n=64), "−1.52 ± 0.03, fitted over n = 64 … 1024, is faster than"),
-        (curve(-1.01), "lies within three standard errors of"),
-        (curve(-1.52, half=0.5), "lies within three standard errors of"),
+        (curve(-1.01), "is within three standard errors of"),
+        (curve(-1.52, half=0.5), "is within three standard errors of"),
         (
             curve(-1.7, half=2.68),
             "The rate is not resolved: use more realizations or larger counts.",
@@ -82,53 +82,57 @@ def test_rate(row, words):
     [
         (
             {"predicted": 0.03, "measured": 0.03},
-            ["removes 97 % of what the power term predicts", "a random shift would lose that"],
+            ["removes 97 % of the power term", "a random shift would lose this gain"],
             [],
         ),
         ({"predicted": 0.0003, "measured": 0.0003}, ["removes 99.97 %"], []),
         (
             {"predicted": 1.5, "measured": 1.5},
-            ["adds 50 %", "for unbiased points a random shift would avoid that"],
+            ["adds 50 %", "a random shift of unbiased points would avoid this"],
             [],
         ),
         ({"dc": 0.95, "power": 0.05}, ["95 % of the variance is the dc term"], []),
         ({"dc": 0.5, "power": 0.5}, [], ["dc term"]),
         (
             {"predicted": 0.61, "power": 0.61},
-            ["Only 61 % of the measured variance is captured at half width 32"],
+            ["The spectrum up to half width 32 accounts for only 61 % of the measured variance"],
             [],
         ),
         ({"predicted": 2.9}, ["predicts 2.90 times the measured variance"], []),
         ({"predicted": 0.98}, ["agree (98 %)"], []),
         ({"predicted": 1.00002}, ["agree (100 %)"], []),
-        ({"predicted": 0.7, "power": 0.7, "width": 1.5}, ["the spectrum predicts"], ["Only"]),
+        (
+            {"predicted": 0.7, "power": 0.7, "width": 1.5},
+            ["predicts 70 % of the measured variance; the 95 % interval"],
+            ["only"],
+        ),
         (
             {"measured": 0.0, "predicted": 0.0, "power": 0.0},
-            ["The measured variance is zero: there is nothing to explain."],
-            ["term"],
+            ["The measured variance is zero, so no term needs an explanation."],
+            ["cross term"],
         ),
     ],
 )
-def test_what_the_numbers_say(options, said, unsaid):
+def test_sentences_about_the_terms(options, said, unsaid):
     text = explain(*case(**options))
     assert all(words in text for words in said)
     assert not any(words in text for words in unsaid)
 
 
 @pytest.mark.parametrize("predicted", [0.9, 1.1])
-def test_cross_term__nothing_that_the_interval_does_not_support(predicted):
+def test_cross_term__an_interval_around_zero_gives_no_claim(predicted):
     text = explain(*case(predicted=predicted, measured=predicted, width=1.2))
-    assert "statistically indistinguishable from zero (power term: 1.00)" in text
+    assert "does not differ significantly from zero (power term: 1.00)" in text
     assert "removes" not in text
     assert "adds" not in text
 
 
 def test_shift__no_promise_where_the_samples_are_weighted():
     weighted = explain(*case(dc=0.3, power=0.7, predicted=0.1, measured=0.1))
-    assert "removes 90 % of what the dc and power terms predict together" in weighted
+    assert "removes 90 % of the sum of dc and power terms" in weighted
     assert "shift" not in weighted
     primary = explain(*case(power=1.0, predicted=0.1, measured=0.1, space="primary"))
-    assert "a random shift would lose that" in primary
+    assert "a random shift would lose this gain" in primary
 
 
 @pytest.mark.parametrize("spec", ["random", "jittered | shift"])
@@ -136,7 +140,7 @@ def test_shift__no_promise_where_the_samples_are_weighted():
 def test_cross_term__of_shifted_points_is_chance(spec, predicted, words):
     row, terms = case(predicted=predicted, measured=predicted)
     text = explain(row, terms.assign_attrs(sampler_spec=spec))
-    assert f"{words} what the power term predicts, by chance: of points shifted at random" in text
+    assert f"{words} the power term, by chance: its mean is zero for randomly shifted" in text
     digital = explain(row, terms.assign_attrs(sampler_spec="sobol | digital-shift"))
     assert "by chance" not in digital
 
@@ -151,7 +155,7 @@ def test_infinite_terms(make):
 
 
 def test_simulated_jitter_of_a_ramp(make):
-    """f = x, jittered: power 1/(6n²) − …, cross negative, sum 1/(12n³): a shift would lose that."""
+    """For f = x, power is 1/(6n²) − …, cross is negative, and the sum is 1/(12n³)."""
     terms = make["terms"]("jittered", n=16, half_width=32, realizations=400)
     low, high = terms["measured_variance_ci"].values
     row = SummaryRow(
@@ -177,12 +181,12 @@ def test_simulated_jitter_of_a_ramp(make):
 @pytest.mark.parametrize(
     ("predicted", "words"),
     [
-        (0.5, "removes 50 % of what the diagonal of the cosine basis predicts."),
-        (1.5, "adds 50 % to what the diagonal of the cosine basis predicts."),
-        (1.01, "statistically indistinguishable from zero (power term: 1.00)."),
+        (0.5, "removes 50 % of the diagonal of the cosine basis."),
+        (1.5, "adds 50 % to the diagonal of the cosine basis."),
+        (1.01, "does not differ significantly from zero (power term: 1.00)."),
     ],
 )
-def test_other_bases_say_nothing_of_shifts(predicted, words):
+def test_sentences_on_other_bases_do_not_mention_shifts(predicted, words):
     row, terms = case(predicted=predicted, measured=predicted)
     text = explain(msgspec.structs.replace(row, basis="cosine"), terms)
     assert words in text
@@ -190,7 +194,7 @@ def test_other_bases_say_nothing_of_shifts(predicted, words):
 
 
 def test_the_cross_term_follows_its_own_interval():
-    """−1.23e-7 ± 0.61e-7 is not zero, whatever the interval of the prediction."""
+    """A cross term of −1.23e-7 ± 0.61e-7 is not zero, whatever the prediction's interval."""
     row, terms = case(predicted=0.9, measured=0.9, width=1.5)
     certain = msgspec.structs.replace(row, cross_low=-0.15, cross_high=-0.05)
     assert "The cross term removes 10 %" in explain(certain, terms)
@@ -202,30 +206,30 @@ def test_the_cross_term_follows_its_own_interval():
     ("options", "words"),
     [
         ({"predicted": 2.9}, "The Fourier sum has not converged at half width 32 (basis = 'auto'"),
-        ({"predicted": 0.5, "power": 0.5}, "50 % of the variance lies beyond half width\u00a032."),
+        ({"predicted": 0.5, "power": 0.5}, "50 % of the variance is beyond half width\u00a032."),
         ({"predicted": 0.5, "measured": 0.5}, "Correlation removes 50 % of dc + power."),
         ({"predicted": 1.5, "measured": 1.5}, "Correlation adds 50 % to dc + power."),
         ({}, "Prediction agrees."),
         (
             {"predicted": 1.18, "power": 1.18, "width": 1.3},
-            "Predicts 118 %, but its interval holds 100 %.",
+            "Predicts 118 %, but its interval contains 100 %.",
         ),
     ],
 )
-def test_one_sentence_says_why_a_prediction_is_off(options, words):
+def test_headline_explains_a_wrong_prediction(options, words):
     assert headline(*case(**options)).startswith(words)
 
 
 @pytest.mark.parametrize("predicted", [0.5, 0.85, 0.95, 1.0, 1.08, 1.18, 3.0])
 @pytest.mark.parametrize("width", [1.01, 1.3])
-def test_sentence_and_headline_agree_on_agreement(predicted, width):
+def test_sentence_and_headline_report_the_same_agreement(predicted, width):
     row, terms = case(predicted=predicted, power=predicted, width=width)
     said = "Prediction and measurement agree" in explain(row, terms)
     assert said == ("Prediction agrees" in headline(row, terms))
 
 
-def test_predictions_are_off_where_intervals_of_all_rows_together_say_so():
-    """2.3 standard errors away are chance among 18 rows, not alone: z is 1.96 and 2.98."""
+def test_predictions_are_judged_by_simultaneous_intervals_of_all_rows():
+    """A distance of 2.3 standard errors is chance among 18 rows (z = 2.98), not alone (1.96)."""
     half = 1.15 ** (1.96 / 2.3)
     row = SummaryRow(
         estimator="e", sampler="s", ratio=1.15, ratio_low=1.15 / half, ratio_high=1.15 * half
@@ -234,7 +238,7 @@ def test_predictions_are_off_where_intervals_of_all_rows_together_say_so():
     assert "prediction agrees" in headline(row, rows=18).lower()
 
 
-def test_one_sentence_without_terms():
+def test_headline_without_terms():
     assert headline(curve(-1.52)) == "Faster than random sampling."
     assert headline(curve(-1.0)) == "Random sampling's rate."
     assert headline(curve(-1.2, half=0.3)) == "Rate undecided."
@@ -267,7 +271,7 @@ def test_further_sentences(analyses, text):
 
 
 def measured(variance, mean=1.0, width=1.2):
-    """A curve at n = 4, 16, … with intervals of a factor and a standard error of the mean of 0.01."""
+    """Return a curve at n = 4, 16, …; intervals extend by `width`, means have error 0.01."""
     n = [4 ** (k + 1) for k in range(len(variance))]
     ends = [[v / width, v * width] for v in variance]
     return xr.Dataset(
@@ -281,7 +285,7 @@ def measured(variance, mean=1.0, width=1.2):
     )
 
 
-def test_the_answer_is_the_least_error_that_is_sure_and_unbiased():
+def test_the_answer_is_the_least_error_that_is_significant_and_unbiased():
     random = measured([0.04, 0.01, 0.0025])
     setups = {"sobol": measured([0.02, 0.0001]), "random": random}
     text = "Use sobol: RMSE 0.01 (0.0091 to 0.011) at 16 evaluations instead of 0.1."
@@ -291,9 +295,9 @@ def test_the_answer_is_the_least_error_that_is_sure_and_unbiased():
     slow = {"sobol": setups["sobol"], "random": random.assign(rate=-1.0)}
     assert "; random would need about 1600 (1100 to 2300) evaluations for it" in str(answer(slow))
     for other in (
-        measured([0.02, 0.0099]),  # not surely less
+        measured([0.02, 0.0099]),  # not significantly less
         measured([0.02, 0.0001], mean=1.1),  # another mean
-        measured([0.0, 0.0]),  # the same every time
+        measured([0.0, 0.0]),  # no variance between realizations
     ):
         found = answer({"random": random, "other": other})
         assert str(found) == "Keep random: nothing that was tried is surely better."

@@ -1,4 +1,4 @@
-"""The page: structure, escaping, self-containment, odd results, and the same bytes twice."""
+"""The page of a study: structure, escaping, self-containment, unusual results, reproducibility."""
 
 import math
 import re
@@ -17,7 +17,7 @@ from mcspectra.plots import backend_bokeh, backend_matplotlib
 from mcspectra.plots.text import number
 from mcspectra.report import study as module
 from mcspectra.report import write_report
-from mcspectra.report.page import Table, Text
+from mcspectra.report.page import Paragraph, Table
 from mcspectra.report.study import study_toml
 from mcspectra.studies import StudyStatus, open_results
 from mcspectra.studies.files import decode_study, plain_study
@@ -28,7 +28,7 @@ Make = dict[str, Callable[..., Any]]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory, request):
-    """The report of a small study."""
+    """Write the report of a small study."""
     study = request.getfixturevalue("study_folder")
     write_report(study)
     return Path(study)
@@ -36,13 +36,13 @@ def folder(tmp_path_factory, request):
 
 @pytest.fixture(scope="module")
 def page(folder):
-    """Its page, parsed."""
+    """Return the parsed page."""
     return Parsed((folder / "report.html").read_text(encoding="utf-8"))
 
 
 @pytest.fixture
 def blank(monkeypatch):
-    """Figures have their files, and nothing in them."""
+    """Replace the contents of figure files by nothing."""
     monkeypatch.setattr(backend_matplotlib, "draw", lambda plot: None)
     monkeypatch.setattr(backend_matplotlib, "encode", lambda figure: (bytes(24), b""))
     monkeypatch.setattr(backend_bokeh, "packed", lambda model: "")
@@ -64,7 +64,7 @@ def test_ids_are_unique(page):
     assert len(set(ids)) == len(ids)
 
 
-def test_interactive_figures_have_pictures_too(page):
+def test_interactive_figures_also_have_images(page):
     packed = [s for s in page.all("script") if s.get("type") == "application/gzip"]
     assert packed.pop()["id"] == "bokeh"
     assert len(packed) == 6 + 3  # all but captured, bands and cross-matrix
@@ -72,7 +72,7 @@ def test_interactive_figures_have_pictures_too(page):
     assert len(plots) == len(packed)
 
 
-def test_overview_can_be_sorted_and_leads_to_sections(page):
+def test_summary_can_be_sorted_and_links_to_sections(page):
     (table,) = (t for t in page.all("table") if t.get("class") == "sortable")
     assert table
     orders = [float(str(d["data-order"])) for d in page.all("td") if "data-order" in d]
@@ -80,7 +80,7 @@ def test_overview_can_be_sorted_and_leads_to_sections(page):
     assert all(math.isfinite(order) for order in orders)
 
 
-def test_page_elsewhere(make, tmp_path):
+def test_page_at_another_path(make, tmp_path):
     study = make["study"](tmp_path / "s", {("e", "random"): {"points": make["points"](n=4)}})
     (tmp_path / "web").mkdir()
     page = write_report(study, tmp_path / "web" / "x.html")
@@ -91,7 +91,7 @@ def test_page_elsewhere(make, tmp_path):
         write_report(study, tmp_path / "nowhere" / "x.html")
 
 
-def test_figures_have_words_and_sizes(page):
+def test_figures_have_descriptions_and_sizes(page):
     images = page.all("img")
     assert len(images) == 9 + 3  # all kinds in 1-D; image, radial mean and points in 2-D
     for attributes in images:
@@ -127,17 +127,20 @@ def test_provenance(folder, page):
         ('integrand = "gaussian"', ""),
         ("integrand = \"python(function='a.b:f')\"", " --allow-code a.b:f"),
         (
-            'a = "python(function=\\"m:g\\", dims=2)"\nb = "python( function = \'m:f\')"\nc = "python(function=\'m:g\')"',
+            (
+                'a = "python(function=\\"m:g\\", dims=2)"\nb = "python( function = \'m:f\')"\n'
+                "c = \"python(function='m:g')\""
+            ),
             " --allow-code m:g --allow-code m:f",
         ),
         ("integrand = \"python(function='m:f; rm')\"", " --allow-code m:f"),
     ],
 )
-def test_python_functions_are_allowed_by_the_command(study, options):
+def test_the_command_allows_python_functions(study, options):
     assert module._allowed(study) == options
 
 
-def test_the_study_in_the_page_is_the_study(folder):
+def test_the_page_contains_the_study(folder):
     attributes = open_results(folder).attrs
     again = decode_study(study_toml(attributes["study"]))
     assert StudyNote.of(again, {}).study_hash == attributes["study_hash"]
@@ -166,8 +169,8 @@ def test_names_are_escaped(make, tmp_path):
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_odd_results(make, tmp_path):
-    """Each of these is in the page with its reason, and none breaks it."""
+def test_unusual_results_are_shown_with_reasons(make, tmp_path):
+    """Each unusual result is on the page with a reason."""
     small = {"half_width": 2, "realizations": 10}
     cells = {
         ("infinite", "random"): {"terms": make["infinite"](**small)},
@@ -186,15 +189,15 @@ def test_odd_results(make, tmp_path):
     assert "Shown: channel 0 of 3." in page.text
     assert "No convergence results for shift." in page.text
     assert "No points results for random, jittered." in page.text
-    assert "Every technique has a panel of its own." in page.text
+    assert "Each technique has its own panel." in page.text
     assert "there is no rate to fit" in page.text
     assert page.all("abbr")
     assert all(attributes["title"] for attributes in page.all("abbr"))
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_predictions_stand_in_the_measured_curves(make, tmp_path):
-    """Crosses in the figure of convergence and a folded table; a figure of their own at other counts."""
+def test_predictions_are_drawn_in_the_measured_curves(make, tmp_path):
+    """Predictions are crosses in the convergence figure, or a separate figure at other counts."""
     f = mcs.integrand("gaussian(width=0.3)")
     curve = make["curve"]("random")
     same = mcs.predict(f, "random", curve["n"].values.tolist())
@@ -203,7 +206,7 @@ def test_predictions_stand_in_the_measured_curves(make, tmp_path):
         ("other", "random"): {"convergence": curve, "predict": mcs.predict(f, "random", [25])},
     }
     page = Parsed(write_report(make["study"](tmp_path, cells)).read_text(encoding="utf-8"))
-    assert page.text.count("Crosses are predicted") == 1
+    assert page.text.count("Crosses are predictions") == 1
     assert page.text.count("Predicted variance against the number of points") == 1
     assert page.text.count("Predictions in numbers") == 2
     text = " ".join(page.text.split())
@@ -212,7 +215,7 @@ def test_predictions_stand_in_the_measured_curves(make, tmp_path):
 
 
 @pytest.mark.usefixtures("blank")
-def test_a_plan_and_a_prediction_have_files_of_their_own(make, tmp_path):
+def test_a_plan_and_a_prediction_have_separate_files(make, tmp_path):
     f = mcs.integrand("gaussian(width=0.3)")
     found = {
         "plan": mcs.plan(f, "random", target_error=0.1),
@@ -227,9 +230,9 @@ def test_a_plan_and_a_prediction_have_files_of_their_own(make, tmp_path):
 def test_only_spectra(make, tmp_path):
     cells = {("e", "random"): {"spectrum": make["spectrum"](dims=3, n=8, half_width=2)}}
     page = Parsed(write_report(make["study"](tmp_path, cells)).read_text(encoding="utf-8"))
-    assert "neither convergence nor terms" in page.text
+    assert "no convergence and no terms" in page.text
     assert len(page.all("img")) == 1
-    assert "In this many dims it stands for the whole spectrum." in page.text
+    assert "dims it replaces an image of the whole spectrum." in page.text
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -248,7 +251,7 @@ def test_figures_cannot_be_written(make, tmp_path):
 
 @pytest.fixture(name="small")
 def _small(make, tmp_path):
-    """A finished study of one cell."""
+    """Write a finished study with one cell."""
     study: Path = make["study"](tmp_path, {("e", "random"): {"convergence": make["curve"]()}})
     return study
 
@@ -257,7 +260,7 @@ ASKED = {"E!": ["random", "jittered | shift"], "a": ["b"]}
 
 
 def lacking(failed, missing=()):
-    """A status with one finished cell beside these."""
+    """Return a status with one finished cell and the given failed and missing cells."""
     return StudyStatus(
         title="t", study_hash="", seed=1, versions={}, format=3, state="unfinished", holder=None,
         hosts=(), started=None, finished=None, done=("e/random/points",), failed=failed,
@@ -266,21 +269,21 @@ def lacking(failed, missing=()):
 
 
 def gaps():
-    """Sentence and table of what a study lacks."""
+    """Return the sentence and the table of missing analyses."""
     _, sentence, table = module._gaps(Path(), ASKED)
-    assert isinstance(sentence, Text)
+    assert isinstance(sentence, Paragraph)
     assert isinstance(table, Table)
     return str(sentence.text), table
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_finished_study_lacks_nothing(small):
+def test_a_finished_study_has_no_gaps(small):
     assert list(module._gaps(small, {})) == []
     text = write_report(small).read_text(encoding="utf-8")
     assert "What is missing" not in text
 
 
-def test_analyses_of_one_reason_share_a_row(monkeypatch):
+def test_analyses_with_the_same_reason_share_a_row(monkeypatch):
     failed = {
         "e/random/terms": "It raised.",
         "e/random/spectrum": "It raised.",
@@ -295,19 +298,19 @@ def test_analyses_of_one_reason_share_a_row(monkeypatch):
         ("E!", "random", "spectrum, terms", "It raised."),
         ("E!", "shift", "terms", "not computed yet"),
     ]
-    assert "Of 6 analyses, 4 failed and 1 not computed yet;" in sentence
+    assert "Of 6 analyses, 4 failed and 1 not computed yet." in sentence
     assert "--resume --retry" in sentence
 
 
-def test_only_missing_ones_need_no_retry(monkeypatch):
+def test_missing_analyses_need_no_retry(monkeypatch):
     monkeypatch.setattr(module, "study_status", lambda _: lacking({}, ("e/shift/terms",)))
     (_, sentence, _) = module._gaps(Path(), ASKED)
-    assert isinstance(sentence, Text)
+    assert isinstance(sentence, Paragraph)
     assert "--resume" in sentence.text
     assert "--retry" not in sentence.text
 
 
-def test_thousands_are_not_listed(monkeypatch):
+def test_a_long_list_of_gaps_is_cut(monkeypatch):
     failed = {f"e{i:05}/random/terms": "It raised." for i in range(3000)}
     monkeypatch.setattr(module, "study_status", lambda _: lacking(failed))
     _, table = gaps()
@@ -316,13 +319,13 @@ def test_thousands_are_not_listed(monkeypatch):
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_an_unreadable_ledger_is_said(small, monkeypatch):
+def test_an_unreadable_ledger_is_reported(small, monkeypatch):
     def refuse(_):
         raise StoreError("The ledger has format 9 <x>.")
 
     monkeypatch.setattr(module, "study_status", refuse)
     text = write_report(small).read_text(encoding="utf-8")
-    assert "Whether analyses failed is unknown. The ledger has format 9 &lt;x&gt;." in text
+    assert "It is unknown whether analyses failed. The ledger has format 9 &lt;x&gt;." in text
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -335,14 +338,14 @@ def test_the_page_has_the_reasons(small, monkeypatch):
 
 
 @pytest.mark.usefixtures("blank")
-def test_figures_of_the_same_samples_stand_once(make, tmp_path):
+def test_figures_of_shared_samples_appear_once(make, tmp_path):
     spectra = {s: make["spectrum"](s, dims=2, n=16, half_width=3) for s in ("random", "jittered")}
     cells = {("first", s): {"spectrum": data} for s, data in spectra.items()}
     cells["second", "random"] = {"spectrum": spectra["random"], "points": make["points"](n=4)}
     cells["other", "random"] = {"spectrum": 2.0 * spectra["random"].assign_attrs()}
     cells["other", "random"]["spectrum"].attrs = spectra["random"].attrs
     page = Parsed(write_report(make["study"](tmp_path, cells)).read_text(encoding="utf-8"))
-    assert "The same samples as in first: see its spectrum." in page.text
+    assert "Same samples as in first; see its spectrum." in page.text
     names = {p.name for p in (tmp_path / "figures").glob("*.png")}
     kinds = ("spectrum", "radial")
     assert names == {f"first-{k}.png" for k in kinds} | {f"other-{k}.png" for k in kinds} | {
@@ -351,7 +354,7 @@ def test_figures_of_the_same_samples_stand_once(make, tmp_path):
 
 
 @pytest.mark.usefixtures("blank")
-def test_bands_of_a_cross_term_that_is_noise_are_left_out(make, tmp_path):
+def test_bands_of_an_insignificant_cross_term_are_omitted(make, tmp_path):
     terms = make["terms"]("jittered", half_width=4, realizations=20)
     noise = terms.assign(cross_term_ci=("bound", [-1.0, 1.0]))
     certain = terms.assign(cross_term_ci=("bound", [-2.0, -1.0]))
@@ -361,7 +364,7 @@ def test_bands_of_a_cross_term_that_is_noise_are_left_out(make, tmp_path):
     assert names == {"certain-bands.png"}
 
 
-def test_details_are_folded_and_what_says_most_is_not(page):
+def test_details_are_collapsed_and_main_figures_are_not(page):
     summaries = page.text
     for name in ("Frequencies", "Spectra and points of the samples", "Three terms in numbers"):
         assert name in summaries

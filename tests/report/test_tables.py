@@ -1,4 +1,4 @@
-"""Tables: cells, dashes with their reasons."""
+"""Tables: contents of cells, and dashes with reasons."""
 
 import msgspec
 import numpy as np
@@ -33,7 +33,7 @@ FULL = SummaryRow(
 
 
 def texts(table):
-    """Texts of the only row."""
+    """Return the texts of the only row."""
     (row,) = table.rows
     assert len(row) == len(table.columns)
     return [cell.text for cell in row]
@@ -65,7 +65,7 @@ def test_terms():
     ]
 
 
-def test_terms__have_half_their_intervals():
+def test_terms__have_half_widths_of_intervals():
     row = msgspec.structs.replace(
         FULL,
         dc_low=0.0,
@@ -92,7 +92,7 @@ def test_terms__have_half_their_intervals():
     assert texts(terms_table([blank]))[2] == "≈ 0"
 
 
-def test_terms__rounding_is_shown_as_such():
+def test_terms__rounding_is_shown_as_zero():
     row = SummaryRow(estimator="e", sampler="s", terms_n=4, dc=1e-20, power=1e-6)
     assert texts(terms_table([row]))[2] == "≈ 0"
 
@@ -110,14 +110,14 @@ def test_every_dash_has_a_reason():
     assert summary_table(rows).rows[2][4].why == "infinite: ∫1/p diverges"
 
 
-def test_terms__only_where_analysed_and_channels_named():
+def test_terms__only_analyzed_rows_with_channel_names():
     rows = [SummaryRow(estimator="e", sampler="s", n=4)]
     assert terms_table(rows).rows == ()
     channel = SummaryRow(estimator="e [2]", sampler="s", terms_n=4)
     assert terms_table([channel]).rows[0][0].text == "s, channel 2"
 
 
-def test_summary__a_term_that_takes_away_is_no_bottleneck():
+def test_summary__a_negative_term_is_not_the_bottleneck():
     row = msgspec.structs.replace(FULL, dc=3e-6, power=2e-6, cross=-9e-6, largest_term="cross")
     assert texts(summary_table([row]))[5] == "weights: p does not follow f"
     negative = msgspec.structs.replace(row, dc=0.0, power=0.0)
@@ -136,14 +136,14 @@ def test_summary__links_orders_and_bottlenecks():
     assert [cell.order for cell in table.rows[0]][2:5] == [-1.52, 1.234e-6, 0.96]
 
 
-def test_summary__other_counts_are_named():
+def test_summary__unusual_counts_are_shown():
     rows = [FULL, FULL, msgspec.structs.replace(FULL, n=256)]
     table = summary_table(rows)
     assert table.columns[3] == "Variance at n = 1024"
     assert [row[3].text for row in table.rows] == ["1.23×10⁻⁶", "1.23×10⁻⁶", "1.23×10⁻⁶ (n = 256)"]
 
 
-def test_summary__says_by_which_method_it_was_predicted():
+def test_summary__names_the_prediction_method():
     row = msgspec.structs.replace(FULL, ratio=1.02, ratio_low=0.97, ratio_high=1.07, method="exact")
     table = summary_table([row])
     assert table.rows[0][4].text == "1.020 ± 0.050 (exact)"
@@ -154,12 +154,12 @@ def test_summary__says_by_which_method_it_was_predicted():
 
 
 def terms(power, **attrs):
-    """The power term by frequency, in one dim."""
+    """Return the power term by frequency in one dim."""
     m = np.arange(-4, 5)
     return xr.Dataset({"power_contribution": ("m0", power)}, {"m0": m}, attrs)
 
 
-def test_bottleneck__where_half_of_the_power_term_lies():
+def test_bottleneck__median_frequency_of_the_power_term():
     low = terms([0, 0, 0, 5, 9, 5, 0, 0, 1])
     high = terms([9, 1, 0, 0, 9, 0, 0, 1, 9])
     row = msgspec.structs.replace(FULL, terms_n=8)

@@ -1,4 +1,4 @@
-"""What holds of every exhibit, and an exhibit of something else."""
+"""Checks for every exhibit, and exhibits with wrong parts."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Disagreeing = Callable[..., list[int]]
 
 @pytest.fixture(scope="session", name="sound")
 def _sound() -> Callable[[Exhibit], None]:
-    """Check that all claims hold, every text is there, and both backends draw every plot."""
+    """Check that all claims agree, all texts exist, and both backends draw every plot."""
 
     def check(made: Exhibit) -> None:
         assert [f.statement for f in made.findings if f.agrees is not True] == []
@@ -32,7 +32,7 @@ def _sound() -> Callable[[Exhibit], None]:
 
 @pytest.fixture(name="disagreeing")
 def _disagreeing(monkeypatch: pytest.MonkeyPatch) -> Disagreeing:
-    """Make an exhibit with others in place of names of its module: the findings that do not agree."""
+    """Replace names of a module, make its exhibit, and return the findings that do not agree."""
 
     def made(module: ModuleType, **others: Any) -> list[int]:
         for name, other in others.items():
@@ -41,7 +41,7 @@ def _disagreeing(monkeypatch: pytest.MonkeyPatch) -> Disagreeing:
         return [
             place
             for place, finding in enumerate(found)
-            if finding.agrees is False or "do not decide" in finding.note
+            if finding.agrees is False or "are needed to decide" in finding.note
         ]
 
     return made

@@ -1,4 +1,4 @@
-"""Bias: findings, the formulas they use by other routes, and what would contradict them."""
+"""Bias: formulas by other methods, and wrong inputs that must disagree."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def test_bias_of_boxes_by_quadrature(width: float) -> None:
     assert bias.box_bias(n, width) == pytest.approx(np.mean(means) - 1 / 3, abs=1e-14)
 
 
-def test_other_sets_and_another_width_disagree(disagreeing: Disagreeing) -> None:
-    """Sets with a mean in place of those without, bounded ones and toroidal ones swapped."""
+def test_wrong_sets_and_widths_disagree(disagreeing: Disagreeing) -> None:
+    """Swap biased with unbiased sets, and bounded with periodic sets."""
     right = bias.sums
     others = {
         "jittered": bias.BOXES,

@@ -1,4 +1,4 @@
-"""Verdicts: what agrees, what does not, and how often chance would contradict a true statement."""
+"""Verdicts of claims, and the frequency of wrong verdicts for true statements."""
 
 import numpy as np
 import pytest
@@ -16,13 +16,13 @@ from mcspectra.reproduction.claims import (
 )
 
 
-def test_verdicts_take_the_level_of_sidak():
+def test_verdicts_have_the_sidak_level():
     z = VERDICT_WIDENING * ndtri(0.975)
     assert (2 * ndtr(z) - 1) ** GALLERY_FINDINGS == pytest.approx(0.95, rel=1e-9)
 
 
-def test_true_statements_agree_as_often_as_they_should():
-    # Pr(all of 100 agree) = 0.95; of 4000 galleries the frequency has σ = 0.0034.
+def test_true_statements_agree_with_the_nominal_frequency():
+    # All of 100 agree with probability 0.95; the frequency over 4000 galleries has σ = 0.0034.
     z = np.random.default_rng(1).standard_normal((4000, GALLERY_FINDINGS))
     within = np.abs(z) <= VERDICT_WIDENING * ndtri(0.975)
     assert within.all(axis=1).mean() == pytest.approx(0.95, abs=4 * 0.0034)
@@ -53,11 +53,11 @@ def test_a_number_without_an_interval_is_judged_by_its_tolerance():
     assert judge(Claim("s", 1.0 + 1e-15, expected=1.0)).agrees is False
 
 
-def test_intervals_of_variances_widen_as_ratios():
+def test_intervals_of_variances_widen_on_a_log_scale():
     low, high = Measured(2.0, 1.0, 4.0, log=True).widened(VERDICT_WIDENING)
     assert low == pytest.approx(2.0 * 0.5**VERDICT_WIDENING)
     assert high == pytest.approx(2.0 * 2.0**VERDICT_WIDENING)
-    # Where a logarithm has no meaning the scale is linear
+    # The scale is linear if the logarithm is undefined
     log, linear = (Measured(0.0, -1.0, 1.0, log=log) for log in (True, False))
     assert log.widened(VERDICT_WIDENING) == linear.widened(VERDICT_WIDENING)
 
@@ -76,18 +76,18 @@ def test_rates_are_judged_by_their_own_interval():
 
 
 @pytest.mark.parametrize("expected", [-1.5, -2.0])
-def test_a_clear_rate_of_a_pixel_agrees_with_itself_alone(expected):
+def test_a_clear_pixel_rate_agrees_with_one_theory_only(expected):
     clear = judge(pixel_rate("s", _curve(expected, 0.05), expected))
     assert clear.agrees is True
-    assert "rule out" not in clear.note
+    assert "are needed to exclude" not in clear.note
     assert judge(pixel_rate("s", _curve(-3.5 - expected, 0.05), expected)).agrees is False
 
 
 @pytest.mark.parametrize(("expected", "shown"), [(-1.5, "−2.0"), (-2.0, "−1.5")])
-def test_where_the_other_rate_agrees_too_it_is_said(expected, shown):
+def test_the_note_says_if_the_other_rate_also_agrees(expected, shown):
     weak = judge(pixel_rate("s", _curve(-1.75, 0.2), expected))
     assert weak.agrees is True
-    assert weak.note.endswith(f"So few realizations do not rule out {shown}.")
+    assert weak.note.endswith(f"More realizations are needed to exclude {shown}.")
 
 
 @pytest.mark.parametrize(
@@ -96,21 +96,21 @@ def test_where_the_other_rate_agrees_too_it_is_said(expected, shown):
         ({"below": 2.0}, True),
         ({"above": 0.0}, True),
         ({"above": 0.0, "below": 2.0}, True),
-        ({"below": 1.17}, None),  # beyond the 95 % interval, not beyond that of verdicts
+        ({"below": 1.17}, None),  # outside the 95 % interval, but inside the verdict interval
         ({"above": 0.83}, None),
         ({"above": 1.17}, None),
         ({"above": 1.3}, False),
         ({"below": 0.7}, False),
     ],
 )
-def test_beyond_a_bound_with_the_whole_interval(limits, agrees):
+def test_bounds_need_the_whole_interval(limits, agrees):
     found = judge(Claim("s", Measured(1.0, 0.9, 1.1), **limits))
     assert found.agrees is agrees
-    assert ("do not decide" in found.note) == (agrees is None)
+    assert ("are needed to decide" in found.note) == (agrees is None)
 
 
 def test_the_interval_that_is_shown_decides():
-    """1.271 (95 %: 1.115 to 1.449) was shown as contradicting a bound of 1."""
+    """A measured 1.271 (95 %: 1.115 to 1.449) must not be shown as contradicting a bound of 1."""
     found = judge(Claim("s", Measured(1.271, 1.115, 1.449, log=True), above=1.0))
     assert found.interval is not None
     assert found.interval[0] < 1.0
@@ -120,7 +120,7 @@ def test_the_interval_that_is_shown_decides():
         assert each.agrees == (found.interval[0] <= expected <= found.interval[1])
 
 
-def test_identities_have_an_error_and_no_interval():
+def test_identities_have_a_limit_and_no_interval():
     exact = judge(Claim("s", -3e-13, at_most=1e-12))
     assert (exact.agrees, exact.expected, exact.interval) == (True, "≤ 10⁻¹²", None)
     assert judge(Claim("s", 2e-12, at_most=1e-12)).agrees is False
@@ -136,12 +136,12 @@ def test_identities_have_an_error_and_no_interval():
         (9.96e-3, "10⁻²"),
     ],
 )
-def test_limits_are_not_shown_smaller_than_they_are(at_most, shown):
+def test_shown_limits_are_rounded_up(at_most, shown):
     assert judge(Claim("s", at_most, at_most=at_most)).expected == f"≤ {shown}"
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
-def test_what_is_no_number_agrees_with_nothing(value):
+def test_nan_never_agrees(value):
     measured = Measured(value, value, value)
     assert judge(Claim("s", measured, expected=1.0)).agrees is False
     assert judge(Claim("s", measured, below=2.0)).agrees is False
@@ -149,6 +149,6 @@ def test_what_is_no_number_agrees_with_nothing(value):
 
 
 @pytest.mark.parametrize("holds", [True, False, None])
-def test_an_exhibit_may_decide_itself(holds):
+def test_exhibits_can_give_their_own_verdict(holds):
     found = judge(Claim("s", "words", holds=holds, shown="other words", note="why"))
     assert (found.agrees, found.measured, found.expected) == (holds, "words", "other words")

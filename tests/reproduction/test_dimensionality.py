@@ -1,4 +1,4 @@
-"""Growth with the number of dims: findings, and what would contradict them."""
+"""Growth with the number of dims: findings, and wrong inputs that must disagree."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ def test_entries_count_pairs_of_frequencies() -> None:
     assert module.entries(3, 1) == 27**2
 
 
-def test_subsets_are_those_of_the_axes() -> None:
+def test_subsets_are_bit_masks_of_axes() -> None:
     found = module.subsets(2, 1).reshape(3, 3)
     assert found.tolist() == [[3, 1, 3], [2, 0, 2], [3, 1, 3]]
 
 
-def test_bands_carry_the_names_of_their_subsets() -> None:
+def test_bands_have_the_names_of_their_subsets() -> None:
     data = module.bell_terms("random", 3, (8, 1), 4, 1)
     names = data["band"].attrs["labels"].split(", ")
     subsets = module.labelled_subsets(data)
@@ -31,7 +31,7 @@ def test_bands_carry_the_names_of_their_subsets() -> None:
     assert ones == sorted(ones), names
 
 
-def test_maps_that_are_off_and_bands_of_another_sampler_disagree(disagreeing: Disagreeing) -> None:
+def test_wrong_maps_and_bands_disagree(disagreeing: Disagreeing) -> None:
     right = module.bell_terms
 
     def wrong(name: str, dims: int, size: Any, _: int, seed: int, *, matrix: bool = False) -> Any:
@@ -45,8 +45,8 @@ def test_maps_that_are_off_and_bands_of_another_sampler_disagree(disagreeing: Di
     assert disagreeing(module, bell_terms=wrong) == list(range(2, 13))
 
 
-def test_the_components_are_those_of_the_product() -> None:
-    """A product of three equal factors with mean a and mean square b: of one axis (b − a²) a⁴."""
+def test_components_agree_with_the_product_formula() -> None:
+    """For a product of three factors with mean a and mean square b, one axis has (b − a²) a⁴."""
     side = np.abs(integrand(module.BELL, 1).fourier_grid(8)) ** 2
     mean_square, mean = side.sum(), side[8]
     found = module.components(3, 8)

@@ -1,4 +1,4 @@
-"""Light and BSDF sampling of two pixels: findings, and what would contradict them."""
+"""Light and BSDF sampling of two pixels: findings, and wrong inputs that must disagree."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def test_one_of_eight_curves_is_smooth(made):
     assert rates == ["−2.0", *["−1.5"] * 7]
 
 
-def test_the_two_theories_are_told_apart(made):
+def test_the_two_theories_are_distinguished(made):
     for f in made.findings[:8]:
         assert f.interval is not None
         curve = xr.Dataset({"rate": f.measured, "rate_ci": ("bound", list(f.interval))})
@@ -34,7 +34,7 @@ def test_the_two_theories_are_told_apart(made):
         assert judge(pixel_rate("", curve, -3.5 - right)).agrees is False
 
 
-def test_integrands_have_edges_but_light_sampling_at_p():
+def test_integrands_have_edges_except_light_sampling_at_p():
     u = (np.arange(64) + 0.5) / 64
     x = np.stack(np.meshgrid(u, u), axis=-1)
     steps = {}

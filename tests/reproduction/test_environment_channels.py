@@ -1,4 +1,4 @@
-"""Gray against all channels: findings, jumps counted by hand, and what would contradict them."""
+"""Gray or all channels: findings, jumps counted by hand, and wrong inputs that must disagree."""
 
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ def test_luminance_leaves_jumps(monkeypatch):
     assert [judge(channels._continuous(c)).agrees for c in range(3)] == [False] * 3
 
 
-def test_rates_of_one_way_are_not_those_of_another():
+def test_rates_of_other_densities_disagree():
     ways = channels.ways()
     counts = channels.COUNTS["own"]
     curves = {
@@ -56,7 +56,7 @@ def test_rates_of_one_way_are_not_those_of_another():
     assert judge(channels._gain(0, swapped)).agrees is False
 
 
-def test_no_curve_of_the_map_is_cut_off(made):
+def test_curves_of_the_map_are_within_the_limits(made):
     plot = next(p for p in made.plots if p.kind == "environment-map")
     for axes in panel_axes(draw(plot)):
         low, high = axes.get_ylim()

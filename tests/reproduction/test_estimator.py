@@ -1,4 +1,4 @@
-"""The estimator and its sampling function: findings, and what would contradict them."""
+"""The estimator and its sampling function: findings, and wrong inputs that must disagree."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def test_all_findings_agree(made: Exhibit, sound: Callable[[Exhibit], None]) -> 
     sound(made)
 
 
-def test_pictures_have_words_and_caption_has_figures(made: Exhibit) -> None:
+def test_plots_have_descriptions_and_the_caption_has_numbers(made: Exhibit) -> None:
     assert [p.kind for p in made.plots] == ["estimator", "points"]
     assert "0.5577" in made.caption
 
 
-def test_expected_values_by_other_routes(made: Exhibit) -> None:
+def test_expected_values_by_other_methods(made: Exhibit) -> None:
     bell = quad(lambda x: np.exp(-(x**2)), 0, 1)[0] ** 2
     square = quad(lambda x: np.exp(-2 * x**2), 0, 1)[0] ** 2
     assert float(made.findings[0].expected) == pytest.approx(bell, rel=1e-6)

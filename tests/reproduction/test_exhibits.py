@@ -1,4 +1,4 @@
-"""Every claim of every exhibit holds, as quickly made; those whose tests look closer make their own."""
+"""Every claim of every quick exhibit agrees; exhibits with other tests are made in those tests."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""The gallery: page, pictures, PDF and findings of exhibits made up for the purpose."""
+"""The gallery: page, images, PDF and findings of invented exhibits."""
 
 import base64
 import json
@@ -67,7 +67,7 @@ def exhibits():
 
 @pytest.fixture(scope="module")
 def good(tmp_path_factory, exhibits):
-    """Folder of a gallery of the good one."""
+    """Make a gallery of the good exhibit and return its folder."""
     folder = tmp_path_factory.mktemp("good")
     reproduce(folder, ["good"], seed=7)
     return folder
@@ -85,7 +85,7 @@ def test_findings_are_plain_json(good):
     assert [row["agrees"] for row in rows] == [True, False, None]
 
 
-def test_a_failing_exhibit_fails_itself_only(tmp_path):
+def test_a_failed_exhibit_does_not_stop_others(tmp_path):
     seen: list[str] = []
     made = reproduce(tmp_path, done=lambda entry: seen.append(f"{entry.name} {entry.tally}"))
     assert made.failed == ("bad",)
@@ -95,10 +95,10 @@ def test_a_failing_exhibit_fails_itself_only(tmp_path):
     assert (failed["exhibit"], failed["agrees"]) == ("bad", False)
     assert "ZeroDivisionError: it broke" in failed["note"]
     page = made.page.read_text(encoding="utf-8")
-    assert "It could not be made: ZeroDivisionError: it broke" in page
+    assert "This exhibit failed: ZeroDivisionError: it broke" in page
 
 
-def test_the_page_stands_alone_and_escapes(good):
+def test_the_page_is_self_contained_and_escaped(good):
     page = (good / "index.html").read_text(encoding="utf-8")
     assert "One is &lt;one&gt;." in page
     assert "Slide &amp; quotation" in page
@@ -121,7 +121,7 @@ def test_the_same_seed_gives_the_same_bytes(good, tmp_path):
         assert (good / name).read_bytes() == (tmp_path / name).read_bytes()
 
 
-def test_photographs_keep_their_colours(good):
+def test_images_keep_their_colors(good):
     from PIL import Image
 
     for name, mode in (("photo", "RGB"), ("plot", "P")):
@@ -129,17 +129,17 @@ def test_photographs_keep_their_colours(good):
             assert image.mode == mode
 
 
-def test_the_pdf_has_a_page_of_text_and_one_for_each_figure(good):
+def test_the_pdf_has_a_page_of_text_and_a_page_per_figure(good):
     pdf = (good / "reproduce.pdf").read_bytes()
     assert pdf.startswith(b"%PDF")
     assert re.findall(rb"/Count (\d+)", pdf) == [b"3"]
 
 
-def test_captions_in_the_pdf_lie_below_legends():
+def test_captions_in_the_pdf_are_below_legends():
     import io
 
     class Sheets:
-        """A file whose figure is drawn, as it is when a PDF is written."""
+        """A file that draws each figure, as when a PDF is written."""
 
         def savefig(self, figure, **options):
             drawn: list[tuple[float, float]] = []
@@ -162,7 +162,7 @@ def test_fonts_in_the_pdf_can_be_edited(good):
     assert b"/CIDFontType2" in pdf
 
 
-def test_an_interrupt_ends_all_and_leaves_no_part_of_a_file(tmp_path, monkeypatch):
+def test_an_interrupt_stops_and_leaves_no_partial_file(tmp_path, monkeypatch):
     def interrupted(name):
         if name == "bad":
             raise KeyboardInterrupt
@@ -173,7 +173,7 @@ def test_an_interrupt_ends_all_and_leaves_no_part_of_a_file(tmp_path, monkeypatc
     assert [path.name for path in tmp_path.iterdir()] == ["figures"]
 
 
-def test_a_folder_that_cannot_be_written_has_a_sentence(tmp_path):
+def test_an_unwritable_folder_gives_an_error(tmp_path):
     (tmp_path / "figures").write_text("a file")
     with pytest.raises(StoreError, match="cannot be written"):
         reproduce(tmp_path, ["good"])
@@ -184,7 +184,7 @@ def test_a_folder_that_cannot_be_written_has_a_sentence(tmp_path):
     assert not list(tmp_path.glob(".*partial"))
 
 
-def test_what_is_not_ours_stays(tmp_path):
+def test_other_files_are_kept(tmp_path):
     (tmp_path / "figures").mkdir()
     kept = [tmp_path / "notes.txt", tmp_path / "figures" / "mine.png"]
     for path in kept:
@@ -196,7 +196,7 @@ def test_what_is_not_ours_stays(tmp_path):
     assert not list(tmp_path.glob(".*partial"))
 
 
-def test_bad_input_is_refused_before_anything_is_made(tmp_path):
+def test_bad_input_gives_an_error_before_any_work(tmp_path):
     out = tmp_path / "out"
     with pytest.raises(UnknownName, match="Did you mean 'good'"):
         reproduce(out, ["goood"])
@@ -204,7 +204,7 @@ def test_bad_input_is_refused_before_anything_is_made(tmp_path):
         with pytest.raises(ParameterError, match="seed"):
             reproduce(out, ["good"], seed=seed)
     assert not out.exists()
-    with pytest.raises(ParameterError, match="no name"):
+    with pytest.raises(ParameterError, match="is empty"):
         reproduce("", ["good"])
     (tmp_path / "file").write_text("")
     with pytest.raises(StoreError, match="cannot be written"):
@@ -226,7 +226,7 @@ def test_digits_follow_the_interval(value, interval, shown):
     assert measured_text(finding) == shown
 
 
-def test_command_says_what_disagrees_and_what_failed(tmp_path, capsys):
+def test_the_command_reports_disagreements_and_failures(tmp_path, capsys):
     assert main(["reproduce", "--quick", "--seed", "5", "--out", str(tmp_path)]) == 1
     out, err = capsys.readouterr()
     assert "good: 1 of 2 agree" in out
@@ -247,7 +247,7 @@ def test_command_in_json_and_quiet(tmp_path, capsys):
     assert [line.split(":")[0] for line in capsys.readouterr().out.splitlines()][1:] == ["page"]
 
 
-def test_command_lists_without_making(capsys):
+def test_the_command_lists_exhibits_without_making_them(capsys):
     assert main(["reproduce", "--list"]) == 0
     assert capsys.readouterr().out == "good  good things\nbad   bad things\n"
     assert main(["reproduce", "--list", "--json"]) == 0

@@ -1,4 +1,4 @@
-"""The gallery in Chromium: contents, phones, dark, paper; no network, no scripts, no complaints."""
+"""The gallery in Chromium: contents, phones, dark mode, print; no network, scripts or errors."""
 
 import pytest
 from playwright.sync_api import Page
@@ -9,12 +9,12 @@ pytestmark = pytest.mark.browser
 NAMES = ["closed-forms", "strata-alignment", "bias"]
 EVIL = "</p><script>document.title = 'run'</script><img src=http://example.com/x.png>"
 SHOWN = """name => { const y = document.getElementById(name).getBoundingClientRect().y;
-    return y > -1 && y < innerHeight; }"""  # scrolling stops at whole pixels
+    return y > -1 && y < innerHeight; }"""  # scroll positions are whole pixels
 
 
 @pytest.fixture(scope="module", name="gallery")
 def _gallery(tmp_path_factory):
-    """Two exhibits, and one that fails with words that try to break out of the page."""
+    """Make two exhibits, and one that fails with an error message that contains markup."""
     load = load_exhibit
 
     def broken(*, quick, seed):
@@ -32,7 +32,7 @@ def _gallery(tmp_path_factory):
 
 @pytest.fixture(name="visit")
 def _visit(browser, gallery):
-    """Open the gallery; at the end nothing was asked of a network and nothing was complained of."""
+    """Open the gallery; at the end, check that there were no network requests or errors."""
     asked: list[str] = []
     complaints: list[str] = []
     opened: list[Page] = []
@@ -64,7 +64,7 @@ def _visit(browser, gallery):
     assert (asked, complaints) == ([], [])
 
 
-def test_contents_lead_to_every_figure(visit):
+def test_contents_link_to_every_figure(visit):
     page = visit()
     links = page.locator("nav a")
     assert links.evaluate_all("all => all.map(a => a.hash.slice(1))") == [*NAMES, "provenance"]
@@ -75,7 +75,7 @@ def test_contents_lead_to_every_figure(visit):
         page.wait_for_function(SHOWN, arg=name)
 
 
-def test_what_failed_is_said_and_runs_nothing(visit):
+def test_failures_are_shown_and_run_no_scripts(visit):
     page = visit()
     assert page.title() == "The slides, reproduced – mcspectra gallery"
     assert EVIL in page.locator("#bias").inner_text()
@@ -84,7 +84,7 @@ def test_what_failed_is_said_and_runs_nothing(visit):
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(390, "dark"), (1200, "light")])
-def test_nothing_spills_and_every_picture_loads(visit, width, scheme):
+def test_nothing_overflows_and_every_image_loads(visit, width, scheme):
     page = visit(width, color_scheme=scheme)
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     sizes = page.locator("img").evaluate_all("all => all.map(i => [i.naturalWidth, i.alt.length])")
@@ -96,8 +96,8 @@ def test_nothing_spills_and_every_picture_loads(visit, width, scheme):
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_verdicts_stand_out_from_the_page(visit, scheme):
-    """Contrast of WCAG 2.1, at least 4.5 for text of this size."""
+def test_verdicts_have_enough_contrast(visit, scheme):
+    """The WCAG 2.1 contrast is at least 4.5, as required for text of this size."""
     page = visit(color_scheme=scheme)
     colors = page.evaluate(
         """() => [document.body, ...document.querySelectorAll("nav .yes, nav .no")].map(
@@ -111,14 +111,14 @@ def test_verdicts_stand_out_from_the_page(visit, scheme):
 
 
 def _luminance(color):
-    """Relative luminance of an sRGB color, 0 to 255."""
+    """Return the relative luminance of an sRGB color with values from 0 to 255."""
     parts = [c / 255 for c in color]
     linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
     return float(0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2])
 
 
 def test_formulas_and_tables_fit_their_frames(visit):
-    """Letters of a formula are not cut off above or below; a phone shows findings in one column."""
+    """Formulas are not cut off at the top or bottom, and phones show findings in one column."""
     page = visit()
     cut = "all => all.filter(e => e.scrollHeight > e.clientHeight).length"
     assert page.locator(".formula").count() == 1
@@ -135,5 +135,5 @@ def test_formulas_and_tables_fit_their_frames(visit):
     )
 
 
-def test_it_prints(visit):
+def test_the_page_can_be_printed(visit):
     assert visit().pdf().startswith(b"%PDF")

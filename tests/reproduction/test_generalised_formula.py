@@ -1,4 +1,4 @@
-"""The three terms: findings, and what would contradict them."""
+"""The three terms: findings, and wrong inputs that must disagree."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_terms_of_another_sampler_disagree(disagreeing: Disagreeing) -> None:
     assert disagreeing(module, terms=wrong) == [2, 6, 7, 8, 11]
 
 
-def test_a_sum_without_a_term_and_a_matrix_that_is_not_hermitian_disagree(
+def test_incomplete_sums_and_matrices_that_are_not_hermitian_disagree(
     disagreeing: Disagreeing,
 ) -> None:
     right = module.terms

@@ -1,4 +1,4 @@
-"""The formula for homogenized samples: findings, and what would contradict them."""
+"""The formula for homogenized samples: findings, and wrong inputs that must disagree."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mcspectra.integrands.registry import integrand
 from mcspectra.reproduction import homogenised_formula as module
 
 
-def test_shifted_points_and_others_swapped_disagree(disagreeing: Disagreeing) -> None:
+def test_swapped_shifted_and_plain_points_disagree(disagreeing: Disagreeing) -> None:
     right = module.terms
 
     def swapped(name: str, _: int, seed: int) -> Any:
@@ -22,8 +22,8 @@ def test_shifted_points_and_others_swapped_disagree(disagreeing: Disagreeing) ->
     assert {2, 6, 12} <= set(disagreeing(module, terms=swapped))
 
 
-def test_what_is_cut_off_is_the_power_beyond() -> None:
-    """∫f² by the midpoint rule on 1600² cells, which is exact to 1/1600² for a smooth f."""
+def test_the_truncated_power_agrees_with_quadrature() -> None:
+    """∫f² comes from the midpoint rule on 1600² cells, with error 1/1600² for smooth f."""
     x = (np.arange(1600) + 0.5) / 1600
     f = integrand(module.BELL, 2)
     square = (f(np.stack(np.meshgrid(x, x), axis=-1)) ** 2).mean()

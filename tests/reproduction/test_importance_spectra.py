@@ -1,4 +1,4 @@
-"""Spectra of importance samples: findings, formulas by other routes, and contradictions."""
+"""Spectra of importance samples: formulas by other methods, and wrong inputs that must disagree."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Terms under importance sampling: findings, and what would contradict them."""
+"""Terms for importance sampling: findings, and wrong inputs that must disagree."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import pytest
 from scipy.integrate import quad
 from tests.reproduction.conftest import Disagreeing
 
-from mcspectra.plots.description import Text
+from mcspectra.plots.description import TextMark
 from mcspectra.prediction.exact import exact_variance
 from mcspectra.reproduction import importance_terms as module
 from mcspectra.reproduction.panels import term_panel
 
 
 @pytest.mark.parametrize("case", [module.GOOD, module.BAD, module.FLAT], ids=lambda c: c.title)
-def test_the_terms_of_random_points_sum_to_the_variance(case: module.Case) -> None:
-    """By another route: ∫f²/p − I² over N by adaptive quadrature."""
+def test_the_terms_of_random_points_sum_to_the_variance(case: module.TermsCase) -> None:
+    """The sum agrees with (∫f²/p − I²) / N by adaptive quadrature."""
     f, p = case.estimator.integrand, case.estimator.density
     assert p is not None
 
@@ -30,8 +30,8 @@ def test_the_terms_of_random_points_sum_to_the_variance(case: module.Case) -> No
     assert sum(case.exact_random()) == pytest.approx(expected, rel=1e-9)
 
 
-def test_the_third_term_of_the_bar_is_what_a_shift_takes_away() -> None:
-    """1/(2N²) less 1/(3N²); sums up to 128 and 256, extrapolated in 1/K."""
+def test_the_third_term_of_the_bar_is_removed_by_a_shift() -> None:
+    """The difference 1/(2N²) − 1/(3N²) agrees with sums up to 128 and 256, extrapolated in 1/K."""
     near, far = (module.exact_bar(k) for k in (128, 256))
     assert 2 * far - near == pytest.approx(1 / (6 * module.N**2), rel=5e-3)
     f = module.BAR.integrand
@@ -39,10 +39,10 @@ def test_the_third_term_of_the_bar_is_what_a_shift_takes_away() -> None:
     assert gap == pytest.approx(1 / (6 * module.N**2), rel=1e-6)
 
 
-def test_other_cases_and_a_second_term_that_may_be_zero_disagree(
+def test_wrong_cases_and_an_undecided_second_term_disagree(
     disagreeing: Disagreeing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    right = module.Case.terms
+    right = module.TermsCase.terms
     others = {
         module.GOOD: module.BAD,
         module.BAD: module.GOOD,
@@ -51,20 +51,20 @@ def test_other_cases_and_a_second_term_that_may_be_zero_disagree(
         module.STRATIFIED: module.BAD,
     }
 
-    def wrong(case: module.Case, _: int, seed: int) -> Any:
+    def wrong(case: module.TermsCase, _: int, seed: int) -> Any:
         if case.function != "line":
             return right(others[case], 300, seed)
         data = right(replace(case, sampler="jittered"), 300, seed)
         size = float(data["power_term"])
         return data.assign(power_term_ci=("bound", [-0.01 * size, 3 * size]))
 
-    monkeypatch.setattr(module.Case, "terms", wrong)
+    monkeypatch.setattr(module.TermsCase, "terms", wrong)
     assert disagreeing(module) == [0, 3, 4, 5, 6, 7, 8, 9, 11, 13]
 
 
 def test_bars_of_rounding_errors_have_the_label_0() -> None:
     data = module.FLAT.terms(100, 1)
     panel = term_panel(data.assign(cross_term=1e-14 * data["dc_term"]), 1e-3, "f = 1")
-    labels = [mark.text for mark in panel.marks if isinstance(mark, Text)]
+    labels = [mark.text for mark in panel.marks if isinstance(mark, TextMark)]
     assert labels[1:3] == ["0", "0"]
     assert labels[0] == labels[3] != "0"

@@ -1,4 +1,4 @@
-"""Smoothed lights: findings, and what would contradict them."""
+"""Smoothed lights: findings, and wrong inputs that must disagree."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def test_a_ramp_of_another_width_disagrees(monkeypatch):
 
 
 def test_the_bias_of_the_disk_by_counting():
-    """The area of the smoothed disk, on a fine grid."""
+    """The area of the smoothed disk is computed on a fine grid."""
     width = 0.2
     disk = mcs.smoothed(mcs.integrand(smoothing.DISK), width)
     u = (np.arange(2000) + 0.5) / 2000
@@ -33,7 +33,7 @@ def test_scans_without_a_gain_disagree():
     assert judge(smoothing._bias(scan)).agrees is True
     assert (
         judge(smoothing._best_pays(scan, 1024)).agrees is None
-    )  # the width is too large for that budget
+    )  # the width is too large for this budget
     assert (
         judge(smoothing._bias(scan.assign(smoothing_bias=1.01 * scan["smoothing_bias"]))).agrees
         is False

@@ -1,4 +1,4 @@
-"""Mirroring: findings, exact variances by other routes, and what would contradict them."""
+"""Mirroring: exact variances by other methods, and wrong inputs that must disagree."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def test_exact_variances_with_a_shift_by_simulation(mode):
     assert abs(found - np.log(float(curve["variance"][0]))) < 4 * error
 
 
-def test_the_varianceamong_images_by_quadrature():
+def test_the_variance_among_images_by_quadrature():
     def squares(y, x):
         f = np.exp(-(x**2) - y**2)
         h = mirroring.symmetrized(np.array(x)) * mirroring.symmetrized(np.array(y))
@@ -38,7 +38,7 @@ def test_the_varianceamong_images_by_quadrature():
     assert mirroring.among_images() == pytest.approx(dblquad(squares, 0, 1, 0, 1)[0], rel=1e-9)
 
 
-def test_the_six_rates_disagree_with_their_neighbors():
+def test_swapped_rates_disagree():
     study = mcs.improve.mirror_study(
         mirroring.INTEGRAND, "jittered", [64, 256, 1024], mirrorings=["original"],
         realizations=600, rng=1,
@@ -57,7 +57,7 @@ def test_the_six_rates_disagree_with_their_neighbors():
     assert 1.0 < times.low < times.value < times.high
 
 
-def test_the_mirrored_points_of_the_picture_are_images():
+def test_the_mirrored_points_in_the_plot_are_images():
     own = mcs.sampler("jittered", 2).draw(16, rng=5)[0]
     x = mcs.sampler("jittered | mirror(mode='uniform')", 2).draw(64, rng=5)[0]
     images = np.concatenate([np.abs(np.array(e) - own) for e in ((0, 0), (0, 1), (1, 0), (1, 1))])

@@ -1,4 +1,4 @@
-"""The slowest technique: findings, and what would contradict them."""
+"""The slowest technique: findings, and wrong inputs that must disagree."""
 
 from __future__ import annotations
 

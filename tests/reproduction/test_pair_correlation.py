@@ -1,4 +1,4 @@
-"""Pair correlation: findings, and what would contradict them."""
+"""Pair correlation: findings, and wrong inputs that must disagree."""
 
 from __future__ import annotations
 

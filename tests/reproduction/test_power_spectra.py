@@ -1,4 +1,4 @@
-"""Power spectra: findings, the error of the speckle's strength, and what would contradict them."""
+"""Power spectra: findings, standard error of the speckle, and wrong inputs that must disagree."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from mcspectra.reproduction.claims import VERDICT_WIDENING, judge
 
 
 def test_the_ring_of_the_closed_form_is_a_mean_over_its_frequencies() -> None:
-    # |m| ≈ 1: (±1, 0), (0, ±1) and (±1, ±1), 16 strata a side
+    # |m| ≈ 1: (±1, 0), (0, ±1) and (±1, ±1), with 16 strata per side
     axis, both = 1 - np.sinc(1 / 16) ** 2, 1 - np.sinc(1 / 16) ** 4
     assert power_spectra.closed_ring(1) == pytest.approx((axis + both) / 2, rel=1e-9)
 
 
 @pytest.mark.parametrize("realizations", [1, 4])
 def test_the_error_of_the_speckle(realizations: int) -> None:
-    """Means of exponential variables have the coefficient of variation 1/√R, with that error."""
+    """Means of exponential variables have the coefficient of variation 1/√R."""
     rng = np.random.default_rng(5)
     side, trials = 97, 200
     found = []
@@ -37,7 +37,7 @@ def test_the_error_of_the_speckle(realizations: int) -> None:
     assert np.mean([bool(f.agrees) for f in found]) == 1.0
 
 
-def test_other_expectations_disagree(disagreeing: Disagreeing) -> None:
+def test_wrong_expectations_disagree(disagreeing: Disagreeing) -> None:
     right = power_spectra.measured_spectra
 
     def wrong(realizations: int, seed: int) -> Any:
@@ -46,4 +46,6 @@ def test_other_expectations_disagree(disagreeing: Disagreeing) -> None:
         return found | jittered | {"jittered": found["random"]}
 
     found = disagreeing(power_spectra, measured_spectra=wrong)
-    assert {2, 3, 5, 6, 7, 8} <= set(found)  # high frequencies, 4, are those of random points
+    assert {2, 3, 5, 6, 7, 8} <= set(
+        found
+    )  # finding 4 (high frequencies) also agrees for random points

@@ -1,4 +1,4 @@
-"""Sums over real and integer frequencies: findings, closed forms of them, and contradictions."""
+"""Sums over real and integer frequencies: closed forms, and wrong inputs that must disagree."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_exact_variances_of_the_ramp() -> None:
 
 def test_limits_of_real_sums() -> None:
     assert frequencies.real_limit("f") == pytest.approx(7 / 120, rel=1e-12)
-    # g ⋆ box by hand: G = t/2 − sin(2πt)/(4π), and its mirror image
+    # g ⋆ box by hand is G = t/2 − sin(2πt)/(4π) and its mirror image
     g = quad(lambda t: (t / 2 - np.sin(2 * np.pi * t) / (4 * np.pi)) ** 2, 0, 1)[0]
     assert frequencies.real_limit("g") == pytest.approx(2 * g - 1 / 8, rel=1e-9)
 
@@ -66,7 +66,7 @@ def test_a_wrong_rate_disagrees(disagreeing: Disagreeing) -> None:
 
 
 def test_integers_have_a_rate(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Judged as real frequencies are, sums over integers do not pass."""
+    """Sums over integers do not pass the test for real frequencies."""
     right = frequencies.frequency_sums
     monkeypatch.setattr(frequencies, "frequency_sums", lambda f, s, step: right(f, s, 1.0))
     assert judge(frequencies._real_rate("f", "jittered")).agrees is False

@@ -31,15 +31,15 @@ _ORDER = [
 ]
 
 
-def test_all_exhibits_stand_in_the_order_of_the_slides():
+def test_all_exhibits_are_in_the_order_of_the_slides():
     assert exhibit_names([]) == list(slides()) == _ORDER
 
 
-def test_chosen_names_keep_that_order_and_come_once():
+def test_chosen_names_are_distinct_and_keep_the_order():
     assert exhibit_names(["bias", "phase", "bias"]) == ["phase", "bias"]
 
 
-def test_unknown_names_are_answered_with_close_ones():
+def test_errors_for_unknown_names_suggest_similar_names():
     with pytest.raises(UnknownName, match="no figure called 'biass'.*Did you mean 'bias'"):
         exhibit_names(["phase", "biass"])
     with pytest.raises(UnknownName):

@@ -1,4 +1,4 @@
-"""Strata alignment: findings, and what would contradict them."""
+"""Strata alignment: findings, and wrong inputs that must disagree."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def test_the_other_edge_disagrees(disagreeing: Disagreeing) -> None:
 
 
 @pytest.mark.parametrize("a", [0.5, 1 / 3])
-def test_exact_variances_are_those_of_quadrature(a: float) -> None:
-    """Step and ramp of the package's own, whose variances add in every stratum."""
+def test_exact_variances_agree_with_quadrature(a: float) -> None:
+    """The variances of the package's own step and ramp add up in every stratum."""
     parts = [
         [float(exact_variance(f, "jittered", n)) for n in module.COUNTS]
         for f in (f"step(at={a})", "linear")
@@ -28,7 +28,7 @@ def test_exact_variances_are_those_of_quadrature(a: float) -> None:
 
 
 @pytest.mark.parametrize("a", [0.5, 1 / 3])
-def test_homogenised_variances_are_those_of_quadrature(a: float) -> None:
+def test_homogenized_variances_agree_with_quadrature(a: float) -> None:
     parts = [
         [float(exact_variance(f, "jittered | shift", n)) for n in module.COUNTS]
         for f in (f"step(at={a})", "linear")

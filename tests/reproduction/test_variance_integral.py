@@ -1,4 +1,4 @@
-"""The variance of stationary samples: findings, and what would contradict them."""
+"""The variance of stationary samples: findings, and wrong inputs that must disagree."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from mcspectra.reproduction.claims import judge
 
 
 def test_reference_of_importance_samples_by_quadrature():
-    """(∫f²/p − I²)/N of f = ½ + x, p = ¼ + 3x/2."""
+    """The reference is (∫f²/p − I²)/N for f = ½ + x, p = ¼ + 3x/2."""
     second = quad(lambda x: (0.5 + x) ** 2 / (0.25 + 1.5 * x), 0, 1)[0]
     assert variance_integral.exact_weighted() == pytest.approx((second - 1.0) / 64, rel=1e-9)
 
@@ -30,7 +30,7 @@ def test_power_of_the_bell_by_quadrature():
 
 
 def test_correlated_frequencies_disagree():
-    """Of importance samples, whose covariances C_ml are those of 1/p."""
+    """Importance samples have covariances C_ml from 1/p."""
     weighted = variance_integral.importance_terms(1000, 1)
     assert judge(variance_integral._diagonal("random", weighted)).agrees is False
 

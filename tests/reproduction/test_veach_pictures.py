@@ -1,4 +1,4 @@
-"""Pictures of Veach's scene: findings, and what would contradict them."""
+"""Images of Veach's scene: findings, and wrong inputs that must disagree."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ def made() -> Exhibit:
 
 def test_all_findings_agree(made: Exhibit, sound: Callable[[Exhibit], None]) -> None:
     sound(made)
-    assert "in place of 1024" in made.caption
+    assert "instead of 1024" in made.caption
 
 
 def synthetic(noise: dict[str, float]) -> veach.Renders:
-    """Images of constant radiance with noise of given sizes."""
+    """Return images of constant radiance with noise of the given standard deviations."""
     rng = np.random.default_rng(3)
     shape = (6, 80, 120, 3)
     return veach.Renders(
@@ -37,7 +37,7 @@ def synthetic(noise: dict[str, float]) -> veach.Renders:
     )
 
 
-def test_equal_noise_is_no_failure(disagreeing: Disagreeing) -> None:
+def test_equal_noise_does_not_disagree(disagreeing: Disagreeing) -> None:
     same = synthetic({"light": 0.05, "bsdf": 0.05, "mis": 0.05})
     worse = synthetic({"light": 0.05, "bsdf": 0.1, "mis": 0.05})
     assert disagreeing(veach, _render=lambda *_: same) == [0, 1, 2, 3, 4]
@@ -51,7 +51,7 @@ def test_darker_images_disagree_with_the_reference() -> None:
     assert judge(veach._same_mean(renders, "light")).agrees is False
 
 
-def test_errors_are_squares_as_displayed() -> None:
+def test_errors_are_squared_srgb_differences() -> None:
     renders = synthetic({"light": 0.0, "bsdf": 0.0, "mis": 0.0})
     assert renders.errors("light").shape == (6, 80, 120)
     assert float(renders.errors("light").max()) < 1e-5

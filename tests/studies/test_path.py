@@ -199,5 +199,5 @@ def test_a_page_of_lights_has_their_table(lamps, tree, tmp_path):
     page = write_path(found, tmp_path).read_text(encoding="utf-8")
     assert path_answer(found).split(":")[0] in page
     assert "Better chosen" in page
-    assert "Lights chosen by their second moments" in dict(path_sentences(found))["lights"]
+    assert "Choosing lights by their second moments" in dict(path_sentences(found))["lights"]
     assert len(path_summary(found)["lights"]["light_share"]) == 5

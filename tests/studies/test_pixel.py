@@ -237,7 +237,7 @@ def test_a_bottleneck_says_from_which_n_on(tree):
     found["technique_rate"].values[:] = [-2.0, -1.0]
     found["technique_variance"].values[-1] = [0.9, 0.1]
     n = int(found["n"][-1])  # lines of ratio 9 here, one power of n apart
-    expected = rf"half of it beyond n ≈ {number(9.0 * n, 2)} by the fitted lines\.$"
+    expected = rf"more than half beyond n ≈ {number(9.0 * n, 2)} by the fitted lines\.$"
     assert re.search(expected, bottleneck_sentence(changed))
 
 
@@ -251,7 +251,7 @@ def test_a_bottleneck_that_does_not_show_yet(tree, part, words):
     if words:
         assert text.endswith(f"becomes that of the sum at larger n; at n = {n} {words}.")
     else:
-        assert text.endswith("becomes that of the sum.")
+        assert text.endswith("determines the rate of the sum.")
 
 
 def test_a_camera_with_a_lens_is_said(tree):
@@ -302,7 +302,7 @@ def test_the_page_stands_alone(tree, tmp_path):
     assert not re.search(r"https?:|<script src|<link|src=\"(?!data:)|url\(", page)
     said = pixel_answer(tree)
     assert said.startswith(("Use ", "Keep "))
-    assert page.index(said) < page.index("What it sees")
+    assert page.index(said) < page.index("Surface and lights")
     for name, _ in pixel_sentences(tree):
         assert f"<b>{name[0].upper()}{name[1:]}</b>" in page
     for strategy in STRATEGY_NAMES.values():

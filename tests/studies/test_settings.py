@@ -80,11 +80,11 @@ def test_the_report_shows_basis_window_precision_and_errors(finished):
         "quadrature (jittered)",
         "Fourier basis",
         "Walsh basis",
-        "400 realizations at most, fewer where the variance has a standard error of 10 %",
-        "as many of the last counts as lie on a line",
+        "400 realizations at most, fewer once the variance has a standard error of 10 %",
+        "the last counts that lie on a line",
         "rates fitted to the last 2 counts",
         "fitted over n = 16 … 64,",
-        "statistically indistinguishable from zero (power term: ",
+        "does not differ significantly from zero (power term: ",
         "fit_last = &#34;auto&#34;",
     ):
         assert words in text, words

@@ -1,4 +1,4 @@
-"""The checks for analyses: those of the package pass them, and each finds what is wrong."""
+"""Checks for analyses: the package's own analyses pass, and faults are found."""
 
 import time
 from dataclasses import dataclass, replace
@@ -17,7 +17,7 @@ from mcspectra.core.results import Variable, dataset
 from mcspectra.testing import BrokenContract, check_analysis
 
 MANY = {"realizations": 45}
-# options that are quick to compute, and what they are tried on
+# Options that are quick to compute, with an integrand and a sampler for the check
 QUICK = {
     "convergence": ({"counts": (4, 16), "realizations": 700}, "gaussian", "jittered"),
     "terms": ({"n": 16, "half_width": 2, **MANY}, "gaussian", "jittered"),
@@ -54,14 +54,14 @@ QUICK = {
 }
 
 
-def test_every_analysis_is_tried():
+def test_every_analysis_is_checked():
     assert set(QUICK) == set(ANALYSES)
 
 
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=pytest.mark.render) if n == "map" else n for n in QUICK]
 )
-def test_analyses_of_the_package_keep_the_contract(name):
+def test_analyses_of_the_package_fulfill_the_contract(name):
     options, estimator, sampler = QUICK[name]
     check_analysis(ANALYSES.load(name)(**options), estimator, sampler)
 
@@ -74,20 +74,20 @@ class Estimates:
 
 @dataclass
 class Values:
-    """Less than blocks give."""
+    """A state with fewer fields than the blocks return."""
 
     values: JOIN
 
 
 @dataclass
 class Bare:
-    """Without a rule."""
+    """A state without a rule for merging."""
 
     values: np.ndarray
 
 
 class Means(Analysis, frozen=True, kw_only=True):
-    """Mean of the estimates."""
+    """Analysis that returns the mean of the estimates."""
 
     variables: ClassVar = ("mean", Variable("sum of squares", "f²", (), name="power"))
 
@@ -130,12 +130,12 @@ def failing(analysis, subject):
 
 
 def lost(analysis, subject, stream):
-    """The kind of its states has fewer fields than they have."""
+    """Return a reduction whose kind of state lacks fields."""
     return replace(Means.reduction(analysis, subject, stream), kind=Values)
 
 
 def bare(values, blocks=1):
-    """States without a rule to merge."""
+    """Return a reduction whose states cannot be merged."""
 
     def reduction(analysis, subject, stream):
         return Reduction(
@@ -146,7 +146,7 @@ def bare(values, blocks=1):
 
 
 def later(analysis, subject, stream):
-    """`part` knows nothing of its second step."""
+    """Return steps of which `part` finds only the first."""
     found = Means.reduction(analysis, subject, stream)
     yield [found]
     (state,) = yield [replace(found, key="later", result=None)]
@@ -162,12 +162,12 @@ def remembers(analysis, subject, stream, index):
 
 
 def option(kind, default, name="order", **extra):
-    """A field, with a meaning."""
+    """Return a field with a description."""
     return name, Annotated[kind, Meta(description="What.", **extra)], default
 
 
 POWER = Variable("sum of squares", "f²", ("n",), name="power")
-# Fields and members that a sound analysis is given, and what is said of it then
+# Fields and members that make a sound analysis faulty, and the expected message
 FAULTS = {
     "a name of its verb": (
         [option(int, 1, "seed")],
@@ -240,6 +240,6 @@ def test_faults_are_found(fields, members, words):
         check_analysis(kind())
 
 
-def test_options_out_of_their_limits_are_found():
+def test_options_outside_their_limits_are_found():
     with pytest.raises(BrokenContract, match="^Means fails in its options: ParameterError: n is 0"):
         check_analysis(Means(n=0))

@@ -1,4 +1,4 @@
-"""The checks for users' densities: what is wrong is found, what is registered passes."""
+"""Checks for users' densities: faults are found, registered densities pass."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -13,7 +13,7 @@ from mcspectra.testing import BrokenContract, check_density
 
 
 class Sound:
-    """2x and its warp √u, to be made wrong."""
+    """The density 2x with the warp √u, of which tests make faulty variants."""
 
     name: ClassVar[str] = "made"
 
@@ -95,7 +95,7 @@ def test_a_wrong_reciprocal_integral_is_found():
         check_density(made(**off))
 
 
-def test_samples_where_there_is_no_density_are_found():
+def test_samples_with_density_zero_are_found():
     two = {
         "_pdf": lambda _, x: 2.0 * (x[..., 0] < 0.5),
         "_sample": lambda _, u: np.where(u < 0.99, 0.5 * u, 0.75),
@@ -140,13 +140,13 @@ def test_densities_of_the_library_pass(spec, dims):
 def test_registered_densities_pass(name):
     try:
         made = mcs.density(name)
-    except ParameterError:  # needs parameters, which SPECS has
+    except ParameterError:  # requires parameters; SPECS has a spec with parameters
         return
     check_density(made)
 
 
 @pytest.mark.parametrize("bad", [3, object(), [1.0]])
-def test_what_is_no_density_is_refused(bad):
+def test_other_objects_give_an_error(bad):
     with pytest.raises(ParameterError, match="is not a density"):
         check_density(bad)
     with pytest.raises(BrokenContract, match="None is not a density"):

@@ -1,4 +1,4 @@
-"""The checks for users' integrands: what is wrong is found, what is registered passes."""
+"""Checks for users' integrands: faults are found, registered integrands pass."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -15,7 +15,7 @@ WAVE = mcs.integrand("gaussian(center=[0.3, 0.6], width=0.3)")
 
 
 class Sound:
-    """A gaussian with all its closed forms, to be made wrong."""
+    """A Gaussian with all closed forms, of which tests make faulty variants."""
 
     name: ClassVar[str] = "made"
 
@@ -117,7 +117,7 @@ def test_a_sound_integrand_passes():
 
 
 def small(integral):
-    """A disk that 131 072 points hit 0.07 times, and that says where it is."""
+    """Return a disk with a landmark; 131 072 points hit it 0.07 times on average."""
     disk = mcs.integrand("disk(center=[0.37, 0.61], radius=0.0004)")
     return made(
         _evaluate=lambda _, x: disk(x),
@@ -128,7 +128,7 @@ def small(integral):
     )
 
 
-def test_a_small_region_is_no_fault_and_no_excuse():
+def test_small_regions_are_checked_with_landmarks():
     check_integrand(small(1.0))
     with pytest.raises(BrokenContract, match="but points give 0"):
         check_integrand(small(1e4))
@@ -153,7 +153,7 @@ def test_integrands_of_the_library_pass(spec, dims):
     check_integrand(spec, dims=dims)
 
 
-def test_given_closed_forms_are_looked_at():
+def test_given_closed_forms_are_checked():
     square = mcs.Integrand.from_function(lambda x: x[..., 0] ** 2, dims=1, integral=1 / 3)
     check_integrand(square)
     wrong = mcs.Integrand.from_function(lambda x: x[..., 0] ** 2, dims=1, integral=0.334)
@@ -165,12 +165,12 @@ def test_given_closed_forms_are_looked_at():
 def test_registered_integrands_pass(name):
     try:
         made = mcs.integrand(name)
-    except ParameterError:  # needs parameters, which SPECS has
+    except ParameterError:  # requires parameters; SPECS has a spec with parameters
         return
     check_integrand(made)
 
 
 @pytest.mark.parametrize("bad", [3, None, len])
-def test_what_is_no_integrand_is_refused(bad):
+def test_other_objects_give_an_error(bad):
     with pytest.raises(ParameterError, match="is not an integrand"):
         check_integrand(bad)

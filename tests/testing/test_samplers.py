@@ -1,4 +1,4 @@
-"""The checks for users' samplers find what is wrong."""
+"""Checks for users' samplers find faults."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -11,12 +11,12 @@ from mcspectra.testing import BrokenContract, check_sampler
 
 
 def made(points, dims=2):
-    """A sampler whose `_points` is the given function."""
+    """Return a sampler with the given function as `_points`."""
     size = dims
 
     @dataclass(frozen=True, kw_only=True)
     class Made(Sampler):
-        """Made for a test."""
+        """Sampler for a test."""
 
         name: ClassVar[str] = "made"
         dims: int = size
@@ -59,7 +59,7 @@ def test_a_sound_sampler_passes():
         check_sampler(spec)
 
 
-def test_middle_coordinates_are_looked_at():
+def test_middle_coordinates_are_checked():
     def flat(self, n, stream, first, count):
         points = stream.uniforms(first, count, n * 3).reshape(count, n, 3)
         points[..., 1] = 0.5

@@ -1,4 +1,4 @@
-"""Strategies make what they say, and everything they make is accepted."""
+"""Strategies return the documented objects, and the library accepts all of them."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ DIMS = st.sampled_from([1, 2, 3, 5])
 
 @few
 @given(st.data())
-def test_samplers_draw_the_counts_they_are_said_to(data):
+def test_samplers_draw_the_given_counts(data):
     dims = data.draw(DIMS)
     sampler = data.draw(strategies.samplers(dims=dims))
     n = data.draw(strategies.counts(sampler, most=max(64, sampler.nearest_count(1))))
@@ -28,8 +28,8 @@ def test_samplers_draw_the_counts_they_are_said_to(data):
 
 @few
 @given(st.data())
-def test_specs_make_the_same_again(data):
-    kind = data.draw(st.sampled_from(strategies.KINDS))
+def test_specs_give_equal_components(data):
+    kind = data.draw(st.sampled_from(strategies.COMPONENT_KINDS))
     dims = data.draw(DIMS)
     spec = data.draw(strategies.spec_strings(kind, dims=dims))
     made = getattr(mcs, kind)(spec, dims=dims)
@@ -39,7 +39,7 @@ def test_specs_make_the_same_again(data):
 
 @few
 @given(st.data())
-def test_densities_and_integrands_go_together(data):
+def test_densities_and_integrands_can_be_combined(data):
     dims = data.draw(DIMS)
     p = data.draw(strategies.densities(dims=dims))
     f = data.draw(strategies.integrands(dims=dims))
@@ -61,13 +61,13 @@ def test_point_sets_are_accepted_as_samplers(data, stacked):
     )
 
 
-def test_all_cheap_samplers_come_up():
+def test_all_cheap_samplers_are_drawn():
     names = strategies._names(2)
     assert {"random", "jittered", "sobol", "poisson-disk", "rank1-lattice"} <= set(names)
     assert not {"bnot", "mitsuba", "points", "digital-net", "shared-cells"} & set(names)
 
 
-def test_counts_are_all_that_there_are():
+def test_counts_include_all_possible_counts():
     assert strategies.counts("jittered", most=30).elements == (1, 4, 9, 16, 25)
     with pytest.raises(ParameterError, match="cannot make a set of at most 8 points; give most="):
         strategies.counts(mcs.Sampler.from_points(np.full((9, 2), 0.5)), most=8)
@@ -85,12 +85,12 @@ def test_counts_are_all_that_there_are():
         (lambda: strategies.point_sets(most=0), "most is 0"),
     ],
 )
-def test_bad_input_is_refused(call, words):
+def test_bad_input_gives_an_error(call, words):
     with pytest.raises(ParameterError, match=words):
         call()
 
 
-def test_without_hypothesis_the_checks_work_and_strategies_say_what_is_missing():
+def test_checks_work_without_hypothesis_and_strategies_name_it():
     code = (
         "import sys; sys.modules['hypothesis'] = None\n"
         "import mcspectra.testing\n"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from mcspectra.plots.description import Axis, Image, Line, Panel, Plot, Scale
+from mcspectra.plots.description import Axis, Heatmap, Line, Panel, Plot, Scale
 from mcspectra.plots.kinds import describe, kinds_of
 from mcspectra.plots.scales import signed_scale, unit_axis, unit_panel
 from mcspectra.plots.style import PALETTE
@@ -75,5 +75,5 @@ def _panel(name: str, data: xr.DataArray, flat: bool) -> Panel:
     low, high = float(np.nanmin(finite)), float(np.nanmax(finite))
     above = Scale(label=" ", low=0.0, high=high or 1.0)
     scale = signed_scale(" ", [finite]) if low < 0 else above
-    image = Image(values=finite.T, x=x0, y=x1, scale=scale, name=name)
+    image = Heatmap(values=finite.T, x=x0, y=x1, scale=scale, name=name)
     return unit_panel([image], name)

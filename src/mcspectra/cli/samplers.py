@@ -251,7 +251,7 @@ def bench_(options: argparse.Namespace) -> Answer:
     spectrum in 2-D, its dims, counts and sources. DIR/bench.csv has the numbers.
     """
     from mcspectra.report.bench_page import bench_table, check_bench_file, is_folder, write_bench
-    from mcspectra.report.sampler_cards import Effort, all_samplers, measure_card
+    from mcspectra.report.sampler_cards import CardEffort, all_samplers, measure_card
 
     for file in options.out:
         check_bench_file(file)
@@ -263,7 +263,7 @@ def bench_(options: argparse.Namespace) -> Answer:
     cards = []
     if any(is_folder(file) or file.endswith(".html") for file in options.out):
         spectra = min(200, options.realizations or 200)
-        effort = Effort(n=min(int(bench["n"][-1]), 1024), spectra=spectra, counts=())
+        effort = CardEffort(n=min(int(bench["n"][-1]), 1024), spectra=spectra, counts=())
         for k, spec in enumerate(specs):
             report("cards", k / len(specs))
             cards.append(measure_card(spec, effort=effort, rng=seed))

@@ -1,5 +1,5 @@
-"""Plots: a result becomes a description (`Plot`), which one of two backends draws.
+"""Plots: functions turn a result into a description (`Plot`), and one of two backends draws it.
 
-matplotlib draws files, notebooks and the accessor ``.mcspectra.plot()``; bokeh draws reports and the
-explorer. A figure is described once: what it shows does not depend on what draws it.
+Matplotlib draws files, notebooks and the accessor ``.mcspectra.plot()``. Bokeh draws reports and
+the explorer. The description is independent of the backend.
 """

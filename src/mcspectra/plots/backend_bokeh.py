@@ -1,8 +1,8 @@
-"""The backend of pages: plots in which one can zoom, point at values and hide what the legend names.
+"""Draw plots with Bokeh for pages: plots with zoom, tooltips and legends that hide marks.
 
-Plots load nothing from a network, are readable on light and dark pages, and carry what they show in
-words as the label of their element. A `Drawn` shows further plots of the same structure by changing
-data, limits and texts only.
+Plots load nothing from a network, are readable on light and dark pages, and have their description
+in words as ARIA label. A `Drawn` can show other plots of the same structure; only data, limits and
+texts change.
 """
 
 from __future__ import annotations
@@ -41,18 +41,18 @@ from mcspectra.core.display import printable
 from mcspectra.core.errors import ParameterError
 from mcspectra.plots.description import (
     Axis,
-    Bars,
+    BarChart,
     Dots,
-    Image,
+    Heatmap,
     Line,
     Mark,
     Panel,
     Pixels,
     Plot,
-    Rule,
+    ReferenceLine,
     Scale,
     Segments,
-    Text,
+    TextMark,
 )
 from mcspectra.plots.scales import log_ticks, signed_place
 from mcspectra.plots.style import FAINT, GRADIENTS, GRAY, INK
@@ -60,9 +60,14 @@ from mcspectra.plots.text import shorten
 
 __all__ = ["Drawn", "draw", "packed", "script"]
 
-_INK = "#767676"  # a contrast of 4.5 to white and of 3.9 to the dark page
+_INK = "#767676"  # contrast of 4.5 with white and of 3.9 with a dark page
 _GRID = "rgba(128, 128, 128, 0.25)"
-_SEEN = {INK: _INK, GRAY: "#ABABAB", FAINT: _GRID, "#4D4D4D": "#8A8A8A"}  # on light and dark pages
+_SEEN = {
+    INK: _INK,
+    GRAY: "#ABABAB",
+    FAINT: _GRID,
+    "#4D4D4D": "#8A8A8A",
+}  # colors for light and dark pages
 _NOWHERE = "#808080"
 _MARKERS = {
     "o": "circle",
@@ -72,7 +77,7 @@ _MARKERS = {
     "v": "inverted_triangle",
     "P": "plus",
     "X": "x",
-    "|": "dash",  # which lies, and is turned
+    "|": "dash",  # horizontal; rotated when drawn
 }
 _DASHES = {"-": "solid", "--": "dashed", ":": "dotted", "-.": "dashdot"}
 _SIDES = {
@@ -82,11 +87,11 @@ _SIDES = {
     "below": ("center", "top", 0, 5),
     "middle": ("center", "middle", 0, 0),
 }
-_SHADES = 255  # colors of a palette; the shade 0 is that of no value
-_KEPT_BITS = 10  # of the mantissa of values under the pointer: 0.1 %, three digits
-_PIXELS = 4 / 3  # of a point
+_SHADES = 255  # number of colors of a palette; shade 0 means no value
+_KEPT_BITS = 10  # bits of the mantissa of values in tooltips: precision 0.1 %, three digits
+_PIXELS = 4 / 3  # pixels per point
 _ALONE, _WIDE, _ABREAST, _PAIR = 260, 300, 216, 260  # widths of frames in pixels
-_USUAL = 560  # width in pixels that the height of a figure as wide as its place is taken from
+_USUAL = 560  # width in pixels from which the height of a full-width figure is computed
 _TOOLS = "pan,box_zoom,wheel_zoom,reset,save"
 
 
@@ -96,10 +101,10 @@ def draw(plot: Plot) -> Drawn:
 
 
 def packed(model: LayoutDOM) -> str:
-    """Return a model's JSON for ``Bokeh.embed.embed_item``, gzipped, in base 64.
+    """Return a model's JSON for ``Bokeh.embed.embed_item``, gzipped, in base64.
 
-    The same plot gives the same text: bokeh counts its models through the life of a process, here
-    they count from 0 in each plot.
+    The same plot gives the same text: Bokeh numbers models over the life of a process, so they are
+    renumbered from 0 in each plot.
     """
     item = json.loads(serialize_json(json_item(model)))
     numbers: dict[str, str] = {}
@@ -111,19 +116,19 @@ def packed(model: LayoutDOM) -> str:
 
 @cache
 def script() -> str:
-    """Return bokeh's own script, without widgets, tables and WebGL, gzipped, in base 64."""
+    """Return Bokeh's own script without widgets, tables and WebGL, gzipped, in base64."""
     resources = Resources(mode="inline", components=["bokeh"], log_level="error")
     return _compressed("\n".join(resources.js_raw))
 
 
 @final
 class Drawn:
-    """A plot as models of bokeh.
+    """A plot as Bokeh models.
 
     Attributes
     ----------
     model
-        A figure, or the layout that holds the figures of several panels.
+        A figure, or the layout with the figures of several panels.
     """
 
     model: LayoutDOM
@@ -132,7 +137,7 @@ class Drawn:
         self._shown: Plot | None = None
         self._structure = _structure(plot)
         self._figures = [_figure(panel, _options(plot, k)) for k, panel in enumerate(plot.panels)]
-        # Of panels with tools of their own those show them that are pointed at
+        # Show the tools of a panel only while the pointer is over it, if each panel has its own
         for each in self._figures:
             each.toolbar.autohide = len(self._figures) > 1 and not _stacked(plot)
         if _stacked(plot):
@@ -146,7 +151,7 @@ class Drawn:
                 self._sources += [each.data_source for each in drawn]
                 if label := getattr(mark, "label", ""):
                     entries.setdefault(label, {}).setdefault(k, []).extend(drawn)
-        # Color bars, or the names of a scale's colors below a figure
+        # Add color bars, or below a figure the names of a scale's colors
         self._bars: list[Any] = []
         for scale, k in _bars(plot).items():
             frame = self._figures[k]
@@ -164,7 +169,7 @@ class Drawn:
             )  # fmt: skip
             frame.add_layout(bar, "below")
             self._bars.append(bar)
-        # Each label below the last figure that has it; hiding it hides its marks in all figures
+        # Put each label below the last figure that has it; a click hides its marks in all figures
         items: dict[str, Any] = {}
         for k, frame in enumerate(self._figures):
             own = {label: drawn[k] for label, drawn in entries.items() if max(drawn) == k}
@@ -175,7 +180,7 @@ class Drawn:
             for other in others:
                 last.js_link("visible", other, "visible")
         self._items = [items[label] for label in entries]
-        # Panels side by side in as many rows as the place is narrow, or one above the other
+        # Place panels in rows that wrap on narrow pages, or stack them
         for other in self._figures[1:]:
             if plot.share in ("x", "both"):
                 other.x_range = self._figures[0].x_range
@@ -194,22 +199,24 @@ class Drawn:
         return _structure(plot) == self._structure
 
     def update(self, plot: Plot) -> None:
-        """Show another plot of the same structure; limits that stay keep the reader's zoom.
+        """Show another plot of the same structure; unchanged limits keep the reader's zoom.
 
         Raises
         ------
         ParameterError
-            It has another structure: other marks, colors, kinds of axes or panels.
+            If the structure differs: other marks, colors, kinds of axes or panels.
         """
         if not self.fits(plot):
-            raise ParameterError("The plot has another structure than the one drawn; draw it anew.")
+            raise ParameterError(
+                "The structure of the plot differs from the drawn one; draw it again."
+            )
         layers = (each for p in plot.panels for mark in p.marks for each in _layers(mark, p))
         for source, layer in zip(self._sources, layers, strict=True):
             source.data = layer.data
         self._say(plot)
 
     def _say(self, plot: Plot) -> None:
-        """Set limits, ticks and texts."""
+        """Set limits, ticks and texts of the figures."""
         before = self._shown.panels if self._shown else (None,) * len(plot.panels)
         for frame, panel, old in zip(self._figures, plot.panels, before, strict=True):
             frame.title.text = _plain(shorten(panel.title, 34))
@@ -237,7 +244,7 @@ class Drawn:
 
 
 def _structure(plot: Plot) -> list[Any]:
-    """All that an update cannot change."""
+    """Return everything that an update cannot change."""
     found: list[Any] = [plot.columns, plot.share]
     for k, panel in enumerate(plot.panels):
         ticks = [axis.ticks is None for axis in (panel.x, panel.y)]
@@ -252,14 +259,14 @@ def _structure(plot: Plot) -> list[Any]:
 
 
 def _bars(plot: Plot) -> dict[Scale, int]:
-    """The color scales that are explained, and the last panel that holds each."""
+    """Return the color scales that need a bar or legend, with the last panel that has each."""
     found = {scale: k for k, panel in enumerate(plot.panels) for scale in panel.scales}
     return {scale: k for scale, k in found.items() if scale.label or scale.names}
 
 
 @dataclass(frozen=True)
 class _Layer:
-    """One glyph of bokeh: its properties that are data, those that stay, and what the pointer shows."""
+    """One Bokeh glyph: data properties, constant properties and tooltips."""
 
     glyph: str
     columns: Mapping[str, Any]
@@ -272,7 +279,7 @@ class _Layer:
 
 
 def _layers(mark: Mark, panel: Panel) -> list[_Layer]:
-    """The glyphs that draw a mark."""
+    """Return the glyphs that draw a mark."""
     match mark:
         case Line():
             xy = {"x": _place(panel.x, mark.x), "y": _place(panel.y, mark.y)}
@@ -285,7 +292,7 @@ def _layers(mark: Mark, panel: Panel) -> list[_Layer]:
                 mode = {"mode": "center"} if mark.step else {}
                 line = {"line_color": color, **_stroke(mark), **mode}
                 found.append(_Layer("step" if mark.step else "line", xy, line))
-            if mark.hover:  # on unseen dots, since steps have no items to point at
+            if mark.hover:  # on invisible dots, since steps have no items for tooltips
                 unseen = {"size": 9, "fill_alpha": 0, "line_alpha": 0}
                 found.append(_Layer("scatter", xy, unseen, mark.hover))
             return found
@@ -305,7 +312,7 @@ def _layers(mark: Mark, panel: Panel) -> list[_Layer]:
             dots = _Layer("scatter", xy, fixed, mark.hover)
             at, along = (xy["y"], panel.x) if mark.across else (xy["x"], panel.y)
             return [dots, *_whiskers(mark, at, along, color, mark.across)]
-        case Bars():
+        case BarChart():
             along, other = (panel.x, panel.y) if mark.lying else (panel.y, panel.x)
             base = np.broadcast_to(mark.base, np.shape(mark.at)).astype(float)
             if along.kind == "log":
@@ -329,7 +336,7 @@ def _layers(mark: Mark, panel: Panel) -> list[_Layer]:
                     _Layer("scatter", tips, {**paint, "size": 4}, mark.hover),
                 ]
             return [*found, *_whiskers(mark, at, along, _INK, mark.lying)]
-        case Image():
+        case Heatmap():
             left, width = _extent(mark.x)
             low, height = _extent(mark.y)
             across, up = np.meshgrid(mark.x, mark.y)
@@ -356,12 +363,12 @@ def _layers(mark: Mark, panel: Panel) -> list[_Layer]:
             columns |= {f"y{k}": _place(panel.y, pairs[k, 1]) for k in (0, 1)}
             paint = {"line_color": _seen(mark.color), "line_width": mark.width * _PIXELS}
             return [_Layer("segment", columns, paint)]
-        case Rule():
+        case ReferenceLine():
             place = _place(panel.x if mark.axis == "x" else panel.y, [mark.at])
             stroke = {"line_color": _seen(mark.color), **_stroke(mark)}
             glyph = "vspan" if mark.axis == "x" else "hspan"
             return [_Layer(glyph, {mark.axis: place}, stroke)]
-        case Text():
+        case TextMark():
             align, baseline, *away = _SIDES[mark.side]
             spot = {"x": _place(panel.x, [mark.x]), "y": _place(panel.y, [mark.y])}
             fixed = {
@@ -373,11 +380,13 @@ def _layers(mark: Mark, panel: Panel) -> list[_Layer]:
             assert_never(mark)
 
 
-def _stroke(mark: Line | Rule) -> dict[str, Any]:
+def _stroke(mark: Line | ReferenceLine) -> dict[str, Any]:
     return {"line_dash": _DASHES[mark.dashes], "line_width": mark.width * _PIXELS}
 
 
-def _whiskers(mark: Dots | Bars, at: Array, axis: Axis, color: str, lying: bool) -> list[_Layer]:
+def _whiskers(
+    mark: Dots | BarChart, at: Array, axis: Axis, color: str, lying: bool
+) -> list[_Layer]:
     if mark.low is None or mark.high is None:
         return []
     ends = _segments(at, *_ends(axis, mark.low, mark.high), lying)
@@ -390,7 +399,7 @@ def _segments(at: Array, start: Array, end: Array, lying: bool) -> dict[str, Any
 
 
 def _band(mark: Line, panel: Panel) -> dict[str, Any]:
-    """Outlines of the band, one for each run without a gap."""
+    """Return the outlines of a band, one per run without gaps."""
     x, (low, high) = _place(panel.x, mark.x), _ends(panel.y, mark.low, mark.high)
     if mark.step and len(x) > 1:
         middle = (x[1:] + x[:-1]) / 2
@@ -407,7 +416,7 @@ def _band(mark: Line, panel: Panel) -> dict[str, Any]:
 
 
 def _ends(axis: Axis, low: Any, high: Any) -> tuple[Array, Array]:
-    """Places of the ends of intervals; on a logarithmic axis those from 0 begin where it does."""
+    """Return positions of the ends of intervals; a log axis clips 0 to its low end."""
     low = np.asarray(low, dtype=float)
     if axis.kind == "log" and axis.low is not None:
         low = np.where(low <= 0, axis.low, low)
@@ -415,7 +424,7 @@ def _ends(axis: Axis, low: Any, high: Any) -> tuple[Array, Array]:
 
 
 def _place(axis: Axis, values: Any) -> Array:
-    """Where values stand in bokeh's coordinates; NaN where they stand nowhere."""
+    """Return values in Bokeh's coordinates; NaN for values outside the domain of the axis."""
     given = np.asarray(values, dtype=float)
     if axis.kind == "signed":
         return signed_place(given, axis.threshold)
@@ -424,7 +433,7 @@ def _place(axis: Axis, values: Any) -> Array:
 
 
 def _shade(scale: Scale, values: Array) -> Array:
-    """Colors of values: 1 to 255 along the palette, 0 for what is not finite."""
+    """Return color indices of values: 1 to 255 along the palette, 0 if not finite."""
     given = np.asarray(values, dtype=float)
     if scale.kind == "names":
         shades = 1.0 + given - scale.low
@@ -440,7 +449,7 @@ def _limits(scale: Scale) -> tuple[float, float]:
 
 
 def _along(scale: Scale, values: Any) -> Array:
-    """Where values stand along a scale."""
+    """Return positions of values along a color scale."""
     given = np.asarray(values, dtype=float)
     if scale.kind == "signed":
         return signed_place(given, scale.threshold)
@@ -448,23 +457,23 @@ def _along(scale: Scale, values: Any) -> Array:
 
 
 def _extent(places: Array) -> tuple[float, float]:
-    """Where the first cell begins, and the length of all cells."""
+    """Return the start of the first cell and the total length of all cells."""
     step = float(places[1] - places[0]) if len(places) > 1 else 1.0
     return float(places[0]) - 0.5 * step, step * len(places)
 
 
 def _compact(values: Array) -> Array:
-    """float32 of few bits of mantissa: zeros at the end compress to nothing."""
+    """Round to float32 with few mantissa bits, since trailing zeros compress well."""
     mantissa, exponent = np.frexp(np.asarray(values, dtype=np.float64))
     rounded = np.ldexp(np.round(mantissa * 2.0**_KEPT_BITS), exponent - _KEPT_BITS)
     return np.ascontiguousarray(rounded, dtype=np.float32)
 
 
-# What stays: figures, legends, color bars
+# Parts that an update keeps: figures, legends, color bars
 
 
 def _options(plot: Plot, k: int) -> dict[str, Any]:
-    """Options of a panel's figure."""
+    """Return the options of a panel's figure."""
     panel = plot.panels[k]
     stretched = plot.columns == 1 and not panel.square
     if stretched:
@@ -487,7 +496,7 @@ def _options(plot: Plot, k: int) -> dict[str, Any]:
         "width": None,
         "height": None,
         "outline_line_color": _INK if panel.framed else None,
-        # Beside a title there is no room for the tools of a narrow panel; stacked panels zoom together
+        # A narrow panel has no space for tools next to its title; stacked panels zoom together
         "toolbar_location": None
         if _stacked(plot) and k
         else ("above" if stretched or not panel.title else "right"),
@@ -495,13 +504,13 @@ def _options(plot: Plot, k: int) -> dict[str, Any]:
 
 
 def _stacked(plot: Plot) -> bool:
-    """Whether panels stand below one another along one axis, which the last one labels."""
+    """Whether panels are stacked with a shared axis, which the last panel labels."""
     return plot.columns == 1 and plot.share in ("x", "both")
 
 
 def _figure(panel: Panel, options: dict[str, Any]) -> Any:
-    """Make an empty figure with tools but none active: these would take gestures that scroll pages."""
-    padding = 0.0 if any(isinstance(mark, Image | Pixels) for mark in panel.marks) else 0.06
+    """Create an empty figure without active tools, which would capture gestures for scrolling."""
+    padding = 0.0 if any(isinstance(mark, Heatmap | Pixels) for mark in panel.marks) else 0.06
     ranges: Any = {
         name: DataRange1d(flipped=axis.flipped, range_padding=padding)
         if axis.low is None or axis.high is None
@@ -510,7 +519,8 @@ def _figure(panel: Panel, options: dict[str, Any]) -> Any:
     }
     made: Any = figure(
         tools=_TOOLS, active_drag=None, active_scroll=None,
-        background_fill_color=None, border_fill_color=None, min_border_right=12, **ranges, **options,
+        background_fill_color=None, border_fill_color=None, min_border_right=12, **ranges,
+        **options,
     )  # fmt: skip
     made.toolbar.logo = None
     made.title.update(text_color=_INK, text_font_style="normal")
@@ -534,10 +544,10 @@ def _figure(panel: Panel, options: dict[str, Any]) -> Any:
 
 
 def _texts(panel: Panel) -> dict[str, dict[float, str]]:
-    """What is written at the far end of bars, by place: ticks of an axis at the right, or above."""
+    """Return the texts at the far end of bars as ticks of an axis on the right or above."""
     found: dict[str, dict[float, str]] = {}
     for mark in panel.marks:
-        if isinstance(mark, Bars) and mark.texts:
+        if isinstance(mark, BarChart) and mark.texts:
             at = _place(panel.y if mark.lying else panel.x, mark.at).tolist()
             here = found.setdefault("right" if mark.lying else "above", {})
             here |= dict(zip(at, mark.texts, strict=True))
@@ -545,7 +555,7 @@ def _texts(panel: Panel) -> dict[str, dict[float, str]]:
 
 
 def _add(frame: Any, layer: _Layer) -> Any:
-    """Draw a layer."""
+    """Add a layer to a figure."""
     options: dict[str, Any] = {**layer.fixed, **{name: name for name in layer.columns}}
     if colors := options.pop("palette", ()):
         mapper = LinearColorMapper(
@@ -556,7 +566,7 @@ def _add(frame: Any, layer: _Layer) -> Any:
     drawn = getattr(frame, layer.glyph)(**options, source=ColumnDataSource(layer.data))
     if layer.hover:
         tips = [(_plain(title), f"@h{k}") for k, title in enumerate(layer.hover)]
-        # One button in the toolbar turns tooltips off; more hover tools would each show their own
+        # Show one toolbar button for all tooltips instead of one per hover tool
         visible = not any(isinstance(tool, HoverTool) for tool in frame.tools)
         frame.add_tools(HoverTool(renderers=[drawn], tooltips=tips, visible=visible, limit=6))
     return drawn
@@ -569,12 +579,12 @@ def _gradient(palette: str) -> tuple[str, ...]:
 
 
 def _palette(scale: Scale) -> tuple[str, ...]:
-    """A color for each shade."""
+    """Return the color of each shade."""
     return scale.colors or _gradient(scale.palette)
 
 
 def _set_axis(axis: Any, limits: Any, new: Axis, old: Axis | None) -> None:
-    """Set label, ticks and, where they are others than before, limits."""
+    """Set label and ticks of an axis, and the limits if they changed."""
     axis.axis_label = _plain(new.label)
     if new.ticks is not None:
         _set_ticks(axis, _place(new, list(new.ticks)), [shorten(t, 24) for t in new.ticks.values()])
@@ -599,7 +609,7 @@ def _set_ticks(axis: Any, places: Iterable[float], texts: Iterable[str]) -> None
 
 
 def _legend(frame: Any, entries: Mapping[str, list[Any]]) -> list[Any]:
-    """Put a legend under a figure, a row for each entry; a click hides or shows its marks."""
+    """Add a legend below a figure, one row per entry; a click hides or shows the entry's marks."""
     items = [LegendItem(label=_plain(label), renderers=drawn) for label, drawn in entries.items()]
     legend = Legend(
         items=items, click_policy="hide", location="top_left", background_fill_color=None,
@@ -611,12 +621,12 @@ def _legend(frame: Any, entries: Mapping[str, list[Any]]) -> list[Any]:
 
 
 def _seen(color: str) -> str:
-    """A color as it is seen on light and dark pages."""
+    """Return the replacement of a color that is readable on light and dark pages."""
     return _SEEN.get(color, color)
 
 
 def _plain(text: str) -> str:
-    r"""Make a text printable, and keep bokeh from reading ``$$…$$``, ``\(…\)`` or ``\[…\]`` as TeX, which it would load."""
+    r"""Make a text printable, without ``$$…$$``, ``\(…\)`` or ``\[…\]``: Bokeh would load TeX."""
     text = printable(text, lines=True)
     joiner = "\u2060"  # invisible, no width
     for mark in ("$$", r"\(", r"\["):
@@ -629,7 +639,7 @@ def _compressed(text: str) -> str:
 
 
 def _renumbered(node: Any, numbers: dict[str, str]) -> Any:
-    """A copy with every model's id replaced by its place in the order of first mention."""
+    """Return a copy with model ids replaced by numbers in the order of first mention."""
     if isinstance(node, list):
         return [_renumbered(each, numbers) for each in node]
     if not isinstance(node, dict):

@@ -1,8 +1,8 @@
-"""Plots drawn with matplotlib: for files, notebooks and the accessor.
+"""Draw plots with Matplotlib, for files, notebooks and the accessor.
 
-Figures are styled artist by artist: nothing here reads or keeps global settings. Texts are plain, and
-ticks are fixed places with plain labels: typesetting mathematics takes most of the time of a small
-figure. The same plot has the same bytes.
+Each artist is styled separately, so no global settings are read or changed. Texts are plain, and
+ticks have fixed positions and plain labels, because typesetting mathematics takes most of the time
+of a small figure. The same plot always gives the same bytes.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from mcspectra.core.display import printable
 from mcspectra.core.errors import FileFormatError, ParameterError, writing
 from mcspectra.plots.description import (
     Axis,
-    Bars,
+    BarChart,
     Dots,
-    Image,
+    Heatmap,
     Line,
     Mark,
     Panel,
     Pixels,
     Plot,
-    Rule,
+    ReferenceLine,
     Scale,
     Segments,
-    Text,
+    TextMark,
 )
 from mcspectra.plots.scales import log_ticks
 from mcspectra.plots.style import FAINT, GRADIENTS, GRAY, INK, PAPER
@@ -57,24 +57,29 @@ __all__ = [
 ]
 
 GivenAxes: TypeAlias = "Axes | Iterable[Axes] | np.ndarray[Any, Any] | None"
-"""Axes to draw into, one a panel (an array is read row by row); None makes a figure."""
+"""Axes to draw into, one per panel (an array is read row by row); None makes a new figure."""
 
 FORMATS = (".svg", ".png", ".pdf", ".pgf")
-"""Extensions of the files that `write` makes."""
+"""Extensions of files that `write` accepts."""
 
-_NARROW, _WIDE = 4.9, 7.4  # inches: up to two panels abreast, and more or a wide plot
-_LEAST_SIDE, _LARGEST_SQUARE = 2.3, 3.4  # inches, of a panel of many, and of one alone
-_LABEL, _SMALL = 8.5, 7.5  # points
-_LETTER = 0.062  # inches, the mean width of a small letter
-_TITLE_LETTER = 0.075  # inches, of a title
-_DPI, _PDF_DPI = 120, 200  # of pictures, and of images within a PDF, where all else is vectors
-_MOST_VECTORS = 5000  # points; more make a file large and slow to open
-_COLORS = 256  # of a picture, a third of the size and for flat colors no visible difference
-_MOST_PIXELS = 2**15  # along a side of a picture; matplotlib's own limit is twice that
+_NARROW, _WIDE = 4.9, 7.4  # figure widths in inches: up to two columns; more columns or wide plots
+_LEAST_SIDE, _LARGEST_SQUARE = 2.3, 3.4  # inches: smallest panel of several, largest square panel
+_LABEL, _SMALL = 8.5, 7.5  # font sizes in points
+_LETTER = 0.062  # mean width of a letter of a small text, inches
+_TITLE_LETTER = 0.075  # mean width of a letter of a title, inches
+_DPI, _PDF_DPI = 120, 200  # resolution of PNG files, and of rasterized parts of a PDF
+_MOST_VECTORS = 5000  # largest number of points drawn as vectors; more make files large and slow
+_COLORS = 256  # colors of a PNG: a third of the size without visible difference for flat colors
+_MOST_PIXELS = 2**15  # largest side of an image in pixels; half of Matplotlib's own limit
 _TICKS: dict[str, Any] = {
-    "which": "both", "width": 0.6, "length": 2.5, "labelsize": _SMALL, "color": GRAY, "labelcolor": INK,
-}  # fmt: skip
-_LINEAR = 0.45  # makes half a decade of either side's linear part, as a signed `Axis` says
+    "which": "both",
+    "width": 0.6,
+    "length": 2.5,
+    "labelsize": _SMALL,
+    "color": GRAY,
+    "labelcolor": INK,
+}
+_LINEAR = 0.45  # value that gives each side of the linear part half a decade, see `Axis`
 _SIDES = {
     "right": ((4, 0), "left", "center"),
     "left": ((-4, 0), "right", "center"),
@@ -90,16 +95,17 @@ def draw(plot: Plot, axes: GivenAxes = None, *, pyplot: bool = False) -> Figure:
     Parameters
     ----------
     plot
-        What it shows.
+        The plot.
     axes
-        Axes to draw into; a new figure by default.
+        Axes to draw into. Default: a new figure.
     pyplot
-        Whether a new figure is pyplot's: a notebook shows it, ``plt.savefig`` writes it.
+        Whether to register a new figure in pyplot, so that notebooks show it and ``plt.savefig``
+        writes it.
 
     Raises
     ------
     ParameterError
-        `axes` are not one matplotlib axes a panel, or pictures are too large to stand side by side.
+        If `axes` is not one Matplotlib axes per panel, or if images side by side are too large.
     """
     figure: Figure
     if axes is not None:
@@ -111,7 +117,7 @@ def draw(plot: Plot, axes: GivenAxes = None, *, pyplot: bool = False) -> Figure:
         count = len(plot.panels)
         if len(panels) != count or None in owners or len(owners) != 1:
             one = "one matplotlib Axes" if count == 1 else f"{count} matplotlib Axes of one figure"
-            raise ParameterError(f"axes is {given!r:.80}; this result takes {one}.")
+            raise ParameterError(f"axes is {given!r:.80}; this result needs {one}.")
         (figure,) = owners
         for each in panels[1:]:
             _share(each, panels[0], plot.share)
@@ -152,18 +158,18 @@ def panel_axes(figure: Figure) -> list[Axes]:
 def encode(figure: Figure) -> tuple[bytes, bytes]:
     """Return the PNG and the PDF of a figure, without time stamps.
 
-    The layout is computed once for both. The PNG has a palette of 256 colors unless the figure
-    holds maps or pictures, where rounded colors would be seen.
+    The layout is computed once for both. The PNG has a palette of 256 colors unless the figure has
+    maps or images, in which rounded colors would be visible.
     """
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_pdf import FigureCanvasPdf
     from PIL import Image as Picture
 
-    # Names in scripts that the font lacks show as boxes; the page has them in full
+    # Characters missing from the font are drawn as boxes; the text of the page has them
     with warnings.catch_warnings(), mpl.rc_context({"pdf.fonttype": 42}):
         warnings.filterwarnings("ignore", message="Glyph .* missing from", category=UserWarning)
-        figure.set_dpi(_DPI)  # before the layout: hinted text has another width at another dpi
+        figure.set_dpi(_DPI)  # before the layout, since the width of hinted text depends on the dpi
         engine = figure.get_layout_engine()
         if engine is not None:
             engine.execute(figure)
@@ -171,7 +177,7 @@ def encode(figure: Figure) -> tuple[bytes, bytes]:
         canvas = FigureCanvasAgg(figure)
         canvas.draw()  # type: ignore[no-untyped-call]
         pixels = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])  # type: ignore[no-untyped-call]
-        # Straight to the backend: savefig would draw the figure once more, for its layout
+        # Call the backend directly: savefig would draw the figure once more for the layout
         figure.set_dpi(_PDF_DPI)
         pdf = io.BytesIO()
         metadata = {"CreationDate": None, "Creator": "mcspectra"}
@@ -182,7 +188,7 @@ def encode(figure: Figure) -> tuple[bytes, bytes]:
     if not any(axes.images for axes in figure.axes):
         octree, no_dither = Picture.Quantize.FASTOCTREE, Picture.Dither.NONE
         image = image.quantize(_COLORS, method=octree, dither=no_dither)
-        # The octree rounds colors; the paper, which meets the page, keeps its own
+        # The octree rounds colors; restore the exact background, which touches the page
         palette, paper = image.getpalette() or [], int(np.asarray(image)[0, 0])
         palette[3 * paper : 3 * paper + 3] = pixels[0, 0].tolist()
         image.putpalette(palette)
@@ -191,29 +197,40 @@ def encode(figure: Figure) -> tuple[bytes, bytes]:
 
 
 def write(plot: Plot, path: str | PathLike[str], *, captioned: bool = False) -> None:
-    """Write a plot to a file in the format of its extension; a caption takes a legend's place.
+    """Write a plot to a file in the format of its extension.
 
-    Fonts in PDF are of Type 42. PGF is for ``\\input`` in LaTeX, which is not needed here.
+    PDF files have Type 42 fonts. PGF files are for ``\\input`` in LaTeX, which is not needed here.
+
+    Parameters
+    ----------
+    plot
+        The plot.
+    path
+        Path of the file.
+    captioned
+        Whether to write the caption below the plot.
 
     Raises
     ------
     FileFormatError
-        Another extension than `FORMATS`, or a file that cannot be written.
+        If the extension is not in `FORMATS`, or the file cannot be written.
     ParameterError
-        A map in PGF.
+        If a plot with a map is written as PGF.
     """
     import matplotlib as mpl
 
     file = Path(path)
     extension = file.suffix.lower()
     if extension not in FORMATS:
-        raise FileFormatError(f"{file} is no picture; give {', '.join(FORMATS)}.")
+        raise FileFormatError(
+            f"{file} has no extension of an image file; give one of {', '.join(FORMATS)}."
+        )
     figure = draw(plot)
     if captioned:
         text = escaped(shorten(plot.caption, int(17 * figure.get_figwidth())))
         figure.supxlabel(text, x=0.02, ha="left", fontsize=_SMALL, color=INK)
     stamps: dict[str, Any] = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
-    # Names of parts of an SVG are random without a salt
+    # A salt makes the ids in an SVG reproducible
     with writing(file), mpl.rc_context({"svg.hashsalt": "mcspectra", "pdf.fonttype": 42}):
         if extension == ".pgf":
             _write_pgf(figure, file)
@@ -222,12 +239,12 @@ def write(plot: Plot, path: str | PathLike[str], *, captioned: bool = False) -> 
 
 
 def write_pages(pages: Iterable[tuple[str, Plot] | Figure], path: str | PathLike[str]) -> None:
-    """Write plots by title, and figures made elsewhere, to a PDF, a page each, with fonts of Type 42.
+    """Write titled plots and finished figures to a PDF with Type 42 fonts, one per page.
 
     Raises
     ------
     FileFormatError
-        The file cannot be written.
+        If the file cannot be written.
     """
     import matplotlib as mpl
     from matplotlib.backends.backend_pdf import PdfPages
@@ -244,7 +261,7 @@ def write_pages(pages: Iterable[tuple[str, Plot] | Figure], path: str | PathLike
 
 
 def _write_pgf(figure: Figure, file: Path) -> None:
-    """Write PGF; texts are measured as matplotlib draws them, since LaTeX may not be here."""
+    """Write PGF; Matplotlib measures the texts, since LaTeX may not be installed."""
     from matplotlib.backend_bases import RendererBase
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_mixed import MixedModeRenderer
@@ -258,13 +275,13 @@ def _write_pgf(figure: Figure, file: Path) -> None:
             self, gc: Any, x: Any, y: Any, s: str, prop: Any, angle: Any, ismath: Any = False,
             mtext: Any = None,
         ) -> None:  # fmt: skip
-            # A name may hold what LaTeX would read as a command
+            # Escape characters that LaTeX would read as commands
             plain = s if ismath else s.translate(LATEX_TEXT)
             super().draw_text(gc, x, y, plain, prop, angle, ismath, mtext)  # type: ignore[no-untyped-call]
 
         def draw_image(self, *_: Any, **__: Any) -> None:
             raise ParameterError(
-                f"{file} is to hold a map; PGF takes lines and points, give a .pdf."
+                f"{file} cannot hold a map, since PGF has lines and points only; give a .pdf file."
             )
 
     canvas = FigureCanvasAgg(figure)
@@ -306,7 +323,7 @@ def _empty(size: tuple[float, float], pyplot: bool, layout: Any) -> Figure:
 
 
 def _new_figure(plot: Plot, pyplot: bool) -> tuple[Figure, list[Axes]]:
-    """Make a figure for the panels of a plot, inner labels of shared axes left out."""
+    """Create a figure for the panels of a plot; inner labels of shared axes are hidden."""
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     count, columns = len(plot.panels), min(plot.columns, len(plot.panels))
@@ -320,7 +337,7 @@ def _new_figure(plot: Plot, pyplot: bool) -> tuple[Figure, list[Axes]]:
     )
     heights = [side * plot.height * part for part in plot.rows or (1.0,) * rows]
 
-    # Add the strips that titles, tick labels and labels take, and the legend
+    # Add the space for titles, tick labels, axis labels and the legend
     below = plot.share in ("x", "both")
     strips = 0.2
     for row in range(rows):
@@ -351,8 +368,8 @@ def _new_figure(plot: Plot, pyplot: bool) -> tuple[Figure, list[Axes]]:
 
 
 def _exact_figure(plot: Plot, shape: tuple[int, ...], pyplot: bool) -> tuple[Figure, list[Axes]]:
-    """Make a figure in whose PNG a pixel of its pictures is a square of whole pixels."""
-    least, gap, strip = 240, 12, 25  # pixels: of a panel, between panels, of a title
+    """Create a figure whose PNG shows each image pixel as a square of whole pixels."""
+    least, gap, strip = 240, 12, 25  # pixels: smallest panel, gap between panels, title
     height, width, _ = shape
     zoom, columns = max(1, -(-least // width)), min(plot.columns, len(plot.panels))
     foot = gap + 16 * max(panel.x.label.count("\n") + 1 for panel in plot.panels)
@@ -360,7 +377,7 @@ def _exact_figure(plot: Plot, shape: tuple[int, ...], pyplot: bool) -> tuple[Fig
     wide, high = gap + columns * across, math.ceil(len(plot.panels) / columns) * down
     if max(wide, high) > _MOST_PIXELS:
         raise ParameterError(
-            f"Pictures of {width} × {height} pixels side by side are {wide} × {high} pixels, more "
+            f"Images of {width} × {height} pixels side by side take {wide} × {high} pixels, more "
             f"than {_MOST_PIXELS} along a side; give a crop."
         )
     figure = _empty((wide / _DPI, high / _DPI), pyplot, "none")
@@ -374,16 +391,16 @@ def _exact_figure(plot: Plot, shape: tuple[int, ...], pyplot: bool) -> tuple[Fig
 
 
 def _panel(axes: Axes, panel: Panel) -> Iterator[tuple[Scale, ScalarMappable]]:
-    """Draw the marks of a panel; yields its color scales with the marks that show them."""
-    named = any(isinstance(mark, Bars) and mark.lying for mark in panel.marks)
-    # Thin axes on two sides or four, small dark ticks, faint lines where they are wanted
+    """Draw the marks of a panel; yield its color scales with the artists that show them."""
+    named = any(isinstance(mark, BarChart) and mark.lying for mark in panel.marks)
+    # Thin axis lines on two or four sides, small dark ticks, faint grid lines if requested
     axes.set_facecolor("white")
     for side, spine in axes.spines.items():
         spine.set_linewidth(0.6)
         spine.set_color(GRAY)
         plain = side == "bottom" or (side == "left" and not named)
         spine.set_visible(panel.framed or plain)
-        spine.set_in_layout(False)  # it lies on the axes' frame, and is slow to measure
+        spine.set_in_layout(False)  # a spine adds no space and is slow to measure
     axes.tick_params(**_TICKS)
     if named:
         axes.tick_params(axis="y", length=0)
@@ -408,7 +425,7 @@ def _panel(axes: Axes, panel: Panel) -> Iterator[tuple[Scale, ScalarMappable]]:
         _finish_axis(axes, which, axis)
     room = axes.get_window_extent().width / axes.figure.dpi
     if panel.title:
-        # A fixed y: looking for a free one takes longer than all the rest of the layout
+        # A fixed y, since the search for a free one takes longer than the rest of the layout
         letters = max(int(room / _TITLE_LETTER), 12)
         lines = textwrap.wrap(panel.title, letters, break_long_words=False)
         fits = len(lines) < 3 and max(map(len, lines)) <= letters
@@ -441,13 +458,13 @@ def _finish_axis(axes: Axes, which: str, given: Axis) -> None:
     else:
         axis.set_ticks(list(ticks), labels=[escaped(text) for text in ticks.values()])
         axis.set_minor_locator(NullLocator())
-    # After the ticks, which would widen them
+    # Set limits after the ticks, which would extend them
     getattr(axes, f"set_{which}lim")(*((high, low) if given.flipped else (low, high)))
     room = axes.get_window_extent()
     length = (room.width if which == "x" else room.height) / axes.figure.dpi
     axis.set_label_text(escaped(_broken(given.label, length)), fontsize=_LABEL, color=INK)
     if which == "x" and ticks:
-        # Turn labels that would touch
+        # Rotate labels that would touch
         at = np.sort(axis.get_transform().transform(np.array(list(ticks))))
         first, last = axis.get_transform().transform(np.array([low, high]))
         gap = length * np.diff(at).min(initial=np.inf) / (last - first)
@@ -456,12 +473,12 @@ def _finish_axis(axes: Axes, which: str, given: Axis) -> None:
 
 
 def _broken(label: str, length: float) -> str:
-    """A label with its note on a line of its own where it is longer than so many inches."""
+    """Put the note of a label on its own line if the label is longer than `length` inches."""
     return label.replace("   (", "\n(") if len(label) * _LETTER * 1.15 > length else label
 
 
 def _mark(axes: Axes, mark: Mark, depth: float) -> ScalarMappable | None:
-    """Draw a mark; returns it where its colors show a scale."""
+    """Draw a mark; return the artist if its colors show a scale."""
     from matplotlib.collections import LineCollection
 
     look: dict[str, Any] = {"color": getattr(mark, "color", INK), "zorder": depth}
@@ -500,7 +517,7 @@ def _mark(axes: Axes, mark: Mark, depth: float) -> ScalarMappable | None:
                 rasterized=len(mark.x) > _MOST_VECTORS, **shown,
             )  # fmt: skip
             return None if plain else drawn
-        case Bars():
+        case BarChart():
             there = np.isfinite(mark.value)
             at, value = mark.at[there], mark.value[there]
             base = np.broadcast_to(mark.base, np.shape(mark.value))[there]
@@ -520,7 +537,7 @@ def _mark(axes: Axes, mark: Mark, depth: float) -> ScalarMappable | None:
                 stems = axes.hlines if mark.lying else axes.vlines
                 stems(at, base, value, lw=width, alpha=mark.opacity, **look)
             if mark.low is not None and mark.high is not None:
-                # An end that is not finite has no whisker
+                # Omit the whisker of an end that is not finite
                 low, high = (np.where(np.isfinite(e), e, mark.value) for e in (mark.low, mark.high))
                 middle = 0.5 * (low + high)
                 places = (middle, mark.at) if mark.lying else (mark.at, middle)
@@ -533,7 +550,7 @@ def _mark(axes: Axes, mark: Mark, depth: float) -> ScalarMappable | None:
                     escaped(text), end, xycoords=frame, xytext=offset, textcoords="offset points",
                     ha=across, va=up, fontsize=_SMALL, color=INK,
                 )  # fmt: skip
-        case Image():
+        case Heatmap():
             norm, colors = _norm(mark.scale)
             halves = [float(at[1] - at[0]) / 2 if len(at) > 1 else 0.5 for at in (mark.x, mark.y)]
             (left, right), (bottom, top) = (
@@ -548,7 +565,7 @@ def _mark(axes: Axes, mark: Mark, depth: float) -> ScalarMappable | None:
         case Pixels():
             height, width = mark.rgb.shape[:2]
             zoom = max(1, round(axes.get_window_extent().width / width))
-            # Repeated here: matplotlib's own scaling may shift a row by half a pixel
+            # Repeat pixels here, since Matplotlib's scaling may shift a row by half a pixel
             squares = np.repeat(np.repeat(mark.rgb, zoom, axis=0), zoom, axis=1)
             axes.imshow(
                 squares, extent=(0, width, 0, height), interpolation="nearest", zorder=depth
@@ -559,10 +576,10 @@ def _mark(axes: Axes, mark: Mark, depth: float) -> ScalarMappable | None:
         case Segments():
             lines = LineCollection(list(mark.ends), linewidths=mark.width, capstyle="round", **look)
             axes.add_collection(lines)
-        case Rule():
+        case ReferenceLine():
             line = axes.axvline if mark.axis == "x" else axes.axhline
             line(mark.at, ls=mark.dashes, lw=mark.width, **look)
-        case Text():
+        case TextMark():
             offset, across, up = _SIDES[mark.side]
             axes.annotate(
                 escaped(mark.text), (mark.x, mark.y), xytext=offset, textcoords="offset points",
@@ -581,7 +598,7 @@ def _whiskers(
 
 
 def _norm(scale: Scale) -> tuple[Any, Any]:
-    """Make the norm and the color map of a scale; what is no number is light gray."""
+    """Return the norm and the color map of a scale; NaN is light gray."""
     from matplotlib import colormaps, colors
 
     if scale.kind == "names":
@@ -603,7 +620,7 @@ def _norm(scale: Scale) -> tuple[Any, Any]:
 
 
 def _entries(plot: Plot) -> dict[str, list[Mark | str]]:
-    """Marks by their entries in the legend; colors by the names of scales."""
+    """Return marks by legend entry, and colors by the names of scales."""
     found: dict[str, list[Mark | str]] = {label: [] for label in plot.labels}
     for panel in plot.panels:
         for mark in panel.marks:
@@ -620,7 +637,7 @@ def _legend_columns(labels: Iterable[str], width: float) -> int:
 
 
 def _legend(figure: Figure, given: Axes | None, plot: Plot) -> None:
-    """Put the legend under the figure, where it covers nothing; of somebody else's, in the axes."""
+    """Draw the legend below a figure of our own, or inside axes given by the user."""
     from matplotlib.collections import LineCollection
 
     entries = _entries(plot)
@@ -630,7 +647,7 @@ def _legend(figure: Figure, given: Axes | None, plot: Plot) -> None:
     handles = [_handle(marks) for marks in entries.values()]
     texts = [escaped(label) for label in entries]
     if given is not None:
-        # Where it would lie on lines or whiskers, leave room above them, at most half the axes
+        # If the legend overlaps lines or whiskers, add space above them, at most half the axes
         box = given.legend(handles, texts, loc="best", **options).get_window_extent()
         drawn = [line.get_transform().transform_path(line.get_path()) for line in given.lines]
         for each in given.collections:
@@ -649,7 +666,7 @@ def _legend(figure: Figure, given: Axes | None, plot: Plot) -> None:
 
 
 def _handle(marks: list[Mark | str]) -> Any:
-    """Make the sign of an entry: a patch, or a line with the marker of its dots."""
+    """Return the legend handle of an entry: a patch, or a line with the marker of its dots."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -658,10 +675,10 @@ def _handle(marks: list[Mark | str]) -> Any:
         return Patch(facecolor=first, edgecolor=GRAY, linewidth=0.5)
     color = getattr(first, "color", INK)
     color = color if isinstance(color, str) else INK if isinstance(first, Dots) else color[0]
-    lines = [m for m in marks if isinstance(m, Line | Rule | Segments) and m.width]
+    lines = [m for m in marks if isinstance(m, Line | ReferenceLine | Segments) and m.width]
     dots = [m for m in marks if isinstance(m, Dots)]
     if not lines and not dots:
-        opacity = first.opacity if isinstance(first, Bars) else 1.0
+        opacity = first.opacity if isinstance(first, BarChart) else 1.0
         return Patch(facecolor=color, alpha=opacity, linewidth=0)
     return Line2D(
         [], [], color=color, ls=getattr(lines[0], "dashes", "-") if lines else "none",
@@ -671,5 +688,5 @@ def _handle(marks: list[Mark | str]) -> Any:
 
 
 def escaped(text: str) -> str:
-    """Return a printable text with its dollar signs escaped, which would begin mathematics."""
+    """Return a printable text with dollar signs escaped, which would start mathematics."""
     return printable(text, lines=True).replace("$", r"\$")

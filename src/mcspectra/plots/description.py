@@ -1,8 +1,8 @@
-"""What a plot shows, without saying how it is drawn: panels with axes, marks and a color scale.
+"""Backend-independent description of a plot: panels with axes, marks and color scales.
 
 A `Plot` is plain data. Functions of this package make plots from results; both backends draw every
-mark, scale and axis that is declared here. Places are data coordinates; sizes are points (1/72 inch).
-Texts are plain: no TeX, no HTML.
+mark, scale and axis that is declared here. Positions are data coordinates, sizes are in points
+(1/72 inch). Texts are plain, without TeX or HTML.
 """
 
 from __future__ import annotations
@@ -15,49 +15,49 @@ from mcspectra.core.checks import Array
 
 __all__ = [
     "Axis",
-    "Bars",
+    "BarChart",
     "Dots",
+    "Heatmap",
     "Hover",
-    "Image",
     "Line",
     "Mark",
     "Panel",
     "Pixels",
     "Plot",
-    "Rule",
+    "ReferenceLine",
     "Scale",
     "Segments",
-    "Text",
+    "TextMark",
 ]
 
 Hover: TypeAlias = Mapping[str, Sequence[str]]
-"""What the pointer shows at each item of a mark: title → texts. Only bokeh has it."""
+"""Tooltips of a mark: title → one text per item. Only Bokeh shows them."""
 
 Dashes: TypeAlias = Literal["-", "--", ":", "-."]
 Marker: TypeAlias = Literal["o", "s", "^", "D", "v", "P", "X", "|"]
-"""Shapes of `Dots`; ``|`` is an upright stroke as long as the dots' size."""
+"""Shapes of `Dots`; ``|`` is a vertical stroke whose length is the size."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class Axis:
-    """An axis of a panel; `mcspectra.plots.scales` makes those whose limits come from the data.
+    """An axis of a panel. `mcspectra.plots.scales` makes axes with limits from the data.
 
     Attributes
     ----------
     label
-        Empty where the panel's title says it.
+        Label of the axis; empty if the panel's title describes it.
     kind
-        ``signed`` is linear within ± `threshold` and logarithmic beyond (half a decade of room for
-        the linear part on either side).
+        ``signed`` is linear within ± `threshold` and logarithmic beyond. Each side of the linear
+        part takes as much space as half a decade.
     low, high
-        Limits; None leaves them to the marks with a small margin.
+        Limits. None: limits of the marks, with a small margin.
     ticks
-        Places and their texts; None leaves them to the backend.
+        Positions and texts of the ticks. None: chosen by the backend.
     threshold
-        Of a ``signed`` axis.
+        End of the linear part of a ``signed`` axis.
     flipped
-        Whether it runs downwards, or to the left.
+        Whether the axis runs down or to the left.
     """
 
     label: str = ""
@@ -72,29 +72,29 @@ class Axis:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scale:
-    """How values become colors. Panels that hold the same scale share one color bar.
+    """A mapping of values to colors. Panels with the same scale share one color bar.
 
     Attributes
     ----------
     label
-        Of the color bar; a scale of an empty label and no `names` has no bar.
+        Label of the color bar. A scale with an empty label and no `names` has no bar.
     kind
-        ``names``: values are whole numbers k, which mean ``names[k - low]``; a legend stands for
-        the bar.
-        ``signed``: symmetric, as of `Axis`.
+        ``names``: a value is an integer k that stands for ``names[k - low]``; a legend replaces
+        the color bar.
+        ``signed``: symmetric, linear within ± `threshold` and logarithmic beyond; see `Axis`.
     low, high
-        Values of the ends; of a ``signed`` scale −high and high.
+        Values at the ends; −high and high for a ``signed`` scale.
     ticks
-        Places on the color bar and their texts; None leaves them to the backend.
+        Positions and texts of the ticks on the color bar. None: chosen by the backend.
     threshold
-        Of a ``signed`` scale.
+        End of the linear part of a ``signed`` scale.
     palette
         ``sequential`` (dark to light), ``diverging`` (blue, white at the middle, orange), ``gray``
         (black to white), ``paper`` (white to black).
     names, colors
-        Of a ``names`` scale, one each.
+        Names and colors of a ``names`` scale, one per value.
     beyond
-        Whether values above `high` occur, which the bar then shows by an arrow.
+        Whether values above `high` occur; an arrow at the end of the bar shows this.
     """
 
     label: str = ""
@@ -112,18 +112,18 @@ class Scale:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Line:
-    """A polyline with a band; NaN interrupts it. ``width=0`` draws the band alone, as an area.
+    """A polyline with an optional band. NaN interrupts it; ``width=0`` draws only the band.
 
     Attributes
     ----------
     x, y
-        Places, (k,).
+        Coordinates, (k,).
     low, high
-        Ends of the band, (k,); None has no band.
+        Lower and upper end of the band, (k,). None: no band.
     step
-        Whether y holds for the cell around x rather than at x.
+        Whether y is the value of the whole cell around x.
     label
-        Entry in the legend; marks of the same label share one.
+        Entry in the legend; marks with the same label share one entry.
     """
 
     x: Array
@@ -141,16 +141,18 @@ class Line:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Dots:
-    """Markers, with whiskers where `low` and `high` are given.
+    """Markers, with whiskers if `low` and `high` are given.
 
     Attributes
     ----------
     color
-        A color, or values (k,) of `scale`.
+        A color, or values (k,) that `scale` maps to colors.
     size
-        Diameter in points, one or (k,).
+        Diameter in points, scalar or (k,).
     low, high
-        Ends of the whiskers along y, or along x where `across`, (k,); NaN has none.
+        Ends of the whiskers, (k,); NaN draws none.
+    across
+        Whether the whiskers run along x instead of y.
     """
 
     x: Array
@@ -168,23 +170,23 @@ class Dots:
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Bars:
-    """Bars from `base` to `value` at places `at`, upright or lying, with whiskers where given.
+class BarChart:
+    """Vertical or horizontal bars from `base` to `value` at positions `at`, with whiskers if given.
 
     Attributes
     ----------
     at, value
-        (k,); NaN has no bar.
+        Positions and values, (k,); NaN draws no bar.
     thickness
-        In data coordinates; 0 draws stems.
+        Thickness in data coordinates; 0 draws stems.
     color
-        One, or one each.
+        One color, or one per bar.
     base
-        Where bars begin, one number or (k,).
+        Value at which bars begin, one number or (k,).
     lying
-        Whether bars run along x, at places on the y axis.
+        Whether the bars are horizontal, with positions on the y axis.
     texts
-        Written beside each bar's place at the far end of the panel; none by default.
+        Texts at the far end of the panel, one per bar. Default: no texts.
     """
 
     at: Array
@@ -203,19 +205,19 @@ class Bars:
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Image:
-    """Values on a regular grid; NaN is gray.
+class Heatmap:
+    """Values on a regular grid as colors; NaN is gray.
 
     Attributes
     ----------
     values
-        (len(y), len(x)): row k stands at ``y[k]``.
+        Values, (len(y), len(x)); row k is at ``y[k]``.
     x, y
         Centers of the columns and rows, ascending.
     hover
-        Further values of each cell that the pointer shows, of the shape of `values`, by title.
+        Further values for the tooltip by title, with the shape of `values`.
     name
-        Title of `values` under the pointer.
+        Title of `values` in the tooltip.
     """
 
     values: Array
@@ -229,7 +231,7 @@ class Image:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pixels:
-    """A picture in true colors: uint8 (height, width, 3), the first row on top, in [0,w] × [0,h]."""
+    """An RGB image, uint8 (height, width, 3), first row on top, in [0, width] × [0, height]."""
 
     rgb: Array
 
@@ -237,7 +239,7 @@ class Pixels:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Segments:
-    """Straight segments (k, 2, 2): start and end, x and y."""
+    """Straight line segments; `ends` has shape (k, 2, 2): start and end, x and y."""
 
     ends: Array
     color: str
@@ -247,8 +249,8 @@ class Segments:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Rule:
-    """A line across the panel at a place on the x or the y axis."""
+class ReferenceLine:
+    """A straight line across the panel at a fixed x or y."""
 
     at: float
     axis: Literal["x", "y"] = "y"
@@ -260,8 +262,8 @@ class Rule:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Text:
-    """A short text at a place, ``side`` of it."""
+class TextMark:
+    """A short text next to a point; `side` is its position relative to the point."""
 
     x: float
     y: float
@@ -270,26 +272,26 @@ class Text:
     side: Literal["right", "left", "above", "below", "middle"] = "right"
 
 
-Mark: TypeAlias = Line | Dots | Bars | Image | Pixels | Segments | Rule | Text
+Mark: TypeAlias = Line | Dots | BarChart | Heatmap | Pixels | Segments | ReferenceLine | TextMark
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Panel:
-    """One pair of axes and the marks in it, the first at the back.
+    """One pair of axes with marks; the first mark is drawn at the back.
 
     Attributes
     ----------
     title
-        Above the panel; a long one loses its middle.
+        Title above the panel; the middle of a long title is omitted.
     square
-        Whether a unit is as long on both axes.
+        Whether units have the same length on both axes.
     framed
-        Whether lines stand on all four sides rather than two.
+        Whether the panel has axis lines on all four sides instead of two.
     grid
-        Whether faint lines stand behind the marks at the ticks.
+        Whether faint lines mark the ticks behind the marks.
     note
-        Written in the middle: why the panel is empty.
+        Text in the middle of an empty panel that gives the reason.
     """
 
     marks: tuple[Mark, ...]
@@ -303,7 +305,7 @@ class Panel:
 
     @property
     def scales(self) -> tuple[Scale, ...]:
-        """The color scales of its marks, each once."""
+        """The distinct color scales of the marks."""
         found = (getattr(mark, "scale", None) for mark in self.marks)
         return tuple(dict.fromkeys(scale for scale in found if scale is not None))
 
@@ -311,28 +313,29 @@ class Panel:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plot:
-    """A figure: panels, what is said about it, and what they share.
+    """A figure: panels, their layout, and texts about them.
 
     Attributes
     ----------
     panels
-        In reading order.
+        Panels in reading order.
     kind
-        Kebab-case name of what it shows, such as ``convergence``; `mcspectra.plots.kinds` sets it.
+        Kebab-case name of the kind of plot, such as ``convergence``; set by
+        `mcspectra.plots.kinds`.
     columns
-        Panels abreast on paper; a narrow screen takes fewer.
+        Number of panels per row on paper; narrow screens use fewer.
     caption
-        What is seen, and how to read it, in a sentence or two.
+        One or two sentences on the contents and how to read them.
     words
-        What it shows in numbers, for those who don't see it.
+        Description of the contents in numbers, for screen readers.
     height
         Height of a panel relative to its width.
     rows
-        Relative heights of the rows; all the same by default.
+        Relative heights of the rows. Default: equal.
     share
-        Axes that all panels have in common: they zoom together, and inner labels are left out.
+        Axes that all panels share: they zoom together, and inner labels are omitted.
     wide
-        Whether it takes the whole width of a page.
+        Whether the figure takes the full width of a page.
     """
 
     panels: tuple[Panel, ...]
@@ -347,6 +350,6 @@ class Plot:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Entries of the legend, each once."""
+        """The distinct entries of the legend."""
         marks = (mark for panel in self.panels for mark in panel.marks)
         return tuple(dict.fromkeys(label for m in marks if (label := getattr(m, "label", ""))))

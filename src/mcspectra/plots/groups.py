@@ -1,4 +1,4 @@
-"""What describing functions take: results of one analysis by the name of what they are of."""
+"""Groups of results: results of one analysis by name, as taken by functions that describe plots."""
 
 from __future__ import annotations
 
@@ -38,30 +38,31 @@ __all__ = [
 ]
 
 Group: TypeAlias = "Mapping[str, xr.Dataset]"
-"""Results by the name of their sampler, without channels and with their labels."""
+"""Results by the name of their sampler, reduced to one channel, with labels as coordinates."""
 
 Data: TypeAlias = "xr.Dataset | Group"
-"""A result, perhaps of several estimators, samplers or variants, or results by name."""
+"""A result, optionally over several estimators, samplers or variants, or results by name."""
 
 Styles: TypeAlias = Mapping[str, LineStyle]
-"""How each sampler is drawn."""
+"""Style of each sampler."""
 
+# Variables of a curve; a result whose curves have variants is split
 _CURVE = {
     "n",
     "variance",
     "variance_ci",
     "rate",
     "rate_ci",
-}  # a result with variants of them is split
+}
 
 
 def as_group(data: Data) -> tuple[dict[str, xr.Dataset], str]:
-    """Return results by name, of several channels the first, and a note where there are several.
+    """Return the first channel of results by name, and a note if there are several channels.
 
     Raises
     ------
     ParameterError
-        There is no result.
+        If `data` contains no result.
     """
     import xarray as xr
 
@@ -83,7 +84,7 @@ def as_group(data: Data) -> tuple[dict[str, xr.Dataset], str]:
 
 
 def pairs(data: xr.Dataset) -> Iterator[tuple[str, str, str, xr.Dataset]]:
-    """Yield estimator, points (sampler and variant), a name and the result of each of several."""
+    """Yield estimator, points (sampler and variant), a name and the result for each combination."""
     several, variants = {"estimator", "sampler"} & set(data.dims), variant_dims(data)
     for estimator, of_estimator in along(data, "estimator"):
         for sampler, of_sampler in along(of_estimator, "sampler"):
@@ -101,7 +102,7 @@ def pairs(data: xr.Dataset) -> Iterator[tuple[str, str, str, xr.Dataset]]:
 
 
 def variant_dims(data: xr.Dataset) -> list[str]:
-    """Return the dims along which one sampler has several curves, as those of `mirror_study`."""
+    """Return the dims along which one sampler has several curves, as in `mirror_study`."""
     if not set(map(str, data.variables)) >= _CURVE:
         return []
     known = ("estimator", "sampler", "channel", "y", "x")
@@ -114,12 +115,12 @@ def frequency_dims(data: xr.Dataset) -> list[str]:
 
 
 def abreast(count: int) -> int:
-    """Return how many of so many panels stand abreast, at most three: 4 stand 2 by 2."""
+    """Return the number of panels per row, at most three; four panels are placed 2 by 2."""
     return -(-count // -(-count // 3))
 
 
 def shared(panels: Sequence[Panel]) -> Literal["", "x", "y", "both"]:
-    """Return which axes all panels have alike, and thus in common: others keep limits of their own."""
+    """Return the axes that are equal in all panels and can be shared."""
     x, y = (
         all(axis == axes[0] for axis in axes)
         for axes in zip(*((p.x, p.y) for p in panels), strict=True)
@@ -128,7 +129,7 @@ def shared(panels: Sequence[Panel]) -> Literal["", "x", "y", "both"]:
 
 
 def for_each(group: Group, words: Callable[[xr.Dataset], str]) -> str:
-    """Return what is said of each result, after its name."""
+    """Return the name and description of each result as one text."""
     return "; ".join(f"{name}: {words(each)}" for name, each in group.items()) + "."
 
 
@@ -140,20 +141,20 @@ def lines_of(
     texts: Mapping[str, Sequence[str]] | None = None,
     notes: Mapping[str, str] | None = None,
 ) -> list[Line]:
-    """Return lines by name, the first ones thickest, so that one that coincides still shows.
+    """Return one line per name, the first ones thickest, so that coinciding lines stay visible.
 
     Parameters
     ----------
     curves
-        x and y, and for a band its ends.
+        x and y, and optionally the two ends of a band, by name.
     styles
-        How each name is drawn.
+        Style of each name.
     under
-        Titles of x and y under the pointer.
+        Titles of x and y in the tooltip.
     texts
-        What stands for y there; by default its number.
+        Texts for y in the tooltip. Default: numbers.
     notes
-        What the legend adds to a name.
+        Texts that the legend appends to the names.
     """
     names, made = labels(list(curves), 40), list[Line]()
     for (name, (x, y, *ends)), width in zip(curves.items(), line_widths(len(curves)), strict=True):
@@ -175,14 +176,14 @@ def lines_of(
 
 
 def numbers(values: Array | Iterable[float], digits: int = 4) -> list[str]:
-    """Return values as text."""
+    """Format values as texts."""
     return [number(float(value), digits) for value in values]
 
 
 def not_finite(values: Array | float, data: xr.Dataset | None = None) -> str:
-    """Return what stands for values that are all not finite: infinite ones come of a density.
+    """Return a text for values that are all not finite; infinite values mean that ∫1/p diverges.
 
-    Where `data` are given, their terms and ∫1/p say so for values that are no numbers.
+    If `data` is given, infinite terms or ∫1/p in it also count for values that are NaN.
     """
     known = [] if data is None else [data[t].values for t in ("dc_term", "power_term") if t in data]
     level = 0.0 if data is None else float(data.attrs.get("random_level", 0.0))
@@ -191,12 +192,12 @@ def not_finite(values: Array | float, data: xr.Dataset | None = None) -> str:
 
 
 def intervals(ends: Array, digits: int = 4) -> list[str]:
-    """Return intervals (k, 2) as text."""
+    """Format intervals (k, 2) as texts."""
     return [interval(float(low), float(high), digits) for low, high in ends]
 
 
 def along(data: xr.Dataset, dim: str) -> Iterator[tuple[str, xr.Dataset]]:
-    """Yield the label and the part of a result at each place of a dim, or the result where it has none."""
+    """Yield label and part for each index along a dim, or the whole result if it lacks the dim."""
     if dim not in data.dims:
         yield str(data.attrs.get(f"{dim}_spec", data.attrs.get(dim, dim))), data
         return
@@ -213,27 +214,27 @@ def method_of(one: xr.Dataset, channel: int = 0) -> str:
 
 
 def _place(dim: str, value: Any) -> str:
-    """A place on a dim in few words: ``uniform``, ``not homogenized``, ``width 0.1``."""
+    """Return a short text for a coordinate: ``uniform``, ``not homogenized``, ``width 0.1``."""
     if value.dtype.kind == "b":
         return dim if value else f"not {dim}"
     return str(value) if value.dtype.kind == "U" else f"{dim} {value}"
 
 
 def labelled(stored: xr.Dataset) -> xr.Dataset:
-    """Return a stored result with its coordinates of text, kept as attributes ``labels_*``."""
+    """Return a stored result with text coordinates restored from the attributes ``labels_*``."""
     texts = {
         str(key).removeprefix("labels_"): np.array(value)
         for key, value in stored.attrs.items()
         if str(key).startswith("labels_")
     }
-    # Labels of a dim bear its name; further ones, such as verdicts, run along the same dim, of two
-    # counts too, not along the ends of intervals
+    # Labels of a dim have its name. Other labels, such as verdicts, belong to the dim of their
+    # size; with size 2 they must not be assigned to the dim "bound"
     dims = sorted(map(str, stored.dims), key=lambda dim: dim != "bound")
     own: dict[tuple[int, ...], Any] = {
         texts[dim].shape: dim for dim in dims if dim in texts and dim != "bound"
     }
     own |= {(stored.sizes[dim],): dim for dim in dims if (stored.sizes[dim],) not in own}
-    # Labels along two dims, such as details by method and n, run along those of some variable
+    # Labels over two dims, such as details by method and n, use the dims of a variable
     for values in stored.data_vars.values():
         if values.ndim > 1:
             own.setdefault(values.shape[:2], values.dims[:2])

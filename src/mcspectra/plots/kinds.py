@@ -1,4 +1,4 @@
-"""Kinds of plots: what each shows of a result, and the door through which results become plots."""
+"""Kinds of plots, and the function that describes a plot of a result."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mcspectra.core.checks import Array, as_choice
 from mcspectra.core.display import shown
 from mcspectra.core.errors import ParameterError
 from mcspectra.plots import maps, points, spectra, variance, warps
-from mcspectra.plots.description import Axis, Dots, Image, Line, Mark, Panel, Plot, Scale
+from mcspectra.plots.description import Axis, Dots, Heatmap, Line, Mark, Panel, Plot, Scale
 from mcspectra.plots.groups import (
     Data,
     Group,
@@ -27,24 +27,24 @@ from mcspectra.plots.groups import (
 from mcspectra.plots.scales import name_axis
 from mcspectra.plots.style import labels, sampler_styles
 
-__all__ = ["KINDS", "Kind", "anything", "describe", "kinds_of", "shown_variables"]
+__all__ = ["PLOT_KINDS", "PlotKind", "anything", "describe", "kinds_of", "shown_variables"]
 
 
 @final
 @dataclass(frozen=True)
-class Kind:
+class PlotKind:
     """A kind of plot.
 
     Attributes
     ----------
     describe
-        Makes the plot of results by name.
+        Function that returns the plot of a group of results.
     variables
-        What a result must have.
+        Variables that a result must have.
     dims
-        How many frequency dims it must have; None: any number.
+        Required number of frequency dims. None: any number.
     pixels
-        Whether it shows results over the pixels of a picture.
+        Whether the kind shows results over the pixels of an image.
     """
 
     describe: Callable[[Group, Styles], Plot]
@@ -53,22 +53,23 @@ class Kind:
     pixels: bool = False
 
     def fits(self, data: xr.Dataset) -> bool:
-        """Return whether a result has what is shown."""
+        """Whether this kind can show the result."""
         if {"y", "x"} <= set(data.dims) and not self.pixels:
             return False
         return not self.lacks(data) and self.dims in (None, len(frequency_dims(data)))
 
     def lacks(self, data: xr.Dataset) -> list[str]:
-        """Return what is shown that a result does not have; labels may be attributes."""
+        """Return the required variables that the result lacks; labels may be attributes."""
         return [
             v for v in self.variables if v not in data.variables and f"labels_{v}" not in data.attrs
         ]
 
 
 def shown_variables(data: xr.Dataset) -> dict[str, int]:
-    """Return the variables of real numbers that are shown, with their dims: one or two, else none.
+    """Return the real variables that `anything` shows, with their numbers of dims.
 
-    Intervals and standard errors belong to others.
+    These are variables over one or two dims, or else scalars. Intervals and standard errors are
+    not included, since they belong to other variables.
     """
     partners = {f"{name}{end}" for name in data.data_vars for end in ("_ci", "_se")}
     found = {
@@ -80,10 +81,10 @@ def shown_variables(data: xr.Dataset) -> dict[str, int]:
 
 
 def anything(group: Group, styles: Styles) -> Plot:
-    """Every variable of a result that no kind knows, such as that of a stranger's analysis.
+    """Plot every variable of a result that no other kind shows, such as one from another package.
 
-    Those of one dim are curves of all samplers in one panel, those of two maps, a panel for each sampler;
-    where there are neither, single numbers stand beside each other.
+    Variables over one dim become curves of all samplers in one panel. Variables over two dims
+    become maps, one panel per sampler. If there are neither, scalars are plotted side by side.
     """
     first, names = next(iter(group.values())), labels(list(group), 30)
     panels, said = [], []
@@ -105,7 +106,7 @@ def anything(group: Group, styles: Styles) -> Plot:
                 (y, y_ticks), (x, x_ticks) = (_places(each[name], dim) for dim in each[name].dims)
                 panels.append(
                     Panel(
-                        marks=(Image(values=shown, x=x, y=y, scale=scale, name=name),),
+                        marks=(Heatmap(values=shown, x=x, y=y, scale=scale, name=name),),
                         x=Axis(label=over[1], ticks=x_ticks),
                         y=Axis(label=over[0], ticks=y_ticks),
                         title=sampler if len(group) > 1 else label,
@@ -118,7 +119,7 @@ def anything(group: Group, styles: Styles) -> Plot:
             y, style = np.atleast_1d(each[name].values), styles[sampler]
             hover = {"sampler": [names[sampler]] * x.size, "x": numbers(x), "value": numbers(y)}
             both: dict[str, Any] = {"x": x, "y": y, "color": style.color, "label": names[sampler]}
-            # The interval of each value: its own, or two standard errors to either side
+            # The interval of each value: its own, or two standard errors on either side
             ends = None
             if f"{name}_ci" in each:
                 ends = np.reshape(each[f"{name}_ci"].values, (-1, 2))
@@ -128,7 +129,7 @@ def anything(group: Group, styles: Styles) -> Plot:
             if ends is not None:
                 both["low"], both["high"] = ends.T
                 hover["interval"] = intervals(ends)
-            if ticks is None and dims:  # names are no axis that a line could run along
+            if ticks is None and dims:  # a line needs a numeric axis
                 marks.append(Line(dashes=style.dashes, hover=hover, **both))
             else:
                 marks.append(Dots(marker=style.marker, hover=hover, **both))
@@ -146,76 +147,89 @@ def anything(group: Group, styles: Styles) -> Plot:
 
 
 def _places(values: xr.DataArray, dim: Any) -> tuple[Array, Mapping[float, str] | None]:
-    """Places along a dim of a variable, and texts where its labels are no numbers."""
+    """Return positions along a dim, and tick texts if its labels are not numbers."""
     at = values[dim].values
     if at.dtype.kind in "iuf":
         return at.astype(float), None
     return np.arange(float(at.size)), {float(k): str(text) for k, text in enumerate(at)}
 
 
-KINDS: Mapping[str, Kind] = {
-    "convergence": Kind(variance.convergence, ("n", "variance", "variance_ci", "mean", "rate", "rate_ci")),
-    "cross-matrix": Kind(spectra.cross_matrix, ("cross_matrix",), 1),
-    "terms": Kind(variance.terms, ("dc_term", "power_term", "cross_term", "predicted_variance_ci", "measured_variance_ci")),
-    "captured": Kind(variance.captured, ("captured_by_half_width",)),
-    "contributions": Kind(spectra.contributions, ("contribution", "power_contribution")),
-    "bands": Kind(spectra.bands, ("band_covariance",)),
-    "spectrum": Kind(spectra.spectrum, ("power",), 2),
-    "lines": Kind(spectra.lines, ("power",), 1),
-    "radial": Kind(spectra.radial, ("power", "radial_power")),
-    "pair-correlation": Kind(spectra.pair_correlation, ("pair_correlation", "pair_correlation_ci")),
-    "points": Kind(points.points, ("points", "axis")),
-    "remedies": Kind(variance.remedies, ("remedy", "error_ratio", "error_ratio_ci", "verdict")),
-    "techniques": Kind(variance.techniques, ("technique_covariance", "technique_variance_ci")),
-    "technique-rates": Kind(variance.technique_rates, ("n", "technique_variance", "technique_rate", "rate_ci")),
-    "anova": Kind(variance.anova, ("anova_variance", "anova_variance_se", "subset_label")),
-    "profile": Kind(variance.profile, ("n", "variance", "variance_ci", "integral")),
-    "prediction": Kind(variance.prediction, ("n", "predicted_variance", "predicted_variance_ci")),
-    "modes": Kind(spectra.modes, ("eigenvalue", "eigenvalue_se", "eigenvalue_share", "mode_vector")),
-    "chains": Kind(spectra.chains, ("error_share", "chain_spectrum", "fitted_spectrum")),
-    "warp": Kind(warps.warp, ("warped", "stretch", "jump")),
-    "primary": Kind(warps.primary, ("primary_value", "primary_jump", "face_jump")),
+PLOT_KINDS: Mapping[str, PlotKind] = {
+    "convergence": PlotKind(
+        variance.convergence, ("n", "variance", "variance_ci", "mean", "rate", "rate_ci")
+    ),
+    "cross-matrix": PlotKind(spectra.cross_matrix, ("cross_matrix",), 1),
+    "terms": PlotKind(
+        variance.terms,
+        ("dc_term", "power_term", "cross_term", "predicted_variance_ci", "measured_variance_ci"),
+    ),
+    "captured": PlotKind(variance.captured, ("captured_by_half_width",)),
+    "contributions": PlotKind(spectra.contributions, ("contribution", "power_contribution")),
+    "bands": PlotKind(spectra.bands, ("band_covariance",)),
+    "spectrum": PlotKind(spectra.spectrum, ("power",), 2),
+    "lines": PlotKind(spectra.lines, ("power",), 1),
+    "radial": PlotKind(spectra.radial, ("power", "radial_power")),
+    "pair-correlation": PlotKind(
+        spectra.pair_correlation, ("pair_correlation", "pair_correlation_ci")
+    ),
+    "points": PlotKind(points.points, ("points", "axis")),
+    "remedies": PlotKind(variance.remedies, ("remedy", "error_ratio", "error_ratio_ci", "verdict")),
+    "techniques": PlotKind(variance.techniques, ("technique_covariance", "technique_variance_ci")),
+    "technique-rates": PlotKind(
+        variance.technique_rates, ("n", "technique_variance", "technique_rate", "rate_ci")
+    ),
+    "anova": PlotKind(variance.anova, ("anova_variance", "anova_variance_se", "subset_label")),
+    "profile": PlotKind(variance.profile, ("n", "variance", "variance_ci", "integral")),
+    "prediction": PlotKind(
+        variance.prediction, ("n", "predicted_variance", "predicted_variance_ci")
+    ),
+    "modes": PlotKind(
+        spectra.modes, ("eigenvalue", "eigenvalue_se", "eigenvalue_share", "mode_vector")
+    ),
+    "chains": PlotKind(spectra.chains, ("error_share", "chain_spectrum", "fitted_spectrum")),
+    "warp": PlotKind(warps.warp, ("warped", "stretch", "jump")),
+    "primary": PlotKind(warps.primary, ("primary_value", "primary_jump", "face_jump")),
     **{
-        kind: Kind(describe, variables, pixels=True)
+        kind: PlotKind(describe, variables, pixels=True)
         for kind, (variables, describe) in maps.MAPS.items()
     },
-    "anything": Kind(anything, (), pixels=True),
-}  # fmt: skip
-"""The first kind that fits a result is the one that its accessor's ``plot`` draws."""
+    "anything": PlotKind(anything, (), pixels=True),
+}
+"""Kinds of plots by name. The accessor's ``plot`` draws the first kind that fits a result."""
 
 
 def kinds_of(data: Data) -> tuple[str, ...]:
-    """Return the kinds of plots that show a result; ``anything`` where no other kind does."""
+    """Return the kinds of plots that can show a result; ``anything`` if no other kind can."""
     first = next(iter(as_group(data)[0].values()))
-    fitting = (name for name, kind in KINDS.items() if kind.fits(first) and name != "anything")
+    fitting = (name for name, kind in PLOT_KINDS.items() if kind.fits(first) and name != "anything")
     return tuple(fitting) or (("anything",) if shown_variables(first) else ())
 
 
 def describe(kind: str, data: Data, styles: Styles | None = None) -> Plot:
-    """Describe a plot of a result, or of several by the name of their sampler.
+    """Describe a plot of one result or of several results.
 
     Parameters
     ----------
     kind
-        One of `KINDS`.
+        One of `PLOT_KINDS`.
     data
-        A dataset, perhaps with the dims estimator and sampler, or datasets by name; of several
-        channels the first is shown.
+        A dataset, optionally with the dims estimator and sampler, or datasets by name of the
+        sampler. Only the first channel is shown.
     styles
-        How each name is drawn; by default each has a style of its own.
+        Style of each name. Default: distinct styles.
 
     Raises
     ------
     ParameterError
-        No such kind, nothing to draw, or a result of another analysis.
+        If the kind is unknown, if there is nothing to draw, or if the kind does not fit the result.
     """
-    chosen = KINDS[as_choice("kind", kind, tuple(KINDS))]
+    chosen = PLOT_KINDS[as_choice("kind", kind, tuple(PLOT_KINDS))]
     group, note = as_group(data)
     for name, each in group.items():
         if lacking := chosen.lacks(each):
             raise ParameterError(
-                f"The result for {shown(name)} has no {' and no '.join(lacking)}; give a result of the "
-                f"analysis that the plot {shown(kind)} shows."
+                f"The result for {shown(name)} has no {' and no '.join(lacking)}; the plot "
+                f"{shown(kind)} needs a result of another analysis."
             )
         if not chosen.fits(each):
             other = "'radial'" if "power" in chosen.variables else "'contributions'"

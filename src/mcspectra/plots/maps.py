@@ -1,4 +1,4 @@
-"""Scenes: maps over an image, frames of renderers, pictures by each strategy, the light that arrives at a pixel."""
+"""Plots of scenes: maps over an image, renderer frames, strategy images, light at a pixel."""
 
 from __future__ import annotations
 
@@ -13,7 +13,17 @@ import xarray as xr
 
 from mcspectra.core.checks import Array, as_real
 from mcspectra.core.errors import ParameterError
-from mcspectra.plots.description import Axis, Image, Line, Mark, Panel, Pixels, Plot, Rule, Scale
+from mcspectra.plots.description import (
+    Axis,
+    Heatmap,
+    Line,
+    Mark,
+    Panel,
+    Pixels,
+    Plot,
+    ReferenceLine,
+    Scale,
+)
 from mcspectra.plots.groups import Group, Styles, abreast, shared
 from mcspectra.plots.scales import log_axis, log_scale
 from mcspectra.plots.style import PALETTE
@@ -36,16 +46,16 @@ STRATEGIES = {
     "mis": "MIS",
     "path": "whole paths",
 }
-"""What maps and pictures call the strategies."""
+"""Names of the strategies in maps and images."""
 
-_MIDDLE = 0.18  # radiance that the geometric mean is shown as [Reinhard2002]_
-_SPREAD = (1.0, 99.0)  # percentiles that a scale spans: single pixels would take up all of it
-_DECADES, _LIGHT_DECADES = 6, 4  # of a map, and of radiance, that are told apart
-_LARGEST_RATIO = 8.0  # of the scales of ratios
+_MIDDLE = 0.18  # displayed radiance of the geometric mean [Reinhard2002]_
+_SPREAD = (1.0, 99.0)  # percentiles at the ends of a color scale; outlier pixels are clipped
+_DECADES, _LIGHT_DECADES = 6, 4  # largest range of a map and of radiance, in decades
+_LARGEST_RATIO = 8.0  # largest end of a color scale of ratios
 _RATIOS = (0.125, 0.25, 0.5, 0.8, 1.0, 1.25, 2.0, 4.0, 8.0)
 _MOST_STOPS = 64.0
-_DARKEST = 1e-3  # power that is still told apart
-_SMOOTHED = ("rate", "rate_se", "bottleneck")  # means over windows
+_DARKEST = 1e-3  # smallest relative power that is shown
+_SMOOTHED = ("rate", "rate_se", "bottleneck")  # quantities that are averaged over windows
 
 
 def _image_map(
@@ -58,11 +68,11 @@ def _image_map(
     once: bool = False,
     wide: bool = True,
 ) -> Plot:
-    """One quantity over the image, a panel for each sampler and strategy, on one scale.
+    """Map one quantity over the image, with a panel per sampler and strategy and one color scale.
 
-    With `once` it is that of all samplers.
+    With `once` the quantity does not depend on the sampler and is shown once.
     """
-    # At the largest number of samples; predictions are known at some rows and columns only
+    # Use the largest number of samples; predictions exist at some rows and columns only
     shown = {name: each[variable] for name, each in group.items()}
     shown = {name: data.isel(n=-1) if "n" in data.dims else data for name, data in shown.items()}
     if variable == "predicted_ratio" and all(np.isfinite(d.values).any() for d in shown.values()):
@@ -108,9 +118,9 @@ def _over_pixels(
     labels: tuple[str, str] = ("x", "y"),
     title: str = "",
 ) -> Panel:
-    """An image with rows from the top, half a pixel beyond the centers at its ends."""
+    """Return a panel of values per pixel, first row on top, with limits at the pixel borders."""
     return Panel(
-        marks=(Image(values=values, x=x, y=y, scale=scale, name=name),),
+        marks=(Heatmap(values=values, x=x, y=y, scale=scale, name=name),),
         x=Axis(label=labels[0], low=x[0] - 0.5, high=x[-1] + 0.5),
         y=Axis(label=labels[1], low=y[0] - 0.5, high=y[-1] + 0.5, flipped=True),
         title=title,
@@ -119,7 +129,7 @@ def _over_pixels(
 
 
 def bounce_name(bounce: int) -> str:
-    """The name of a bounce in titles and tables."""
+    """Return the name of a bounce in titles and tables."""
     return f"bounce {bounce}" if bounce else "camera"
 
 
@@ -134,7 +144,7 @@ def _map_words(values: Array, scale: Scale) -> str:
 
 
 def _logarithmic(label: str) -> Callable[[Array], Scale]:
-    """Make a logarithmic scale of the positive values, but for single pixels far off."""
+    """Return a function that makes a logarithmic scale of positive values without outliers."""
 
     def scale(values: Array) -> Scale:
         found = values[np.isfinite(values) & (values > 0)]
@@ -149,14 +159,14 @@ def _rates(values: Array) -> Scale:
     """Return the scale of exponents."""
     found = values[np.isfinite(values)]
     low, high = np.percentile(found, _SPREAD) if found.size else (-2.0, -1.0)
-    # Never narrower than −2 … −1, smooth and random: noise would look like structure. Not much
-    # wider either: what lies beyond comes of variances that few realizations make.
+    # At least −2 … −1 (smooth to random), or noise would look like structure. Not much wider:
+    # rates outside come from variances with few realizations.
     low, high = max(min(low, -2.0), -3.0), min(max(high, -1.0), -0.5)
     return Scale(label="exponent of variance", low=float(low), high=float(high))
 
 
 def _ratios(label: str) -> Callable[[Array], Scale]:
-    """Make a scale of ratios, symmetric about 1."""
+    """Return a function that makes a scale of ratios, symmetric about 1."""
 
     def scale(values: Array) -> Scale:
         sizes = np.abs(np.log(values[np.isfinite(values) & (values > 0)]))
@@ -171,14 +181,14 @@ def _ratios(label: str) -> Callable[[Array], Scale]:
 
 
 def _which(values: Array) -> Scale:
-    """Which of two techniques, or neither."""
+    """Return the scale for the choice between two techniques, or undecided."""
     del values
     names, colors = ("undecided", "light", "BSDF"), ("#FFFFFF", *PALETTE[:2])
     return Scale(kind="names", names=names, colors=colors, low=-1.0)
 
 
 def _shares(values: Array) -> Scale:
-    """Shares: from 0 to 1, and beyond as far as estimates go, but for single pixels far off."""
+    """Return the scale of shares: 0 to 1, extended to the estimates except outlier pixels."""
     found = values[np.isfinite(values)]
     low, high = np.percentile(found, _SPREAD) if found.size else (0.0, 1.0)
     return Scale(
@@ -189,7 +199,7 @@ def _shares(values: Array) -> Scale:
 def _choice(
     group: Group, styles: Styles, *, variable: str, of: str, none: str, caption: str
 ) -> Plot:
-    """Which bounce, decision or sampler, or none of them."""
+    """Map the chosen bounce, decision or sampler of each pixel, or none."""
     data = next(iter(group.values()))
     labels: list[Any] = list(group) if of == "sampler" else data[of].values.tolist()
     names = (none, *(bounce_name(v) if of == "bounce" else str(v) for v in labels))
@@ -200,7 +210,7 @@ def _choice(
 
 
 def _picture(group: Group, _: Styles, *, caption: str) -> Plot:
-    """Radiance, exposed so that its geometric mean is a middle gray: the mean of frames, or of the last strategy."""
+    """Show the mean image of frames or of the last strategy, exposed to a middle gray."""
     from mcspectra.rendering.files import encode_srgb
 
     data = next(iter(group.values()))
@@ -216,15 +226,15 @@ def _picture(group: Group, _: Styles, *, caption: str) -> Plot:
     return Plot(
         panels=(Panel(marks=(Pixels(rgb=shown),), square=True, x=across, y=down),),
         caption=caption,
-        words=f"Picture of {width} × {height} pixels.",
+        words=f"Image of {width} × {height} pixels.",
         height=float(np.clip(height / width, 0.1, 2.0)),
     )
 
 
 def _spectrum(group: Group, _: Styles) -> Plot:
-    """Radial power of the errors for every number of samples, white noise 1."""
-    data = next(iter(group.values()))  # each result has a page of its own
-    marks: list[Mark] = [Rule(at=1.0, dashes="--", label="white noise")]
+    """Plot radial power of the errors per number of samples, relative to white noise."""
+    data = next(iter(group.values()))  # each result has its own page
+    marks: list[Mark] = [ReferenceLine(at=1.0, dashes="--", label="white noise")]
     levels = []
     for k, n in enumerate(data["n"].values):
         power, ends = (
@@ -232,7 +242,7 @@ def _spectrum(group: Group, _: Styles) -> Plot:
         )
         low, high = (np.maximum(ends[:, i], _DARKEST) for i in (0, 1))
         levels += [power[power > _DARKEST], high[np.isfinite(high)]]
-        color, label = PALETTE[k % len(PALETTE)], f"{n} samples a pixel"
+        color, label = PALETTE[k % len(PALETTE)], f"{n} samples per pixel"
         x = data["radius"].values
         marks.append(
             Line(x=x, y=np.maximum(power, _DARKEST), color=color, low=low, high=high, label=label)
@@ -242,15 +252,16 @@ def _spectrum(group: Group, _: Styles) -> Plot:
         panels=(
             Panel(
                 marks=tuple(marks),
-                x=Axis(label="frequency in cycles a pixel", low=0.0, high=0.5),
+                x=Axis(label="frequency in cycles per pixel", low=0.0, high=0.5),
                 y=log_axis(
                     "power / white noise", float(every.min()) / 1.5, float(every.max()) * 1.5
                 ),
                 grid=True,
             ),
         ),
-        caption="Radial power of the errors between pixels, each over its pixel's standard deviation, "
-        "with 95 % intervals. White noise has 1 everywhere, blue noise little at low frequencies.",
+        caption="Radial power of the pixels' errors, each divided by the pixel's standard "
+        "deviation, with 95 % intervals. White noise has 1 everywhere; blue noise has little power "
+        "at low frequencies.",
         words="Radial power of the errors, from "
         + ", ".join(number(float(v)) for v in data["error_spectrum"].isel(n=-1).values[[0, -1]])
         + " at the lowest and the highest frequency.",
@@ -258,7 +269,7 @@ def _spectrum(group: Group, _: Styles) -> Plot:
 
 
 def _correlation(group: Group, _: Styles) -> Plot:
-    """Correlation of pixels at small lags, for the largest number of samples."""
+    """Plot the error correlation of pixels at small lags, at the largest number of samples."""
     found = next(iter(group.values()))["error_correlation"].isel(n=-1)
     x, y = (found[dim].values.astype(float) for dim in ("lag_x", "lag_y"))
     values = found.transpose("lag_y", "lag_x").values.copy()
@@ -269,22 +280,26 @@ def _correlation(group: Group, _: Styles) -> Plot:
         panels=(
             _over_pixels(values, x, y, scale, "correlation", labels=("x to the right", "y down")),
         ),
-        caption="Correlation of the errors of two pixels at this distance. A reconstruction filter or shared "
-        "points make neighbors alike; a mask of blue noise makes them differ.",
+        caption="Correlation of the errors of two pixels by their distance. A reconstruction "
+        "filter or shared points make it positive for neighbors; a blue-noise mask makes it "
+        "negative.",
         words=f"Correlations of errors of neighboring pixels, at most {number(top)} in size.",
         height=1.0,
     )
 
 
 def _deviates(values: Array) -> Scale:
-    """The scale of normal deviates: 8 and more are alike."""
+    """Return the scale of normal deviates, clipped at ± 8."""
     finite = np.abs(values[np.isfinite(values)])
     top = float(np.clip(finite.max() if finite.size else 4.0, 4.0, 8.0))
     return Scale(label="standard errors", low=-top, high=top, palette="diverging")
 
 
 MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
-    "frames-picture": (("image", "relative_rmse"), partial(_picture, caption="Mean of the frames of the most samples.")),
+    "frames-picture": (
+        ("image", "relative_rmse"),
+        partial(_picture, caption="Mean of the frames with the most samples."),
+    ),
     "frames-spectrum": (("error_spectrum", "error_spectrum_ci"), _spectrum),
     "frames-correlation": (("error_correlation",), _correlation),
     **{
@@ -293,31 +308,136 @@ MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
             partial(_image_map, variable=variable, scale=scale, caption=caption, wide=False),
         )
         for kind, variable, scale, caption in (
-            ("relative", "relative_rmse", _logarithmic("σ / mean"), "Relative error of one frame, of the most samples."),
-            ("variance", "variance", _logarithmic("variance"), "Variance of one frame, of the most samples."),
-            ("rate", "rate", _rates, "Exponent of the variance in samples a pixel; random sampling is −1."),
-            ("needed", "needed_spp", _logarithmic("samples a pixel"), "Samples a pixel that the target needs."),
-            ("flip", "flip", _logarithmic("FLIP"), "FLIP of one frame of the most samples against the mean."),
-            ("difference", "difference_z", _deviates, "Difference of the means of the two sets, in standard errors."),
-            ("ratio", "variance_ratio", _ratios("variance / that of the others"), "Variance of a frame over that of the others; below 1 these are better."),
+            (
+                "relative",
+                "relative_rmse",
+                _logarithmic("σ / mean"),
+                "Relative error of one frame with the most samples.",
+            ),
+            (
+                "variance",
+                "variance",
+                _logarithmic("variance"),
+                "Variance of one frame with the most samples.",
+            ),
+            (
+                "rate",
+                "rate",
+                _rates,
+                "Exponent of the variance in samples per pixel; random sampling has −1.",
+            ),
+            (
+                "needed",
+                "needed_spp",
+                _logarithmic("samples per pixel"),
+                "Samples per pixel needed for the target.",
+            ),
+            (
+                "flip",
+                "flip",
+                _logarithmic("FLIP"),
+                "FLIP between one frame with the most samples and the mean.",
+            ),
+            (
+                "difference",
+                "difference_z",
+                _deviates,
+                "Difference between the means of the two sets, in standard errors.",
+            ),
+            (
+                "ratio",
+                "variance_ratio",
+                _ratios("variance / variance of the others"),
+                (
+                    "Variance of a frame divided by the variance of the others; below 1, these "
+                    "frames are better."
+                ),
+            ),
         )
     },
     **{
         f"map-{kind}": (
             ("x", "y", "rate", variable),
-            partial(_image_map, variable=variable, scale=scale, caption=caption, once=scale is _shares),
+            partial(
+                _image_map, variable=variable, scale=scale, caption=caption, once=scale is _shares
+            ),
         )
         for kind, variable, scale, caption in (
-            ("mean", "mean", _logarithmic("mean estimate"), "Mean estimate at the largest number of samples."),
-            ("variance", "variance", _logarithmic("variance"), "Variance of the estimate at the largest number of samples."),
-            ("rate", "rate", _rates, "Fitted exponent of variance in the number of samples; random sampling is −1."),
-            ("rate-se", "rate_se", _logarithmic("standard error of the rate"), "Standard error of the exponent."),
-            ("bottleneck", "bottleneck", _which, "Technique whose share of MIS has the slower rate, by the 95 % interval of their difference."),
-            ("dominant", "dominant_technique", _which, "Technique whose share of MIS has the larger variance, at the largest number of samples."),
-            ("gain", "mis_gain", _ratios("variance of the better strategy / of MIS"), "Variance of the better single strategy over that of MIS, at the same total of samples. Above 1, MIS is better."),
-            ("predicted", "predicted_ratio", _ratios("predicted / measured variance"), "Predicted over measured variance, at the largest number of samples."),
-            ("bounces", "bounce_share", _shares, "What the random numbers of a bounce add to the variance that those before it make, as a share of it. Estimates of small shares may be negative."),
-            ("decisions", "decision_share", _shares, "The same of each decision, over all bounces: what it adds to all that was decided before."),
+            (
+                "mean",
+                "mean",
+                _logarithmic("mean estimate"),
+                "Mean estimate at the largest number of samples.",
+            ),
+            (
+                "variance",
+                "variance",
+                _logarithmic("variance"),
+                "Variance of the estimate at the largest number of samples.",
+            ),
+            (
+                "rate",
+                "rate",
+                _rates,
+                "Fitted exponent of variance in the number of samples; random sampling has −1.",
+            ),
+            (
+                "rate-se",
+                "rate_se",
+                _logarithmic("standard error of the rate"),
+                "Standard error of the exponent.",
+            ),
+            (
+                "bottleneck",
+                "bottleneck",
+                _which,
+                (
+                    "Technique whose share of MIS has the slower rate, by the 95 % interval of the "
+                    "difference."
+                ),
+            ),
+            (
+                "dominant",
+                "dominant_technique",
+                _which,
+                (
+                    "Technique whose share of MIS has the larger variance, at the largest number "
+                    "of samples."
+                ),
+            ),
+            (
+                "gain",
+                "mis_gain",
+                _ratios("variance of the better strategy / of MIS"),
+                (
+                    "Variance of the better single strategy divided by the variance of MIS, at "
+                    "equal total samples. Above 1, MIS is better."
+                ),
+            ),
+            (
+                "predicted",
+                "predicted_ratio",
+                _ratios("predicted / measured variance"),
+                "Predicted divided by measured variance, at the largest number of samples.",
+            ),
+            (
+                "bounces",
+                "bounce_share",
+                _shares,
+                (
+                    "Variance that first appears with the random numbers of a bounce, as a share "
+                    "of the total. Estimates of small shares may be negative."
+                ),
+            ),
+            (
+                "decisions",
+                "decision_share",
+                _shares,
+                (
+                    "Variance that first appears with a decision, summed over all bounces, as a "
+                    "share of the total."
+                ),
+            ),
         )
     },
     **{
@@ -326,31 +446,61 @@ MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
             partial(_choice, variable=variable, of=of, none=none, caption=caption),
         )
         for kind, variable, of, none, caption in (
-            ("largest-bounce", "largest_bounce", "bounce", "undecided", "Bounce of the largest share, where the 95 % intervals of its differences from all others are above 0."),
-            ("largest-decision", "largest_decision", "decision", "undecided", "Decision of the largest share, likewise."),
-            ("best-sampler", "best_sampler", "sampler", "no difference", "Sampler of the least variance at the largest number of samples, where the 95 % intervals of its ratios to all others are below 1."),
+            (
+                "largest-bounce",
+                "largest_bounce",
+                "bounce",
+                "undecided",
+                (
+                    "Bounce with the largest share, if the 95 % intervals of its differences from "
+                    "all other bounces are above 0."
+                ),
+            ),
+            (
+                "largest-decision",
+                "largest_decision",
+                "decision",
+                "undecided",
+                (
+                    "Decision with the largest share, if the 95 % intervals of its differences "
+                    "from all other decisions are above 0."
+                ),
+            ),
+            (
+                "best-sampler",
+                "best_sampler",
+                "sampler",
+                "no difference",
+                (
+                    "Sampler with the least variance at the largest number of samples, if the 95 % "
+                    "intervals of its ratios to all other samplers are below 1."
+                ),
+            ),
         )
     },
-    "map-picture": (("x", "y", "rate", "mean"), partial(_picture, caption="What is measured: the mean estimate as a picture.")),
-}  # fmt: skip
-"""Kinds of maps, and of plots of frames: the variables of each, and what describes it."""
+    "map-picture": (
+        ("x", "y", "rate", "mean"),
+        partial(_picture, caption="The mean estimate as an image."),
+    ),
+}
+"""Kinds of maps and of frame plots: required variables and the function that describes the plot."""
 
 
 def incident_maps(data: xr.Dataset) -> Plot:
-    """What `mcspectra.rendering.pixel.incident_light` returns, one map above the other."""
+    """Plot the two maps of a result of `mcspectra.rendering.pixel.incident_light`."""
     titles = {
-        "incident_radiance": "radiance of the lights seen",
-        "reflected_radiance": "f: that, times BSDF and cosine",
+        "incident_radiance": "radiance of the visible lights",
+        "reflected_radiance": "f: radiance × BSDF × cosine",
     }
     panels = []
     for name, title in titles.items():
         shown = data[name].transpose("elevation", "azimuth").values
         top = float(shown.max())
-        # A logarithmic scale, black where no light comes from
+        # A logarithmic scale that shows directions without light in black
         low = float(np.min(shown, where=shown > 0, initial=np.inf))
         low = min(max(low, top * 10.0**-_LIGHT_DECADES), 0.5 * top) / 2
         scale = replace(log_scale(str(data[name].attrs.get("units", "")), low, top), palette="gray")
-        image = Image(
+        image = Heatmap(
             values=np.maximum(shown, low),
             x=data["azimuth"].values.astype(float),
             y=data["elevation"].values.astype(float),
@@ -371,7 +521,9 @@ def incident_maps(data: xr.Dataset) -> Plot:
     return Plot(
         kind="incident-light",
         panels=tuple(panels),
-        caption="Light that arrives at the point of the scene behind the pixel's center, over the hemisphere.",
+        caption=(
+            "Incident light over the hemisphere at the surface point behind the pixel's center."
+        ),
         words="Maps of radiance over azimuth and elevation, largest "
         + " and ".join(number(float(data[name].max())) for name in titles)
         + ".",
@@ -382,20 +534,20 @@ def incident_maps(data: xr.Dataset) -> Plot:
 
 
 def strategy_images(images: Group, *, exposure: float = 0.0) -> Plot:
-    """Pictures of one scene by each strategy, at the same exposure, each with its error.
+    """Plot images of one scene by each strategy at equal exposure, with their errors.
 
     Parameters
     ----------
     images
-        What `mcspectra.rendering.compare_strategies` returns: ``reference`` and at least one
-        strategy, all of one size.
+        Result of `mcspectra.rendering.compare_strategies`: ``reference`` and at least one strategy,
+        all of the same size.
     exposure
-        Stops by which all are made brighter, from −64 to 64.
+        Exposure in stops, −64 to 64; positive values brighten all images.
 
     Raises
     ------
     ParameterError
-        The images are not those, or the exposure is out of range.
+        If `images` is not such a result, or the exposure is out of range.
     """
     from mcspectra.rendering.files import encode_srgb
 
@@ -403,22 +555,22 @@ def strategy_images(images: Group, *, exposure: float = 0.0) -> Plot:
     shapes = {data["image"].shape for data in images.values() if "image" in data}
     if "reference" not in images or len(images) < 2 or len(shapes) != 1:
         raise ParameterError(
-            "What is to be drawn has no reference with images of its size by strategy; give what "
-            "compare_strategies returns."
+            "images lacks a reference and at least one strategy of the same size; give the result "
+            "of compare_strategies."
         )
     panels, said = [], []
     for name, data in images.items():
         each = int(data.attrs["spp"]) * int(data.attrs["realizations"])
         count = f"{each} + {each}" if data.attrs["strategy"] == "mis" else f"{each}"
-        error = f"rms error {rms_error(data, images['reference']):.3g}"
+        error = f"rms error {number(rms_error(data, images['reference']))}"
         if name == "reference":
             known = "image_se" in data
             error = (
-                f"rms standard error {np.sqrt(np.mean(data['image_se'].values ** 2)):.3g}"
+                f"rms standard error {number(np.sqrt(np.mean(data['image_se'].values ** 2)))}"
                 if known
                 else ""
             )
-        title, label = STRATEGIES.get(name, name), f"{count} samples a pixel\n{error}".strip()
+        title, label = STRATEGIES.get(name, name), f"{count} samples per pixel\n{error}".strip()
         shown = np.rint(255.0 * encode_srgb(data["image"].values * gain)).astype(np.uint8)
         height, width, _ = shown.shape
         panels.append(
@@ -435,8 +587,9 @@ def strategy_images(images: Group, *, exposure: float = 0.0) -> Plot:
         kind="strategies",
         panels=tuple(panels),
         columns=len(panels),
-        caption="The scene by each strategy at the same exposure; errors are root mean squares over "
-        "pixels and channels of the distance to the reference, and of its own standard error.",
+        caption="The scene by each strategy at equal exposure. Errors are root mean squares over "
+        "pixels and channels: differences from the reference, and the reference's own standard "
+        "error.",
         words="; ".join(said) + ".",
         height=height / width,
         share="both",
@@ -445,5 +598,5 @@ def strategy_images(images: Group, *, exposure: float = 0.0) -> Plot:
 
 
 def rms_error(image: xr.Dataset, reference: xr.Dataset) -> float:
-    """Return the root mean square over pixels and channels of the distance of two images."""
+    """Return the root mean square difference of two images over pixels and channels."""
     return float(np.sqrt(np.mean((image["image"].values - reference["image"].values) ** 2)))

@@ -1,4 +1,4 @@
-"""Point sets: strips in 1-D, the unit square in more dims; and the card of a sampler."""
+"""Plots of point sets (strips in 1-D, unit squares in more dims) and the card of a sampler."""
 
 from __future__ import annotations
 
@@ -8,7 +8,17 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_unit_points
 from mcspectra.core.errors import ParameterError
-from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, Plot, Rule, Scale, Segments
+from mcspectra.plots.description import (
+    Axis,
+    Dots,
+    Line,
+    Mark,
+    Panel,
+    Plot,
+    ReferenceLine,
+    Scale,
+    Segments,
+)
 from mcspectra.plots.groups import Group, Styles, abreast, numbers
 from mcspectra.plots.scales import log_axis, name_axis, unit_axis, unit_panel
 from mcspectra.plots.spectra import frequency_map, relative_power
@@ -17,14 +27,14 @@ from mcspectra.plots.text import SUBSCRIPTS
 
 __all__ = ["point_sets", "points", "sampler_card"]
 
-_MOST_NAMED = 2**14  # points that the pointer tells apart
-_MOST_STRATA = 64  # lines that are still told apart in a strip
-_MOST_SETS, _MOST_AXES, _MOST_POINTS = 6, 6, 2**20  # of a picture of points
+_MOST_NAMED = 2**14  # largest number of points with tooltips
+_MOST_STRATA = 64  # largest number of strata whose borders are drawn in a strip
+_MOST_SETS, _MOST_AXES, _MOST_POINTS = 6, 6, 2**20  # limits for `point_sets`
 _SECTIONS = {"axis 0": (1, 0), "axis 1": (0, 1), "diagonal": (1, 1)}
 
 
 def points(group: Group, styles: Styles) -> Plot:
-    """One realization of every sampler's points; areas are in proportion to ``weights``, if any."""
+    """Plot one realization of each sampler; dot areas are proportional to ``weights``, if any."""
     sizes = {each.sizes["axis"] for each in group.values()}
     n = max(each.sizes["point"] for each in group.values())
     if sizes == {1}:
@@ -48,7 +58,7 @@ def points(group: Group, styles: Styles) -> Plot:
     return Plot(
         panels=tuple(panels),
         columns=abreast(len(panels)),
-        caption=f"One realization of n = {n} points of each sampler, after importance sampling where "
+        caption=f"One realization of n = {n} points of each sampler, after importance sampling if "
         f"there is a density. {shown}",
         words=f"Point sets of {n} points for {', '.join(group)}.",
         height=0.08 + 0.1 * len(group) if sizes == {1} else 1.0,
@@ -57,22 +67,22 @@ def points(group: Group, styles: Styles) -> Plot:
 
 
 def point_sets(sets: object, caption: str = "", most_axes: int = _MOST_AXES) -> Plot:
-    """Point sets and nothing else: strips in 1-D, squares in 2-D, pairs of the first axes beyond.
+    """Plot point sets: strips in 1-D, squares in 2-D, pairs of the first axes in more dims.
 
     Parameters
     ----------
     sets
-        Points of shape (n, d) or (R, n, d), in [0,1): the first 6 sets, of one in 3 dims or more
-        the first axes.
+        Points in [0,1), (n, d) or (R, n, d). In 1-D and 2-D the first 6 sets are drawn, in more
+        dims only the first set.
     caption
-        What the points are; what is left out is added.
+        Description of the points. A note on omitted sets and axes is appended.
     most_axes
-        How many axes at most.
+        Largest number of axes that are drawn.
 
     Raises
     ------
     ParameterError
-        Not points of the unit cube, or more than 2^20 of them.
+        If the points are not in the unit cube, or there are more than 2^20 of them.
     """
     given = as_unit_points(sets)
     if given.ndim not in (2, 3):
@@ -80,7 +90,7 @@ def point_sets(sets: object, caption: str = "", most_axes: int = _MOST_AXES) -> 
     given = given if given.ndim == 3 else given[None]
     count, n, dims = given.shape
     if n > _MOST_POINTS:
-        raise ParameterError(f"{n} points are too many to see; draw {_MOST_POINTS}.")
+        raise ParameterError(f"{n} points are too many for a plot; give at most {_MOST_POINTS}.")
     kept, axes = min(count, _MOST_SETS) if dims <= 2 else 1, min(dims, most_axes)
     said = [caption] if caption else []
     said += [f"{kept} of {count} sets"] if kept < count else []
@@ -105,12 +115,12 @@ def point_sets(sets: object, caption: str = "", most_axes: int = _MOST_AXES) -> 
 
 
 def sampler_card(group: Group, projected: Array | None = None) -> Plot:
-    """What a sampler looks like: points, spectrum, its radial mean, its sections, a projection.
+    """Plot a sampler's points, spectrum, radial mean and sections, and optionally a projection.
 
     Parameters
     ----------
     group
-        Under ``points`` one realization, under ``spectrum`` its power in the same dims.
+        ``points``: one realization. ``spectrum``: the power in the same dims.
     projected
         Two coordinates of a set in more dims, (n, 2).
     """
@@ -125,7 +135,7 @@ def sampler_card(group: Group, projected: Array | None = None) -> Plot:
     if dims == 2:
         scale = Scale(high=2.0, beyond=True)
         panels.append(frequency_map("n · power, 0 to 2", data, power, scale, "power"))
-    # The radial mean; the level of random points is not to look like noise
+    # The radial mean, on axes wide enough that noise at the level of random points stays small
     radius, mean = (
         data["radius"].values / n ** (1 / dims),
         np.maximum(n * data["radial_power"].values, 1e-8),
@@ -135,10 +145,16 @@ def sampler_card(group: Group, projected: Array | None = None) -> Plot:
     x_axis = log_axis(f"|m| / {root}", float(radius.min()), float(radius.max()), 4)
     y_axis = log_axis("", min(0.05, float(mean.min())), max(2.0, float(mean.max())), 4)
     panels.append(
-        Panel(marks=(Rule(at=1.0), line), x=x_axis, y=y_axis, title="n · radial mean", grid=True)
+        Panel(
+            marks=(ReferenceLine(at=1.0), line),
+            x=x_axis,
+            y=y_axis,
+            title="n · radial mean",
+            grid=True,
+        )
     )
     if dims <= 2:
-        # Power along the axes, where projections on them show, and along the diagonal
+        # Power along the axes (which reflects 1-D projections) and along the diagonal
         at = np.arange(1, half + 1)
         steps = {"": (1,)} if dims == 1 else _SECTIONS
         sections: list[Mark] = [
@@ -156,7 +172,7 @@ def sampler_card(group: Group, projected: Array | None = None) -> Plot:
         top = max(1.5, *(float(np.max(line.y)) for line in sections if isinstance(line, Line)))
         panels.append(
             Panel(
-                marks=(Rule(at=1.0), *sections),
+                marks=(ReferenceLine(at=1.0), *sections),
                 x=Axis(label="m", low=0.0, high=float(half)),
                 y=Axis(low=0.0, high=min(1.4 * top, 4.0)),
                 title="n · power" if dims == 1 else "n · power along",
@@ -169,7 +185,7 @@ def sampler_card(group: Group, projected: Array | None = None) -> Plot:
         kind="sampler-card",
         panels=tuple(panels),
         columns=len(panels),
-        caption="Points, power spectrum, its mean over directions and its sections along the axes.",
+        caption="Points, power spectrum, its mean over directions, and sections along the axes.",
         words=f"{n} points in {dims} dims and their power spectrum.",
         height=1.0,
         wide=True,
@@ -207,7 +223,7 @@ def _stroke_panel(
     title: str = "",
     names: Sequence[str] = (),
 ) -> Panel:
-    """A strip for each set; of `names`, with the borders of n equal strata behind the points."""
+    """Return a panel with a strip per set; with `names`, also the borders of n equal strata."""
     marks: list[Mark] = []
     for row, (x, color) in enumerate(zip(sets, colors, strict=True)):
         if len(x) <= _MOST_STRATA and names:

@@ -1,4 +1,4 @@
-"""Axes and color scales chosen from the data: many orders of magnitude, signed or not, few readable ticks."""
+"""Axes and color scales from the data, for many orders of magnitude and signed values."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ __all__ = [
     "whole_ticks",
 ]
 
-_LINEAR_SPAN = 30.0  # up to this ratio of largest to smallest, a linear scale shows both
-_NEAR_ZERO = 0.5  # decades that the linear part of a signed scale takes on either side
-_APART = 0.6  # decades between ticks of a signed scale, whose labels would touch
-_SEEN = 0.1  # of the threshold; below, nothing is seen to stand off 0
-_SHORT = 1.6  # decades; below, powers of ten alone are too few ticks
-_MOST_DECADES = 6  # below 10^-6 of the largest value nothing is told apart
-_NOTHING = 1e-9  # of the largest value of all: an array below it shows nothing
+_LINEAR_SPAN = 30.0  # largest ratio of largest to smallest value for a linear scale
+_NEAR_ZERO = 0.5  # decades that each side of the linear part of a signed scale takes
+_APART = 0.6  # smallest distance of ticks from 0 on a signed scale, in decades
+_SEEN = 0.1  # fraction of the threshold below which a value cannot be distinguished from 0
+_SHORT = 1.6  # decades below which powers of ten alone are too few ticks
+_MOST_DECADES = 6  # largest number of decades between the largest value and the threshold
+_NOTHING = 1e-9  # fraction of the largest value below which an array is ignored
 
 
 def linear_axis(label: str, low: float, high: float, most: int = 6) -> Axis:
-    """Return a linear axis from low to high with a small margin and round ticks."""
+    """Return a linear axis from `low` to `high` with a small margin and round ticks."""
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         low, high = 0.0, 1.0
     pad = 0.04 * (high - low)
@@ -49,7 +49,7 @@ def linear_axis(label: str, low: float, high: float, most: int = 6) -> Axis:
 
 
 def scaled_axis(label: str, low: float, high: float, most: int = 6) -> Axis:
-    """Return a linear axis whose label holds the power of ten of small or large ticks."""
+    """Return a linear axis whose label contains the power of ten of its ticks."""
     axis = linear_axis(label, low, high, most)
     top = max(abs(tick) for tick in axis.ticks or {0.0: ""})
     power = math.floor(math.log10(top)) if top else 0
@@ -60,7 +60,7 @@ def scaled_axis(label: str, low: float, high: float, most: int = 6) -> Axis:
 
 
 def log_axis(label: str, low: float, high: float, most: int = 6) -> Axis:
-    """Return a logarithmic axis from low to high with a small margin."""
+    """Return a logarithmic axis from `low` to `high` with a small margin."""
     if not (math.isfinite(low) and math.isfinite(high) and 0.0 < low <= high):
         low, high = 0.5, 2.0
     margin = (high / low) ** 0.04 if high > low else 2.0
@@ -69,7 +69,7 @@ def log_axis(label: str, low: float, high: float, most: int = 6) -> Axis:
 
 
 def count_axis(label: str, counts: Iterable[int], most: int = 6) -> Axis:
-    """Return a logarithmic axis with ticks at counts of points whose labels do not touch."""
+    """Return a logarithmic axis with ticks at numbers of points whose labels do not touch."""
     distinct = sorted(set(counts))
     margin = (distinct[-1] / distinct[0]) ** 0.05 if len(distinct) > 1 else 2.0
     gap = math.log(distinct[-1] / distinct[0]) / most
@@ -83,7 +83,7 @@ def count_axis(label: str, counts: Iterable[int], most: int = 6) -> Axis:
 
 
 def name_axis(names: Sequence[str], label: str = "", *, flipped: bool = True) -> Axis:
-    """Return an axis with names at 0, 1, 2, …, by default from the top."""
+    """Return an axis with names at 0, 1, 2, …, by default from top to bottom."""
     ticks = {float(k): name for k, name in enumerate(names)}
     return Axis(label=label, low=-0.6, high=len(names) - 0.4, ticks=ticks, flipped=flipped)
 
@@ -94,13 +94,13 @@ def unit_axis(label: str) -> Axis:
 
 
 def unit_panel(marks: Iterable[Mark], title: str, x: str = "x₀", y: str = "x₁") -> Panel:
-    """Return marks in the unit square."""
+    """Return a panel of marks in the unit square."""
     across, up = unit_axis(x), unit_axis(y)
     return Panel(marks=tuple(marks), x=across, y=up, title=title, square=True, framed=True)
 
 
 def whole_ticks(low: float, high: float, most: int = 6) -> dict[float, str]:
-    """Return ticks in [low, high] at whole numbers."""
+    """Return ticks at integers in [low, high]."""
     steps = _round_steps(low, high, most)
     return {tick: tick_label(tick) for tick in steps if float(tick).is_integer()}
 
@@ -108,10 +108,10 @@ def whole_ticks(low: float, high: float, most: int = 6) -> dict[float, str]:
 def signed_axis(
     label: str, values: Sequence[Array], most: int = 7, *, whiskers: Array | None = None
 ) -> Axis:
-    """Return an axis of signed values: linear where it shows the smallest, else logarithmic.
+    """Return an axis of signed values, linear if that shows the smallest value, else logarithmic.
 
-    The label says beyond which size it is logarithmic. Finite ends of `whiskers` have room, but no
-    more than as much again as the values take.
+    The label gives the threshold of the logarithmic part. Finite ends of `whiskers` extend the axis
+    on each side by at most the range of the values.
     """
     low, high, threshold = _signed_range(values, _MOST_DECADES)
     if whiskers is not None:
@@ -123,7 +123,7 @@ def signed_axis(
         ticks = {t: tick_label(t) for t in _round_steps(low, high, most - 2)}
         low = low - pad if low < 0 or low == high else low
         return Axis(label=label, low=low, high=high + pad, ticks=ticks)
-    # What lies within the linear part reads off its end
+    # An end within the linear part extends to the threshold, so that values can be read
     low, high = (
         math.copysign(threshold, end) if _SEEN * threshold < abs(end) < threshold else end
         for end in (low, high)
@@ -139,24 +139,24 @@ def signed_axis(
 
 
 def log_scale(label: str, low: float, high: float) -> Scale:
-    """Return a logarithmic color scale from low to high."""
+    """Return a logarithmic color scale from `low` to `high`."""
     if not (math.isfinite(low) and math.isfinite(high) and 0.0 < low < high):
         low, high = 0.5, 2.0
     return Scale(label=label, kind="log", low=low, high=high, ticks=log_ticks(low, high))
 
 
 def signed_scale(label: str, values: Sequence[Array], decades: int = 3) -> Scale:
-    """Return a color scale symmetric about 0, for all arrays together.
+    """Return a color scale symmetric about 0 for several arrays.
 
     Parameters
     ----------
     label
-        Of the color bar; beyond which size the scale is logarithmic is added.
+        Label of the color bar. The threshold of the logarithmic part is appended.
     values
-        Arrays of any shape; what is not finite does not count.
+        Arrays of any shape; values that are not finite are ignored.
     decades
-        How far below its largest size the values of each array are told apart; over all arrays no
-        more than six decades.
+        Number of decades below an array's largest magnitude that the scale resolves; at most six
+        decades over all arrays.
     """
     low, high, threshold = _signed_range(values, decades)
     top = max(high, -low) or 1.0
@@ -175,7 +175,7 @@ def signed_scale(label: str, values: Sequence[Array], decades: int = 3) -> Scale
 
 
 def signed_place(values: Array, threshold: float) -> Array:
-    """Return places of values on a signed scale, in decades beyond the threshold; not finite: NaN."""
+    """Return positions of values on a signed scale in decades; NaN if a value is not finite."""
     given = np.where(np.isfinite(values), values, np.nan)
     size = np.abs(given) / threshold
     decades = _NEAR_ZERO + np.log10(np.maximum(size, 1.0))
@@ -183,7 +183,7 @@ def signed_place(values: Array, threshold: float) -> Array:
 
 
 def log_ticks(low: float, high: float, most: int = 6) -> dict[float, str]:
-    """Return ticks in [low, high] and their texts, about `most`: powers of ten, or finer in a short range."""
+    """Return about `most` ticks in [low, high]: powers of ten, or finer steps in a short range."""
     first, last = math.ceil(math.log10(low) - 1e-9), math.floor(math.log10(high) + 1e-9)
     if math.log10(high / low) >= _SHORT:
         stride = math.ceil((last - first + 1) / most)
@@ -198,7 +198,7 @@ def log_ticks(low: float, high: float, most: int = 6) -> dict[float, str]:
 
 
 def tick_label(value: float) -> str:
-    """Return the shortest text of a tick: ``−20``, ``0.5``, ``10⁻⁶``, ``2×10⁻⁴``."""
+    """Return the shortest text for a tick: ``−20``, ``0.5``, ``10⁻⁶``, ``2×10⁻⁴``."""
     sign = "−" if value < 0 else ""
     mantissa, exponent = f"{abs(value):.5e}".split("e")
     mantissa, power = mantissa.rstrip("0").rstrip("."), int(exponent)
@@ -208,7 +208,7 @@ def tick_label(value: float) -> str:
 
 
 def _signed_range(values: Sequence[Array], decades: int) -> tuple[float, float, float]:
-    """Ends (zero within), and the size below which the scale is linear; 0 where all of it is."""
+    """Return low and high ends (with 0 between), and the threshold; 0 for a linear scale."""
     every = np.concatenate([np.ravel(v) for v in values]) if len(values) else np.zeros(0)
     finite = every[np.isfinite(every)]
     low, high = float(finite.min(initial=0.0)), float(finite.max(initial=0.0))
@@ -229,13 +229,13 @@ def _threshold_note(threshold: float) -> str:
 
 
 def _signed_ticks(low: float, high: float, threshold: float, most: int) -> list[float]:
-    """0 and ± powers of ten to either end, at most about `most`; a side has one at least."""
+    """Return about `most` ticks: 0 and ± powers of ten, at least one on each side."""
     reach = [max(end, 0.0) for end in (-low, high)]
     spans = [max(math.log10(r / threshold), 0.0) if r >= threshold else -1.0 for r in reach]
     stride = max(1, math.ceil(sum(span + 1 for span in spans) / most))
     ticks = [0.0]
     for sign, end, span in zip((-1.0, 1.0), reach, spans, strict=True):
-        # Count down from the largest power, so that the end of the axis is labeled
+        # Start with the largest power, so that the end of the axis has a label
         sizes = [threshold * 10.0**e for e in range(math.floor(span + 1e-9), -1, -stride)]
         if len(sizes) == 1 and end < 10 * threshold:
             sizes = [next(s * threshold for s in (5, 2, 1) if s * threshold <= end * (1 + 1e-9))]
@@ -245,7 +245,7 @@ def _signed_ticks(low: float, high: float, threshold: float, most: int) -> list[
 
 
 def _round_steps(low: float, high: float, most: int) -> list[float]:
-    """Multiples of 1, 2 or 5 times a power of ten in [low, high], zero among them."""
+    """Return multiples of 1, 2 or 5 times a power of ten in [low, high]."""
     if high <= low:
         return [0.0]
     rough = (high - low) / most

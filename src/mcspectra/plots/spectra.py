@@ -1,6 +1,6 @@
-"""Frequencies: power spectra of sets and chains, pair correlations, and where in frequency variance comes from.
+"""Plots over frequency: power spectra, pair correlations, chains, contributions to the variance.
 
-Power is shown as n times the power over that of random points, so that random sampling is 1.
+Power is shown as n · power relative to random points, so random sampling has 1.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from mcspectra.core.confidence import CONFIDENCE_Z
 from mcspectra.core.errors import ParameterError
 from mcspectra.plots.description import (
     Axis,
-    Bars,
+    BarChart,
     Dots,
-    Image,
+    Heatmap,
     Line,
     Mark,
     Panel,
     Plot,
-    Rule,
+    ReferenceLine,
     Scale,
 )
 from mcspectra.plots.groups import (
@@ -59,18 +59,18 @@ __all__ = [
     "spectrum",
 ]
 
-_FLOOR = 1e-4  # power shown at least: below it a set is as good as free of noise
-_LINEAR_TOP = 12.0  # up to here lines are shown on a linear axis
-_MOST_NUMBERS, _MOST_NAMES = 7, 13  # numbers and names of bands along an axis
-_MOST_ENTRIES = 257  # entries a side of a matrix; more are not told apart
-_MOST_CHAINS = 6  # quantities of chains that are told apart
-_LEVEL = "the expected power over that of random points (∫1/p / n); m = 0 is left out."
+_FLOOR = 1e-4  # smallest power that is shown; a set with less has practically no noise
+_LINEAR_TOP = 12.0  # largest power that is shown on a linear axis
+_MOST_NUMBERS, _MOST_NAMES = 7, 13  # largest number of band numbers and names along an axis
+_MOST_ENTRIES = 257  # largest number of entries per side of a matrix that is drawn
+_MOST_CHAINS = 6  # largest number of quantities of chains in one plot
+_LEVEL = "expected power relative to random points (∫1/p / n); m = 0 is omitted."
 
 
 def spectrum(group: Group, _: Styles) -> Plot:
-    """Two-dimensional power spectra side by side, on one color scale, dc left out."""
+    """Plot two-dimensional power spectra on one color scale, without dc."""
     images = {name: relative_power(each) for name, each in group.items()}
-    # The scale ends at 2, or where all but 1 % of the frequencies stay below
+    # The scale ends at 2, or at the 99th percentile if that is larger
     every = np.concatenate([np.ravel(values) for values in images.values()])
     top = max(2.0, float(np.percentile(np.append(0.0, every[np.isfinite(every)]), 99.0)))
     scale = Scale(label=_power_label(group), low=0.0, high=top, beyond=True)
@@ -81,15 +81,14 @@ def spectrum(group: Group, _: Styles) -> Plot:
         panels=tuple(panels),
         columns=abreast(len(panels)),
         caption=f"Power spectra on one color scale: {_LEVEL}",
-        words="Images of the power over the frequencies m₀ and m₁. "
-        + for_each(group, _power_words),
+        words="Maps of the power over the frequencies m₀ and m₁. " + for_each(group, _power_words),
         height=1.0,
         share=shared(panels),
     )
 
 
 def lines(group: Group, styles: Styles) -> Plot:
-    """One-dimensional power spectra over m, dc left out, with the level of random points."""
+    """Plot one-dimensional power spectra over m, without dc, with the level of random points."""
     curves = {n: (d["m0"].values.astype(float), relative_power(d)) for n, d in group.items()}
     hover = {}
     for name, each in group.items():
@@ -110,7 +109,7 @@ def lines(group: Group, styles: Styles) -> Plot:
 
 
 def radial(group: Group, styles: Styles) -> Plot:
-    """Mean power over directions against |m| in units of n^(1/d)."""
+    """Plot the mean power over directions against |m| in units of n^(1/d)."""
     curves = {}
     for name, each in group.items():
         n, dims = _points(each), len(frequency_dims(each))
@@ -122,35 +121,38 @@ def radial(group: Group, styles: Styles) -> Plot:
     hover = {name: numbers(power) for name, (_, power) in curves.items()}
     return Plot(
         panels=(_power_panel(group, curves, styles, hover, axis),),
-        caption="Mean power over all directions against the length of the frequency, in units of n "
-        "to the 1/d: the slope at the left decides the rate."
-        + (" In this many dims it stands for the whole spectrum." if dims > 2 else ""),
+        caption="Mean power over all directions against the length of the frequency, in units of "
+        "n^(1/d). The slope at low frequencies determines the rate."
+        + (
+            " In three or more dims it replaces an image of the whole spectrum." if dims > 2 else ""
+        ),
         words="Logarithmic plot of n times the radial mean power. " + for_each(group, _power_words),
     )
 
 
 def pair_correlation(group: Group, styles: Styles) -> Plot:
-    """Pair correlation g(r) with its 95 % interval, and the level of random points."""
+    """Plot the pair correlation g(r) with its 95 % interval and the level of random points."""
     curves = {}
     for name, each in group.items():
         g, ends = (each[f"pair_correlation{part}"].values for part in ("", "_ci"))
         curves[name] = (each["r"].values, g, *ends.T)
-    found: list[Mark] = [Rule(at=1.0), *lines_of(curves, styles, ("r", "g"))]
+    found: list[Mark] = [ReferenceLine(at=1.0), *lines_of(curves, styles, ("r", "g"))]
     axis = Axis(label="pair correlation g(r)", low=0.0)
     panel = Panel(marks=tuple(found), x=Axis(label="distance r"), y=axis, grid=True)
     return Plot(
         panels=(panel,),
-        caption="Pair correlation g(r) of the points before any warp: density of points at distance r "
-        "from another one, over that of random points, with 95 % intervals.",
+        caption="Pair correlation g(r) of the points before any warp: density of points at "
+        "distance r from another point, relative to random points, with 95 % intervals.",
         words="Pair correlation against the distance. " + for_each(group, _pair_words),
         height=0.52,
     )
 
 
 def contributions(group: Group, styles: Styles) -> Plot:
-    """Contribution of every frequency to the variance: maps in 2-D, else bars over m or shells.
+    """Plot the contribution of each frequency to the variance: maps in 2-D, else bars.
 
-    One panel for each sampler and technique; the gray shape is what the power alone would give.
+    There is one panel per sampler and technique. The gray area is the contribution of the power
+    alone, without correlation. In three or more dims, bars are sums over shells of |m|.
     """
     first = next(iter(group.values()))
     dims, techniques = len(frequency_dims(first)), first.sizes.get("technique", 1)
@@ -185,8 +187,8 @@ def contributions(group: Group, styles: Styles) -> Plot:
             marks = (
                 Line(x=m, y=power, low=np.zeros(m.size), high=power, color=FAINT, width=0.0,
                      step=True, label="power part |fₘ|² Cₘₘ"),
-                Bars(at=m, value=total, color=styles[name].color, thickness=0.0, hover=shown),
-                Rule(at=0.0, width=0.6),
+                BarChart(at=m, value=total, color=styles[name].color, thickness=0.0, hover=shown),
+                ReferenceLine(at=0.0, width=0.6),
             )  # fmt: skip
             panels.append(
                 Panel(
@@ -208,9 +210,9 @@ def contributions(group: Group, styles: Styles) -> Plot:
     return Plot(
         panels=tuple(panels),
         columns=techniques if 1 < techniques <= 3 else abreast(len(panels)),
-        caption=f"Contribution {what} to the variance: all of them sum to the predicted variance; "
-        "negative ones take away."
-        + (" Every technique has a panel of its own." if techniques > 1 else ""),
+        caption=f"Contribution {what} to the variance. The contributions sum to the predicted "
+        "variance; negative ones reduce it."
+        + (" Each technique has its own panel." if techniques > 1 else ""),
         words="Signed contribution of each frequency to the variance. "
         + for_each(group, _peak_words),
         height=1.0 if dims == 2 else 0.75 if len(panels) > 1 else 0.5,
@@ -219,7 +221,7 @@ def contributions(group: Group, styles: Styles) -> Plot:
 
 
 def bands(group: Group, _: Styles) -> Plot:
-    """Covariance between bands of frequencies, and each band's share of the predicted variance."""
+    """Plot the covariance between frequency bands, and each band's share of the variance."""
     matrices = {name: each["band_covariance"].values for name, each in group.items()}
     scale = signed_scale("Cov(I_a, I_b)", list(matrices.values()))
     shares = {name: _band_shares(matrix) for name, matrix in matrices.items()}
@@ -231,15 +233,15 @@ def bands(group: Group, _: Styles) -> Plot:
         count, (own, through) = len(matrix), shares[name]
         names = str(attributes.get("labels", "")).split(", ")
         names = names if len(names) == count else [str(band) for band in range(count)]
-        # Name all bands, or every second, fourth, … where they are many
+        # Label all bands, or every second, fourth, … if there are many
         most, stride = _MOST_NUMBERS if all(n.isdigit() for n in names) else _MOST_NAMES, 1
         while count / stride > most:
             stride *= 2
         ticks = {float(k): names[k] for k in range(0, count, stride)}
         at = np.arange(float(count))
-        each = {"share of band a by itself": own, "share of band a with others": through}
+        each = {"share of band a alone": own, "share of band a with others": through}
         marks = [
-            Bars(
+            BarChart(
                 at=at + side,
                 value=part,
                 color=color,
@@ -254,14 +256,14 @@ def bands(group: Group, _: Styles) -> Plot:
         ]
         panels.append(
             Panel(
-                marks=(*marks, Rule(at=0.0, width=0.6)),
+                marks=(*marks, ReferenceLine(at=0.0, width=0.6)),
                 x=Axis(label=f"band a{unit}", low=-0.7, high=count - 0.3, ticks=ticks),
                 y=axis,
                 title=name,
                 note="" if np.isfinite(own).any() else "no finite share",
             )
         )
-        image = Image(
+        image = Heatmap(
             values=matrix,
             x=at,
             y=at,
@@ -288,8 +290,8 @@ def bands(group: Group, _: Styles) -> Plot:
     return Plot(
         panels=tuple(panels),
         columns=2,
-        caption=f"Covariance between bands of frequencies ({meaning}), and each band's share of the "
-        "predicted variance by itself and through the other bands.",
+        caption=f"Covariance between bands of frequencies ({meaning}), and each band's share of "
+        "the predicted variance: alone, and through covariance with other bands.",
         words="Matrix of covariances between frequency bands. " + for_each(group, _band_words),
         height=0.92,
         wide=not all(name.isdigit() for name in names),
@@ -297,16 +299,16 @@ def bands(group: Group, _: Styles) -> Plot:
 
 
 def cross_matrix(group: Group, _: Styles) -> Plot:
-    """Cross matrix conj(f_m) f_l C_ml of one-dimensional results, real and imaginary parts."""
+    """Plot real and imaginary parts of the cross matrix conj(f_m) f_l C_ml of 1-D results."""
     inner = {}
     for name, each in group.items():
         matrix = each["cross_matrix"]
         if matrix.dims[-2:] != ("m", "l") or {"m_0", "m_technique"} & set(map(str, matrix.coords)):
             raise ParameterError(
-                "The cross matrix is drawn for one-dimensional results of one technique only; draw "
-                "contributions or bands."
+                "The cross matrix is drawn only for one-dimensional results of one technique; use "
+                "the kind contributions or bands."
             )
-        # Around dc, as large as a panel can show; without negative frequencies, from dc on
+        # Crop around dc to the size that a panel can show, or start at dc without negative m
         m = matrix["m"].values
         start = max(m.size - _MOST_ENTRIES, 0) // 2 if m[0] < 0 else 0
         inside: Any = slice(start, m.size - start if m[0] < 0 else _MOST_ENTRIES)
@@ -317,11 +319,13 @@ def cross_matrix(group: Group, _: Styles) -> Plot:
         m = matrix["m"].values.astype(float)
         ends = {"low": float(m[0]) - 0.5, "high": float(m[-1]) + 0.5, "ticks": _frequency_ticks(m)}
         # Frame the row and the column of frequency 0
-        dc = [Rule(at=at, axis=axis, width=0.4) for at in (-0.5, 0.5) for axis in ("x", "y")]
+        dc = [
+            ReferenceLine(at=at, axis=axis, width=0.4) for at in (-0.5, 0.5) for axis in ("x", "y")
+        ]
         for part, word in ((matrix.values.real, "real"), (matrix.values.imag, "imaginary")):
             panels.append(
                 Panel(
-                    marks=(Image(values=part, x=m, y=m, scale=scale, name=f"{word} part"), *dc),
+                    marks=(Heatmap(values=part, x=m, y=m, scale=scale, name=f"{word} part"), *dc),
                     x=Axis(label=f"l{bases[name]}", **ends),  # type: ignore[arg-type]
                     y=Axis(label=f"m{bases[name]}", **ends),  # type: ignore[arg-type]
                     title=f"{word}: {name}",
@@ -332,17 +336,17 @@ def cross_matrix(group: Group, _: Styles) -> Plot:
     return Plot(
         panels=tuple(panels),
         columns=2,
-        caption="Cross matrix conj(fₘ) fₗ Cₘₗ: its sum is the predicted variance. The diagonal is the "
-        "power term, the framed row and column belong to frequency 0.",
-        words="Real and imaginary parts of the cross matrix, with the diagonal m = l and the row and "
-        f"column of dc marked, for {', '.join(group)}.",
+        caption="Cross matrix conj(fₘ) fₗ Cₘₗ. Its sum is the predicted variance, its diagonal is "
+        "the power term, and the framed row and column belong to frequency 0.",
+        words="Real and imaginary parts of the cross matrix, with marks on the diagonal m = l and "
+        f"on the row and column of dc, for {', '.join(group)}.",
         height=1.0,
         share=shared(panels),
     )
 
 
 def modes(group: Group, styles: Styles) -> Plot:
-    """Eigenvalues of the covariance of the coefficients, and in 1-D or 2-D the leading modes."""
+    """Plot eigenvalues of the coefficients' covariance, and in 1-D or 2-D the leading modes."""
     most = 2  # modes drawn
     first = next(iter(group.values()))
     dims = frequency_dims(first)
@@ -369,7 +373,9 @@ def modes(group: Group, styles: Styles) -> Plot:
             hover=shown,
         )
         edge = float(each["noise_edge"]) if "noise_edge" in each else np.nan
-        rule = [Rule(at=edge, dashes="--", label="largest of pure noise")] if edge > 0 else []
+        rule = (
+            [ReferenceLine(at=edge, dashes="--", label="largest of pure noise")] if edge > 0 else []
+        )
         every = np.array([*size, *(size + spread), *(r.at for r in rule)])
         every = every[np.isfinite(every) & (every > 0)]
         axis = log_axis("eigenvalue", float(every.min(initial=np.inf)), float(every.max(initial=0)))
@@ -391,8 +397,8 @@ def modes(group: Group, styles: Styles) -> Plot:
     return Plot(
         panels=tuple(panels),
         columns=len(panels) // len(group),
-        caption="Leading eigenvalues of the covariance of the coefficients, the largest that pure noise "
-        "would have, and at which frequencies the first modes live.",
+        caption="Leading eigenvalues of the covariance of the coefficients, the largest eigenvalue "
+        "expected from pure noise, and the frequencies of the first modes.",
         words="Eigenvalues of the covariance. "
         + for_each(group, lambda d: ", ".join(numbers(d["eigenvalue"].values[:3], 3))),
         height=0.95 if len(dims) == 2 else 0.62,
@@ -401,11 +407,11 @@ def modes(group: Group, styles: Styles) -> Plot:
 
 
 def chains(group: Group, styles: Styles) -> Plot:
-    """Spectra with the fit, and shares of the error and of the draws' variance by band.
+    """Plot spectra with their fits, and shares of the error and of the draws' variance by band.
 
-    Of many quantities those with the fewest effective draws are shown.
+    If there are many quantities, those with the fewest effective draws are shown.
     """
-    # A curve for each quantity of each result
+    # One curve per quantity and result
     single: dict[str, xr.Dataset] = {}
     for name, each in group.items():
         own = name if len(group) > 1 else ""
@@ -422,7 +428,7 @@ def chains(group: Group, styles: Styles) -> Plot:
     shares: list[Mark] = []
     for name, each in shown.items():
         low, high = each["band_low"].values, each["band_high"].values
-        x = np.sqrt(np.maximum(low, high / 2) * high)  # the lowest band, from 0, as if an octave
+        x = np.sqrt(np.maximum(low, high / 2) * high)  # the lowest band starts at 0
         error, draw, measured, fitted = (
             each[key].values
             for key in ("error_share", "draw_share", "chain_spectrum", "fitted_spectrum")
@@ -455,10 +461,10 @@ def chains(group: Group, styles: Styles) -> Plot:
                 marks=tuple(shares), x=axis, y=Axis(label="share", low=0.0, high=1.05), grid=True
             ),
         ),
-        caption="Spectrum of the chains in time, measured in octaves with 95 % intervals, and its fit; "
-        "below, the share of each octave of the squared error of the mean, and, dotted, of the "
-        "variance of the draws."
-        + (f" {hidden} quantities of more effective draws are left out." if hidden else ""),
+        caption="Top: spectrum of the chains in time, measured in octaves with 95 % intervals, and "
+        "its fit. Bottom: share of each octave in the squared error of the mean, and (dotted) in "
+        "the variance of the draws."
+        + (f" {hidden} quantities with more effective draws are omitted." if hidden else ""),
         words="Spectra of chains in time and shares of the error by frequency. "
         + for_each(
             shown, lambda d: f"effective draws {number(float(d['ess']))}, {d['cause'].item()}"
@@ -469,14 +475,14 @@ def chains(group: Group, styles: Styles) -> Plot:
 
 
 def _bases(group: Group) -> dict[str, str]:
-    """What labels of frequencies add by name: the basis where there are several."""
+    """Return a suffix with the basis for frequency labels, if there are several bases."""
     found = {name: str(each.attrs.get("basis", "fourier")) for name, each in group.items()}
     several = len(set(found.values())) > 1
     return {name: f" ({basis} basis)" if several else "" for name, basis in found.items()}
 
 
 def relative_power(data: xr.Dataset) -> Array:
-    """Return n · power over that of random points, (m0, m1, …), with NaN at m = 0."""
+    """Return n · power relative to random points, (m0, m1, …), with NaN at m = 0."""
     names = frequency_dims(data)
     scale = _points(data) / _random_level(data)
     power = np.array(scale * data["power"].transpose(*names).values)
@@ -490,7 +496,7 @@ def _points(data: xr.Dataset) -> int:
 
 
 def _random_level(data: xr.Dataset) -> float:
-    """∫1/p of the points' density, what n · power is for random points; 1 where it diverges."""
+    """Return ∫1/p, the n · power of random points with this density, or 1 if it diverges."""
     level = float(data.attrs.get("random_level", 1.0))
     return level if np.isfinite(level) else 1.0
 
@@ -507,13 +513,13 @@ def _power_panel(
     hover: Mapping[str, Sequence[str]],
     axis: Axis,
 ) -> Panel:
-    """Power as lines; logarithmic where frequencies are, or peaks would hide the rest."""
+    """Return a panel of power as lines, logarithmic for a log frequency axis or high peaks."""
     every = np.concatenate([y[np.isfinite(y)] for _, y in curves.values()])
     top, low = float(every.max(initial=1.5)), float(every.min(initial=0.5))
     logarithmic = axis.kind == "log" or top > _LINEAR_TOP
     shown = {n: (x, np.maximum(y, _FLOOR) if logarithmic else y) for n, (x, y) in curves.items()}
     under = (axis.label.partition(" ")[0], "power")
-    marks: list[Mark] = [Rule(at=1.0), *lines_of(shown, styles, under, texts=hover)]
+    marks: list[Mark] = [ReferenceLine(at=1.0), *lines_of(shown, styles, under, texts=hover)]
     label = _power_label(group)
     power = Axis(label=label, low=0.0, high=1.08 * top)
     if logarithmic:
@@ -541,7 +547,7 @@ def frequency_map(
         for label, m in (("m₀", m0), ("m₁", m1))
     )
     return Panel(
-        marks=(Image(values=values.T, x=m0, y=m1, scale=scale, name=name, hover=more),),
+        marks=(Heatmap(values=values.T, x=m0, y=m1, scale=scale, name=name, hover=more),),
         x=x,
         y=y,
         title=title,
@@ -555,7 +561,7 @@ def _frequency_ticks(m: Array) -> dict[float, str]:
 
 
 def _by_frequency(data: xr.Dataset) -> tuple[Array, Array, Array]:
-    """Frequencies, contributions and their power part: by m in 1-D, summed over shells otherwise."""
+    """Return frequencies, contributions and power parts: by m in 1-D, else sums over shells."""
     dims = frequency_dims(data)
     total, power = (
         data[name].transpose(*dims).values for name in ("contribution", "power_contribution")
@@ -565,14 +571,14 @@ def _by_frequency(data: xr.Dataset) -> tuple[Array, Array, Array]:
         return axes[0], total, power
     length = np.sqrt(sum(np.square(m) for m in np.meshgrid(*axes, indexing="ij")))
     shell = np.rint(length).astype(np.int64).ravel()
-    # Shells beyond the half width are cut by the corners of the grid, and say little
+    # Omit shells beyond the half width, which are incomplete (only corners of the grid)
     keep = int(max(axes[0])) + 1
     summed = [np.bincount(shell, values.ravel())[:keep] for values in (total, power)]
     return np.arange(float(keep)), summed[0], summed[1]
 
 
 def _band_shares(matrix: Array) -> tuple[Array, Array]:
-    """Share of every band in the predicted variance: by itself, and through the other bands."""
+    """Return each band's share of the predicted variance: alone, and through the other bands."""
     total = float(matrix.sum())
     if not np.isfinite(total) or total == 0:
         return np.full(len(matrix), np.nan), np.full(len(matrix), np.nan)
@@ -600,7 +606,7 @@ def _pair_words(data: xr.Dataset) -> str:
 
 
 def _peak_words(data: xr.Dataset) -> str:
-    """Where the contribution is largest; of ±m, which are equal, the later one."""
+    """Describe the largest contribution and its frequency; of equal ±m, take the later one."""
     values = data["contribution"]
     if not np.isfinite(values.values).any():
         return not_finite(values.values, data)

@@ -1,6 +1,6 @@
-"""One look for all plots: a palette that color-blind readers tell apart, and a style for each sampler.
+"""Common look of all plots: a palette for color-blind readers, and a style for each sampler.
 
-Colors are those of Okabe & Ito, without the yellow and with dark gray for the black.
+The palette is from Okabe & Ito, without yellow and with dark gray instead of black.
 """
 
 from __future__ import annotations
@@ -33,7 +33,9 @@ PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#4
 MARKERS: tuple[Marker, ...] = ("o", "s", "^", "D", "v", "P", "X")
 DASHES: tuple[Dashes, ...] = ("-", "--", ":", "-.")
 INK, GRAY, FAINT, PAPER = "#262626", "#8A8A8A", "#DCDCDC", "#FCFCFA"
-"""Text and main marks, marks of lesser weight, grids and shapes behind, the ground. Backends turn them about on dark pages."""
+"""Colors of text and main marks, of minor marks, of grids and shapes, and of the background.
+
+Backends replace them on dark pages."""
 ACCENT = "#D55E00"
 TERM_COLORS = {
     "dc_term": "#56B4E9",
@@ -49,13 +51,13 @@ GRADIENTS = {
     "gray": ("#000000", "#FFFFFF"),
     "paper": ("#FFFFFF", "#000000"),
 }
-"""Colors of the palettes of a `Scale`, evenly spaced, or the name that both libraries know it by."""
+"""Palettes of a `Scale`: evenly spaced colors, or a name that is valid in both libraries."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class LineStyle:
-    """How one sampler is drawn wherever it appears."""
+    """Style of one sampler, the same in all plots."""
 
     color: str = PALETTE[0]
     marker: Marker = "o"
@@ -63,7 +65,7 @@ class LineStyle:
 
 
 def sampler_styles(samplers: Sequence[str]) -> dict[str, LineStyle]:
-    """Give every sampler a style of its own: color and marker first, dashes once those run out."""
+    """Return a distinct style per sampler; dashes vary once all colors and markers are used."""
     distinct = list(dict.fromkeys(samplers))
     cycle = itertools.product(DASHES, zip(PALETTE, MARKERS, strict=True))
     return {
@@ -73,7 +75,7 @@ def sampler_styles(samplers: Sequence[str]) -> dict[str, LineStyle]:
 
 
 def labels(names: Sequence[str], length: int = 32) -> dict[str, str]:
-    """Return a short label for every name, different for different names."""
+    """Return a short label for each name; the labels are distinct."""
     short: dict[str, str] = {}
     for name in names:
         label, repeat = shorten(name, length), 2
@@ -84,5 +86,5 @@ def labels(names: Sequence[str], length: int = 32) -> dict[str, str]:
 
 
 def line_widths(count: int) -> list[float]:
-    """Widths for lines drawn over one another, thickest first: one that coincides still shows."""
+    """Return widths of overlaid lines, thickest first, so that coinciding lines stay visible."""
     return [1.1 + 0.5 * min(later, 3) for later in reversed(range(count))]

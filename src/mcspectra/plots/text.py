@@ -1,4 +1,4 @@
-"""Numbers and names as people read them: three digits, a proper minus, powers of ten spelled out."""
+"""Format numbers and names for people: three digits, a true minus sign, powers of ten."""
 
 from __future__ import annotations
 
@@ -25,32 +25,33 @@ __all__ = [
 ]
 
 MISSING = "–"
-"""Stands where there is no number; tables say why."""
+"""Text for a missing number; tables give the reason."""
 
 NEGLIGIBLE = 1e-9
-"""Share of the largest term below which a term is rounding of the transform, not a quantity."""
+"""Fraction of the largest term below which a term is rounding error of the transform."""
 
 LATEX_TEXT = str.maketrans({
     **{c: f"\\{c}" for c in "&%$#_{}"},
     "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
 })  # fmt: skip
-"""Characters that LaTeX reads as commands, to those that it prints."""
+"""Translation of LaTeX's special characters to commands that print them."""
 
 SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _LEVEL = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹₀₁₂₃₄₅₆₇₈₉ₗₘ", "-01234567890123456789lm")
 _LATEX = {
     "|": "|", "<": "<", ">": ">",
-    "−": "-", "±": r"\pm", "×": r"\times", "·": r"\cdot", "…": r"\dots", "∞": r"\infty", "≤": r"\leq",
-    "≥": r"\geq", "≈": r"\approx", "→": r"\to", "√": r"\surd", "∫": r"\int", "σ": r"\sigma",
+    "−": "-", "±": r"\pm", "×": r"\times", "·": r"\cdot", "…": r"\dots", "∞": r"\infty",
+    "≤": r"\leq", "≥": r"\geq", "≈": r"\approx", "→": r"\to", "√": r"\surd", "∫": r"\int",
+    "σ": r"\sigma",
     "Σ": r"\Sigma", "⟨": r"\langle", "⟩": r"\rangle",
 }  # fmt: skip
 _MATHS = re.compile(f"(×10)?([⁻⁰¹²³⁴-⁹]+)|([₀-₉ₗₘ]+)|([{''.join(_LATEX)}])")
-_FIXED_FROM, _FIXED_BELOW = -3, 5  # powers of ten written out
+_FIXED_FROM, _FIXED_BELOW = -3, 5  # range of powers of ten that are written without exponent
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """Return `value` with `digits` significant digits: ``0.0123``, ``−1.52``, ``4.56×10⁻⁶``, ``∞``.
+    """Format `value` with `digits` significant digits: ``0.0123``, ``−1.52``, ``4.56×10⁻⁶``, ``∞``.
 
     None and NaN give `MISSING`.
     """
@@ -60,7 +61,7 @@ def number(value: float | None, digits: int = 3) -> str:
         return "∞" if value > 0 else "−∞"
     if value == 0:
         return "0"
-    # Round first: 9.996 has another power of ten than it seems.
+    # Round first, since rounding can change the power of ten (9.996)
     mantissa, exponent = f"{abs(value):.{digits - 1}e}".split("e")
     power = int(exponent)
     sign = "−" if value < 0 else ""
@@ -70,7 +71,7 @@ def number(value: float | None, digits: int = 3) -> str:
 
 
 def number_beside(value: float | None, scale: float | None) -> str:
-    """Return `number`, or ``≈ 0`` for what is rounding beside a quantity of size `scale`."""
+    """Return `number`, or ``≈ 0`` if the value is rounding error relative to `scale`."""
     known = scale is not None and math.isfinite(scale)
     if value and known and abs(value) <= NEGLIGIBLE * abs(scale or 0.0):
         return "≈ 0"
@@ -78,9 +79,9 @@ def number_beside(value: float | None, scale: float | None) -> str:
 
 
 def with_error(value: float | None, half: float | None, beside: float | None = None) -> str:
-    """Return ``0.012 ± 0.034``: a number and half the width of its interval, if any, to the same place.
+    """Format a number with half the width of its interval to the same place: ``0.012 ± 0.034``.
 
-    As `number_beside` of another quantity, if that is given.
+    With `beside`, a value that is rounding error relative to `beside` gives ``≈ 0``.
     """
     text = number_beside(value, beside)
     if value is None or half is None or text.startswith("≈"):
@@ -93,7 +94,7 @@ def with_error(value: float | None, half: float | None, beside: float | None = N
 
 
 def latex_maths(text: str) -> str:
-    """Return a text with its signs, exponents and indices as maths of LaTeX, whose fonts lack them."""
+    """Convert signs, exponents and indices, which LaTeX fonts lack, to LaTeX mathematics."""
 
     def maths(found: re.Match[str]) -> str:
         power, raised, lowered, sign = found.groups()
@@ -109,19 +110,22 @@ def latex_maths(text: str) -> str:
 
 
 def power_of_ten(exponent: int) -> str:
-    """Return ``10⁻⁶`` for −6."""
+    """Format a power of ten: ``10⁻⁶`` for −6."""
     return f"10{str(exponent).translate(_SUPERSCRIPTS)}"
 
 
 def interval(low: float | None, high: float | None, digits: int = 3) -> str:
-    """Return ``low … high``, or `MISSING` where an end is unknown."""
+    """Format ``low … high``, or return `MISSING` if an end is unknown."""
     if low is None or high is None or math.isnan(low) or math.isnan(high):
         return MISSING
     return f"{number(low, digits)} … {number(high, digits)}"
 
 
 def rate(value: float | None, low: float | None, high: float | None) -> str:
-    """Return ``−1.52 ± 0.03``: a rate and half the width of its interval; ``unresolved`` beyond ±0.5."""
+    """Format a rate with half the width of its interval, ``−1.52 ± 0.03``, or ``unresolved``.
+
+    A rate is unresolved if half its interval exceeds 0.5.
+    """
     if value is None or math.isnan(value):
         return MISSING
     if low is None or high is None or math.isnan(high - low):
@@ -129,14 +133,14 @@ def rate(value: float | None, low: float | None, high: float | None) -> str:
     if not is_resolved(low, high):
         return "unresolved"
     half = (high - low) / 2
-    # As many decimals as the interval has meaning, two to four.
+    # Decimals that the interval justifies, two to four
     decimals = 4 if half <= 0 else min(max(-math.floor(math.log10(half)), 2), 4)
     spread = f"± {half:.{decimals}f}" if half >= 0.5e-4 else "± <0.0001"
     return f"{round(value, decimals) + 0.0:.{decimals}f} {spread}".replace("-", "−")  # no −0.00
 
 
 def percent(fraction: float) -> str:
-    """Return ``97 %``; near 0 and 100 with the digits that keep it from reading 0 or 100."""
+    """Format a fraction as ``97 %``; more digits near 0 and 100 avoid rounding to 0 or 100."""
     value = 100.0 * fraction
     distance = min(abs(value), abs(100.0 - value))
     if math.isnan(value):
@@ -148,11 +152,10 @@ def percent(fraction: float) -> str:
 
 
 def shorten(text: str, length: int = 30) -> str:
-    """Return one line of at most `length` characters, the middle of a longer text left out.
+    """Shorten a text to one line of at most `length` characters by omitting its middle.
 
-    Parts of a spec that have a ``name=`` are shown by it.
-
-    Words stay whole where that costs no more than a third of either part.
+    Parts of a spec that have a ``name=`` are replaced by that name. Words are kept whole if that
+    costs at most a third of either part.
     """
     line = short_spec(" ".join(text.split()))
     if len(line) <= length:
@@ -170,5 +173,5 @@ def shorten(text: str, length: int = 30) -> str:
 
 
 def slug(text: str) -> str:
-    """Return a name for files and anchors: lower-case letters, digits, dots and hyphens."""
+    """Return a name for files and anchors from lower-case letters, digits, dots and hyphens."""
     return re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-.") or "x"

@@ -1,4 +1,4 @@
-"""The variance itself: against n, its terms, by each method, where it comes from, what lowers it."""
+"""Plots of variances: against n, by term, method, technique or axis, and of remedies."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from mcspectra.core.checks import Array
 from mcspectra.core.confidence import CONFIDENCE_Z
 from mcspectra.plots.description import (
     Axis,
-    Bars,
+    BarChart,
     Dots,
     Line,
     Mark,
     Panel,
     Plot,
-    Rule,
+    ReferenceLine,
     Segments,
 )
 from mcspectra.plots.groups import (
@@ -76,20 +76,20 @@ _TERMS = {
     "predicted_variance": "sum: predicted",
     "measured_variance": "measured",
 }
-_PARTS = 3  # dc, power and cross, which the sum follows
-_LEAST_SHOWN = 1e-3  # of a variance, as the lower end of its interval
-_WIDE = 1.25  # ratio of the ends of an interval of n that is shown
-_LINEAR_TOP = 4.0  # captured shares up to here are shown on a linear axis
+_PARTS = 3  # number of terms before their sum: dc, power and cross
+_LEAST_SHOWN = 1e-3  # smallest lower end of an interval that is drawn, as a fraction of the value
+_WIDE = 1.25  # ratio of the ends above which the interval of a planned n is shown
+_LINEAR_TOP = 4.0  # largest captured share that is shown on a linear axis
 _VERDICTS = {"better": "#009E73", "worse": ACCENT, "given": INK}
 _CURVE = ("variance", "variance_ci", "rate", "rate_ci")
 _PREDICTED = ("predicted_variance", "predicted_variance_ci")
 
 
 def convergence(group: Group, styles: Styles) -> Plot:
-    """Variance against n with intervals, fitted lines and rates; dotted, n⁻¹; crosses, as predicted.
+    """Plot variance against n with intervals, fitted lines, rates and a dotted line n⁻¹.
 
-    Variances that are not finite, zero or rounding noise are left out and counted in the legend.
-    Predictions are shown of results that have them (`predicted_variance` beside `variance`).
+    Variances that are not finite, zero or rounding noise are omitted and counted in the legend.
+    Results with `predicted_variance` also show the predictions as crosses.
     """
     names = labels(list(group), 44)
     curves = [
@@ -132,13 +132,13 @@ def convergence(group: Group, styles: Styles) -> Plot:
         panels=(_variance_panel(curves, group.values()),),
         caption="Variance against the number of points, with 95 % intervals"
         + (
-            ", fitted lines and their rates; dotted, the rate of random sampling."
+            ", fitted lines and rates. The dotted line has the rate of random sampling."
             if any(isinstance(mark, Line) for mark in curves)
             else "."
         )
-        + (" Crosses are predicted, with their 95 % intervals." if predicted else "")
+        + (" Crosses are predictions with 95 % intervals." if predicted else "")
         + (
-            " Variances that are not finite, zero or of rounding size are left out."
+            " Variances that are not finite, zero or at rounding level are omitted."
             if left_out
             else ""
         ),
@@ -154,7 +154,7 @@ def task_curves(
     x: str = "number of points n",
     alike: bool = False,
 ) -> Plot:
-    """Variance against n, a panel for each of several tasks by its title, a line for each sampler.
+    """Plot variance against n, with a panel per task and a line per sampler.
 
     With `alike` all panels have the same axes.
     """
@@ -178,29 +178,30 @@ def task_curves(
 
 
 def prediction(group: Group, styles: Styles) -> Plot:
-    """Predicted variances against n with intervals, rates and bends; or by all methods side by side."""
+    """Plot predicted variances against n with rates and bends, or by method at the largest n."""
     if any("method" in each.dims for each in group.values()):
         return _by_method(group, styles)
     caption = (
         "Predicted variance against the number of points, with 95 % intervals, the rate over these "
-        "counts and its limit at large n; dashed, where it bends."
+        "counts and its limit at large n. Dashed lines mark the n at which the rate changes."
     )
     if all("planned_n" in each for each in group.values()):
         caption = (
-            "Predicted variance against the number of points, with 95 % intervals, and the least n "
-            "that is predicted to reach the error, whose square is dashed."
+            "Predicted variance against the number of points, with 95 % intervals, and the "
+            "smallest n that is predicted to reach the error. The dashed line is the square of the "
+            "error."
         )
     return _known_curves(group, styles, "predicted variance", caption)
 
 
 def _by_method(group: Group, styles: Styles) -> Plot:
-    """Variances at the largest n by every method that has a value there, with intervals."""
+    """Plot variances with intervals at the largest n for each method that has a value there."""
     last, limits = {}, {}
     for name, each in group.items():
         there = each["predicted_variance"].isel(n=-1).notnull().values
         last[name] = each.isel(n=-1, method=there)
         ends = last[name]["predicted_variance_ci"].transpose("method", "bound").values
-        limits[name] = np.where(ends > 0, ends, np.nan)  # others have no place on a logarithm
+        limits[name] = np.where(ends > 0, ends, np.nan)  # a logarithmic axis has no place for 0
     values = [each["predicted_variance"].values for each in last.values()]
     every = np.concatenate([*map(np.ravel, limits.values()), *values])
     axis = log_axis("variance", *_ends(every[every > 0]))
@@ -231,8 +232,9 @@ def _by_method(group: Group, styles: Styles) -> Plot:
     return Plot(
         panels=tuple(panels),
         columns=min(2, abreast(len(panels))),
-        caption=f"The variance at n = {', '.join(map(str, counts))} by each method that applies, from the most "
-        "trusted at the top to the measurement, with 95 % intervals.",
+        caption=f"The variance at n = {', '.join(map(str, counts))} by each method that applies, "
+        "with 95 % intervals. The most trusted method is at the top, the measurement at the "
+        "bottom.",
         words="Variances by method. "
         + for_each(last, lambda d: _named_values(d, "method", "predicted_variance")),
         height=0.14 + 0.06 * most,
@@ -241,7 +243,7 @@ def _by_method(group: Group, styles: Styles) -> Plot:
 
 
 def profile(group: Group, styles: Styles) -> Plot:
-    """Variances of all samplers that a profile looked at, with their 95 % intervals."""
+    """Plot the variances of all samplers of a profile, with 95 % intervals."""
     caption = "Variance against the number of points, with 95 % intervals."
     if any("sampler" in each.dims for each in group.values()):  # several profiles
         group = {
@@ -254,7 +256,7 @@ def profile(group: Group, styles: Styles) -> Plot:
 
 
 def _known_curves(group: Group, styles: Styles, what: str, caption: str) -> Plot:
-    """Variances that were not measured, against n."""
+    """Plot variances of a prediction or a profile against n."""
     variable = what.replace(" ", "_")
     curves, bands = {}, {}
     for name, each in group.items():
@@ -277,7 +279,9 @@ def _known_curves(group: Group, styles: Styles, what: str, caption: str) -> Plot
                 f" → {number(limit)}" if np.isfinite(limit) else ""
             )
             if np.isfinite(bend):
-                marks.append(Rule(at=bend, axis="x", color=styles[name].color, dashes="--"))
+                marks.append(
+                    ReferenceLine(at=bend, axis="x", color=styles[name].color, dashes="--")
+                )
         if "planned_n" in each and np.isfinite(each["planned_n"]):
             notes[name] = f": n = {int(each['planned_n'])}"
             low, high = each["planned_n_ci"].values if "planned_n_ci" in each else (1.0, 1.0)
@@ -289,9 +293,9 @@ def _known_curves(group: Group, styles: Styles, what: str, caption: str) -> Plot
     wanted = [
         np.ravel(each["target_variance"]) for each in group.values() if "target_variance" in each
     ]
-    marks += [Rule(at=float(at), color=INK, dashes="--") for at in np.unique(wanted)]
+    marks += [ReferenceLine(at=float(at), color=INK, dashes="--") for at in np.unique(wanted)]
     values = np.concatenate([*(variance for _, variance in curves.values()), *wanted])
-    # Further counts have no values
+    # Use only counts that have values
     shown = np.concatenate([n for n, _ in curves.values()])
     counts = shown.astype(int).tolist() or [int(n) for each in group.values() for n in each["n"]]
     return Plot(
@@ -301,7 +305,7 @@ def _known_curves(group: Group, styles: Styles, what: str, caption: str) -> Plot
                 x=count_axis("number of points n", counts),
                 y=log_axis(what, *_ends(values)),
                 grid=True,
-                note="" if values.size else f"no finite {what} is known",
+                note="" if values.size else f"no finite {what}",
             ),
         ),
         caption=caption,
@@ -311,12 +315,12 @@ def _known_curves(group: Group, styles: Styles, what: str, caption: str) -> Plot
 
 
 def terms(group: Group, _: Styles) -> Plot:
-    """Dc, power and cross term as a waterfall that ends at their sum; below it, the measured variance."""
+    """Plot the dc, power and cross terms as a waterfall to their sum, and the measured variance."""
     panels = [waterfall(name, each) for name, each in group.items()]
     return Plot(
         panels=tuple(panels),
-        caption="The terms of the variance: each bar begins where the one above it ends, so that dc + power "
-        "+ cross = predicted, with the measured variance below. Whiskers are 95 % intervals."
+        caption="The terms of the variance: dc + power + cross = predicted. Each bar begins where "
+        "the bar above it ends. The measured variance is below. Whiskers are 95 % intervals."
         + (" Each panel has its own scale." if len(panels) > 1 else ""),
         words="Bars of the three terms. " + for_each(group, _term_words),
         height=0.24,
@@ -324,20 +328,20 @@ def terms(group: Group, _: Styles) -> Plot:
 
 
 def waterfall(title: str, data: xr.Dataset) -> Panel:
-    """The terms of the variance of one sampler on a linear axis, so that their sum can be seen.
+    """Return a panel of the terms of one sampler on a linear axis, which shows that they add up.
 
     Parameters
     ----------
     title
         Title of the panel.
     data
-        Result of `mcspectra.variance_terms` at one n. The measured variance may be missing.
+        Result of `mcspectra.variance_terms` for one n. The measured variance is optional.
     """
     rows = {term: label for term, label in _TERMS.items() if term in data}
     values = np.array([float(data[term]) for term in rows])
     size = float(np.max(np.abs(values), where=np.isfinite(values), initial=0.0))
     texts = [number_beside(v, size) if math.isfinite(v) else not_finite(v) for v in values]
-    # A term of rounding size is 0
+    # Set values to 0 that are rounding error relative to the largest
     values = np.where(np.abs(values) > NEGLIGIBLE * size, values, 0.0)
     parts = np.where(np.isfinite(values[:_PARTS]), values[:_PARTS], 0.0)
     base = np.zeros(len(values))
@@ -347,7 +351,7 @@ def waterfall(title: str, data: xr.Dataset) -> Panel:
     ])  # fmt: skip
     whiskers = np.where((values != 0)[:, None], ends, np.nan) + base[:, None]
 
-    # The whiskers get at most as much room again as the bars
+    # Limit the axis to twice the extent of the bars, which cuts off longer whiskers
     places = np.concatenate([base, base + np.where(np.isfinite(values), values, 0.0)])
     low, high = float(places.min(initial=0.0)), float(places.max(initial=0.0))
     known = whiskers[np.isfinite(whiskers)]
@@ -359,17 +363,17 @@ def waterfall(title: str, data: xr.Dataset) -> Panel:
         texts, scaled_axis("part of the variance", low, high, 5), base=base, said=ends,
     )  # fmt: skip
 
-    # A thin line leads from the end of each term to the start of the next bar
+    # Connect the end of each term with the start of the next bar
     steps = [np.array([[total, k], [total, k + 1.0]]) for k, total in enumerate(np.cumsum(parts))]
     joints = Segments(ends=np.stack(steps), color=GRAY, width=0.6)
     return replace(panel, marks=(joints, *panel.marks))
 
 
 def captured(group: Group, styles: Styles) -> Plot:
-    """Predicted over measured variance against the half width of the spectrum."""
+    """Plot predicted divided by measured variance against the half width of the spectrum."""
     curves = {n: d["captured_by_half_width"].values for n, d in group.items()}
     every = np.concatenate(list(curves.values()))
-    # Half width 0 is the dc term alone: rounding (1e-20) where weights are uniform
+    # Half width 0 has only the dc term, which is rounding error (1e-20) for uniform weights
     positive = every[np.isfinite(every) & (every > NEGLIGIBLE)]
     logarithmic = float(positive.max(initial=1.0)) > _LINEAR_TOP
     shown = {
@@ -381,7 +385,7 @@ def captured(group: Group, styles: Styles) -> Plot:
     }
     none = {n: "" if np.isfinite(c).any() else ": no finite prediction" for n, c in curves.items()}
     marks: list[Mark] = [
-        Rule(at=1.0),
+        ReferenceLine(at=1.0),
         *lines_of(shown, styles, ("half width", "share"), notes=none),
     ]
     label, top = "predicted / measured", float(positive.max(initial=1.0))
@@ -396,16 +400,16 @@ def captured(group: Group, styles: Styles) -> Plot:
     panel = Panel(marks=tuple(marks), x=below, y=axis, grid=True)
     return Plot(
         panels=(panel,),
-        caption="Share of the measured variance that the spectrum predicts when it is cut at each half "
-        "width; at 1 nothing is missing.",
-        words="Predicted over measured variance against the half width. "
+        caption="Share of the measured variance that the spectrum predicts up to each half width; "
+        "at 1 the sum is complete.",
+        words="Predicted / measured variance against the half width. "
         + for_each(group, _captured_words),
         height=0.5,
     )
 
 
 def techniques(group: Group, styles: Styles) -> Plot:
-    """Covariance of each pair of techniques at the largest n: what each contributes."""
+    """Plot the contribution of each technique and pair of techniques at the largest n."""
     panels = []
     group = {name: each.isel(n=-1) if "n" in each.dims else each for name, each in group.items()}
     values = {name: each["technique_covariance"].values for name, each in group.items()}
@@ -422,8 +426,8 @@ def techniques(group: Group, styles: Styles) -> Plot:
         panels.append(_bar_panel(name, color, rows, shown, whiskers, texts, axis))
     return Plot(
         panels=tuple(panels),
-        caption="What each technique contributes to the variance, and each pair through its covariance; "
-        "the bars sum to the measured variance. Whiskers are 95 % intervals.",
+        caption="Contribution of each technique to the variance, and of each pair through its "
+        "covariance. The bars sum to the measured variance. Whiskers are 95 % intervals.",
         words="Bars of the techniques' variances. "
         + for_each(
             group, lambda d: ", ".join(numbers(np.diag(d["technique_covariance"].values), 3))
@@ -434,7 +438,7 @@ def techniques(group: Group, styles: Styles) -> Plot:
 
 
 def technique_rates(group: Group, _: Styles) -> Plot:
-    """Variance of each technique against n with its rate, a panel for each sampler."""
+    """Plot the variance of each technique against n with its rate, a panel per sampler."""
     curves: dict[str, dict[str, tuple[xr.Dataset, LineStyle]]] = {}
     for name, each in group.items():
         curves[name] = {
@@ -453,19 +457,20 @@ def technique_rates(group: Group, _: Styles) -> Plot:
     return Plot(
         panels=panels,
         columns=min(2, len(panels)),
-        caption="Variance of each technique's part of the estimate and of their sum against the number "
-        "of points, with 95 % intervals and rates: the slowest technique decides the rate.",
+        caption="Variance of each technique's part of the estimate and of their sum against the "
+        "number of points, with 95 % intervals and rates. The slowest technique determines the "
+        "rate.",
         words=said,
         share="both",
     )
 
 
 def anova(group: Group, styles: Styles) -> Plot:
-    """Variance of each axis of primary space and of each pair of axes, the largest first."""
+    """Plot the variance of each axis and set of axes of primary space, the largest first."""
     most, panels = 12, []
     for name, each in group.items():
         variance, error = each["anova_variance"].values, each["anova_variance_se"].values
-        # What is rounding beside the largest shows nothing
+        # Omit parts that are rounding error relative to the largest
         size, order = np.abs(variance), np.argsort(-variance, kind="stable")
         seen = size > NEGLIGIBLE * size.max(initial=0.0)
         order = order[seen[order] | ~seen.any()][:most]
@@ -484,9 +489,9 @@ def anova(group: Group, styles: Styles) -> Plot:
         panels=tuple(panels),
         columns=min(2, abreast(len(panels))),
         caption=f"Part of the variance that comes from each {axes} alone"
-        + (" and from each set of them together" if sets else "")
+        + (" and from the interactions of each set" if sets else "")
         + ", the largest first; whiskers are 95 % intervals."
-        + (f" {more} smaller parts are left out." if more > 0 else ""),
+        + (f" {more} smaller parts are omitted." if more > 0 else ""),
         words="Bars of the axes' parts of the variance. "
         + for_each(
             group,
@@ -503,7 +508,7 @@ def anova(group: Group, styles: Styles) -> Plot:
 
 
 def remedies(group: Group, _: Styles) -> Plot:
-    """Variance of every change relative to the set-up as given, with intervals."""
+    """Plot the variance of each change relative to the set-up as given, with intervals."""
     known = np.concatenate([each["error_ratio_ci"].values.ravel() for each in group.values()])
     known = known[np.isfinite(known) & (known > 0)]
     axis = log_axis(
@@ -515,7 +520,7 @@ def remedies(group: Group, _: Styles) -> Plot:
     for name, each in group.items():
         ratio, ends = each["error_ratio"].values, np.maximum(each["error_ratio_ci"].values, 1e-12)
         rows, verdicts = (each[key].values.astype(str) for key in ("remedy", "verdict"))
-        marks: list[Mark] = [Rule(at=1.0, axis="x", color=GRAY, width=0.7)]
+        marks: list[Mark] = [ReferenceLine(at=1.0, axis="x", color=GRAY, width=0.7)]
         for verdict in dict.fromkeys(verdicts):
             of = (verdicts == verdict) & (ratio > 0)
             shown = {
@@ -541,8 +546,8 @@ def remedies(group: Group, _: Styles) -> Plot:
         )
     return Plot(
         panels=tuple(panels),
-        caption="Variance of each change (of what is biased, mean squared error) over that of the set-up as "
-        "given, with intervals that hold together at 95 %; left of 1 there is less noise.",
+        caption="Variance of each change (mean squared error if biased) divided by the variance of "
+        "the set-up as given, with simultaneous 95 % intervals. Below 1 there is less noise.",
         words="Ratios of variances. "
         + for_each(group, lambda d: _named_values(d, "remedy", "error_ratio")),
         height=0.1 + 0.045 * max(each.sizes["remedy"] for each in group.values()),
@@ -551,9 +556,9 @@ def remedies(group: Group, _: Styles) -> Plot:
 
 
 def usable_counts(curve: xr.Dataset) -> Array:
-    """Return which counts have a variance above rounding noise: bool (n,).
+    """Return a mask (n,) of the counts whose variance is above rounding noise.
 
-    The floor is that of the fit: a mean of n terms of size |I| is good to a few ulps.
+    The threshold is the same as in the fit: a mean of n terms of size |I| has a few ulps of error.
     """
     variance = curve["variance"].values
     floor = (16 * np.finfo(float).eps * np.abs(curve["mean"].values)) ** 2
@@ -572,11 +577,12 @@ def _bar_panel(
     base: Array | float = 0.0,
     said: Array | None = None,
 ) -> Panel:
-    """Lying bars of one sampler, their names at the left and their values at the right.
+    """Return a panel of horizontal bars, with names on the left and values on the right.
 
-    `values` and `ends` are places on the axis; `said` are the intervals in words, by default `ends`.
+    Bars extend from `base` to `values`, and whiskers to `ends`. The pointer shows the intervals
+    `said`; the default is `ends`.
     """
-    bars = Bars(
+    bars = BarChart(
         at=np.arange(float(len(rows))),
         value=np.where(np.isfinite(values), values, np.nan),
         base=base,
@@ -593,12 +599,12 @@ def _bar_panel(
             "95 %": intervals(ends if said is None else said),
         },
     )
-    marks = (bars, Rule(at=0.0, axis="x", color=GRAY, width=0.7))
+    marks = (bars, ReferenceLine(at=0.0, axis="x", color=GRAY, width=0.7))
     return Panel(marks=marks, x=axis, y=name_axis(rows), title=name)
 
 
 def _variance_panel(marks: Sequence[Mark], results: Iterable[xr.Dataset]) -> Panel:
-    """Axes for variances against n; a note where there is none above rounding."""
+    """Return a panel of variances against n, with a note if none is above rounding noise."""
     each = list(results)
     counts = [int(n) for data in each for n in data["n"].values]
     ends = [data["variance_ci"].values[usable_counts(data)].ravel() for data in each]
@@ -623,7 +629,7 @@ def _curve_panels(
     *,
     joined: bool = False,
 ) -> tuple[tuple[Panel, ...], str]:
-    """Panels of curves by title and name, on the same axes, and their rates in words."""
+    """Return panels of curves by title and name with equal axes, and the rates in words."""
     every = [data for curves in parts.values() for data, _ in curves.values()]
     panels, said = [], []
     for title, curves in parts.items():
@@ -635,7 +641,7 @@ def _curve_panels(
 
 
 def _curve(data: xr.Dataset, style: LineStyle, name: str, *, joined: bool = False) -> list[Mark]:
-    """Points with whiskers, and the fitted line; `joined` instead joins the points."""
+    """Return points with whiskers and the fitted line, or (`joined`) a line through the points."""
     used = usable_counts(data)
     n, variance = data["n"].values[used].astype(float), data["variance"].values[used]
     ends, text = data["variance_ci"].values[used], _rate_text(data)
@@ -662,7 +668,7 @@ def _curve(data: xr.Dataset, style: LineStyle, name: str, *, joined: bool = Fals
             Line(x=n, y=variance, color=style.color, dashes=style.dashes, width=1.0, label=label)
         ]
         return [*(line if joined else ()), dots]
-    # The fitted line goes through the fit's weighted center, with its slope
+    # The fitted line passes through the fit's weighted center
     last = int(data.attrs.get("fit_last", used.size))
     fitted = used & (np.arange(used.size) >= used.size - last)
     x, y = np.log(data["n"].values[fitted]), np.log(data["variance"].values[fitted])

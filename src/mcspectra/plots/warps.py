@@ -1,4 +1,4 @@
-"""Warps and primary-space integrands: images of a grid, stretch, and where they jump."""
+"""Plots of warps and primary-space integrands: mapped grids, stretch and jumps."""
 
 from __future__ import annotations
 
@@ -9,24 +9,35 @@ import xarray as xr
 
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import ParameterError
-from mcspectra.plots.description import Axis, Image, Line, Mark, Panel, Plot, Rule, Scale, Segments
+from mcspectra.plots.description import (
+    Axis,
+    Heatmap,
+    Line,
+    Mark,
+    Panel,
+    Plot,
+    ReferenceLine,
+    Scale,
+    Segments,
+)
 from mcspectra.plots.groups import Group, Styles, abreast, for_each, numbers
 from mcspectra.plots.scales import log_scale, unit_axis, unit_panel
 from mcspectra.plots.style import ACCENT, GRAY, INK
+from mcspectra.plots.text import number
 
 __all__ = ["primary", "warp"]
 
-_LINES = 16  # of the grid whose image is drawn, along each axis
+_LINES = 16  # grid lines along each axis that are drawn under the warp
 _MOST_STRETCH = 100.0
 _BOUNDARY = "#0072B2"
-_CLIPPED = 0.5  # per cent of the values at either end, where poles would hide the rest
+_CLIPPED = 0.5  # percentage of the values clipped at either end, since poles would hide the rest
 _INSIDE, _SIDES = "jump inside", "jump between opposite sides"
 
 
 def warp(group: Group, _: Styles) -> Plot:
-    """How a warp distorts a grid and, on primary space, its stretch and its jumps."""
+    """Plot the image of a grid under a warp, and the warp's stretch and jumps on primary space."""
     group, dims = _by_spec(group, "density")
-    caption = "Image of a grid under the warp, and on primary space its stretch and its jumps."
+    caption = "A grid under the warp, and the warp's stretch and jumps on primary space."
     if dims == 1:
         panels = [_curve(n, d, "warped", "jump", "x = T(u)") for n, d in group.items()]
         caption = "The warp T(u), with its jumps."
@@ -39,7 +50,7 @@ def warp(group: Group, _: Styles) -> Plot:
         scale = replace(scale, palette="paper")
         panels = []
         for name, each in group.items():
-            # The images of a few grid lines of each axis, broken where T jumps along them
+            # The images of a few grid lines of each axis, interrupted at jumps of T
             x = each["warped"].transpose("u0", "u1", "coordinate").values
             torn = each["jump"].transpose("axis", "u0", "u1").values
             rows, lines = np.unique(np.linspace(0, len(x) - 1, _LINES + 1).astype(int)), []
@@ -47,7 +58,7 @@ def warp(group: Group, _: Styles) -> Plot:
                 (INK, [(x[:, j], torn[0, :, j] > 0) for j in rows]),
                 (GRAY, [(x[i], torn[1, i] > 0) for i in rows]),
             ):
-                # All lines of an axis are one, interrupted between them
+                # Draw all lines of an axis as one polyline with gaps
                 broken = [np.insert(at, np.flatnonzero(t[:-1]) + 1, np.nan, 0) for at, t in of_axis]
                 apart = [np.concatenate([line, np.full((1, 2), np.nan)]) for line in broken]
                 across, up = np.concatenate(apart).T
@@ -69,7 +80,7 @@ def warp(group: Group, _: Styles) -> Plot:
 
 
 def primary(group: Group, _: Styles) -> Plot:
-    """Primary-space integrands g(u) with their jumps inside and between opposite sides."""
+    """Plot primary-space integrands g(u) with jumps inside and between opposite sides."""
     group, dims = _by_spec(group, "estimator")
     panels = []
     for name, each in group.items():
@@ -96,18 +107,18 @@ def primary(group: Group, _: Styles) -> Plot:
         panels=tuple(panels),
         columns=abreast(len(panels)),
         caption="The integrand on primary space, g(u), with its jumps inside and between opposite "
-        "sides: lengths times mean heights.",
+        "sides, each given as length × mean height.",
         words="Integrands on primary space. " + for_each(group, _jump_words),
         height=0.75 if dims == 1 else 1.0,
     )
 
 
 def _by_spec(group: Group, attribute: str) -> tuple[Group, int]:
-    """Results by name, one alone by the spec that it carries; and their dims."""
+    """Return results by name (a single result by its spec) and their number of dims."""
     found = {each.sizes["axis"] for each in group.values()}
     if len(found) > 1:
         raise ParameterError(
-            "Results in 1-D and in 2-D go into different figures; draw each apart."
+            "Results in 1-D and in 2-D cannot share a figure; draw them separately."
         )
     if list(group) == ["sampler"]:
         (each,) = group.values()
@@ -118,7 +129,7 @@ def _by_spec(group: Group, attribute: str) -> tuple[Group, int]:
 def _curve(
     name: str, data: xr.Dataset, value: str, jump: str, label: str, words: str = ""
 ) -> Panel:
-    """A function of one variable, interrupted where it jumps."""
+    """Return a panel of a function of one variable, interrupted at its jumps."""
     u, y = data["u0"].values, data[value].values.reshape(data.sizes["u0"], -1)[:, 0]
     places = np.flatnonzero(data[jump].values[0])
     borders = 0.5 * (u[places] + u[np.minimum(places + 1, u.size - 1)])
@@ -127,10 +138,13 @@ def _curve(
         Line(x=x, y=y, color=INK, width=1.2, hover={"u": numbers(x), label: numbers(y)})
     ]
     inside = _INSIDE if words else ""
-    marks += [Rule(at=float(b), axis="x", color=ACCENT, width=1.4, label=inside) for b in borders]
+    marks += [
+        ReferenceLine(at=float(b), axis="x", color=ACCENT, width=1.4, label=inside) for b in borders
+    ]
     if "face_jump" in data and float(data["face_jump"].values[0]) > 0:
         marks += [
-            Rule(at=end, axis="x", color=_BOUNDARY, width=3.0, label=_SIDES) for end in (0.0, 1.0)
+            ReferenceLine(at=end, axis="x", color=_BOUNDARY, width=3.0, label=_SIDES)
+            for end in (0.0, 1.0)
         ]
     below = f"u\n{words}" if words else "u"
     return Panel(
@@ -141,13 +155,13 @@ def _curve(
     )
 
 
-def _cells(values: Array, scale: Scale, name: str) -> Image:
+def _cells(values: Array, scale: Scale, name: str) -> Heatmap:
     centres = (np.arange(len(values)) + 0.5) / len(values)
-    return Image(values=values.T, x=centres, y=centres, scale=scale, name=name)
+    return Heatmap(values=values.T, x=centres, y=centres, scale=scale, name=name)
 
 
 def _torn_sides(heights: Array) -> Array:
-    """Sides of cells across which there is a jump, (k, 2, 2), of heights (2, N, N)."""
+    """Return the cell sides with a jump, (k, 2, 2), from jump heights (2, N, N)."""
     found = []
     for axis, each in enumerate(heights):
         far = np.argwhere(each > 0) + 1
@@ -159,16 +173,16 @@ def _torn_sides(heights: Array) -> Array:
 
 def _warp_words(data: xr.Dataset) -> str:
     jumps = float(data["jump_length"])
-    torn = f"jumps of length {jumps:.3g}" if jumps else "continuous"
-    return f"{torn}, mean stretch {float(data['mean_stretch']):.3g}"
+    torn = f"jumps of length {number(jumps)}" if jumps else "continuous"
+    return f"{torn}, mean stretch {number(float(data['mean_stretch']))}"
 
 
 def _jump_words(data: xr.Dataset) -> str:
-    """``inside 1.89 × 1, sides none``: lengths times mean heights."""
+    """Return lengths × mean heights of jumps, such as ``inside 1.89 × 1.00, sides none``."""
     words = []
     for kind, word in (("interior", "inside"), ("boundary", "sides")):
         length = float(data["primary_jump_length"].sel(kind=kind))
         height = float(data["primary_jump_height"].sel(kind=kind))
-        size = "unbounded" if np.isinf(height) else f"{length:.3g} × {height:.3g}"
+        size = "unbounded" if np.isinf(height) else f"{number(length)} × {number(height)}"
         words.append(f"{word} {size if length or np.isinf(height) else 'none'}")
     return ", ".join(words)

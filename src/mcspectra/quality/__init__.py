@@ -1,4 +1,4 @@
-"""Quality figures of point sets: distances, discrepancies, diaphony, nets, transport, projections."""
+"""Quality of point sets: distances, discrepancies, diaphony, nets, transport, projections."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""All quality figures of a sampler's realizations, or of given sets, and their summaries."""
+"""Quality figures of a sampler's realizations or of given point sets, and their summaries."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ __all__ = [
 ]
 
 MOST_PROJECTED_AXES = 10
-"""Projections on pairs of axes are looked at for the first so many axes: 45 pairs."""
+"""Number of leading axes whose pairs are used for projections (45 pairs)."""
 
-_MOST_TRANSPORTED = 2**13  # seconds
+_MOST_TRANSPORTED = 2**13  # largest number of points for the transport cost, which takes seconds
 
 
 def quality_figures(
@@ -53,41 +53,41 @@ def quality_figures(
     rng: RngLike = 0,
     workers: int | None = None,
 ) -> xr.Dataset:
-    """Measure how good point sets are.
+    """Measure the quality of point sets.
 
     Parameters
     ----------
     source
         Sampler, spec string, or points of shape (n, d) or (R, n, d).
     n
-        Points in a realization; may be left out for given points.
+        Number of points per realization. Optional for given points.
     figures
-        Names of `FIGURES`; by default all, those of projections from 3 dims on.
+        Names from `FIGURES`. Default: all; figures of projections need at least 3 dims.
     realizations
-        How many realizations; by default all sets of given points, else 16, or 1 for a
-        deterministic set.
+        Number of realizations. Default: all sets of given points, 1 for a deterministic sampler,
+        else 16.
     rng
         Seed (SPEC 7).
     workers
-        Threads; all processors by default.
+        Number of threads. Default: all processors.
 
     Returns
     -------
     xarray.Dataset
-        A variable for each figure on dim ``realization``. A figure that cannot be computed
-        (too many points, too many dims, not a power of the base) is NaN, with the reason in its
-        attribute ``missing``. Attribute ``sets`` is the number of different sets, where the sampler has
-        only so many, ``projections`` states the pairs of axes that were used.
+        One variable per figure on the dim ``realization``. A figure that cannot be computed (too
+        many points, too many dims, not a power of the base) is NaN, with the reason in its
+        attribute ``missing``. The attribute ``sets`` is the number of different sets if the sampler
+        has a limited number; ``projections`` states the pairs of axes that were used.
 
     Raises
     ------
     ParameterError, CountError
-        Unknown figure, no `n`, or one that the sampler cannot make.
+        If a figure is unknown, or if `n` is missing or not possible for the sampler.
 
     Notes
     -----
-    The base of the t-value and of elementary intervals is that of the sampler's digits, where all its
-    coordinates share one; they are missing where the bases differ.
+    The t-value and elementary intervals use the base of the sampler's digits. They are missing if
+    the coordinates have different bases.
     """
     sampler = as_sampler(source)
     if n is None:
@@ -110,13 +110,13 @@ def quality_figures(
             raise ParameterError(f"There is no quality figure {shown(name)}.{known}")
     names = list(dict.fromkeys(given))
     bases = set(sampler.digit_bases)
-    base = bases.pop() if len(bases) == 1 else 0  # of the digits of all coordinates
+    base = bases.pop() if len(bases) == 1 else 0  # base of the digits; 0 if coordinates differ
     stream = Stream.from_rng(rng)
     count = different_realizations(sampler, n, stream) if realizations is None else realizations
     count = as_integer("realizations", count, least=1, most=MAX_REALIZATIONS)
 
     def one(realization: int) -> list[tuple[float, str]]:
-        """Each figure, or NaN and the reason."""
+        """Return value and reason of each figure; the value is NaN if there is a reason."""
         points, found = sampler.draw_stream(n, stream, realization, 1)[0], []
         for name in names:
             try:
@@ -150,16 +150,16 @@ def quality_figures(
 @final
 @dataclass(frozen=True, kw_only=True)
 class FigureSummary:
-    """One quality figure over realizations.
+    """Summary of one quality figure over realizations.
 
     Attributes
     ----------
     name, long_name
-        Name of its variable, and its long name.
+        Name of the variable, and its long name.
     mean, standard_error
-        Over realizations; the standard error is NaN where there is one realization only.
+        Mean over realizations and its standard error, which is NaN for a single realization.
     missing
-        Why there is no mean, else empty.
+        Reason for a missing mean, else empty.
     """
 
     name: str
@@ -170,12 +170,12 @@ class FigureSummary:
 
 
 def summarize(figures: xr.Dataset) -> list[FigureSummary]:
-    """Return mean and standard error of each figure that `quality_figures` returned."""
+    """Return mean and standard error of each figure in a result of `quality_figures`."""
     as_instance("figures", figures, xr.Dataset, "what mcs.quality_figures returns")
     found = []
     for name, figure in figures.data_vars.items():
         values = figure.values
-        # Realizations that translate stored sets again are those of the sets
+        # Average realizations that are translations of the same stored set
         sets = int(figures.attrs.get("sets", len(values)))
         if sets < len(values):
             values = np.array([np.mean(values[k::sets]) for k in range(sets)])
@@ -194,7 +194,7 @@ def summarize(figures: xr.Dataset) -> list[FigureSummary]:
 
 
 def different_realizations(sampler: Sampler, n: int, stream: Stream, most: int = 16) -> int:
-    """Number of useful realizations: `most`, all given sets, or 1 of a fixed set."""
+    """Return the number of useful realizations: `most`, all given sets, or 1 for a fixed set."""
     if isinstance(sampler, GivenPoints):
         sets = len(sampler.sets[n])
         return min(most, sets) if sampler.cycle else sets
@@ -209,9 +209,9 @@ def _pairs(dims: int) -> list[tuple[int, int]]:
 def _projected(
     figure: Callable[[Array], float], choose: Callable[[Array], Any], points: Array
 ) -> float:
-    """The worst or the mean figure of the projections on two axes."""
+    """Return the worst or mean figure over projections on two axes."""
     if points.shape[1] < 3:
-        raise ParameterError("Projections on two axes need sets in 3 or more dims.")
+        raise ParameterError("Projections on two axes need point sets in at least 3 dims.")
     values = [figure(points[:, pair]) for pair in map(list, _pairs(points.shape[1]))]
     return float(choose(np.array(values)))
 
@@ -222,7 +222,7 @@ def _minimum_distance(points: Array) -> float:
 
 def _t_value(points: Array, base: int) -> float | None:
     if not base:
-        raise ParameterError("The digits of its coordinates are in different bases.")
+        raise ParameterError("The coordinates of the set have digits in different bases.")
     from mcspectra.quality.nets import net_t_value
 
     return net_t_value(points, base)
@@ -269,6 +269,6 @@ FIGURES: Mapping[str, Callable[..., float | None]] = {
     "worst_projected_diaphony": partial(_projected, diaphony, np.max),
     "mean_projected_diaphony": partial(_projected, diaphony, np.mean),
 }
-"""The figures of a set (n, d) by name; `core.results` says what each is."""
+"""Figures of a set (n, d) by name; `core.results` describes each."""
 
-_OF_DIGITS = ("t_value", "elementary_intervals")  # take the base of the digits too
+_OF_DIGITS = ("t_value", "elementary_intervals")  # figures that also take the base of the digits

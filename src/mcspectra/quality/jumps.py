@@ -1,8 +1,8 @@
-"""Discontinuities of functions on the unit interval or square, found by refinement.
+"""Find discontinuities of functions on the unit interval or square by refinement.
 
-Between two neighboring points of a grid the half in which the function changes more is halved again
-and again. A change that shrinks with the interval is a slope, one that does not is a jump, one that
-grows a pole.
+The interval between two neighboring grid points is halved repeatedly, each time keeping the half
+in which the function changes more. A change that shrinks with the interval is a slope, a change
+that stays is a jump, and a change that grows is a pole.
 """
 
 from __future__ import annotations
@@ -17,14 +17,13 @@ from mcspectra.core.checks import Array
 
 __all__ = ["Jumps", "curve_length", "find_jumps", "grid_centers"]
 
-_FIRST, _NEXT = 6, 12  # halvings: to drop what is a slope, and between two looks at the rest
-_SLOPE = (
-    1 / 32
-)  # of the change left after the first halvings, where 1/64 is that of a straight line
-_STAYS = 0.5  # of the change left by the last halvings; a root would leave 2^-6
-_GROWS = 2.0
-_NEGLIGIBLE = 1e-7  # of the scale
-_BLOCK = 8  # cells a side, in which a curve counts as straight
+_FIRST, _NEXT = 6, 12  # number of halvings to discard slopes, and between later comparisons
+# Fraction of the change that must remain after the first halvings; a straight line leaves 1/64
+_SLOPE = 1 / 32
+_STAYS = 0.5  # fraction that must remain after the last halvings for a jump; a root leaves 2^-6
+_GROWS = 2.0  # factor above which the change indicates a pole
+_NEGLIGIBLE = 1e-7  # fraction of the scale below which changes are ignored
+_BLOCK = 8  # cells per side of a block in which a curve is treated as straight
 
 Function = Callable[[Array], Array]
 
@@ -36,11 +35,11 @@ class Jumps:
     Attributes
     ----------
     heights
-        (d, N) or (d, N, N): size of the jump from a cell to the next along each axis, 0 where there
-        is none. The last cells of an axis have no next.
+        Size of the jump between a cell and the next along each axis, (d, N) or (d, N, N); 0 without
+        a jump. The last cell of each axis has no next cell.
     poles
-        Whether the function grows without bound there, same shape. A pole of about the same height
-        on both sides is not found.
+        Whether the function grows without bound at the jump, same shape. A pole with similar values
+        on both sides is not detected.
     """
 
     heights: Array
@@ -48,47 +47,47 @@ class Jumps:
 
     @property
     def length(self) -> float:
-        """Total length of the curves of jumps; their number in 1-D."""
+        """Total length of the jump curves; number of jumps in 1-D."""
         return curve_length(self.heights > 0)
 
     @property
     def mean_height(self) -> float:
-        """Mean of the jumps, 0 without any."""
+        """Mean height of the jumps; 0 without jumps."""
         found = self.heights[self.heights > 0]
         return float(found.mean()) if found.size else 0.0
 
 
 def grid_centers(side: int, dims: int) -> Array:
-    """Centers of cells, (side, dims) or (side, side, dims), first axis first."""
+    """Return the cell centers, (side, dims) or (side, side, dims), first axis first."""
     line = (np.arange(side) + 0.5) / side
     return np.stack(np.meshgrid(*[line] * dims, indexing="ij"), axis=-1)
 
 
 def find_jumps(function: Function, dims: int, side: int, *, scale: float) -> Jumps:
-    """Find where a function jumps between neighboring centers of a grid.
+    """Find jumps of a function between neighboring cell centers of a grid.
 
     Parameters
     ----------
     function
-        Points (k, d) to values (k, c); sizes of changes are Euclidean lengths in c dims.
+        Function of points (k, d) with values (k, c). Changes are measured by Euclidean length.
     dims
-        d, 1 or 2.
+        Number of dims d, 1 or 2.
     side
-        Cells along each axis.
+        Number of cells along each axis.
     scale
-        Size of typical values: jumps below 1e-7 of it are ignored.
+        Typical size of the values; jumps below 1e-7 · scale are ignored.
 
     Notes
     -----
-    A jump smaller than about a sixtieth of the smooth change from one cell to the next is not
-    distinguished from it; of several jumps in one interval the largest is found. Costs
-    about 7 evaluations for each of d·side^d intervals and 24 more where there may be a jump.
+    A jump smaller than about 1/60 of the smooth change between two cells cannot be distinguished
+    from it. Of several jumps in one interval only the largest is found. Costs about 7 evaluations
+    for each of d·side^d intervals, and 24 more for each possible jump.
     """
     heights = np.zeros((dims, *[side] * dims))
     poles = np.zeros(heights.shape, bool)
     centers = grid_centers(side, dims)
     for axis in range(dims):
-        # Halve the intervals to the next cells: first to drop slopes, then twice to compare
+        # Halve the intervals between cells: first to discard slopes, then twice to compare
         shape = np.moveaxis(centers, axis, 0)[:-1].shape
         near = np.moveaxis(centers, axis, 0)[:-1].reshape(-1, dims)
         far = near.copy()
@@ -113,18 +112,19 @@ def find_jumps(function: Function, dims: int, side: int, *, scale: float) -> Jum
 
 
 def curve_length(crossed: Array) -> float:
-    """Length of curves from the intervals that they cross.
+    """Estimate the length of curves from the intervals that they cross.
 
     Parameters
     ----------
     crossed
-        Booleans (1, N) or (2, N, N): for each axis, whether a curve passes between a cell and the
-        next.
+        Booleans (1, N) or (2, N, N): whether a curve passes between a cell and the next along each
+        axis.
 
     Notes
     -----
-    In blocks of 8 × 8 cells a curve is taken as straight: crossing c_0 and c_1 intervals along the
-    axes it has the length √(c_0² + c_1²)/N. Exact but for ends for straight lines of any direction.
+    A curve is treated as straight in blocks of 8 × 8 cells: if it crosses c_0 and c_1 intervals
+    along the axes, its length is √(c_0² + c_1²)/N. This is exact for straight lines, except at the
+    ends.
     """
     if len(crossed) == 1:
         return float(np.count_nonzero(crossed))
@@ -137,7 +137,7 @@ def curve_length(crossed: Array) -> float:
 
 
 def _halve(function: Function, ends: Array, values: Array, times: int) -> tuple[Array, Array]:
-    """Halve intervals (2, k, d) with their values (2, k, c), keeping the half that changes more."""
+    """Halve intervals (2, k, d) with values (2, k, c), keeping the half with more change."""
     for _ in itertools.repeat(None, times):
         if not ends.shape[1]:
             break
@@ -153,5 +153,5 @@ def _halve(function: Function, ends: Array, values: Array, times: int) -> tuple[
 
 
 def _change(values: Array) -> Array:
-    """Distance (k,) between both ends' values (2, k, c)."""
+    """Return the distance (k,) between the values (2, k, c) at both ends."""
     return np.asarray(np.sqrt(((values[1] - values[0]) ** 2).sum(axis=-1)))

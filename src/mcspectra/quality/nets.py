@@ -1,7 +1,8 @@
-"""The quality t of nets, by counting points.
+"""The quality parameter t of nets, found by counting points.
 
-A set of n = b^m points is a (t, m, d)-net in base b if every elementary interval of volume b^(t−m),
-a box of sides b^-k_j at multiples of them, holds b^t points.
+An elementary interval in base b is a box with sides b^-k_j whose corners are multiples of the
+sides. A set of n = b^m points is a (t, m, d)-net if every elementary interval of volume b^(t−m)
+contains b^t points.
 """
 
 from __future__ import annotations
@@ -16,36 +17,36 @@ from mcspectra.samplers._primes import LARGEST_BASE, power_from
 
 __all__ = ["elementary_intervals", "net_t_value"]
 
-_MOST_WORK = 2**34  # points times shapes of intervals of one volume: about a minute
+_MOST_WORK = 2**34  # limit for points × interval shapes of one volume, which takes about a minute
 
 
 def net_t_value(points: object, base: int = 2) -> int | None:
-    """Return the smallest t for which a set is a (t, m, d)-net, by counting.
+    """Return the smallest t for which a set is a (t, m, d)-net.
 
     Parameters
     ----------
     points
-        The set, shape (n, d), in [0,1). Coordinates within 2^-52 below a multiple of b^-m count
-        as that multiple, which they are but for rounding.
+        Point set in [0,1), (n, d). Coordinates at most 2^-52 below a multiple of b^-m are rounded
+        up to this multiple.
     base
-        The base b.
+        Base b.
 
     Returns
     -------
     int or None
-        t from 0 to m; None if n is not a power b^m.
+        t, from 0 to m; None if n is not a power b^m.
 
     Raises
     ------
     DomainError
-        Not points of the unit cube.
+        If the points are not in the unit cube.
     ParameterError
-        It would take more than about a minute: there are too many shapes of intervals.
+        If there are too many interval shapes (more than about a minute of work).
 
     Notes
     -----
-    Volumes b^-1, b^-2, … are tried until one fails; the shapes of volume b^-q are
-    binomial(q + d − 1, d − 1), each in O(n d).
+    Volumes b^-1, b^-2, … are checked until one fails. There are binomial(q + d − 1, d − 1) shapes
+    of volume b^-q; each takes O(n d).
     """
     x, base, places = _as_net(points, base)
     if base**places != len(x):
@@ -59,14 +60,15 @@ def net_t_value(points: object, base: int = 2) -> int | None:
 
 
 def elementary_intervals(points: object, base: int = 2, t: int = 0) -> bool:
-    """Whether every elementary interval of volume b^(t−m) holds b^t of the n = b^m `points`.
+    """Whether every elementary interval of volume b^(t−m) contains b^t of the n = b^m `points`.
 
-    Parameters and errors as for `net_t_value`; a CountError if n is not a power of the base.
+    Parameters and errors are the same as in `net_t_value`. In addition, a CountError is raised if n
+    is not a power of the base.
     """
     x, base, places = _as_net(points, base)
     if base**places != len(x):
         raise CountError(
-            f"{len(x)}, the number of points, is not a power of the base {base}; give b^m points."
+            f"The number of points, {len(x)}, is not a power of the base {base}; give b^m points."
         )
     level = places - as_integer("t", t, least=0, most=places)
     _check_work(len(x), x.shape[1], level)
@@ -75,7 +77,7 @@ def elementary_intervals(points: object, base: int = 2, t: int = 0) -> bool:
 
 
 def _as_net(points: object, base: int) -> tuple[Array, int, int]:
-    """Points (n, d), base, and the smallest m with base^m ≥ n."""
+    """Return points (n, d), base, and the smallest m with base^m ≥ n."""
     base = as_integer("base", base, least=2, most=LARGEST_BASE)
     x = as_set(points)
     return x, base, power_from(len(x), base)

@@ -1,6 +1,6 @@
-"""Figures of one set: distances between its points on the torus, discrepancies, diaphony.
+"""Exact quality figures of one point set: toroidal distances, discrepancies, diaphony.
 
-All are exact. Loops visit every pair of points once.
+Loops visit every pair of points once.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ __all__ = [
     "star_discrepancy",
 ]
 
-_MAX_PAIR_WORK = 2**27  # n² d of figures that visit all pairs: a second or so, 8192 points in 2-D
-_TREE_DIMS = 6  # in more dims a tree visits nearly all pairs
+_MAX_PAIR_WORK = 2**27  # limit of n² d for loops over pairs: about a second, 8192 points in 2-D
+_TREE_DIMS = 6  # largest number of dims for a tree; in more dims it visits nearly all pairs
 _TREE_POINTS = 2**21
 
 _BEST_LATTICE = {
-    # dims: minimum distance of the densest packing with one point a unit volume
+    # dims: minimum distance of the densest packing with one point per unit volume
     1: 1.0,
     2: math.sqrt(2.0 / math.sqrt(3.0)),
     3: 2.0 ** (1.0 / 6.0),
     8: math.sqrt(2.0),
     24: 2.0,
 }
-_MOST_STAR_POINTS = 2**14  # half a second in 2-D
+_MOST_STAR_POINTS = 2**14  # largest number of points in 2-D, which takes half a second
 _SCIPY: Mapping[str, tuple[str, bool]] = {
     # kind: SciPy's name, and whether it returns the square
     "star": ("L2-star", False),
@@ -57,12 +57,13 @@ def as_set(points: object) -> Array:
 
 
 def _check_pairs(x: Array) -> None:
-    """Refuse sets (n, d) whose pairs take long to visit."""
+    """Raise if a loop over all pairs of the set (n, d) would take long."""
     n, dims = x.shape
     most = math.isqrt(_MAX_PAIR_WORK // dims)
     if n > most:
         raise ParameterError(
-            f"{n} points are too many for a figure of all pairs; in {dims} dims give at most {most}."
+            f"{n} points are too many for a figure over all pairs; in {dims} dims give at most "
+            f"{most}."
         )
 
 
@@ -72,12 +73,12 @@ def nearest_distances(points: object) -> Array:
     Parameters
     ----------
     points
-        One set of at least two points, (n, d), in [0,1).
+        One set of at least two points in [0,1), (n, d).
 
     Raises
     ------
     ParameterError
-        One point only, or more work than a second or so: n > 2^21, or n² d > 2^27 from 7 dims on.
+        If there is only one point, n > 2^21, or (in at least 7 dims) n² d > 2^27.
     """
     x = as_set(points)
     n, dims = x.shape
@@ -90,7 +91,7 @@ def nearest_distances(points: object) -> Array:
         raise ParameterError(f"{n} points are too many for distances; give at most {_TREE_POINTS}.")
     from scipy.spatial import cKDTree
 
-    # Equal points are 0 apart; a tree would visit each of them from each other
+    # Equal points have distance 0; a tree would visit all pairs of them
     sites, index, counts = distinct_points(x)
     distances = np.zeros(len(sites))
     if len(sites) > 1:
@@ -117,16 +118,16 @@ def _torus_nearest(x: Array) -> Array:
 
 
 def best_minimum_distance(n: int, dims: int) -> float:
-    """Return the minimum distance that no `n` points on the torus exceed, where that is proven.
+    """Return a proven upper bound of the minimum distance of `n` points on the torus.
 
-    It is that of the densest packing of balls: points of equal distance in 1-D, the hexagonal
-    lattice in 2-D, face-centered cubic in 3-D [Hales2005]_, E8 in 8-D [Viazovska2017]_ and the Leech
-    lattice in 24-D [Cohn2017]_.
+    The bound is the distance in the densest sphere packing: equidistant points in 1-D, the
+    hexagonal lattice in 2-D, face-centered cubic in 3-D [Hales2005]_, E8 in 8-D [Viazovska2017]_
+    and the Leech lattice in 24-D [Cohn2017]_.
 
     Raises
     ------
     ParameterError
-        The densest packing in `dims` dims is not known.
+        If the densest packing in `dims` dims is not known.
     """
     n = as_integer("n", n, least=1)
     if dims not in _BEST_LATTICE:
@@ -138,9 +139,9 @@ def best_minimum_distance(n: int, dims: int) -> float:
 
 
 def relative_minimum_distance(points: object) -> float:
-    """Return the minimum distance over the best possible one (at most 1).
+    """Return the minimum distance divided by its upper bound; at most 1.
 
-    A point's own images count too: they are 1 apart.
+    Periodic images of the same point, at distance 1, are included.
     """
     x = as_set(points)
     best = best_minimum_distance(*x.shape)
@@ -153,12 +154,12 @@ def star_discrepancy(points: object) -> float:
     Parameters
     ----------
     points
-        One set, (n, d), in [0,1).
+        One set in [0,1), (n, d).
 
     Raises
     ------
     ParameterError
-        More than 2 dims (exact algorithms take O(n^(1 + d/2)) and are not built in), or more than 2^14 points in 2-D.
+        If d > 2 (exact algorithms take O(n^(1 + d/2)) and are not built in), or n > 2^14 in 2-D.
 
     Notes
     -----
@@ -186,9 +187,9 @@ def star_discrepancy(points: object) -> float:
 def _star_discrepancy_2d(x: Array, y: Array) -> float:
     """Return D* of the points (x_i, y_i), x ascending.
 
-    The supremum over boxes [0,a) × [0,b) is reached, or approached, where a and b are coordinates
-    of points or 1: each column of the grid of all coordinates is scanned with the points left of
-    it, kept in order of y.
+    The supremum over boxes [0,a) × [0,b) is reached or approached at coordinates of points or 1 for
+    a and b. Each column of the grid of all coordinates is scanned together with the points to the
+    left of it, which are sorted by y.
     """
     n = len(x)
     heights = np.empty(n + 2)
@@ -216,16 +217,16 @@ def l2_discrepancy(points: object, kind: str = "star") -> float:
     Parameters
     ----------
     points
-        One set, (n, d), in [0,1).
+        One set in [0,1), (n, d).
     kind
         ``"star"``, ``"centered"``, ``"wraparound"`` [Hickernell1998]_ or ``"mixture"``
-        [ZhouFangNing2013]_. The square root is taken
-        of all, where SciPy returns squares of the last three.
+        [ZhouFangNing2013]_. The result is never squared, although SciPy returns squares for the
+        last three.
 
     Raises
     ------
     ParameterError
-        Unknown kind, or n² d > 2^27.
+        If the kind is unknown, or n² d > 2^27.
     """
     from scipy.stats import qmc
 
@@ -237,7 +238,7 @@ def l2_discrepancy(points: object, kind: str = "star") -> float:
 
 
 def generalized_l2_discrepancy(points: object) -> float:
-    """Return the L2 star discrepancy over all projections together.
+    """Return the L2 star discrepancy combined over all projections.
 
     D² = (4/3)^d − 2/n Σ_i Π_k (3 − x_ik²)/2 + 1/n² Σ_ij Π_k (2 − max(x_ik, x_jk)), the sum of the
     squared L2 star discrepancies of the projections on all sets of axes [Hickernell1998]_.
@@ -245,7 +246,7 @@ def generalized_l2_discrepancy(points: object) -> float:
     Raises
     ------
     ParameterError
-        n² d > 2^27.
+        If n² d > 2^27.
     """
     x = as_set(points)
     _check_pairs(x)
@@ -274,14 +275,14 @@ def _generalized_l2_sum(x: Array) -> float:
 def diaphony(points: object) -> float:
     """Return the diaphony F [Zinterhof1976]_: the spectrum weighted by (Π_k max(1, |m_k|))^−2.
 
-    F² = Σ_{m≠0} |S_m|² / Π_k max(1, m_k²) over all frequencies, S_m = 1/n Σ_i exp(2πi m·x_i),
-    summed in closed form over pairs. It does not change when the set is moved on the torus; the
-    mean of F² over random sets is ((1 + π²/3)^d − 1) / n.
+    F² = Σ_{m≠0} |S_m|² / Π_k max(1, m_k²) over all frequencies, with S_m = 1/n Σ_i exp(2πi m·x_i).
+    The sum is computed in closed form over pairs. F is invariant under translations on the torus;
+    the mean of F² over random sets is ((1 + π²/3)^d − 1) / n.
 
     Raises
     ------
     ParameterError
-        n² d > 2^27.
+        If n² d > 2^27.
     """
     x = as_set(points)
     _check_pairs(x)
@@ -296,7 +297,7 @@ def _diaphony_sum(x: Array) -> float:
     n, dims = x.shape
     total = 0.0
     for i in range(n):
-        row = 0.0  # a sum for each point keeps rounding to that of n, not n², terms
+        row = 0.0  # one sum per point keeps rounding errors at n instead of n² terms
         for j in range(i):
             product = 1.0
             for k in range(dims):

@@ -1,4 +1,4 @@
-"""Distortion and jumps of a warp of the unit square, which decide how well strata survive it."""
+"""Distortion and jumps of a warp of the unit square, which limit the benefit of stratification."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from mcspectra.quality.jumps import find_jumps, grid_centers
 
 __all__ = ["warp_quality"]
 
-_STEP = 1e-3  # of a cell, for slopes
-_ASIDE = (0.31, 0.17)  # of a cell from its center, so that creases through centers are not hit
+_STEP = 1e-3  # step of the differences for slopes, as a fraction of a cell
+_ASIDE = (0.31, 0.17)  # offset from the cell center in cells, to avoid creases through centers
 
 
 def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset:
@@ -26,31 +26,33 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
     density
         A density, or its spec string.
     resolution
-        Cells along each axis of primary space, 4 to 1024.
+        Number of cells along each axis of primary space, 4 to 1024.
 
     Returns
     -------
     xarray.Dataset
-        ``stretch`` (u0, u1): largest over smallest singular value of ∂T/∂u in each cell,
-        1 in 1-D, infinite where T is flat. ``jump`` (axis, u0, u1): |T| torn between a cell and the
-        next along each axis, 0 where T is continuous. ``warped`` (u0, u1, coordinate): T at the
-        centers. Figures: ``mean_stretch`` (geometric, over cells where T is not flat),
-        ``max_stretch``, ``jump_length`` (a number of jumps in 1-D), ``mean_jump``, ``distortion``:
-        geometric mean of the diameter of a small square's image over that of a square of equal
-        area (1: squares stay squares), and ``neighbor_expansion``: root mean square of the distance
-        of neighboring cells' images over that of the cells, jumps included.
+        Maps: ``stretch`` (u0, u1), the largest divided by the smallest singular value of ∂T/∂u in
+        each cell (1 in 1-D, infinite where T is flat); ``jump`` (axis, u0, u1), the jump of T
+        between a cell and the next along each axis (0 where T is continuous); ``warped``
+        (u0, u1, coordinate), T at the cell centers.
+
+        Numbers: ``mean_stretch`` (geometric mean over cells where T is not flat), ``max_stretch``,
+        ``jump_length`` (number of jumps in 1-D) and ``mean_jump``. ``distortion`` is the geometric
+        mean of the diameter of a small square's image divided by the diameter of a square of equal
+        area (1 if squares stay squares). ``neighbor_expansion`` is the root mean square distance
+        between images of neighboring cells divided by the distance of the cells, with jumps.
 
     Raises
     ------
     ParameterError
-        More than two primary dims, or a resolution out of range.
+        If there are more than two primary dims, or the resolution is out of range.
 
     Notes
     -----
-    Slopes are one-sided differences over a thousandth of a cell, the smaller of both sides, so that
-    they do not straddle a jump. Jumps are found by refinement (`mcspectra.quality.jumps`); differences
-    between opposite sides of the square do not count. All figures are those of T into the
-    unit square: for directions, of the lat-long square, not of the sphere.
+    Slopes are one-sided differences over a thousandth of a cell. The smaller of both sides is used,
+    so that the difference does not cross a jump. Jumps are found by refinement
+    (`mcspectra.quality.jumps`), without differences between opposite sides of the square. All
+    figures refer to the unit square: for directions, to the lat-long square and not to the sphere.
     """
     p = make_density(density) if isinstance(density, str) else density
     if not isinstance(p, Density):
@@ -58,7 +60,8 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
     dims = p.primary_dims
     if dims > 2:
         raise ParameterError(
-            f"The warp of {p.spec} has {dims} primary dims; give a density with 1 or 2."
+            f"The warp of {p.spec} has {dims} primary dims; give a density with 1 or 2 primary "
+            "dims."
         )
     side = as_integer("resolution", resolution, least=4, most=1024)
     centers = grid_centers(side, dims)
@@ -73,11 +76,11 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
         columns.append(np.where(ahead_less[..., None], sides[0], sides[1]) / step)
     slopes = np.stack(columns, axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        # Stretch: largest over smallest singular value
+        # Stretch: ratio of largest to smallest singular value
         values = np.linalg.svd(slopes, compute_uv=False)
         ratio = values[..., 0] / values[..., -1]
         stretch = np.where(values[..., -1] > 0, ratio, np.inf)
-        # Diameter of the image of a small square over that of a square of the same area
+        # Diameter of the image of a small square, relative to a square of the same area
         diameters = np.ones(slopes.shape[:-2])
         if slopes.shape[-2:] == (2, 2):
             diagonals = slopes @ np.array([[1.0, 1.0], [1.0, -1.0]])
@@ -109,6 +112,6 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
 
 
 def _geometric_mean(values: Array) -> float:
-    """Over those that are finite; NaN where none is."""
+    """Return the geometric mean of the finite values, or NaN if there are none."""
     finite = values[np.isfinite(values)]
     return float(np.exp(np.log(finite).mean())) if finite.size else float("nan")

@@ -1,7 +1,7 @@
-"""Results draw and explain themselves: ``ds.mcspectra.plot()``, ``.figures()``, ``.summary()``.
+"""The xarray accessor of results: ``ds.mcspectra.plot()``, ``.figures()`` and ``.summary()``.
 
-The accessor is there once mcspectra has made or opened a result; importing this module registers it
-for datasets that were read in another way.
+The accessor is registered when mcspectra creates or opens a result. Import this module to register
+it for datasets that were read in another way.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.core.results import VARIABLES
 from mcspectra.plots.backend_matplotlib import GivenAxes, draw, panel_axes
 from mcspectra.plots.groups import along, labelled, method_of, pairs, variant_dims
-from mcspectra.plots.kinds import KINDS, describe, kinds_of
+from mcspectra.plots.kinds import PLOT_KINDS, describe, kinds_of
 from mcspectra.plots.text import interval, number, rate
 from mcspectra.report.sentences import explain
 from mcspectra.studies.summary import rows_of
@@ -29,46 +29,45 @@ if TYPE_CHECKING:
 
 __all__ = ["Result"]
 
-_SENTENCES = ("diagnosis", "answer", "note")  # attributes that results have
+_SENTENCES = ("diagnosis", "answer", "note")  # attributes of results that hold sentences
 
 
 @final
 class Result:
-    """What ``ds.mcspectra`` is: figures and sentences of a result of mcspectra."""
+    """The accessor ``ds.mcspectra``: figures and sentences of a result."""
 
     def __init__(self, data: xr.Dataset) -> None:
         self._data = data
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """Kinds of figures that this result can be drawn as, the one of `plot` first."""
+        """Kinds of figures that can show this result; the first is the default of `plot`."""
         return kinds_of(self._data)
 
     def plot(
         self, kind: str | None = None, *, axes: GivenAxes = None, ax: Axes | None = None
     ) -> Axes | list[Axes]:
-        """Draw the result: a notebook shows the figure, ``plt.savefig`` writes it.
+        """Draw the result with Matplotlib. Notebooks show the figure; ``plt.savefig`` writes it.
 
         Parameters
         ----------
         kind
-            One of `kinds`; by default the first.
+            One of `kinds`. Default: the first.
         axes
-            Matplotlib axes to draw into, one or as many as the figure has panels; new ones by
-            default.
+            Matplotlib axes to draw into, one per panel. Default: new axes.
         ax
-            The same for a figure of one panel, by the name that pandas and xarray have for it.
+            Alias of `axes` for a figure of one panel, the name used by pandas and xarray.
 
         Returns
         -------
-        matplotlib.axes.Axes, or a list of them
-            What was drawn into; the figure is ``axes.figure``.
+        matplotlib.axes.Axes or list of matplotlib.axes.Axes
+            The axes drawn into; the figure is ``axes.figure``.
 
         Raises
         ------
         ParameterError
-            This result cannot be drawn, not as that kind, `axes` are not as many as are needed, or
-            both `axes` and `ax` are given.
+            If no figure shows this result, if `kind` does not fit it, if the number of `axes` is
+            not the number of panels, or if both `axes` and `ax` are given.
 
         Examples
         --------
@@ -91,18 +90,18 @@ class Result:
         return panels[0] if len(panels) == 1 else panels
 
     def figures(self) -> dict[str, Figure]:
-        """All figures of this result by kind, unknown to pyplot.
+        """Return all figures of this result by kind, without registering them in pyplot.
 
         Raises
         ------
         ParameterError
-            There is none.
+            If no figure shows this result.
         """
         self._chosen(None)
         return {kind: draw(describe(kind, self._data)) for kind in self.kinds}
 
     def summary(self) -> str:
-        """What the result says in sentences: rates, terms, predictions, or its numbers with intervals."""
+        """Describe the result in sentences: rates, terms, predictions or numbers."""
         attributes = (self._data.attrs.get(key, "") for key in _SENTENCES)
         said: Iterable[str] = ()
         if "frames-picture" in self.kinds:
@@ -121,13 +120,15 @@ class Result:
     def _chosen(self, kind: str | None) -> str:
         if not self.kinds:
             has = ", ".join(map(str, self._data.data_vars)) or "no variables"
-            raise ParameterError(f"No figure shows {has:.200}; draw them with xarray's own plot.")
+            raise ParameterError(f"No figure shows {has:.200}; draw it with xarray's own plot.")
         return self.kinds[0] if kind is None else as_choice("kind", kind, self.kinds)
 
 
 def _sentences(data: xr.Dataset) -> Iterator[str]:
-    """`explain` of every estimator, sampler and channel; nothing for other results."""
-    analysis = next((kind for kind in ("convergence", "terms") if KINDS[kind].fits(data)), None)
+    """Yield `explain` for each estimator, sampler and channel of convergence or terms."""
+    analysis = next(
+        (kind for kind in ("convergence", "terms") if PLOT_KINDS[kind].fits(data)), None
+    )
     if analysis is None:
         return
     several = {"estimator", "sampler", "channel", *variant_dims(data)} & set(data.dims)
@@ -139,7 +140,7 @@ def _sentences(data: xr.Dataset) -> Iterator[str]:
 
 
 def _predictions(data: xr.Dataset) -> Iterator[str]:
-    """The last predicted variance of every sampler, method and channel, and its rates."""
+    """Yield the predicted variance at the largest n, and the rates, per sampler and method."""
     for _, points, _, whole in pairs(labelled(data)):
         for _, each in along(whole, "method"):
             for channel in range(each.sizes.get("channel", 1)):
@@ -163,7 +164,7 @@ def _predictions(data: xr.Dataset) -> Iterator[str]:
 
 
 def _numbers(data: xr.Dataset) -> Iterator[str]:
-    """Single numbers with their meaning and interval; of other variables what they are."""
+    """Yield the meaning, value and interval of scalars, and the meaning and dims of arrays."""
     for key in map(str, data.data_vars):
         meaning = data[key].attrs.get("long_name", VARIABLES.get(key, (key, ""))[0])
         if data[key].ndim or data[key].dtype.kind not in "iuf":

@@ -1,4 +1,4 @@
-"""The pages of a bench: tables of all samplers, overlays, projections, cards; HTML, PDF, LaTeX, PGF, CSV."""
+"""Write a sampler bench as HTML, PDF, LaTeX, PGF or CSV: tables, overlays, projections, cards."""
 
 from __future__ import annotations
 
@@ -42,28 +42,28 @@ __all__ = [
 ]
 
 BENCH_FILES = (".html", ".pdf", ".csv", ".tex", ".pgf")
-"""Extensions that `write_bench` knows; any other name is a folder."""
+"""Extensions that `write_bench` accepts; a name without an extension is a folder."""
 
 _HEADS = QUALITY_HEADS | {"generalized_l2_discrepancy": "Generalized L2 discrepancy"}
-_ROWS = 44  # on a sheet
-_ABREAST = 6  # samplers that have columns in a table of integrands
-_IN_OVERLAY = 10  # samplers whose lines are told apart
+_ROWS = 44  # lines of text on a PDF sheet
+_ABREAST = 6  # largest number of samplers that become columns; more become rows
+_IN_OVERLAY = 10  # largest number of samplers in one plot
 _MOST_AXES = 10
 _CURVES = ["points_made", "variance", "variance_ci", "rate", "rate_ci", "rank", "rank_ci"]
 
 
 def is_folder(file: str) -> bool:
-    """Whether a name is that of a folder for the page of a bench: it ends in /, or has no extension."""
+    """Whether `file` names a folder: it ends in /, is a folder, or has no extension."""
     return file.endswith("/") or Path(file).is_dir() or not Path(file).suffix
 
 
 def check_bench_file(file: str) -> None:
-    """Refuse a name that `write_bench` cannot write to, before anything is measured.
+    """Check that `write_bench` can write to `file`, before anything is measured.
 
     Raises
     ------
     ParameterError, FileFormatError
-        It ends in something else, or cannot be written.
+        If the extension is not in `BENCH_FILES`, or the file cannot be written.
     """
     if not is_folder(file):
         check_result_file(file, BENCH_FILES)
@@ -81,20 +81,21 @@ def write_bench(bench: xr.Dataset, file: str, cards: Sequence[Card] = ()) -> Pat
     Parameters
     ----------
     bench
-        What `mcspectra.sampler_bench` returned.
-    cards
-        Cards of the samplers, in their order; each has a section of the page.
+        Result of `mcspectra.sampler_bench`.
     file
-        A folder: ``index.html`` and ``bench.csv`` in it. ``.html``: one page that stands alone; ``.pdf``: the table and all pictures, a sheet each, with
-        fonts of Type 42; ``.csv``: variances, rates and ranks, a row for each sampler, integrand and
-        n; ``.tex``: the table as a tabular; ``.pgf``: the convergence for LaTeX.
+        A folder gets ``index.html`` and ``bench.csv``. ``.html`` is one self-contained page.
+        ``.pdf`` has the table and all figures, one per sheet, with Type 42 fonts. ``.csv`` has
+        variances, rates and ranks, one row per sampler, integrand and n. ``.tex`` is the table as
+        a tabular. ``.pgf`` is the convergence plot for LaTeX.
+    cards
+        Cards of the samplers, in the order of the samplers. Each becomes a section of the page.
 
     Raises
     ------
     ParameterError
-        It ends otherwise.
+        If the extension is not in `BENCH_FILES`.
     FileFormatError, StoreError, StorageError
-        It cannot be written.
+        If the file cannot be written.
     """
     check_bench_file(file)
     if is_folder(file):
@@ -122,9 +123,9 @@ def write_bench(bench: xr.Dataset, file: str, cards: Sequence[Card] = ()) -> Pat
 
 
 def bench_table(bench: xr.Dataset) -> tuple[list[str], list[list[str]]]:
-    """Return the columns and rows of the summary: rates, in brackets the intervals of the ranks.
+    """Return the columns and rows of the summary: rates, with intervals of the ranks in brackets.
 
-    There is a row for each integrand or, of more than six samplers, for each sampler.
+    Rows are integrands, or samplers if there are more than six samplers.
     """
     rows = list[list[str]]()
     for title in bench["integrand"].values:
@@ -144,9 +145,10 @@ def bench_table(bench: xr.Dataset) -> tuple[list[str], list[list[str]]]:
 
 
 def _sampler_table(bench: xr.Dataset) -> tuple[list[str], list[list[tuple[str, float]]]]:
-    """Figures of each sampler alone: its randomization, n, quality at the largest n, and speed.
+    """Return randomization, n, quality at the largest n and speed of each sampler.
 
-    A row holds texts, each with the number that it is sorted by; the first column is that of the names.
+    Rows hold pairs of a text and its sort key. The heads include a first column for the names,
+    which the rows lack.
     """
     names = [name for name in BENCH_QUALITY if name in bench]
     last, rows = bench.isel(n=-1), []
@@ -166,7 +168,7 @@ def _labels(bench: xr.Dataset) -> list[str]:
 
 
 def bench_plots(bench: xr.Dataset) -> Iterator[tuple[str, Plot]]:
-    """Yield the pictures by the titles of their sections, of ten samplers at a time."""
+    """Yield section titles and figures; each figure shows at most ten samplers."""
     whole = {name: bench.isel(sampler=k) for k, name in enumerate(_labels(bench))}
     styles, names = sampler_styles(list(whole)), list(whole)
     for start in range(0, len(names), _IN_OVERLAY):
@@ -177,9 +179,9 @@ def bench_plots(bench: xr.Dataset) -> Iterator[tuple[str, Plot]]:
 def _plots_of(
     bench: xr.Dataset, ones: dict[str, xr.Dataset], styles: Any
 ) -> Iterator[tuple[str, Plot]]:
-    """Yield the pictures of a few samplers of a bench."""
+    """Yield section titles and figures for a few samplers of a bench."""
 
-    # Convergence, a sheet for each number of dims; each sampler at its own counts
+    # Plot convergence, one sheet per number of dims; each sampler has its own counts
     for d in dict.fromkeys(bench["integrand_dims"].values.tolist()):
         tasks: dict[str, Group] = {}
         for title in bench["integrand"].values[bench["integrand_dims"].values == d]:
@@ -193,7 +195,7 @@ def _plots_of(
             yield f"Convergence in {d}-D", task_curves(tasks, styles)
 
     def of(*names: str) -> dict[str, xr.Dataset]:
-        """Results of those samplers that have the first of these variables."""
+        """Return `names` of each sampler that has finite values of the first variable."""
         return {
             name: each[list(names)].assign_attrs(n=int(each["pictured_n"]))
             for name, each in ones.items()
@@ -207,13 +209,15 @@ def _plots_of(
         yield f"{where}: means over directions", describe("radial", spectra, styles)
     if "anisotropy_db" in bench and (rings := of("anisotropy_db", "anisotropy_noise_db")):
         plot, panels = describe("anything", rings, styles), []
-        for panel, title in zip(plot.panels, ("anisotropy", "made by noise alone"), strict=True):
+        for panel, title in zip(
+            plot.panels, ("anisotropy", "expected from noise alone"), strict=True
+        ):
             panels.append(replace(panel, y=replace(panel.y, label="dB"), title=title))
         yield f"{where}: anisotropy", replace(plot, panels=tuple(panels), height=0.9)
     if pairs := of("pair_correlation", "pair_correlation_ci"):
         yield f"{where}: pair correlation", describe("pair-correlation", pairs, styles)
 
-    # Quality, on logarithmic axes where figures are positive
+    # Plot quality, on logarithmic axes if all values are positive
     known = [name for name in BENCH_QUALITY if name in bench]
     if known:
         plot, panels = (
@@ -228,7 +232,7 @@ def _plots_of(
             panels.append(replace(panel, x=x, y=y, title=_HEADS[name]))
         yield "Quality", replace(plot, panels=tuple(panels), columns=3, height=0.8, wide=True)
 
-    # One set of each, on all pairs of axes
+    # Plot one set of each sampler, projected on all pairs of axes
     sets = {
         name: each[["points"]].dropna("axis", how="all").dropna("point")
         for name, each in ones.items()
@@ -246,15 +250,16 @@ def _plots_of(
 
 
 def _said(bench: xr.Dataset) -> list[str]:
-    """How it was measured, in sentences."""
+    """Describe the measurement in sentences."""
     low, high = bench["n"].values[[0, -1]]
     how = (
-        f"{bench.sizes['sampler']} samplers on {bench.sizes['integrand']} integrands, n = {low} … {high}, "
-        f"{bench.attrs['realizations']} realizations, seed {bench.attrs['seed']}; mcspectra {__version__}. "
-        "Rates are exponents of the variance in n with 95 % intervals (random: −1), unresolved beyond 0.5. "
-        "Ranks are by n · variance at the largest n, with 95 % intervals that hold for all ranks together; "
-        "speeds are of one thread that makes sets of the largest n. Curves lie over one another in the order "
-        "of the legend: one that is not seen is hidden by a later one that coincides with it."
+        f"{bench.sizes['sampler']} samplers on {bench.sizes['integrand']} integrands, "
+        f"n = {low} … {high}, {bench.attrs['realizations']} realizations, "
+        f"seed {bench.attrs['seed']}; mcspectra {__version__}. "
+        "Rates are exponents of the variance in n with 95 % intervals (random: −1). A rate is "
+        "shown as unresolved if half its interval exceeds 0.5. Ranks are by n · variance at the "
+        "largest n; their 95 % intervals hold simultaneously. Speeds are for one thread and sets "
+        "of the largest n. A curve that you cannot see lies under a later one of the legend."
     )
     note = bench.attrs.get("note")
     return [how, f"Note: {note}."] if note else [how]
@@ -264,12 +269,12 @@ def _page(bench: xr.Dataset, cards: Sequence[Card]) -> html.Page:
     names = _labels(bench)
     anchors = html.anchors(names, "s-")
     linked = [
-        html.Cell(text=name, numeric=False, link=f"#{anchor}" if cards else "")
+        html.TableCell(text=name, numeric=False, link=f"#{anchor}" if cards else "")
         for name, anchor in zip(names, anchors, strict=True)
     ]
 
-    def cells(rows: Iterable[Iterable[tuple[str, float]]]) -> list[list[str | html.Cell]]:
-        """Rows of samplers, which can be sorted by their numbers."""
+    def cells(rows: Iterable[Iterable[tuple[str, float]]]) -> list[list[str | html.TableCell]]:
+        """Return one row per sampler, with cells that can be sorted by their numbers."""
         return [
             [name, *(html.number_cell(text, value) for text, value in row)]
             for name, row in zip(linked, rows, strict=True)
@@ -277,16 +282,16 @@ def _page(bench: xr.Dataset, cards: Sequence[Card]) -> html.Page:
 
     heads, own = _sampler_table(bench)
     columns, shown = bench_table(bench)
-    rates: Sequence[Sequence[str | html.Cell]] = shown
+    rates: Sequence[Sequence[str | html.TableCell]] = shown
     if by_sampler := columns[0] == "Sampler":
         values = bench["rate"].transpose("sampler", "integrand").values.tolist()
         rates = cells(
             zip(row[1:], each, strict=True) for row, each in zip(shown, values, strict=True)
         )
     tables = (
-        html.table_of("Samplers by themselves, at the largest n", heads, cells(own), sortable=True),
+        html.table_of("Quality and speed at the largest n", heads, cells(own), sortable=True),
         html.table_of(
-            "Rates on each integrand, in brackets the rank", columns, rates, sortable=by_sampler
+            "Rate on each integrand, with the rank in brackets", columns, rates, sortable=by_sampler
         ),
     )
     sections = [html.Section(title="Summary", anchor="summary", blocks=tables)]
@@ -298,12 +303,12 @@ def _page(bench: xr.Dataset, cards: Sequence[Card]) -> html.Page:
         sections.append(html.Section(title=title, anchor=f"part-{k}", blocks=blocks))
     if cards:
         sections += card_sections(cards, anchors)
-    lead = tuple(html.Text(text=sentence) for sentence in _said(bench))
+    lead = tuple(html.Paragraph(text=sentence) for sentence in _said(bench))
     return html.Page(title="Sampler bench", what="bench", lead=lead, sections=tuple(sections))
 
 
 def _sheets(bench: xr.Dataset) -> Iterator[Drawn]:
-    """The tables on sheets of paper, after what was measured."""
+    """Yield sheets with a description of the measurement and the tables."""
     from matplotlib.figure import Figure as MatplotlibFigure
 
     lines: list[tuple[str, bool]] = [("Sampler bench", True), ("", False)]
@@ -313,7 +318,7 @@ def _sheets(bench: xr.Dataset) -> Iterator[Drawn]:
         [name, *(text for text, _ in row)] for name, row in zip(_labels(bench), own, strict=True)
     ]
     for heads, rows in ((alone, texts), bench_table(bench)):
-        # Long heads take several lines
+        # Wrap long heads over several lines
         broken = [textwrap.wrap(head, 26 if k == 0 else 14) or [""] for k, head in enumerate(heads)]
         tall = max(map(len, broken))
         above = [[([""] * (tall - len(b)) + b)[line] for b in broken] for line in range(tall)]

@@ -1,4 +1,4 @@
-"""Two studies side by side: ratios of variances, differences of rates, curves over each other."""
+"""Comparison of two studies: ratios of variances, differences of rates, and curves in one plot."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ Curves = dict[tuple[str, str], "xr.Dataset"]
 
 
 class Difference(NamedTuple):
-    """Second result against the first, with 95 % intervals; NaN where there is none.
+    """Difference of two results with 95 % intervals; unknown values are NaN.
 
     Parameters
     ----------
     n
-        The largest count that both have; None where they share none.
+        Largest count that both results have, or None.
     ratio
-        Variance of the second over that of the first at `n`.
+        Variance of the second result divided by the variance of the first, at `n`.
     rate
-        Rate of the second minus that of the first.
+        Rate of the second result minus the rate of the first.
     """
 
     n: int | None
@@ -50,7 +50,7 @@ class Difference(NamedTuple):
 
 
 def compare_curves(first: xr.Dataset, second: xr.Dataset) -> Difference:
-    """Compare two results of `convergence` (of several channels the first) as independent ones."""
+    """Compare the first channels of two `convergence` results, treated as independent."""
     one, other = first_channel(first), first_channel(second)
     shared = np.intersect1d(one["n"].values, other["n"].values)
     n, ratio = None, Measured(math.nan, math.nan, math.nan)
@@ -62,28 +62,28 @@ def compare_curves(first: xr.Dataset, second: xr.Dataset) -> Difference:
 
 
 def write_comparison(first: str | Path, second: str | Path, out: str | Path | None = None) -> Path:
-    """Write a page that compares the results of two studies, pair by pair of equal names.
+    """Write a page that compares two studies for each estimator and sampler that both contain.
 
     Parameters
     ----------
     first, second
         Folders of results (with ``results.zarr``).
     out
-        The page; ``comparison.html`` in `second` by default.
+        Path of the page. Default: ``comparison.html`` in `second`.
 
     Returns
     -------
     Path
-        The page.
+        Path of the page.
 
     Raises
     ------
     StoreError
-        There are no results in a folder, or the page cannot be written.
+        If a folder has no results, or the page cannot be written.
     ParameterError
-        Both folders are the same, or one of the three is no path.
+        If both folders are the same, or if an argument is not a path.
     MissingDependency
-        The extra ``report`` is not installed.
+        If the extra ``report`` is not installed.
     """
     html.check_page_packages()
     folders = [as_path("first", first), as_path("second", second)]
@@ -97,7 +97,7 @@ def write_comparison(first: str | Path, second: str | Path, out: str | Path | No
 
 
 def _written(folders: list[Path], file: Path, second: str) -> Path:
-    """Write the page of the results in two folders to a file."""
+    """Write the page that compares the results in two folders to `file`."""
     trees = [open_results(folder) for folder in folders]
     curves: list[Curves] = [
         {
@@ -111,8 +111,8 @@ def _written(folders: list[Path], file: Path, second: str) -> Path:
     origins: list[html.Block] = []
     for letter, tree, folder in zip("AB", trees, folders, strict=True):
         origins += [
-            html.Text(text=letter, kind="heading"),
-            html.Facts(rows=provenance(tree, folder)),
+            html.Paragraph(text=letter, kind="heading"),
+            html.FactList(rows=provenance(tree, folder)),
         ]
     titles = [str((tree.attrs.get("study") or {}).get("title", "Results")) for tree in trees]
     named = [
@@ -123,11 +123,14 @@ def _written(folders: list[Path], file: Path, second: str) -> Path:
     page = html.Page(
         title="Comparison",
         what=f"comparison of {titles[0]} and {titles[1]}",
-        lead=(html.Facts(rows=tuple(facts)),),
+        lead=(html.FactList(rows=tuple(facts)),),
         sections=html.sections_of(
             {
                 "Side by side": tuple(_side_by_side(*curves)),
-                "Provenance": (*origins, html.Facts(rows=(("To redo it", command),), code=True)),
+                "Provenance": (
+                    *origins,
+                    html.FactList(rows=(("To reproduce", command),), code=True),
+                ),
             }
         ),
     )
@@ -135,13 +138,14 @@ def _written(folders: list[Path], file: Path, second: str) -> Path:
 
 
 def _side_by_side(first: Curves, second: Curves) -> Iterator[html.Block]:
-    """A table of the pairs that both have, their curves over each other, and what only one has."""
+    """Yield a table and plots of the shared pairs, and lists of pairs that only one study has."""
     both = [pair for pair in first if pair in second]
     if both:
         yield html.table_of(
-            "Ratio: variance of B over that of A at the largest common n; below 1, B has less "
-            "noise. Difference: rate of B minus rate of A; if it is negative, B falls faster. Intervals "
-            "are 95 % for independent results: too wide where both used the same seed.",
+            "Ratio: variance of B divided by variance of A at the largest common n. Below 1, B has "
+            "less noise. Difference: rate of B minus rate of A. If it is negative, the variance of "
+            "B falls faster. The 95 % intervals assume independent results; they are too wide if "
+            "both studies used the same seed.",
             (
                 "Estimator",
                 "Sampler",
@@ -160,7 +164,7 @@ def _side_by_side(first: Curves, second: Curves) -> Iterator[html.Block]:
             sortable=True,
         )
     else:
-        yield html.Text(text="No estimator and sampler has a convergence in both.")
+        yield html.Paragraph(text="The studies share no estimator and sampler with a convergence.")
     plots = []
     for estimator in dict.fromkeys(name for name, _ in both):
         overlay = {
@@ -179,13 +183,13 @@ def _side_by_side(first: Curves, second: Curves) -> Iterator[html.Block]:
             if (estimator, sampler) not in both
         ]
         if lines:
-            yield html.Text(text=f"Only in {letter}: {'; '.join(lines)}.")
+            yield html.Paragraph(text=f"Only in {letter}: {'; '.join(lines)}.")
 
 
 def _row(
     pair: tuple[str, str], first: xr.Dataset, second: xr.Dataset
-) -> tuple[str | html.Cell, ...]:
-    cell = partial(html.number_cell, why="the two have no such number in common")
+) -> tuple[str | html.TableCell, ...]:
+    cell = partial(html.number_cell, why="not available in both studies")
     found = compare_curves(first, second)
     variances = [
         math.nan if found.n is None else float(first_channel(each)["variance"].sel(n=found.n))

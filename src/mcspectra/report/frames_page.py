@@ -1,4 +1,4 @@
-"""What frames of a renderer say, in words, as layers, and as one page."""
+"""Findings about the noise of a renderer's frames, as sentences, EXR layers and one page."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ __all__ = [
     "write_frames",
 ]
 
-_COLUMNS = ("Samples a pixel", "Frames", "Variance", "95 %", "σ / mean", "FLIP")
-_LOW = 0.125  # cycles a pixel
-_BLUE, _RED = 0.8, 1.25  # power there, below and above which noise is not called white
-_UNSURE = 0.5  # error of that power, relative to it, which tells nothing
-_ALIKE = 0.1  # correlation of neighbors that is worth a word
-_SURE = 2.24  # standard errors that the larger of two correlations of white noise exceeds in 5 %
-_HEAVY = 0.5  # tail index of infinite variance
-_CARRIED = 0.05  # share of the variance in fireflies that is worth a word
+_COLUMNS = ("Samples per pixel", "Frames", "Variance", "95 %", "σ / mean", "FLIP")
+_LOW = 0.125  # upper limit of the low frequencies, cycles per pixel
+_BLUE, _RED = 0.8, 1.25  # relative low-frequency power below and above which noise is not white
+_UNSURE = 0.5  # relative error of that power above which no statement is made
+_ALIKE = 0.1  # smallest correlation of neighbors that is reported
+_SURE = 2.24  # standard errors; the larger of two correlations of white noise exceeds them in 5 %
+_HEAVY = 0.5  # tail index above which the variance is infinite
+_CARRIED = 0.05  # smallest share of the variance in fireflies that is reported
 
 
 def frame_summary(result: xr.Dataset) -> dict[str, Any]:
-    """Numbers over the whole picture: a row for each number of samples, and what is told besides."""
-    # Lists were written as text
+    """Return numbers of the whole image: one row per number of samples, and the attributes."""
+    # Attributes store lists as JSON text
     told = {
         key: json.loads(value) if isinstance(value, str) and value[:1] == "[" else value
         for key, value in result.attrs.items()
@@ -75,60 +75,64 @@ def frame_summary(result: xr.Dataset) -> dict[str, Any]:
 
 
 def frame_findings(result: xr.Dataset) -> list[str]:
-    """What the numbers say, a sentence each, most important first."""
+    """Return the findings as sentences, the most important first."""
     found = frame_summary(result)
     return [*_against(found), *_doubts(found), *_noise(result, found)]
 
 
 def _against(found: dict[str, Any]) -> Iterator[str]:
-    """Two sets of frames: bias, variance, and both at equal time."""
+    """Compare two sets of frames: bias, variance, and variance at equal time."""
     if "picture_ratio" not in found:
         return
     if found["identical"]:
-        yield f"The means are the same to the last bit: {found['against']} holds the same frames."
+        yield f"The means are identical: {found['against']} contains the same frames."
         return
     ours, others = found["compared_n"]
-    at = f"{ours} samples a pixel" + ("" if ours == others else f", the others {others}")
+    at = f"{ours} samples per pixel" + ("" if ours == others else f" against {others}")
     biased, pixels = found["biased_pixels"], found["compared_pixels"]
     z = found["mean_difference_z"]
-    apart = (
-        f"the means of the pictures differ by {percent(abs(found['mean_difference']))} (as unlikely as {number(abs(z))} "
-        "standard errors of a normal)"
-    )
     if biased or abs(z) > 3:
+        mean = percent(abs(found["mean_difference"]))
         yield (
-            f"The two do not converge to one picture: {biased} of {pixels} pixels differ by more than "
-            f"{number(found['z_limit'])} standard errors (none would in 95 % of equal pairs), and {apart}."
+            f"The two do not converge to one image: {biased} of {pixels} pixels differ by more "
+            f"than {number(found['z_limit'])} standard errors (limit for the largest of all "
+            f"pixels, 95 %), and the image means differ by {mean} ({number(abs(z))} standard "
+            "errors)."
         )
     ends = interval(*found["picture_ratio_ci"])
-    yield f"At {at} the variance is {number(found['picture_ratio'])} ({ends}) of that of {found['against']}."
+    yield (
+        f"At {at} the variance is {number(found['picture_ratio'])} (95 %: {ends}) times the "
+        f"variance of {found['against']}."
+    )
     if "equal_time_ratio" in found:
         ends = interval(*found["equal_time_ratio_ci"])
-        yield f"At equal time it is {number(found['equal_time_ratio'])} ({ends})."
+        yield f"At equal time the ratio is {number(found['equal_time_ratio'])} (95 %: {ends})."
     if not biased and abs(z) <= 3:
-        yield f"No bias is seen: no pixel differs significantly, and {apart}."
+        yield "The means agree: neither the image means nor any pixel differ significantly."
 
 
 def _doubts(found: dict[str, Any]) -> Iterator[str]:
-    """What makes the other numbers doubtful, of the frames of the most samples that show it."""
+    """Warn about the reliability of the numbers, for the largest sample count with a problem."""
     last = len(found["samples"]) - 1
     for k in range(last, -1, -1):
         if pair := found["related"][k]:
             yield (
-                f"The frames {pair[0]} and {pair[1]} are not independent: their errors correlate by "
-                f"{number(found['relation'][k])}. Give every frame a seed of its own; variances are too small."
+                f"Give every frame its own seed: the errors of the frames {pair[0]} and {pair[1]} "
+                f"have correlation {number(found['relation'][k])}, so the variances are too small."
             )
             break
     for k in range(last, -1, -1):
         count, expected = found["outliers"][k], found["outliers_expected"][k]
         share, tail = found["outlier_share"][k], found["tail_index"][k]
-        # More than normal noise has, by four standard errors of a count
+        # Report only a count that is more than four standard errors above normal noise
         if count and count > expected + 4 * expected**0.5 and share > _CARRIED:
             yield (
-                f"Fireflies: at {count} pixels one frame is far brighter ({number(expected, 2)} expected of normal "
-                f"noise); these pixels make {percent(share)} of the picture's variance"
+                f"Fireflies: at {count} pixels one frame is far brighter than the others "
+                f"({number(expected, 2)} pixels expected for normal noise). These pixels cause "
+                f"{percent(share)} of the image's variance"
                 + (
-                    f"; the errors of all pixels together have the tail index {number(tail, 2)}, and from ½ on the variance is infinite."
+                    f". The tail index of all errors is {number(tail, 2)}; above ½ the variance is "
+                    "infinite."
                     if tail and tail > _HEAVY
                     else "."
                 )
@@ -136,32 +140,37 @@ def _doubts(found: dict[str, Any]) -> Iterator[str]:
             break
     missing = max(found["missing"])
     if missing:
-        yield f"Pixels that are NaN or infinite in some frame, and have no numbers: {missing}."
+        yield f"Pixels excluded because a frame is NaN or infinite there: {missing}."
     if not np.isfinite([row["picture_variance_ci"][1] for row in found["samples"]]).all():
-        yield "The variance has no upper bound yet: one pixel of one frame makes over 5 % of all squared errors."
+        yield (
+            "The variance has no upper bound yet: one pixel of one frame causes over 5 % of the "
+            "sum of squared errors."
+        )
 
 
 def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[str]:
-    """The rate, the target, and how pixels err together."""
+    """Describe the rate, the target, and the correlation of errors between pixels."""
     if "picture_rate" in found:
         slope, (low, high) = found["picture_rate"], found["picture_rate_ci"]
         yield (
-            f"The variance of the picture falls as samples to the power {rate(slope, low, high)}."
+            "The variance of the image falls as the number of samples to the power "
+            f"{rate(slope, low, high)}."
             if is_resolved(low, high)
-            else f"The rate of the picture's variance is not resolved: {interval(low, high)}."
+            else f"The rate of the image's variance is not resolved: {interval(low, high)}."
         )
     if "needed_median" in found:
         known = found["spp_known"][-1]
         times = "" if known else " times as many"
-        # Of normal noise; the need is proportional to σ²
+        # Relative error for normal noise; the needed samples are proportional to σ²
         doubt = math.sqrt(2.0 / max(found["samples"][-1]["frames"] - 1, 1))
         yield (
-            f"{percent(found['reached_share'])} of the pixels reach σ / mean = {number(found['target'])} "
+            f"{percent(found['reached_share'])} of the pixels reach σ / mean = "
+            f"{number(found['target'])} "
             + (f"at {result['n'].values[-1]} samples" if known else "in a frame")
             + (". By their rates" if "rate" in result else ". If the variance falls as 1/n")
             + f", half of the pixels need {number(found['needed_median'])}{times}, and "
-            f"95 % need at most {number(found['needed_95'])}{times}. The estimate for one pixel has an error of "
-            f"± {percent(doubt)}; this error makes the last number too large."
+            f"95 % need at most {number(found['needed_95'])}{times}. The estimate for one pixel "
+            f"scatters by ± {percent(doubt)}; the scatter makes the 95 % figure an upper bound."
         )
     last = result.isel(n=-1)
     lowest = last["radius"].values < _LOW
@@ -174,34 +183,37 @@ def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[str]:
         for y, x in ((0, 1), (1, 0))
     )
     have = f"{number(level)} ± {number(half, 2)} times the power of white noise"
-    below = f"below {_LOW} cycles a pixel " + (
-        f"the errors have {have}" if power.size else "so small a picture has no errors"
+    below = f"below {_LOW} cycles per pixel " + (
+        f"the errors have {have}" if power.size else "this small image has no frequencies"
     )
-    factor = (
-        math.exp(min(half / level, 700.0)) if level > 0 else math.inf
-    )  # errors of powers are relative
+    # The error of a power is relative
+    factor = math.exp(min(half / level, 700.0)) if level > 0 else math.inf
     if level < _BLUE and level * factor < 1.0:
-        yield f"Blue noise: {below}, which the eye, and a denoiser, blurs away."
+        yield f"Blue noise, which the eye or a denoiser removes easily: {below}."
     elif level > _RED and level > factor:
         yield (
-            f"Neighbors err together: {below}; a wide reconstruction filter, or points shared by pixels."
+            f"Errors of neighboring pixels are correlated: {below}. Possible causes are a wide "
+            "reconstruction filter and points shared by pixels."
         )
     elif half > _UNSURE * level or not power.size:
-        yield f"Whether the noise is white between pixels is not resolved: {below}."
+        yield f"These frames cannot decide whether the noise is white between pixels: {below}."
     elif not found["repeat"][-1]:
         white = level < factor and level * factor > 1.0
         yield f"The noise is {'white' if white else 'nearly white'} between pixels: {below}."
     if max(map(abs, beside)) > max(_ALIKE, _SURE * found["correlation_error"][-1]):
-        yield f"Errors of neighbors correlate by {number(beside[0])} across and {number(beside[1])} down."
+        yield (
+            f"Errors of neighboring pixels have correlation {number(beside[0])} horizontally and "
+            f"{number(beside[1])} vertically."
+        )
     if lag := found["repeat"][-1]:
         yield (
-            f"The noise repeats after {lag[1]} pixels across and {lag[0]} down (correlation "
-            f"{number(found['repeat_correlation'][-1])}): tiles share points or seeds."
+            f"The noise repeats after {lag[1]} pixels horizontally and {lag[0]} vertically "
+            f"(correlation {number(found['repeat_correlation'][-1])}): tiles share points or seeds."
         )
 
 
 def frame_table(found: dict[str, Any]) -> html.Table:
-    """The numbers of `frame_summary` over the picture."""
+    """Return the numbers of `frame_summary` as a table."""
     rows = [
         [
             str(row["n"] or "unknown"),
@@ -213,15 +225,15 @@ def frame_table(found: dict[str, Any]) -> html.Table:
         ]
         for row in found["samples"]
     ]
-    caption = "Variance of one frame, mean over the pixels; median over the pixels of σ / mean"
+    caption = "Variance of one frame, averaged over pixels; median of σ / mean over pixels"
     if "mean_flip" in found["samples"][0]:
-        caption += "; mean FLIP of one frame against the mean"
+        caption += "; mean FLIP between one frame and the mean image"
     shown = len(_COLUMNS) - ("mean_flip" not in found["samples"][0])
     return html.table_of(f"{caption}.", _COLUMNS[:shown], [row[:shown] for row in rows], words=())
 
 
 def frame_layers(result: xr.Dataset) -> dict[str, Array]:
-    """Layers of EXR: the mean picture, and every number of the pixels by name and samples."""
+    """Return EXR layers: the mean image, and each per-pixel number by name and sample count."""
     maps = result.drop_vars(
         [n for n in result if not {"y", "x"} <= set(result[n].dims)] + ["image"]
     )
@@ -230,40 +242,40 @@ def frame_layers(result: xr.Dataset) -> dict[str, Array]:
 
 
 def check_frames_packages() -> None:
-    """Refuse `write_frames` before frames are read.
+    """Check that `write_frames` can run, before frames are read.
 
     Raises
     ------
     MissingDependency
-        The extra ``report`` is not installed, or OpenEXR is not.
+        If the extra ``report`` or OpenEXR is not installed.
     """
     html.check_page_packages("frames,report")
     load_openexr()
 
 
 def write_frames(result: xr.Dataset, folder: str | Path) -> Path:
-    """Write ``frames.exr``, pictures, ``frames.json`` and ``report.html``; older ones are replaced.
+    """Write ``frames.exr``, images, ``frames.json`` and ``report.html``, replacing older files.
 
     Parameters
     ----------
     result
-        What `mcspectra.rendering.frames` returns.
+        Result of `mcspectra.rendering.frames`.
     folder
-        Made if need be.
+        Output folder; created if missing.
 
     Returns
     -------
     Path
-        The page.
+        Path of the page.
 
     Raises
     ------
     StoreError
-        The folder cannot be written.
+        If the folder cannot be written.
     FileFormatError
-        The layers cannot be written.
+        If the layers cannot be written.
     MissingDependency
-        The extra ``report`` is not installed, or OpenEXR is not.
+        If the extra ``report`` or OpenEXR is not installed.
     """
     check_frames_packages()
     root = Path(folder)
@@ -280,10 +292,10 @@ def write_frames(result: xr.Dataset, folder: str | Path) -> Path:
     page = html.Page(
         title=f"Noise of {Path(found['frames']).name}",
         what="frames",
-        lead=tuple(html.Text(text=text) for text in said[:1]),
+        lead=tuple(html.Paragraph(text=text) for text in said[:1]),
         sections=html.sections_of(
             {
-                "Summary": (frame_table(found), *(html.Text(text=text) for text in said[1:])),
+                "Summary": (frame_table(found), *(html.Paragraph(text=text) for text in said[1:])),
                 "Pixels": html.figures_of(plots),
                 "Provenance": html.provenance(facts, result.attrs),
             }

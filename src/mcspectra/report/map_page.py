@@ -1,4 +1,4 @@
-"""Write a map of an image: layers, pictures, numbers, and one page that stands alone."""
+"""Write a variance map: EXR layers, images, numbers and one self-contained page."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from mcspectra.report import page as html
 
 __all__ = ["map_layers", "map_note", "map_sentences", "map_summary", "map_table", "write_map"]
 
-_TELLING = 0.1  # share of the pixels at which a cause is one of the picture
-_WORST = 5  # pixels that are listed
+_TELLING = 0.1  # smallest share of the pixels at which a cause is named in the answer
+_WORST = 5  # number of pixels that are listed
 _COLUMNS = {
     "mean": "Mean",
     "variance": "Variance",
@@ -43,15 +43,15 @@ _METHODS = {
     "spectrum": "the power spectrum on the torus",
     "gains": "gains by level",
 }
-"""How variances were predicted, by the attribute ``prediction``."""
+"""Names of prediction methods, by the attribute ``prediction``."""
 
 _CAUSES = {
-    "bounce": "What the random numbers of a bounce add to the variance that those before it make, of one "
-    "path: as a share of the picture's variance, the median over pixels, and at how many pixels it is the "
-    "largest by 95 % intervals.",
-    "decision": "What each decision adds to the variance that all before it make, over all bounces.",
+    "bounce": "Variance of one path that first appears with the random numbers of a bounce: its "
+    "share of the image's variance, its median share over pixels, and the share of pixels at which "
+    "it is the largest (by 95 % intervals).",
+    "decision": "Variance of one path that first appears with a decision, summed over all bounces.",
 }
-"""Captions of the tables of shares."""
+"""Captions of the tables of variance shares."""
 
 _PROVENANCE = {
     "scene": "Scene",
@@ -71,32 +71,32 @@ _PROVENANCE = {
     "prediction": "Prediction",
     "pixels_measured": "Pixels measured",
 }
-"""Attributes of a map that its page shows, by the words for them."""
+"""Attributes of a map that its page shows, and their labels."""
 
 
 def write_map(result: xr.Dataset, folder: str | Path) -> Path:
-    """Write ``maps.exr``, ``*.png``, ``map.json`` and ``report.html``; older ones are replaced.
+    """Write ``maps.exr``, ``*.png``, ``map.json`` and ``report.html``, replacing older files.
 
     Parameters
     ----------
     result
-        What `mcspectra.rendering.variance_map` returns.
+        Result of `mcspectra.rendering.variance_map`.
     folder
-        Made if need be.
+        Output folder; created if missing.
 
     Returns
     -------
     Path
-        The page.
+        Path of the page.
 
     Raises
     ------
     StoreError
-        The folder cannot be written.
+        If the folder cannot be written.
     FileFormatError
-        The layers cannot be written.
+        If the layers cannot be written.
     MissingDependency
-        The extra ``report`` is not installed.
+        If the extra ``report`` is not installed.
     """
     html.check_page_packages()
     root = Path(folder)
@@ -104,22 +104,23 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
     html.write_json(root / "map.json", summary)
     write_exr(root / "maps.exr", map_layers(result), comment=json.dumps(result.attrs))
 
-    # The page
+    # Assemble the page
     known = result.attrs
     x0, y0, width, height = summary["crop"]
     counts = ", ".join(map(str, summary["counts"]))
     each = "paths" if "path" in result["strategy"].values else "of each technique"
     settings = (
-        f"{width} × {height} pixels from ({x0}, {y0}), sampler {known['sampler']}, n = {counts} {each}, "
-        f"{known['realizations']} realizations, {known['points']} points."
+        f"{width} × {height} pixels from ({x0}, {y0}), sampler {known['sampler']}, "
+        f"n = {counts} {each}, {known['realizations']} realizations, {known['points']} points."
     )
-    sentences = tuple(html.Text(text=text) for text in _sentences(summary))
+    sentences = tuple(html.Paragraph(text=text) for text in _sentences(summary))
     last = str(result["strategy"].values[-1])
     first = f" by {result['sampler'].values[0]}" if "sampler" in result.dims else ""
     worst = html.table_of(
-        f"Pixels of the largest variance, {STRATEGIES.get(last, last)}{first} at n = "
-        f"{summary['counts'][-1]}, their part of the image's, and what explains them.",
-        ("Pixel", "Variance", "Part of all", "Command"),
+        f"Pixels with the largest variance, {STRATEGIES.get(last, last)}{first} at n = "
+        f"{summary['counts'][-1]}, their share of the image's variance, and the command that "
+        "analyzes the pixel.",
+        ("Pixel", "Variance", "Share of all", "Command"),
         [_worst_row(each, known, root) for each in summary["worst_pixels"]],
     )
     causes = tuple(
@@ -142,8 +143,8 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
         title=f"Variance map of {Path(known['scene']).name}",
         what="map",
         lead=(
-            *([html.Text(text=summary["answer"])] if "answer" in summary else []),
-            html.Text(text=settings, kind="soft"),
+            *([html.Paragraph(text=summary["answer"])] if "answer" in summary else []),
+            html.Paragraph(text=settings, kind="soft"),
         ),
         sections=html.sections_of(
             {
@@ -159,7 +160,7 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
 
 
 def map_table(summary: Mapping[str, Any]) -> html.Table:
-    """Medians of `map_summary` by strategy, with `map_note`."""
+    """Return a table of the medians of `map_summary` by strategy, captioned with `map_note`."""
     rows = summary["strategies"]
     columns = ("Strategy", *(_COLUMNS[name] for name in next(iter(rows.values()))))
     shown = [(_named(name), *_shown_numbers(row)) for name, row in rows.items()]
@@ -168,8 +169,8 @@ def map_table(summary: Mapping[str, Any]) -> html.Table:
 
 def _worst_row(
     pixel: Mapping[str, Any], known: Mapping[str, Any], root: Path
-) -> tuple[html.Cell | str, ...]:
-    """A pixel with the command that explains it, and a link to its page where that was run."""
+) -> tuple[html.TableCell | str, ...]:
+    """Return a pixel's row: the command that analyzes the pixel, and a link to an existing page."""
     x, y = pixel["x"], pixel["y"]
     page = f"pixel-{x}-{y}/report.html"
     scene, film = known["scene"], known["size"] == known.get("film")
@@ -183,22 +184,24 @@ def _worst_row(
     why = ""
     if scene == "dict" or not film:
         command = MISSING
-        why = "The scene is no file, or the map's pixels are not those of its film."
+        why = "The scene is not a file, or the size of the map differs from the size of its film."
     return (
-        html.Cell(text=f"({x}, {y})", numeric=False, link=page if (root / page).is_file() else ""),
+        html.TableCell(
+            text=f"({x}, {y})", numeric=False, link=page if (root / page).is_file() else ""
+        ),
         number(pixel["variance"]),
         percent(pixel["share"]),
-        html.Cell(text=command, why=why, numeric=False),
+        html.TableCell(text=command, why=why, numeric=False),
     )
 
 
 def map_layers(result: xr.Dataset) -> dict[str, Array]:
-    """Name every image of a map: ``variance.light.n16``, ``rate.bsdf``, ``mis_gain_ci.low``, …
+    """Return all images of a map by name: ``variance.light.n16``, ``mis_gain_ci.low``, …
 
     Returns
     -------
     dict
-        Names to arrays (y, x); NaN where there is no number.
+        Arrays (y, x) by name; NaN where a value is missing.
     """
     return {
         str(name): values
@@ -208,7 +211,7 @@ def map_layers(result: xr.Dataset) -> dict[str, Array]:
 
 
 def _layers(name: str, data: xr.DataArray) -> Iterator[tuple[str, Array]]:
-    """One layer for each sampler, strategy, bounce, count and bound."""
+    """Yield one layer for each sampler, strategy, bounce, count and bound."""
     outer = next((dim for dim in data.dims if dim not in ("y", "x")), None)
     if outer is None:
         yield name, data.values
@@ -219,9 +222,10 @@ def _layers(name: str, data: xr.DataArray) -> Iterator[tuple[str, Array]]:
 
 
 def map_summary(result: xr.Dataset) -> dict[str, Any]:
-    """Medians over pixels by strategy, and shares of pixels, beside the provenance.
+    """Return medians over pixels by strategy, shares of pixels, and the provenance.
 
-    Of several samplers, strategies are "STRATEGY, SAMPLER", and all but the best sampler is of the first.
+    With several samplers, keys of strategies are "STRATEGY, SAMPLER", and all other entries except
+    the best sampler describe the first sampler.
     """
     whole, several, parts = result, "sampler" in result.dims, list(along(result, "sampler"))
     strategies = {
@@ -284,7 +288,7 @@ def map_summary(result: xr.Dataset) -> dict[str, Any]:
 
 
 def _causes(result: xr.Dataset, kind: str) -> dict[str, dict[str, float]]:
-    """What part of the picture's and of a pixel's variance each bounce or decision makes."""
+    """Return each bounce's or decision's share of the variance of the image and of a pixel."""
     shares, weights = result[f"{kind}_share"], result["path_variance"]
     total = float(weights.where(shares.notnull().all(kind)).sum())
     found = {}
@@ -299,23 +303,23 @@ def _causes(result: xr.Dataset, kind: str) -> dict[str, dict[str, float]]:
 
 
 def _named(strategy: str) -> str:
-    """A strategy's name in words, with its sampler after it where there are several."""
+    """Return a strategy's name in words, followed by its sampler if there are several."""
     name, comma, sampler = strategy.partition(", ")
     return f"{STRATEGIES.get(name, name)}{comma}{sampler}"
 
 
 def _answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
-    """Which strategy has the least variance, at equal totals of samples, at what share of the pixels.
+    """Return the strategy that has the least variance at most pixels, for equal total samples.
 
-    MIS where its gain over the better single strategy is more than 1; n of it are 2 n samples.
+    MIS is best where its gain over the better single strategy exceeds 1; n of MIS is 2 n samples.
     """
     names = ("light", "bsdf")
     singles = np.stack([last["variance"].sel(strategy=name).values for name in names])
     gain = last["mis_gain"].values
     known = np.isfinite(singles).all(axis=0) & np.isfinite(gain)
     if not known.any():
-        return "No strategy is advised: no pixel has all of them measured."
-    # A strategy that surely missed light is no answer
+        return "No strategy is recommended: no pixel has measurements of all strategies."
+    # Exclude strategies that significantly miss light
     three = last.sel(strategy=[*names, "mis"]).transpose("strategy", "y", "x", ...)
     rows = {name: k for k, name in enumerate((*names, "mis"))}
     lost = missed(rows, three["mean"].values, three["mean_se"].values, found["realizations"])
@@ -332,21 +336,24 @@ def _answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
         f"{STRATEGIES[k]} {number(_median(last['variance'].sel(strategy=k).values[met]) ** 0.5)}"
         for k in shares
     )
-    where = "" if met[known].all() else ", at pixels where none misses light"
+    where = "" if met[known].all() else ", at pixels where no strategy misses light"
     text = (
-        f"Use {STRATEGIES[first]} with {found['sampler']}: at as many samples in all it has the least "
-        f"variance at {percent(shares[first])} of the pixels{rest}. Median RMSE at n = "
+        f"Use {STRATEGIES[first]} with {found['sampler']}: for equal total samples it has the "
+        f"least variance at {percent(shares[first])} of the pixels{rest}. Median RMSE at n = "
         f"{found['counts'][-1]} of each technique{where}: {errors}."
     )
     slow = found.get("bottleneck", {})
     worse = max(names, key=lambda name: slow.get(name, 0.0))
     if slow.get(worse, 0.0) > _TELLING:
-        text += f" Cause: {STRATEGIES[worse]} has the slower rate in MIS at {percent(slow[worse])} of them."
+        text += (
+            f" Cause: {STRATEGIES[worse]} has the slower rate in MIS at {percent(slow[worse])} of "
+            "the pixels."
+        )
     return text
 
 
 def _sampler_answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
-    """Which sampler has the least variance at most pixels, and which bounce and decision make it."""
+    """Return the best sampler at most pixels, and the bounce and decision with most variance."""
     names = list(map(str, last["sampler"].values))
     shares = found["best_sampler"][str(last["strategy"].item())]
     best = max(names, key=lambda name: shares[name])
@@ -356,48 +363,48 @@ def _sampler_answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
     )
     at = f"at n = {found['counts'][-1]} (median RMSE: {errors})"
     if not shares[best] > shares["no difference"]:
-        return f"Keep {names[0]}: at most pixels no sampler has surely less variance {at}."
+        return f"Keep {names[0]}: at most pixels no sampler has significantly less variance {at}."
     verb = "Keep" if best == names[0] else "Use"
-    text = f"{verb} {best}: the least variance at {percent(shares[best])} of the pixels {at}."
+    text = f"{verb} {best}: least variance at {percent(shares[best])} of the pixels {at}."
     makes = [
         f"{max(rows, key=lambda name: rows[name]['share'])} "
         f"({percent(max(row['share'] for row in rows.values()))})"
         for rows in (found.get("bounces"), found.get("decisions"))
         if rows
     ]
-    return f"{text} Cause: most of the variance is of {' and of '.join(makes)}." if makes else text
+    return f"{text} Cause: most variance comes from {' and from '.join(makes)}." if makes else text
 
 
 def map_note(summary: Mapping[str, Any]) -> str:
-    """Say what the numbers of `map_summary` are, and whether pixels err together."""
+    """Describe the numbers of `map_summary`, and warn if pixels have correlated errors."""
     paths = any(name.partition(",")[0] == "path" for name in summary["strategies"])
-    seen = "" if paths else " that see a lit surface"
+    seen = "" if paths else " that show a lit surface"
     note = (
         f"Medians over the {summary['pixels_measured']} pixels{seen}; mean and "
         f"variance at n = {summary['counts'][-1]}."
     )
     if summary.get("prediction") in _METHODS:
         note += (
-            f" Predicted by {_METHODS[summary['prediction']]}; each pixel's interval is of 95 %, of both "
-            "the prediction and the measurement."
+            f" Predicted by {_METHODS[summary['prediction']]}; each pixel's 95 % interval includes "
+            "the errors of the prediction and of the measurement."
         )
     rows = {name: row["mean"] for name, row in summary["strategies"].items() if "mis-" not in name}
     lost = [_named(name) for name, mean in rows.items() if mean < 0.5 * max(rows.values())]
     if lost:
         note += (
-            f" Half of the light or more is missed by {' and '.join(lost)}, as the means show: "
-            "their variances are too small."
+            f" Half of the light or more is missed by {' and '.join(lost)}, as the means show: the "
+            "variances of these strategies are too small."
         )
     if summary["points"] == "own":
         return note
     return (
-        f"{note} All pixels have the same points, so their errors are alike: medians and shares of "
-        "pixels do not average them out."
+        f"{note} All pixels share the same points, so their errors are correlated: a median or "
+        "share over pixels is not more certain than one pixel."
     )
 
 
 def map_sentences(result: xr.Dataset) -> Iterator[str]:
-    """Say what a map shows: its answer, medians by strategy, what they are of, and what decides them."""
+    """Yield the findings of a map: answer, medians by strategy, their meaning, and their causes."""
     summary = map_summary(result)
     if "answer" in summary:
         yield summary["answer"]
@@ -410,7 +417,7 @@ def map_sentences(result: xr.Dataset) -> Iterator[str]:
 
 
 def _shown_numbers(row: Mapping[str, float]) -> list[str]:
-    """The numbers of a strategy as one reads them: a rate without the error beside it, if a finding."""
+    """Format the numbers of a strategy; an unresolved rate is replaced by a word."""
     slope, half = row["rate"], 2.0 * row["rate_se"]
     known = rate(slope, slope - half, slope + half).partition(" ")[0]
     shown = {name: percent if name.endswith("within_ci") else number for name in row}
@@ -438,15 +445,15 @@ def _share(values: Array, label: int) -> float:
 
 
 def _sentences(summary: Mapping[str, Any]) -> Iterator[str]:
-    """Say what is not measured, and what the shares of pixels mean."""
+    """Yield the parts of the scene that were not measured, and the shares of pixels in words."""
     if summary.get("scene_note"):
         yield summary["scene_note"]
     if math.isfinite(summary.get("bottleneck", {}).get("bsdf", math.nan)):
         share = summary["bottleneck"]
         yield (
-            f"The BSDF share of MIS has the slower rate in {percent(share['bsdf'])} of the pixels, the "
-            f"light share in {percent(share['light'])}; in {percent(share['undecided'])} the 95 % interval "
-            "of their difference contains 0."
+            f"The BSDF share of MIS has the slower rate in {percent(share['bsdf'])} of the pixels, "
+            f"the light share in {percent(share['light'])}. In {percent(share['undecided'])} the "
+            "95 % interval of the difference contains 0."
         )
     for kind in ("bounces", "decisions"):
         if kind in summary:
@@ -454,18 +461,19 @@ def _sentences(summary: Mapping[str, Any]) -> Iterator[str]:
             told = ", ".join(
                 f"{k} ({percent(v)})" for k, v in sorted(parts.items(), key=lambda p: -p[1])
             )
-            yield f"Shares of the picture's variance by {kind[:-1]}: {told or 'unknown'}."
+            yield f"Shares of the image's variance by {kind[:-1]}: {told or 'unknown'}."
     for strategy, shares in summary.get("best_sampler", {}).items():
         told = ", ".join(f"{k} ({percent(v)})" for k, v in shares.items())
         yield (
-            f"Sampler of the least variance, {_named(strategy)} at n = {summary['counts'][-1]}, by share of "
-            f"the pixels: {told}."
+            f"Sampler with the least variance, {_named(strategy)} at n = {summary['counts'][-1]}, "
+            f"by share of the pixels: {told}."
         )
     if "mis_gain" in summary:
         gain = summary["mis_gain"]
         yield (
-            f"At equal totals of samples MIS has less variance than the better single strategy in "
-            f"{percent(gain['above_1'])} of the pixels, more in {percent(gain['below_1'])}, by 95 % "
-            f"intervals; the median ratio of the two variances is {number(gain['median'])}. Light sampling alone suffices in "
-            f"{percent(summary['light_suffices'])}."
+            f"For equal total samples MIS has less variance than the better single strategy in "
+            f"{percent(gain['above_1'])} of the pixels and more in {percent(gain['below_1'])} (by "
+            f"95 % intervals). The median ratio of the variances is {number(gain['median'])}. "
+            f"Light sampling alone is the best in {percent(summary['light_suffices'])} of the "
+            "pixels."
         )

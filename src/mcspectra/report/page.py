@@ -1,11 +1,11 @@
-"""One page that stands alone: sections of text, facts, tables and figures, written in one step.
+"""A self-contained HTML page of text, facts, tables and figures.
 
-Every report is a `Page`, which is plain data; `write_page` draws its figures and makes the HTML.
-Styles, scripts and pictures are inside, nothing is loaded. A figure is a picture and, where it is
-`live`, an interactive plot that takes the picture's place once scripts run; on paper the picture
-stands. All text is escaped, except `Markup` that our own code makes. The same page gives the same
-bytes. Templates and interactive plots need the extra ``report``, all other modules of this package do
-not: `check_page_packages`.
+Every report is a `Page`, which is plain data. `write_page` draws its figures and writes the HTML.
+Styles, scripts and images are embedded, so the page loads nothing. Each figure is an image. A
+`live` figure also has an interactive plot, which replaces the image once scripts run; the image is
+printed. All text is escaped except `Markup`, which only our own code creates. The same page always
+gives the same bytes. Templates and interactive plots need the extra ``report`` (see
+`check_page_packages`); the other modules of this package do not.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ from mcspectra.plots.text import MISSING, slug
 
 __all__ = [
     "Block",
-    "Cell",
-    "Facts",
+    "Collapsible",
+    "FactList",
     "Figure",
     "Figures",
-    "Folded",
     "Markup",
     "Page",
+    "Paragraph",
     "Section",
     "Sentences",
     "Table",
-    "Text",
+    "TableCell",
     "anchors",
     "check_page_packages",
     "columns_of",
@@ -59,7 +59,7 @@ __all__ = [
 
 @final
 class Markup(str):
-    """HTML that our own code makes, which the template inserts as it is."""
+    """HTML created by our own code, which the template inserts without escaping."""
 
     __slots__ = ()
 
@@ -67,14 +67,14 @@ class Markup(str):
         return str(self)
 
     def format(self, *values: object) -> Markup:  # type: ignore[override]
-        """Insert values, escaped unless they are HTML themselves."""
+        """Insert values; those that are not `Markup` are escaped."""
         texts = (v if isinstance(v, Markup) else html.escape(str(v)) for v in values)
         return Markup(str(self).format(*texts))
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Text:
+class Paragraph:
     """A paragraph, a heading within a section, a quotation, code, or a formula as MathML."""
 
     text: str | Markup
@@ -83,8 +83,8 @@ class Text:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Facts:
-    """Names and what is known of them, as a list; `code` sets the texts in a fixed width."""
+class FactList:
+    """A list of names with descriptions; `code` sets the descriptions in a monospace font."""
 
     rows: tuple[tuple[str, str | Markup], ...]
     code: bool = False
@@ -93,28 +93,28 @@ class Facts:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Sentences:
-    """What the numbers say, each with what it is about."""
+    """Findings in words: pairs of a subject and a sentence about it."""
 
     rows: tuple[tuple[str, str], ...]
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Cell:
-    """Text of a cell.
+class TableCell:
+    """A cell of a table.
 
     Attributes
     ----------
     why
-        Why there is no number, as a tooltip.
+        Tooltip with the reason for a missing number.
     numeric
-        Whether its digits stand below one another.
+        Whether the cell is right-aligned with digits of equal width.
     order
-        The number that the cell is sorted by.
+        Sort key of the cell.
     link
-        Where the text leads.
+        Target of the text's hyperlink.
     mark
-        ``yes``, ``no`` or ``none``: the color of a verdict, which the text says as well.
+        Color class of a verdict: ``yes``, ``no`` or ``none``. The text repeats the verdict.
     """
 
     text: str
@@ -128,19 +128,19 @@ class Cell:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """Rows of cells, the first `heads` of which are heads.
+    """Rows of cells; the first `heads` cells of each row are row headers.
 
     Attributes
     ----------
     sortable
-        Whether a click on a column's head sorts by it.
+        Whether a click on a column header sorts the rows by that column.
     stacked
-        Whether a narrow screen sets the cells of a row below one another, for long texts.
+        Whether the cells of a row are stacked on narrow screens. Useful for long texts.
     """
 
     caption: str
     columns: tuple[str, ...]
-    rows: tuple[tuple[Cell, ...], ...]
+    rows: tuple[tuple[TableCell, ...], ...]
     heads: int = 1
     sortable: bool = False
     stacked: bool = False
@@ -149,12 +149,12 @@ class Table:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Figure:
-    """A plot in a page; where it has a name, its files in the folder of figures are named so.
+    """A plot in a page. If it has a name, PNG and PDF files of that name are written.
 
     Attributes
     ----------
     live
-        Whether it is interactive as well.
+        Whether the page also has an interactive version.
     """
 
     plot: Plot
@@ -163,7 +163,7 @@ class Figure:
 
     @property
     def is_broad(self) -> bool:
-        """Whether it takes the whole width; half of it holds one column of panels that are live."""
+        """Whether the figure needs the full page width; half of it fits one live column."""
         abreast = min(self.plot.columns, len(self.plot.panels))
         several_rows = 1 < abreast < len(self.plot.panels)
         return self.plot.wide or abreast > 2 or (self.live and several_rows)
@@ -172,38 +172,38 @@ class Figure:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Figures:
-    """Figures, two abreast where there is room."""
+    """A group of figures, two per row where the page is wide enough."""
 
     figures: tuple[Figure, ...]
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Folded:
-    """What is shown on a click on its summary, and on paper."""
+class Collapsible:
+    """Blocks that a click on the summary shows. They are always printed."""
 
     summary: str
     blocks: tuple[Block, ...]
 
 
-Block: TypeAlias = Text | Facts | Sentences | Table | Figures | Folded
+Block: TypeAlias = Paragraph | FactList | Sentences | Table | Figures | Collapsible
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """A part of a page, which the contents lead to.
+    """A section of a page, linked from the table of contents.
 
     Attributes
     ----------
     anchor
-        Distinct within a page; `anchors` makes them.
+        HTML id, unique within a page; see `anchors`.
     blocks
-        A section without any is left out.
+        Contents. A section without blocks is omitted.
     beside
-        Words beside its name in the contents, in the color of `mark`.
+        Words after the section's entry in the contents, in the color of `mark`.
     fresh
-        Whether it begins a new sheet on paper.
+        Whether the section starts on a new sheet when printed.
     """
 
     title: str
@@ -218,7 +218,7 @@ class Section:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Page:
-    """A report: title, what it is (``report``, ``map`` …), opening paragraphs and sections."""
+    """A report: title, type (``report``, ``map`` …), opening paragraphs and sections."""
 
     title: str
     what: str
@@ -227,7 +227,7 @@ class Page:
 
 
 def anchors(names: Iterable[str], head: str = "") -> list[str]:
-    """Return names for anchors and files: kebab-case and distinct."""
+    """Return distinct kebab-case names for anchors and files."""
     found: list[str] = []
     for name in names:
         base = anchor = head + slug(name)
@@ -238,29 +238,38 @@ def anchors(names: Iterable[str], head: str = "") -> list[str]:
     return found
 
 
-def number_cell(text: str, order: float | None = None, *, why: str = "") -> Cell:
-    """Return the cell of a number: why there is none where there is none, and what it is sorted by."""
+def number_cell(text: str, order: float | None = None, *, why: str = "") -> TableCell:
+    """Return the cell of a number with its sort key; `why` explains a missing number."""
     known = order is not None and math.isfinite(order)
     why = why if text.startswith(MISSING) else ""
-    return Cell(text=text, why=why, order=order if known else None)
+    return TableCell(text=text, why=why, order=order if known else None)
 
 
 def table_of(
     caption: str,
     columns: Sequence[str],
-    rows: Iterable[Sequence[str | Cell]],
+    rows: Iterable[Sequence[str | TableCell]],
     *,
     words: Iterable[int] = (0,),
     **options: Any,
 ) -> Table:
-    """Return a table of texts, which are words in these columns (−1: the last) and else numbers.
+    """Return a table from rows of texts.
 
-    What is a cell already stays as it is; the options are those of `Table`.
+    Parameters
+    ----------
+    caption, columns
+        Caption and column headers.
+    rows
+        Texts or finished cells.
+    words
+        Indices of the columns of words (−1: the last); all others hold numbers.
+    **options
+        Further fields of `Table`.
     """
     places = {place % len(columns) for place in words}
     cells = tuple(
         tuple(
-            each if isinstance(each, Cell) else Cell(text=each, numeric=k not in places)
+            each if isinstance(each, TableCell) else TableCell(text=each, numeric=k not in places)
             for k, each in enumerate(row)
         )
         for row in rows
@@ -269,7 +278,7 @@ def table_of(
 
 
 def sections_of(blocks: Mapping[str, Sequence[Block]]) -> tuple[Section, ...]:
-    """Return sections by their titles, which name their anchors."""
+    """Return one section per title; the anchors are made from the titles."""
     return tuple(
         Section(title=title, anchor=slug(title), blocks=tuple(each))
         for title, each in blocks.items()
@@ -278,14 +287,14 @@ def sections_of(blocks: Mapping[str, Sequence[Block]]) -> tuple[Section, ...]:
 
 def provenance(
     facts: Iterable[tuple[str, str]], attributes: Mapping[Any, Any], *, code: bool = False
-) -> tuple[Facts]:
-    """Return where a result comes from: facts, and the versions that its attributes name."""
+) -> tuple[FactList]:
+    """Return the provenance of a result: facts and the package versions in its attributes."""
     own = ("versions" if code else "Versions", versions_of(attributes))
-    return (Facts(rows=(*facts, own), code=code),)
+    return (FactList(rows=(*facts, own), code=code),)
 
 
 def columns_of(table: Table, names: Sequence[str]) -> Table:
-    """Return the table with these columns only."""
+    """Return the table restricted to the columns `names`."""
     places = [table.columns.index(name) for name in names]
     rows = tuple(tuple(row[i] for i in places) for row in table.rows)
     return replace(table, columns=tuple(names), rows=rows)
@@ -294,49 +303,51 @@ def columns_of(table: Table, names: Sequence[str]) -> Table:
 def figures_of(
     plots: Mapping[str, Plot] | Iterable[Plot], *, live: bool = False
 ) -> tuple[Figures, ...]:
-    """Return a block of plots, by the names of their files where they have any; nothing of none."""
+    """Return one block of plots, or no block if there are no plots. Keys are file names."""
     named = plots.items() if isinstance(plots, Mapping) else (("", plot) for plot in plots)
     figures = tuple(Figure(plot=plot, name=name, live=live) for name, plot in named)
     return (Figures(figures=figures),) if figures else ()
 
 
 def versions_of(attributes: Mapping[Any, Any]) -> str:
-    """Return the versions that a result was computed with, as its attributes ``version_*`` have them."""
+    """Return the package versions in a result's attributes ``version_*`` as one text."""
     head = "version_"
     found = {str(key): value for key, value in attributes.items() if str(key).startswith(head)}
     return ", ".join(f"{key.removeprefix(head)} {found[key]}" for key in sorted(found))
 
 
 def check_page_packages(extras: str = "report") -> None:
-    """Refuse a page before anything is computed for it.
+    """Check that pages can be written, before anything is computed for one.
 
     Parameters
     ----------
     extras
-        Extras that the error names: those of the page, and others that its caller needs.
+        Extras that the error message names.
 
     Raises
     ------
     MissingDependency
-        The extra ``report`` is not installed.
+        If the extra ``report`` is not installed.
     """
     for name in ("bokeh", "jinja2"):
         optional_package(name, extras, "An HTML page needs")
 
 
 def page_file(folder: Path, name: str, out: object) -> Path:
-    """Return where a page goes: to `out`, or to a file of this name in the folder, unless it is a store.
+    """Return the path of a page: `out`, or by default the file `name` in `folder`.
 
     Raises
     ------
     ParameterError
-        `out` is no path, or missing with a store, which has a digest of all its files.
+        If `out` is not a path, or if it is missing and `folder` is a Zarr store. A store has a
+        digest of all its files, so no page may be added.
     """
     if out is not None:
         return as_path("out", out)
     if folder.suffix == ".zarr":
         raise ParameterError(
-            f"{str(folder)!r} is a store, in which no page is written; give the path of a page, ",
+            f"{str(folder)!r} is a Zarr store, which cannot hold a page; give a path for the page, "
+            "",
             Parameter("out"),
             ".",
         )
@@ -344,25 +355,25 @@ def page_file(folder: Path, name: str, out: object) -> Path:
 
 
 def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:
-    """Draw the figures of a page and write it.
+    """Draw the figures of a page and write the page.
 
     Parameters
     ----------
     page
-        What it shows.
+        The page.
     file
-        Replaced in one step, so that a reader never sees half of it; its folder is there.
+        Path of the HTML file, in an existing folder. The file is replaced atomically.
     figures
-        Folder, made if need be, for ``NAME.png`` and ``NAME.pdf`` of every figure that has a name.
+        Folder for ``NAME.png`` and ``NAME.pdf`` of every named figure; created if missing.
 
     Raises
     ------
     StoreError
-        It is no place for a file: the folder is not there, or not open to the user.
+        If the folder does not exist or is not writable.
     StorageError
-        The disk is full, or fails.
+        If the disk is full or fails.
     MissingDependency
-        The extra ``report`` is not installed.
+        If the extra ``report`` is not installed.
     """
     check_page_packages()
     from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -372,7 +383,7 @@ def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:
         if figures is not None:
             figures.mkdir(exist_ok=True)
 
-        # Figures are drawn one at a time, as the template comes to them
+        # The template draws the figures one at a time, which limits memory
         environment = Environment(
             loader=PackageLoader("mcspectra.report", ""),
             autoescape=True,
@@ -385,7 +396,7 @@ def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:
         seen: Counter[str] = Counter()
 
         def label(text: str) -> str:
-            """Number the labels of regions that the page has already."""
+            """Append a number to a region label that the page already has."""
             seen[text] += 1
             return text if seen[text] == 1 else f"{text} ({seen[text]})"
 
@@ -399,7 +410,7 @@ def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:
         text = environment.get_template("page.html.j2").render(page=page, bokeh=script)
         partial = file.parent / f".{file.name}.partial"
         try:
-            partial.unlink(missing_ok=True)  # else a link would be followed
+            partial.unlink(missing_ok=True)  # otherwise a symbolic link would be followed
             partial.write_text(text, encoding="utf-8")
             partial.replace(file)
         finally:
@@ -408,23 +419,23 @@ def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:
 
 
 def write_json(file: Path, value: Any) -> None:
-    """Write numbers for programs: NaN is null, infinite ends are texts."""
+    """Write strict JSON: NaN becomes null, infinite values become strings."""
     text = json.dumps(strict_json(value), indent=1, ensure_ascii=False, allow_nan=False)
     with writing(file, StoreError):
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text + "\n", encoding="utf-8")
 
 
-_JOINER = "\u2060"  # has no width, and keeps a browser from breaking a line
+_JOINER = "\u2060"  # word joiner, an invisible character that prevents a line break
 
 
 def markup(template: str, *texts: object) -> Markup:
-    """Return a template of ours whose ``{}`` are replaced by texts of others, printable and escaped."""
+    """Fill the ``{}`` of our own HTML template with texts, which are escaped and made printable."""
     return Markup(template).format(*map(_shown, texts))
 
 
 def _shown(value: Any) -> Any:
-    """Text of others without controls; markup stays, and so do word joiners of our own sentences."""
+    """Remove control characters from text, except word joiners; return other values unchanged."""
     if not isinstance(value, str) or hasattr(value, "__html__"):
         return value
     return _JOINER.join(printable(part, lines=True) for part in value.split(_JOINER))
@@ -434,12 +445,12 @@ def _figures_in(blocks: Iterable[Block]) -> Iterable[Figure]:
     for block in blocks:
         if isinstance(block, Figures):
             yield from block.figures
-        elif isinstance(block, Folded):
+        elif isinstance(block, Collapsible):
             yield from _figures_in(block.blocks)
 
 
 def _drawn(figure: Figure, folder: Path | None, root: Path) -> Mapping[str, Any]:
-    """A figure as the template takes it: PNG in base 64 with its size, and the packed live plot."""
+    """Return a figure for the template: base64 PNG with its size, and the compressed live plot."""
     from mcspectra.plots import backend_matplotlib
 
     plot, file = figure.plot, ""

@@ -1,4 +1,4 @@
-"""The noise of whole paths at a pixel: one page that stands alone, tables, sentences, numbers for JSON."""
+"""Noise of whole paths at a pixel: a self-contained page, tables, sentences, numbers for JSON."""
 
 from __future__ import annotations
 
@@ -24,47 +24,50 @@ __all__ = [
     "write_path",
 ]
 
-_TOGETHER = 0.3  # share of the variance that larger sets of decisions make
-_SHOWN = 0.005  # of the variance: smaller parts are not named
-_CHARGED = ("order", "roulette", "selection")  # which cost more than their paths, or less
+_TOGETHER = 0.3  # smallest share of the variance in interactions that is reported
+_SHOWN = 0.005  # smallest share of the variance that is named
+_CHARGED = ("order", "roulette", "selection")  # kinds of changes that change the cost of a path
 _ABOUT_CHARGED = (
-    "Costs are counted in numbers that paths ask for, as many in each turn of the integrator's loop, which is a "
-    "ray and at most one shadow ray. A change that a pilot chose is compared with the set-up as given that has the "
-    "pilot's paths, too; its variance is that beside the pilot."
+    "Costs are counted in random numbers: each turn of the integrator's loop (a ray and at most "
+    "one shadow ray) uses the same number of them. A change that needs a pilot run is charged for "
+    "it: the set-up as given may use the pilot's paths for its estimate. The listed variance "
+    "leaves out the pilot's cost."
 )
 _TABLES = {
-    # title: columns, of which those without numbers are left out at the end, and caption
+    # Columns and caption by title; empty columns at the end are dropped
     "Rates": (
         ("Sampler", "Rate", "n", "Variance", "95 % interval", "Predicted"),
         "Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval.",
     ),
     "Parts of the variance": (
-        ("Part", "Alone", "With all others", "Up to here"),
+        ("Part", "Alone", "With interactions", "Up to here"),
         (
-            "Shares of the variance of one random path by what its numbers decide, in their order: by them "
-            "alone, with all sets of numbers that hold them (these overlap), and by all numbers up to here. Parts of 0 "
-            "are left out."
+            "Shares of the variance of one random path by the bounce or decision that uses the "
+            "random numbers, in their order: alone (first-order Sobol' index), with all "
+            "interactions (total index; these overlap), and of all numbers up to here. Shares of 0 "
+            "are omitted."
         ),
     ),
     "Lights": (
         ("Light", "Share", "95 % interval", "Mean", "Chosen", "Better chosen"),
         (
-            "Shares of the variance of one random path by the light that gives it, Cov(part, path) / variance, which "
-            "sum to 1 and are below 0 where a light is seen when others are not; what each gives to the mean; how "
-            "often it is chosen, and how often it had better be, in proportion to the root of the second moment of "
-            "what it then gives (a twentieth is spread evenly)."
+            "Share: Cov(light's part, path) / variance of one random path. Shares sum to 1; a "
+            "share is negative if the light is visible when others are not. Mean: the light's part "
+            "of the mean. Chosen: probability of choosing the light. Better chosen: probability in "
+            "proportion to the root of the second moment of the light's part; a twentieth is "
+            "spread evenly."
         ),
     ),
 }
 
 
 def path_tables(tree: xr.DataTree) -> dict[str, html.Table]:
-    """Rates by sampler, parts of the variance and shares of lights, as far as there are any, by title.
+    """Return the non-empty tables by title: rates, parts of the variance and shares of lights.
 
     Parameters
     ----------
     tree
-        What `mcspectra.studies.analyse_path` returns.
+        Result of `mcspectra.studies.analyse_path`.
     """
     curves, last = tree["convergence"].to_dataset(), {"n": -1}
     rows: dict[str, list[list[str]]] = {title: [] for title in _TABLES}
@@ -84,7 +87,7 @@ def path_tables(tree: xr.DataTree) -> dict[str, html.Table]:
         columns = [found[v].values for v in ("anova_share", "total_share", "truncation_share")]
         columns[0] = columns[0][: len(names)]
         shown = list(zip(names, *columns, strict=True))
-        if kind == "decision":  # their order is not that of the numbers
+        if kind == "decision":  # the cumulative share needs the order of the numbers
             shown = [(name, alone, total, np.nan) for name, alone, total, _ in shown]
         for name, *shares in shown:
             if not np.nan_to_num(shares[:2]).any():
@@ -109,7 +112,7 @@ def path_tables(tree: xr.DataTree) -> dict[str, html.Table]:
 
 
 def path_answer(tree: xr.DataTree) -> str:
-    """What to use for these paths, as the remedies say where they were tried, and what makes the noise."""
+    """Return a recommendation for these paths, from the remedies if tried, with the cause."""
     curves, said = tree["convergence"].to_dataset(), dict(path_sentences(tree))
     if "noise" in said:
         return said["noise"]
@@ -128,9 +131,10 @@ def path_answer(tree: xr.DataTree) -> str:
 
 
 def _advised(tree: xr.DataTree, *kinds: str) -> tuple[xr.Dataset, xr.Dataset]:
-    """The best change (of some kinds) that is surely one, or the path as given; and what it stands against.
+    """Return the best significant change, or else the path as given, and its reference.
 
-    That is random numbers, or else the path as given.
+    Only changes of `kinds` count, if any are named. The reference is random numbers if they were
+    tried, or else the path as given.
     """
     found = tree["remedies"].to_dataset()
     given = found.sel(remedy="as given")
@@ -143,7 +147,7 @@ def _advised(tree: xr.DataTree, *kinds: str) -> tuple[xr.Dataset, xr.Dataset]:
 
 
 def _setup(tree: xr.DataTree, row: xr.Dataset) -> str:
-    """A change as one names it: by its sampler, or that as given with the change."""
+    """Return the name of a change: its sampler, or the given sampler with the change."""
     name, given = str(row["remedy"].item()), str(tree.attrs["sampler"])
     if name == "as given":
         return given
@@ -151,7 +155,7 @@ def _setup(tree: xr.DataTree, row: xr.Dataset) -> str:
 
 
 def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
-    """What the noise is made of, how many numbers count, and which points help."""
+    """Return findings: sources of the noise, the effective dimension, and the best points."""
     known = tree.attrs
     said = []
     for kind, axes in (("bounce", "bounce"), ("request", "decision")):
@@ -170,8 +174,8 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
         text = f"The largest parts of the variance are {', '.join(parts)}."
         if (together := 1.0 - float(shares.sum())) > _TOGETHER:
             text += (
-                f" {percent(together)} are of more of them together, so that points must be good in all of "
-                "these at once."
+                f" {percent(together)} are interactions: they fall only if the points are well "
+                "spread in these dimensions jointly."
             )
         said.append((f"by {axes}", text))
     if "coordinate" in tree["anova"].children:
@@ -181,8 +185,8 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
             name = known["dimensions"][int(least) - 1]
             low, high = (f"{end:.0f}" for end in ends)
             text = (
-                f"The first {int(least)} of {known['dims']} coordinates ({low} to {high}), up to {name}, hold "
-                f"{percent(EFFECTIVE_SHARE)} of the variance of a path."
+                f"The first {int(least)} of {known['dims']} coordinates (95 %: {low} to {high}), "
+                f"up to {name}, hold {percent(EFFECTIVE_SHARE)} of the variance of a path."
             )
             said.append(("effective dimension", text))
     if "remedies" in tree.children:
@@ -195,10 +199,10 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
         name, n = min(rows, key=lambda each: rows[each]), int(curves["n"])
     text = f"With {name} the variance at n = {n} is {number(rows[name])}"
     if rows.get("random", 0.0) > rows[name] > 0.0:
-        text += f"; random numbers have {number(rows['random'] / rows[name])} times as much"
+        text += f"; random numbers have {number(rows['random'] / rows[name])} times this variance"
     said.append(("sampler", f"{text}."))
 
-    # Lights, and what was tried
+    # Lights and remedies
     if "lights" in tree.children:
         lights = tree["lights"].to_dataset()
         largest = lights.isel(light=np.argsort(-lights["light_share"].values)[:3])
@@ -207,33 +211,34 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
         gain = number(float(lights["selection_ratio"]))
         low, high = map(number, lights["selection_ratio_ci"].values.tolist())
         text = (
-            f"The largest shares of the variance of a path are light of {named}. Lights chosen by their second "
-            f"moments, on other paths: variance × {gain} (95 %: {low} to {high})."
+            f"The lights with the largest shares of a path's variance are {named}. Choosing lights "
+            f"by their second moments multiplies the variance by {gain} (95 %: {low} to {high}, "
+            "measured on other paths)."
         )
         said.append(("lights", text))
     elif known.get("lights_note"):
         said.append(("lights", str(known["lights_note"])))
     if "remedies" in tree.children:
-        # Find the fewest first coordinates whose good points are not surely worse than those of all
+        # Find the smallest number of leading QMC coordinates that is not significantly worse
         tried = tree["remedies"].to_dataset()
         enough = (tried["kind"].values == "padding") & (tried["verdict"].values != "worse")
         fewest = [int(str(name).split()[0]) for name in tried["remedy"].values[enough]]
-        text = f"All {known['dims']} coordinates deserve points of {known['sampler']}."
+        text = f"Use {known['sampler']} for all {known['dims']} coordinates."
         if fewest:
             dims = min(fewest)
             text = (
-                f"Points of {known['sampler']} for the first {dims} coordinates, up to "
-                f"{known['dimensions'][dims - 1]}, and random numbers for the others are as good as for all "
-                f"{known['dims']}, as far as 95 % intervals tell."
+                f"{known['sampler']} for the first {dims} coordinates, up to "
+                f"{known['dimensions'][dims - 1]}, and random numbers for the others are not "
+                f"significantly worse than {known['sampler']} for all {known['dims']}."
             )
         said.append(("padding", text))
-        text = f"With {known['sampler']} as given: {tree['remedies'].attrs['answer']}"
+        text = f"Compared with {known['sampler']} as given: {tree['remedies'].attrs['answer']}"
         said.append(("remedies", text))
     return said
 
 
 def path_summary(tree: xr.DataTree) -> dict[str, Any]:
-    """All numbers of a pixel, by what they are of."""
+    """Return all numbers of a pixel by analysis."""
     curves = tree["convergence"].to_dataset()
     names = ("variance", "variance_ci", "mean", "rate", "rate_ci")
     rates = [
@@ -261,26 +266,26 @@ def path_summary(tree: xr.DataTree) -> dict[str, Any]:
 
 
 def write_path(tree: xr.DataTree, folder: str | Path) -> Path:
-    """Write ``report.html``, ``pixel.json`` and ``figures/``; older ones are replaced.
+    """Write ``report.html``, ``pixel.json`` and ``figures/``, replacing older files.
 
     Parameters
     ----------
     tree
-        What `mcspectra.studies.analyse_path` returns.
+        Result of `mcspectra.studies.analyse_path`.
     folder
-        Made if need be.
+        Output folder; created if missing.
 
     Raises
     ------
     StoreError
-        The folder cannot be written.
+        If the folder cannot be written.
     """
     root, known = Path(folder), tree.attrs
     html.write_json(root / "pixel.json", path_summary(tree))
     counts = ", ".join(map(str, known["counts"]))
     settings = (
-        f"Whole paths of the integrator {known['integrator']}: {known['dims']} random numbers each. n = "
-        f"{counts} paths, {known['realizations']} realizations, seed {known['rng']}."
+        f"Whole paths of the integrator {known['integrator']}: {known['dims']} random numbers "
+        f"each. n = {counts} paths, {known['realizations']} realizations, seed {known['rng']}."
     )
     curves = {"convergence": describe("convergence", tree["convergence"].to_dataset())}
     parts = {kind: describe("anova", _parts(tree, kind)) for kind in tree["anova"].children}
@@ -290,7 +295,7 @@ def write_path(tree: xr.DataTree, folder: str | Path) -> Path:
     for title, table in path_tables(tree).items():
         sections[title] = (table, *html.figures_of(plots.get(title, {})))
     if "remedies" in tree.children:
-        # Add what the changes cost beside their paths, and what could not be tried
+        # List the extra costs of changes, and the changes that could not be tried
         found = tree["remedies"].to_dataset()
         costs = [
             (str(name), str(one["reason"].item()))
@@ -299,7 +304,7 @@ def write_path(tree: xr.DataTree, folder: str | Path) -> Path:
             if one["kind"].item() in _CHARGED
         ]
         costs += [each.split(": ", 1) for each in json.loads(found.attrs["not_tried"])]
-        about = html.Text(text=_ABOUT_CHARGED, kind="soft")
+        about = html.Paragraph(text=_ABOUT_CHARGED, kind="soft")
         blocks = remedies_blocks(found, str(known["sampler"]))
         sections["Remedies"] = (*blocks, about, html.Sentences(rows=tuple(costs)))
     facts = (
@@ -312,7 +317,7 @@ def write_path(tree: xr.DataTree, folder: str | Path) -> Path:
     page = html.Page(
         title=f"Pixel ({known['x']}, {known['y']}) of {Path(known['scene']).name}: whole paths",
         what="pixel",
-        lead=(html.Text(text=path_answer(tree)), html.Text(text=settings, kind="soft")),
+        lead=(html.Paragraph(text=path_answer(tree)), html.Paragraph(text=settings, kind="soft")),
         sections=html.sections_of(sections),
     )
     return html.write_page(page, root / "report.html", root / "figures")

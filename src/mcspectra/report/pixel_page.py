@@ -1,4 +1,4 @@
-"""Everything about a pixel: one page that stands alone, rows, sentences, and numbers for JSON."""
+"""Report of one pixel: a self-contained page, table rows, sentences and numbers for JSON."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ STRATEGY_NAMES = {
     "balance": "MIS, balance",
     "power": "MIS, power",
 }
-"""Strategies as tables and figures call them."""
+"""Names of strategies in tables and figures."""
 
 _TERMS = ("dc_term", "power_term", "cross_term", "predicted_variance", "measured_variance")
 _REMEDY = (
@@ -58,49 +58,50 @@ _REMEDY = (
     "rate_verdict",
     "reason",
 )
-_GIVEN = "balance"  # what renderers do
+_GIVEN = "balance"  # default strategy of renderers
 _PINHOLE = "pinhole"
-_MOST_LIGHTS = 8  # named one by one
+_MOST_LIGHTS = 8  # largest number of lights that are listed by name
 _ABOUT_RATES = (
-    "Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval, unresolved beyond 0.5. MIS takes "
-    "n samples of each technique. Predicted / measured ± half its 95 % interval, at the largest n, says in "
-    "brackets how the variance was predicted."
+    "Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval; "
+    "unresolved if that exceeds 0.5. MIS takes n samples of each technique. Predicted / measured "
+    "is at the largest n, ± half its 95 % interval, with the prediction method in brackets."
 )
 _ABOUT_TERMS = (
-    "Terms in primary space, where all points have the same weight, so the dc term is 0. A basis that "
-    "fits the sampler has a small cross term. The Fourier basis sees the jump between opposite sides of "
-    "a g that is not periodic, and converges slowly for points that are not shifted."
+    "Terms in primary space, where all points have equal weights, so the dc term is 0. A basis "
+    "that fits the sampler has a small cross term. If g is not periodic, its opposite sides form a "
+    "jump in the Fourier basis, which therefore converges slowly for points that are not shifted."
 )
 _ABOUT_SPACES = (
-    "g = f/p on the square of random numbers, where the sampler's points lie. Jumps inside are orange; "
-    "jumps between opposite sides, which shifted points wrap around, are blue. Below each picture stands "
-    "their length × mean height."
+    "g = f/p on the unit square of random numbers, where the sampler's points lie. Jumps inside "
+    "are orange. Jumps between opposite sides are blue; they matter for shifted points, which wrap "
+    "around. Below each image: length × mean height of the jumps."
 )
 _ABOUT_INCIDENT = (
-    "Directions above the point that the pixel sees, azimuth around its shading normal. Light sampling "
-    "draws from the lights of the upper map, BSDF sampling from the reflectance; both integrate f."
+    "Directions above the surface point of the pixel, with azimuth around its shading normal. "
+    "Light sampling draws from the lights in the upper map, BSDF sampling from the reflectance; "
+    "both integrate f."
 )
 
 
 def write_pixel(tree: xr.DataTree, folder: str | Path) -> Path:
-    """Write ``report.html``, ``pixel.json`` and ``figures/``; older ones are replaced.
+    """Write ``report.html``, ``pixel.json`` and ``figures/``, replacing older files.
 
     Parameters
     ----------
     tree
-        What `mcspectra.studies.analyse_pixel` returns.
+        Result of `mcspectra.studies.analyse_pixel`.
     folder
-        Made if need be.
+        Output folder; created if missing.
 
     Returns
     -------
     Path
-        The page, which needs none of the other files.
+        Path of the page, which is self-contained.
 
     Raises
     ------
     StoreError
-        The folder cannot be written.
+        If the folder cannot be written.
     """
     root, known = Path(folder), tree.attrs
     html.write_json(root / "pixel.json", pixel_summary(tree))
@@ -116,17 +117,17 @@ def write_pixel(tree: xr.DataTree, folder: str | Path) -> Path:
     about = tuple((name.capitalize(), text) for name, text in about_pixel(tree))
     said = tuple((name[:1].upper() + name[1:], text) for name, text in pixel_sentences(tree))
     sees = (
-        html.Facts(rows=about),
-        html.Text(text="Explanation", kind="heading"),
+        html.FactList(rows=about),
+        html.Paragraph(text="Explanation", kind="heading"),
         html.Sentences(rows=said),
     )
     page = html.Page(
         title=f"Pixel ({known['x']}, {known['y']}) of {Path(known['scene']).name}",
         what="pixel",
-        lead=(html.Text(text=pixel_answer(tree)), html.Text(text=settings, kind="soft")),
+        lead=(html.Paragraph(text=pixel_answer(tree)), html.Paragraph(text=settings, kind="soft")),
         sections=html.sections_of(
             {
-                "What it sees": sees,
+                "Surface and lights": sees,
                 **dict(_sections(tree)),
                 "Provenance": html.provenance(facts, tree["convergence"].attrs),
             }
@@ -136,7 +137,7 @@ def write_pixel(tree: xr.DataTree, folder: str | Path) -> Path:
 
 
 def pixel_answer(tree: xr.DataTree) -> str:
-    """What to use at this pixel instead of MIS with the sampler of the terms, at equal evaluations, and why."""
+    """Recommend a strategy and sampler at equal evaluations, compared with MIS as given."""
     curves, setups = tree["convergence"].to_dataset(), {}
     for strategy, name in STRATEGY_NAMES.items():
         techniques = 1 if strategy in ("light", "bsdf") else 2
@@ -148,12 +149,12 @@ def pixel_answer(tree: xr.DataTree) -> str:
 
 
 def pixel_rows(tree: xr.DataTree) -> list[SummaryRow]:
-    """One row for every strategy and sampler with its prediction; terms where they were analyzed.
+    """Return one row per strategy and sampler, with the prediction and the terms if analyzed.
 
     Parameters
     ----------
     tree
-        What `mcspectra.studies.analyse_pixel` returns.
+        Result of `mcspectra.studies.analyse_pixel`.
     """
     curves, rows = tree["convergence"].to_dataset(), list[SummaryRow]()
     for strategy in curves["strategy"].values:
@@ -170,11 +171,11 @@ def pixel_rows(tree: xr.DataTree) -> list[SummaryRow]:
 
 
 def term_rows(tree: xr.DataTree) -> list[SummaryRow]:
-    """One row for every strategy and basis of the terms, which stands in the place of the sampler."""
+    """Return one row per strategy and basis of the terms; `sampler` holds "strategy; basis"."""
     rows: list[SummaryRow] = []
     for strategy, views in tree["terms"].children.items():
         seen: dict[str, xr.DataTree] = {}
-        for view in views.children.values():  # the fitting basis may be Fourier's
+        for view in views.children.values():  # the best basis may be the Fourier basis
             seen.setdefault(str(view.attrs["basis"]), view)
         for basis, view in seen.items():
             label = f"{STRATEGY_NAMES[strategy]}; {basis_name(basis)}"
@@ -183,7 +184,7 @@ def term_rows(tree: xr.DataTree) -> list[SummaryRow]:
 
 
 def about_pixel(tree: xr.DataTree) -> list[tuple[str, str]]:
-    """What the ray meets and what lights it, as names and texts."""
+    """Return the surface that the ray hits and its lights, as pairs of a name and a text."""
     known = tree.attrs
     place = ", ".join(number(v) for v in known["position"])
     normal = ", ".join(number(v) for v in known["normal"])
@@ -199,12 +200,12 @@ def about_pixel(tree: xr.DataTree) -> list[tuple[str, str]]:
         ("lit by", "all of them" if known["light"] == "all" else f"{known['light']} alone"),
         ("value", f"{number(known['value'], 5)} (direct illumination, {channel})"),
         *([("not shown", known["scene_note"])] if known.get("scene_note") else []),
-        *([] if camera == _PINHOLE else [("camera", f"its ray starts at the {camera}")]),
+        *([] if camera == _PINHOLE else [("camera", f"the ray starts at the {camera}")]),
     ]
 
 
 def pixel_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
-    """Explain each strategy with the sampler of the terms, the bottleneck, and what would help."""
+    """Return sentences on each strategy, the bottleneck, the fastest strategy and the remedies."""
     known, every = tree.attrs, pixel_rows(tree)
     rows = [row for row in every if row.sampler == known["sampler"]]
     said = []
@@ -213,7 +214,7 @@ def pixel_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
         text = f"{explain(row, terms)} {known[f'diagnosis_{strategy}']}"
         said.append((STRATEGY_NAMES[strategy], text.strip()))
     said += [("bottleneck", bottleneck_sentence(tree)), ("fastest", _fastest(every))]
-    # What was not met is said once, with the strategies' names in place of their specs
+    # Report regions without points once, with names of strategies instead of their specs
     note = str(tree["convergence"].attrs.get("note", ""))
     for name, spec in zip(
         *(tree["convergence"][v].values for v in ("strategy", "spec")), strict=True
@@ -227,7 +228,7 @@ def pixel_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
 
 
 def bottleneck_sentence(tree: xr.DataTree) -> str:
-    """Say which technique's share of MIS has the slower rate, where the intervals tell."""
+    """Name the technique whose share of MIS has the slower rate, if the intervals decide it."""
     found = tree["techniques"].to_dataset()
     rates = [
         f"the rate {text}"
@@ -241,28 +242,28 @@ def bottleneck_sentence(tree: xr.DataTree) -> str:
     if slow < 0:
         return (
             "The bottleneck of MIS (balance heuristic) is undecided: the shares of light and BSDF "
-            f"sampling converge with {rates[0]} and {rates[1]}, whose difference may be 0."
+            f"sampling converge with {rates[0]} and {rates[1]}, and the difference may be 0."
         )
-    # Say so where the slower technique's part of the variance is the smaller one up to now
+    # Add a note if the slower technique still has the smaller part of the variance
     last = found["technique_variance"].isel(n=-1).values
     part, later = float(last[slow] / last.sum()), ""
     if part < 0.5:
         n, slopes = int(found["n"][-1]), found["technique_rate"].values
-        later = f" at larger n; at n = {n} it has {100 * part:.2g} % of the variance"
+        later = f" at larger n; at n = {n} it has {percent(part)} of the variance"
         gap = float(slopes[slow] - slopes[1 - slow])
-        if gap > 0.0 and last[slow] > 0.0:  # where the fitted lines cross, which noise may not say
+        if gap > 0.0 and last[slow] > 0.0:  # n at which the fitted lines cross
             crossing = n * float(last[1 - slow] / last[slow]) ** (1.0 / gap)
-            later += f", half of it beyond n ≈ {number(crossing, 2)} by the fitted lines"
+            later += f", and more than half beyond n ≈ {number(crossing, 2)} by the fitted lines"
     name = names[slow][0].upper() + names[slow][1:]
     return (
         f"{name} is the bottleneck of MIS (balance heuristic): its share converges with "
-        f"{rates[slow]}, that of {names[1 - slow]} with {rates[1 - slow]}, and the slower rate becomes "
-        f"that of the sum{later}."
+        f"{rates[slow]}, the share of {names[1 - slow]} with {rates[1 - slow]}, and the slower "
+        f"rate determines the rate of the sum{later}."
     )
 
 
 def _fastest(rows: list[SummaryRow]) -> str:
-    """The steepest rate, and the least variance at the largest n, of all pairs."""
+    """Name the pairs with the steepest rate and with the least variance at the largest n."""
     fitted = [
         row
         for row in rows
@@ -275,14 +276,14 @@ def _fastest(rows: list[SummaryRow]) -> str:
         f"{least.estimator} with {least.sampler}."
     )
     if not fitted:
-        return f"No rate is known: each is {UNRESOLVED}. {text}"
+        return f"No rate is resolved: each is {UNRESOLVED}. {text}"
     best = min(fitted, key=lambda row: row.rate or 0.0)
     shown = rate(best.rate, best.rate_low, best.rate_high)
     return f"The steepest rate is {shown}: {best.estimator} with {best.sampler}. {text}"
 
 
 def pixel_summary(tree: xr.DataTree) -> dict[str, Any]:
-    """All numbers of a pixel but its maps, by what they are of."""
+    """Return all numbers of a pixel except its maps, by analysis."""
     curves, techniques = tree["convergence"].to_dataset(), tree["techniques"].to_dataset()
     rates = [
         {"strategy": str(strategy), "sampler": str(sampler), "n": curves["n"].values}
@@ -334,10 +335,10 @@ def pixel_summary(tree: xr.DataTree) -> dict[str, Any]:
 
 
 def _sections(tree: xr.DataTree) -> Iterator[tuple[str, tuple[html.Block, ...]]]:
-    """All parts of the page that have figures or tables, by their titles."""
+    """Yield title and blocks of each section that has figures or tables."""
     known = tree.attrs
 
-    # Rates and predictions: the summary without what terms tell, which have a table of their own
+    # Rates and predictions: the summary table without the columns about terms
     curves = tree["convergence"].to_dataset()
     table = summary_table(pixel_rows(tree))
     table = replace(
@@ -355,7 +356,7 @@ def _sections(tree: xr.DataTree) -> Iterator[tuple[str, tuple[html.Block, ...]]]
     plot = task_curves(by_strategy, styles, by="by each strategy", x=x, alike=True)
     yield "Rates and predictions", (table, *html.figures_of({"rates": plot}))
 
-    # Terms, in the basis that fits and in all others
+    # Terms in the best basis and in all others
     trees = tree["terms"].children.items()
     fitting = {STRATEGY_NAMES[name]: views["auto"].to_dataset() for name, views in trees}
     every = {
@@ -370,9 +371,9 @@ def _sections(tree: xr.DataTree) -> Iterator[tuple[str, tuple[html.Block, ...]]]
     where = f"At n = {first['n']} with {known['sampler']}, {basis_name(first['basis'])} basis."
     bars = replace(bars, caption=f"{bars.caption} {where}")
     figures = html.figures_of({"terms": bars, "captured": shares})
-    yield "Three terms", (html.Text(text=_ABOUT_TERMS), table, *figures)
+    yield "Three terms", (html.Paragraph(text=_ABOUT_TERMS), table, *figures)
 
-    # Integrands on the square, and the light that arrives
+    # Integrands on the unit square, and the incident light
     if "pictures" in tree.children:
         group = {}
         for name, node in tree["pictures"].children.items():
@@ -386,7 +387,7 @@ def _sections(tree: xr.DataTree) -> Iterator[tuple[str, tuple[html.Block, ...]]]
         plot = replace(describe("primary", group), caption=_ABOUT_SPACES, wide=True)
         yield "Integrands on the square", html.figures_of({"integrands": plot})
     plot = replace(incident_maps(tree["incident"].to_dataset()), caption=_ABOUT_INCIDENT)
-    yield "Light that arrives", html.figures_of({"incident": plot})
+    yield "Incident light", html.figures_of({"incident": plot})
 
     # The bottleneck
     found = tree["techniques"].to_dataset()
@@ -405,10 +406,10 @@ def _sections(tree: xr.DataTree) -> Iterator[tuple[str, tuple[html.Block, ...]]]
     where = f"n = {int(found['n'][-1])}, {known['sampler']}"
     table = html.table_of(
         f"Shares of MIS with the balance heuristic, {where}.",
-        ("Technique", "Rate", "Variance", "Part of all"),
+        ("Technique", "Rate", "Variance", "Share of all"),
         rows,
     )
-    yield "Bottleneck", (html.Text(text=bottleneck_sentence(tree)), table)
+    yield "Bottleneck", (html.Paragraph(text=bottleneck_sentence(tree)), table)
 
     # Remedies
     if "remedies" in tree.children:
@@ -416,7 +417,7 @@ def _sections(tree: xr.DataTree) -> Iterator[tuple[str, tuple[html.Block, ...]]]
 
 
 def remedies_summary(found: xr.Dataset) -> dict[str, Any]:
-    """All numbers of `mcspectra.remedies` and what it says."""
+    """Return all numbers of `mcspectra.remedies` and its answer."""
     ranked = [
         {"remedy": str(name)} | {v: found[v].sel(remedy=name).values for v in _REMEDY}
         for name in found["remedy"].values
@@ -426,10 +427,10 @@ def remedies_summary(found: xr.Dataset) -> dict[str, Any]:
 
 
 def remedies_blocks(found: xr.Dataset, sampler: str) -> tuple[html.Block, ...]:
-    """What to do, and each change that was tried."""
+    """Return the answer, a table of all changes that were tried, and a figure."""
     made = analysis_table("remedies", {sampler: found})
     assert made is not None
     table = html.columns_of(made[1], made[1].columns[1:])
-    text = html.Text(text=found.attrs["answer"])
+    text = html.Paragraph(text=found.attrs["answer"])
     figures = html.figures_of({"remedies": describe("remedies", found)})
     return (text, table, *figures)

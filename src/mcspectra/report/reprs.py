@@ -1,8 +1,9 @@
-"""Samplers, densities, integrands and estimators as notebooks show them: a picture, a few figures.
+"""Notebook representations of samplers, densities, integrands and estimators: images and facts.
 
-What is shown is cheap: one set of about 64 points, values on 48² places, integrals only where they
-are known exactly. Components that declare themselves `costly`, and functions that turn out to be
-slow, are shown without a picture. Pictures are SVG text: they take a millisecond and load nothing.
+Everything shown is cheap to compute: one set of about 64 points, values on a 48 × 48 grid, and
+integrals only if they are known in closed form. Components that declare themselves `costly` and
+functions that turn out to be slow have no image. Images are SVG text, which takes a millisecond to
+draw and loads nothing.
 """
 
 from __future__ import annotations
@@ -29,28 +30,29 @@ from mcspectra.samplers.base import Structure
 __all__ = ["SIDE", "component_html", "curve", "map_image", "scatter", "strip"]
 
 SIDE = 132
-"""Width and height of a picture in CSS pixels."""
+"""Width and height of an image in CSS pixels."""
 
 _BLUE = "#0072B2"
-# Five colors of viridis (van der Walt, Smith 2015), even in lightness; between them linear.
+# Five colors of viridis (van der Walt, Smith 2015), equally spaced in lightness. Colors in between
+# are interpolated linearly.
 _VIRIDIS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
-_CLIPPED = 0.5  # per cent of values at either end that may lie beyond the colors: poles
+_CLIPPED = 0.5  # percentage of values clipped at either end of the color range, for poles
 _POINTS = 64
-_MOST_NUMBERS = 2**16  # coordinates of the set that is drawn
-_CELLS = {1: 192, 2: 48}  # along an axis of a picture
-_TIME = 0.2  # seconds for the values of a picture, the first row aside
+_MOST_NUMBERS = 2**16  # largest number of coordinates (n · dims) of a set that is drawn
+_CELLS = {1: 192, 2: 48}  # cells along each axis of an image, by dims
+_TIME = 0.2  # seconds allowed for the values of an image, without the first row
 _MOST_TECHNIQUES = 3
-_LONGEST = 160  # characters of a spec
+_LONGEST = 160  # largest number of characters shown of a spec
 
 Rows: TypeAlias = list[tuple[str, str]]
 Pictures: TypeAlias = list[tuple[str, str]]
-"""SVG and the caption below."""
+"""Pairs of an SVG image and its caption."""
 
 
 def component_html(component: object) -> str:
-    """Return the HTML of a component; what is not known to it is shown by name alone."""
+    """Return the HTML of a component; an unknown kind of component is shown by its spec alone."""
     with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore")  # of counts, of points where f/p is 0/0: not asked for here
+        warnings.simplefilter("ignore")  # warnings about counts and 0/0 in f/p do not matter here
         if isinstance(component, Sampler):
             return _page(component.spec, *_sampler(component))
         if isinstance(component, Density):
@@ -70,14 +72,15 @@ def _page(spec: str, pictures: Pictures, rows: Rows) -> str:
         for svg, caption in pictures
     )
     cells = "".join(
-        f'<tr><th scope="row" style="text-align:left;font-weight:normal;opacity:.7">{escape_html(key)}'
+        '<tr><th scope="row" style="text-align:left;font-weight:normal;opacity:.7">'
+        f"{escape_html(key)}"
         f'</th><td style="text-align:left">{escape_html(value)}</td></tr>'
         for key, value in rows
     )
     return (
         f'<div class="mcspectra"><code>{escape_html(shorten(spec, _LONGEST))}</code>'
-        f'<div style="display:flex;flex-wrap:wrap;align-items:flex-start;margin-top:.4em">{figures}<table>{cells}</table>'
-        "</div></div>"
+        '<div style="display:flex;flex-wrap:wrap;align-items:flex-start;margin-top:.4em">'
+        f"{figures}<table>{cells}</table></div></div>"
     )
 
 
@@ -89,12 +92,12 @@ def _sampler(sampler: Sampler) -> tuple[Pictures, Rows]:
     if kept not in (Structure.UNKNOWN, Structure.NONE):
         rows.append(("keeps", kept.value))
     if sampler.sequence:
-        rows.append(("sequence", "the first points of a set are a set themselves"))
+        rows.append(("sequence", "the first points of a set are a smaller set"))
     n = sampler.nearest_count(_POINTS)
     if _is_costly(sampler) or n * sampler.dims > _MOST_NUMBERS:
-        return [], [*rows, ("picture", f"none: {n} points would take long")]
+        return [], [*rows, ("picture", f"omitted: {n} points would take long")]
     points = sampler.draw(n, rng=0)[0]
-    # On the torus the second nearest point is another one; of one point there is none, at infinity
+    # The nearest point is the point itself, so take the second; a single point gives infinity
     tree = KDTree(points, boxsize=np.ones(points.shape[1]))
     least = float(np.min(tree.query(points, k=[2])[0]))
     rows.append(("smallest distance", f"{number(least)} (of these points)"))
@@ -112,7 +115,7 @@ def _density(density: Density) -> tuple[Pictures, Rows]:
     if density.warps:
         rows.append(("warps", ", ".join(density.warps)))
     if values is not None:
-        rows.append(("pdf", f"{_range(values)} (in the picture)"))
+        rows.append(("pdf", f"{_range(values)} (in the image)"))
     own = type(density).reciprocal_integral is not Density.reciprocal_integral
     if own and not _is_costly(density):
         rows.append(("∫ 1/p", number(density.reciprocal_integral())))
@@ -125,7 +128,7 @@ def _integrand(integrand: Integrand) -> tuple[Pictures, Rows]:
     if integrand.channels:
         rows.append(("channels", str(integrand.channels)))
     if values is not None:
-        rows.append(("values", f"{_range(values)} (in the picture)"))
+        rows.append(("values", f"{_range(values)} (in the image)"))
     if not _is_costly(integrand):
         rows += _integral(integrand)
         rows.append(("coefficients", integrand.fourier_source))
@@ -133,7 +136,7 @@ def _integrand(integrand: Integrand) -> tuple[Pictures, Rows]:
 
 
 def _integral(component: Integrand | AbstractEstimator) -> Rows:
-    """The integral where it is known; a quadrature may take long."""
+    """Return the integral if it is exact; a quadrature may take long."""
     if component.integral_source != "exact":
         return []
     return [("∫ f", ", ".join(number(float(v), 6) for v in np.atleast_1d(component.integral)))]
@@ -147,7 +150,7 @@ def _estimator(estimator: AbstractEstimator) -> tuple[Pictures, Rows]:
         rows.append(("sets", estimator.sets))
     if _is_costly(estimator):
         return [], rows
-    # Pictures of f, p and g(u), or of f and the g of every technique
+    # Images of f, p and g(u), or of f and the g of each technique
     pictures: Pictures = []
     f = estimator.domain_integrand
     if f is not None:
@@ -164,7 +167,7 @@ def _estimator(estimator: AbstractEstimator) -> tuple[Pictures, Rows]:
 
 
 def _values(function: Callable[[Array], Array], dims: int) -> Array | None:
-    """Values at the centers of a grid of cells, the axes beyond two at ½; None if that takes long."""
+    """Return values at cell centers, with further axes at ½; None if that takes too long."""
     side = _CELLS[min(dims, 2)]
     centres = (np.arange(side) + 0.5) / side
     rows = []
@@ -175,7 +178,7 @@ def _values(function: Callable[[Array], Array], dims: int) -> Array | None:
         if dims > 1:
             x[:, 1] = centres
         rows.append(function(x))
-        start = start or time.monotonic()  # the first row may load or compile what it needs
+        start = start or time.monotonic()  # the first row may load or compile code
         if time.monotonic() - start > _TIME:
             return None
     return np.stack(rows) if dims > 1 else np.concatenate(rows)
@@ -195,7 +198,7 @@ def _range(values: Array) -> str:
 
 
 def _is_costly(component: object, depth: int = 8) -> bool:
-    """Whether a component, or one that it is made of, declares itself costly or is a user's function."""
+    """Whether a component or one of its parts is declared costly or is a user's function."""
     if not isinstance(component, Component | AbstractEstimator) or not depth:
         return False
     if getattr(component, "costly", False) or getattr(component, "is_black_box", False):
@@ -211,7 +214,7 @@ def _yes(holds: bool) -> str:
 
 
 def scatter(points: Array, label: str) -> str:
-    """Points (n, 2) of the unit square, the second axis upwards."""
+    """Draw points (n, 2) of the unit square; the second axis points up."""
     radius = float(np.clip(8.0 / np.sqrt(len(points)), 0.3, 2.2))
     dots = "".join(
         f'<circle cx="{100 * x:.2f}" cy="{100 - 100 * y:.2f}" r="{radius:.2f}"/>' for x, y in points
@@ -220,14 +223,14 @@ def scatter(points: Array, label: str) -> str:
 
 
 def strip(points: Array, label: str) -> str:
-    """Points (n,) of the unit interval as upright lines."""
+    """Draw points (n,) of the unit interval as vertical lines."""
     width = float(np.clip(30.0 / len(points), 0.1, 1.0))
     lines = "".join(f"M{100 * x:.2f} 35V65" for x in points)
     return _framed(f'<path d="{lines}" stroke="{_BLUE}" stroke-width="{width:.2f}"/>', label)
 
 
 def curve(values: Array, label: str) -> str:
-    """Values (k,) or (k, channels) at the centers of k equal cells; the axis starts at 0 or below."""
+    """Draw values (k,) or (k, channels) at the centers of k equal cells; the range includes 0."""
     columns = values.reshape(len(values), -1)
     low, high = _limits(columns)
     low, high = min(low, 0.0), max(high, 0.0)
@@ -246,7 +249,7 @@ def curve(values: Array, label: str) -> str:
 
 
 def map_image(values: Array, label: str) -> str:
-    """Values (k, k) or (k, k, channels) in a grid of cells; three channels are colors."""
+    """Draw values (k, k) or (k, k, channels) on a grid of cells; three channels are RGB."""
     from PIL import Image
 
     colored = values.ndim == 3 and values.shape[2] == 3
@@ -277,7 +280,7 @@ def _framed(drawing: str, label: str) -> str:
 
 
 def _limits(values: Array) -> tuple[float, float]:
-    """Least and largest value shown: nearly all of them, infinite ones aside."""
+    """Return the color range: percentiles of the finite values."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return 0.0, 0.0
@@ -286,7 +289,7 @@ def _limits(values: Array) -> tuple[float, float]:
 
 
 def _line(x: Array, y: Array) -> str:
-    """Path through points, interrupted at values that are not finite; far ones end at the frame."""
+    """Return an SVG path that has gaps at non-finite values and is clipped to the frame."""
     parts, pen = [], "M"
     for at, height in zip(x, np.clip(y, 0.0, 100.0), strict=True):
         if not np.isfinite(height):

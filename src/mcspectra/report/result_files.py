@@ -1,4 +1,4 @@
-"""Results as files: values, tables for spreadsheets and LaTeX, pictures, pages; the extension says which."""
+"""Write results as values, tables (CSV, LaTeX), images or pages, according to the extension."""
 
 from __future__ import annotations
 
@@ -35,29 +35,27 @@ __all__ = [
 ]
 
 RESULT_FILES = (".npz", ".csv", ".tex", *backend_matplotlib.FORMATS, ".html")
-"""Extensions that `write_result_file` knows."""
+"""Extensions that `write_result_file` accepts."""
 
 _SAID = ("answer", "diagnosis", "note")
-# Dims of the tables of values
+# Dims of the tables of values on a page
 _TABLES = (
     ("sampler",), ("method",), ("n",), ("sampler", "n"), ("method", "n"), ("sampler", "method"),
     ("sampler", "method", "n"),
 )  # fmt: skip
-_LONG = 300  # characters of a fact
+_LONG = 300  # attributes with at least this number of characters are not listed as facts
 _MOST_TEX_ROWS = 500
 
 
 def check_result_file(file: str, known: tuple[str, ...] = RESULT_FILES) -> None:
-    """Refuse a file that has another extension than those known or cannot be written.
-
-    This is before anything is computed.
+    """Check the extension of a file and that it can be written, before anything is computed.
 
     Raises
     ------
     ParameterError
-        Its extension is not one of those known.
+        If the extension is not in `known`.
     MissingDependency
-        It is a page, and the extra ``report`` is not installed.
+        If the file is a page and the extra ``report`` is not installed.
     """
     if Path(file).suffix not in known:
         allowed = f"{', '.join(known[:-1])} or {known[-1]}"
@@ -73,21 +71,21 @@ def write_result_file(result: xr.Dataset, file: str, title: str, kind: str = "")
     Parameters
     ----------
     result
-        What the analysis returned.
+        Result of the analysis.
     file
-        ``.npz`` holds all values, ``.csv`` and ``.tex`` the table of `result_table`, a picture the
-        first kind of plot that shows the result, ``.html`` a page.
+        Path of the file: ``.npz`` for all values, ``.csv`` or ``.tex`` for the table of
+        `result_table`, an image extension for the first fitting plot, ``.html`` for a page.
     title
-        Of the page.
+        Title of the page.
     kind
-        Kind of plot of a picture, used if it shows the result.
+        Kind of plot of an image. It is ignored if it does not show the result.
 
     Raises
     ------
     ParameterError
-        No picture or table shows this result, or the table is too long for LaTeX.
+        If no image or table shows this result, or the table is too long for LaTeX.
     FileFormatError, StoreError, StorageError
-        The file cannot be written.
+        If the file cannot be written.
     """
     path = Path(file)
     with writing(file):
@@ -110,7 +108,7 @@ def write_result_file(result: xr.Dataset, file: str, title: str, kind: str = "")
                 if not kinds:
                     raise ParameterError(
                         Parameter("out"),
-                        f" is {file!r}; no picture shows this result, give a .npz file.",
+                        f" is {file!r}, but no image shows this result; give a .npz file.",
                     )
                 backend_matplotlib.write(
                     describe(kind if kind in kinds else kinds[0], result), file
@@ -120,11 +118,11 @@ def write_result_file(result: xr.Dataset, file: str, title: str, kind: str = "")
 def result_table(
     result: xr.Dataset, dims: tuple[str, ...] | None = None
 ) -> tuple[list[str], list[list[Any]]]:
-    """Return the columns and rows of the largest curve of a result.
+    """Return the columns and rows of a table of a result.
 
-    That is all variables over `dims`, by default those that most variables have, a row for each place,
-    with what has fewer dims repeated; intervals are two columns, ``_low`` and ``_high``. Results of
-    single numbers make one row.
+    The table has all variables over `dims`, with one row per coordinate. Default: the dims that
+    most variables have. Variables over fewer dims are repeated. An interval gives two columns,
+    ``_low`` and ``_high``. A result of scalars gives one row.
     """
     variables = {str(k): v for k, v in result.data_vars.items() if v.dtype.kind in "fiubUO"}
     if dims is None:
@@ -141,7 +139,7 @@ def result_table(
     for name, values in variables.items():
         own = [d for d in values.dims if d != "bound"]
         if not set(own) <= set(dims) or (dims and not own):
-            continue  # over other dims, or a single number: it belongs to another table
+            continue  # variables over other dims and scalars belong to other tables
         missing = {d: sizes[d] for d in dims if d not in own}
         full = values.expand_dims(missing).transpose(*dims, ...).values.reshape(rows, -1)
         ends = ("_low", "_high") if "bound" in values.dims else ("",)
@@ -156,13 +154,13 @@ def result_table(
 def csv_text(
     columns: Sequence[str], rows: Iterable[Sequence[Any]], about: dict[Any, Any] | None = None
 ) -> str:
-    """Return comma-separated values, numbers in full, after lines ``# name: value`` that describe them.
+    """Return comma-separated values with numbers in full, after comment lines ``# name: value``.
 
-    No cell is a formula, see `csv_cell`.
+    `csv_cell` prevents cells that a spreadsheet would run as formulas.
     """
     stream = io.StringIO()
     for name, value in (about or {}).items():
-        # A comma would begin another cell
+        # Put a space after commas and semicolons, which start a new cell
         text = printable(f"# {name}: {value}")
         stream.write(re.sub(r"([,;])(?=[^\w\s])", r"\1 ", text) + "\n")
     writer = csv.writer(stream, lineterminator="\n")
@@ -172,16 +170,17 @@ def csv_text(
 
 
 def latex_table(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """Return a tabular of LaTeX, numbers in four digits.
+    """Return a LaTeX tabular with numbers rounded to a few digits.
 
     Raises
     ------
     ParameterError
-        It has more than 500 rows.
+        If there are more than 500 rows.
     """
     if len(rows) > _MOST_TEX_ROWS:
         raise ParameterError(
-            f"The table has {len(rows)} rows, more than {_MOST_TEX_ROWS}; give a .csv file."
+            f"The table has {len(rows)} rows, but LaTeX files are limited to {_MOST_TEX_ROWS}; "
+            "give a .csv file."
         )
 
     def cell(value: Any) -> str:
@@ -204,27 +203,27 @@ def latex_table(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """A number or text of Python; None where there is none."""
+    """Convert a NumPy scalar to Python; NaN becomes None."""
     plain = value.item() if isinstance(value, np.generic) else value
     return None if isinstance(plain, float) and math.isnan(plain) else plain
 
 
 def write_result(result: xr.Dataset, out: str | Path, title: str = "Result") -> Path:
-    """Write the result of any analysis as one page that stands alone.
+    """Write the result of any analysis as one self-contained page.
 
     Parameters
     ----------
     result
-        What a function such as `mcspectra.convergence` returned, or `Profile.dataset`.
+        Result of a function such as `mcspectra.convergence`, or `Profile.dataset`.
     out
-        The file.
+        Path of the page.
     title
-        Of the page; the estimator is added.
+        Title of the page; the estimator is appended.
 
     Raises
     ------
     StoreError, StorageError
-        It cannot be written.
+        If the page cannot be written.
     """
     attributes = {str(key): value for key, value in result.attrs.items()}
     said = [str(attributes[name]) for name in _SAID if attributes.get(name)]
@@ -232,7 +231,7 @@ def write_result(result: xr.Dataset, out: str | Path, title: str = "Result") -> 
         (cause["name"], cause["sentence"]) for cause in json.loads(attributes.get("causes", "[]"))
     )
 
-    # Figures, and the single numbers with their intervals
+    # Figures, and scalars with their intervals
     shown = [kind for kind in kinds_of(result) if kind != "anything"]
     described = (describe(kind, result) for kind in shown)
     plots = dict(zip(html.anchors(shown), described, strict=True))
@@ -263,14 +262,14 @@ def write_result(result: xr.Dataset, out: str | Path, title: str = "Result") -> 
     page = html.Page(
         title=f"{title}: {about}" if about else title,
         what="result",
-        lead=tuple(html.Text(text=sentence) for sentence in said),
+        lead=tuple(html.Paragraph(text=sentence) for sentence in said),
         sections=html.sections_of(parts),
     )
     return html.write_page(page, Path(out))
 
 
 def _value(result: xr.Dataset, name: str) -> tuple[str, str]:
-    """A single number and its interval, empty if it has none; no rate that is no finding."""
+    """Return a scalar and its interval as texts; a rate with a wide interval is "unresolved"."""
     value, ends = float(result[name]), f"{name}_ci"
     if ends not in result:
         return number(value), ""
@@ -280,7 +279,7 @@ def _value(result: xr.Dataset, name: str) -> tuple[str, str]:
 
 
 def _curves(result: xr.Dataset, dims: tuple[str, ...]) -> html.Table:
-    """Values by sampler, method and n, where they are known, and how they were found; of the first channel."""
+    """Return a table of the first channel's values over `dims`, with the methods that gave them."""
     first = result.isel(channel=0) if "channel" in result.dims else result
     names = [
         str(name)
@@ -301,5 +300,5 @@ def _curves(result: xr.Dataset, dims: tuple[str, ...]) -> html.Table:
             places, how = ([str(one[name].item()) for name in given] for given in (dims, said))
             rows.append((*places, *shown, *how))
     columns = (*dims, *(name.replace("_", " ") for name in (*names, *said)))
-    caption = "Values, with 95 % intervals in brackets where they are wider"
+    caption = "Values; 95 % intervals in brackets unless they round to the value"
     return html.table_of(caption, columns, rows, words=range(len(columns)), heads=len(dims))

@@ -1,6 +1,6 @@
-"""Cards of samplers: measurements of each sampler alone, for the page of a bench or as Markdown.
+"""Cards of samplers for the page of a bench or as Markdown.
 
-A card has points, spectrum, projections, rates, quality, cost and sources.
+A card shows one sampler's points, spectrum, projections, rates, quality, cost and sources.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ __all__ = [
     "QUALITY_HEADS",
     "QUICK",
     "Card",
-    "Effort",
+    "CardEffort",
     "all_samplers",
     "card_sections",
     "measure_card",
@@ -65,8 +65,7 @@ _ALSO = (
     "latin-hypercube(strength=2)",
     "poisson-disk(boundary='bounded')",
 )
-"""Among `all_samplers` besides every registered one."""
-
+"""Specs that `all_samplers` adds to the registered samplers."""
 
 _PROJECTED_DIMS = 4
 QUALITY_HEADS = {
@@ -77,22 +76,25 @@ QUALITY_HEADS = {
     "transport_cost": "Transport cost",
     "t_value": "t",
 }
-"""Figures of quality by name, and the heads of their columns."""
+"""Column headers of quality figures, by the name of the figure."""
 _INTEGRANDS = {1: ("gaussian", "step(at=0.3)"), 2: ("gaussian", "disk")}
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Effort:
-    """How much is drawn for a card.
+class CardEffort:
+    """Numbers of points and realizations that are drawn for a card.
 
     Attributes
     ----------
     n
-        Points of the pictures, the spectrum and the quality figures; the nearest possible count.
+        Number of points for images, spectrum and quality figures, rounded to a possible count.
     spectra, rates
-        Realizations of the spectrum, and of the variance at each of `counts`; without counts there are
-        no rates.
+        Number of realizations for the spectrum and for the variance at each count.
+    counts
+        Numbers of points for the rates; empty for no rates.
+    slow_counts, slow_rates
+        Same as `counts` and `rates`, for samplers that are slow to generate.
     """
 
     n: int = 1024
@@ -103,8 +105,8 @@ class Effort:
     slow_rates: int = 400
 
 
-FULL = Effort()
-QUICK = Effort(
+FULL = CardEffort()
+QUICK = CardEffort(
     n=256, spectra=40, rates=300, counts=(16, 64, 256), slow_counts=(16, 64, 256), slow_rates=100
 )
 
@@ -112,27 +114,27 @@ QUICK = Effort(
 @final
 @dataclass(frozen=True, kw_only=True)
 class Card:
-    """One sampler, measured.
+    """Measurements of one sampler.
 
     Attributes
     ----------
     spec
-        What the pictures and the spectrum show.
+        Spec of the sampler that the images and the spectrum show.
     randomized
-        Spec of the sampler whose rates were measured: a fixed set is randomized first. Empty without
-        rates.
+        Spec of the sampler whose rates were measured, since a fixed set is randomized first. Empty
+        without rates.
     points
         One realization, (n, dims).
     projected
-        The axes 2 and 3 of a set in 4 dims, (n, 2); None where it cannot do 4.
+        Axes 2 and 3 of a set in 4 dims, (n, 2), or None if the sampler cannot make 4 dims.
     spectrum
         Result of `power_spectrum`.
     curves
-        By integrand: result of `convergence`; none of a set with fewer than two possible counts.
+        Results of `convergence` by integrand; empty if fewer than two counts are possible.
     quality
-        By figure: its long name, mean and standard error.
+        Long name, mean and standard error by quality figure.
     speed
-        Points per second, one thread, nothing cached.
+        Points per second on one thread, without caches.
     """
 
     name: str
@@ -149,7 +151,7 @@ class Card:
 
     @property
     def rates(self) -> dict[str, tuple[float, float, float]]:
-        """By integrand: rate of the variance and its interval."""
+        """Rate of the variance and the ends of its interval, by integrand."""
         return {
             text: (float(curve["rate"]), *map(float, curve["rate_ci"].values))  # type: ignore[misc]
             for text, curve in self.curves.items()
@@ -157,7 +159,7 @@ class Card:
 
 
 def all_samplers(dims: Sequence[int] = (2, 1, 3)) -> list[str]:
-    """Return the specs of all samplers that need no parameters and can do one of these numbers of dims."""
+    """Return the specs of all samplers without required parameters that can make one of `dims`."""
     return sorted(spec for spec in (*SAMPLERS, *_ALSO) if _makeable(spec, dims))
 
 
@@ -165,10 +167,10 @@ def write_cards(
     folder: str | Path,
     specs: Sequence[str] | None = None,
     *,
-    effort: Effort = FULL,
+    effort: CardEffort = FULL,
     rng: int = 0,
 ) -> Path:
-    """Measure samplers and write their cards as Markdown: the page of samplers in the documentation.
+    """Measure samplers and write their cards as a Markdown page for the documentation.
 
     Parameters
     ----------
@@ -176,32 +178,34 @@ def write_cards(
         Folder of ``index.md``, ``*.png`` and ``gallery.json``; existing files of these names are
         replaced.
     specs
-        Samplers. All by default.
+        Specs of samplers. Default: `all_samplers`.
     effort
-        How much is drawn.
+        Numbers of points and realizations.
+    rng
+        Integer seed.
 
     Returns
     -------
     Path
-        The page.
+        Path of the page.
 
     Raises
     ------
     McspectraError
-        A sampler cannot be made or measured; the message says why.
+        If a sampler cannot be made or measured; the message gives the reason.
     StoreError
-        The folder cannot be written.
+        If the folder cannot be written.
     """
     chosen = all_samplers() if specs is None else list(specs)
     if not chosen:
-        raise ParameterError("There are no samplers; name one at least.")
+        raise ParameterError("The list of samplers is empty; give at least one.")
     cards = []
     for i, spec in enumerate(chosen):
         report("cards", i / len(chosen))
         cards.append(measure_card(spec, effort=effort, rng=rng))
     report("cards", 1.0)
     root = Path(folder)
-    # What programs want: numbers, no pictures
+    # Write the numbers for programs
     numbers = [
         {
             "name": card.name,
@@ -217,7 +221,7 @@ def write_cards(
     ]
     html.write_json(root / "gallery.json", numbers)
 
-    # Markdown, and a picture of each
+    # Write the Markdown page and one image per sampler
     names, page = html.anchors(card.name for card in cards), root / "index.md"
     lines = ["# Samplers", "", _settings(effort), ""]
     with writing(root, StoreError):
@@ -232,13 +236,13 @@ def write_cards(
     return page
 
 
-def measure_card(spec: str, *, effort: Effort = FULL, rng: int = 0) -> Card:
-    """Measure a sampler: in 2-D, else in the only dims it can do.
+def measure_card(spec: str, *, effort: CardEffort = FULL, rng: int = 0) -> Card:
+    """Measure a sampler in 2-D, or else in the only number of dims that it can make.
 
     Raises
     ------
     McspectraError
-        The spec cannot be read, or a sampler needs parameters that it lacks.
+        If the spec cannot be read, or a required parameter is missing.
     """
     name = parse_chain(spec)[0].name
     source = _in_two_dims(spec)
@@ -273,7 +277,7 @@ def measure_card(spec: str, *, effort: Effort = FULL, rng: int = 0) -> Card:
 
 
 def _in_two_dims(spec: str) -> Sampler:
-    """Make the sampler in 2-D, else in 1-D or 3-D; the error is that of 2-D."""
+    """Create the sampler in 2-D, or else in 1-D or 3-D; raise the error of 2-D if all fail."""
     reason: McspectraError | None = None
     for dims in (2, 1, 3):
         try:
@@ -288,15 +292,15 @@ def _projection(spec: str, n: int, rng: int) -> Array | None:
     try:
         source = shared_sets(sampler(spec, _PROJECTED_DIMS))
         points: Array = source.draw(source.nearest_count(n), rng=rng)[0, :, 2:]
-    except McspectraError:  # of programs as they print too few coordinates
+    except McspectraError:  # for instance, a program that prints too few coordinates
         return None
     return points
 
 
 def _curves(
-    dims: int, source: Sampler, effort: Effort, rng: int, *, slow: bool
+    dims: int, source: Sampler, effort: CardEffort, rng: int, *, slow: bool
 ) -> dict[str, xr.Dataset]:
-    """Convergence on some integrands; none where fewer than two counts are possible."""
+    """Measure convergence on some integrands; empty if fewer than two counts are possible."""
     wanted = effort.slow_counts if slow else effort.counts
     counts = sorted({source.nearest_count(n) for n in wanted})
     if len(counts) < 2:
@@ -309,7 +313,7 @@ def _curves(
 
 
 def _makeable(spec: str, dims: Sequence[int]) -> bool:
-    """Whether a sampler can do one of these dims and needs nothing from outside: no file, no package."""
+    """Whether a sampler can make one of `dims` without a file or another package."""
     if spec in ("points", "scipy", "qmcpy", "mitsuba"):
         return False
     for d in dims:
@@ -328,16 +332,16 @@ def card_sections(cards: Sequence[Card], anchors: Sequence[str]) -> list[html.Se
             text = ADDRESS.sub(r'<a href="\g<0>">\g<0></a>', escape_html(value))
             facts.append((name, html.Markup(text)))
         blocks: tuple[html.Block, ...] = (
-            html.Text(text=card.facts.summary if card.facts else ""),
+            html.Paragraph(text=card.facts.summary if card.facts else ""),
             *html.figures_of([_card_plot(card)]),
-            html.Facts(rows=tuple(facts)),
+            html.FactList(rows=tuple(facts)),
         )
         sections.append(html.Section(title=card.name, anchor=anchor, blocks=blocks, code=True))
     return sections
 
 
 def _card_plot(card: Card) -> Plot:
-    """The picture on a card, with words for those who do not see it."""
+    """Return the plot of a card, with a description for screen readers."""
     points = dataset({"points": (("point", "axis"), card.points)}, {}, n=card.n)
     power = card.n * card.spectrum["radial_power"].values
     words = (
@@ -350,7 +354,7 @@ def _card_plot(card: Card) -> Plot:
 
 
 def _card_facts(card: Card) -> list[tuple[str, str]]:
-    """What a card says in words, by what it is about."""
+    """Return the facts of a card as pairs of a name and a text."""
     step = card.randomized.rpartition(" | ")[2]
     measured = f" (randomized by {step})" if card.randomized not in ("", card.spec) else ""
     rates = card.rates
@@ -360,7 +364,7 @@ def _card_facts(card: Card) -> list[tuple[str, str]]:
         ("Dims", card.facts.dims if card.facts else ""),
         ("Counts", card.facts.counts if card.facts else ""),
         *((f"Rate on {text.partition('(')[0]}{measured}", rate(*v)) for text, v in rates.items()),
-        # An error of rounding size is none
+        # Omit a standard error at rounding level
         *(
             (name, with_error(mean, se if se > NEGLIGIBLE * abs(mean) else None))
             for name, mean, se in card.quality.values()
@@ -371,14 +375,14 @@ def _card_facts(card: Card) -> list[tuple[str, str]]:
     return [(name, value) for name, value in facts if value]
 
 
-def _settings(effort: Effort) -> str:
-    """How the cards were made, in a sentence or two."""
+def _settings(effort: CardEffort) -> str:
+    """Describe how the cards were measured."""
     low, high = effort.counts[0], effort.counts[-1]
     return (
-        f"Each set has n ≈ {effort.n} points in 2-D (or in the only dims it can do). Spectra are "
-        f"means over {effort.spectra} realizations, n · power is 1 for random points. Rates are "
-        f"exponents of the variance in n with 95 % intervals, for n = {low} … {high} and "
-        f"{effort.rates} realizations; sets that are the same every time are randomized first, by "
-        "owen (nets) or shift. Optimized sets are 8 for each n, used again under random "
-        f"translations, for n up to {effort.slow_counts[-1]}. Speeds are of one thread."
+        f"Each set has n ≈ {effort.n} points in 2-D (or in the only dims that it can make). "
+        f"Spectra are means over {effort.spectra} realizations; n · power is 1 for random points. "
+        f"Rates are exponents of the variance in n with 95 % intervals, for n = {low} … {high} and "
+        f"{effort.rates} realizations. Deterministic sets are randomized first, by owen (nets) or "
+        "shift. Optimized samplers have 8 sets per n; further realizations are shifted copies, for "
+        f"n up to {effort.slow_counts[-1]}. Speeds are for one thread."
     )

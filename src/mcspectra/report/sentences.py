@@ -1,4 +1,4 @@
-"""Plain sentences about a result, from its numbers only, and only as far as their intervals go."""
+"""Sentences about a result, derived from its numbers and limited by their intervals."""
 
 from __future__ import annotations
 
@@ -29,14 +29,13 @@ __all__ = [
     "headline",
 ]
 
-_DOMINANT = 0.9
-_AWAY = 4.0  # standard errors between means
-_LENGTH = "|\u2060m|\u2060"  # joined, as browsers break lines after a bar
+_DOMINANT = 0.9  # share of dc + power above which the dc term is named
+_AWAY = 4.0  # standard errors between two means above which they differ
+_LENGTH = "|\u2060m|\u2060"  # word joiners prevent a line break after a bar
 _CLOSE = 0.1  # prediction and measurement agree up to this relative difference
-_RATE_MARGIN = (
-    1.5  # times the 95 % interval: 3 standard errors, as a page makes dozens of statements
-)
-_SURE = 0.2  # a rate known less well may be another than that of random sampling
+# Factor on the 95 % interval of a rate: 3 standard errors, since a page makes dozens of statements
+_RATE_MARGIN = 1.5
+_SURE = 0.2  # largest half-interval of a rate that is said to be the rate of random sampling
 _REMEDY_WORDS = ("diagnosis", "answer")
 _TERMS = {
     "dc": "weights: p does not follow f",
@@ -47,7 +46,7 @@ _TERMS = {
 
 @dataclass(frozen=True)
 class Size:
-    """The variance of a set-up with the ends of its 95 % interval, and its rate, NaN if unknown."""
+    """Variance of a set-up with the ends of its 95 % interval, rate (NaN if unknown) and mean."""
 
     variance: float
     low: float
@@ -58,17 +57,17 @@ class Size:
 
 
 def compared(sizes: Mapping[str, Size], given: str, evaluations: int, why: str = "") -> Answer:
-    """Return the answer of measured set-ups: the least variance whose interval is below the given one.
+    """Recommend the set-up with the least variance that is significantly below the given one.
 
     Parameters
     ----------
     sizes
-        The variance at equal evaluations, by the name of a set-up.
+        Variance at equal evaluations, by the name of the set-up.
     given
-        The set-up with which the others are compared. A set-up with another mean, or without
-        variance, is not advised.
+        Set-up with which the others are compared. A set-up with a different mean or zero variance
+        is not recommended.
     evaluations
-        Evaluations of an estimate.
+        Number of evaluations of one estimate.
     why
         Sentences on the causes of the noise.
     """
@@ -85,7 +84,7 @@ def compared(sizes: Mapping[str, Size], given: str, evaluations: int, why: str =
         gain, least, most = (a / b if b > 0.0 else math.nan for a, b in ratios)
 
         def needed(gain: float) -> float:
-            """Evaluations with which the given set-up has this gain."""
+            """Return the evaluations that give the given set-up the same gain."""
             with_rate = start.rate < 0.0 and gain > 0.0
             return evaluations * gain ** (-1.0 / start.rate) if with_rate else math.nan
 
@@ -112,21 +111,21 @@ def compared(sizes: Mapping[str, Size], given: str, evaluations: int, why: str =
 
 
 def answer(curves: Mapping[str, xr.Dataset], given: str = "", why: str = "") -> Answer | None:
-    """Say what to use instead of what, at the most points that all were measured up to, and why.
+    """Recommend a set-up at the largest number of points that all set-ups reach.
 
     Parameters
     ----------
     curves
-        `convergence` by set-up, without channels; n are the points of all techniques.
+        Results of `convergence` by set-up, without channels; n counts the points of all techniques.
     given
-        The set-up with which the others are compared: random points, or else the first by default.
+        Set-up with which the others are compared. Default: random points, or else the first.
     why
-        Sentences on what costs the given one precision.
+        Sentences on the causes of the given set-up's noise.
 
     Returns
     -------
     Answer
-        None if there is nothing to compare.
+        None if there are fewer than two set-ups.
     """
     if len(curves) < 2:
         return None
@@ -134,7 +133,7 @@ def answer(curves: Mapping[str, xr.Dataset], given: str = "", why: str = "") -> 
     n = min(int(curve["n"][-1]) for curve in curves.values())
     sizes, tiny = {}, np.finfo(float).tiny
     for name, curve in curves.items():
-        # The variance and the ends of its interval, along lines between the counts
+        # Interpolate the variance and its interval linearly in log n and log variance
         last, x = curve.isel(n=-1), np.log(curve["n"].values)
         ends = (curve["variance"], *(curve["variance_ci"].isel(bound=b) for b in (0, 1)))
         middle, low, high = (
@@ -155,14 +154,14 @@ def answer(curves: Mapping[str, xr.Dataset], given: str = "", why: str = "") -> 
 
 
 def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
-    """Say in a few plain sentences what the numbers of one estimator and sampler mean.
+    """Explain the numbers of one estimator and sampler in a few sentences.
 
     Parameters
     ----------
     row
-        The summary of the pair.
+        Summary of the estimator and sampler.
     terms
-        Its `variance_terms` (one channel), if there are any.
+        Result of `variance_terms` (one channel), or None.
 
     Returns
     -------
@@ -173,13 +172,13 @@ def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
     Raises
     ------
     ParameterError
-        The row or the terms are none.
+        If `row` is not a SummaryRow, or `terms` is not a Dataset.
 
     Notes
     -----
-    A term is said to add or to remove variance only where its 95 % interval excludes 0. The intervals
-    of the prediction and the measurement are treated as independent, although both come from the
-    same realizations: that is cautious.
+    A term adds or removes variance in these sentences only if its 95 % interval excludes 0. The
+    intervals of prediction and measurement are treated as independent although both come from the
+    same realizations, which is conservative.
     """
     as_instance("row", row, SummaryRow, "a row of mcspectra.studies.summarize")
     as_instance("terms", terms, xr.Dataset | None, "a dataset of mcspectra.variance_terms")
@@ -189,15 +188,16 @@ def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
             None if row.ratio_low is None else 0.5 * ((row.ratio_high or math.inf) - row.ratio_low)
         )
         shown = with_error(row.ratio, half)
-        sentences.append(f"Predicted over measured variance is {shown} ({row.method}).")
+        sentences.append(f"Predicted / measured variance is {shown} ({row.method}).")
     sentences += () if terms is None else _term_sentences(row, terms)
     return " ".join(sentence for sentence in sentences if sentence)
 
 
 def headline(row: SummaryRow, terms: xr.Dataset | None = None, rows: int = 1) -> str:
-    """Say in one sentence what matters of a pair: its rate, and why its prediction is off.
+    """Return one sentence on a pair's rate, and on a prediction that differs from the measurement.
 
-    It is off where an interval excludes 1 that holds for all of so many `rows` together [Sidak1967]_.
+    They differ if the interval of their ratio excludes 1; the intervals hold simultaneously for
+    `rows` rows [Sidak1967]_.
     """
     if row.note:
         return f"{row.note[:1].upper()}{row.note[1:]}."
@@ -218,7 +218,7 @@ def headline(row: SummaryRow, terms: xr.Dataset | None = None, rows: int = 1) ->
             parts.append(f"the {basis} sum has not converged at half width {width}{cure}")
         elif found == "less":
             share = percent(1.0 - row.captured)
-            parts.append(f"{share} of the variance lies beyond half width\u00a0{width}")
+            parts.append(f"{share} of the variance is beyond half width\u00a0{width}")
         elif row.cross_high is not None and row.cross_high < 0:
             parts.append(f"correlation removes {_cross_share(row)} of dc + power")
         elif row.cross_low is not None and row.cross_low > 0:
@@ -226,13 +226,13 @@ def headline(row: SummaryRow, terms: xr.Dataset | None = None, rows: int = 1) ->
         elif found == "agrees":
             parts.append("prediction agrees")
         elif found:
-            parts.append(f"predicts {percent(row.captured)}, but its interval holds 100 %")
+            parts.append(f"predicts {percent(row.captured)}, but its interval contains 100 %")
     text = "; ".join(part for part in parts if part)
     return f"{text[:1].upper()}{text[1:]}." if text else ""
 
 
 def bottleneck(row: SummaryRow, terms: xr.Dataset | None = None, technique: str = "") -> str:
-    """Say what makes most of the variance: a technique, weights, or at which frequencies f and samples meet."""
+    """Name the largest source of variance: a technique, weights, or frequencies of f."""
     if technique:
         return technique
     sizes = {"dc": row.dc, "power": row.power, "cross": row.cross}
@@ -243,7 +243,7 @@ def bottleneck(row: SummaryRow, terms: xr.Dataset | None = None, technique: str 
     half = _median_frequency(row, terms) if largest == "power" and terms is not None else None
     if half is None or row.terms_n is None or terms is None:
         return _TERMS[largest]
-    # Strata of n points are n^(-1/d) wide: a quarter of that frequency is coarse for all samplers
+    # Strata of n points have width n^(-1/d): a quarter of that frequency is coarse for all samplers
     dims = sum(str(dim).startswith("m") and str(dim)[1:].isdigit() for dim in terms.dims)
     if half <= 0.25 * row.terms_n ** (1.0 / max(dims, 1)):
         return f"coarse shape ({_LENGTH}\u00a0≤\u00a0{half:.2g})"
@@ -251,7 +251,7 @@ def bottleneck(row: SummaryRow, terms: xr.Dataset | None = None, technique: str 
 
 
 def further_sentences(analyses: Mapping[str, xr.Dataset]) -> str:
-    """Say what analyses of a pair found in words: what was not met, the best remedy, why nothing is exact."""
+    """Return sentences stored with a pair's analyses: notes, the best remedy, missing exactness."""
     curve, remedies, known = (analyses.get(k) for k in ("convergence", "remedies", "predict"))
     note = "" if curve is None else str(curve.attrs.get("note", ""))
     found: list[str | None] = [f"{note[:1].upper()}{note[1:]}." if note else None]
@@ -262,17 +262,17 @@ def further_sentences(analyses: Mapping[str, xr.Dataset]) -> str:
 
 
 def basis_name(basis: str | None) -> str:
-    """Return a basis as sentences and tables write it: Fourier and Walsh were people."""
+    """Return the name of a basis for sentences and tables; Fourier and Walsh are capitalized."""
     return {None: "Fourier", "fourier": "Fourier", "walsh": "Walsh"}.get(basis, str(basis))
 
 
 def _is_predicted(row: SummaryRow) -> bool:
-    """Whether it has a ratio that is no sum over the frequencies of the terms."""
+    """Whether the ratio comes from `predict` and not from the frequency sum of the terms."""
     return row.ratio is not None and row.ratio != row.captured
 
 
 def _verdict(row: SummaryRow) -> str:
-    """Beside random sampling, in a few words; empty without a rate."""
+    """Compare the rate with random sampling in a few words; empty without a rate."""
     if row.rate is None or row.rate_low is None or row.rate_high is None:
         return "" if row.variance != 0 else "no variance"
     if not is_resolved(row.rate_low, row.rate_high):
@@ -293,7 +293,7 @@ def _rate_sentence(row: SummaryRow) -> str:
             return f"The variance at n = {row.n} is zero, so there is no rate to fit."
         return "There is no rate: a fit needs two counts with a variance above rounding noise."
     if row.rate_low is None or row.rate_high is None:
-        return f"The variance falls like n to the {number(row.rate)}, interval unknown."
+        return f"The variance falls as n to the power {number(row.rate)}; its interval is unknown."
     if not is_resolved(row.rate_low, row.rate_high):
         return f"The rate is {UNRESOLVED}."
     fitted = rate(row.rate, row.rate_low, row.rate_high)
@@ -301,7 +301,7 @@ def _rate_sentence(row: SummaryRow) -> str:
         fitted += f", fitted over n = {row.fit_first_n} … {row.n},"
     verdict = _verdict(row)
     if not verdict.endswith("sampling"):
-        return f"The rate {fitted} lies within three standard errors of random sampling's −1."
+        return f"The rate {fitted} is within three standard errors of random sampling's −1."
     return f"The rate {fitted} is {verdict}'s −1."
 
 
@@ -311,22 +311,22 @@ def _term_sentences(row: SummaryRow, terms: xr.Dataset) -> Iterator[str]:
         verb, noun = ("are", "terms") if len(infinite) > 1 else ("is", "term")
         yield f"The {' and '.join(infinite)} {noun} {verb} infinite because ∫1/p diverges."
         yield f"The measured variance is {number(row.measured)}."
-        yield "The primary-space view has finite terms."
+        yield 'Use space="primary", where the terms are finite.'
         return
     if row.measured == 0:
-        yield "The measured variance is zero: there is nothing to explain."
+        yield "The measured variance is zero, so no term needs an explanation."
         return
     if row.captured is None:
-        yield "The measured variance is rounding noise: there is nothing to explain."
+        yield "The measured variance is rounding noise, so no term needs an explanation."
         return
     if row.dc is None or row.power is None or row.predicted is None or row.measured is None:
         return
     uniform = row.dc <= NEGLIGIBLE * row.power or terms.attrs.get("space") == "primary"
-    # Name the dc term where it dominates the diagonal by far more than sampling error
+    # Name the dc term if it dominates the diagonal by far more than the sampling error
     if not uniform and row.dc > _DOMINANT * (row.dc + row.power):
         yield (
-            f"Before correlation, {percent(row.dc / (row.dc + row.power))} of the variance is the dc "
-            "term: noise of the weights 1/p, which f does not shape."
+            f"Without the cross term, {percent(row.dc / (row.dc + row.power))} of the variance is "
+            "the dc term: noise of the weights 1/p, which does not depend on the shape of f."
         )
     spec = str(terms.attrs.get("sampler_spec", row.sampler))
     shifted = re.search(r"(\| shift|^random)$", spec) is not None
@@ -335,27 +335,33 @@ def _term_sentences(row: SummaryRow, terms: xr.Dataset) -> Iterator[str]:
 
 
 def _cross_sentence(row: SummaryRow, diagonal: float, uniform: bool, shifted: bool) -> str:
-    """Say what the cross term gives or takes of dc + power, and what of that a shift would change."""
+    """Describe how the cross term changes dc + power, and the effect of a random shift on it."""
     if row.cross is None or row.cross_low is None or row.cross_high is None or diagonal <= 0:
         return ""
     if row.cross_low <= 0 <= row.cross_high:
         beside = "power term" if uniform else "dc and power terms"
-        return f"The cross term is statistically indistinguishable from zero ({beside}: {number(diagonal)})."
+        return (
+            "The cross term does not differ significantly from zero "
+            f"({beside}: {number(diagonal)})."
+        )
     fourier, removes = row.basis in (None, "fourier"), row.cross < 0
-    what = "the power term predicts" if uniform else "the dc and power terms predict together"
+    what = "the power term" if uniform else "the sum of dc and power terms"
     if not fourier:
-        what = f"the diagonal of the {basis_name(row.basis)} basis predicts"
-    text = f"The cross term {'removes' if removes else 'adds'} {_cross_share(row)} {'of' if removes else 'to'} what {what}"
+        what = f"the diagonal of the {basis_name(row.basis)} basis"
+    share = _cross_share(row)
+    text = f"The cross term removes {share} of {what}"
+    if not removes:
+        text = f"The cross term adds {share} to {what}"
     if fourier and uniform and shifted:
-        text += ", by chance: of points shifted at random its mean is zero"
+        text += ", by chance: its mean is zero for randomly shifted points"
     elif fourier and removes:
-        text += ": frequencies are correlated in the integrand's favor, as with " + (
-            "strata aligned to it; a random shift would lose that"
+        text += ": the correlation of frequencies suits the integrand, as with " + (
+            "strata aligned to it; a random shift would lose this gain"
             if uniform
             else "a density that follows it"
         )
     elif fourier and uniform:
-        text += "; for unbiased points a random shift would avoid that"
+        text += "; a random shift of unbiased points would avoid this"
     return f"{text}."
 
 
@@ -365,30 +371,30 @@ def _captured_sentence(row: SummaryRow, terms: xr.Dataset) -> str:
         return ""
     if found == "less":
         return (
-            f"Only {percent(row.captured)} of the measured variance is captured at half width "
-            f"{half_width}: the rest lies at higher frequencies."
+            f"The spectrum up to half width {half_width} accounts for only {percent(row.captured)} "
+            "of the measured variance; the rest is at higher frequencies."
         )
     if found == "more":
         return (
-            f"Truncated at half width {half_width}, the spectrum predicts {number(row.captured)} times "
-            "the measured variance: the sum over frequencies has not converged."
+            f"The spectrum up to half width {half_width} predicts {number(row.captured)} times the "
+            "measured variance: the sum over frequencies has not converged."
         )
     if found == "agrees":
-        if _is_predicted(row):  # what agrees is said of the prediction
+        if _is_predicted(row):  # the prediction's sentence has the comparison
             return ""
         share = f"{row.captured:.0%}".replace("%", " %")
         return f"Prediction and measurement agree ({share})."
     return (
-        f"At half width {half_width} the spectrum predicts {percent(row.captured)} of the measured "
-        "variance; with what may lie beyond, its interval holds 100 %."
+        f"The spectrum up to half width {half_width} predicts {percent(row.captured)} of the "
+        "measured variance; the 95 % interval of this share contains 100 %."
     )
 
 
 def _agreement(row: SummaryRow, terms: xr.Dataset) -> str:
-    """How prediction and measurement compare: ``agrees``, ``less``, ``more``, ``open``; empty if unknown.
+    """Compare prediction and measurement: ``agrees``, ``less``, ``more``, ``open`` or empty.
 
-    They agree where they are close, and differ where they are not and the interval of their ratio
-    excludes 1; else it is open.
+    They agree if they are close. They differ (``less``, ``more``) if they are not close and the
+    interval of their ratio excludes 1. Otherwise the comparison is ``open``, or empty if unknown.
     """
     low, high = row.captured_low, row.captured_high
     if low is None or high is None:
@@ -410,7 +416,7 @@ def _cross_share(row: SummaryRow) -> str:
 
 
 def _median_frequency(row: SummaryRow, terms: xr.Dataset) -> float | None:
-    """|m| below which half of the diagonal's variance lies, dc aside; None in bases without lengths."""
+    """Return the |m| below which half of the power term lies; None for a basis without lengths."""
     scale = {"fourier": 1.0, "cosine": 0.5}.get(row.basis or "fourier")
     if scale is None or "power_contribution" not in terms:
         return None

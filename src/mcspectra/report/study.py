@@ -1,4 +1,4 @@
-"""The report of a study: summary, what is missing, a section for each estimator, provenance."""
+"""The report of a study: summary, missing analyses, a section per estimator, provenance."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ __all__ = ["REPORT_NAME", "Estimates", "collect", "provenance", "study_toml", "w
 
 REPORT_NAME = "report.html"
 
-_FIRST = ("convergence", "terms", "spectrum", "points")  # analyses; others as they are stored
-_OF_SAMPLERS = ("spectrum", "points", "pcf")  # analyses that may be the same for many estimators
-_WITHOUT_SETTINGS = ("points",)  # the caption and the table have their n
-_FOLDED = ("predict",)  # tables
+_FIRST = ("convergence", "terms", "spectrum", "points")  # analyses that are shown before all others
+_OF_SAMPLERS = ("spectrum", "points", "pcf")  # analyses that estimators with one sampler may share
+_WITHOUT_SETTINGS = ("points",)  # analyses whose caption already has the only setting, n
+_FOLDED = ("predict",)  # analyses whose tables are collapsed
 _TITLES = {"pcf": "Pair correlation", "anova": "Axes"}
 _LIVE = frozenset(
     {"convergence", "terms", "contributions", "spectrum", "lines", "radial", "points"}
@@ -52,18 +52,19 @@ _DETAILS: Mapping[str, tuple[str, ...]] = {
         "points",
     ),
 }
-"""Figures that are folded, by what they show."""
+"""Kinds of figures in collapsed blocks, by the title of the block."""
 
-_MOST_ANSWERS = 8  # before they are folded
-_MOST_GAPS = 50  # rows; a page of 10,000 failures helps nobody
-_LONGEST_KEY = 60  # letters of a group's name in the store
+_MOST_ANSWERS = 8  # largest number of answers that are not collapsed
+_MOST_GAPS = 50  # largest number of rows in the table of missing analyses
+_LONGEST_KEY = 60  # largest number of characters of a group's name in the store
 _NOT_DONE = "not computed yet"
 _FUNCTION = re.compile(r"""python\(\s*function\s*=\s*\\?['"]([A-Za-z_][\w.]*:[A-Za-z_]\w*)""")
 
 _HOW_TO_READ = Markup(
-    "With the integrand's coefficients f<sub>m</sub> and the samples' S<sub>m</sub>, the covariances "
-    "C<sub>ml</sub> = ⟨S<sub>m</sub> conj(S<sub>l</sub>)⟩ − ⟨S<sub>m</sub>⟩ conj(⟨S<sub>l</sub>⟩) give the "
-    "variance of the estimate as a sum of three terms."
+    "f<sub>m</sub> are the Fourier coefficients of the integrand and S<sub>m</sub> of the samples. "
+    "The covariances C<sub>ml</sub> = ⟨S<sub>m</sub> conj(S<sub>l</sub>)⟩ − "
+    "⟨S<sub>m</sub>⟩ conj(⟨S<sub>l</sub>⟩) give the variance of the estimate as a sum of three "
+    "terms."
 )
 _TERMS = (
     (
@@ -77,8 +78,8 @@ _TERMS = (
     (
         "cross",
         Markup(
-            "Σ<sub>m≠l</sub> conj(f<sub>m</sub>) f<sub>l</sub> C<sub>ml</sub>: what correlation between "
-            "frequencies adds or, where it is negative, removes"
+            "Σ<sub>m≠l</sub> conj(f<sub>m</sub>) f<sub>l</sub> C<sub>ml</sub>: variance that "
+            "correlation between frequencies adds or, if negative, removes"
         ),
     ),
 )
@@ -87,16 +88,16 @@ _TERMS = (
 @final
 @dataclass(frozen=True, kw_only=True)
 class Estimates:
-    """One estimator with all its samplers.
+    """Results of one estimator with all its samplers.
 
     Attributes
     ----------
     key
-        Its group in the store.
+        Name of the estimator's group in the store.
     analyses
-        Results by analysis and sampler, in the order of a report and of the study.
+        Results by analysis (in the order of the report) and sampler (in the order of the study).
     rows
-        Summary by sampler, a row a channel.
+        Summary rows by sampler, one row per channel.
     """
 
     key: str
@@ -106,7 +107,7 @@ class Estimates:
     rows: Mapping[str, Sequence[SummaryRow]]
 
     def of(self, sampler: str, channel: int | None = None) -> dict[str, xr.Dataset]:
-        """Results of one sampler by analysis; of several channels one, or all."""
+        """Return the results of one sampler by analysis, for one channel or (None) for all."""
         found = {a: each[sampler] for a, each in self.analyses.items() if sampler in each}
         if channel is None:
             return found
@@ -116,31 +117,31 @@ class Estimates:
 def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
     """Write ``report.html`` and ``figures/*.png, *.pdf`` for the results of a study.
 
-    The page stands alone: styles, scripts and pictures are inside, nothing is loaded. Without
-    scripts, and on paper, pictures stand where the interactive plots are. The same results give the
-    same bytes.
+    The page is self-contained: styles, scripts and images are embedded, and it loads nothing.
+    Without scripts and when printed, images replace the interactive plots. The same results give
+    the same bytes.
 
     Parameters
     ----------
     folder
-        Folder of a study's results (with ``results.zarr``); a report that is there is replaced.
+        Folder of a study's results (with ``results.zarr``). An existing report is replaced.
     out
-        The page; ``report.html`` in `folder` by default. Figures go to the folder ``figures``
-        beside it.
+        Path of the page. Default: ``report.html`` in `folder`. Figures are written to the folder
+        ``figures`` next to the page.
 
     Returns
     -------
     Path
-        The page.
+        Path of the page.
 
     Raises
     ------
     ParameterError
-        `folder` or `out` is no path.
+        If `folder` or `out` is not a path.
     StoreError
-        There are no results in `folder`, or it cannot be written.
+        If `folder` has no results, or the page cannot be written.
     MissingDependency
-        The extra ``report`` is not installed.
+        If the extra ``report`` is not installed.
     """
     html.check_page_packages()
     root = as_path("folder", folder)
@@ -150,14 +151,14 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
 
 
 def _written(root: Path, file: Path) -> Path:
-    """Write the page of the results in a folder to a file."""
+    """Write the page of the results in `root` to `file`."""
     tree = open_results(root)
     study, estimates = tree.attrs.get("study") or {}, collect(tree)
     samplers = list(dict.fromkeys(s for each in estimates for s in each.rows))
     asked = asked_of(study)
     styles, names = sampler_styles(samplers), html.anchors((each.key for each in estimates), "e-")
 
-    # The summary, what is missing, a section for each estimator, provenance
+    # Assemble summary, missing analyses, a section per estimator, and provenance
     rows = [
         (row, each.of(sampler, channel), f"#{anchor}")
         for each, anchor in zip(estimates, names, strict=True)
@@ -173,8 +174,8 @@ def _written(root: Path, file: Path) -> Path:
     text = study_toml(study)
     again = _allowed(text)
     redo = html.markup(
-        "save the study below as <code>study.toml</code> (paths inside it are relative to its folder), "
-        "then<br><code>mcspectra run study.toml --out NEW_FOLDER{}</code>{}",
+        "save the study below as <code>study.toml</code> (its paths are relative to its folder), "
+        "then run<br><code>mcspectra run study.toml --out NEW_FOLDER{}</code>{}",
         again,
         " (your own code that the study names)" if again else "",
     )
@@ -184,12 +185,12 @@ def _written(root: Path, file: Path) -> Path:
     )
     facts = (
         *provenance(tree, root),
-        ("To compute it again", redo),
-        ("To write this page again", write),
+        ("To repeat the study", redo),
+        ("To rewrite this page", write),
     )
     origin = (
-        html.Facts(rows=facts),
-        html.Folded(summary="The study", blocks=(html.Text(text=text, kind="code"),)),
+        html.FactList(rows=facts),
+        html.Collapsible(summary="The study", blocks=(html.Paragraph(text=text, kind="code"),)),
     )
     sections.append(html.Section(title="Provenance", anchor="provenance", blocks=origin))
     absent = len(asked) - len(estimates)
@@ -202,19 +203,20 @@ def _written(root: Path, file: Path) -> Path:
     page = html.Page(
         title=study.get("title", "Results"),
         what="report",
-        lead=(*_answers(estimates), html.Text(text=lead, kind="soft")),
+        lead=(*_answers(estimates), html.Paragraph(text=lead, kind="soft")),
         sections=tuple(sections),
     )
     figures = file.parent / "figures"
     if figures.is_symlink():
         raise StoreError(
-            f"{str(figures)!r} is a symbolic link, and might lead to files of others; remove it."
+            f"{str(figures)!r} is a symbolic link, so files elsewhere might be overwritten; remove "
+            "it."
         )
     return html.write_page(page, file, figures)
 
 
 def collect(tree: xr.DataTree) -> list[Estimates]:
-    """Return all estimators of a result tree, they and their samplers in the study's order."""
+    """Return all estimators of a result tree; estimators and samplers keep the study's order."""
     groups: dict[tuple[str, str], dict[str, dict[str, xr.Dataset]]] = {}
     for key, name, sampler, analyses in pairs_of(tree):
         groups.setdefault((key, name), {})[sampler] = analyses
@@ -240,7 +242,7 @@ def collect(tree: xr.DataTree) -> list[Estimates]:
 
 
 def provenance(tree: xr.DataTree, root: Path) -> tuple[tuple[str, str | Markup], ...]:
-    """Where the results in `root` come from: seed, hash of the study, machines and versions."""
+    """Return the provenance of the results in `root`: seed, study hash, machines and versions."""
     hosts: Sequence[str] = ()
     if (root / LEDGER_NAME).exists():
         with Ledger.read(root) as ledger:
@@ -257,14 +259,14 @@ def provenance(tree: xr.DataTree, root: Path) -> tuple[tuple[str, str | Markup],
 
 
 def study_toml(study: Mapping[str, Any]) -> str:
-    """Write a study (as stored: plain dicts and lists) as TOML, so that it can be run again."""
+    """Return a study (plain dicts and lists, as stored) as TOML that can be run again."""
 
     def pairs(table: Mapping[str, Any]) -> Iterator[str]:
-        """Lines ``key = value`` of all that is no table. JSON's strings and lists are TOML's."""
+        """Yield a line ``key = value`` per entry that is not a table, with values as JSON."""
         for key, value in table.items():
             if value is None or isinstance(value, dict) or key in ("estimators", "maps"):
                 continue
-            # TOML wants the delete character escaped, JSON leaves it alone
+            # TOML requires an escaped delete character, which JSON does not escape
             yield f"{key} = {json.dumps(value, ensure_ascii=False)}".replace("\x7f", "\\u007f")
 
     lines = list(pairs(study))
@@ -281,7 +283,7 @@ def study_toml(study: Mapping[str, Any]) -> str:
 
 
 def _answers(estimates: Sequence[Estimates]) -> Iterator[html.Block]:
-    """What to do about each estimator; of many they are folded."""
+    """Yield the recommendation for each estimator; a long list is collapsed."""
     rows = []
     for each in estimates:
         kept = each.analyses.get("profile", {})
@@ -295,11 +297,11 @@ def _answers(estimates: Sequence[Estimates]) -> Iterator[html.Block]:
         rows += [(each.name, str(text))] if text else []
     if rows:
         shown, few = html.Sentences(rows=tuple(rows)), len(rows) <= _MOST_ANSWERS
-        yield shown if few else html.Folded(summary="What to do", blocks=(shown,))
+        yield shown if few else html.Collapsible(summary="What to do", blocks=(shown,))
 
 
 def _allowed(study: str) -> str:
-    """Options that a study with Python functions needs on the command line, with a blank before."""
+    """Return the options that a study with Python functions needs, with a leading blank."""
     return "".join(f" --allow-code {name}" for name in dict.fromkeys(_FUNCTION.findall(study)))
 
 
@@ -309,35 +311,35 @@ def _summary(
     if rows:
         summary, analyses, links = zip(*rows, strict=True)
         yield summary_table(summary, analyses=analyses, links=links)
-        yield html.Text(
+        yield html.Paragraph(
             text=Markup(
-                "A dash stands where there is no number; its tooltip says why. <span "
-                'class="scripted">A click on a head sorts by it. In the figures the pointer shows exact '
-                "values, and a click on a name in a legend hides or shows its marks.</span>"
+                "A dash marks a missing number; its tooltip gives the reason. <span "
+                'class="scripted">Click a column header to sort. In figures, point at a mark to '
+                "see exact values, and click a name in a legend to hide or show its marks.</span>"
             ),
             kind="soft",
         )
     elif any_results:
-        yield html.Text(
-            text="This study has neither convergence nor terms; its other results follow."
+        yield html.Paragraph(
+            text="This study has no convergence and no terms; its other results follow."
         )
     else:
-        yield html.Text(text="There are no results yet.")
-    yield html.Folded(
+        yield html.Paragraph(text="There are no results yet.")
+    yield html.Collapsible(
         summary="How to read this",
         blocks=(
-            html.Text(text=_HOW_TO_READ),
-            html.Facts(rows=_TERMS),
-            html.Text(
-                text="The sum runs over frequencies up to a half width, so it predicts only a part of the "
-                "variance: the ratio predicted / measured says which. All intervals are 95 %."
+            html.Paragraph(text=_HOW_TO_READ),
+            html.FactList(rows=_TERMS),
+            html.Paragraph(
+                text="The sum includes only frequencies up to a half width, so it predicts only a "
+                "part of the variance, given by predicted / measured. All intervals are 95 %."
             ),
         ),
     )
 
 
 def _stored(names: Iterable[str]) -> dict[str, str]:
-    """Names by what the store calls them; long ones that begin alike keep the store's name."""
+    """Map names in the store to full names; of long names with equal beginnings only the first."""
     given = list(names)
     found: dict[str, str] = {}
     for key, name in zip(html.anchors(given), given, strict=True):
@@ -346,13 +348,13 @@ def _stored(names: Iterable[str]) -> dict[str, str]:
 
 
 def _gaps(root: Path, asked: Mapping[str, Sequence[str]]) -> Iterator[html.Block]:
-    """What the study lacks: analyses that failed, with their reasons, and those not computed yet."""
-    heading = html.Text(text="What is missing", kind="heading")
+    """Yield the analyses that failed, with reasons, and the analyses not computed yet."""
+    heading = html.Paragraph(text="What is missing", kind="heading")
     try:
         status = study_status(root)
-    except StoreError as error:  # a store alone, without its ledger, does not say which ones failed
+    except StoreError as error:  # a store without its ledger has no record of failures
         yield heading
-        yield html.Text(text=f"Whether analyses failed is unknown. {error}")
+        yield html.Paragraph(text=f"It is unknown whether analyses failed. {error}")
         return
     lacking = {**dict.fromkeys(status.missing, _NOT_DONE), **status.failed}
     if not lacking:
@@ -361,11 +363,11 @@ def _gaps(root: Path, asked: Mapping[str, Sequence[str]]) -> Iterator[html.Block
     counts = [f"{k} {what}" for k, what in ((failed, "failed"), (missing, _NOT_DONE)) if k]
     again = "--resume --retry tries" if failed else "--resume computes"
     yield heading
-    yield html.Text(
-        text=f"Of {len(status.done) + failed + missing} analyses, {' and '.join(counts)}; mcspectra run "
-        f"with {again} them. All others are here."
+    yield html.Paragraph(
+        text=f"Of {len(status.done) + failed + missing} analyses, {' and '.join(counts)}. "
+        f"mcspectra run with {again} them. All other analyses are in this report."
     )
-    # A row for each estimator, sampler and reason, with the analyses that share it
+    # Collect one row per estimator, sampler and reason, with the analyses that share the reason
     estimators = _stored(asked)
     found: dict[tuple[str, str, str], list[str]] = {}
     for path, reason in sorted(lacking.items()):
@@ -390,12 +392,12 @@ def _estimator(
     styles: Mapping[str, LineStyle],
     before: Sequence[tuple[Estimates, str]],
 ) -> Iterator[html.Block]:
-    """Sentences, the figures that say most, tables; all else is folded."""
+    """Yield sentences, the main figures and tables; details are collapsed."""
     if each.spec:
         spec = html.markup("<code>{}</code>", each.spec)
-        yield html.Facts(rows=(("Integrand / density", spec),))
+        yield html.FactList(rows=(("Integrand / density", spec),))
 
-    # Sentences about each sampler, and analyses that some samplers lack
+    # Sentences about each sampler, and notes on missing analyses
     sentences = []
     for sampler, rows in each.rows.items():
         for channel, row in enumerate(rows):
@@ -409,11 +411,13 @@ def _estimator(
     for analysis, found in each.analyses.items():
         lacking = [sampler for sampler in each.rows if sampler not in found]
         if lacking:
-            yield html.Text(text=f"No {analysis} results for {', '.join(lacking)}.", kind="soft")
+            yield html.Paragraph(
+                text=f"No {analysis} results for {', '.join(lacking)}.", kind="soft"
+            )
 
-    # Figures; those of samples that an estimator before has as well are linked
+    # Figures; figures of samples that an earlier estimator shares are linked
     shown: list[html.Figure] = []
-    names: set[str] = set()  # of files: two analyses can have one kind of figure
+    names: set[str] = set()  # names of files, since two analyses can have the same kind of figure
     details: dict[str, list[html.Figure]] = {summary: [] for summary in _DETAILS}
     linked: dict[str, tuple[str, str]] = {}
     for analysis, found in _with_predictions(each.analyses).items():
@@ -435,34 +439,34 @@ def _estimator(
     # Tables
     terms = terms_table([row for rows in each.rows.values() for row in rows])
     if terms.rows:
-        yield html.Folded(summary="Three terms in numbers", blocks=(terms,))
+        yield html.Collapsible(summary="Three terms in numbers", blocks=(terms,))
     for analysis, found in each.analyses.items():
         made = analysis_table(analysis, found)
         if made is None:
             continue
         if analysis in _FOLDED:
-            yield html.Folded(summary=made[0], blocks=(made[1],))
+            yield html.Collapsible(summary=made[0], blocks=(made[1],))
         else:
-            yield html.Text(text=made[0], kind="heading")
+            yield html.Paragraph(text=made[0], kind="heading")
             yield made[1]
 
     # Details
     for summary, figures in details.items():
         if figures:
-            yield html.Folded(summary=summary, blocks=(html.Figures(figures=tuple(figures)),))
-    yield html.Folded(summary="Settings", blocks=(html.Facts(rows=tuple(_settings(each))),))
+            yield html.Collapsible(summary=summary, blocks=(html.Figures(figures=tuple(figures)),))
+    yield html.Collapsible(summary="Settings", blocks=(html.FactList(rows=tuple(_settings(each))),))
     for place in dict.fromkeys(linked.values()):
         what = " and ".join(
             "pair correlation" if a == "pcf" else a for a in linked if linked[a] == place
         )
-        text = html.markup('The same samples as in <a href="#{}">{}</a>: see its {}.', *place, what)
-        yield html.Text(text=text, kind="soft")
+        text = html.markup('Same samples as in <a href="#{}">{}</a>; see its {}.', *place, what)
+        yield html.Paragraph(text=text, kind="soft")
 
 
 def _with_predictions(
     analyses: Mapping[str, Mapping[str, xr.Dataset]],
 ) -> dict[str, Mapping[str, xr.Dataset]]:
-    """Analyses for figures: predictions stand in the curves that were measured, where all of them can."""
+    """Return the analyses for figures; predictions join the measured curves if all counts match."""
     measured, predicted = (analyses.get(name, {}) for name in ("convergence", "predict"))
     if not predicted or not all(
         name in measured and measured[name]["n"].equals(data["n"]) and "method" not in data.dims
@@ -483,7 +487,7 @@ def _with_predictions(
 def _shown_before(
     analysis: str, found: Mapping[str, xr.Dataset], before: Sequence[tuple[Estimates, str]]
 ) -> tuple[str, str] | None:
-    """Anchor and name of the first estimator with the very same results of these samplers."""
+    """Return anchor and name of the first estimator that has identical results, if any."""
     if analysis not in _OF_SAMPLERS:
         return None
     for each, anchor in before:
@@ -499,13 +503,15 @@ def _figures(
     anchor: str,
     styles: Mapping[str, LineStyle],
 ) -> Iterator[html.Figure]:
-    """Figures of an analysis that say something: bands of a cross term that is noise do not."""
+    """Yield the figures of an analysis, without bands of a cross term that is only noise."""
     several = [found] if analysis != "map" else [{s: data} for s, data in found.items()]
     for place, data in enumerate(several):
         for kind in kinds.kinds_of(data):
             if kind == "bands" and not any(_correlated(each) for each in data.values()):
                 continue
-            if kind == "prediction" and analysis == "convergence":  # its crosses show it
+            if (
+                kind == "prediction" and analysis == "convergence"
+            ):  # the convergence plot shows predictions as crosses
                 continue
             plot = kinds.describe(kind, data, styles)
             if kind == "anything":
@@ -516,7 +522,7 @@ def _figures(
 
 
 def _correlated(data: xr.Dataset) -> bool:
-    """Whether the interval of a cross term excludes 0; older results have no interval."""
+    """Whether the cross term's interval excludes 0; True for older results without interval."""
     if "cross_term_ci" not in data:
         return True
     ends = data["cross_term_ci"].values.reshape(-1, 2)
@@ -524,7 +530,7 @@ def _correlated(data: xr.Dataset) -> bool:
 
 
 def _settings(each: Estimates) -> Iterator[tuple[str, str]]:
-    """How each analysis was done, once for every distinct setting."""
+    """Yield the settings of each analysis, once for each distinct setting."""
     for analysis, found in each.analyses.items():
         if analysis in _WITHOUT_SETTINGS:
             continue
@@ -548,10 +554,10 @@ def _setting(analysis: str, data: xr.Dataset) -> str:
     realizations = f"{known.get('realizations', '?')} realizations"
     if "relative_error" in known:
         error = percent(float(known["relative_error"]))
-        realizations += f" at most, fewer where the variance has a standard error of {error}"
+        realizations += f" at most, fewer once the variance has a standard error of {error}"
     parts = [counts, realizations] if counts else [realizations]
     if analysis == "convergence" and known.get("fit_window") == "auto":
-        parts.append("rates fitted to as many of the last counts as lie on a line")
+        parts.append("rates fitted to the last counts that lie on a line")
     elif analysis == "convergence" and "fit_last" in known:
         parts.append(f"rates fitted to the last {known['fit_last']} counts")
     if analysis == "terms":

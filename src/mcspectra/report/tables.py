@@ -1,4 +1,4 @@
-"""Tables of a report: the summary, the three terms, and one for each further analysis."""
+"""Tables of a report: the summary, the three terms, and a table for each other analysis."""
 
 from __future__ import annotations
 
@@ -23,21 +23,27 @@ from mcspectra.plots.text import (
     rate,
     with_error,
 )
-from mcspectra.report.page import Cell, Table, number_cell, table_of
+from mcspectra.report.page import Table, TableCell, number_cell, table_of
 from mcspectra.report.sentences import basis_name, bottleneck, headline
 from mcspectra.studies import SummaryRow
 
 __all__ = ["analysis_table", "first_channel", "summary_of", "summary_table", "terms_table"]
 
-_CERTAIN = 2e-6  # width of an interval, relative to the value, of a value with six digits
+_CERTAIN = 2e-6  # relative width of an interval below which a value is shown with six digits
 _NO_CURVE = "convergence was not analyzed"
-_NO_TERMS = "nothing that predicts was analyzed"
+_NO_TERMS = "neither terms nor a prediction was analyzed"
 _NO_RATE = "fewer than two counts have a variance above rounding noise"
-_NO_NUMBER = "there is no finite number"
+_NO_NUMBER = "the value is not finite"
 _ROW = "a row of mcspectra.studies.summarize"
-_DRAWN = ("convergence", "terms", "spectrum", "points", "pcf")  # have figures, and the main tables
+_DRAWN = (
+    "convergence",
+    "terms",
+    "spectrum",
+    "points",
+    "pcf",
+)  # analyses without a table of their own
 
-Rows = Iterator[Sequence[str | Cell]]
+Rows = Iterator[Sequence[str | TableCell]]
 Analyses = Mapping[str, Any]
 
 
@@ -47,21 +53,21 @@ def summary_table(
     analyses: Sequence[Analyses] | None = None,
     links: Sequence[str] | None = None,
 ) -> Table:
-    """Return the table that is read first: one row for every estimator and sampler.
+    """Return the summary table with one row per estimator and sampler.
 
     Parameters
     ----------
     rows
-        What is known of each pair.
+        Summary of each pair of estimator and sampler.
     analyses
-        Results of each row's pair by analysis, of its channel: they tell the bottleneck.
+        Results by analysis for each row, for the row's channel. They determine the bottleneck.
     links
-        Where the name of each row's estimator leads; nowhere by default.
+        Target of the hyperlink on each row's estimator. Default: no links.
 
     Raises
     ------
     ParameterError
-        Not lists of these, or not as many.
+        If an argument is not such a list, or if the lengths differ.
     """
     cells, rows = [], as_instances("rows", rows, SummaryRow, _ROW)
     found = as_instances(
@@ -69,7 +75,10 @@ def summary_table(
     )
     links = as_instances("links", [""] * len(rows) if links is None else links, str, "a text")
     if not len(rows) == len(found) == len(links):
-        raise ParameterError(f"There are {len(rows)} rows; give as many analyses and links.")
+        raise ParameterError(
+            f"There are {len(rows)} rows, {len(found)} analyses and {len(links)} links; give the "
+            "same number of each."
+        )
     counts = Counter(row.n for row in rows if row.n is not None)
     usual = counts.most_common(1)[0][0] if counts else None
     for row, of_row, link in zip(rows, found, links, strict=True):
@@ -84,7 +93,7 @@ def summary_table(
         limit = bottleneck(row, terms, slow)
         cells.append(
             (
-                Cell(text=row.estimator, numeric=False, link=link),
+                TableCell(text=row.estimator, numeric=False, link=link),
                 row.sampler,
                 number_cell(
                     rate(row.rate, row.rate_low, row.rate_high),
@@ -95,17 +104,18 @@ def summary_table(
                 number_cell(
                     f"{predicted} ({method})" if method else predicted, row.ratio, why=no_term
                 ),
-                Cell(text=limit or MISSING, why="" if limit else no_term, numeric=False),
+                TableCell(text=limit or MISSING, why="" if limit else no_term, numeric=False),
                 headline(row, terms, len(rows)),
             )
         )
     return table_of(
-        "Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval, "
-        "unresolved where that is more than 0.5. "
-        "Predicted / measured has ± half its 95 % interval, and in brackets how the variance was "
-        "predicted; a basis there means a sum over frequencies, cut at a half width. The bottleneck is the "
-        "technique with the slowest rate (undecided: their intervals overlap), else what adds most: with "
-        "|m| ≤ k or ≥ k, half of the power term lies below or above the frequency k.",
+        "Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval; "
+        "unresolved if that exceeds 0.5. "
+        "Predicted / measured has ± half its 95 % interval and the prediction method in brackets; "
+        "the name of a basis means a sum over frequencies up to a half width. The bottleneck is "
+        "the technique with the slowest rate (undecided: the intervals overlap), or else the "
+        "largest term; |m| ≤ k or |m| ≥ k means that half of the power term is below or above the "
+        "frequency k.",
         (
             "Estimator",
             "Sampler",
@@ -113,7 +123,7 @@ def summary_table(
             "Variance" if usual is None else f"Variance at n = {usual}",
             "Predicted / measured",
             "Bottleneck",
-            "In a sentence",
+            "In words",
         ),
         cells,
         words=(0, 1, -1),
@@ -123,12 +133,12 @@ def summary_table(
 
 
 def terms_table(rows: Sequence[SummaryRow]) -> Table:
-    """Return one estimator's three terms against its measured variance.
+    """Return a table of one estimator's three terms and its measured variance.
 
     Raises
     ------
     ParameterError
-        Not a list of rows.
+        If `rows` is not a list of summary rows.
     """
     cells = []
     every = as_instances("rows", rows, SummaryRow, _ROW)
@@ -160,16 +170,17 @@ def terms_table(rows: Sequence[SummaryRow]) -> Table:
             )
         )
     return table_of(
-        "dc + power + cross is the sum of the basis up to its half width, and captured its share "
-        "of the measured variance: a picture of frequencies, no prediction. Each ± half its 95 % "
-        "interval. The interval is that of the measured variance.",
+        "Sum: dc + power + cross over the frequencies up to the half width. Captured: the sum "
+        "divided by the measured variance. The terms show which frequencies cause the variance; "
+        "they are not the prediction. Values have ± half their 95 % interval; the column 95 % "
+        "interval belongs to the measured variance.",
         ("Sampler", "n", "dc", "power", "cross", "Sum", "Measured", "95 % interval", "Captured"),
         cells,
     )
 
 
 def analysis_table(analysis: str, found: Mapping[str, xr.Dataset]) -> tuple[str, Table] | None:
-    """Return heading and table of an analysis by sampler; None where its figures say it all."""
+    """Return heading and table of an analysis by sampler, or None if it has only figures."""
     if analysis in _DRAWN:
         return None
     made = _TABLES.get(analysis) or (summary_of(analysis).removesuffix("."), *_OF_ANYTHING)
@@ -182,7 +193,7 @@ def analysis_table(analysis: str, found: Mapping[str, xr.Dataset]) -> tuple[str,
 
 
 def summary_of(analysis: str) -> str:
-    """Return the summary of an analysis; its name where its package is not installed here."""
+    """Return the summary of an analysis, or its name if its package is not installed."""
     try:
         return str(ANALYSES.load(analysis).summary())
     except McspectraError:
@@ -190,7 +201,7 @@ def summary_of(analysis: str) -> str:
 
 
 def first_channel(data: xr.Dataset) -> xr.Dataset:
-    """Return the first of several channels."""
+    """Return the first channel of a result with several channels, or else the result."""
     return data.isel(channel=0) if "channel" in data.dims else data
 
 
@@ -247,7 +258,7 @@ def _predict(sampler: str, data: xr.Dataset) -> Rows:
             yield (
                 sampler,
                 str(n),
-                Cell(text=number(value, 6 if certain else 3), why=why),
+                TableCell(text=number(value, 6 if certain else 3), why=why),
                 interval(low, high),
                 method_of(one),
                 *rates,
@@ -268,7 +279,7 @@ def _map(sampler: str, data: xr.Dataset) -> Rows:
 
 
 def _numbers(sampler: str, data: xr.Dataset) -> Rows:
-    """Single numbers with their meanings and intervals: what a stranger's analysis may have."""
+    """Yield scalars with their meanings and intervals, for analyses from other packages."""
     drawn = first_channel(data)
     partners = {f"{name}{end}" for name in drawn.data_vars for end in ("_ci", "_se")}
     for name, value in drawn.data_vars.items():
@@ -280,7 +291,7 @@ def _numbers(sampler: str, data: xr.Dataset) -> Rows:
 
 
 _OF_ANYTHING = (
-    "Single numbers of the result; of several channels the first.",
+    "Scalars of the result (first channel).",
     ("Sampler", "Quantity", "Unit", "Value", "95 % interval"),
     (0, 1, 2),
     _numbers,
@@ -289,12 +300,12 @@ _OF_ANYTHING = (
 _TABLES: Mapping[
     str, tuple[str, str, tuple[str, ...], tuple[int, ...], Callable[[str, Any], Rows]]
 ] = {
-    # heading, caption, columns, which of them are words, rows of a sampler
+    # heading, caption, columns, indices of columns of words, function that yields a sampler's rows
     "remedies": (
         "Remedies",
         (
-            "Changes at equal cost in the order of their variances; of what is biased, of mean squared "
-            "errors. Ratios are to the set-up as given; their intervals hold together at 95 %."
+            "Changes at equal cost, ordered by variance (mean squared error if biased). Ratios are "
+            "relative to the set-up as given; their 95 % intervals hold simultaneously."
         ),
         (
             "Sampler",
@@ -303,7 +314,7 @@ _TABLES: Mapping[
             "Ratio",
             "95 % interval",
             "Rate",
-            "Verdict",  # words that do not break, as numbers
+            "Verdict",  # aligned like numbers, so that its words do not wrap
             "What to do",
         ),
         (0, 1, -1),
@@ -312,10 +323,10 @@ _TABLES: Mapping[
     "techniques": (
         "Techniques",
         (
-            "Variance of each technique's part at the largest n, its share of the measured variance (shares "
-            "do not add up to 100 % where techniques are correlated) and its rate. The bottleneck is the "
-            "technique whose rate is slower than all others'. Techniques are numbered in the estimator's "
-            "order, from 0."
+            "Variance of each technique's part at the largest n, its share of the measured "
+            "variance (shares of correlated techniques do not add up to 100 %) and its rate. The "
+            "bottleneck is the technique with the slowest rate. Techniques are numbered from 0 in "
+            "the estimator's order."
         ),
         ("Sampler", "Technique", "Variance", "Share", "Rate", "Bottleneck"),
         (0, -1),
@@ -324,8 +335,8 @@ _TABLES: Mapping[
     "anova": (
         "Axes",
         (
-            "Shares of the variance by axes of primary space, the ten largest; channels are averaged. An "
-            "estimate of a small share can be negative."
+            "The ten largest shares of the variance by axes of primary space, averaged over "
+            "channels. An estimate of a small share can be negative."
         ),
         ("Sampler", "Axes", "Share"),
         (0, 1),
@@ -334,9 +345,9 @@ _TABLES: Mapping[
     "predict": (
         "Predictions in numbers",
         (
-            "Variances that are predicted from what is known of f and of the sampler, and how; the exponent "
-            "over these counts, that at large n, and the n at which it changes. Of several channels the "
-            "first."
+            "Variances predicted from f and the sampler without measured estimates (first "
+            "channel). Rate: exponent over these counts. At large n: asymptotic exponent. Bend: n "
+            "at which the exponent changes."
         ),
         ("Sampler", "n", "Variance", "95 % interval", "Method", "Rate", "At large n", "Bend"),
         (0, 4),
@@ -345,8 +356,9 @@ _TABLES: Mapping[
     "map": (
         "Map",
         (
-            "Medians over pixels at the largest n, rates ± two standard errors of one pixel; pixels at which "
-            "one technique's share of multiple importance sampling has the slower rate."
+            "Medians over pixels at the largest n; rates ± two standard errors of one pixel. "
+            "Bottleneck: number of pixels at which a technique's share of multiple importance "
+            "sampling has the slower rate."
         ),
         ("Sampler", "Strategy", "Variance", "Rate", "Bottleneck, pixels"),
         (0, 1, -1),

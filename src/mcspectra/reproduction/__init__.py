@@ -1,1 +1,1 @@
-"""The figures and statements of the slides, made again: one exhibit a module, claims with verdicts."""
+"""Reproduction of the slides: one exhibit per module, with figures and claims with verdicts."""

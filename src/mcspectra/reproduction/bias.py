@@ -1,4 +1,4 @@
-"""The bias of an estimate is the sum of f's coefficients times the means of S; unbiased sets have none."""
+"""The bias of an estimate as a sum of the integrand's coefficients times the means of S_m."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Axis, Dots, Panel, Rule
+from mcspectra.plots.description import Axis, Dots, Panel, ReferenceLine
 from mcspectra.plots.scales import count_axis
 from mcspectra.plots.style import PALETTE
 from mcspectra.plots.text import number
@@ -28,7 +28,7 @@ _COUNTS = (2, 4, 8, 16)
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Measure ⟨S_m⟩ of sets with and without bias, and the bias of an integral of x²."""
+    """Measure ⟨S_m⟩ of biased and unbiased sets, and the bias of the integral of x²."""
     realizations = 2000 if quick else 20_000
     weighted = {name: sums(name, realizations, seed, DENSITY) for name in _UNBIASED}
     boxes, bounded, disks = (sums(s, realizations, seed) for s in (BOXES, BOUNDED, "poisson-disk"))
@@ -42,7 +42,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     }
     found = biases["middle halves of strata"][N]
 
-    # Sum Σ_{m ≠ 0} conj(f_m) ⟨S_m⟩: ⟨S⟩ lives on multiples of N, and imaginary parts of ±m cancel
+    # Sum Σ_{m ≠ 0} conj(f_m) ⟨S_m⟩: only multiples of N contribute, imaginary parts of ±m cancel
     k = np.arange(1, 20_001)
     coefficients = 1 / (2 * (np.pi * k * N) ** 2)
     total = float((2 * coefficients * (-1.0) ** k * np.sinc(WIDTH * k)).sum())
@@ -52,7 +52,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     errors = [(v**2).mean() - 1 / 3 - box_bias(n, 0.0) for n, v in middles.items()]
 
     # Draw the means of S, and the bias times N²
-    zero, panels = Rule(at=0.0, color=PALETTE[-1]), list[Panel]()
+    zero, panels = ReferenceLine(at=0.0, color=PALETTE[-1]), list[Panel]()
     for title, each in {
         "jittered, p = ½ + x": weighted["jittered"],
         "middle halves of strata": boxes,
@@ -62,7 +62,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         x, y = Axis(label="frequency m (cycles per unit)"), Axis(label="" if panels else "Re ⟨S_m⟩")
         panels.append(Panel(marks=marks, x=x, y=y, title=title, grid=True))
     n, known = np.array(_COUNTS, float), "−(1 − w²)/12"
-    rule = Rule(at=box_bias(1), color=PALETTE[1], dashes="--", width=1.2, label=known)
+    rule = ReferenceLine(at=box_bias(1), color=PALETTE[1], dashes="--", width=1.2, label=known)
     dots = [
         _with_errors(n * 1.04 ** (k - 1), n**2 * np.array(list(values.values())).T, k, label)
         for k, (label, values) in enumerate(biases.items())
@@ -82,8 +82,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         claims=(
             *(
                 largest_distance(
-                    f"Importance samples of {name} points, p = ½ + x, have ⟨S₀⟩ = 1 and ⟨S_m⟩ = 0, m = 1 … {_M[-1]}, "
-                    "real and imaginary parts",
+                    f"Importance samples from {name} points, p = ½ + x, have ⟨S₀⟩ = 1 and "
+                    f"⟨S_m⟩ = 0, m = 1 … {_M[-1]}, real and imaginary parts",
                     *mean_and_error(
                         np.concatenate([each.real - (_M == 0), each.imag[:, 1:]], axis=1)
                     ),
@@ -98,35 +98,38 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 digits=5,
             ),
             Claim(
-                "Poisson-disk points whose disks stick out of the domain are more likely near its border: Re ⟨S₁⟩ > 0.",
+                "Poisson-disk points without periodic distances are denser near the border of the "
+                "domain: Re ⟨S₁⟩ > 0.",
                 Measured.mean(bounded[:, 1].real),
                 above=0.0,
             ),
             Claim(
-                "With distances around the border, Re ⟨S₁⟩ of Poisson-disk points is 0.",
+                "With periodic distances, Re ⟨S₁⟩ of Poisson-disk points is 0.",
                 Measured.mean(disks[:, 1].real),
                 expected=0.0,
             ),
             Claim(
-                f"Points in the middle halves of {N} strata estimate ∫x² with the bias −(1 − w²)/(12N²), w = ½.",
+                f"Points in the middle halves of {N} strata estimate ∫x² with the bias "
+                "−(1 − w²)/(12N²), w = ½.",
                 Measured.normal(*found),
                 expected=box_bias(N),
                 digits=5,
             ),
             Claim(
-                "That bias is Σ f_m* ⟨S_m⟩ over m ≠ 0: relative difference.",
+                "This bias equals Σ f_m* ⟨S_m⟩ over m ≠ 0: relative difference.",
                 total / box_bias(N) - 1,
                 at_most=1e-10,
-                note="The terms beyond the last of 20 000 multiples of N are below that.",
+                note="The terms beyond the last of 20 000 multiples of N are below the limit.",
             ),
             Claim(
-                f"Regular points, the midpoint rule, have no variance at all but the bias −1/(12N²), N = {_COUNTS[0]} … "
-                f"{_COUNTS[-1]}: largest difference.",
+                "Regular points (the midpoint rule) have no variance, but the bias −1/(12N²), "
+                f"N = {_COUNTS[0]} … {_COUNTS[-1]}: largest difference.",
                 float(np.abs(errors).max()),
                 at_most=1e-15,
             ),
             largest_distance(
-                f"A random shift removes the bias of those points, N = {_COUNTS[0]} … {_COUNTS[-1]}",
+                "A random shift removes the bias of points in the middle halves of strata, "
+                f"N = {_COUNTS[0]} … {_COUNTS[-1]}",
                 *np.array(list(biases["middle halves, shifted"].values())).T,
             ),
         ),
@@ -134,7 +137,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def sums(name: str, realizations: int, seed: int, density: str = "uniform") -> Array:
-    """S_m at m = 0 … 32 of points in 1-D: complex (realizations, 33)."""
+    """Return S_m at m = 0 … 32 of points in 1-D: complex, (realizations, 33)."""
     p = mcs.density(density, 1)
     x = p.sample(mcs.sampler(name, 1).draw(N, realizations=realizations, rng=seed))
     weights = 1.0 / p.pdf(x)
@@ -142,7 +145,7 @@ def sums(name: str, realizations: int, seed: int, density: str = "uniform") -> A
 
 
 def _bias(name: str, n: int, realizations: int, seed: int) -> tuple[float, float]:
-    """Mean and standard error of I_N − 1/3 for f = x²."""
+    """Return mean and standard error of I_N − 1/3 for f = x²."""
     x = mcs.sampler(name, 1).draw(n, realizations=realizations, rng=seed)[..., 0]
     mean, se = mean_and_error((x**2).mean(axis=1) - 1 / 3)
     return float(mean), float(se)
@@ -151,11 +154,11 @@ def _bias(name: str, n: int, realizations: int, seed: int) -> tuple[float, float
 def _with_errors(
     x: Array, found: Sequence[Array] | Array, k: int, label: str, size: float = 4.0
 ) -> Dots:
-    """Dots of means and their standard errors."""
+    """Return dots of means with 95 % intervals from their standard errors."""
     y, se = found
     return whiskers(x, y, np.stack([y - 1.96 * se, y + 1.96 * se], axis=-1), k, label, size)
 
 
 def box_bias(n: int, width: float = WIDTH) -> float:
-    """Boxes of the width w/n about the centers: ⟨x²⟩ is less than with n strata by (1 − w²)/(12n²)."""
+    """Return the bias of ∫x² for points in boxes of width w/n about the centers of n strata."""
     return -(1 - width**2) / (12 * n**2)

@@ -1,8 +1,8 @@
-"""What an exhibit is: plots, a caption and claims, each with a verdict that is computed.
+"""Exhibits: plots, a caption and claims, each with a computed verdict.
 
-The interval of a finding is the one that decides its verdict. Of `GALLERY_FINDINGS` true statements
-with 95 % intervals a dozen would be taken for wrong by chance, so the interval has the level of Šidák
-[Sidak1967]_, 0.95^(1/250) = 99.98 %, at which all of them hold together with 95 %.
+The interval of a finding decides its verdict. With 95 % intervals, a dozen of `GALLERY_FINDINGS`
+true statements would be rejected by chance. The interval therefore has the Šidák level
+[Sidak1967]_ 0.95^(1/250) = 99.98 %, at which all intervals hold simultaneously with 95 %.
 """
 
 from __future__ import annotations
@@ -42,56 +42,56 @@ __all__ = [
 ]
 
 GALLERY_FINDINGS = 250
-"""Number of findings for which the verdicts are made to hold together."""
+"""Number of findings whose verdicts hold simultaneously with 95 %."""
 
 _VERDICT_Z = 3.7125862298839247  # normal quantile of (1 + 0.95^(1/250)) / 2
 
 VERDICT_WIDENING = _VERDICT_Z / CONFIDENCE_Z
-"""By what the distance of a 95 % interval's ends is multiplied for a verdict."""
+"""Factor by which the half widths of 95 % intervals are multiplied for verdicts."""
 
-_VISIBLE = 5e-4  # tolerances of rates from here on are shown with the rate
+_VISIBLE = 5e-4  # smallest tolerance of a rate that is shown
 _PIXEL_TOLERANCE = 0.125
 _PIXEL_NOTE = (
-    "Tolerance: a quarter of the distance between −1.5 (edges) and −2 (smooth). Curves bend "
-    "toward their limits, and exact variances of pixels are not known."
+    "Tolerance: a quarter of the distance between −1.5 (edges) and −2 (smooth). The curves have "
+    "not reached their limits, and exact variances of pixels are not known."
 )
 
 Interval: TypeAlias = tuple[float, float]
-"""Lower and upper end."""
+"""Lower and upper end of an interval."""
 
 
 @final
 @dataclass(frozen=True)
 class Claim:
-    """A statement, what theory expects and what was measured; `judge` finds the verdict.
+    """A statement with its expected and its measured value; `judge` computes the verdict.
 
-    What is expected is one of four: a number (`expected`), a bound (`above`, `below`), an error that
-    is rounding or quadrature (`at_most`), or something that the exhibit decides itself (`holds`).
+    The expectation is a number (`expected`), a bound (`above`, `below`), a limit of a rounding or
+    quadrature error (`at_most`), or a verdict of the exhibit itself (`holds`).
 
     Attributes
     ----------
     statement
-        A sentence, which names the source of the expected number: theory, a closed form, quadrature.
+        A sentence that names the source of the expectation: theory, a closed form or quadrature.
     measured
-        With its interval; a plain number has no error of sampling; words, or None where nothing
-        could be measured.
+        Measured value: with an interval, a number without sampling error, words, or None if
+        nothing could be measured.
     expected
-        It agrees where the interval at the level of verdicts comes within `tolerance` of it.
+        Expected value. It agrees if its distance from the verdict interval is at most `tolerance`.
     tolerance
-        By how much theory itself may be off (a limit not yet reached, say); `note` has to say why.
+        Allowed error of the theory, for instance for a limit not reached; `note` gives the reason.
     digits
-        With which the expected number is shown.
+        Number of digits of the expected value that are shown.
     above, below
-        It agrees where the whole interval at the level of verdicts is beyond them, and does not
-        where the whole interval is on the other side. Else the interval decides nothing.
+        Bounds. The claim agrees if the whole verdict interval satisfies them, and disagrees if the
+        whole interval violates them. Otherwise it has no verdict.
     at_most
-        Limit of the size of an error.
+        Largest allowed magnitude of an error.
     holds
-        The verdict; None where there is none.
+        The verdict, or None for no verdict.
     shown
-        What to show as expected, where that is not the number, bound or limit itself.
+        Text of the expectation, if it is not the number, bound or limit.
     note
-        How it is judged, or why it does not agree.
+        Explanation of the verdict.
     """
 
     statement: str
@@ -108,7 +108,7 @@ class Claim:
 
     @property
     def value(self) -> float:
-        """The measured number; NaN where it is none."""
+        """The measured number, or NaN."""
         if isinstance(self.measured, Measured):
             return self.measured.value
         return self.measured if isinstance(self.measured, float) else math.nan
@@ -117,20 +117,20 @@ class Claim:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """A claim with its verdict, as it is shown and written.
+    """A claim with its verdict, as shown on the page and written to ``findings.json``.
 
     Attributes
     ----------
     statement, note
-        Of the claim.
+        Statement and note of the claim.
     expected
-        What theory says, as ``"−3"`` or ``"≤ 10⁻¹²"``.
+        Expectation as text, such as ``"−3"`` or ``"≤ 10⁻¹²"``.
     measured
-        A number, words, or None where nothing could be measured.
+        A number, words, or None if nothing could be measured.
     interval
-        Interval of a number with the level of verdicts, None where it has no error of sampling.
+        Verdict interval of the number, or None without sampling error.
     agrees
-        The verdict; None where the statement has none, or where the interval holds its bound.
+        The verdict. None if the claim has no verdict or the interval contains its bound.
     """
 
     statement: str
@@ -144,18 +144,18 @@ class Finding:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Exhibit:
-    """One figure or statement of the slides, made again; ``slides.toml`` has its texts and layouts.
+    """A reproduced figure or statement of the slides; ``slides.toml`` has texts and layouts.
 
     Attributes
     ----------
     numbers
-        What the texts name in braces, as it is shown.
+        Values for the names in braces in the texts.
     plots
-        In the order in which they are shown; their texts and layouts are found by their kinds.
+        Plots in the order of the page. Their kinds select texts and layouts.
     claims
-        In the order in which they are shown.
+        Claims in the order of the page.
     caption
-        What was found: filled in with the texts.
+        Description of the result; set from ``slides.toml``.
     """
 
     plots: tuple[Plot, ...]
@@ -165,25 +165,28 @@ class Exhibit:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Its claims, judged."""
+        """The claims with their verdicts."""
         return tuple(map(judge, self.claims))
 
 
 class ExhibitFunction(Protocol):
-    """Makes an exhibit: with `quick` in seconds, else at full quality; the same for the same seed."""
+    """A function that makes an exhibit, in seconds (`quick`) or at full quality.
+
+    The same seed gives the same exhibit.
+    """
 
     def __call__(self, *, quick: bool, seed: int) -> Exhibit:
-        """Compute and describe."""
+        """Compute and describe the exhibit."""
 
 
 def judge(claim: Claim) -> Finding:
-    """Hold what was measured against what is expected."""
+    """Compare the measured with the expected value of a claim."""
     measured, shown, agrees, interval = claim.measured, claim.shown, claim.holds, None
     note = claim.note
     low = high = claim.value
     if isinstance(measured, Measured):
         low, high = measured.widened(VERDICT_WIDENING)
-        finite = math.isfinite(measured.value)  # else the widened ends are NaN: it does not agree
+        finite = math.isfinite(measured.value)  # widened ends of an infinite value would be NaN
         interval = (low, high) if finite else (measured.low, measured.high)
         measured = measured.value
     if claim.expected is not None:
@@ -198,7 +201,7 @@ def judge(claim: Claim) -> Finding:
         shown = shown or " and ".join(limits)
         agrees = bool(claim.above < low and high < claim.below)
         if not agrees and claim.above < high and low < claim.below:
-            agrees, note = None, f"{note} So few realizations do not decide it.".strip()
+            agrees, note = None, f"{note} More realizations are needed to decide.".strip()
     return Finding(
         statement=claim.statement,
         expected=shown,
@@ -210,7 +213,7 @@ def judge(claim: Claim) -> Finding:
 
 
 def _limit(at_most: float) -> str:
-    """A limit as ``10⁻¹⁰`` or ``1.3×10⁻³``: of two digits, never less than it is."""
+    """Format a limit as ``10⁻¹⁰`` or ``1.3×10⁻³``, rounded up to two digits."""
     exact = Decimal(f"{at_most:.12e}")
     step = Decimal(1).scaleb(exact.adjusted() - 1)
     digits, exponent = f"{exact.quantize(step, ROUND_CEILING):.1e}".replace(".0e", "e").split("e")
@@ -218,24 +221,24 @@ def _limit(at_most: float) -> str:
 
 
 def mean_and_error(values: Array) -> tuple[Array, Array]:
-    """Return mean and standard error over the first axis."""
+    """Return the mean and its standard error over the first axis."""
     return values.mean(axis=0), values.std(axis=0, ddof=1) / len(values) ** 0.5
 
 
 def slope(counts: Sequence[int], variances: Array) -> float:
-    """Return the exponent of variances at the counts, all weighing alike."""
+    """Return the exponent of the variances in the counts, fitted with equal weights."""
     return float(np.polyfit(np.log(counts), np.log(variances), 1)[0])
 
 
 def rate_text(curve: xr.Dataset) -> str:
-    """Return the rate of a curve of `mcspectra.convergence` as ``−1.52 ± 0.03``."""
+    """Format the rate of a curve of `mcspectra.convergence` as ``−1.52 ± 0.03``."""
     return rate(float(curve["rate"]), *map(float, curve["rate_ci"].values))
 
 
 def rate_claim(
     statement: str, curve: xr.Dataset, expected: float, tolerance: float = 0.0, note: str = ""
 ) -> Claim:
-    """Claim the rate of one curve of `mcspectra.convergence`."""
+    """Return a claim on the rate of one curve of `mcspectra.convergence`."""
     shown = number(expected, 2)
     return Claim(
         statement,
@@ -248,28 +251,28 @@ def rate_claim(
 
 
 def known_rate(statement: str, curve: xr.Dataset, expected: float, exact: Array) -> Claim:
-    """Claim a rate whose limit is known, with the slope of the exact variances for a tolerance."""
+    """Return a claim on a known limit; the tolerance is its distance from the exact slope."""
     here = slope(curve["n"].values.tolist(), exact)
     note = f"Tolerance: the exact variances at these N have the slope {number(here, 5)}."
     return rate_claim(statement, curve, expected, abs(here - expected), note)
 
 
 def pixel_rate(statement: str, curve: xr.Dataset, expected: float) -> Claim:
-    """Claim a rate in the plane, −1.5 or −2; the note says where the other of them would agree too."""
+    """Return a claim on a rate of −1.5 or −2; the note says if the other rate also agrees."""
     claim, rival = (
         rate_claim(statement, curve, limit, _PIXEL_TOLERANCE, _PIXEL_NOTE)
         for limit in (expected, -3.5 - expected)
     )
     if judge(claim).agrees and judge(rival).agrees:
-        weak = f"So few realizations do not rule out {number(-3.5 - expected, 2)}."
+        weak = f"More realizations are needed to exclude {number(-3.5 - expected, 2)}."
         return replace(claim, note=f"{_PIXEL_NOTE} {weak}")
     return claim
 
 
 def normal_limit(count: int, freedom: int = 0) -> float:
-    """Return what the largest of `count` normal errors exceeds with the gallery's level for one finding.
+    """Return the limit of the largest of `count` normal errors at the level of one finding.
 
-    With degrees of freedom, of so many Student variables.
+    With degrees of freedom, the errors are Student variables.
     """
     from scipy.special import ndtri, stdtrit
 
@@ -278,23 +281,24 @@ def normal_limit(count: int, freedom: int = 0) -> float:
 
 
 def largest_distance(statement: str, away: Array, se: Array, freedom: int = 0) -> Claim:
-    """Claim that differences vanish, all of them at once.
+    """Return a claim that several differences are all zero.
 
     Parameters
     ----------
     statement
-        Without a full stop; what was measured is added.
+        Statement without a full stop; a description of the measured value is appended.
     away, se
-        Measured minus expected and standard errors above 0, of one shape.
+        Differences (measured minus expected) and their positive standard errors, same shape.
     freedom
-        Degrees of freedom of standard errors from a few batches.
+        Degrees of freedom of standard errors that come from a few batches.
     """
     limit = normal_limit(away.size, freedom)
-    batches = "as many Student variables, of the batches,"
+    batches = "the same number of Student variables (batches)"
     return Claim(
         f"{statement}: largest distance in standard errors.",
         float(np.max(np.abs(away) / se)),
         at_most=limit,
         shown=f"≤ {limit:.1f}",
-        note=f"The limit is that of {batches if freedom else f'{away.size} normal errors'} at the gallery's level.",
+        note="Limit: largest of "
+        f"{batches if freedom else f'{away.size} normal errors'} at the level of the gallery.",
     )

@@ -1,4 +1,4 @@
-"""Expected power of random and jittered points in closed form, against the slides and simulation."""
+"""Expected power of random and jittered points: closed forms, slides and simulation."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ _REALS = np.arange(1.0, 65.0) * 0.37 + 0.05
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Compare the closed forms with the slides' formulas, with simulation, and with their limits."""
+    """Compare the closed forms with the slides' formulas, with simulation and with limits."""
     realizations = 4000 if quick else 40_000
     nu = np.concatenate([_INTEGERS, _REALS])
     known = np.concatenate([[0.0], nu])
     simulated = {name: simulate(name, nu, realizations, seed) for name in ("random", "jittered")}
     as_simulated = [
         largest_distance(
-            f"Simulated spectra of {name} points agree with the closed form at {nu.size} frequencies, half of them "
-            "integers",
+            f"Simulated spectra of {name} points agree with the closed form at {nu.size} "
+            "frequencies, half of them integers",
             data["power"].values - _closed(name, nu),
             data["power_se"].values,
         )
@@ -38,7 +38,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     ]
     random, jittered = (number(claim.value) for claim in as_simulated)
 
-    # Simulate at integers of the plane, and with importance sampling
+    # Simulate at integer frequencies in two dims, and with importance sampling
     modes = np.array([[i, j] for i in range(9) for j in range(-8, 9) if (i, j) > (0, 0)], float)
     few = realizations // 4
     plane = mcs.spectra.power_at(mcs.sampler("jittered", 2), 64, modes, realizations=few, rng=seed)
@@ -53,7 +53,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     low = 1024**3 * float(_closed("jittered", np.array([1.0]), 1024)[0])
     multiples = N * np.arange(1.0, 5.0)
 
-    # Draw closed forms and simulated spectra, at integers and between them
+    # Draw closed forms and simulated spectra at integer and real frequencies
     panels = []
     for line, at, title in (
         (np.arange(1.0, 25.0), _INTEGERS, "integer frequencies"),
@@ -82,8 +82,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         claims=(
             *(
                 Claim(
-                    f"The closed form of {name} points is that of the slides, integer and real frequencies: largest "
-                    "difference.",
+                    f"The closed form of {name} points agrees with the slides at integer and real "
+                    "frequencies: largest difference.",
                     float(np.abs(_closed(name, known) - printed(name, known)).max()),
                     at_most=1e-14,
                 )
@@ -91,25 +91,27 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             ),
             *as_simulated,
             largest_distance(
-                f"In two dims too, 64 jittered points at {len(modes)} integer frequencies",
+                f"The closed form also holds in two dims, 64 jittered points at {len(modes)} "
+                "integer frequencies",
                 plane["power"].values - mcs.closed_form_power("jittered", 64, modes),
                 plane["power_se"].values,
             ),
             Claim(
-                "N³ times the power of jittered points at m = 1 tends to π²/3, with which variance falls as N⁻³: relative "
-                "difference at N = 1024.",
+                "N³ times the power of jittered points at m = 1 tends to π²/3, so the variance "
+                "falls as N⁻³: relative difference at N = 1024.",
                 low / (np.pi**2 / 3) - 1.0,
-                # 1 − sinc²(x) = x²/3 − 2x⁴/45 …: relatively 2 (π/N)²/15 = 1.3e-6, beside rounding
+                # 1 − sinc²(x) = x²/3 − 2x⁴/45 …: relative error 2 (π/N)²/15 = 1.3e-6, plus rounding
                 at_most=1e-5,
             ),
             Claim(
-                "At multiples of N, the frequency of the strata, jittered points have the power 1/N of random ones: "
-                "largest difference.",
+                "At multiples of N, the frequency of the strata, jittered points have the power "
+                "1/N of random points: largest difference.",
                 float(np.abs(_closed("jittered", multiples) - _closed("random", multiples)).max()),
                 at_most=1e-15,
             ),
             Claim(
-                "Of random importance samples of p = ½ + x the power at integers is ∫1/p / N = ln 3 / N.",
+                "Random importance samples of p = ½ + x have the power ∫1/p / N = ln 3 / N at "
+                "integer frequencies.",
                 Measured.normal(float(weighted["power"][0]), float(weighted["power_se"][0])),
                 expected=float(np.log(3.0) / N),
                 digits=5,
@@ -123,14 +125,14 @@ def _closed(name: str, nu: Array, n: int = N) -> Array:
 
 
 def printed(name: str, m: Array) -> Array:
-    """The formulas as the slides print them; NumPy's sinc(x) is Sinc(πx)."""
+    """Return the formula of the slides; NumPy's sinc(x) is Sinc(πx)."""
     if name == "random":
         return np.where(m == 0, 1.0, 1 / N + (N - 1) / N * np.sinc(m) ** 2)
     return np.asarray((1 - np.sinc(m / N) ** 2) / N + np.sinc(m) ** 2)
 
 
 def simulate(name: str, nu: Array, realizations: int, seed: int) -> xr.Dataset:
-    """Power at the frequencies, of points in one dim."""
+    """Simulate the power of points in one dim at the frequencies."""
     return mcs.spectra.power_at(
         mcs.sampler(name, 1), N, nu[:, None], realizations=realizations, rng=seed
     )

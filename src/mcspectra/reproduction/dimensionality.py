@@ -1,4 +1,4 @@
-"""Growth of the third term's matrix with the number of dims, and maps and bands in its place."""
+"""Growth of the third term's matrix with the number of dims, and maps and bands as alternatives."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, Plot, Rule, Text
+from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, Plot, ReferenceLine, TextMark
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import ACCENT, PALETTE
@@ -21,14 +21,14 @@ __all__ = ["exhibit"]
 
 SAMPLERS = ("random", "jittered", "latin-hypercube")
 BELL = "gaussian(center=0.35, width=0.25)"
-SMALL = {1: (64, 24), 2: (64, 7)}  # by dims: points, and a half width whose matrix can be had
-RUNS = {1: (64, 256), 2: (64, 48), 3: (64, 8), 4: (81, 4)}  # by dims: points, half width
+SMALL = {1: (64, 24), 2: (64, 7)}  # points and half width by dims, for matrices that fit in memory
+RUNS = {1: (64, 256), 2: (64, 48), 3: (64, 8), 4: (81, 4)}  # points and half width by dims
 _WORDS = {1: "one dim", 2: "two dims", 3: "three dims", 4: "four dims"}
-_BYTES = 16  # of a complex number
+_BYTES = 16  # bytes per complex number
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Compare maps and bands with the matrix where it can be had, and use them where it cannot."""
+    """Compare maps and bands with small matrices, and use them where matrices are too large."""
     realizations = 200 if quick else 4000
     whole = {d: bell_terms("jittered", d, SMALL[d], realizations, seed, matrix=True) for d in SMALL}
     runs = {d: bell_terms("jittered", d, RUNS[d], realizations, seed) for d in RUNS}
@@ -40,7 +40,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         for name in ("jittered", "jittered | shift")
     }
 
-    # Hold the formula of sizes against matrices, and ask for one that is out of reach
+    # Compare the formula for sizes with matrices, and request a matrix that is too large
     wrong = [d for d, x in whole.items() if x["cross_matrix"].size != entries(d, SMALL[d][1])]
     times = entries(2, 64) / entries(1, 64)
     answer = "a matrix"
@@ -49,14 +49,14 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     except mcs.McspectraError as refusal:
         answer = str(refusal)
 
-    # Measure what maps have beyond |f_m|² C_mm, over the second term
+    # Compare the sum of the maps without |f_m|² C_mm with the third term, relative to the second
     errors = [
         abs(float((data["contribution"] - data["power_contribution"]).sum() - data["cross_term"]))
         / float(data["power_term"])
         for data in runs.values()
     ]
 
-    # Compare each band of random points with its ANOVA component over N
+    # Compare each band of random points with its ANOVA component divided by N
     random, (n, half_width) = bands["random"], RUNS[3]
     known, order = components(3, half_width), labelled_subsets(random)
     kept = [k for k, subset in enumerate(order) if subset]
@@ -65,7 +65,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     )
     expected = np.array([known[order[k]] / n for k in kept])
 
-    # A Latin hypercube integrates additive functions with o(1/N), by Stein (1987)
+    # A Latin hypercube integrates additive functions with variance o(1/N), Stein (1987)
     tenth = main_share(random) / 10
     return Exhibit(
         numbers={
@@ -82,38 +82,40 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         ),
         claims=(
             Claim(
-                "The third term's matrix has (2K + 1)^(2d) entries: from one to two dims at K = 64 it grows by the "
-                "factor (2K + 1)².",
+                "The third term's matrix has (2K + 1)^(2d) entries: from one to two dims at K = 64 "
+                "it grows by the factor (2K + 1)².",
                 times,
                 holds=not wrong and times == 129**2,
                 shown="129² = 16641",
-                note="The formula is held against the sizes of matrices of 49 and 225 frequencies, in one and two dims.",
+                note="The formula is compared with matrices of 49 and 225 frequencies, in one and "
+                "two dims.",
             ),
             Claim(
-                "In two dims at |m| ≤ 64 the matrix is out of reach, and refused.",
+                "In two dims at |m| ≤ 64 the matrix is too large and gives an error.",
                 answer,
                 holds=answer != "a matrix",
-                shown="a refusal",
+                shown="an error message",
             ),
             *(_map_is_row_sums(d, data) for d, data in whole.items()),
             *(_bands_are_blocks(d, data) for d, data in whole.items()),
             *(_map_sums(d, data) for d, data in runs.items()),
             Claim(
-                "What the map has beyond the power |f_m|² C_mm sums to the third term, in one to four dims: largest "
-                "difference over the second term.",
+                "The map minus the power |f_m|² C_mm sums to the third term, in one to four dims: "
+                "largest difference relative to the second term.",
                 max(errors),
                 at_most=1e-10,
             ),
             largest_distance(
-                f"In three dims, of random points the variance of each of {len(kept)} ANOVA bands is the ANOVA "
-                "component of f over N",
+                f"For random points in three dims, the variance of each of {len(kept)} ANOVA bands "
+                "is the ANOVA component of f divided by N",
                 found - expected,
                 se,
                 freedom=int(random.attrs["batches"]) - 1,
             ),
             Claim(
-                "The bands show what a sampler is for: a Latin hypercube takes away the functions of one coordinate, "
-                "whose share of the variance is less than a tenth of what random points leave of it.",
+                "Bands show the strength of a sampler: a Latin hypercube integrates functions of "
+                "one coordinate well, so their share of the variance is less than a tenth of the "
+                "share for random points.",
                 main_share(bands["latin-hypercube"]),
                 above=-tenth,
                 below=tenth,
@@ -133,7 +135,7 @@ def bell_terms(
     *,
     matrix: bool = False,
 ) -> xr.Dataset:
-    """Terms of the bell for (number of points, half width), with ANOVA bands."""
+    """Return the terms of the bell with ANOVA bands; `size` is (number of points, half width)."""
     n, half_width = size
     return mcs.variance_terms(
         mcs.integrand(BELL, dims),
@@ -148,32 +150,32 @@ def bell_terms(
 
 
 def entries(dims: int, half_width: int) -> int:
-    """Number of entries of the matrix; that of a map is its square root."""
+    """Return the number of entries of the matrix; a map has its square root."""
     return int((2 * half_width + 1) ** (2 * dims))
 
 
 def subsets(dims: int, half_width: int) -> Array:
-    """For each frequency, as a number in base 2, along which axes it is not 0."""
+    """Return for each frequency the set of axes along which it is not 0, as a bit mask."""
     side = np.arange(-half_width, half_width + 1)
     grids = np.meshgrid(*[side] * dims, indexing="ij")
     return np.asarray(sum(2**i * (m != 0) for i, m in enumerate(grids))).ravel()
 
 
 def components(dims: int, half_width: int) -> dict[int, float]:
-    """Σ |f_m|² over the frequencies of each subset of axes: the truncated ANOVA components."""
+    """Return the truncated ANOVA components: Σ |f_m|² over the frequencies of each axis subset."""
     power = np.abs(mcs.integrand(BELL, dims).fourier_grid(half_width)).ravel() ** 2
     of = subsets(dims, half_width)
     return {int(a): float(power[of == a].sum()) for a in set(of.tolist()) if a}
 
 
 def labelled_subsets(data: xr.Dataset) -> list[int]:
-    """The subset of axes of each band, of labels such as ``constant`` and ``x0x2``."""
+    """Return each band's subset of axes from labels such as ``constant`` and ``x0x2``."""
     names = str(data["band"].attrs["labels"]).split(", ")
     return [sum(2 ** int(axis) for axis in name.split("x")[1:]) for name in names]
 
 
 def main_share(data: xr.Dataset) -> float:
-    """Share of the functions of one coordinate in the variance, with all they share with others."""
+    """Return the variance share of functions of one coordinate, with their covariances."""
     alone = [k for k, subset in enumerate(labelled_subsets(data)) if subset in (1, 2, 4)]
     matrix = data["band_covariance"].values
     return float(matrix[alone].sum() / matrix.sum())
@@ -183,22 +185,22 @@ def _map_is_row_sums(dims: int, data: xr.Dataset) -> Claim:
     rows = data["cross_matrix"].values.sum(axis=1).real
     values = data["contribution"].values.ravel()
     return Claim(
-        f"The contribution map is the matrix summed over its rows, {_WORDS[dims]}: largest difference over the "
-        "largest value.",
+        f"The contribution map is the matrix summed over its rows, {_WORDS[dims]}: largest "
+        "difference relative to the largest value.",
         float(np.abs(rows - values).max() / np.abs(values).max()),
         at_most=1e-10,
     )
 
 
 def _bands_are_blocks(dims: int, data: xr.Dataset) -> Claim:
-    """Sets of entries are compared: the order of bands is that of their labels, not of the numbers."""
+    """Compare sorted entries, since bands are in the order of labels, not of bit masks."""
     of = subsets(dims, SMALL[dims][1])
     matrix = data["cross_matrix"].values
     blocks = [matrix[np.ix_(of == a, of == b)].sum().real for a in set(of) for b in set(of)]
     found = np.sort(data["band_covariance"].values.ravel())
     return Claim(
-        f"Covariances of ANOVA bands are sums over blocks of the matrix, {_WORDS[dims]}: largest difference over the "
-        "largest value.",
+        f"Covariances of ANOVA bands are sums over blocks of the matrix, {_WORDS[dims]}: largest "
+        "difference relative to the largest value.",
         float(np.abs(np.sort(blocks) - found).max() / np.abs(found).max()),
         at_most=1e-10,
     )
@@ -208,8 +210,8 @@ def _map_sums(dims: int, data: xr.Dataset) -> Claim:
     total, size = float(data["predicted_variance"]), data["contribution"].size
     sums = [float(data[name].sum()) for name in ("contribution", "band_covariance")]
     return Claim(
-        f"Map and bands sum to the variance without a matrix, {_WORDS[dims]}, {size} frequencies: larger relative "
-        "difference.",
+        f"Map and bands sum to the variance without a matrix, {_WORDS[dims]}, {size} frequencies: "
+        "larger relative difference.",
         max(abs(each - total) for each in sums) / total,
         at_most=1e-10,
         note=f"The matrix would have {number(size**2)} entries.",
@@ -226,8 +228,8 @@ def _sizes() -> Plot:
             marks.append(Dots(x=dims, y=y, color=color))
     memory = 2**36 / _BYTES
     marks += [
-        Rule(at=memory, color=ACCENT, width=1.0),
-        Text(x=1.0, y=memory, text="64 GiB", color=ACCENT, side="above"),
+        ReferenceLine(at=memory, color=ACCENT, width=1.0),
+        TextMark(x=1.0, y=memory, text="64 GiB", color=ACCENT, side="above"),
     ]
     ticks = {float(d): str(int(d)) for d in dims}
     x = Axis(label="number of dims d", low=0.8, high=6.2, ticks=ticks)

@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 
 import mcspectra as mcs
-from mcspectra.plots.description import Dots, Panel, Pixels, Plot, Text
+from mcspectra.plots.description import Dots, Panel, Pixels, Plot, TextMark
 from mcspectra.plots.style import ACCENT
 from mcspectra.rendering.files import encode_srgb
 from mcspectra.reproduction.claims import Claim, Exhibit, largest_distance, pixel_rate, rate_text
@@ -24,13 +24,13 @@ _CASES = tuple(itertools.product("PQ", ("light", "bsdf")))
 SAMPLERS = ("jittered", "jittered | shift")
 _COUNTS = tuple(side**2 for side in (8, 11, 16, 23, 32, 45, 64))
 _NAMES = {"light": "light sampling", "bsdf": "BSDF sampling"}
-_SEEN = {"P": "sees all of the light", "Q": "sees a part of it"}
+_SEEN = {"P": "all of the light is visible", "Q": "a part of the light is visible"}
 
 Case: TypeAlias = tuple[str, str]
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Draw the integrands of two pixels on the square, and measure their eight rates."""
+    """Draw the integrands of two pixels on the unit square, and measure their eight rates."""
     f, spp = integrands(), 16 if quick else 64
     options: dict[str, Any] = {"realizations": 80 if quick else 800, "rng": seed}
     found = mcs.convergence(list(f.values()), list(SAMPLERS), _COUNTS, **options)
@@ -71,7 +71,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         claims=(
             *(
                 pixel_rate(
-                    f"Rate of {_NAMES[strategy]} at {point}, which {_SEEN[point]}, {sampler}.",
+                    f"Rate of {_NAMES[strategy]} at {point}, where {_SEEN[point]}, {sampler}.",
                     curve,
                     _expected((point, strategy), sampler),
                 )
@@ -83,18 +83,18 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def integrands() -> dict[Case, Any]:
-    """f/p of each pixel and strategy as a function of the random numbers."""
+    """Return f/p of each pixel and strategy as a function of the random numbers."""
     pixels = mcs.rendering.named_pixels(_SCENE)
     return {(p, s): mcs.rendering.pixel_strategies(_SCENE, *pixels[p])[s] for p, s in _CASES}
 
 
 def _expected(case: Case, sampler: str) -> float:
-    """Smooth is light sampling of a light that is seen whole, as long as nothing wraps around."""
+    """Return the expected rate: −2 only if the light is fully visible and points do not wrap."""
     return -2.0 if (case, sampler) == (("P", "light"), "jittered") else -1.5
 
 
 def _same_integral(curves: Mapping[tuple[Case, str], xr.Dataset]) -> Claim:
-    """Differences of light and BSDF sampling at the largest N."""
+    """Compare the means of light and BSDF sampling at the largest N."""
     differences, errors = [], []
     for point, sampler in itertools.product("PQ", SAMPLERS):
         light, bsdf = (curves[(point, s), sampler].isel(n=-1) for s in _NAMES)
@@ -120,7 +120,7 @@ def _scene(spp: int, seed: int) -> Plot:
                     Dots(x=x, y=height - y, color="#FFFFFF", size=8.0),
                     Dots(x=x, y=height - y, color=ACCENT, size=6.0),
                     *(
-                        Text(x=px, y=height - py, text=name)
+                        TextMark(x=px, y=height - py, text=name)
                         for name, px, py in zip(
                             mcs.rendering.named_pixels(scene), x, y, strict=True
                         )

@@ -1,4 +1,4 @@
-"""Environment maps sampled by the gray channel keep the jumps of the colors; each by its own channel does not."""
+"""Environment maps: sampling by luminance leaves jumps, sampling by the own channel does not."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ COUNTS = {
     "own": (64, 128, 256, 512, 1024),
     "mis": (64, 128, 256, 512, 1024),
 }
-_COSTS = {"one": 1, "own": 3, "mis": 3}  # evaluations of f a point
+_COSTS = {"one": 1, "own": 3, "mis": 3}  # evaluations of f per point
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Measure rates of three channels by gray, own and mixed densities, and a map in the plane."""
+    """Measure rates of three channels by gray, own and mixed densities, and a map in two dims."""
     by = ways()
     options: dict[str, Any] = {"realizations": 400 if quick else 4000, "rng": seed}
     curves = {way: mcs.convergence(by[way], "jittered", COUNTS[way], **options) for way in _WAYS}
@@ -51,7 +51,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     }
     gains = [_gain(c, curves) for c in range(3)]
 
-    # Sample the built-in sky, its red channel, by bilinear densities of luminance and of red
+    # Sample the red channel of the built-in sky by bilinear densities of luminance and of red
     sky = "environment(channel={!r}, interpolation='bilinear')"
     estimators = [mcs.Estimator(sky.format(0), sky.format(c)) for c in ("luminance", 0)]
     options["realizations"] = 60 if quick else 600
@@ -89,7 +89,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             *gains,
             *(_continuous(c) for c in range(3)),
             Claim(
-                "Of a whole sky, irradiance in red with 1024 jittered points: variance by luminance over that by red.",
+                "Red irradiance from a whole sky with 1024 jittered points: variance by luminance "
+                "divided by variance by red.",
                 by_gray / by_red,
                 above=1.0,
             ),
@@ -98,7 +99,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def ways() -> dict[str, Any]:
-    """The ways of sampling the map times cos(π(x − ½)), by name."""
+    """Return the estimators of the map times cos(π(x − ½)) by name."""
     constant = mcs.densities.PiecewiseConstant
     own = [constant(values=PIXELS[:, c]) for c in range(3)]
     parts = np.diff(np.sin(np.pi * (np.arange(9) / 8 - 0.5)) / np.pi)
@@ -107,7 +108,7 @@ def ways() -> dict[str, Any]:
 
 
 def radiance(x: Array) -> Array:
-    """The map times the cosine."""
+    """Return the map times the cosine."""
     pixel = np.minimum((np.asarray(x)[..., 0] * 8).astype(np.intp), 7)
     return np.asarray(PIXELS[pixel] * np.cos(np.pi * (np.asarray(x) - 0.5)))
 
@@ -118,21 +119,21 @@ def _rate_of(way: str, channel: int, curve: xr.Dataset, exact: Array) -> Claim:
 
 
 def _gain(channel: int, curves: Mapping[str, xr.Dataset]) -> Claim:
-    """At equal numbers of evaluations: n points, or a third of them for each channel."""
+    """Compare variances at equal numbers of evaluations: n points, or n/3 per channel."""
     one, own = (
         Measured.of(curves[way].sel(channel=channel).isel(n=-1), "variance")
         for way in ("one", "own")
     )
     return Claim(
-        f"At {COUNTS['one'][-1]} evaluations, variance of {list(_COLORS)[channel]} by the gray channel over that by "
-        "its own channel.",
+        f"At {COUNTS['one'][-1]} evaluations: variance of {list(_COLORS)[channel]} by the gray "
+        "channel divided by the variance by its own channel.",
         one / own,
         above=1.0,
     )
 
 
 def weighted(table: Array, channel: int, t: Array) -> Array:
-    """f/p at places t of each pixel, (8, len(t)), for p by a table of pixels."""
+    """Return f/p at positions t within each pixel, (8, len(t)), for a density from `table`."""
     x = (np.arange(8)[:, None] + t) / 8
     times = PIXELS[:, channel] / (table / table.mean())
     return np.asarray(times[:, None] * np.cos(np.pi * (x - 0.5)))
@@ -141,8 +142,8 @@ def weighted(table: Array, channel: int, t: Array) -> Array:
 def _continuous(channel: int) -> Claim:
     own = weighted(PIXELS[:, channel], channel, np.array([0.0, 1.0]))
     return Claim(
-        f"f/p of {list(_COLORS)[channel]} has no jumps when it is sampled by its own channel: largest one between "
-        "pixels.",
+        f"f/p of {list(_COLORS)[channel]} sampled by its own channel has no jumps: largest jump "
+        "between pixels.",
         float(np.abs(own[1:, 0] - own[:-1, 1]).max()),
         at_most=1e-14,
     )

@@ -1,4 +1,4 @@
-"""The estimator I_N and its sampling function S(x), for random, jittered and Poisson-disk points."""
+"""The estimator I_N and its sampling function S(x) for random, jittered, Poisson-disk points."""
 
 from __future__ import annotations
 
@@ -6,7 +6,16 @@ import numpy as np
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Axis, Dots, Line, Panel, Plot, Rule, Segments, Text
+from mcspectra.plots.description import (
+    Axis,
+    Dots,
+    Line,
+    Panel,
+    Plot,
+    ReferenceLine,
+    Segments,
+    TextMark,
+)
 from mcspectra.plots.scales import unit_panel
 from mcspectra.plots.style import ACCENT, INK, sampler_styles
 from mcspectra.plots.text import number
@@ -23,7 +32,7 @@ N = 64
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Show the estimator, its combs of weighted peaks, and that its mean is the integral."""
+    """Show the estimator and its weighted peaks, and compare its mean with the integral."""
     realizations = 1000 if quick else 10_000
     curves = mcs.convergence(SQUARE, list(SAMPLERS), [N], realizations=realizations, rng=seed)
     one = {name: curves.sel(sampler=name).isel(n=0) for name in SAMPLERS}
@@ -58,7 +67,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             ),
             *(
                 Claim(
-                    f"The variance of I_N with {N} {name} points is that of quadrature over strata.",
+                    f"The variance of I_N with {N} {name} points agrees with quadrature over "
+                    "strata.",
                     Measured.of(one[name], "variance", log=True),
                     expected=_exact(name),
                     digits=4,
@@ -66,18 +76,20 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 for name in ("random", "jittered")
             ),
             Claim(
-                "Correlated points lower the variance: 64 Poisson-disk points are below random ones.",
+                "Correlated points reduce the variance: 64 Poisson-disk points against random "
+                "points.",
                 Measured.of(one["poisson-disk"], "variance", log=True),
                 below=_exact("random"),
             ),
             Claim(
-                f"The peaks of S, of the height 1/(N p), sum to 1 on average, for p = {DENSITY}.",
+                f"The peaks of S, with weights 1/(N p), sum to 1 on average, for p = {DENSITY}.",
                 Measured.mean((1.0 / pdf(_warped("random", N, seed, realizations))).mean(axis=1)),
                 expected=1.0,
                 shown="1",
             ),
             Claim(
-                "I_N is the sum of conj(f_m) S_m over frequencies, for f = cos(6πx) under importance sampling.",
+                "I_N is the sum of conj(f_m) S_m over frequencies, for f = cos(6πx) under "
+                "importance sampling.",
                 float(abs(direct - complex(0.5 * sums[3] + 0.5 * sums[-3]))),
                 at_most=1e-13,
             ),
@@ -86,7 +98,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def integral() -> float:
-    """Of exp(−x² − y²) over the unit square."""
+    """Return the integral of exp(−x² − y²) over the unit square."""
     return float(np.squeeze(mcs.integrand(SQUARE).integral))
 
 
@@ -95,13 +107,13 @@ def _exact(name: str) -> float:
 
 
 def _warped(name: str, n: int, seed: int, realizations: int) -> Array:
-    """Points of the density p, shape (realizations, n)."""
+    """Return points with density p, (realizations, n)."""
     u = mcs.sampler(name, 1).draw(n, realizations=realizations, rng=seed)
     return np.asarray(mcs.density(DENSITY, 1).sample(u)[..., 0])
 
 
 def pdf(x: Array) -> Array:
-    """The density of the importance samples."""
+    """Return the density of the importance samples."""
     return np.asarray(mcs.density(DENSITY, 1).pdf(x[..., None]))
 
 
@@ -114,9 +126,9 @@ def _combs(seed: int) -> Plot:
             Line(x=x, y=f, low=0 * f, high=f, color="#D9E8F2", width=0.0),
             Line(x=x, y=f, color=INK, width=1.4),
             Line(x=x, y=pdf(x), color=ACCENT, dashes="--", width=1.4),
-            Rule(at=0.0, width=0.6),
-            Text(x=0.24, y=1.0, text="f(x)", side="left"),
-            Text(x=0.02, y=1.72, text="p(x)", color=ACCENT),
+            ReferenceLine(at=0.0, width=0.6),
+            TextMark(x=0.24, y=1.0, text="f(x)", side="left"),
+            TextMark(x=0.02, y=1.72, text="p(x)", color=ACCENT),
         ),
         y=Axis(label="value", low=0.0, high=1.9),
     )

@@ -1,4 +1,4 @@
-"""Make exhibits one after the other and write the gallery: page, pictures, PDF, findings."""
+"""Make exhibits and write the gallery: page, images, PDF and findings."""
 
 from __future__ import annotations
 
@@ -61,28 +61,28 @@ _SIGNS: dict[bool | None, tuple[str, Literal["yes", "no", "none"]]] = {
     False: ("✗ does not agree", "no"),
     None: ("– no verdict", "none"),
 }
-_SHEET = (8.27, 11.69)  # inches, A4
-_LINES, _COLUMNS = 62, 100  # of text on a sheet
-_PER_INCH = 14  # letters of a caption
+_SHEET = (8.27, 11.69)  # size of a sheet in inches, A4
+_LINES, _COLUMNS = 62, 100  # lines and characters per line on a sheet
+_PER_INCH = 14  # characters of a caption per inch
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class Slide:
-    """What an exhibit makes again.
+    """Texts about the part of the slides that an exhibit reproduces.
 
     Attributes
     ----------
     title, summary
-        A few words, and what it shows in one line for lists.
+        A title, and a description in one line for lists.
     slide
-        The statement or figure of the slides, quoted.
+        Quotation of the slide's statement or figure.
     caption
-        What was found; names in braces are numbers of the exhibit.
+        Description of the result; names in braces are numbers of the exhibit.
     plots
-        Caption and words of every plot, by its kind, and its layout as `Plot` has it, if it has no own.
+        Caption, words and optional layout (fields of `Plot`) by kind of plot.
     formula
-        LaTeX, shown beside the quotation; none by default.
+        LaTeX formula shown with the quotation, or empty.
     """
 
     title: str
@@ -96,12 +96,14 @@ class Slide:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """An exhibit in the gallery; one that failed has a problem instead.
+    """An exhibit in the gallery, or the error message of an exhibit that failed.
 
     Attributes
     ----------
     findings
-        Of one that failed, that it did.
+        Findings of the exhibit. A failed exhibit has one finding that reports the failure.
+    problem
+        Error message of a failed exhibit, else empty.
     """
 
     name: str
@@ -112,7 +114,7 @@ class Entry:
 
     @property
     def tally(self) -> str:
-        """How many findings agree, in words."""
+        """Number of findings that agree, in words."""
         judged = [f.agrees for f in self.findings if f.agrees is not None]
         return "failed" if self.problem else f"{sum(judged)} of {len(judged)} agree"
 
@@ -120,14 +122,14 @@ class Entry:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Reproduction:
-    """What was written, and the entries in it.
+    """A written gallery.
 
     Attributes
     ----------
     page
-        The gallery's page; the PDF and the findings lie beside it.
+        Path of the page. The PDF and the findings are in the same folder.
     entries
-        In the order of the slides.
+        Entries in the order of the slides.
     """
 
     page: Path
@@ -135,24 +137,24 @@ class Reproduction:
 
     @property
     def failed(self) -> tuple[str, ...]:
-        """Names of exhibits that could not be made."""
+        """Names of the exhibits that failed."""
         return tuple(entry.name for entry in self.entries if entry.problem)
 
 
 @cache
 def slides() -> dict[str, Slide]:
-    """Return the exhibits by name, in the order of the slides."""
+    """Return the texts of all exhibits by name, in the order of the slides."""
     text = resources.files(__package__).joinpath("slides.toml").read_text(encoding="utf-8")
     return {name: Slide(**values) for name, values in tomllib.loads(text).items()}
 
 
 def exhibit_names(names: Sequence[str]) -> list[str]:
-    """Return the names asked for, each once, in the order of the slides; all where none is given.
+    """Return the distinct `names` in the order of the slides; all names if `names` is empty.
 
     Raises
     ------
     UnknownName
-        There is no such exhibit; the message offers close ones.
+        If a name is unknown; the message suggests similar names.
     """
     for name in names:
         if name not in slides():
@@ -162,14 +164,14 @@ def exhibit_names(names: Sequence[str]) -> list[str]:
 
 
 def load_exhibit(name: str) -> ExhibitFunction:
-    """Return the function that makes an exhibit, which its module of the same name holds."""
+    """Return the function that makes an exhibit, from the module of the same name."""
     (name,) = exhibit_names([name])
     module = importlib.import_module(f"mcspectra.reproduction.{name.replace('-', '_')}")
     return cast("ExhibitFunction", module.exhibit)
 
 
 def make_exhibit(name: str, *, quick: bool, seed: int) -> Exhibit:
-    """Make an exhibit and fill in its texts."""
+    """Make an exhibit and insert its numbers into the texts."""
     made, slide = load_exhibit(name)(quick=quick, seed=seed), slides()[name]
 
     def filled(text: str) -> str:
@@ -192,46 +194,48 @@ def reproduce(
     command: str = "mcspectra reproduce",
     done: Callable[[Entry], object] | None = None,
 ) -> Reproduction:
-    """Make the figures and statements of the slides again.
+    """Reproduce the figures and statements of the slides.
 
     Parameters
     ----------
     folder
-        Where ``index.html``, ``reproduce.pdf``, ``findings.json`` and ``figures`` go. What has these
-        names is replaced, all else stays.
+        Folder for ``index.html``, ``reproduce.pdf``, ``findings.json`` and ``figures``. Files with
+        these names are replaced; other files are kept.
     names
-        Exhibits; all by default. They come in the order of the slides.
+        Names of exhibits. Default: all. The order is always the order of the slides.
     quick
-        Fewer realizations, counts and pixels.
+        Whether to use fewer realizations, counts and pixels.
     seed
-        Of all exhibits; a whole number of at least 0.
+        Seed of all exhibits, an integer ≥ 0.
     command
-        What the page names as the command that made it.
+        Command that the page shows.
     done
-        Called with each entry when it is made.
+        Function called with each entry after it is made.
 
     Returns
     -------
     Reproduction
-        An exhibit that fails is in `failed`, and takes no other with it.
+        The entries. A failed exhibit is listed in `failed` and does not stop the others.
 
     Raises
     ------
     UnknownName
-        There is no such exhibit.
+        If a name is unknown.
     ParameterError
-        The folder has no name, or the seed is out of range.
+        If the folder name is empty, or the seed is out of range.
     StoreError
-        The folder cannot be written.
+        If the folder cannot be written.
     MissingDependency
-        The extra ``report`` is not installed.
+        If the extra ``report`` is not installed.
     """
     html.check_page_packages()
     optional_package("latex2mathml", "report", "The formulas of the slides need")
     chosen = exhibit_names(names)
     seed = as_integer("seed", seed, least=0)
     if not str(folder).strip():
-        raise ParameterError("The output folder has no name; give one, such as out/reproduce.")
+        raise ParameterError(
+            "The name of the output folder is empty; give one, such as out/reproduce."
+        )
     root = Path(folder)
     with writing(root, StoreError):
         (root / _FIGURES).mkdir(parents=True, exist_ok=True)
@@ -250,13 +254,13 @@ def reproduce(
 
 
 def _entry(name: str, quick: bool, seed: int) -> Entry:
-    """Make an exhibit; whatever goes wrong in it becomes the entry's problem."""
+    """Make an exhibit; any exception becomes the entry's problem."""
     start = time.perf_counter()
     try:
         made = make_exhibit(name, quick=quick, seed=seed)
         seconds = time.perf_counter() - start
         return Entry(name=name, exhibit=made, findings=made.findings, seconds=seconds)
-    except Exception as error:  # noqa: BLE001 - one exhibit must not take the others with it
+    except Exception as error:  # noqa: BLE001 - a failed exhibit must not stop the others
         text = " ".join(str(error).split()) or "no message"
         problem = text if isinstance(error, McspectraError) else f"{type(error).__name__}: {text}"
     failed = Finding(
@@ -272,7 +276,7 @@ def _entry(name: str, quick: bool, seed: int) -> Entry:
 
 
 def tally(entries: Sequence[Entry]) -> str:
-    """Say how many figures there are, and how many of their findings agree."""
+    """Return the number of figures and of findings that agree, in words."""
     made = [entry for entry in entries if not entry.problem]
     judged = [f.agrees for entry in made for f in entry.findings if f.agrees is not None]
     figures = f"{len(entries)} figure{'' if len(entries) == 1 else 's'}"
@@ -282,13 +286,13 @@ def tally(entries: Sequence[Entry]) -> str:
 
 
 def measured_text(finding: Finding) -> tuple[str, str]:
-    """Return the measured number and its interval with the digits that the interval has meaning for."""
+    """Format the measured value and its interval with the digits that the interval justifies."""
     value = finding.measured
     if value is None or isinstance(value, str):
         return value or number(None), ""
     if finding.interval is None:
         return number(value), ""
-    # As many digits as show half the interval with two, from 3 to 8
+    # Choose 3 to 8 digits, so that half the interval has two digits
     low, high = finding.interval
     half, largest = (high - low) / 2, max(abs(value), abs(low), abs(high))
     digits = 3
@@ -306,43 +310,45 @@ def _page(entries: Sequence[Entry], command: str, quick: bool, seed: int) -> htm
         except importlib.metadata.PackageNotFoundError:
             versions[name] = "not installed"
     facts = {"Command": command, "Seed": str(seed), "Quality": "quick" if quick else "full"}
-    how = html.Facts(rows=tuple((facts | versions).items()), code=True)
+    how = html.FactList(rows=tuple((facts | versions).items()), code=True)
     return html.Page(
         title="The slides, reproduced",
         what="gallery",
         lead=(
-            html.Text(
-                text="Every figure and statement of the slides of “Fourier Analysis of Correlated Monte Carlo "
-                "Importance Sampling” (Singh, Subr, Coeurjolly, Ostromoukhov, Jarosz), computed anew. "
-                f"{tally(entries)}."
+            html.Paragraph(
+                text="Every figure and statement of the slides of “Fourier Analysis of Correlated "
+                "Monte Carlo Importance Sampling” (Singh, Subr, Coeurjolly, Ostromoukhov, Jarosz), "
+                f"recomputed. {tally(entries)}."
             ),
-            html.Text(
-                text=f"Intervals of findings are those at which {GALLERY_FINDINGS} true findings hold together with "
-                "95 % (each at 99.98 %, Šidák); those of plots are 95 %. A finding agrees where the expected value "
-                "lies in its interval, or within the tolerance that its note gives.",
+            html.Paragraph(
+                text=f"Intervals of {GALLERY_FINDINGS} true findings hold simultaneously with 95 % "
+                "(each with 99.98 %, Šidák). Intervals in plots are 95 %. A finding agrees if the "
+                "expected value is in the interval or within the tolerance given in the note.",
                 kind="soft",
             ),
         ),
         sections=(
             *map(_section, entries),
-            html.Section(title="How to make this page again", anchor="provenance", blocks=(how,)),
+            html.Section(title="How to reproduce this page", anchor="provenance", blocks=(how,)),
         ),
     )
 
 
 def _section(entry: Entry) -> html.Section:
     slide = slides()[entry.name]
-    blocks: list[html.Block] = [html.Text(text=f"mcspectra reproduce {entry.name}", kind="code")]
+    blocks: list[html.Block] = [
+        html.Paragraph(text=f"mcspectra reproduce {entry.name}", kind="code")
+    ]
     if entry.exhibit is None:
-        blocks.append(html.Text(text=f"✗ It could not be made: {entry.problem}"))
+        blocks.append(html.Paragraph(text=f"✗ This exhibit failed: {entry.problem}"))
     else:
-        blocks.append(html.Text(text=slide.slide, kind="quote"))
+        blocks.append(html.Paragraph(text=slide.slide, kind="quote"))
         if slide.formula:
             from latex2mathml.converter import convert
 
             formula = html.Markup(convert(" ".join(slide.formula.split()), display="block"))
-            blocks.append(html.Text(text=formula, kind="formula"))
-        blocks.append(html.Text(text=entry.exhibit.caption))
+            blocks.append(html.Paragraph(text=formula, kind="formula"))
+        blocks.append(html.Paragraph(text=entry.exhibit.caption))
         plots = {slug(plot.kind): plot for plot in entry.exhibit.plots}
         named = {
             kind if kind.startswith(entry.name) else f"{entry.name}-{kind}": plot
@@ -353,7 +359,7 @@ def _section(entry: Entry) -> html.Section:
         rows = []
         for each in entry.findings:
             sign, mark = _SIGNS[each.agrees]
-            verdict = html.Cell(text=sign, numeric=False, mark=mark)
+            verdict = html.TableCell(text=sign, numeric=False, mark=mark)
             rows.append((each.statement, verdict, each.expected, *measured_text(each), each.note))
         blocks.append(html.table_of("", columns, rows, words=(0, -1), stacked=True))
     wrong = any(finding.agrees is False for finding in entry.findings)
@@ -367,7 +373,7 @@ def _section(entry: Entry) -> html.Section:
 
 
 def _write_pdf(path: Path, entries: Sequence[Entry]) -> None:
-    """Write a sheet (or more) of text for each entry, then each figure on a sheet with its caption."""
+    """Write sheets of text for each entry, then one sheet per figure with its caption."""
     import matplotlib as mpl
     from matplotlib.backends.backend_pdf import PdfPages
     from matplotlib.figure import Figure as Drawing
@@ -390,11 +396,11 @@ def _write_pdf(path: Path, entries: Sequence[Entry]) -> None:
                     _add_figure(pdf, plot)
         partial.replace(path)
     finally:
-        partial.unlink(missing_ok=True)  # where it was interrupted
+        partial.unlink(missing_ok=True)  # remains only after an interruption
 
 
 def _lines(entry: Entry) -> Iterator[tuple[str, str]]:
-    """Lines of an entry's sheet, each with the weight of its font."""
+    """Yield the lines of an entry's sheet and their font weights."""
     slide = slides()[entry.name]
     caption = entry.exhibit.caption if entry.exhibit else ""
     parts = [(slide.title, "bold"), (f"Slide: {slide.slide}", "normal"), (caption, "normal")]
@@ -411,7 +417,7 @@ def _lines(entry: Entry) -> Iterator[tuple[str, str]]:
 
 
 def _add_figure(pdf: PdfPages, plot: Plot) -> None:
-    """Add a figure with its caption; the sheet grows by it."""
+    """Add a figure with its caption below, on a larger sheet."""
     from mcspectra.plots.backend_matplotlib import draw, escaped
 
     figure = draw(replace(plot, caption=""))
@@ -419,7 +425,7 @@ def _add_figure(pdf: PdfPages, plot: Plot) -> None:
     if engine is not None:
         engine.execute(figure)
         figure.set_layout_engine("none")
-    for legend in figure.legends:  # or they would move to the border of the larger sheet
+    for legend in figure.legends:  # otherwise they would move to the border of the larger sheet
         legend.set_bbox_to_anchor((0, 0, 1, 1), transform=figure.transFigure)
     caption = textwrap.fill(plot.caption, int(_PER_INCH * figure.get_figwidth()))
     figure.text(0.02, -0.02, escaped(caption), va="top", fontsize=8)

@@ -1,4 +1,4 @@
-"""The variance as three terms: DC, power and the correlations between frequencies."""
+"""The variance as three terms: dc, power and correlation between frequencies."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ HALF_WIDTH = 40
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Estimate terms and matrices of samplers × integrands, and hold them against closed forms."""
+    """Estimate terms and matrices of samplers × integrands, and compare them with closed forms."""
     realizations = 500 if quick else 10_000
     line, bell = (
         {name: terms(mcs.integrand(spec, 1), name, realizations, seed) for name in SAMPLERS}
@@ -40,10 +40,10 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     variances = {name: float(mcs.exact_variance(by_density, name, N)) for name in weighted}
     integral = float(np.squeeze(mcs.integrand(BELL, 1).integral))
 
-    # Find the second and third term of jittered points on f(x) = x, up to the same frequency
+    # Compute the exact second and third terms of jittered points on f(x) = x, same half width
     _, *exact = split(_exact_matrix(mcs.integrand(LINE, 1), "jittered", None, HALF_WIDTH))
 
-    # Extrapolate them to all frequencies: tails are proportional to 1/K
+    # Extrapolate the terms to all frequencies; the tails are proportional to 1/K
     near, far = (
         np.array(split(_exact_matrix(mcs.integrand(LINE, 1), "jittered", None, k)))
         for k in (256, 512)
@@ -53,7 +53,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         "third term is 1/(6N³) − 1/(6N²)": 1 / (6 * N**3) - 1 / (6 * N**2),
     }
 
-    # Conjugate one S or the other: the closed form of random importance samples, f as the bell
+    # Conjugate either S in the closed form of random importance samples, with the bell as f
     f = mcs.integrand(BELL, 1)
     mirrored = mcs.Integrand.from_function(lambda x: f(1.0 - x), dims=1, integral=f.integral)
     matrix = _exact_matrix(f, "random", DENSITY, 128)
@@ -65,11 +65,11 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     ]
     texts = (
         "with ⟨S_m conj(S_l)⟩ the sum is the variance",
-        "with ⟨conj(S_m) S_l⟩, as the slides print it, it is that of the reflected integrand f(1 − x)",
+        "with ⟨conj(S_m) S_l⟩, as on the slides, it is the variance of the reflected f(1 − x)",
     )
     values = (float(matrix.sum().real), as_printed)
 
-    # Judge all terms at once: their sum, and the entries off the diagonal
+    # Judge all terms at once: their sum, and the off-diagonal entries
     errors = [float(d["predicted_variance"] / d["truncated_variance"][-1]) - 1.0 for d in every]
     off = [
         each[~np.eye(len(each), dtype=bool)]
@@ -100,20 +100,23 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         ),
         claims=(
             Claim(
-                f"The three terms sum to the sample variance of the truncated estimates, of {len(every)} pairs of sampler "
-                "and integrand: largest relative difference.",
+                "The three terms sum to the sample variance of the truncated estimates, for "
+                f"{len(every)} pairs of sampler and integrand: largest relative difference.",
                 float(np.abs(errors).max()),
                 at_most=1e-10,
-                note="For any number of realizations; transforms have a tolerance of 1e-9 and cancel here.",
+                note="This holds for any number of realizations. The tolerance 1e-9 of the "
+                "transforms cancels here.",
             ),
             Claim(
-                "The third term is real: its imaginary part over the sum of the sizes of its entries, largest.",
+                "The third term is real: imaginary part divided by the sum of the magnitudes of "
+                "its entries, largest.",
                 float(max(abs(each.sum().imag) / np.abs(each).sum() for each in off)),
                 at_most=1e-14,
             ),
             *(
                 Claim(
-                    f"f(x) = x, {N} jittered points: the {word} term, over |m| ≤ {HALF_WIDTH}, is that of the closed form.",
+                    f"f(x) = x, {N} jittered points: the {word} term over |m| ≤ {HALF_WIDTH} "
+                    "agrees with the closed form.",
                     Measured.of(line["jittered"], name),
                     expected=value,
                     digits=4,
@@ -127,7 +130,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                     f"f(x) = x, jittered points, all frequencies: the {text}: relative difference.",
                     float(value / known - 1.0),
                     at_most=2e-3,
-                    note="Sums up to |m| = 256 and 512, extrapolated in 1/K; tails of the next order are some (N/K)² of them.",
+                    note="Sums up to |m| = 256 and 512, extrapolated in 1/K. The relative error of "
+                    "the next order is about (N/K)².",
                 )
                 for value, (text, known) in zip((2 * far - near)[1:], limits.items(), strict=True)
             ),
@@ -139,24 +143,27 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             ),
             *(
                 Claim(
-                    f"The formula holds for importance samples: the three terms of {name} points of p = ½ + x sum to the "
-                    "exact variance.",
+                    f"The formula holds for importance samples: the three terms of {name} points, "
+                    "p = ½ + x, sum to the exact variance.",
                     Measured.of(weighted[name], "predicted_variance", log=True),
                     expected=variance,
                     tolerance=1e-3 * variance,
                     shown=f"{number(variance, 4)} ± 0.1 %",
-                    note="Tolerance: the bell is cut at the border, at 1.4 % of its height: beyond |m| = 40 less than "
-                    "that is left.",
+                    note="Tolerance: the border cuts the bell at 1.4 % of its height, so less than "
+                    "this remains beyond |m| = 40.",
                 )
                 for name, variance in variances.items()
             ),
             *(
                 Claim(
-                    f"Which S is conjugated matters, for random points of p = ½ + x and the bell: {text}: relative "
-                    "difference.",
+                    "It matters which S is conjugated, for random points with p = ½ + x and the "
+                    f"bell: {text}: relative difference.",
                     value / right - 1.0,
                     at_most=0.01,
-                    note=f"The other one differs by {number(100 * abs(value / wrong - 1.0), 2)} %.",
+                    note=(
+                        "The other variance differs by "
+                        f"{number(100 * abs(value / wrong - 1.0), 2)} %."
+                    ),
                 )
                 for text, value, right, wrong in zip(texts, values, known, known[::-1], strict=True)
             ),
@@ -172,14 +179,14 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 def terms(
     f: mcs.Integrand | mcs.Estimator, sampler: str, realizations: int, seed: int
 ) -> xr.Dataset:
-    """Terms with their matrix."""
+    """Return the terms with their matrix."""
     return mcs.variance_terms(
         f, sampler, N, half_width=HALF_WIDTH, realizations=realizations, rng=seed, cross_matrix=True
     )
 
 
 def _exact_matrix(f: mcs.Integrand, sampler: str, density: str | None, half_width: int) -> Array:
-    """conj(f_m) f_l C_ml in closed form."""
+    """Return conj(f_m) f_l C_ml in closed form."""
     m = np.arange(-half_width, half_width + 1)[:, None]
     c = mcs.spectra.closed_form_covariance(sampler, N, m[:, None], m[None], density)
     coefficient = f.fourier(m)
@@ -187,7 +194,7 @@ def _exact_matrix(f: mcs.Integrand, sampler: str, density: str | None, half_widt
 
 
 def split(matrix: Array) -> tuple[float, float, float]:
-    """First, second and third term of a matrix."""
+    """Return the first, second and third terms of a matrix."""
     diagonal = np.diag(matrix).real
     first = float(diagonal[len(diagonal) // 2])
     power = float(diagonal.sum()) - first

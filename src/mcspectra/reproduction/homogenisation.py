@@ -1,4 +1,4 @@
-"""Homogenization, or Cranley-Patterson rotation: shift all points, wrap them around the torus."""
+"""Homogenization (Cranley-Patterson rotation): shift all points and wrap them around the torus."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ __all__ = ["exhibit"]
 
 N = 64
 SAMPLERS = ("jittered", "latin-hypercube", "poisson-disk", "sobol | owen")
-# Differences m − l are multiples of the strata's frequency, 8 for 64 points, where jitter correlates.
+# Differences m − l are multiples of the frequency of the strata (8 for 64 points), at which
+# jittered points have correlated coefficients.
 PAIRS = (
     ((3, 0), (-5, 0)),
     ((0, 3), (0, -5)),
@@ -40,7 +41,7 @@ class Coefficients:
 
     @property
     def products(self) -> Array:
-        """(S_m − mean) conj(S_l − mean), (R, pairs): their mean is the covariance."""
+        """(S_m − mean) conj(S_l − mean), (R, pairs); their mean is the covariance."""
         away = self.values - self.values.mean(axis=0)
         return np.asarray(away[..., 0] * away[..., 1].conj())
 
@@ -50,7 +51,7 @@ class Coefficients:
         return np.asarray(self.products.sum(axis=0) / (len(self.values) - 1))
 
     def farthest(self) -> tuple[float, float]:
-        """The largest covariance in standard errors, and the limit of as many normal errors."""
+        """Return the largest covariance in standard errors, and the limit for normal errors."""
         products, value = self.products, self.covariance
         parts = [
             np.abs(value.real) / mean_and_error(products.real)[1],
@@ -60,19 +61,19 @@ class Coefficients:
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Show the steps of a shift, and what it does to coefficients of several samplers."""
+    """Show the steps of a shift, and its effect on the coefficients of several samplers."""
     realizations = 2000 if quick else 20_000
     pairs = {name: before_and_after(name, realizations, seed) for name in SAMPLERS}
     before, after = pairs["jittered"]
     powers = [[np.abs(each.values) ** 2 for each in pair] for pair in pairs.values()]
     c0, c1 = (number(N * float(each.covariance[0].real)) for each in (before, after))
 
-    # Subtract the move of the first point, on the torus
+    # Subtract the shift of the first point on the torus
     plain, moved = _drawn("jittered", 100, seed)
     moves = (moved - plain) % 1.0
     apart = (moves - moves[:, :1] + 0.5) % 1.0 - 0.5
 
-    # Turn S_m by the shift
+    # Multiply S_m by the phase of the shift
     plain, moved = _drawn("jittered", 1, seed)
     s0, s1 = _sums(np.concatenate([plain, moved]), np.array([3, -2]))
     turned = s0 * np.exp(-2j * np.pi * (((moved - plain) % 1.0)[0, 0] @ np.array([3, -2])))
@@ -91,16 +92,17 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         ),
         claims=(
             Claim(
-                "All points of a realization are moved by the same vector on the torus: largest deviation.",
+                "All points of a realization are shifted by the same vector on the torus: largest "
+                "deviation.",
                 float(np.abs(apart).max()),
                 at_most=1e-15,
             ),
             Claim(
-                "A shift leaves |S_m|² at integer m as it is, in every realization of "
+                "A shift does not change |S_m|² at integer m, in every realization of "
                 f"{', '.join(pairs)}: largest difference.",
                 max(float(np.abs(b - a).max()) for b, a in powers),
                 at_most=1e-14,
-                note="Rounding of phases of 2π·8 at most.",
+                note="Limit: rounding of phases up to 2π·8.",
             ),
             Claim(
                 "The shift by Δ multiplies S_m by exp(−2πi m·Δ), at m = (3, −2).",
@@ -108,8 +110,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 at_most=1e-13,
             ),
             Claim(
-                "Before the shift, coefficients of jittered points one stratum's frequency apart are correlated: "
-                f"N·Cov(S_m, S_l) at {_PAIR} is its closed form.",
+                "Before the shift, coefficients of jittered points are correlated if m − l is the "
+                f"frequency of the strata: N·Cov(S_m, S_l) at {_PAIR} agrees with the closed form.",
                 Measured.normal(before.covariance[0].real, se) / (1 / N),
                 expected=N
                 * float(mcs.spectra.closed_form_covariance("jittered", N, *PAIRS[0]).real),
@@ -117,19 +119,21 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             ),
             *(
                 Claim(
-                    f"After a shift, coefficients of {name} points at different frequencies are not correlated: largest "
-                    f"|Cov(S_m, S_l)| of {len(PAIRS)} pairs, in standard errors.",
+                    f"After a shift, coefficients of {name} points at different frequencies are "
+                    f"not correlated: largest |Cov(S_m, S_l)| of {len(PAIRS)} pairs, in standard "
+                    "errors.",
                     distance,
                     at_most=limit,
                     shown=f"≤ {limit:.1f}",
-                    note="The limit is that of as many normal errors, real and imaginary, at the gallery's level.",
+                    note="Limit: largest of the same number of normal errors (real and imaginary "
+                    "parts) at the level of the gallery.",
                 )
                 for name, (_, shifted) in pairs.items()
                 for distance, limit in [shifted.farthest()]
             ),
             Claim(
-                "Points that are not random at all become so: ⟨S_m⟩ of a regular grid at its own frequency "
-                "m = (8, 0), 1 or −1 before the shift, is 0 after it (real part).",
+                "A shift makes deterministic points random: ⟨S_m⟩ of a regular grid at its own "
+                "frequency m = (8, 0) is 1 or −1 before the shift and 0 after it (real part).",
                 grid_mean("regular | shift", realizations, seed),
                 expected=0.0,
             ),
@@ -138,7 +142,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def before_and_after(name: str, realizations: int, seed: int) -> tuple[Coefficients, Coefficients]:
-    """Coefficients of a sampler's points, and of the same points shifted."""
+    """Return the coefficients of a sampler's points, and of the same points shifted."""
     plain, shifted = (
         Coefficients(np.moveaxis(_sums(x, np.array(PAIRS)), -1, 0))
         for x in _drawn(name, realizations, seed)
@@ -147,7 +151,7 @@ def before_and_after(name: str, realizations: int, seed: int) -> tuple[Coefficie
 
 
 def _drawn(name: str, realizations: int, seed: int) -> tuple[Array, Array]:
-    """Points before and after the shift, (realizations, n, 2), of the same random numbers."""
+    """Return points before and after the shift, (realizations, n, 2), from equal random numbers."""
     plain, shifted = (
         mcs.sampler(spec, 2).draw(N, realizations=realizations, rng=seed)
         for spec in (name, f"{name} | shift")
@@ -156,13 +160,13 @@ def _drawn(name: str, realizations: int, seed: int) -> tuple[Array, Array]:
 
 
 def _sums(x: Array, m: Array) -> Array:
-    """S_m of points (R, n, 2) at frequencies (..., 2): (..., R)."""
+    """Return S_m, (..., R), of points (R, n, 2) at frequencies (..., 2)."""
     found = [np.exp(-2j * np.pi * (x @ each)).mean(axis=1) for each in m.reshape(-1, 2)]
     return np.stack(found).reshape(*m.shape[:-1], len(x))
 
 
 def grid_mean(name: str, realizations: int, seed: int) -> Measured:
-    """Mean of Re S_m of 8 × 8 points at m = (8, 0)."""
+    """Return the mean of Re S_m of 8 × 8 points at m = (8, 0)."""
     x = mcs.sampler(name, 2).draw(N, realizations=realizations, rng=seed)
     return Measured.mean(_sums(x, np.array((8, 0))).real)
 
@@ -177,7 +181,7 @@ def _steps(seed: int) -> Plot:
         (x + move, move, "2: shifted by Δ"),
         ((x + move) % 1.0, move, "3: wrapped around"),
     ):
-        # Borders of strata as (start, end), in the unit square where they are wrapped
+        # Borders of strata as (start, end), inside the unit square if wrapped
         wrapped = bool((at < 1.0).all())
         lines = []
         for k in range(5):

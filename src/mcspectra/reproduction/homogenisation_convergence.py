@@ -1,4 +1,4 @@
-"""What homogenization does to convergence: where it costs the rate, and where it does not."""
+"""Effect of homogenization on convergence: integrands with and without a loss of rate."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ __all__ = ["exhibit"]
 COUNTS = (16, 64, 256, 1024)
 SAMPLERS = ("jittered", "jittered | shift")
 _NETS = ("sobol | owen", "sobol | owen | shift")
-_HALF_WIDTH = 384  # the disk's power beyond adds 2e-7 to N times its variance, 1e-2
+_HALF_WIDTH = 384  # the disk's power beyond adds 2e-7 to N · variance, which is 1e-2
 
 
 @final
 @dataclass(frozen=True)
-class Case:
-    """An integrand, and the rates of jittered points on it, plain and shifted."""
+class ConvergenceCase:
+    """An integrand with the rates of plain and of shifted jittered points."""
 
     title: str
     spec: str
@@ -35,18 +35,18 @@ class Case:
 
     @property
     def integrand(self) -> mcs.Integrand:
-        """The integrand that the case names."""
+        """The integrand of `spec`."""
         return mcs.integrand(self.spec, self.dims)
 
 
-LINE = Case("f(x) = x, one dim", "linear", 1, -3.0, -2.0)
-BELL = Case("exp(−x² − y²), two dims", "christensen-gaussian", 2, -2.0, -1.5)
-DISK = Case("disk, two dims", "disk(center=[0.45, 0.52], radius=0.3)", 2, -1.5, -1.5)
-COSINE = Case("cos(2π(x + y)), two dims", "cosine(frequency=[1, 1])", 2, -2.0, -2.0)
+LINE = ConvergenceCase("f(x) = x, one dim", "linear", 1, -3.0, -2.0)
+BELL = ConvergenceCase("exp(−x² − y²), two dims", "christensen-gaussian", 2, -2.0, -1.5)
+DISK = ConvergenceCase("disk, two dims", "disk(center=[0.45, 0.52], radius=0.3)", 2, -1.5, -1.5)
+COSINE = ConvergenceCase("cos(2π(x + y)), two dims", "cosine(frequency=[1, 1])", 2, -2.0, -2.0)
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Measure variances with and without a shift, against exact ones."""
+    """Compare measured variances with and without a shift with exact ones."""
     realizations = 1000 if quick else 10_000
     cases = (LINE, BELL, DISK, COSINE)
     curves = {case: measured(case, realizations, seed) for case in cases}
@@ -82,19 +82,20 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             ),
             # (1/(6N²) − 1/(12N³)) / (1/(12N³)) = 2N − 1
             Claim(
-                f"On f(x) = x the shift multiplies the variance of jittered points by 2N − 1, at N = {COUNTS[-1]}.",
+                "On f(x) = x the shift multiplies the variance of jittered points by 2N − 1, at N "
+                f"= {COUNTS[-1]}.",
                 shifted / plain,
                 expected=2.0 * COUNTS[-1] - 1.0,
             ),
             Claim(
-                "Counter-example: of cos(2π(x + y)), which is periodic, the exact variances with and without a shift are "
-                "the same, N = 16 … 1024: largest relative difference.",
+                "Counterexample: for cos(2π(x + y)), which is periodic, the exact variances with "
+                "and without a shift are equal, N = 16 … 1024: largest relative difference.",
                 float(np.abs(np.divide(*reversed(known[COSINE].values())) - 1.0).max()),
                 at_most=1e-12,
             ),
             Claim(
-                "Other correlations suffer too: on exp(−x² − y²) the rate of Owen-scrambled Sobol' points is worse "
-                "with a shift: difference of the rates.",
+                "Other correlations are also lost: on exp(−x² − y²) a shift worsens the rate of "
+                "Owen-scrambled Sobol' points: difference of the rates.",
                 Measured.of(nets[_NETS[1]], "rate") - Measured.of(nets[_NETS[0]], "rate"),
                 above=0.5,
             ),
@@ -103,17 +104,17 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def measured(
-    case: Case, realizations: int, seed: int, samplers: tuple[str, ...] = SAMPLERS
+    case: ConvergenceCase, realizations: int, seed: int, samplers: tuple[str, ...] = SAMPLERS
 ) -> dict[str, xr.Dataset]:
-    """Convergence of two samplers."""
+    """Measure the convergence of the samplers."""
     data = mcs.convergence(
         case.integrand, list(samplers), list(COUNTS), realizations=realizations, rng=seed
     )
     return {name: data.sel(sampler=name) for name in samplers}
 
 
-def exact(case: Case, sampler: str) -> Array:
-    """Exact variances at the counts."""
+def exact(case: ConvergenceCase, sampler: str) -> Array:
+    """Return the exact variances at the counts."""
     f = case.integrand
     if case != DISK or sampler == "jittered":
         return np.array([float(mcs.exact_variance(f, sampler, n)) for n in COUNTS])

@@ -1,4 +1,4 @@
-"""The variance of homogenized samples is the power term alone."""
+"""The variance of homogenized samples equals the power term."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         for data in (plain, shifted)
     )
     rows = {name: [share(data[name]) for data in (plain, shifted)] for name in SAMPLERS}
-    x = "Σ |f_m|² ⟨|S_m|²⟩ over measured variance"
+    x = "Σ |f_m|² ⟨|S_m|²⟩ / measured variance"
 
     left_out = {
         name: beyond() / N / float(data["measured_variance"]) for name, data in shifted.items()
     }
 
-    # On f(x) = x: (1/(6N²) − 1/(12N³)) / (1/(12N³)) = 2N − 1, of the variance by quadrature
+    # On f(x) = x the ratio is (1/(6N²) − 1/(12N³)) / (1/(12N³)) = 2N − 1; compare with quadrature
     line = mcs.integrand("linear", 1)
     power = 1 / (6 * N**2) - 1 / (12 * N**3)
     times = power / float(mcs.exact_variance(line, "jittered", N))
@@ -70,28 +70,31 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             ),
             *(
                 Claim(
-                    f"{name}, shifted: the sum over m ≠ 0 is the measured variance: their ratio.",
+                    f"{name}, shifted: the sum over m ≠ 0 is the measured variance: ratio.",
                     share(shifted[name]),
                     expected=1.0,
                     tolerance=part,
                     shown=f"1 ± {number(part, 2)}",
-                    note=f"Tolerance: what f has beyond |m| = {HALF_WIDTH}, at the power 1/N of random points.",
+                    note=f"Tolerance: part of f beyond |m| = {HALF_WIDTH}, with the power 1/N of "
+                    "random points.",
                 )
                 for name, part in left_out.items()
             ),
             Claim(
-                "The first term is 0, as weights are all 1/N: largest, as a share of the variance.",
+                "The first term is 0, since all weights are 1/N: largest, as a share of the "
+                "variance.",
                 max(float(d["dc_term"]) / float(d["measured_variance"]) for d in shifted.values()),
                 at_most=1e-15,
             ),
             Claim(
-                f"Without the shift the sum is not the variance: on f(x) = x, 2N − 1 times that of {N} jittered points: "
-                "relative difference from this.",
+                f"Without the shift the sum is not the variance: for f(x) = x and {N} jittered "
+                "points it is 2N − 1 times the variance: relative difference.",
                 times / (2 * N - 1) - 1.0,
                 at_most=1e-9,
             ),
             Claim(
-                "Jittered points that are not shifted, on the bell: the sum is more than the variance: their ratio.",
+                "For jittered points without a shift on the bell, the sum exceeds the variance: "
+                "ratio.",
                 share(plain["jittered"]),
                 above=1.0,
             ),
@@ -100,14 +103,14 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def terms(name: str, realizations: int, seed: int) -> xr.Dataset:
-    """Terms on the bell."""
+    """Return the terms for the bell."""
     return mcs.variance_terms(
         BELL, name, N, half_width=HALF_WIDTH, realizations=realizations, rng=seed
     )
 
 
 def share(data: xr.Dataset) -> Measured:
-    """Power term over measured variance, with the errors of both."""
+    """Return power term / measured variance, with the errors of both."""
     variance = Measured.of(data, "measured_variance")
     power = Measured.of(data, "power_term") / variance.value
     half = math.hypot(
@@ -118,23 +121,24 @@ def share(data: xr.Dataset) -> Measured:
 
 
 def _closed_sum(n: int) -> Claim:
-    """f = x: |f_m|² = 1/(4π²m²); both closed forms, the tail beyond by the integral test."""
+    """Compare closed forms for f = x, |f_m|² = 1/(4π²m²), with a bound for the tail of the sum."""
     m = np.arange(1.0, 2**16 + 1)
     power = mcs.closed_form_power("jittered", n, m[:, None])
     total = 2 * float((power / (4 * np.pi**2 * m**2)).sum())
     expected = 1 / (6 * n**2) - 1 / (12 * n**3)
     return Claim(
-        f"f(x) = x and {n} jittered points, shifted: the sum is 1/(6N²) − 1/(12N³): relative difference.",
+        f"f(x) = x and {n} jittered points, shifted: the sum is 1/(6N²) − 1/(12N³): relative "
+        "difference.",
         total / expected - 1.0,
-        # What is beyond has at most the power 1/n: Σ 1/m² < 1/2^16, relatively 6n²/(2π²n) / 2^16
+        # The tail has at most the power 1/n: Σ 1/m² < 1/2^16, relative to the sum 6n²/(2π²n) / 2^16
         at_most=float(2 / (4 * np.pi**2 * n * m[-1]) / expected),
-        note=f"Limit: what frequencies beyond {int(m[-1])} add at most.",
+        note=f"Limit: bound of the sum over frequencies beyond {int(m[-1])}.",
     )
 
 
 @cache
 def beyond() -> float:
-    """∫f² less Σ |f_m|² up to the half width; a Gaussian's square has a width smaller by √2."""
+    """Return ∫f² − Σ |f_m|² up to the half width; f² is a Gaussian of width / √2."""
     square = BELL.replace("width=0.2", f"width={0.2 / math.sqrt(2)}")
     power = np.abs(mcs.integrand(BELL, 2).fourier_grid(HALF_WIDTH)) ** 2
     return float(np.squeeze(mcs.integrand(square, 2).integral)) - float(power.sum())

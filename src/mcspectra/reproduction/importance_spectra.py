@@ -1,4 +1,4 @@
-"""Power spectra of importance samples: their level, their DC component, and what weights take out."""
+"""Power spectra of importance samples: level, dc component, and effect of the weights."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Dots, Mark, Panel, Rule, Scale
+from mcspectra.plots.description import Dots, Mark, Panel, ReferenceLine, Scale
 from mcspectra.plots.scales import log_axis, unit_panel
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
@@ -38,20 +38,21 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     spectra = {name: spectrum(name, realizations, seed) for name in SAMPLERS}
     rings = [
         Claim(
-            f"N⟨|S_m|²⟩ of {name} importance samples, the mean over |m| ≈ {ring}, is {what}.",
+            f"The mean of N⟨|S_m|²⟩ over |m| ≈ {ring} of {name} importance samples is {what}.",
             at_ring(spectra[name], ring, N),
             expected=_closed_ring(name, ring),
             digits=4,
         )
-        for name, what in (("random", "∫1/p"), ("jittered", "that of the closed form"))
+        for name, what in (("random", "∫1/p"), ("jittered", "the closed form"))
         for ring in (1, HALF_WIDTH)
     ]
 
-    # S_0 is the mean of 1/p; its variance against the closed form
+    # S_0 is the mean of 1/p; compare its variance with the closed form
     zero, many = np.zeros((1, 2)), 4 * realizations
     dc = [
         Claim(
-            f"The component at m = 0 of {name} importance samples varies: N Var(S₀) is that of the closed form.",
+            f"The component at m = 0 of {name} importance samples varies: N Var(S₀) agrees with "
+            "the closed form.",
             Measured.mean(N * (sums(name, many, seed, weighted=True)[:, 0].real - 1.0) ** 2),
             expected=N
             * float(mcs.spectra.closed_form_covariance(name, N, zero, zero, DENSITY).real[0]),
@@ -61,14 +62,14 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     ]
     low, high, dc_random, dc_jittered = (number(claim.value) for claim in (*rings[2:], *dc))
 
-    # Draw points above the images of their spectra, and spectra against |m|
+    # Draw points above their spectra, and spectra against |m|
     scale = Scale(label="N · ⟨|S|²⟩", high=1.5 * LEVEL, beyond=True)
     p, points = mcs.density(DENSITY, 2), []
     for name in SAMPLERS:
         x, y = p.sample(mcs.sampler(name, 2).draw(N, rng=seed)[0]).T
         points.append(unit_panel([Dots(x=x, y=y, color=PALETTE[0], size=1.8)], name))
     radii = np.arange(1, HALF_WIDTH + 1)
-    marks: list[Mark] = [Rule(at=LEVEL, color=INK, width=1.0, label="∫1/p")]
+    marks: list[Mark] = [ReferenceLine(at=LEVEL, color=INK, width=1.0, label="∫1/p")]
     for k, (name, data) in enumerate(spectra.items()):
         found = [at_ring(data, int(ring), N) for ring in radii]
         ends = np.array([(each.low, each.high) for each in found])
@@ -101,7 +102,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         claims=(
             *rings,
             Claim(
-                "Poisson-disk points, warped, have less power than random ones at |m| ≈ 1, but more than jittered ones.",
+                "Warped Poisson-disk points have less power than random points at |m| ≈ 1, but "
+                "more than jittered points.",
                 at_ring(spectra["poisson-disk"], 1, N),
                 above=_closed_ring("jittered", 1),
                 below=LEVEL,
@@ -111,7 +113,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             _rate(0),
             # N random points of p: 1/N + (1 − 1/N) |p_m|², p_m = i s/(2πm) of a linear density
             Claim(
-                "Without the weights 1/p the spectrum is that of the density: ⟨|S_m|²⟩ → |p_m|² at m = (1, 0).",
+                "Without the weights 1/p the spectrum tends to the spectrum of the density: "
+                "⟨|S_m|²⟩ → |p_m|² at m = (1, 0).",
                 Measured.mean(
                     np.abs(sums("random", realizations, seed, weighted=False)[:, 1]) ** 2
                 ),
@@ -119,8 +122,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 digits=4,
             ),
             Claim(
-                "At high frequencies, m = (4000, 0), jittered importance samples have the level ∫1/p of random ones: "
-                "relative difference.",
+                "At high frequencies, m = (4000, 0), jittered importance samples have the level "
+                "∫1/p of random points: relative difference.",
                 N * float(mcs.closed_form_power("jittered", N, [[4000, 0]], DENSITY)[0]) / LEVEL
                 - 1,
                 at_most=1e-3,
@@ -131,7 +134,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def spectrum(name: str, realizations: int, seed: int) -> xr.Dataset:
-    """Expected power of weighted points in the plane."""
+    """Return the expected power of weighted points in two dims."""
     options: dict[str, Any] = {"half_width": HALF_WIDTH, "realizations": realizations, "rng": seed}
     return mcs.power_spectrum(mcs.sampler(name, 2), N, density=DENSITY, **options)
 
@@ -141,7 +144,7 @@ def _closed_ring(name: str, ring: int) -> float:
 
 
 def sums(name: str, realizations: int, seed: int, *, weighted: bool) -> Array:
-    """S at m = (0, 0) and (1, 0): complex (realizations, 2)."""
+    """Return S at m = (0, 0) and (1, 0): complex, (realizations, 2)."""
     p = mcs.density(DENSITY, 2)
     x = p.sample(mcs.sampler(name, 2).draw(N, realizations=realizations, rng=seed))
     w = 1.0 / p.pdf(x) if weighted else np.ones(x.shape[:-1])
@@ -149,17 +152,19 @@ def sums(name: str, realizations: int, seed: int, *, weighted: bool) -> Array:
 
 
 def _rate(m: int) -> Claim:
-    """In 1-D: strata of the length 1/N, in which the weighted wave changes by as much."""
+    """Compare exact variances of S_m in 1-D: the weighted wave changes by O(1/N) in a stratum."""
     low, high = (
         float(mcs.spectra.closed_form_covariance("jittered", n, [[m]], [[m]], DENSITY).real[0])
         for n in (512, 1024)
     )
     return Claim(
-        f"In one dim, Var(S{'₀₁'[m]}) of jittered importance samples falls as N⁻³: exact rate between N = 512 "
-        "and 1024.",
+        f"In one dim, Var(S{'₀₁'[m]}) of jittered importance samples falls as N⁻³: exact rate "
+        "between N = 512 and 1024.",
         float(np.log2(high / low)),
         expected=-3.0,
         tolerance=0.01,
         shown="−3.0 ± 0.01",
-        note="Tolerance: the next term of the variance is smaller by 1/N, times derivatives of 1/p.",
+        note=(
+            "Tolerance: the next term of the variance is smaller by 1/N, times derivatives of 1/p."
+        ),
     )

@@ -1,4 +1,4 @@
-"""Signs of the three terms, under constant densities and importance sampling."""
+"""Signs of the three terms for constant densities and importance sampling."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from mcspectra.reproduction.panels import plot_of, term_panel
 __all__ = ["exhibit"]
 
 N = 16
-_FEW, _MANY = 4, 64  # half widths: f with one cycle needs no more than 1
+_FEW, _MANY = 4, 64  # small and large half width; an integrand with one cycle needs only 1
 
 
 @final
 @dataclass(frozen=True)
-class Case:
+class TermsCase:
     """An estimator and a sampler.
 
     Attributes
     ----------
     function
-        ``line``, ``bar``, ``one``, or ``cosine``: 1 − cos 2πx.
+        Name of the integrand: ``line``, ``bar``, ``one``, or ``cosine`` for 1 − cos 2πx.
     amplitude
-        Of the density 1 + a cos(2πx), 0 a constant.
+        Amplitude a of the density 1 + a cos(2πx); 0 for a constant density.
     """
 
     title: str
@@ -40,7 +40,7 @@ class Case:
 
     @property
     def integrand(self) -> mcs.Integrand:
-        """The function."""
+        """The integrand of the case."""
         if self.function == "line":
             return mcs.integrand("linear", 1)
         if self.function == "bar":  # edges in the middle of strata 4 and 10 of 16
@@ -49,20 +49,20 @@ class Case:
 
     @property
     def estimator(self) -> mcs.Estimator:
-        """The function with its density."""
+        """The integrand with its density."""
         return mcs.Estimator(self.integrand, _density(self.amplitude) if self.amplitude else None)
 
     def terms(self, realizations: int, seed: int) -> xr.Dataset:
-        """The terms, with half widths that the function needs."""
+        """Estimate the terms with the half width that the integrand needs."""
         wide = _MANY if self.function in ("line", "bar") else _FEW
         return mcs.variance_terms(
             self.estimator, self.sampler, N, half_width=wide, realizations=realizations, rng=seed
         )
 
     def exact_random(self) -> tuple[float, float, float]:
-        """The three terms of random points: means over the domain, periodic, so that midpoints are exact.
+        """Return the exact terms of random points, by midpoint sums of periodic functions.
 
-        N times the terms are I² (∫1/p − 1), ∫1/p (∫f² − I²), and Cov(f², 1/p) of x uniform.
+        N times the terms are I² (∫1/p − 1), ∫1/p (∫f² − I²), and Cov(f², 1/p) for uniform x.
         """
         x = (np.arange(4096) + 0.5)[:, None] / 4096
         f, p = self.integrand(x), 1.0 + self.amplitude * np.cos(2 * np.pi * x[:, 0])
@@ -73,12 +73,12 @@ class Case:
         return float(first) / N, float(second) / N, float(third) / N
 
 
-LINE = Case("f = x, p = 1, jittered", "line", 0.0, "jittered")
-BAR = Case("bar, p = 1, jittered", "bar", 0.0, "jittered")
-GOOD = Case("cosine, p as f, random", "cosine", -0.8, "random")
-STRATIFIED = Case("cosine, p as f, jittered", "cosine", -0.8, "jittered")
-BAD = Case("cosine, p against f, random", "cosine", 0.8, "random")
-FLAT = Case("f = 1, p as cosine, random", "one", -0.8, "random")
+LINE = TermsCase("f = x, p = 1, jittered", "line", 0.0, "jittered")
+BAR = TermsCase("bar, p = 1, jittered", "bar", 0.0, "jittered")
+GOOD = TermsCase("cosine, p as f, random", "cosine", -0.8, "random")
+STRATIFIED = TermsCase("cosine, p as f, jittered", "cosine", -0.8, "jittered")
+BAD = TermsCase("cosine, p against f, random", "cosine", 0.8, "random")
+FLAT = TermsCase("f = 1, p as cosine, random", "one", -0.8, "random")
 
 
 def _wave(height: float) -> mcs.Integrand:
@@ -96,13 +96,13 @@ def _density(amplitude: float) -> mcs.Density:
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Measure terms in cases that confirm the statements of the slides, and in some that do not."""
+    """Measure the terms in cases that confirm the slides' statements, and in counterexamples."""
     realizations = 1000 if quick else 20_000
     of = {case: case.terms(realizations, seed) for case in (LINE, BAR, GOOD, STRATIFIED, BAD, FLAT)}
-    shifted = Case("", "line", 0.0, "jittered | shift").terms(realizations, seed)
+    shifted = TermsCase("", "line", 0.0, "jittered | shift").terms(realizations, seed)
     third = {case: number(float(data["cross_term"])) for case, data in of.items()}
-    with_f = "With IS that follows f, {} points, the third term is negative."
-    # With p = f every estimate is I: the third term is minus the other two
+    with_f = "With importance sampling that follows f, {} points, the third term is negative."
+    # With p = f every estimate is I, so the third term is minus the sum of the other two
     estimator = mcs.Estimator(_wave(0.8), _density(-0.8))
     perfect = mcs.variance_terms(
         estimator, "jittered", N, half_width=_FEW, realizations=100, rng=seed
@@ -128,13 +128,13 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         ),
         claims=(
             Claim(
-                f"The second term is always positive: that of the {len(every)} cases (f = 1 aside, which has none) whose "
-                "interval comes nearest to 0.",
+                f"The second term is always positive: case of {len(every)} (without f = 1, which "
+                "has no second term) whose interval is nearest to 0.",
                 min(found, key=lambda each: each.low / each.value),
                 above=0.0,
             ),
             Claim(
-                "For constant PDF the first term is zero: largest.",
+                "For constant PDF the first term is zero: largest value.",
                 max(float(data["dc_term"]) for data in (of[LINE], of[BAR], shifted)),
                 at_most=1e-20,
             ),
@@ -142,23 +142,24 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 "For constant PDF the third term is negative on f(x) = x, jittered points.",
                 of[LINE],
             ),
-            # The variance is ¼ of both strata over N², after a shift 1/6: the third is the difference
+            # The variance is 2 · ¼/N² without and 2 · 1/(6N²) with a shift, up to the third term
             Claim(
-                "Counter-example: the third term of jittered points of constant PDF is positive for a bar whose edges halve "
-                "strata, 1/(6N²) in all, here over |m| ≤ 64.",
+                "Counterexample: for constant PDF and a bar whose edges halve strata, the third "
+                "term of jittered points is positive: 1/(6N²) in total, here over |m| ≤ 64.",
                 Measured.of(of[BAR], "cross_term"),
                 expected=exact_bar(_MANY),
                 digits=4,
                 note=f"1/(6N²) is {number(1 / (6 * N**2))}.",
             ),
             Claim(
-                "Counter-example: of shifted points of constant PDF the third term is neither negative nor positive.",
+                "Counterexample: for shifted points of constant PDF the third term is zero.",
                 Measured.of(shifted, "cross_term"),
                 expected=0.0,
             ),
             *(
                 Claim(
-                    f"{case.title}: the third term is the covariance of f² and 1/p over the domain, over N.",
+                    f"{case.title}: the third term is the covariance of f² and 1/p over the "
+                    "domain, divided by N.",
                     Measured.of(of[case], "cross_term"),
                     expected=case.exact_random()[2],
                     digits=4,
@@ -168,27 +169,29 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             _negative(with_f.format("random"), of[GOOD]),
             _negative(with_f.format("jittered"), of[STRATIFIED]),
             Claim(
-                "Counter-example: with IS that is low where f is high, the third term is positive.",
+                "Counterexample: if the density is low where f is high, the third term is "
+                "positive.",
                 Measured.of(of[BAD], "cross_term"),
                 above=0.0,
             ),
             *(_crucial(case, of[case]) for case in (LINE, GOOD)),
             Claim(
-                "The first term does not reduce the variance: it is I² Var(S₀), which is never negative; with IS "
-                "that follows f it is I² (∫1/p − 1)/N.",
+                "The first term does not reduce the variance: I² Var(S₀) is never negative; with "
+                "importance sampling that follows f it is I² (∫1/p − 1)/N.",
                 Measured.of(of[GOOD], "dc_term"),
                 expected=GOOD.exact_random()[0],
                 digits=4,
-                note="The statement of the slides holds in so far as the third term outweighs it.",
+                note="The statement of the slides holds if the third term outweighs the first.",
             ),
             Claim(
-                "First term cannot be ignored for IS: of f = 1 it is the whole variance; its share less 1.",
+                "The first term cannot be ignored for importance sampling: for f = 1 it is the "
+                "whole variance: share minus 1.",
                 float(of[FLAT]["dc_term"] / of[FLAT]["measured_variance"]) - 1.0,
                 at_most=1e-9,
             ),
             Claim(
-                "With IS by f itself (1 − 0.8 cos 2πx) the third term takes away all of the first two: their sum, relative to "
-                "these.",
+                "With the density f itself (1 − 0.8 cos 2πx) the third term cancels the first two: "
+                "sum of all three relative to the first two.",
                 float(perfect["predicted_variance"])
                 / float(perfect["dc_term"] + perfect["power_term"]),
                 at_most=1e-9,
@@ -202,7 +205,7 @@ def _negative(statement: str, data: xr.Dataset) -> Claim:
 
 
 def exact_bar(half_width: int) -> float:
-    """The third term of the bar up to a half width, by the closed form of C_ml; 1/(6N²) in all."""
+    """Return the third term of the bar up to a half width from closed forms; 1/(6N²) in total."""
     m = np.arange(-half_width, half_width + 1)[:, None]
     f = BAR.integrand.fourier(m)
     c = mcs.spectra.closed_form_covariance("jittered", N, m[:, None], m[None])
@@ -210,14 +213,14 @@ def exact_bar(half_width: int) -> float:
     return float((matrix.sum() - np.trace(matrix)).real)
 
 
-def _crucial(case: Case, data: xr.Dataset) -> Claim:
-    """First and second term over the measured variance, whose interval it takes."""
+def _crucial(case: TermsCase, data: xr.Dataset) -> Claim:
+    """Compare the first two terms with the measured variance and its interval."""
     both = float(data["dc_term"] + data["power_term"])
     variance = Measured.of(data, "measured_variance")
     ends = both / variance.high, both / variance.low
     return Claim(
-        f"Third term is crucial, {case.title}: without it the first two predict more than twice the variance: their "
-        "ratio.",
+        f"The third term is crucial, {case.title}: the first two terms predict more than twice the "
+        "variance: ratio.",
         Measured(both / variance.value, *ends, log=True),
         above=2.0,
     )

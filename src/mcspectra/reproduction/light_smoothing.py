@@ -1,4 +1,4 @@
-"""Smoothed lights: rates of smooth integrands again, at the price of a bias."""
+"""Smoothed lights restore the rate of smooth integrands, at the cost of a bias."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 import mcspectra as mcs
-from mcspectra.plots.description import Line, Mark, Panel, Rule
+from mcspectra.plots.description import Line, Mark, Panel, ReferenceLine
 from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
@@ -38,7 +38,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         f"{number(float(width), 2)} (N = {n})"
         for width, n in zip(scan["best_width"], BUDGETS, strict=True)
     )
-    # Draw rates of the pixel, and errors of the disk against the width
+    # Draw variances of the pixel, and errors of the disk against the width
     panel = variance_panel(
         {f"{name} edge": curve for name, curve in curves.items()},
         rates={f"{name} edge": rate for name, rate in _RATES.items()},
@@ -52,7 +52,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         mse = cell["mse"].values
         edge = float(scan["mse"].sel(n=n, width=0.0))
         marks += [
-            Rule(at=edge, color=PALETTE[k], dashes=":"),
+            ReferenceLine(at=edge, color=PALETTE[k], dashes=":"),
             Line(x=widths, y=mse, color=PALETTE[k], width=1.1, label=label),
             whiskers(widths, mse, cell["mse_ci"].values, k, label),
         ]
@@ -80,7 +80,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 for name, curve in curves.items()
             ),
             Claim(
-                f"At N = {_COUNTS[-1]}, variance over squared mean with the sharp edge over that with the smooth one.",
+                f"At N = {_COUNTS[-1]}: variance / mean² with the sharp edge divided by the same "
+                "with the smooth edge.",
                 _relative(curves["sharp"]) / _relative(curves["smooth"]),
                 above=1.0,
             ),
@@ -94,55 +95,55 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def _pixel(edge: float) -> Any:
-    """BSDF sampling at P of Figure 1, under a light whose radiance rises over `edge` of its half side."""
+    """Return BSDF sampling at P of Figure 1; the light's radiance rises over `edge` half sides."""
     scene = f"smooth-light(edge={edge})"
     x, y = mcs.rendering.named_pixels(scene)["P"]
     return mcs.rendering.Pixel(scene=scene, x=x, y=y, strategy="bsdf")
 
 
 def _relative(curve: xr.Dataset) -> Measured:
-    """Variance over the squared mean, at the largest N."""
+    """Return variance / mean² at the largest N."""
     last = curve.isel(n=-1)
     return Measured.of(last, "variance") / float(last["mean"]) ** 2
 
 
 def _ramp(width: float) -> Claim:
-    """Exact: within strata of a ramp of the slope 1/δ, 1/(12 δ n³) in all."""
+    """Compare the exact variance with 1/(12 δ n³), the sum over strata on a ramp of slope 1/δ."""
     n = 1024
     smoothed = mcs.smoothed(mcs.integrand("step(at=0.47)", dims=1), width)
-    # Two strata at the ends of the ramp are not full: they change δn strata by two at most
+    # The two strata at the ends of the ramp are partial, a change of at most two of δn strata
     bound = 2 / (width * n)
     return Claim(
-        f"In one dim a step smoothed over δ = {width} has the variance 1/(12 δ N³) with jittered points, not "
-        f"one of N⁻²: 12 δ N³ times the exact variance, N = {n}.",
+        f"In one dim a step smoothed over δ = {width} has the variance 1/(12 δ N³) with jittered "
+        f"points instead of O(N⁻²): 12 δ N³ times the exact variance, N = {n}.",
         12 * width * n**3 * float(mcs.exact_variance(smoothed, "jittered", n)),
         expected=1.0,
         tolerance=bound,
         shown=f"1 ± {number(bound, 2)}",
-        note="Tolerance: the two strata at the ends of the ramp, of the δN on it.",
+        note="Tolerance: the two strata at the ends of the ramp, out of δN strata.",
     )
 
 
 def _bias(scan: xr.Dataset) -> Claim:
-    """A ramp of the width δ about the radius R: π(R² + δ²/12)."""
+    """Compare the bias with πδ²/12: a ramp of width δ about radius R has area π(R² + δ²/12)."""
     width = scan["width"].values[1:]
     error = scan["smoothing_bias"].values[1:] / (np.pi * width**2 / 12) - 1.0
     return Claim(
-        "A disk whose edge is a ramp of the width δ has the bias πδ²/12: largest relative difference.",
+        "A disk whose edge is a ramp of width δ has the bias πδ²/12: largest relative difference.",
         float(np.abs(error).max()),
         at_most=1e-3,
-        note="Integrals of smoothed disks are quadratures.",
+        note="Integrals of smoothed disks are computed by quadrature.",
     )
 
 
 def _best_pays(scan: xr.Dataset, n: int) -> Claim:
-    """Mean squared error with the edge over that of the best width."""
+    """Compare the mean squared error with the sharp edge with the best width."""
     cell = scan.sel(n=n)
     best = int(np.argmin(cell["mse"].values))
     edge, least = (Measured.of(cell.isel(width=k), "mse") for k in (0, best))
     return Claim(
-        f"There is a width that pays: squared error of a disk with its edge over that of the best width, bias included, "
-        f"N = {n}.",
+        "Some smoothing width reduces the error: squared error of a disk with a sharp edge divided "
+        f"by the error at the best width, bias included, N = {n}.",
         edge / least,
         above=1.0,
     )
@@ -151,9 +152,10 @@ def _best_pays(scan: xr.Dataset, n: int) -> Claim:
 def _narrower(scan: xr.Dataset) -> Claim:
     first, last = (float(scan["best_width"].sel(n=n)) for n in (BUDGETS[0], BUDGETS[-1]))
     return Claim(
-        f"The best width shrinks with the budget: that of N = {BUDGETS[-1]} over that of N = {BUDGETS[0]}.",
+        f"The best width shrinks with the budget: width at N = {BUDGETS[-1]} divided by width at "
+        f"N = {BUDGETS[0]}.",
         last / first,
         below=1.0,
         shown="< 1",
-        note=f"Of the widths {', '.join(f'{w:g}' for w in WIDTHS)}.",
+        note=f"Widths tried: {', '.join(f'{w:g}' for w in WIDTHS)}.",
     )

@@ -1,9 +1,9 @@
-"""Mirroring of the integrand and of the samples, which homogenization then does not harm.
+"""Mirroring of the integrand and of the samples, which prevents the harm of homogenization.
 
-Mirror-uniform puts each of n/4 points into four images, which is sampling the mean h of f over images
-at n/4 points; mirror-random adds the variance of the choice of an image, 1/n of that of f among them.
-h = q(x) q(y) is continuous around the torus, and with shifted strata of the side 1/s its variance is the
-sum over integer frequencies, Σ |h_m|² (1 − Π_i sinc²(πm_i/s)) / n, m ≠ 0, of products of one axis.
+Mirror-uniform places each of n/4 points at four images. This samples h, the mean of f over the four
+images, at n/4 points. Mirror-random chooses one image at random, which adds 1/n of the variance of
+f among the images. h = q(x) q(y) is continuous on the torus. With shifted strata of side 1/s its
+variance is the sum Σ |h_m|² (1 − Π_i sinc²(πm_i/s)) / n over integer m ≠ 0, a product over axes.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from mcspectra.core.checks import BELOW_ONE, Array
 from mcspectra.plots.description import (
     Axis,
     Dots,
-    Image,
+    Heatmap,
     Line,
     Mark,
     Panel,
     Plot,
-    Rule,
+    ReferenceLine,
     Scale,
-    Text,
+    TextMark,
 )
 from mcspectra.plots.scales import unit_panel
 from mcspectra.plots.style import ACCENT, INK, PALETTE
@@ -47,11 +47,11 @@ RATES = {
     ("random", False): -1.0, ("random", True): -1.0,
     ("uniform", False): -2.0, ("uniform", True): -2.0,
 }  # fmt: skip
-"""Of each mirroring, not homogenized and homogenized."""
+"""Expected rates by mirroring and homogenization."""
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Draw integrand and samples, and measure the six curves of convergence."""
+    """Draw integrand and samples, and measure six convergence curves."""
     options: dict[str, Any] = {"realizations": 250 if quick else 2500, "rng": seed}
     study = mcs.improve.mirror_study(
         INTEGRAND, "jittered", _COUNTS, mirrorings=list(_TITLES), **options
@@ -64,14 +64,14 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     last = {key: Measured.of(cell.isel(n=-1), "variance") for key, cell in cells.items()}
     moved = last["original", True]
 
-    # Find |f(0, y) − f(1, y)| where a shift wraps around, of f and of f(fold(2u))
+    # Compute the jump |f(0, y) − f(1, y)| at the border, for f and for f(fold(2u))
     y = np.linspace(0.0, 1.0, 257)
     original = np.exp(-(y**2)) * (1.0 - np.exp(-1.0))
     g = mcs.Mirrored(INTEGRAND).primary_integrand(0)
     ends = (g(np.stack([np.full_like(y, u), y], axis=-1)) for u in (0.0, BELOW_ONE))
     mirrored = np.subtract(*ends)
 
-    # Draw samples with their strata, and curves with their slopes
+    # Draw samples with strata, and curves with slopes
     own = mcs.sampler("jittered", 2).draw(16, rng=seed)[0]
     panels = []
     for mirroring, side in (("original", 8), ("random", 8), ("uniform", 4)):
@@ -93,7 +93,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             limits=(1e-9, 1e-3),
         )
         at, text = float(exact[key][1]), f"slope {number(RATES[key], 2)}"
-        slope = Text(x=float(_COUNTS[1]), y=2.0 * at, text=text)
+        slope = TextMark(x=float(_COUNTS[1]), y=2.0 * at, text=text)
         curves.append(replace(panel, marks=(*panel.marks, slope)))
     return Exhibit(
         numbers={
@@ -118,26 +118,26 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 for (m, h), cell in cells.items()
             ),
             Claim(
-                f"Homogenized is not good: at N = {_COUNTS[-1]} the shift multiplies the variance of the original by "
-                "more than 1.",
+                f"Homogenization harms the original: at N = {_COUNTS[-1]} the shift multiplies its "
+                "variance by more than 1.",
                 moved / last["original", False],
                 above=1.0,
             ),
             Claim(
-                f"Mirroring helps where sets are homogenized: at N = {_COUNTS[-1]}, variance of the original over "
-                "mirror-uniform, both shifted.",
+                f"Mirroring helps homogenized sets: at N = {_COUNTS[-1]}, variance of the original "
+                "divided by mirror-uniform, both shifted.",
                 moved / last["uniform", True],
                 above=1.0,
             ),
             Claim(
-                "Where the original wraps around it jumps, by up to 1 − 1/e.",
+                "The original jumps by up to 1 − 1/e where it wraps around.",
                 float(np.abs(original).max()),
                 expected=float(1 - np.exp(-1)),
                 tolerance=1e-12,
                 digits=4,
             ),
             Claim(
-                "Where the mirrored integrand wraps around it is continuous: largest jump.",
+                "The mirrored integrand is continuous where it wraps around: largest jump.",
                 float(np.abs(mirrored).max()),
                 at_most=1e-12,
             ),
@@ -147,12 +147,12 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def symmetrized(x: Array) -> Array:
-    """Mean q of exp(−x²) over both images of x."""
+    """Return q, the mean of exp(−x²) over both images of x."""
     return np.asarray((np.exp(-(x**2)) + np.exp(-((1 - x) ** 2))) / 2)
 
 
 def exact_mirrored(mirroring: str, n: int, *, homogenized: bool) -> float:
-    """Variance of I_n with n evaluations of f; n = s², and for ``uniform`` n = 4s²."""
+    """Return the variance of I_n with n evaluations of f; n = s², or 4s² for ``uniform``."""
     if mirroring == "original":
         sampler = "jittered | shift" if homogenized else "jittered"
         return float(mcs.exact_variance(INTEGRAND, sampler, n))
@@ -162,14 +162,14 @@ def exact_mirrored(mirroring: str, n: int, *, homogenized: bool) -> float:
 
 
 def _of_the_mean(n: int, homogenized: bool) -> float:
-    """Variance of h at n jittered points."""
+    """Return the variance of h with n jittered points."""
     s = math.isqrt(n)
     if homogenized:
         whole, power = _axis()
         m = np.arange(len(power))
         seen = power[0] + 2.0 * (power[1:] * np.sinc(m[1:] / s) ** 2).sum()
         return float((whole**2 - seen**2) / n)
-    # Within stratum j: n⁻² Σ (∫∫ h² n − (∫∫ h n)²), and both are products of axes
+    # Sum over strata: n⁻² Σ (∫∫ h² n − (∫∫ h n)²); both integrals are products over axes
     nodes, weights = np.polynomial.legendre.leggauss(24)
     q = symmetrized((np.arange(s)[:, None] + (nodes + 1) / 2) / s)
     means, squares = q @ weights / 2, q**2 @ weights / 2
@@ -178,7 +178,7 @@ def _of_the_mean(n: int, homogenized: bool) -> float:
 
 @cache
 def _axis() -> tuple[float, Array]:
-    """∫q² and |q_m|², m = 0 … 4096, which fall as m⁻⁴."""
+    """Return ∫q² and |q_m|², m = 0 … 4096, which fall as m⁻⁴."""
     samples = 2**16
     x = (np.arange(samples) + 0.5) / samples
     power = np.abs(np.fft.rfft(symmetrized(x)) / samples)[:4097] ** 2
@@ -187,20 +187,21 @@ def _axis() -> tuple[float, Array]:
 
 
 def among_images() -> float:
-    """∫f² − ∫h²."""
+    """Return ∫f² − ∫h², the variance among images."""
     square = float(np.pi / 8 * math.erf(math.sqrt(2.0)) ** 2)  # (∫ exp(−2x²) dx)²
     return square - _axis()[0] ** 2
 
 
 def _domain(dims: int) -> Claim:
-    """Each image gets the strata that n/2^d points have in the domain, each sampled once."""
+    """Compare variances: each image has the strata that n/2^d points have in the domain."""
     f = INTEGRAND if dims == 2 else "gaussian(center=0.2, width=0.4, dims=1)"
     n, images = 64, 2**dims
     mirrored = float(mcs.exact_variance(mcs.Mirrored(f), "jittered", images * n))
     plain = float(mcs.exact_variance(f, "jittered", n))
     return Claim(
-        f"Mirroring the integrand makes the domain {images} times as large in {dims} dim{'s' * (dims > 1)}: {images}N "
-        f"jittered points in it have strata as those of N, the variance 1/{images} of that of N. Relative difference.",
+        f"Mirroring the integrand enlarges the domain {images} times in {dims} "
+        f"dim{'s' * (dims > 1)}: {images}N jittered points have the strata of N points and "
+        f"1/{images} of their variance: relative difference.",
         images * mirrored / plain - 1.0,
         at_most=1e-9,
     )
@@ -213,8 +214,8 @@ def _integrands() -> Plot:
     images, sections = [], []
     for folded, title in ((t % 1.0, "original: wrapped around"), (np.abs(t), "mirrored")):
         values = np.exp(-(folded[:, None] ** 2) - folded**2)
-        borders = [Rule(at=0.0, axis=a, color="#FFFFFF", width=0.8) for a in AXES]
-        image = Image(values=values, x=t, y=t, scale=scale, name="f")
+        borders = [ReferenceLine(at=0.0, axis=a, color="#FFFFFF", width=0.8) for a in AXES]
+        image = Heatmap(values=values, x=t, y=t, scale=scale, name="f")
         images.append(
             Panel(
                 marks=(image, *borders),

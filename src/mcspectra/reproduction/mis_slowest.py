@@ -1,4 +1,4 @@
-"""Multiple importance sampling converges like its slowest technique: a toy, and pixels of Veach's scene."""
+"""Multiple importance sampling has the rate of its slowest technique: a toy and Veach's scene."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["exhibit"]
 
 _AT = 0.3
 _COUNTS = (16, 32, 64, 128, 256, 512)
-_SIDES = (6, 8, 11, 16, 23, 32)  # of strata; at full quality, twice as many
+_SIDES = (6, 8, 11, 16, 23, 32)  # strata per axis; doubled at full quality
 _PIXELS: dict[str, dict[str, Any]] = {
     "wall": {"scene": "veach", "x": 568, "y": 100, "light": "light-3"},
     "plate": {"scene": "veach", "x": 600, "y": 430, "light": "light-3"},
@@ -35,7 +35,7 @@ TECHNIQUES = {"f = x": -3.0, f"1[x < {_AT}]": -2.0}
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Measure techniques and their sum, of the toy and of two pixels."""
+    """Measure techniques and their sum for a toy and for two pixels."""
     toy = toy_curves(400 if quick else 4000, seed)
     sides = [side if quick else 2 * side for side in _SIDES]
     pixels = {name: _pixel(name, sides, 80 if quick else 500, seed) for name in _PIXELS}
@@ -84,14 +84,14 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 "Toy: the sum has the rate of the slower technique.", toy["sum"], -2.0, known["sum"]
             ),
             Claim(
-                "Toy: the technique whose interval lies above all others is the slower one.",
+                "Toy: the technique whose interval of the rate is above all others is the slowest.",
                 bottleneck,
                 holds=bottleneck == "technique 1",
                 shown="technique 1",
             ),
             Claim(
-                "Toy: the variance of the sum is 1/(12N³) + {aN}(1 − {aN})/N², {·} the fractional part: largest relative "
-                "difference.",
+                "Toy: the variance of the sum is 1/(12N³) + {aN}(1 − {aN})/N² with the fractional "
+                "part {·}: largest relative difference.",
                 float(np.abs(variances / known["sum"] - 1).max()),
                 at_most=1e-9,
             ),
@@ -115,7 +115,7 @@ def _toy() -> Any:
 
 
 def toy_curves(realizations: int, seed: int) -> dict[str, xr.Dataset]:
-    """Convergence of both techniques and of their sum."""
+    """Measure the convergence of both techniques and of their sum."""
     data = mcs.technique_terms(
         _toy(), "jittered", _COUNTS, half_width=1, realizations=realizations, rng=seed
     )
@@ -129,14 +129,14 @@ def toy_curves(realizations: int, seed: int) -> dict[str, xr.Dataset]:
 
 
 def exact(technique: int) -> Array:
-    """1/(12n³) of f = x, and {an}(1 − {an})/n² of 1[x < a]."""
+    """Return 1/(12n³) for f = x, or {an}(1 − {an})/n² for 1[x < a]."""
     n = np.array(_COUNTS, float)
     part = _AT * n % 1.0
     return np.asarray(1 / (12 * n**3) if technique == 0 else part * (1 - part) / n**2)
 
 
 def _pixel(where: str, sides: Sequence[int], realizations: int, seed: int) -> xr.Dataset:
-    """Light and BSDF sampling alone, MIS, and its two techniques, on a dim estimator."""
+    """Measure light and BSDF sampling, MIS, and its two techniques, on the dim estimator."""
     place = _PIXELS[where]
     alone, mis = mcs.rendering.pixel_strategies(**place), mcs.rendering.pixel_mis(**place)
     parts = [mis.primary_integrand(t) for t in (0, 1)]
@@ -150,10 +150,10 @@ def _pixel(where: str, sides: Sequence[int], realizations: int, seed: int) -> xr
 
 
 def _follows(where: str, found: xr.Dataset) -> Claim:
-    """Difference of two rates, both with intervals, taken as independent."""
+    """Compare the rates of MIS and BSDF sampling as independent estimates."""
     bsdf, mis = (Measured.of(found.isel(estimator=i), "rate") for i in (1, 2))
     return Claim(
-        f"Veach's scene, {_WHERE[where]}: rate of MIS minus that of BSDF sampling.",
+        f"Veach's scene, {_WHERE[where]}: rate of MIS minus rate of BSDF sampling.",
         mis - bsdf,
         expected=0.0,
         tolerance=0.125,
@@ -163,11 +163,12 @@ def _follows(where: str, found: xr.Dataset) -> Claim:
 
 
 def _what_is_left(where: str, found: xr.Dataset) -> Claim:
-    """Share of the BSDF technique in the variance of MIS at the largest N."""
+    """Compare the variances of the two techniques of MIS at the largest N."""
     light, bsdf = (found.isel(estimator=i, n=-1) for i in (3, 4))
     return Claim(
-        f"Veach's scene, {_WHERE[where]}: what is left of MIS at N = {int(light['n'])} is its BSDF technique; variance "
-        "of that over that of its light technique.",
+        f"Veach's scene, {_WHERE[where]}: at N = {int(light['n'])} the BSDF technique dominates "
+        "the variance of MIS: variance of the BSDF technique divided by variance of the light "
+        "technique.",
         Measured.of(bsdf, "variance") / Measured.of(light, "variance"),
         above=1.0,
     )

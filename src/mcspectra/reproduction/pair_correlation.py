@@ -1,4 +1,4 @@
-"""Pair correlation: transform of the power spectrum, and the variance without frequencies."""
+"""Pair correlation: transform of the power spectrum, and variance without frequencies."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ N = 64
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Count pairs, transform their density, and find variances from it."""
+    """Count pairs, transform their density, and compute variances from it."""
     realizations = 400 if quick else 4000
     pairs = {name: count_pairs(name, realizations, seed) for name in SAMPLERS}
     variances = {name: by_pairs(name, realizations, seed) for name in _COUNTED}
@@ -33,12 +33,12 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     n, ramp = 16, mcs.Estimator("linear", dims=1)
     value = float(_from_pairs(ramp, "jittered", n)["predicted_variance"])
 
-    # Look for pairs of Poisson-disk points in bins below the radius
+    # Select the bins below the radius of the Poisson-disk points
     disk, radius = pairs["poisson-disk"], mcs.samplers.PoissonDisk(dims=2).radius(N)
     width = float(disk["r"][1] - disk["r"][0])
     inside = disk["pair_correlation"].values[disk["r"].values + width / 2 < radius]
 
-    # Draw g(r), and the closed form where there is one
+    # Draw g(r), and the closed form if it exists
     marks: list[Mark] = []
     for k, (name, data) in enumerate(pairs.items()):
         r, g = data["r"].values, data["pair_correlation"].values
@@ -61,20 +61,22 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         claims=(
             *(_as_closed(name, pairs[name]) for name in ("random", "jittered")),
             Claim(
-                f"No two Poisson-disk points are nearer than their radius {number(radius)}: largest g(r) below it.",
+                f"No two Poisson-disk points are closer than the radius {number(radius)}: largest "
+                "g(r) below the radius.",
                 float(inside.max()),
                 expected=0.0,
             ),
             *(_transformed(name) for name in ("random", "jittered")),
             Claim(
-                f"From pairs, the variance of f = x with {n} jittered points is 1/(12N³): relative difference.",
+                f"The variance from pairs of f = x with {n} jittered points is 1/(12N³): relative "
+                "difference.",
                 12 * n**3 * value - 1,
                 at_most=1e-6,
             ),
             *(
                 Claim(
-                    f"From the known pairs of {name} points the variance of exp(−x² − y²) is that of quadrature: relative "
-                    "difference.",
+                    f"The variance of exp(−x² − y²) from the closed-form pairs of {name} points "
+                    "agrees with quadrature: relative difference.",
                     float(_from_pairs(_SMOOTH, name, N)["predicted_variance"])
                     / float(mcs.exact_variance(_SMOOTH, name, N))
                     - 1,
@@ -84,7 +86,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             ),
             *(_counted_pairs(name, *pair) for name, pair in variances.items()),
             Claim(
-                "From counted pairs of jittered | shift points the variance is that of quadrature.",
+                "The variance from counted pairs of jittered | shift points agrees with "
+                "quadrature.",
                 variances["jittered | shift"][0],
                 expected=float(mcs.exact_variance(_SMOOTH, "jittered | shift", N)),
                 digits=4,
@@ -94,7 +97,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def count_pairs(name: str, realizations: int, seed: int) -> xr.Dataset:
-    """Pairs of points in the plane by their distance."""
+    """Measure the pair correlation of points in two dims."""
     points = mcs.sampler(name, 2)
     return mcs.pair_correlation(
         points, N, bins=60, max_distance=0.4, realizations=realizations, rng=seed
@@ -102,7 +105,7 @@ def count_pairs(name: str, realizations: int, seed: int) -> xr.Dataset:
 
 
 def by_pairs(name: str, realizations: int, seed: int) -> tuple[Measured, Measured]:
-    """The variance from counted pairs, and measured with other random numbers."""
+    """Return the variance from counted pairs, and measured with independent random numbers."""
     found = _from_pairs(_SMOOTH, name, N, realizations=2 * realizations, rng=seed)
     curve = mcs.convergence(_SMOOTH, name, [N], realizations=10 * realizations, rng=seed + 1)
     counted = Measured.of(found, "predicted_variance")
@@ -110,13 +113,13 @@ def by_pairs(name: str, realizations: int, seed: int) -> tuple[Measured, Measure
 
 
 def _from_pairs(estimator: mcs.Estimator | str, name: str, n: int, **options: int) -> xr.Dataset:
-    """The prediction by pairs of points."""
+    """Predict the variance from the pair correlation."""
     return mcs.predict(estimator, name, [n], method="pair-correlation", **options).isel(n=0)
 
 
 def _as_closed(name: str, data: xr.Dataset) -> Claim:
     r, width = data["r"].values, float(data["r"][1] - data["r"][0])
-    # A bin counts pairs in proportion to r: Simpson's rule with that weight
+    # Counts in a bin are proportional to r, so use Simpson's rule with weight r
     nodes = [(-0.5, 1), (0.0, 4), (0.5, 1)]
     weights = [w * (r + t * width) for t, w in nodes]
     values = [
@@ -124,14 +127,15 @@ def _as_closed(name: str, data: xr.Dataset) -> Claim:
     ]
     expected = sum(w * v for w, v in zip(weights, values, strict=True)) / sum(weights)
     return largest_distance(
-        f"Counted pairs of {N} {name} points in the plane have the closed form of g(r), {r.size} distances",
+        f"Counted pairs of {N} {name} points in two dims agree with the closed form of g(r) at "
+        f"{r.size} distances",
         data["pair_correlation"].values - expected,
         data["pair_correlation_se"].values,
     )
 
 
 def _transformed(name: str) -> Claim:
-    """N⟨|S_m|²⟩ = 1 + (N − 1) ∫ g(|h|) cos(2πmh) dh over the torus, m ≠ 0, in 1-D."""
+    """Compare N⟨|S_m|²⟩ with 1 + (N − 1) ∫ g(|h|) cos(2πmh) dh over the torus, m ≠ 0, in 1-D."""
     n, m = 16, np.arange(1, 49)
     # g is linear up to 1/n and constant beyond: Gauss-Legendre nodes in pieces of 1/n
     nodes, weights = np.polynomial.legendre.leggauss(16)
@@ -140,22 +144,22 @@ def _transformed(name: str) -> Claim:
     g = g * np.tile(weights, n // 2) / (2 * n)
     found = 1 + (n - 1) * 2 * (g * np.cos(2 * np.pi * m[:, None] * h)).sum(axis=1)
     return Claim(
-        f"The transform of the pair correlation of {n} {name} points is their power, m = 1 … {m[-1]}: largest "
-        "difference of N⟨|S_m|²⟩.",
+        f"The transform of the pair correlation of {n} {name} points is their power, m = 1 … "
+        f"{m[-1]}: largest difference of N⟨|S_m|²⟩.",
         float(np.abs(found - n * mcs.closed_form_power(name, n, m[:, None])).max()),
         at_most=1e-11,
     )
 
 
 def _counted_pairs(name: str, counted: Measured, measured: Measured) -> Claim:
-    """The ratio of both, with the errors of both."""
+    """Compare both variances by their ratio, with the errors of both."""
     times = counted.value / measured.value
     errors = (
         (counted.high - counted.value) / counted.value / CONFIDENCE_Z,
         float(np.log(measured.high / measured.low) / 2) / CONFIDENCE_Z,
     )
     return Claim(
-        f"From counted pairs of {name} points the variance is the measured one: ratio.",
+        f"The variance from counted pairs of {name} points agrees with the measured one: ratio.",
         Measured.normal(times, times * float(np.hypot(*errors))),
         expected=1.0,
         shown="1",

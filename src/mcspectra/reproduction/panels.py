@@ -1,4 +1,4 @@
-"""Panels of several exhibits: variances against N, images over frequencies, unit squares, terms."""
+"""Panels that exhibits share: variances against N, maps over frequency, unit squares, terms."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ import xarray as xr
 from mcspectra.core.checks import Array
 from mcspectra.plots.description import (
     Axis,
-    Bars,
+    BarChart,
     Dots,
-    Image,
+    Heatmap,
     Line,
     Mark,
     Panel,
     Plot,
-    Rule,
+    ReferenceLine,
     Scale,
     Segments,
-    Text,
+    TextMark,
 )
 from mcspectra.plots.scales import count_axis, log_axis, name_axis, unit_panel
 from mcspectra.plots.style import (
@@ -56,11 +56,11 @@ AXES: tuple[Literal["x", "y"], ...] = ("x", "y")
 
 _TERMS = {"dc_term": "1st", "power_term": "2nd", "cross_term": "3rd"}
 _RESOLUTION = 256
-_ROUNDING = 1e-12  # terms that small beside the largest are rounding errors
+_ROUNDING = 1e-12  # fraction of the largest term below which a term is rounding error
 
 
 def whiskers(x: Array, y: Array, ends: Array, k: int, label: str, size: float = 4.0) -> Dots:
-    """Return dots with intervals (…, 2), in the k-th look."""
+    """Return dots with intervals (…, 2) in the k-th color and marker."""
     return Dots(
         x=np.asarray(x, float), y=y, low=ends[..., 0], high=ends[..., 1],
         color=PALETTE[k], marker=MARKERS[k], size=size, label=label,
@@ -77,20 +77,24 @@ def variance_panel(
     x: str = "number of points N",
     limits: tuple[float, float] | None = None,
 ) -> Panel:
-    """Return measured variances with 95 % intervals against N, and lines of what is known of them.
+    """Return measured variances with 95 % intervals against N, with exact and theoretical lines.
 
     Parameters
     ----------
     curves
-        Of `mcspectra.convergence`, one estimator and sampler each, by label; looks follow their order.
+        Results of `mcspectra.convergence` for one estimator and sampler, by label. Colors and
+        markers follow their order.
     exact
-        Variances at the same counts, for some of the labels.
+        Exact variances at the same counts, for some of the labels.
     rates
-        Of theory, for some of the labels: dashed lines through the last exact or measured variance.
+        Theoretical rates for some of the labels, drawn as dashed lines through the last exact or
+        measured variance.
     relative
         Whether to divide by the squared mean at the largest N.
+    title, x
+        Title of the panel and label of the x axis.
     limits
-        Of the variances; the data's by default.
+        Limits of the variance axis. Default: limits of the data.
     """
     marks: list[Mark] = []
     values: list[float] = []
@@ -125,20 +129,20 @@ def at_ring(spectrum: xr.Dataset, ring: int, scale: float) -> Measured:
 
 
 def ring_mean(power: Callable[[Array], Array], half_width: int, ring: int) -> float:
-    """Return the mean of a power over the frequencies of the plane whose |m| rounds to `ring`."""
+    """Return the mean of a power over the 2-D frequencies whose |m| rounds to `ring`."""
     side = np.arange(-half_width, half_width + 1)
     m = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
     return float(power(m[np.rint(np.hypot(m[:, 0], m[:, 1])) == ring]).mean())
 
 
 def frequency_panel(values: Array, scale: Scale, title: str, *, y: bool = True) -> Panel:
-    """Return an image of values (m₀, m₁) at frequencies −K … K, without that at 0; `y` labels m₁."""
+    """Return a map of values (m₀, m₁) at frequencies −K … K without 0; `y` labels the m₁ axis."""
     half = len(values) // 2
     shown = np.array(values, float)
     shown[half, half] = np.nan
     side = np.arange(-half, half + 1.0)
     ticks = {float(v): number(float(v), 2 if half < 100 else 3) for v in (-half, 0, half)}
-    image = Image(values=shown.T, x=side, y=side, scale=scale, name="power")
+    image = Heatmap(values=shown.T, x=side, y=side, scale=scale, name="power")
     return Panel(
         marks=(image,),
         x=Axis(label="m₀ (cycles per unit)", ticks=ticks),
@@ -148,29 +152,31 @@ def frequency_panel(values: Array, scale: Scale, title: str, *, y: bool = True) 
     )
 
 
-def strata(side: int) -> tuple[Rule, ...]:
+def strata(side: int) -> tuple[ReferenceLine, ...]:
     """Return the borders of side × side strata of the unit square."""
     places = (np.arange(1, side) / side).tolist()
-    return tuple(Rule(at=at, axis=axis, color=FAINT, width=0.7) for axis in AXES for at in places)
+    return tuple(
+        ReferenceLine(at=at, axis=axis, color=FAINT, width=0.7) for axis in AXES for at in places
+    )
 
 
 def primary_panel(integrand: Callable[[Array], Array], title: str) -> Panel:
-    """Return an image of an integrand (u₀, u₁) on the unit square, over its mean."""
+    """Return a map of an integrand on the unit square, divided by its mean."""
     u = (np.arange(_RESOLUTION) + 0.5) / _RESOLUTION
     values = np.asarray(integrand(np.stack(np.meshgrid(u, u), axis=-1)))
     shown = values / values.mean()
     scale = Scale(label="f/p (over its mean)", high=float(shown.max()))
-    image = Image(values=shown, x=u, y=u, scale=scale, name="f/p over its mean")
+    image = Heatmap(values=shown, x=u, y=u, scale=scale, name="f/p over its mean")
     return unit_panel([image], title, "u₀", "u₁")
 
 
 def plot_of(kind: str, *panels: Panel) -> Plot:
-    """Return a plot whose layout stands in ``slides.toml``."""
+    """Return a plot whose layout is given in ``slides.toml``."""
     return Plot(kind=kind, panels=panels)
 
 
 def in_columns(plot: Plot, first: int = 0) -> Plot:
-    """Return a plot of two panels a sampler with one column a sampler; `first` is the panel on top."""
+    """Rearrange a plot with two panels per sampler into columns; `first` is the top panel."""
     panels = (*plot.panels[first::2], *plot.panels[1 - first :: 2])
     return replace(plot, panels=panels, columns=len(panels) // 2, wide=True)
 
@@ -178,8 +184,10 @@ def in_columns(plot: Plot, first: int = 0) -> Plot:
 def interval_panel(
     rows: Mapping[str, Sequence[Measured]], labels: Sequence[str], x: str, at: float | None = None
 ) -> Panel:
-    """Return horizontal intervals, one row a name; `labels` say what the first, second … of a row are."""
-    marks: list[Mark] = [] if at is None else [Rule(at=at, axis="x", color=INK, dashes="--")]
+    """Return horizontal intervals with one row per name; `labels` name the intervals of a row."""
+    marks: list[Mark] = (
+        [] if at is None else [ReferenceLine(at=at, axis="x", color=INK, dashes="--")]
+    )
     for k, label in enumerate(labels):
         found = [row[k] for row in rows.values()]
         away = 0.26 * (k - (len(labels) - 1) / 2)
@@ -196,7 +204,7 @@ def interval_panel(
 
 
 def term_panel(data: xr.Dataset, scale: float, title: str, y: str = "") -> Panel:
-    """Return the three terms over `scale` as a waterfall to their sum, with 95 % intervals."""
+    """Return a waterfall of the three terms, divided by `scale`, with 95 % intervals."""
     names = {**_TERMS, "predicted_variance": "sum"}
     found = [Measured.of(data, name) / scale for name in names]
     value, low, high = np.array([(each.value, each.low, each.high) for each in found]).T
@@ -206,18 +214,18 @@ def term_panel(data: xr.Dataset, scale: float, title: str, y: str = "") -> Panel
     base[3] = 0.0
     low, high, value = low + base, high + base, value + base
     colors = [TERM_COLORS[name] for name in names]
-    bars = Bars(at=at, value=value, base=base, low=low, high=high, color=colors, thickness=0.72)
+    bars = BarChart(at=at, value=value, base=base, low=low, high=high, color=colors, thickness=0.72)
     steps = [[[k, value[k]], [k + 1.0, value[k]]] for k in range(3)]
     joints = Segments(ends=np.array(steps), color=GRAY, width=0.6)
     tops = np.maximum(high, np.maximum(base, value))
     above = (
-        Text(x=float(place), y=float(end), text=text, side="above")
+        TextMark(x=float(place), y=float(end), text=text, side="above")
         for place, end, text in zip(at, tops, texts, strict=True)
     )
     bottom, top = min(low.min(), 0.0), max(tops.max(), 0.0)
     room = top - bottom
     return Panel(
-        marks=(joints, bars, Rule(at=0.0, color=INK, width=0.7), *above),
+        marks=(joints, bars, ReferenceLine(at=0.0, color=INK, width=0.7), *above),
         x=Axis(low=-0.6, high=3.6, ticks=dict(zip(at.tolist(), names.values(), strict=True))),
         y=Axis(label=y, low=bottom - 0.05 * room * (bottom < 0), high=top + 0.17 * room),
         title=title,

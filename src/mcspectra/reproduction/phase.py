@@ -1,4 +1,4 @@
-"""The third term encodes phase: strata that are shifted, and functions of equal power spectra."""
+"""The third term encodes phase: shifted strata, and functions with equal power spectra."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Axis, Line, Mark, Panel, Plot, Rule
+from mcspectra.plots.description import Axis, Line, Mark, Panel, Plot, ReferenceLine
 from mcspectra.plots.style import INK, PALETTE, TERM_COLORS
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text
@@ -21,7 +21,7 @@ __all__ = ["exhibit"]
 COUNTS = (16, 64, 256, 1024)
 N = 16
 HALF_WIDTH = 48
-BAR = "disk(center=0.5, radius=0.25)"  # edges at 1/4 and 3/4, borders of strata of 4^k points
+BAR = "disk(center=0.5, radius=0.25)"  # edges at 1/4 and 3/4, on borders of strata of 4^k points
 OFFSETS = (0.0, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875)
 LABELS = {
     0.0: "not displaced",
@@ -29,11 +29,11 @@ LABELS = {
     0.5: "displaced by half a side",
 }
 RATES = {0.0: -3.0, 0.125: -2.0, 0.5: -2.0}
-_HIGHEST = 12  # frequency of the two functions of equal power
+_HIGHEST = 12  # highest frequency of the two functions with equal power spectra
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Displace strata against edges, and edges against strata."""
+    """Displace strata relative to edges, and edges relative to strata."""
     realizations = 1000 if quick else 10_000
     scan = {offset: bar_terms(offset, realizations, seed) for offset in OFFSETS}
     curves = {offset: displaced_curve(offset, realizations, seed) for offset in LABELS}
@@ -43,15 +43,15 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     )
     rates = ", ".join(f"{rate_text(curve)} ({LABELS[offset]})" for offset, curve in curves.items())
 
-    # Displace f in place of the points: a phase of its coefficients
+    # Displace f instead of the points, which multiplies its coefficients by a phase
     m, still = _matrix("jittered")
     bar = mcs.integrand(BAR, 1).fourier(m)
     turned = bar * np.exp(2j * np.pi * m[:, 0] * 0.3 / N)
 
-    # Average over equally spaced offsets: exact for all m − l but multiples of 64 strata
+    # Average over equally spaced offsets, exact for all m − l except multiples of 64 strata
     values = [_third(bar, _matrix(displaced(k / 64))[1]) for k in range(64)]
 
-    # Predict the variance of two functions of equal power spectra, and find it by quadrature
+    # Predict the variance of two functions with equal power spectra, and compute it by quadrature
     m, functions = _equal_power()
     (one_second, one_third), (other_second, other_third) = map(_predicted, functions)
     direct = [_stratified(m, f) for f in functions]
@@ -60,7 +60,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     # Draw the terms against the offset
     names = {"power_term": "second term", "cross_term": "third term", "predicted_variance": "sum"}
     at, s = np.array(OFFSETS), np.linspace(0.0, 1.0, 100)
-    marks: list[Mark] = [Rule(at=0.0, color=INK, width=0.7)]
+    marks: list[Mark] = [ReferenceLine(at=0.0, color=INK, width=0.7)]
     for k, (name, label) in enumerate(names.items()):
         found = [Measured.of(data, name) / 1e-3 for data in scan.values()]
         term = np.array([each.value for each in found])
@@ -97,19 +97,21 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         ),
         claims=(
             Claim(
-                f"The second term does not depend on where the strata lie, for {len(scan)} offsets and the same random "
-                "numbers: largest relative difference.",
+                "The second term does not depend on the position of the strata, for "
+                f"{len(scan)} offsets and the same random numbers: largest relative difference.",
                 float(np.ptp(second) / second[0]),
                 at_most=1e-9,
             ),
             Claim(
-                "Moving the strata by Δ is the same as turning the phases of f_m by 2πmΔ: difference of the third terms.",
+                "Shifting the strata by Δ is the same as changing the phases of f_m by 2πmΔ: "
+                "difference of the third terms.",
                 _third(bar, _matrix(displaced(0.3))[1]) - _third(turned, still),
                 at_most=1e-14,
             ),
             *(
                 Claim(
-                    f"Bar, strata {LABELS[offset]}: the variance is 2 s(1 − s)/N², with s = {number(offset)}.",
+                    f"Bar, strata {LABELS[offset]}: the variance is 2 s(1 − s)/N², with s = "
+                    f"{number(offset)}.",
                     Measured.of(scan[offset], "measured_variance", log=True),
                     expected=exact_bar(offset, N),
                     tolerance=1e-25,
@@ -118,24 +120,27 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 for offset in LABELS
             ),
             Claim(
-                "Phase decides the sign of the third term: with the edges at borders of strata it is negative.",
+                "Phase determines the sign of the third term: it is negative for edges at borders "
+                "of strata.",
                 Measured.of(scan[0.0], "cross_term"),
                 below=0.0,
             ),
             Claim(
-                "Phase decides the sign of the third term: with the edges in the middle it is positive.",
+                "Phase determines the sign of the third term: it is positive for edges in the "
+                "middle of strata.",
                 Measured.of(scan[0.5], "cross_term"),
                 above=0.0,
             ),
             Claim(
-                "Averaged over all offsets, which is homogenization, the third term is 0: over its largest size.",
+                "The third term averaged over all offsets (homogenization) is 0: mean relative to "
+                "the largest magnitude.",
                 float(np.mean(values) / np.abs(values).max()),
                 at_most=1e-12,
             ),
             *(
                 known_rate(
-                    f"Strata shifting affects convergence: bar and cosine, strata {LABELS[offset]}: rate "
-                    f"{number(rate, 2)}.",
+                    "Shifting strata affects convergence: bar and cosine, strata "
+                    f"{LABELS[offset]}: rate {number(rate, 2)}.",
                     curves[offset],
                     rate,
                     exact_curve(offset),
@@ -143,13 +148,13 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 for offset, rate in RATES.items()
             ),
             Claim(
-                "Two functions of equal |f_m| have the same second term: relative difference.",
+                "Two functions with equal |f_m| have the same second term: relative difference.",
                 one_second / other_second - 1.0,
                 at_most=1e-14,
             ),
             Claim(
-                "Their variances with jittered points differ, and the three terms know it: ratio of both predictions less "
-                "that of quadrature over strata.",
+                "The three terms predict the different variances of these functions with jittered "
+                "points: ratio of the predictions minus the ratio by quadrature over strata.",
                 times - direct[0] / direct[1],
                 at_most=1e-9,
                 note=f"The ratio is {number(times, 4)}.",
@@ -159,18 +164,18 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def displaced(offset: float) -> str:
-    """Jittered points, their strata moved by a part of the side."""
+    """Return the spec of jittered points with strata shifted by a fraction of their side."""
     return f"jittered | strata-shift(offset={offset})"
 
 
 def bar_terms(offset: float, realizations: int, seed: int) -> xr.Dataset:
-    """Terms of the bar."""
+    """Return the terms of the bar."""
     options: dict[str, Any] = {"half_width": HALF_WIDTH, "realizations": realizations, "rng": seed}
     return mcs.variance_terms(mcs.integrand(BAR, 1), displaced(offset), N, **options)
 
 
 def smooth() -> mcs.Integrand:
-    """The bar, and a cosine that gives what is left of the variance when edges cost nothing."""
+    """Return bar + cosine; the cosine has variance even if edges at borders of strata do not."""
 
     def f(x: Array) -> Array:
         return np.asarray((np.abs(x[..., 0] - 0.5) < 0.25) + np.cos(2 * np.pi * x[..., 0]))
@@ -179,21 +184,21 @@ def smooth() -> mcs.Integrand:
 
 
 def displaced_curve(offset: float, realizations: int, seed: int) -> xr.Dataset:
-    """Convergence of the bar and the cosine."""
+    """Measure the convergence of bar + cosine."""
     spec = displaced(offset)
     return mcs.convergence(smooth(), spec, list(COUNTS), realizations=realizations, rng=seed)
 
 
 def exact_bar(offset: float, n: int) -> float:
-    """Both edges cut a stratum into shares s = offset and 1 − s: 2 s(1 − s)/N²."""
+    """Return 2 s(1 − s)/N²: both edges cut a stratum into parts s = offset and 1 − s."""
     return 2 * offset * (1 - offset) / n**2
 
 
 def exact_curve(offset: float) -> Array:
-    """Variances of the bar and the cosine: of each stratum, by quadrature on both sides of its cut."""
+    """Return the exact variances of bar + cosine by quadrature on both sides of each cut."""
     node, weight = np.polynomial.legendre.leggauss(8)
     node, weight = (node + 1) / 2, weight / 2
-    # Cuts are 1 − offset from the left of a stratum
+    # The cut is at the fraction 1 − offset of a stratum
     t = np.concatenate([node * (1 - offset), 1 - offset + node * offset])
     w = np.concatenate([weight * (1 - offset), weight * offset])
     found = []
@@ -204,21 +209,21 @@ def exact_curve(offset: float) -> Array:
 
 
 def _matrix(sampler: str, half_width: int = HALF_WIDTH) -> tuple[Array, Array]:
-    """Frequencies (M, 1) and C_ml in closed form."""
+    """Return frequencies (M, 1) and C_ml in closed form."""
     m = np.arange(-half_width, half_width + 1)[:, None]
     return m, mcs.spectra.closed_form_covariance(sampler, N, m[:, None], m[None])
 
 
 def _third(f: Array, c: Array) -> float:
-    """Σ conj(f_m) f_l C_ml over m ≠ l."""
+    """Return Σ conj(f_m) f_l C_ml over m ≠ l."""
     matrix = f.conj()[:, None] * f[None] * c
     return float((matrix.sum() - np.trace(matrix)).real)
 
 
 def _equal_power() -> tuple[Array, tuple[Array, Array]]:
-    """Frequencies, and coefficients of two real functions of equal |f_m|: a peak and a spread-out one.
+    """Return frequencies and coefficients of two real functions with equal |f_m|.
 
-    Phases of the second are those of a chirp, π m²/K.
+    The first has zero phases (a peak), the second the phases π m²/K of a chirp (spread out).
     """
     m = np.arange(-_HIGHEST, _HIGHEST + 1)[:, None]
     size = 1.0 / (1.0 + np.abs(m[:, 0]))
@@ -227,12 +232,12 @@ def _equal_power() -> tuple[Array, tuple[Array, Array]]:
 
 
 def _series(x: Array, m: Array, f: Array) -> Array:
-    """Values of Σ f_m exp(2πi m x), which is real."""
+    """Return the real values of Σ f_m exp(2πi m x)."""
     return np.asarray((np.exp(2j * np.pi * x[..., None] * m[:, 0]) @ f).real)
 
 
 def _stratified(m: Array, f: Array) -> float:
-    """Variance of jittered points on a series, by quadrature within each stratum."""
+    """Return the variance of jittered points for a series, by quadrature in each stratum."""
     node, weight = np.polynomial.legendre.leggauss(16)
     values = _series((np.arange(N)[:, None] + (node + 1) / 2) / N, m, f)
     weight = np.tile(weight / 2, (N, 1))
@@ -241,7 +246,7 @@ def _stratified(m: Array, f: Array) -> float:
 
 
 def _predicted(f: Array) -> tuple[float, float]:
-    """Second and third term of jittered points on a series."""
+    """Return the second and third terms of jittered points for a series."""
     _, c = _matrix("jittered", _HIGHEST)
     return float(np.abs(f) ** 2 @ np.diag(c).real), _third(f, c)
 

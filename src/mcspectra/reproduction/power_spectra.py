@@ -22,7 +22,7 @@ HALF_WIDTH = 48
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Show single and expected spectra, and judge their level, speckle and low frequencies."""
+    """Show single and expected spectra, and check level, speckle and low frequencies."""
     realizations = 200 if quick else 2000
     single, expected = measured_spectra(1, seed), measured_spectra(realizations, seed)
     random, jittered, disk = (expected[name] for name in SAMPLERS)
@@ -34,13 +34,14 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         _ring_level("jittered", jittered, 1, closed_ring(1)),
         _ring_level("jittered", jittered, HALF_WIDTH, closed_ring(HALF_WIDTH)),
         Claim(
-            "Poisson-disk points have less power than random ones at |m| ≈ 1, but more than jittered ones.",
+            "Poisson-disk points have less power than random points at |m| ≈ 1, but more than "
+            "jittered points.",
             at_ring(disk, 1, N),
             above=closed_ring(1),
             below=1.0,
         ),
         Claim(
-            f"Poisson-disk points have a ring above the level of random ones, at |m| ≈ {ring}.",
+            f"Poisson-disk points have a ring above the level of random points, at |m| ≈ {ring}.",
             at_ring(disk, ring, N),
             above=1.0,
         ),
@@ -74,7 +75,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def measured_spectra(realizations: int, seed: int) -> dict[str, xr.Dataset]:
-    """Spectra of the three samplers."""
+    """Return the spectra of the three samplers."""
     return {
         name: mcs.power_spectrum(
             mcs.sampler(name, 2), N, half_width=HALF_WIDTH, realizations=realizations, rng=seed
@@ -85,28 +86,28 @@ def measured_spectra(realizations: int, seed: int) -> dict[str, xr.Dataset]:
 
 def _speckle(what: str, spectrum: xr.Dataset, realizations: int) -> Claim:
     flat = np.asarray(spectrum["power"].values).ravel()
-    power = N * flat[: flat.size // 2]  # one of each pair ±m, without m = 0
-    # Of M values of Gamma(R): variance of the coefficient (1 + 1/R) / (2 R M)
+    power = N * flat[: flat.size // 2]  # one frequency of each pair ±m, without m = 0
+    # For M values of Gamma(R), the coefficient of variation has variance (1 + 1/R) / (2 R M)
     se = math.sqrt((1 + 1 / realizations) / (2 * realizations * power.size))
     return Claim(
-        f"Of {what} of random points, the power at a frequency varies by 1/√R of its mean "
-        f"(R = {realizations}).",
+        f"For {what} of random points, the power at a frequency has a relative standard deviation "
+        f"of 1/√R (R = {realizations}).",
         Measured.normal(float(power.std(ddof=1) / power.mean()), se),
         expected=realizations**-0.5,
-        # |S_m|² is exponential for N → ∞ only, and powers correlate: both change it by about 1/N
+        # |S_m|² is exponential only for N → ∞, and powers are correlated: relative effects of 1/N
         tolerance=1.0 / N * realizations**-0.5,
-        note="Tolerance 1/N of it: powers of N points are exponential up to that.",
+        note="Relative tolerance 1/N: powers of N points are exponential up to this error.",
     )
 
 
 def closed_ring(ring: int) -> float:
-    """N times the mean of jittered points' closed form over a ring."""
+    """Return N times the mean over a ring of the closed form of jittered points."""
     return N * ring_mean(lambda m: mcs.closed_form_power("jittered", N, m), HALF_WIDTH, ring)
 
 
 def _ring_level(name: str, spectrum: xr.Dataset, ring: int, expected: float) -> Claim:
     return Claim(
-        f"N · ⟨P⟩ of {name} points, the mean over |m| ≈ {ring}, is that of the closed form.",
+        f"The mean of N · ⟨P⟩ over |m| ≈ {ring} of {name} points agrees with the closed form.",
         at_ring(spectrum, ring, N),
         expected=expected,
         digits=4,
@@ -122,5 +123,7 @@ def _exponent(name: str, spectrum: xr.Dataset, expected: float) -> Claim:
         expected=expected,
         # d log(1 − sinc²(πν/s)) / d log ν = 2 − 4/15 (πν/s)² …, s = 16, ν ≤ 3
         tolerance=0.1 if expected else 0.0,
-        note="Tolerance 0.1: 1 − sinc² bends by as much up to |m| = 3." if expected else "",
+        note="Tolerance 0.1: the exponent of 1 − sinc² changes by this much up to |m| = 3."
+        if expected
+        else "",
     )

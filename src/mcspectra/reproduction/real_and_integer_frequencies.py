@@ -1,9 +1,9 @@
-"""Predictions from real frequencies diverge from the variance; those from integers follow it.
+"""Predictions from integer frequencies agree with the variance; those from real ones diverge.
 
-Of two functions on the unit interval, f(x) = x jumps where the interval ends and begins again,
-g(x) = (1 − cos 2πx)/2 does not. Half-integers are the frequencies of a domain twice as long, [0, 2), in
-whose second half f and the points are 0. With Δν = ½ and N → ∞ the sum over them without ν = 0 tends to
-∫ (f ⋆ box)² − I²/2: |⟨S_ν⟩|² is the power of the box.
+On the unit interval, f(x) = x jumps at the border, and g(x) = (1 − cos 2πx)/2 does not.
+Half-integers are the frequencies of a domain of twice the length, [0, 2), whose second half has
+neither values of f nor points. With Δν = ½ and N → ∞, the sum over half-integers ν ≠ 0 tends to
+∫ (f ⋆ box)² − I²/2, since |⟨S_ν⟩|² is the power of the box.
 """
 
 from __future__ import annotations
@@ -26,12 +26,13 @@ __all__ = ["exhibit"]
 
 COUNTS = (16, 64, 256, 1024)
 NAMES = {"f": "f(x) = x", "g": "g(x) = (1 − cos 2πx)/2"}
+# Name to the spec that is used for measured variances
 SAMPLERS = {
     "random": "random",
     "jittered": "jittered | shift",
-}  # the latter where variance is measured
+}
 RATES = {"f": -2.0, "g": -3.0}
-_HIGHEST = 2**16  # frequency; the tail of f beyond is 12 N / (4π² 2^16) = 0.5 % at N = 1024
+_HIGHEST = 2**16  # highest frequency; the tail of f is 12 N / (4π² 2^16) = 0.5 % at N = 1024
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
@@ -46,7 +47,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         "jittered", 64, [[0.5]], realizations=200 if quick else 2000, rng=seed
     )
 
-    # Draw sums over real and integer frequencies, and the variance
+    # Draw the sums over real and integer frequencies, and the variance
     panels = []
     n = np.array(COUNTS, float)
     for name, title in NAMES.items():
@@ -62,7 +63,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         high = 2 * float(frequency_sums(name, "random", 0.5).max())
         x, y_axis = count_axis("number of points N", COUNTS), log_axis("variance", low, high)
         panels.append(Panel(marks=tuple(marks), x=x, y=y_axis, title=title, grid=True))
-    nu, whole = np.arange(10, 801) / 200, np.arange(1.0, 5.0)  # the integers included
+    nu, whole = np.arange(10, 801) / 200, np.arange(1.0, 5.0)  # includes the integers
 
     # Draw the power of jittered points between the integers
     power: list[Mark] = []
@@ -83,7 +84,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         claims=(
             *(
                 known_rate(
-                    f"The variance of {name} converges, with {spec} points, at the rate {number(rate, 2)}.",
+                    f"The variance of {name} with {spec} points has the rate {number(rate, 2)}.",
                     curves[name].sel(sampler=spec),
                     rate,
                     exact_variances(name, sampler),
@@ -97,8 +98,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             *(_real_rate(*pair) for pair in pairs),
             *(_real_level(name) for name in NAMES),
             Claim(
-                "Between the integers the power does not vanish: at ν = ½ that of 64 jittered points is (2/π)² and the "
-                "little that their variance adds.",
+                "The power does not vanish between the integers: at ν = ½ the power of 64 jittered "
+                "points is (2/π)² plus a small variance.",
                 Measured.normal(float(found["power"][0]), float(found["power_se"][0])),
                 expected=float(mcs.closed_form_power("jittered", 64, [[0.5]])[0]),
                 digits=6,
@@ -108,7 +109,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def measured(realizations: int, seed: int) -> dict[str, xr.Dataset]:
-    """Convergence of both functions with both samplers."""
+    """Measure the convergence of both functions with both samplers."""
     samplers = list(SAMPLERS.values())
     return {
         name: mcs.convergence(
@@ -128,14 +129,14 @@ def _integrand(name: str) -> mcs.Integrand:
 
 @cache
 def exact_variances(name: str, sampler: str) -> Array:
-    """The exact variances at the counts, of shifted points."""
+    """Return the exact variances of shifted points at the counts."""
     f, spec = _integrand(name), f"{sampler} | shift"
     return np.array([float(mcs.exact_variance(f, spec, n)) for n in COUNTS])
 
 
 @cache
 def frequency_sums(name: str, sampler: str, step: float) -> Array:
-    """Sums of |f(ν)|² ⟨|S_ν|²⟩ Δν over multiples ν ≠ 0 of the step Δν, at the counts."""
+    """Return Σ |f(ν)|² ⟨|S_ν|²⟩ Δν over multiples ν ≠ 0 of the step Δν, at the counts."""
     nu = step * np.arange(1.0, _HIGHEST + 1)
     power = np.abs(transform(name, nu)) ** 2
     sums = [power @ mcs.closed_form_power(sampler, n, nu[:, None]) for n in COUNTS]
@@ -144,16 +145,16 @@ def frequency_sums(name: str, sampler: str, step: float) -> Array:
 
 @cache
 def real_limit(name: str) -> float:
-    """What sums over half-integers tend to, by quadrature of (f ⋆ box)² over its support [0, 2]."""
+    """Return the limit of sums over half-integers, by quadrature of (f ⋆ box)² over [0, 2]."""
     node, weight = np.polynomial.legendre.leggauss(60)
     t, weight = (node + 1) / 2, weight / 2
-    # f ⋆ box is F(t) on [0, 1] and I − F(t − 1) on [1, 2], F the integral of f from 0
+    # f ⋆ box is F(t) on [0, 1] and I − F(t − 1) on [1, 2], where F is the integral of f from 0
     partial = t**2 / 2 if name == "f" else t / 2 - np.sin(2 * np.pi * t) / (4 * np.pi)
     return float(weight @ (partial**2 + (0.5 - partial) ** 2)) - 0.5 * 0.5**2
 
 
 def transform(name: str, nu: Array) -> Array:
-    """∫ f(x) exp(−2πiνx) dx over [0, 1], ν ≠ 0."""
+    """Return ∫ f(x) exp(−2πiνx) dx over [0, 1], ν ≠ 0."""
 
     def box(nu: Array) -> Array:
         return np.asarray(np.exp(-1j * np.pi * nu) * np.sinc(nu))
@@ -167,11 +168,11 @@ def transform(name: str, nu: Array) -> Array:
 def _integers(name: str, sampler: str) -> Claim:
     error = np.abs(frequency_sums(name, sampler, 1.0) / exact_variances(name, sampler) - 1.0)
     return Claim(
-        f"The sum over integer frequencies is the variance of {name} with {sampler} points, shifted: largest "
-        f"relative difference for N = {COUNTS[0]} … {COUNTS[-1]}.",
+        f"The sum over integer frequencies is the variance of {name} with shifted {sampler} "
+        f"points: largest relative difference for N = {COUNTS[0]} … {COUNTS[-1]}.",
         float(error.max()),
         at_most=1e-2 if name == "f" else 1e-9,
-        note="What lies beyond the last frequency is less than 1 % of it." if name == "f" else "",
+        note="Frequencies beyond the last one add less than 1 %." if name == "f" else "",
     )
 
 
@@ -190,7 +191,8 @@ def _real_rate(name: str, sampler: str) -> Claim:
 def _real_level(name: str) -> Claim:
     limit = real_limit(name)
     return Claim(
-        f"The sum over half-integer frequencies of {name} tends to ∫ (f ⋆ box)² − I²/2, jittered points.",
+        f"For jittered points, the sum over half-integer frequencies of {name} tends to "
+        "∫ (f ⋆ box)² − I²/2.",
         float(frequency_sums(name, "jittered", 0.5)[-1]),
         expected=limit,
         tolerance=0.01 * limit,

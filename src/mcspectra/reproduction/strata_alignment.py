@@ -1,4 +1,4 @@
-"""Strata aligned with the edges of an integrand keep the rate of what is smooth."""
+"""Strata aligned with the edges of an integrand keep the rate of smooth integrands."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Image, Line, Plot, Scale
+from mcspectra.plots.description import Heatmap, Line, Plot, Scale
 from mcspectra.plots.scales import unit_panel
 from mcspectra.plots.style import INK
 from mcspectra.plots.text import number
@@ -17,7 +17,7 @@ from mcspectra.reproduction.panels import plot_of, strata, variance_panel
 __all__ = ["exhibit"]
 
 COUNTS = (16, 64, 256, 1024)
-# For a = 1/3 every number of strata 2^k leaves the share 1/3 or 2/3 of one: s(1 − s) is always 2/9.
+# With 2^k strata, an edge at 1/3 cuts a stratum into parts 1/3 and 2/3, so s(1 − s) is always 2/9.
 PLACES = {"aligned: edge at 1/2": 0.5, "not aligned: edge at 1/3": 1 / 3}
 ALIGNED, CUT = PLACES
 RATES = {ALIGNED: -2.0, CUT: -1.5}
@@ -25,7 +25,7 @@ _OBLIQUE = "half-space(normal=[1, 0.618], offset=0.7)"
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Measure variances of an edge and a ramp, for edges on and off the borders of strata."""
+    """Measure variances of an edge plus a ramp, for edges on and off the borders of strata."""
     realizations = 1000 if quick else 10_000
     plain, shifted = (
         {name: measured(edge(a), sampler, realizations, seed) for name, a in PLACES.items()}
@@ -34,7 +34,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     oblique = np.array([float(mcs.exact_variance(_OBLIQUE, "jittered", n)) for n in COUNTS])
     a, b, c, d = map(rate_text, (*plain.values(), *shifted.values()))
 
-    # Bend the strata so that they have a border at 1/3
+    # Deform the strata so that they have a border at 1/3
     f, place, counts = edge(1 / 3), [[1 / 3], []], COUNTS[-2:]
     known = [float(mcs.exact_variance(mcs.aligned(f, place, n), "jittered", n)) for n in counts]
 
@@ -64,8 +64,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             ),
             *(
                 Claim(
-                    f"{name.capitalize()}: the variance is s(1 − s) N^(−3/2) + 1/(12N²), with s the share of a stratum left of "
-                    f"the edge, at N = {COUNTS[-1]}.",
+                    f"{name.capitalize()}: the variance is s(1 − s) N^(−3/2) + 1/(12N²) at "
+                    f"N = {COUNTS[-1]}, where s is the part of a stratum to the left of the edge.",
                     Measured.of(plain[name].isel(n=-1), "variance", log=True),
                     expected=float(exact(PLACES[name])[-1]),
                     digits=4,
@@ -74,7 +74,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             ),
             *(
                 known_rate(
-                    f"After a shift, edge at {name.rpartition(' ')[2]}: the rate is −1.5, aligned before or not.",
+                    f"After a shift, edge at {name.rpartition(' ')[2]}: the rate is −1.5, with or "
+                    "without alignment before.",
                     curve,
                     -1.5,
                     homogenised(),
@@ -82,20 +83,21 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 for name, curve in shifted.items()
             ),
             known_rate(
-                "An oblique edge cuts strata wherever it lies: the rate of jittered points is −1.5.",
+                "An oblique edge cuts strata at any position: the rate of jittered points is −1.5.",
                 measured(_OBLIQUE, "jittered", realizations, seed),
                 -1.5,
                 oblique,
             ),
             Claim(
-                "Strata bent so that they have a border at 1/3 restore the rate −2: that of the exact variances from N = "
-                f"{counts[0]} to {counts[1]}, less −2.",
+                "Strata deformed to have a border at 1/3 restore the rate −2: rate of the exact "
+                f"variances from N = {counts[0]} to {counts[1]}, minus −2.",
                 slope(counts, np.array(known)) + 2.0,
-                # s/3 strata are rounded to whole ones: relative changes of 1/s² of the variance, s = 16
+                # The number s/3 of strata is rounded: relative change 1/s² of the variance, s = 16
                 at_most=1 / 256,
             ),
             Claim(
-                f"What alignment is worth: variance of the edge at 1/3 over that of the edge at 1/2, N = {COUNTS[-1]}.",
+                "Benefit of alignment: variance of the edge at 1/3 divided by the variance of the "
+                f"edge at 1/2, N = {COUNTS[-1]}.",
                 cut / aligned,
                 expected=float(exact(PLACES[CUT])[-1] / exact(PLACES[ALIGNED])[-1]),
             ),
@@ -104,7 +106,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def edge(a: float) -> mcs.Integrand:
-    """1 left of x = a, else 0, plus the ramp y, in the plane."""
+    """Return the 2-D integrand 1[x < a] + y."""
 
     def f(x: Array) -> Array:
         return np.asarray((x[..., 0] < a) + x[..., 1])
@@ -113,24 +115,24 @@ def edge(a: float) -> mcs.Integrand:
 
 
 def exact(a: float) -> Array:
-    """Variances of jittered points: those of the edge and of the ramp, which are independent."""
+    """Return variances of jittered points: the independent variances of edge and ramp add up."""
     side = np.sqrt(COUNTS)
     share = a * side - np.floor(a * side)
     return np.asarray(share * (1 - share) / side**3 + 1 / (12 * side**4))
 
 
 def homogenised() -> Array:
-    """Variances after a shift: the edge and the wrap have s(1 − s) averaged, 1/6 each; the ramp its own.
+    """Return variances after a shift, at which s(1 − s) averages to 1/6 for edge and border.
 
-    Edge and wrap are more than a stratum apart, so that they cut different ones; the places of the edge
-    do not matter. The ramp has N^(−3/2)/6 − N^(−2)/12, of its own wrap.
+    Edge and border are more than a stratum apart and cut different strata, so the position of the
+    edge does not matter. The ramp adds N^(−3/2)/6 − N^(−2)/12 because it jumps at the border.
     """
     side = np.sqrt(COUNTS)
     return np.asarray(2 / 6 / side**3 + 1 / (6 * side**3) - 1 / (12 * side**4))
 
 
 def measured(f: mcs.Integrand | str, sampler: str, realizations: int, seed: int) -> xr.Dataset:
-    """Convergence at the counts."""
+    """Measure the convergence at the counts."""
     return mcs.convergence(f, sampler, list(COUNTS), realizations=realizations, rng=seed)
 
 
@@ -145,7 +147,7 @@ def _strata() -> Plot:
         ((1 / 3, 1 / 3), "not aligned: x = 1/3"),
         ((0.7, 0.082), "oblique"),
     ):
-        # In each row of strata the edge runs from x = ends[row] to ends[row + 1]
+        # In row `row` of strata the edge goes from x = ends[row] to ends[row + 1]
         ends = low + (high - low) * ticks
         left, right = (reach(ends[:-1], ends[1:]) for reach in (np.minimum, np.maximum))
         cut = (ticks[:-1] < right[:, None] - 1e-9) & (left[:, None] + 1e-9 < ticks[1:])
@@ -153,7 +155,7 @@ def _strata() -> Plot:
         panels.append(
             unit_panel(
                 (
-                    Image(values=values, x=middle, y=middle, scale=scale, name="stratum"),
+                    Heatmap(values=values, x=middle, y=middle, scale=scale, name="stratum"),
                     *strata(side),
                     Line(x=np.array([low, high]), y=np.array([0.0, 1.0]), color=INK, width=1.6),
                 ),

@@ -1,4 +1,4 @@
-"""Variance as the sum of sampling power times integrand power, for stationary samples."""
+"""Variance as the sum of sampling power × integrand power, for stationary samples."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ HALF_WIDTH = 12
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Compare the sum of products of spectra with variances, where it holds and where it does not."""
+    """Compare the sum of products of spectra with the variance, with and without stationarity."""
     realizations = 1000 if quick else 10_000
     terms = {
         name: mcs.variance_terms(
@@ -39,13 +39,13 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     missed = float(weighted["power_term"]) / float(weighted["measured_variance"])
     lost = Measured.of(weighted, "power_term") / exact_weighted()
 
-    # Let N grow: the bell vanishes at the border, so that the rate is −1 − 2/2 for a power as ν²
+    # Increase N: the bell vanishes at the border, so the rate is −1 − 2/2 for a power ∝ ν²
     counts = [64, 256, 1024] if quick else [64, 256, 1024, 4096]
     sampler, realizations = "jittered | shift", 1000 if quick else 4000
     curve = mcs.convergence(BELL, sampler, counts, realizations=realizations, rng=seed)
     known = slope(counts, np.array([exact(sampler, n) for n in counts]))
 
-    # Draw spectra and products, and sums over the exact variance or, with its error, the measured one
+    # Draw spectra and products, and sums relative to the exact or the measured variance
     bell_power = np.abs(mcs.integrand(BELL, 2).fourier_grid(HALF_WIDTH)) ** 2
     products = {name: data["power_contribution"].values for name, data in terms.items()}
     without = np.arange(bell_power.size).reshape(bell_power.shape) != bell_power.size // 2
@@ -59,7 +59,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         power / variance.value, power / variance.high, power / variance.low
     )
     shown[f"random, p = {DENSITY}"] = lost
-    x = "Σ P_f ⟨P_S⟩ over variance (1: all of it)"
+    x = "Σ P_f ⟨P_S⟩ / variance (1: complete)"
     return Exhibit(
         numbers={"each": each, "density": DENSITY, "missed": number(missed), "N": N},
         plots=(
@@ -80,7 +80,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             *(_closed_sum(name) for name in SAMPLERS[:2]),
             *(
                 Claim(
-                    f"Σ |f_m|² ⟨|S_m|²⟩ with the simulated spectrum of {name} points is the exact variance.",
+                    f"Σ |f_m|² ⟨|S_m|²⟩ with the simulated spectrum of {name} points is the exact "
+                    "variance.",
                     Measured.of(terms[name], "power_term"),
                     expected=exact(name),
                     digits=4,
@@ -89,14 +90,17 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             ),
             *(_diagonal(name, terms[name]) for name in SAMPLERS),
             rate_claim(
-                "The rate of jittered, shifted points on this bell is −1 − b/d with the exponent b = 2 of their spectrum.",
+                "The rate of jittered, shifted points on this bell is −1 − b/d with the exponent b "
+                "= 2 of their spectrum.",
                 curve,
                 -2.0,
                 abs(known + 2.0),
-                f"Tolerance: the exact variances at these counts have the slope {number(known, 4)}.",
+                "Tolerance: the exact variances at these counts have the slope "
+                f"{number(known, 4)}.",
             ),
             Claim(
-                f"With importance samples of {DENSITY} the sum of products is not the variance: their ratio is not 1.",
+                f"With importance samples of {DENSITY} the sum of products is not the variance: "
+                "ratio.",
                 lost,
                 holds=not judge(Claim("", lost, expected=1.0)).agrees,
                 shown="not 1",
@@ -106,7 +110,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def importance_terms(realizations: int, seed: int) -> xr.Dataset:
-    """Terms of random points with a density, where frequencies are correlated."""
+    """Return the terms of random points with a density, which have correlated frequencies."""
     return mcs.variance_terms(
         _estimator(), "random", N, half_width=16, realizations=realizations, rng=seed
     )
@@ -117,17 +121,17 @@ def _estimator() -> mcs.Estimator:
 
 
 def exact_weighted() -> float:
-    """Variance of importance samples."""
+    """Return the exact variance of importance samples."""
     return float(mcs.exact_variance(_estimator(), "random", N))
 
 
 def exact(name: str, n: int = N) -> float:
-    """Variance of the bell."""
+    """Return the exact variance of the bell."""
     return float(mcs.exact_variance(BELL, name, n))
 
 
 def integrand_power() -> tuple[Array, Array]:
-    """Integer frequencies (M, 2) without 0, and |f_m|² there."""
+    """Return the integer frequencies (M, 2) without 0, and |f_m|²."""
     side = np.arange(-HALF_WIDTH, HALF_WIDTH + 1)
     m = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
     m = m[(m != 0).any(axis=1)]
@@ -138,18 +142,18 @@ def _closed_sum(name: str) -> Claim:
     m, power = integrand_power()
     total = float((power * mcs.closed_form_power(name, N, m)).sum())
     return Claim(
-        f"Σ |f_m|² ⟨|S_m|²⟩ with the closed form of {name} points differs from quadrature, relatively, "
-        "by at most what is cut off.",
+        f"Σ |f_m|² ⟨|S_m|²⟩ with the closed form of {name} points agrees with quadrature up to the "
+        "truncation: relative difference.",
         total / exact(name) - 1.0,
-        # |f_m|² beyond the half width: jumps of f at the border, exp(−(0.4/0.1)²/2) = 3e-4 of it
+        # |f_m|² beyond the half width comes from jumps at the border, exp(−(0.4/0.1)²/2) = 3e-4
         at_most=1e-5,
     )
 
 
 def _diagonal(name: str, data: xr.Dataset) -> Claim:
     return Claim(
-        f"Nothing is missing for {name} points: correlations between frequencies add nothing, as a share "
-        "of the measured variance.",
+        f"The sum is complete for {name} points: correlations between frequencies add nothing, as "
+        "a share of the measured variance.",
         Measured.of(data, "cross_term") / float(data["measured_variance"]),
         expected=0.0,
     )

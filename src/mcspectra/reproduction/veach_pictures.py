@@ -1,4 +1,4 @@
-"""Pictures of Veach's scene by light, BSDF and multiple importance sampling, and their errors."""
+"""Images of Veach's scene by light, BSDF and multiple importance sampling, and their errors."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import mcspectra as mcs
 from mcspectra.core.checks import Array
 from mcspectra.plots.description import (
     Axis,
-    Image,
+    Heatmap,
     Mark,
     Panel,
     Pixels,
     Plot,
     Scale,
     Segments,
-    Text,
+    TextMark,
 )
 from mcspectra.plots.style import INK
 from mcspectra.plots.text import number
@@ -29,14 +29,14 @@ from mcspectra.reproduction.panels import plot_of
 __all__ = ["exhibit"]
 
 _SAMPLER = "sobol | owen | decorrelate"
-_SAMPLES = {"light": 4, "bsdf": 4, "mis": 2}  # a pixel and technique: 4 in all
+_SAMPLES = {"light": 4, "bsdf": 4, "mis": 2}  # samples per pixel and technique, 4 in total
 _TITLES = {
     "light": "light importance sampling, N = 4 spp",
     "bsdf": "BSDF importance sampling, N = 4 spp",
     "mis": "MIS, N = 2 + 2 spp",
 }
 _SHORT = {"light": "light sampling", "bsdf": "BSDF sampling", "mis": "MIS"}
-# Region, the strategy that fails there, and one that does not
+# Region, strategy that fails there, and strategy that works
 _CASES = (
     ("plate-0", "light", "bsdf"),
     ("plate-0", "light", "mis"),
@@ -53,7 +53,7 @@ _LABELS = {"plate-0": "smoothest plate", "wall": "wall"}
 @final
 @dataclass(frozen=True, kw_only=True)
 class Renders:
-    """Images (repeats, height, width, 3) by strategy, and a reference with its batches."""
+    """Images (repeats, height, width, 3) by strategy, and the batches of a reference."""
 
     scene: str
     reference_spp: int
@@ -62,27 +62,27 @@ class Renders:
 
     @property
     def reference(self) -> Array:
-        """The mean of the batches."""
+        """Mean of the batches."""
         return np.asarray(self.batches.mean(axis=0))
 
     def errors(self, strategy: str) -> Array:
-        """Squared errors as displayed, sRGB from 0 to 1, of all repeats: (repeats, height, width)."""
+        """Return squared errors in sRGB (0 to 1) of all repeats, (repeats, height, width)."""
         shown, right = encode_srgb(self.repeats[strategy]), encode_srgb(self.reference)
         return np.asarray(((shown - right) ** 2).mean(axis=-1))
 
     def window(self, name: str) -> tuple[slice, slice]:
-        """Rows and columns about a named pixel, a thirtieth of the image wide."""
+        """Return rows and columns around a named pixel; the side is 1/30 of the image width."""
         x, y = mcs.rendering.named_pixels(self.scene)[name]
         half = self.reference.shape[1] // 60
         return slice(y - half, y + half + 1), slice(x - half, x + half + 1)
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Render the scene by each strategy at 4 samples a pixel, several times, against a reference."""
+    """Render the scene several times by each strategy with 4 samples per pixel, and a reference."""
     renders = _render(168, 128, 8, seed) if quick else _render(288, 1024, 12, seed)
     values = ", ".join(f"{number(float(renders.errors(s).mean()))} ({_SHORT[s]})" for s in _SAMPLES)
     spp = renders.reference_spp
-    fewer = f" The reference has {spp} samples of each technique a pixel here, in place of 1024."
+    fewer = f" Here the reference has {spp} instead of 1024 samples per pixel and technique."
     images = {f"reference, N = {spp} + {spp} spp": renders.reference}
     images |= {title: renders.repeats[strategy][0] for strategy, title in _TITLES.items()}
     return Exhibit(
@@ -107,10 +107,12 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         claims=(
             *(_region(renders, *case) for case in _CASES),
             Claim(
-                "At equal numbers of samples: squared error, as displayed, of BSDF sampling over that of MIS, whole image.",
+                "At equal numbers of samples: squared error (sRGB, whole image) of BSDF sampling "
+                "divided by the error of MIS.",
                 _ratio(*(renders.errors(s).mean(axis=(1, 2)) for s in ("bsdf", "mis"))),
                 above=1.0,
-                note="That of light sampling is in the caption: where it does not fail, all samples are its own.",
+                note="The caption has the error of light sampling, which is small where it does "
+                "not fail, since it uses all samples.",
             ),
             *(_same_mean(renders, strategy) for strategy in ("light", "mis")),
         ),
@@ -135,7 +137,7 @@ def _render(width: int, reference_spp: int, repeats: int, seed: int) -> Renders:
 
 
 def _ratio(above: Array, below: Array) -> Measured:
-    """Ratio of two means over repeats with a 95 % interval by Student's t."""
+    """Return the ratio of two means over repeats with a 95 % Student's t interval."""
     from scipy.special import stdtrit
 
     (a, a_se), (b, b_se) = mean_and_error(above), mean_and_error(below)
@@ -149,25 +151,27 @@ def _region(renders: Renders, name: str, worse: str, better: str) -> Claim:
     means = (renders.errors(s)[:, rows, columns].mean(axis=(1, 2)) for s in (worse, better))
     short = _SHORT[worse]
     return Claim(
-        f"{short[0].upper()}{short[1:]} fails {_WHERE[name]}: squared error over that of {_SHORT[better]}.",
+        f"{short[0].upper()}{short[1:]} fails {_WHERE[name]}: squared error divided by the error "
+        f"of {_SHORT[better]}.",
         _ratio(*means),
         above=1.0,
     )
 
 
 def _same_mean(renders: Renders, strategy: str) -> Claim:
-    """Mean of the image over that of the reference."""
+    """Compare the mean of the images with the mean of the reference."""
     (value, se), (mean, mean_se) = (
         mean_and_error(images.mean(axis=(1, 2, 3)))
         for images in (renders.repeats[strategy], renders.batches)
     )
     times = float(value / mean)
     return Claim(
-        f"The mean of images by {_SHORT[strategy]} is that of the reference: ratio.",
+        f"The mean of images by {_SHORT[strategy]} equals the mean of the reference: ratio.",
         Measured.normal(times, times * float(np.hypot(se / value, mean_se / mean))),
         expected=1.0,
         shown="1",
-        note="BSDF sampling is left out: too few of its samples meet the smallest light for a normal interval."
+        note="BSDF sampling is omitted: too few of its samples hit the smallest light for a normal "
+        "interval."
         if strategy == "light"
         else "",
     )
@@ -175,14 +179,14 @@ def _same_mean(renders: Renders, strategy: str) -> Claim:
 
 def _who_wins(renders: Renders) -> Plot:
     light, bsdf = (renders.errors(s).mean(axis=0) for s in ("light", "bsdf"))
-    least = 1e-6  # of what the lights themselves and the dark background have
+    least = 1e-6  # avoids division by zero at the lights and the dark background
     values = np.log10((light + least) / (bsdf + least))[::-1]
     height, width = values.shape
     scale = Scale(
         label="log₁₀ of error by light / by BSDF sampling", low=-3.0, high=3.0, palette="diverging"
     )
     marks: list[Mark] = [
-        Image(values=values, x=np.arange(width) + 0.5, y=np.arange(height) + 0.5, scale=scale)
+        Heatmap(values=values, x=np.arange(width) + 0.5, y=np.arange(height) + 0.5, scale=scale)
     ]
     for name, label in _LABELS.items():
         rows, columns = renders.window(name)
@@ -196,8 +200,8 @@ def _who_wins(renders: Renders) -> Plot:
         ends = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
         marks += [Segments(ends=ends, color="#FFFFFF", width=3.2), Segments(ends=ends, color=INK)]
         marks.append(
-            # Above the reflection, which is dark
-            Text(x=(left + right) / 2, y=2.0 * high - low, text=label, side="above")
+            # Place the label above the reflection, where the image is dark
+            TextMark(x=(left + right) / 2, y=2.0 * high - low, text=label, side="above")
         )
     axis = Axis(ticks={})
     return Plot(

@@ -1,6 +1,7 @@
-"""Checks of your own samplers, densities, integrands and analyses against the library's contracts.
+"""Check your own samplers, densities, integrands and analyses against the library's contracts.
 
-`mcspectra.testing.strategies`, which needs hypothesis, makes random ones for tests by properties.
+`mcspectra.testing.strategies` makes random components for property-based tests; it needs
+Hypothesis.
 """
 
 from mcspectra.testing.contract import (

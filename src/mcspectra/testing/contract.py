@@ -1,6 +1,6 @@
-"""Contracts of samplers, densities, integrands and analyses: checks of any one of these.
+"""Contracts of samplers, densities, integrands and analyses, and functions that check them.
 
-Checks call the code of others through `called`, which turns whatever it raises into a BrokenContract.
+User code is called through `called`, which converts exceptions to BrokenContract.
 """
 
 from __future__ import annotations
@@ -46,25 +46,25 @@ __all__ = [
 ]
 
 _FALSE_ALARM = 1e-6
-_SPREADS = 7.0  # Student's t with 31 degrees: 7e-8 a number
-_SAME = 1e-9  # of the largest value: rounding of a point alone and among others, and of integrals
-_REALIZATIONS, _CELLS = 640, 35  # of samplers
+_SPREADS = 7.0  # allowed standard errors; false alarm 7e-8 per number (Student's t, 31 degrees)
+_SAME = 1e-9  # allowed relative rounding between one point and a batch, and of integrals
+_REALIZATIONS, _CELLS = 640, 35  # realizations and cells for the uniformity test of samplers
 _SAMPLES = 20_000
-_SIDES = {1: 64, 2: 8}  # dims to cells along an axis whose samples are counted
-_LEAST = 5.0  # samples expected in a cell: below, χ² is not that of its table
+_SIDES = {1: 64, 2: 8}  # cells along each axis in which samples are counted, by dims
+_LEAST = 5.0  # smallest expected number of samples in a cell; χ² is not accurate below
 _RECIPROCAL = 1e-3
 _ROUNDING = 1e-12
-_REMAINDER = 3.5  # of a quadrature whose last difference halves like √½: borders do better
+_REMAINDER = 3.5  # error of a quadrature over its last difference, if differences shrink by √½
 _QUADRATURE_DIMS = 3
-_MISSED = 20.0  # points expected in a region that none hits: probability e^-20
+_MISSED = 20.0  # largest expected number of points in a region without points: probability e^-20
 _FREQUENCIES = ((1,), (-3,), (0, 2), (1, -1), (4, 7), (2, 1, 0), (0, -1, 3))
 _SEED = 7
-_NEED_SECONDS = 0.1  # studies ask it of every pair of estimator and sampler
-_SIZE = 2  # blocks of a chunk
+_NEED_SECONDS = 0.1  # time limit of `need`, which studies call for every estimator and sampler
+_SIZE = 2  # blocks per chunk
 
 
 class BrokenContract(McspectraError, AssertionError):
-    """A component breaks its contract; the message says how."""
+    """A component violates its contract; the message describes the violation."""
 
 
 def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64)) -> None:
@@ -75,15 +75,15 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
     sampler
         The sampler, or its spec string.
     counts
-        Numbers of points to try; the nearest possible ones are taken.
+        Numbers of points to try, rounded to the nearest possible ones.
 
     Raises
     ------
     BrokenContract
-        Points are not float64 of shape (R, n, dims) in [0,1); a realization depends on the call
-        that draws it; a fixed set is not the same each time; a count that `nearest_count` names
-        cannot be drawn; or the sampler says that it is unbiased and the points of all realizations
-        say otherwise (false alarm: 1e-6).
+        If the points are not float64 of shape (R, n, dims) in [0,1); if a realization depends on
+        the call that draws it; if a fixed set varies; if a count returned by `nearest_count` cannot
+        be drawn; or if the sampler is declared unbiased, but its points are not uniform over all
+        realizations (false alarm: 1e-6).
 
     Examples
     --------
@@ -96,7 +96,7 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
         n = source.nearest_count(as_integer("counts", each, least=1))
         who = f"{source.spec} with n = {n}"
 
-        # Type, shape and range
+        # Check type, shape and range
         points = source.draw(n, realizations=3, rng=1)
         kind, wanted = type(points).__name__, (3, n, source.dims)
         demand(isinstance(points, np.ndarray), who, f"gives {kind}, not an array")
@@ -105,7 +105,7 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
         low, high = float(points.min()), float(points.max())
         demand(low >= 0.0 and high < 1.0, who, f"gives points from {low} to {high}, not in [0,1)")
 
-        # Realizations are the same in any call, and those of a fixed set are one set
+        # Realizations are the same in any call; a fixed set has only one realization
         whole = source.draw(n, realizations=6, rng=7)
         for first, count in ((0, 1), (1, 3), (5, 1)):
             part = source.draw(n, realizations=count, rng=7, first=first)
@@ -116,10 +116,10 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
         if not source.unbiased:
             continue
 
-        # Mean counts of points in cells against n over the number of cells, 35 to an axis and 5 × 7 to a
-        # pair of neighbors, which few strata are. The spread over realizations gives the error of each
-        # mean, whatever ties the points of a set together; it is never below that of one point in one
-        # realization: cells that are always, or never, hit
+        # Compare mean counts of points in cells with n / cells: 35 cells per axis, and 5 × 7 cells
+        # per pair of neighboring axes, since few samplers have such strata. The error of each mean
+        # comes from the spread over realizations, which includes any dependence within a set. It is
+        # at least the error of one point in one realization, for cells that are always or never hit
         from scipy.stats import norm
 
         points = source.draw(n, realizations=_REALIZATIONS, rng=20)
@@ -137,8 +137,8 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
         demand(
             -np.expm1(tests * np.log1p(-2 * norm.sf(worst))) > _FALSE_ALARM,
             who,
-            f"is declared unbiased, but its points are not uniform ({worst:.3g} standard errors in one "
-            f"of {tests} cells)",
+            f"is declared unbiased, but its points are not uniform ({worst:.3g} standard errors in "
+            f"one of {tests} cells)",
         )
 
 
@@ -155,15 +155,15 @@ def check_density(density: Density | str, *, dims: int | None = None) -> None:
     Raises
     ------
     BrokenContract
-        pdf, sample or invert raise, give another shape or type, or change their input; pdf is
-        negative, not finite or does not integrate to 1; samples leave [0,1), lie where the pdf is 0
-        or do not follow it (false alarm: 1e-6); invert does not undo sample; breaks are not ascending
-        numbers within (0, 1); or `reciprocal_integral` is not ∫1/p.
+        If pdf, sample or invert raise, return a wrong shape or type, or change their input; if pdf
+        is negative, not finite or does not integrate to 1; if samples leave [0,1), have density 0
+        or do not follow the pdf (false alarm: 1e-6); if invert is not the inverse of sample; if
+        breaks are not ascending numbers within (0, 1); or if `reciprocal_integral` is not ∫1/p.
 
     Notes
     -----
-    In 1-D and 2-D samples are counted in cells (Pearson's χ²), in addition to `Density.check`,
-    which documents the errors it finds in more dims.
+    In 1-D and 2-D, samples are counted in cells (Pearson's χ²) in addition to `Density.check`. Its
+    documentation lists the errors found in more dims.
 
     Examples
     --------
@@ -171,12 +171,12 @@ def check_density(density: Density | str, *, dims: int | None = None) -> None:
     """
     given = as_density(density, dims)
     if given is None:
-        raise BrokenContract("None is not a density; give one, or its spec.")
+        raise BrokenContract("None is not a density; give a density or its spec.")
     who, u = given.spec, recurrences(given.primary_dims, key=1)
     u[0, 0] = 0.0
     u[0, 1] = BELOW_ONE
 
-    # Types and shapes of all three functions for stacked points
+    # Check types and shapes of all three functions for stacked points
     few = u[:3, :5]
     x = values_at(who, "sample", given.sample, few, (*few.shape[:-1], given.dims))
     low, high = float(x.min()), float(x.max())
@@ -186,18 +186,18 @@ def check_density(density: Density | str, *, dims: int | None = None) -> None:
         values_at(who, "invert", given.invert, x, few.shape)
     check_breaks(who, given.breaks, given.primary_dims)
 
-    # What `Density.check` finds, as a broken contract
+    # Convert errors of `Density.check` to broken contracts
     try:
         called(who, "check", given.check)
     except BrokenContract as error:
         if isinstance(error.__cause__, DensityError):
             raise BrokenContract(str(error.__cause__)) from error.__cause__
         raise
-    x = given.sample(u[0, 2:])  # the corners of the cube may lie on a zero of the pdf
+    x = given.sample(u[0, 2:])  # skip the corners of the cube, where the pdf may be 0
     zero = ~(given.pdf(x) > 0.0)
     demand(not zero.any(), who, f"gives the sample {x[zero][:1].tolist()} of density 0")
 
-    # Pearson's χ² of samples of pseudo-random points in cells, and none in cells without mass
+    # Count samples of pseudo-random points in cells (Pearson's χ²); cells without mass stay empty
     if given.dims <= 2:
         from scipy.stats import chi2
 
@@ -216,10 +216,11 @@ def check_density(density: Density | str, *, dims: int | None = None) -> None:
         demand(
             p > _FALSE_ALARM and bool(abs(rest - none) <= _SPREADS * np.sqrt(none) + _LEAST),
             who,
-            f"gives samples that do not follow its pdf (χ² = {statistic:.4g} in {full.sum()} cells)",
+            f"gives samples that do not follow its pdf (χ² = {statistic:.4g} in {full.sum()} "
+            "cells)",
         )
 
-    # ∫1/p where the class knows it: at least 1 (Jensen), and that of points where both are finite
+    # A closed form of ∫1/p is at least 1 (Jensen), and agrees with points if both are finite
     if type(given).reciprocal_integral is Density.reciprocal_integral:
         return
     found = called(who, "reciprocal_integral", given.reciprocal_integral)
@@ -229,7 +230,7 @@ def check_density(density: Density | str, *, dims: int | None = None) -> None:
     if np.isfinite(found) and np.isfinite(values).all():
         mean, spread = mean_and_error(values)
         allowed = _SPREADS * spread + _RECIPROCAL * mean
-        # Close to a zero of p the mean of few points lies below: that alone proves nothing
+        # Near a zero of p the mean of few points is usually too low, which is not an error
         short = bool(mean < found and spread > _RECIPROCAL * mean)
         demand(
             short or bool(abs(mean - found) <= allowed),
@@ -251,17 +252,17 @@ def check_integrand(integrand: Integrand | str, *, dims: int | None = None) -> N
     Raises
     ------
     BrokenContract
-        Values, integral or coefficients raise, have another shape or type, or are not finite;
-        values depend on the other points, or the given points are changed; breaks are not ascending
-        numbers within (0, 1); or a closed form (integral, coefficients, means over boxes) is not
-        that of the values (false alarm: about 1e-6).
+        If values, integral or coefficients raise, have a wrong shape or type, or are not finite; if
+        values depend on other points, or the given points are changed; if breaks are not ascending
+        numbers within (0, 1); or if a closed form (integral, coefficients, means over boxes) does
+        not agree with the values (false alarm: about 1e-6).
 
     Notes
     -----
-    Closed forms are compared with means over 32 shifted sets of 4096 points; those further off
-    than seven standard errors are compared with a quadrature as well, in up to three dims.
-    A closed form that is wrong by less than those errors passes. A region of less than 1e-4 of the
-    domain, where alone f is not 0, has to be named by `Integrand.landmarks`.
+    Closed forms are compared with means over 32 shifted sets of 4096 points. If they differ by more
+    than seven standard errors, they are also compared with a quadrature, in up to three dims. An
+    error of a closed form below these limits is not detected. If f is 0 except in less than 1e-4 of
+    the domain, `Integrand.landmarks` must return a point of that region.
 
     Examples
     --------
@@ -275,14 +276,14 @@ def check_integrand(integrand: Integrand | str, *, dims: int | None = None) -> N
     demand(bool(np.isfinite(values).all()), who, "gives values that are not finite")
     check_breaks(who, f.breaks, f.dims)
 
-    # The integral
+    # Check the integral
     found = np.asarray(called(who, "its integral", lambda: f.integral))
     demand(found.shape == channels, who, f"has an integral of shape {found.shape}")
     demand(bool(np.isfinite(found).all()), who, "has an integral that is not finite")
     if f._integral() is not None:
         _compare(f, "an integral", found[..., None], x, one)
 
-    # Coefficients, if they are not the library's own: f_0 = ∫f, f_−m = conj f_m, and those of points
+    # Check the class's own coefficients: f_0 = ∫f, f_−m = conj f_m, and agreement with points
     m = np.array([row + (0,) * (f.dims - len(row)) for row in _FREQUENCIES if len(row) <= f.dims])
     if called(who, "its coefficients", f._fourier, np.zeros((1, f.dims))) is not None:
         found = called(who, "its coefficients", f.fourier, m.reshape(1, -1, f.dims))
@@ -301,7 +302,7 @@ def check_integrand(integrand: Integrand | str, *, dims: int | None = None) -> N
         _compare(f, "coefficients", values.real, x, np.cos(angle))
         _compare(f, "coefficients", values.imag, x, -np.sin(angle))
 
-    # Means of f and f² over boxes with irregular borders, and over the whole
+    # Check means of f and f² over boxes with irregular borders, and over the whole domain
     low = np.stack([np.zeros(f.dims), np.full(f.dims, 0.17), np.linspace(0.03, 0.4, f.dims)])
     high = np.stack([np.ones(f.dims), np.full(f.dims, 0.61), np.full(f.dims, 0.97)])
     found = called(who, "box_moments", f.box_moments, low, high)
@@ -309,14 +310,14 @@ def check_integrand(integrand: Integrand | str, *, dims: int | None = None) -> N
         shape = np.shape(part)
         demand(shape == (len(low), *channels), who, f"has box moments of shape {shape}")
         for claimed, a, b in zip(np.asarray(part), low, high, strict=True):
-            box = _Seen(f, tuple(a), tuple(b), power)
+            box = _Restricted(f, tuple(a), tuple(b), power)
             _compare(box, "box moments", claimed[..., None], x, one)
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class _Seen(Integrand):
-    """Values of another integrand, or of its square, over a box: without any closed form."""
+class _Restricted(Integrand):
+    """Restriction of another integrand (or its square) to a box, without closed forms."""
 
     name: ClassVar[str] = "seen"
     inner: Integrand
@@ -326,28 +327,28 @@ class _Seen(Integrand):
 
     @property
     def dims(self) -> int:  # type: ignore[override]
-        """Dims of the other."""
+        """Dims of the inner integrand."""
         return self.inner.dims
 
     @property
     def channels(self) -> int:  # type: ignore[override]
-        """Channels of the other."""
+        """Channels of the inner integrand."""
         return self.inner.channels
 
     @property
     def spec(self) -> str:
-        """Spec of the other."""
+        """Spec of the inner integrand."""
         return self.inner.spec
 
     def landmarks(self) -> Array:
-        """Landmarks of the other that lie in the box."""
+        """Return the landmarks of the inner integrand in the box, in box coordinates."""
         low, high = np.array(self.low), np.array(self.high)
         places = (self.inner.landmarks() - low) / (high - low)
         return np.asarray(places[((places >= 0.0) & (places <= 1.0)).all(axis=1)])
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Breaks of the other that lie in the box."""
+        """Breaks of the inner integrand in the box, in box coordinates."""
         ends = zip(self.inner.breaks, self.low, self.high, strict=True)
         return tuple(tuple((c - a) / (b - a) for c in axis if a < c < b) for axis, a, b in ends)
 
@@ -358,23 +359,23 @@ class _Seen(Integrand):
 
 
 def _compare(f: Integrand, what: str, claimed: Array, x: Array, factors: Array) -> None:
-    """Compare claims (..., k) with means over points of values times factors (sets, points, k)."""
+    """Compare claimed values (..., k) with means of values × factors (sets, points, k)."""
     values = called(f.spec, "its values", f, x)
     products = values[..., None] * (factors[..., None, :] if f.channels else factors)
     mean, error = mean_and_error(products)
     rounding = _ROUNDING * (1.0 + float(np.abs(values).max()))
     allowed = _SPREADS * error + rounding
     places = f.landmarks()
-    if not values.any() and len(places):  # all points have missed where it is largest
+    if not values.any() and len(places):  # no point hit the region of the largest values
         largest = float(np.abs(f(places)).max())
         allowed = allowed + largest * _MISSED / values.shape[0] / values.shape[1]
     off = ~(np.abs(claimed - mean) <= allowed)
     if not off.any():
         return
-    # Points may miss a small region: does a quadrature of the values find the integral?
+    # Points may miss a small region, so compare with a quadrature of the values
     agree = False
     if factors.shape[-1] == 1 and f.dims <= _QUADRATURE_DIMS:
-        seen = f if isinstance(f, _Seen) else _Seen(f, (0.0,) * f.dims, (1.0,) * f.dims)
+        seen = f if isinstance(f, _Restricted) else _Restricted(f, (0.0,) * f.dims, (1.0,) * f.dims)
         limit = _REMAINDER * integral_accuracy(seen)[1] + 1e-13
         agree = bool(np.abs(np.asarray(seen.integral) - claimed[..., 0]).max() <= limit)
     claim, found, spread = (float(a[off][0]) for a in (claimed, mean, error))
@@ -392,18 +393,19 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
     Parameters
     ----------
     analysis
-        The analysis with options that are quick to compute; of more than one block, so that
-        merging is tried too.
+        The analysis with options that are quick to compute. It should have more than one block, so
+        that merging is checked as well.
     estimator, sampler
-        Subject of the check, or specs of it: an estimator or integrand, `gaussian` in two dims by
-        default, and a sampler; lists for analyses that take them.
+        Estimator or integrand (default: `gaussian` in two dims) and sampler on which the analysis
+        is run, or their specs; lists for analyses that take lists.
 
     Raises
     ------
     BrokenContract
-        An option has no meaning, a name that is taken or a default that its own limits refuse; `need` raises, is slow or not
-        finite; keys repeat or `part` does not find them; states do not survive as bytes; the result
-        depends on chunks, differs for the same seed, or has variables that are not declared.
+        If an option has no description, a reserved name or a default outside its limits; if `need`
+        raises, is slow or not finite; if keys repeat or `part` does not find them; if states change
+        when stored as bytes; or if the result depends on chunks, differs for the same seed, or has
+        undeclared variables.
 
     Examples
     --------
@@ -413,14 +415,14 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
     from mcspectra.estimators import as_subject
 
     if not isinstance(analysis, Analysis):
-        raise ParameterError(f"{shown(analysis)} is no analysis; give one with its options.")
+        raise ParameterError(f"{shown(analysis)} is not an analysis; give an Analysis instance.")
     kind = type(analysis)
     who = kind.__name__
     subject = as_subject("gaussian" if estimator is None else estimator, sampler, lists=True)
     if analysis.about != "estimator":
         subject = Subject(None, subject.sampler)
 
-    # Its options
+    # Check its options
     demand(bool(kind.summary()), who, "has no docstring; its first line is the summary")
     try:
         check_names(kind)
@@ -432,7 +434,7 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
             called(who, f"the default of {option.name}", option.check, option.default)
     clean: Analysis = called(who, "its options", checked, analysis)
 
-    # What it needs
+    # Check its need
     start = time.process_time()
     need = called(who, "need", clean.need, subject)
     demand(isinstance(need, Need), who, f"returns {need!r} from need, not a Need")
@@ -441,13 +443,13 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
     spent = time.process_time() - start
     demand(spent < _NEED_SECONDS, who, f"takes {spent:.2g} s in need")
 
-    # Its result, twice
+    # Compute its result twice
     first, again = (pack(_computed(clean, subject, who, size)) for size in (0, _SIZE))
     demand(first == again, who, "gives different results in chunks, or for the same seed")
 
 
 def _computed(analysis: Analysis, subject: Subject, who: str, size: int) -> Any:
-    """The result, with states of single blocks, or of chunks of `size` made by `part` and as bytes."""
+    """Compute the result from single blocks, or (`size` > 0) from chunks stored as bytes."""
     stream = Stream.from_rng(_SEED)
     steps = steps_of(analysis, subject, stream)
     states: list[Any] | None = None
@@ -480,9 +482,9 @@ def demand(holds: bool, who: str, sentence: str) -> None:
 
 
 def called(who: str, what: str, function: Callable[..., Any], *arguments: Any) -> Any:
-    """Return the function's value; an exception becomes a BrokenContract that names `what`."""
+    """Call a function; an exception becomes a BrokenContract that names `what`."""
     try:
-        with np.errstate(all="ignore"):  # what is not finite is looked at afterwards
+        with np.errstate(all="ignore"):  # values that are not finite are checked later
             return function(*arguments)
     except BrokenContract:
         raise
@@ -494,9 +496,10 @@ def called(who: str, what: str, function: Callable[..., Any], *arguments: Any) -
 def values_at(
     who: str, what: str, function: Callable[[Array], Any], points: Array, shape: tuple[int, ...]
 ) -> Array:
-    """Return the values of a function, float64 of a shape, at points (sets, points, d).
+    """Return the values of a function at points (sets, points, d), after checking them.
 
-    It leaves its input alone, and treats every point by itself.
+    The values must be float64 of the given shape, the input must not change, and each value must
+    depend on its own point only.
     """
     before = points.copy()
     found = called(who, what, function, points)
@@ -514,7 +517,7 @@ def values_at(
 
 
 def check_breaks(who: str, breaks: Any, axes: int) -> None:
-    """Demand one ascending run of breaks within (0, 1) for each axis."""
+    """Check that the breaks of each axis ascend within (0, 1)."""
     demand(len(breaks) == axes, who, f"has breaks for {len(breaks)} axes, not {axes}")
     for axis in breaks:
         fits = list(axis) == sorted(set(axis)) and all(0.0 < b < 1.0 for b in axis)
@@ -522,6 +525,6 @@ def check_breaks(who: str, breaks: Any, axes: int) -> None:
 
 
 def mean_and_error(values: Array) -> tuple[Array, Array]:
-    """Mean of values (sets, points, ...) over both, and its standard error by the spread of sets."""
+    """Return the mean of values (sets, points, ...), and its standard error from the sets."""
     means = values.mean(axis=1)
     return means.mean(axis=0), means.std(axis=0, ddof=1) / np.sqrt(len(means))

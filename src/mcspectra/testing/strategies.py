@@ -1,8 +1,8 @@
 """Hypothesis strategies: random samplers, densities, integrands, counts and point sets.
 
-Samplers are of all names that registries know, those of other packages too, unless they are costly
-or need parameters; densities and integrands have random parameters. Importing this module needs
-hypothesis: ``pip install mcspectra[testing]``.
+Samplers are drawn from all registered names, including other packages, unless they are costly or
+need parameters. Densities and integrands have random parameters. This module needs Hypothesis:
+``pip install mcspectra[testing]``.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ try:
     from hypothesis.extra import numpy as hnp
 except ImportError:
     raise MissingDependency(
-        "mcspectra.testing.strategies needs hypothesis, which is not installed: "
+        "mcspectra.testing.strategies needs hypothesis, which is not installed; run "
         "pip install mcspectra[testing]."
     ) from None
 
@@ -34,9 +34,10 @@ if TYPE_CHECKING:
 
 __all__ = ["counts", "densities", "integrands", "point_sets", "samplers", "spec_strings"]
 
-KINDS = ("sampler", "density", "integrand")
+COMPONENT_KINDS = ("sampler", "density", "integrand")
 MAX_DIMS = 16
 _MOST_STEPS = 2
+# Samplers that load other packages or need a file
 _FOREIGN = (
     "command",
     "mitsuba",
@@ -44,56 +45,56 @@ _FOREIGN = (
     "python",
     "qmcpy",
     "scipy",
-)  # load other packages, or need a file
+)
 _POINTWISE = ("shift", "digital-shift", "owen", "mirror")
 
 
 def spec_strings(kind: str = "sampler", *, dims: int = 2) -> SearchStrategy[str]:
-    """Spec strings that `mcspectra.sampler`, `density` or `integrand` accept in `dims` dims.
+    """Strategy for spec strings of samplers, densities or integrands in `dims` dims.
 
     Parameters
     ----------
     kind
         ``"sampler"`` (with randomizations), ``"density"`` or ``"integrand"``.
     dims
-        1 to 16.
+        Number of dims, 1 to 16.
 
     Raises
     ------
     ParameterError
-        Another kind, or dims out of range.
+        If the kind is unknown, or `dims` is out of range.
     """
     make = {"sampler": _sampler_specs, "density": _density_specs, "integrand": _integrand_specs}
-    name = as_choice("kind", kind, KINDS)
+    name = as_choice("kind", kind, COMPONENT_KINDS)
     return make[name](as_integer("dims", dims, least=1, most=MAX_DIMS))
 
 
 def samplers(*, dims: int = 2) -> SearchStrategy[Sampler]:
-    """Samplers in `dims` dims, often randomized, without the slow ones."""
+    """Strategy for samplers in `dims` dims, often randomized, without slow ones."""
     return spec_strings("sampler", dims=dims).map(lambda spec: sampler(spec, dims))
 
 
 def densities(*, dims: int = 1) -> SearchStrategy[Density]:
-    """Densities in `dims` dims with random parameters."""
+    """Strategy for densities in `dims` dims with random parameters."""
     return spec_strings("density", dims=dims).map(lambda spec: density(spec, dims))
 
 
 def integrands(*, dims: int = 2) -> SearchStrategy[Integrand]:
-    """Integrands in `dims` dims with random parameters, some smooth, some with jumps."""
+    """Strategy for integrands in `dims` dims with random parameters, with and without jumps."""
     return spec_strings("integrand", dims=dims).map(lambda spec: integrand(spec, dims))
 
 
 def counts(given: Sampler | str, *, most: int = 256) -> SearchStrategy[int]:
-    """Numbers of points that a sampler can make without a warning, at most `most`.
+    """Strategy for numbers of points up to `most` that a sampler can make without a warning.
 
     Raises
     ------
     ParameterError
-        It can make no set that small.
+        If the sampler cannot make a set of at most `most` points.
     """
     source = as_sampler(given)
     largest = as_integer("most", most, least=1, most=2**20)
-    # Of very many counts a part is tried
+    # Try a subset if there are very many counts
     near = {source.nearest_count(k) for k in range(1, largest + 1, max(1, largest // 4096))}
     possible = []
     for n in sorted(n for n in near if n <= largest):
@@ -110,9 +111,9 @@ def counts(given: Sampler | str, *, most: int = 256) -> SearchStrategy[int]:
 
 
 def point_sets(*, dims: int = 2, most: int = 64, stacked: bool = False) -> SearchStrategy[Any]:
-    """Point sets in [0,1)^dims: float64 arrays (n, dims), or (R, n, dims) where `stacked`.
+    """Strategy for point sets in [0,1)^dims: float64, (n, dims), or (R, n, dims) if `stacked`.
 
-    Coordinates repeat, and lie on 0 and next to 1, more often than those of random points do.
+    Coordinates repeat, equal 0 and lie close to 1 more often than in random points.
     """
     d = as_integer("dims", dims, least=1, most=MAX_DIMS)
     largest = as_integer("most", most, least=1, most=2**16)
@@ -124,19 +125,19 @@ def point_sets(*, dims: int = 2, most: int = 64, stacked: bool = False) -> Searc
 
 @functools.cache
 def _names(dims: int) -> tuple[str, ...]:
-    """Samplers that need no parameters, are not costly and can do `dims` dims."""
+    """Return names of samplers without required parameters that are cheap in `dims` dims."""
     found = []
     for name in (n for n in SAMPLERS if n not in _FOREIGN):
         with contextlib.suppress(McspectraError):
             if not SAMPLERS.load(name).costly:
-                sampler(name, dims)  # raises where it needs parameters, or cannot do so many dims
+                sampler(name, dims)  # raises if parameters are missing or `dims` is not possible
                 found.append(name)
     return tuple(found)
 
 
 @st.composite
 def _sampler_specs(draw: Any, dims: int) -> str:
-    """A name and up to two randomizations that fit what is there; others are left out."""
+    """Draw a sampler and up to two randomizations; those that do not fit are skipped."""
     made = sampler(draw(st.sampled_from(_names(dims))), dims)
     steps = st.lists(st.sampled_from(_POINTWISE), max_size=_MOST_STEPS, unique=True)
     for step in draw(steps):
@@ -148,12 +149,12 @@ def _sampler_specs(draw: Any, dims: int) -> str:
 
 
 def _number(low: float, high: float) -> SearchStrategy[float]:
-    """Floats with few digits: specs stay short, failures legible."""
+    """Strategy for floats with few digits, so that specs are short and failures readable."""
     return st.integers(0, 64).map(lambda k: low + (high - low) * k / 64)
 
 
 def _calls(name: str, **parameters: SearchStrategy[Any]) -> SearchStrategy[str]:
-    """``name(key=value, …)`` with random values."""
+    """Strategy for specs ``name(key=value, …)`` with random values."""
 
     def spec(values: dict[str, Any]) -> str:
         return f"{name}({', '.join(f'{key}={value!r}' for key, value in values.items())})"
