@@ -37,7 +37,7 @@ from mcspectra.studies import (
 )
 from mcspectra.studies.executors import Cluster, Dask, Threads
 from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote, scalars_of
-from mcspectra.studies.plan import Cell, Plan
+from mcspectra.studies.plan import Cell, StudyPlan
 from mcspectra.studies.run import MakeExecutor, Progress, drive
 from mcspectra.studies.schedule import Schedule
 from mcspectra.studies.tasks import Task
@@ -124,7 +124,9 @@ def million(count: int = 10**6) -> None:
             assert len(result_scalars(folder)) == count
 
 
-def _record(plan: Plan, folder: Path, payloads: Iterable[tuple[bytes, dict[str, float]]]) -> None:
+def _record(
+    plan: StudyPlan, folder: Path, payloads: Iterable[tuple[bytes, dict[str, float]]]
+) -> None:
     """Write a ledger of finished cells."""
     count = len(plan.cells)
     paths = [cell.path for cell in plan.cells]

@@ -23,7 +23,7 @@ from mcspectra.core.display import shown
 from mcspectra.core.errors import ConfigError
 from mcspectra.core.streams import Stream
 from mcspectra.studies.foreign_code import TookTooLong, within
-from mcspectra.studies.plan import Cell, Plan
+from mcspectra.studies.plan import Cell, StudyPlan
 from mcspectra.studies.schedule import task_seconds
 
 __all__ = ["CellEstimate", "estimate_study", "wall_time"]
@@ -58,7 +58,7 @@ class CellEstimate(msgspec.Struct, frozen=True, kw_only=True):
     error: str | None = None
 
 
-def estimate_study(plan: Plan, *, probe_seconds: float = 10.0) -> list[CellEstimate]:
+def estimate_study(plan: StudyPlan, *, probe_seconds: float = 10.0) -> list[CellEstimate]:
     """Estimate every cell of a plan, in its order.
 
     Parameters
@@ -73,7 +73,7 @@ def estimate_study(plan: Plan, *, probe_seconds: float = 10.0) -> list[CellEstim
     list of CellEstimate
         Where an analysis may stop early, as at a precision, seconds are those of all realizations.
     """
-    if not isinstance(plan, Plan):
+    if not isinstance(plan, StudyPlan):
         raise ConfigError(f"{shown(plan)} is not a plan; give what make_plan returns.")
     probe_seconds = as_real("probe_seconds", probe_seconds, least=0.0)
     seed = plan.config.seed

@@ -56,7 +56,7 @@ from mcspectra.studies.vetting import Inputs, Trust, Vetting
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["MOST_EVALUATIONS", "MOST_SECONDS", "NOTED_SECONDS", "Cell", "Plan", "make_plan"]
+__all__ = ["MOST_EVALUATIONS", "MOST_SECONDS", "NOTED_SECONDS", "Cell", "StudyPlan", "make_plan"]
 
 MOST_EVALUATIONS = 10**15
 """Most evaluations of a study that is not forced: half a year of a hundred cores."""
@@ -134,7 +134,7 @@ class Cell:
 
 @final
 @dataclass(frozen=True)
-class Plan:
+class StudyPlan:
     """All cells of a study, in the order of the file.
 
     Attributes
@@ -151,7 +151,7 @@ class Plan:
 
 def make_plan(
     config: StudyConfig, folder: str | Path, trust: Trust | None = None, *, force: bool = False
-) -> Plan:
+) -> StudyPlan:
     """Build every component and check every count and size before anything runs.
 
     Parameters
@@ -218,7 +218,7 @@ def make_plan(
             f"The study would take about {total:.2g} evaluations, months of a hundred processors; ask "
             "for fewer points or realizations, or give --force."
         )
-    return Plan(config, cells, planner.vetting.inputs)
+    return StudyPlan(config, cells, planner.vetting.inputs)
 
 
 def _seconds(analysis: Analysis) -> float:

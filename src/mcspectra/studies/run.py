@@ -17,7 +17,7 @@ from mcspectra.core.parallel import available_workers
 from mcspectra.studies.executors import Cluster, Dask, Executor, Threads, check_time_limit
 from mcspectra.studies.files import StudyConfig, as_study
 from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote
-from mcspectra.studies.plan import Cell, Plan, make_plan
+from mcspectra.studies.plan import Cell, StudyPlan, make_plan
 from mcspectra.studies.results import output_folder, write_zarr
 from mcspectra.studies.schedule import Schedule, Settled, task_seconds
 from mcspectra.studies.tasks import StudyText
@@ -215,7 +215,7 @@ def _computed(schedule: Schedule, executor: Executor) -> Generator[Settled]:
         executor.close(cancel=not finished)
 
 
-def _outdated(plan: Plan, out: Path) -> frozenset[str]:
+def _outdated(plan: StudyPlan, out: Path) -> frozenset[str]:
     """Paths of cells that depend on files that have changed since the folder's results were begun."""
     if not (out / LEDGER_NAME).exists():
         return frozenset()
