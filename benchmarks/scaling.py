@@ -37,7 +37,7 @@ from mcspectra.studies import (
 )
 from mcspectra.studies.executors import Cluster, Dask, Threads
 from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote, scalars_of
-from mcspectra.studies.plan import Cell, StudyPlan
+from mcspectra.studies.plan import StudyCell, StudyPlan
 from mcspectra.studies.run import MakeExecutor, Progress, drive
 from mcspectra.studies.schedule import Schedule
 from mcspectra.studies.tasks import Task
@@ -219,7 +219,9 @@ class _Nothing:
 
 
 def _drive_many(count: int) -> None:
-    cell = Cell("a/s/k", _Blocks(blocks=count), "a", "s", Subject(None, None), Need(cost=count))
+    cell = StudyCell(
+        "a/s/k", _Blocks(blocks=count), "a", "s", Subject(None, None), Need(cost=count)
+    )
     schedule = Schedule([cell], 0, _Nothing(), 1e-12)  # type: ignore[arg-type]
     threads = Threads(1)
     (settled,) = drive(schedule, threads)

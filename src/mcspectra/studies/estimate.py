@@ -23,7 +23,7 @@ from mcspectra.core.display import shown
 from mcspectra.core.errors import ConfigError
 from mcspectra.core.streams import Stream
 from mcspectra.studies.foreign_code import TookTooLong, within
-from mcspectra.studies.plan import Cell, StudyPlan
+from mcspectra.studies.plan import StudyCell, StudyPlan
 from mcspectra.studies.schedule import task_seconds
 
 __all__ = ["CellEstimate", "estimate_study", "wall_time"]
@@ -80,8 +80,8 @@ def estimate_study(plan: StudyPlan, *, probe_seconds: float = 10.0) -> list[Cell
 
     # Try as many cells as there is time for: first one of every analysis of every estimator
     seen: set[tuple[str, str]] = set()
-    first: list[Cell] = []
-    later: list[Cell] = []
+    first: list[StudyCell] = []
+    later: list[StudyCell] = []
     for cell in plan.cells:
         if hasattr(cell.analysis, "realizations") and cell.error is None:
             kind = (cell.estimator_name, cell.analysis_name)
@@ -137,7 +137,7 @@ def wall_time(estimates: Sequence[CellEstimate], workers: int) -> float:
     return max(sum(seconds) / workers, max(seconds, default=0.0))
 
 
-def _measured(cell: Cell, seed: int, left: float) -> tuple[float, int] | None:
+def _measured(cell: StudyCell, seed: int, left: float) -> tuple[float, int] | None:
     """Seconds of all realizations, bytes of storage; None if it fails or is too large to be tried."""
     realizations: int = cell.analysis.realizations  # type: ignore[attr-defined]
     if cell.need.cost / realizations * _FEW * _NOMINAL > left:
@@ -160,7 +160,7 @@ def _measured(cell: Cell, seed: int, left: float) -> tuple[float, int] | None:
     return seconds + each * (realizations - count), size
 
 
-def _timed(cell: Cell, realizations: int, seed: int) -> tuple[float, int]:
+def _timed(cell: StudyCell, realizations: int, seed: int) -> tuple[float, int]:
     """Seconds of so many realizations, and bytes of the result in storage."""
     analysis = msgspec.structs.replace(cell.analysis, realizations=realizations)
     start = time.perf_counter()

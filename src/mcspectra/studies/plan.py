@@ -56,7 +56,14 @@ from mcspectra.studies.vetting import Inputs, Trust, Vetting
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["MOST_EVALUATIONS", "MOST_SECONDS", "NOTED_SECONDS", "Cell", "StudyPlan", "make_plan"]
+__all__ = [
+    "MOST_EVALUATIONS",
+    "MOST_SECONDS",
+    "NOTED_SECONDS",
+    "StudyCell",
+    "StudyPlan",
+    "make_plan",
+]
 
 MOST_EVALUATIONS = 10**15
 """Most evaluations of a study that is not forced: half a year of a hundred cores."""
@@ -76,7 +83,7 @@ Grids of a few lines reach that by mistake sooner than by intention."""
 
 @final
 @dataclass(frozen=True, slots=True)
-class Cell:
+class StudyCell:
     """One analysis of one estimator with one sampler, or of a scene with one sampler.
 
     Attributes
@@ -145,7 +152,7 @@ class StudyPlan:
     """
 
     config: StudyConfig
-    cells: tuple[Cell, ...]
+    cells: tuple[StudyCell, ...]
     inputs: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -247,7 +254,7 @@ class _Planner:
         self._vetted: dict[int, list[_Asked]] = {}
         self._needs: dict[Need, Need] = {}
 
-    def cells(self, entry: EstimatorConfig | SceneConfig) -> Iterator[Cell]:
+    def cells(self, entry: EstimatorConfig | SceneConfig) -> Iterator[StudyCell]:
         """Cells of an estimator, or of a scene, with all its samplers."""
         kind = "Estimator" if isinstance(entry, EstimatorConfig) else entry.kind.capitalize()
         whose = f"{kind} {entry.name!r}"
@@ -280,7 +287,7 @@ class _Planner:
                     except McspectraError as refusal:
                         raise ConfigError(f"{whose}, {name}: {refusal}") from refusal
                     check_memory(need.memory, f"{whose}, {name}")
-                yield Cell(
+                yield StudyCell(
                     path=f"{parent}/{slug}/{name}",
                     analysis=analysis,
                     estimator_name=entry.name,

@@ -17,7 +17,7 @@ from mcspectra.core.parallel import available_workers
 from mcspectra.studies.executors import Cluster, Dask, Executor, Threads, check_time_limit
 from mcspectra.studies.files import StudyConfig, as_study
 from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote
-from mcspectra.studies.plan import Cell, StudyPlan, make_plan
+from mcspectra.studies.plan import StudyCell, StudyPlan, make_plan
 from mcspectra.studies.results import output_folder, write_zarr
 from mcspectra.studies.schedule import Schedule, Settled, task_seconds
 from mcspectra.studies.tasks import StudyText
@@ -36,7 +36,7 @@ _NAMED = 5  # in a warning
 class Progress:
     """State after a cell."""
 
-    cell: Cell
+    cell: StudyCell
     done: int
     cells: int
 

@@ -24,7 +24,7 @@ from mcspectra.core.records import pack, unpack
 from mcspectra.core.streams import Stream
 from mcspectra.studies.foreign_code import explain
 from mcspectra.studies.ledger import Ledger, scalars_of
-from mcspectra.studies.plan import Cell
+from mcspectra.studies.plan import StudyCell
 from mcspectra.studies.tasks import Outcome, Task
 
 __all__ = ["PartialRun", "Schedule", "Settled", "Work", "task_seconds"]
@@ -139,7 +139,7 @@ class Settled:
         One sentence about why it failed.
     """
 
-    cell: Cell
+    cell: StudyCell
     payload: bytes | None = None
     scalars: Mapping[str, float] = field(default_factory=dict)
     error: str | None = None
@@ -149,7 +149,7 @@ class Settled:
 class _Active:
     """A cell under way: its analysis, driven step by step, or all of it as one task."""
 
-    def __init__(self, cell: Cell, seed: int, ledger: Ledger, *, whole: bool) -> None:
+    def __init__(self, cell: StudyCell, seed: int, ledger: Ledger, *, whole: bool) -> None:
         self.cell = cell
         self.settled: Settled | None = None
         self.pace: float | None = None  # seconds for a unit of cost
@@ -263,7 +263,7 @@ class Schedule:
     """
 
     def __init__(
-        self, cells: Iterable[Cell], seed: int, ledger: Ledger, seconds: float = _TARGET
+        self, cells: Iterable[StudyCell], seed: int, ledger: Ledger, seconds: float = _TARGET
     ) -> None:
         self._waiting = deque(sorted(cells, key=lambda cell: -cell.need.cost))
         self._seed = seed
@@ -325,7 +325,7 @@ class Schedule:
         for active in self._active.values():
             active.record("", least=0.0)
 
-    def _begin(self, cell: Cell) -> bool:
+    def _begin(self, cell: StudyCell) -> bool:
         """Begin a cell; whether that was all, as everything of it was recorded."""
         if cell.error is not None:
             self._settle(Settled(cell, error=cell.error))
@@ -352,7 +352,7 @@ class Schedule:
             return 1
         return 1 << max(0, round(math.log2(self._target / max(pace * cost, _INSTANT))))
 
-    def _guarded(self, cell: Cell, step: Callable[[], None]) -> bool:
+    def _guarded(self, cell: StudyCell, step: Callable[[], None]) -> bool:
         """Do what calls the code of others; what it raises fails the cell."""
         try:
             step()
@@ -369,6 +369,6 @@ class Schedule:
             self._settled.append(settled)
 
 
-def _is_adaptive(cell: Cell) -> bool:
+def _is_adaptive(cell: StudyCell) -> bool:
     """Whether it stops at a precision, after a number of steps that nobody knows before."""
     return getattr(cell.analysis, "relative_error", None) is not None

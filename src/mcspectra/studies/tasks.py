@@ -30,7 +30,7 @@ from mcspectra.core.records import pack
 from mcspectra.core.streams import Stream
 from mcspectra.studies.files import StudyConfig, plain_study, study_of
 from mcspectra.studies.foreign_code import TookTooLong, explain, within
-from mcspectra.studies.plan import Cell, make_plan
+from mcspectra.studies.plan import StudyCell, make_plan
 from mcspectra.studies.vetting import Trust, check_inputs
 from mcspectra.version import __version__
 
@@ -180,7 +180,7 @@ class StudyText(msgspec.Struct, frozen=True, kw_only=True):
             inputs=None if inputs is None else tuple(inputs.items()),
         )
 
-    def cells(self) -> dict[str, Cell]:
+    def cells(self) -> dict[str, StudyCell]:
         """Build the plan: its cells by their paths.
 
         Raises
@@ -205,13 +205,13 @@ _lock = threading.Lock()
 _kept = functools.lru_cache(maxsize=_PLANS)(StudyText.cells)
 
 
-def _cells(text: StudyText) -> dict[str, Cell]:
+def _cells(text: StudyText) -> dict[str, StudyCell]:
     """Cells of a study, whose plan is built once in a process."""
     with _lock:  # one thread builds the plan, the others wait for it
         return _kept(text)
 
 
-def _cell(text: StudyText, path: str) -> Cell:
+def _cell(text: StudyText, path: str) -> StudyCell:
     cell = _cells(text).get(path)
     if cell is None:
         raise StoreError(
