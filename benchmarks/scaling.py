@@ -40,7 +40,7 @@ from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote, scalars_of
 from mcspectra.studies.plan import StudyCell, StudyPlan
 from mcspectra.studies.run import MakeExecutor, Progress, drive
 from mcspectra.studies.schedule import Schedule
-from mcspectra.studies.tasks import Task
+from mcspectra.studies.tasks import StudyTask
 
 _NAP = 0.2  # seconds of a calibrated task
 _STUDY = """
@@ -238,7 +238,7 @@ class Napping:
         self.workers = workers
         self.outcomes, self.close = self._threads.outcomes, self._threads.close
 
-    def submit(self, task: Task, compute: Callable[[], Any]) -> None:
+    def submit(self, task: StudyTask, compute: Callable[[], Any]) -> None:
         def nap() -> Any:
             start = time.perf_counter()
             state = compute()

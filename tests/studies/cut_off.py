@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 
 from mcspectra.studies.executors import Cluster, Dask
-from mcspectra.studies.tasks import Outcome, StudyText, Task
+from mcspectra.studies.tasks import Outcome, StudyTask, StudyText
 from mcspectra.version import __version__
 
 LONGEST = 100  # seconds; then all processes end
@@ -116,7 +116,7 @@ def run(address, cut):
 
     def submit(count):
         for _ in range(count):
-            engine.submit(Task(path=str(next(serials)), run=None))
+            engine.submit(StudyTask(path=str(next(serials)), run=None))
 
     submit(4)
     for outcome in engine.outcomes():

@@ -19,14 +19,14 @@ from tests.studies.local_cluster import local_cluster, scheduler, worker
 
 from mcspectra.core.errors import ParameterError
 from mcspectra.studies.executors import Cluster, ClusterError, ClusterLost, Dask, Threads
-from mcspectra.studies.tasks import Outcome, StudyText, Task
+from mcspectra.studies.tasks import Outcome, StudyTask, StudyText
 from mcspectra.version import __version__
 
 TEXT = StudyText(config_json="{}", folder="/", seed=0, version=__version__)
 
 
 def task(name):
-    return Task(path=str(name), run=None)
+    return StudyTask(path=str(name), run=None)
 
 
 def squares():

@@ -21,7 +21,7 @@ from mcspectra.studies.executors import (
 )
 from mcspectra.studies.files import decode_study
 from mcspectra.studies.plan import make_plan
-from mcspectra.studies.tasks import StudyText, Task
+from mcspectra.studies.tasks import StudyTask, StudyText
 from mcspectra.studies.vetting import Trust
 
 STUDY = """
@@ -38,7 +38,7 @@ dims = 1
 
 
 def _task(estimator="a"):
-    return Task(path=f"{estimator}/random/convergence", run=None)
+    return StudyTask(path=f"{estimator}/random/convergence", run=None)
 
 
 def _text(name):
@@ -167,7 +167,7 @@ def test_processes_do_not_repeat_the_warnings_of_planning(capfd):
     with pytest.warns(NotPowerOfTwoWarning):
         make_plan(study, Path())
     executor = Dask(StudyText.of(study, Path()), Cluster(workers=1))
-    executor.submit(Task(path="a/sobol-owen/convergence", run=None))
+    executor.submit(StudyTask(path="a/sobol-owen/convergence", run=None))
     assert next(executor.outcomes()).error is None
     executor.close(cancel=False)
     assert capfd.readouterr().err == ""

@@ -43,8 +43,8 @@ from mcspectra.studies.tasks import (
     WARM,
     Compute,
     Outcome,
+    StudyTask,
     StudyText,
-    Task,
     WorkerRefused,
     attempt,
     compute_elsewhere,
@@ -82,7 +82,7 @@ class Executor(Protocol):
     def workers(self) -> int:
         """How many tasks it computes at once."""
 
-    def submit(self, task: Task, compute: Callable[[], Any]) -> None:
+    def submit(self, task: StudyTask, compute: Callable[[], Any]) -> None:
         """Have a task computed, now or later; `compute` does so in a thread of this process."""
 
     def outcomes(self) -> Iterator[Outcome]:
@@ -104,7 +104,9 @@ class Threads:
     """Threads of this process: states cross as objects."""
 
     def __init__(self, workers: int) -> None:
-        self._tasks: queue.SimpleQueue[tuple[Task, Callable[[], Any]] | None] = queue.SimpleQueue()
+        self._tasks: queue.SimpleQueue[tuple[StudyTask, Callable[[], Any]] | None] = (
+            queue.SimpleQueue()
+        )
         self._finished: queue.SimpleQueue[Outcome] = queue.SimpleQueue()
         self._under_way = 0
         # Daemons: an integrand that hangs does not keep the program from ending.
@@ -120,7 +122,7 @@ class Threads:
         """Number of threads."""
         return len(self._threads)
 
-    def submit(self, task: Task, compute: Callable[[], Any]) -> None:
+    def submit(self, task: StudyTask, compute: Callable[[], Any]) -> None:
         """Have a task computed by the next thread that is free."""
         self._under_way += 1
         self._tasks.put((task, compute))
@@ -240,7 +242,7 @@ class _Pending(NamedTuple):
         How many workers died while they had it, by the scheduler's count.
     """
 
-    task: Task
+    task: StudyTask
     losses: int = 0
     deaths: int = 0
 
@@ -301,7 +303,7 @@ class Dask:
                 self._threads = (sum(self._client.nthreads().values()), now)
         return max(1, self._threads[0])
 
-    def submit(self, task: Task, compute: Callable[[], Any] | None = None) -> None:  # noqa: ARG002
+    def submit(self, task: StudyTask, compute: Callable[[], Any] | None = None) -> None:  # noqa: ARG002
         """Have a task computed; returns at once."""
         self._waiting.append(_Pending(task))
         self._fill()

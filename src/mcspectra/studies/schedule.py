@@ -25,12 +25,12 @@ from mcspectra.core.streams import Stream
 from mcspectra.studies.foreign_code import explain
 from mcspectra.studies.ledger import Ledger, scalars_of
 from mcspectra.studies.plan import StudyCell
-from mcspectra.studies.tasks import Outcome, Task
+from mcspectra.studies.tasks import Outcome, StudyTask
 
 __all__ = ["PartialRun", "Schedule", "Settled", "Work", "task_seconds"]
 
 State = TypeVar("State")
-Work = tuple[Task, Callable[[], Any]]
+Work = tuple[StudyTask, Callable[[], Any]]
 """A task, and what computes it in a thread of this process."""
 
 _TARGET = 1.0  # seconds of a chunk
@@ -175,14 +175,14 @@ class _Active:
         path = self.cell.path
         if self._whole:
             self._whole = False
-            task = Task(path=path, run=None, cost=self.cell.need.cost)
+            task = StudyTask(path=path, run=None, cost=self.cell.need.cost)
             return task, functools.partial(self.cell.compute, self._seed)
         for key, part in self._parts.items():
             reduction = part.reduction
             each = reduction.cost / reduction.blocks
             chunk = part.next_chunk(size(each))
             if chunk is not None:
-                task = Task(path=path, run=key, chunk=chunk, cost=each * chunk[1])
+                task = StudyTask(path=path, run=key, chunk=chunk, cost=each * chunk[1])
                 return task, functools.partial(compute_chunk, reduction, chunk)
         return None
 

@@ -38,8 +38,8 @@ __all__ = [
     "WARM",
     "Compute",
     "Outcome",
+    "StudyTask",
     "StudyText",
-    "Task",
     "WorkerRefused",
     "attempt",
     "compute_elsewhere",
@@ -54,7 +54,7 @@ WARM = ("numba", "scipy.stats", "xarray")
 """Packages that every task needs."""
 
 
-class Task(msgspec.Struct, frozen=True, kw_only=True):
+class StudyTask(msgspec.Struct, frozen=True, kw_only=True):
     """One chunk of a reduction of a cell, or all of a cell.
 
     Attributes
@@ -102,7 +102,7 @@ class Outcome:
         Where.
     """
 
-    task: Task
+    task: StudyTask
     state: Any = None
     payload: bytes | None = None
     error: str | None = None
@@ -110,7 +110,7 @@ class Outcome:
     host: str = ""
 
 
-def timed(task: Task, compute: Callable[[], Any]) -> Outcome:
+def timed(task: StudyTask, compute: Callable[[], Any]) -> Outcome:
     """Compute a task in this thread; whatever it raises becomes a sentence."""
     start = time.perf_counter()
     state, error = None, None
@@ -227,11 +227,11 @@ def _reduction(text: StudyText, path: str, run: str) -> Reduction[Any]:
     return cell.analysis.part(cell.subject, Stream.from_rng(text.seed), run)
 
 
-Compute: TypeAlias = Callable[[StudyText, Task], Outcome]
+Compute: TypeAlias = Callable[[StudyText, StudyTask], Outcome]
 """What computes a task on a worker, and raises nothing: `attempt`."""
 
 
-def attempt(text: StudyText, task: Task) -> Outcome:
+def attempt(text: StudyText, task: StudyTask) -> Outcome:
     """Compute a task from text alone, in this thread: the outcome has bytes, as for other processes."""
 
     def compute() -> bytes:
@@ -248,7 +248,7 @@ class WorkerRefused(McspectraError, RuntimeError):
 
 
 def compute_elsewhere(
-    compute: Compute, text: StudyText, task: Task, limit: float | None
+    compute: Compute, text: StudyText, task: StudyTask, limit: float | None
 ) -> tuple[Outcome, bool]:
     """What a worker of a cluster does with a task; nothing here knows dask.
 
