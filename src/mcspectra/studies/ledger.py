@@ -59,8 +59,8 @@ __all__ = [
     "Holder",
     "Ledger",
     "StudyNote",
+    "StudyTally",
     "Survey",
-    "Tally",
     "are_paths",
     "is_held",
     "lock_damage",
@@ -209,7 +209,7 @@ class Holder(msgspec.Struct, frozen=True):
         return f"process {self.pid} on host {self.host!r} since {self.since}"
 
 
-class Tally(msgspec.Struct, frozen=True, kw_only=True):
+class StudyTally(msgspec.Struct, frozen=True, kw_only=True):
     """What changes with every commit.
 
     Attributes
@@ -232,7 +232,7 @@ class Tally(msgspec.Struct, frozen=True, kw_only=True):
     hosts: tuple[str, ...] = ()
     holder: Holder | None = None
 
-    def plus(self, digest: bytes, size: int) -> Tally:
+    def plus(self, digest: bytes, size: int) -> StudyTally:
         """With a finished cell more."""
         either = int(self.digest, 16) ^ int.from_bytes(digest, "big")
         return msgspec.structs.replace(
@@ -308,7 +308,7 @@ class Ledger:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.tally = Tally()
+        self.tally = StudyTally()
         self.damaged: dict[str, str] = {}
         self._file = folder / LEDGER_NAME
         self._lock: sqlite3.Connection | None = None
@@ -640,7 +640,7 @@ class Ledger:
         else:
             about = msgspec.structs.replace(study, config="")
             self._header = _Header(study=about, cells=len(paths), plan=_plan_digest(paths))
-            self.tally = Tally(started=_now())
+            self.tally = StudyTally(started=_now())
             self._replace(study.config, paths, ())
             self.__dict__["_listing"] = list(paths), {}  # those of the plan: there may be a million
 
@@ -702,8 +702,8 @@ class Ledger:
                 return
 
     def _write(
-        self, changes: Iterable[_Change], tally: Tally, into: sqlite3.Connection | None = None
-    ) -> Tally:
+        self, changes: Iterable[_Change], tally: StudyTally, into: sqlite3.Connection | None = None
+    ) -> StudyTally:
         """Carry out changes and note the tally with them, all of it or nothing."""
         connection = into or self._opened
         with _writing(self._file):
@@ -730,7 +730,7 @@ class Ledger:
         """Write the ledger anew beside its place, with what there is of it, and put it there."""
         partial = self.folder / f".{LEDGER_NAME}.partial"
         tally = msgspec.structs.replace(
-            self.tally, done=0, size=0, digest=Tally().digest, finished=None
+            self.tally, done=0, size=0, digest=StudyTally().digest, finished=None
         )
         tables = ((statement, ()) for statement in _SCHEMA)
         cells = ((_PUT_CELL, each) for each in enumerate(paths))
@@ -851,11 +851,11 @@ class Ledger:
                         return note
         return None
 
-    def _noted_tally(self) -> Tally:
-        tally = self._note("tally", Tally)
+    def _noted_tally(self) -> StudyTally:
+        tally = self._note("tally", StudyTally)
         if tally is None:
             self.damaged["tally"] = _DAMAGE
-        return tally or Tally()
+        return tally or StudyTally()
 
     @functools.cached_property
     def _listing(self) -> tuple[list[str], dict[str, None]]:
@@ -891,7 +891,7 @@ class Ledger:
 
     def _surveyed(self, paths: Sequence[str]) -> Survey:
         """Read everything; what is not sound goes to `damaged`."""
-        tally, before, recorded = Tally(), len(self.damaged), 0
+        tally, before, recorded = StudyTally(), len(self.damaged), 0
         done, failed = set[str](), dict[str, str]()
         for change in self._sound(paths):
             if change.digest is not None:
