@@ -39,8 +39,8 @@ from mcspectra.samplers import Sampler, sampler
 __all__ = [
     "KINDS",
     "MOST_AT_ONCE",
+    "EstimatorParts",
     "Job",
-    "Parts",
     "Update",
     "analyses_of",
     "compute",
@@ -54,7 +54,7 @@ KINDS = ("points", "integrand", "spectrum", "convergence", "terms", "predict")
 """What is computed in each round, in this order; points, integrand and predictions once."""
 
 MOST_AT_ONCE = 2
-"""Parts that all pages compute at a time: each uses all processors, and a second fills their gaps."""
+"""EstimatorParts that all pages compute at a time: each uses all processors, and a second fills their gaps."""
 
 _PATIENCE = 0.2  # seconds between two looks whether a job that waits was canceled
 _INTEGRAND = ("integrand", "density", "dims", "mirror", "channel", "smoothing")
@@ -270,7 +270,7 @@ class Job:
 
 @final
 @dataclass(frozen=True)
-class Parts:
+class EstimatorParts:
     """What a set-up describes, made; `notes` are what it was warned of."""
 
     density: Density | None
@@ -304,7 +304,7 @@ def integrand_specs(setup: Setup) -> tuple[str, ...]:
     return tuple(found)
 
 
-def make_parts(setup: Setup) -> Parts:
+def make_parts(setup: Setup) -> EstimatorParts:
     """Make density, estimator and sampler; the same ones for all rounds of realizations.
 
     Raises
@@ -316,7 +316,7 @@ def make_parts(setup: Setup) -> Parts:
 
 
 @lru_cache(_KEPT)
-def _parts(setup: Setup) -> Parts:
+def _parts(setup: Setup) -> EstimatorParts:
     specs = integrand_specs(setup)
     p = _density(setup.density, setup.dims)
     estimator = _estimator(specs, setup.density, setup.mirror, setup.smoothing, setup.dims)
@@ -326,7 +326,7 @@ def _parts(setup: Setup) -> Parts:
         estimator.check_sampler(source, source.check_count(setup.n))
     notes = tuple(dict.fromkeys(str(each.message) for each in heard))
     infinite = estimator.domain_integrand is None or estimator.infinite_weights
-    return Parts(p, estimator, source, "primary" if infinite else "domain", notes)
+    return EstimatorParts(p, estimator, source, "primary" if infinite else "domain", notes)
 
 
 @lru_cache(_KEPT)
