@@ -9,8 +9,8 @@ import pytest
 
 from mcspectra.app import compute as module
 from mcspectra.app.compute import (
-    KINDS,
     MOST_AT_ONCE,
+    UPDATE_KINDS,
     Job,
     Update,
     analyses_of,
@@ -52,11 +52,11 @@ def test_rounds_end_at_the_target(target, expected):
 def test_a_job_sends_all_kinds_in_each_round():
     updates, sentence = finished(SMALL)
     assert sentence == ""
-    assert [u.kind for u in updates] == [*KINDS, *KINDS]
+    assert [u.kind for u in updates] == [*UPDATE_KINDS, *UPDATE_KINDS]
     assert [u.realizations for u in updates] == [16] * 6 + [64] * 6
     assert updates[-1].fraction == 1.0
     assert all(0 < u.fraction <= 1 for u in updates)
-    terms = updates[KINDS.index("terms") - len(KINDS)]
+    terms = updates[UPDATE_KINDS.index("terms") - len(UPDATE_KINDS)]
     assert terms.value.attrs["realizations"] == 64
 
 

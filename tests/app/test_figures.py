@@ -3,7 +3,7 @@
 import pytest
 from bokeh.document import Document
 
-from mcspectra.app.compute import KINDS, compute
+from mcspectra.app.compute import UPDATE_KINDS, compute
 from mcspectra.app.figures import FIGURES, figures_of
 from mcspectra.app.state import Setup
 from mcspectra.plots.backend_bokeh import Drawn, draw
@@ -25,14 +25,14 @@ def test_new_results_bring_no_new_models(name):
     setup = SETUPS[name]
     drawn: dict[str, Drawn] = {}
     document = Document()
-    for kind in KINDS:
+    for kind in UPDATE_KINDS:
         for plot in figures_of(kind, compute(kind, setup, 8), "s"):
             drawn[plot.kind] = draw(plot)
             document.add_root(drawn[plot.kind].model)
     assert set(drawn) <= set(FIGURES)
     assert len(drawn) == 9
     before = set(document.models)
-    for kind in KINDS:
+    for kind in UPDATE_KINDS:
         for plot in figures_of(kind, compute(kind, setup, 16), "s"):
             assert drawn[plot.kind].fits(plot), plot.kind
             drawn[plot.kind].update(plot)
@@ -43,7 +43,7 @@ def test_words_hold_what_was_measured():
     setup = SETUPS["two dims"]
     said = {
         plot.kind: plot.words
-        for kind in KINDS
+        for kind in UPDATE_KINDS
         for plot in figures_of(kind, compute(kind, setup, 16), "s")
     }
     terms = compute("terms", setup, 16)

@@ -11,7 +11,7 @@ from bokeh.models import Column, InlineStyleSheet, Row
 from bokeh.models.widgets.buttons import Button
 from bokeh.models.widgets.markups import Div
 
-from mcspectra.app.compute import KINDS, Job, Update, make_parts
+from mcspectra.app.compute import UPDATE_KINDS, Job, Update, make_parts
 from mcspectra.app.figures import FIGURES, figures_of
 from mcspectra.app.state import Setup
 from mcspectra.core.display import escape_html
@@ -139,7 +139,7 @@ class Board:
         return f"<h2>{side}{FIGURES[kind]}</h2>"
 
     def _hear(self, job: Job, update: Update) -> None:
-        if update.kind == KINDS[0]:
+        if update.kind == UPDATE_KINDS[0]:
             self._on_update("")
         self._post(job, update)
 

@@ -37,8 +37,8 @@ from mcspectra.prediction.prediction import Prediction
 from mcspectra.samplers import Sampler, sampler
 
 __all__ = [
-    "KINDS",
     "MOST_AT_ONCE",
+    "UPDATE_KINDS",
     "EstimatorParts",
     "Job",
     "Update",
@@ -50,7 +50,7 @@ __all__ = [
     "rounds",
 ]
 
-KINDS = ("points", "integrand", "spectrum", "convergence", "terms", "predict")
+UPDATE_KINDS = ("points", "integrand", "spectrum", "convergence", "terms", "predict")
 """What is computed in each round, in this order; points, integrand and predictions once."""
 
 MOST_AT_ONCE = 2
@@ -73,7 +73,7 @@ _FILTERS = threading.Lock()  # warning filters are the process's, not a thread's
 @final
 @dataclass(frozen=True)
 class Update:
-    """A part of what is shown: its kind, of `KINDS`, its value, and how far the job is.
+    """A part of what is shown: its kind, of `UPDATE_KINDS`, its value, and how far the job is.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ def rounds(setup: Setup) -> Iterator[int]:
 
 
 def compute(kind: str, setup: Setup, realizations: int) -> xr.Dataset:
-    """Compute one of `KINDS`; what does not depend on a part of the set-up is kept for all of them.
+    """Compute one of `UPDATE_KINDS`; what does not depend on a part of the set-up is kept for all of them.
 
     Raises
     ------
@@ -255,14 +255,14 @@ class Job:
                     "ask for fewer points or frequencies."
                 )
             spent = 0.0
-            for done, kind in enumerate(KINDS, start=1):
+            for done, kind in enumerate(UPDATE_KINDS, start=1):
                 with self._turn():
                     start = time.perf_counter()
                     value = compute(kind, self.setup, count)
                     spent += time.perf_counter() - start
                 if self._cancelled.is_set():
                     return ""
-                fraction = count / planned[-1] * done / len(KINDS)
+                fraction = count / planned[-1] * done / len(UPDATE_KINDS)
                 self._on_update(Update(kind, value, count, fraction))
             last = count
         return ""

@@ -34,7 +34,7 @@ def figures_of(kind: str, value: xr.Dataset, name: str) -> list[Plot]:
     Parameters
     ----------
     kind
-        What was computed, of `mcspectra.app.compute.KINDS`.
+        What was computed, of `mcspectra.app.compute.UPDATE_KINDS`.
     value, name
         The result, and what it is called.
     """

@@ -238,8 +238,8 @@ def _is_own_error(record: logging.LogRecord) -> bool:
 
 def _warm_up() -> None:
     """Load and compile what the first page needs while the browser loads it: half of its wait."""
-    from mcspectra.app.compute import KINDS, compute
+    from mcspectra.app.compute import UPDATE_KINDS, compute
     from mcspectra.app.state import Setup
 
-    for kind in KINDS:
+    for kind in UPDATE_KINDS:
         compute(kind, Setup(half_width=4), 2)
