@@ -8,10 +8,10 @@ from bokeh.models import InlineStyleSheet
 
 from mcspectra.app.board import Board
 from mcspectra.app.figures import FIGURES
-from mcspectra.app.state import Setup
+from mcspectra.app.state import ExplorerSetup
 from mcspectra.plots.backend_bokeh import Drawn
 
-SMALL = Setup(n=16, half_width=4, realizations=16)
+SMALL = ExplorerSetup(n=16, half_width=4, realizations=16)
 
 
 class Page:

@@ -16,7 +16,7 @@ import pytest
 from PIL import Image
 from playwright.sync_api import expect
 
-from mcspectra.app.state import State
+from mcspectra.app.state import ExplorerState
 from mcspectra.plots.text import number
 
 pytestmark = pytest.mark.browser
@@ -107,7 +107,7 @@ def wait_for(page, key, value):
 
 def state_of(page):
     """The state that the address says."""
-    return State.from_query(urlsplit(page.url).query)
+    return ExplorerState.from_query(urlsplit(page.url).query)
 
 
 def test_all_that_can_be_operated_has_a_name(page, address):

@@ -19,10 +19,10 @@ from mcspectra.app.compute import (
     make_parts,
     rounds,
 )
-from mcspectra.app.state import Setup
+from mcspectra.app.state import ExplorerSetup
 from mcspectra.core.progress import report
 
-SMALL = Setup(n=16, half_width=4, realizations=64)
+SMALL = ExplorerSetup(n=16, half_width=4, realizations=64)
 
 
 @pytest.fixture(autouse=True)
@@ -205,7 +205,12 @@ def test_faults_of_components_end_the_job_with_a_sentence(monkeypatch):
 
 
 def test_the_ladder_has_counts_that_the_sampler_can_do():
-    for setup in (SMALL, replace(SMALL, sampler="sobol"), replace(SMALL, n=1), Setup(n=2**16)):
+    for setup in (
+        SMALL,
+        replace(SMALL, sampler="sobol"),
+        replace(SMALL, n=1),
+        ExplorerSetup(n=2**16),
+    ):
         source = make_parts(setup).sampler
         counts = ladder(setup)
         assert counts == sorted(set(counts))

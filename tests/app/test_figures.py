@@ -5,16 +5,16 @@ from bokeh.document import Document
 
 from mcspectra.app.compute import UPDATE_KINDS, compute
 from mcspectra.app.figures import FIGURES, figures_of
-from mcspectra.app.state import Setup
+from mcspectra.app.state import ExplorerSetup
 from mcspectra.plots.backend_bokeh import Drawn, draw
 from mcspectra.plots.text import number
 
 SETUPS = {
-    "two dims": Setup(n=16, half_width=4),
-    "one dim": Setup(n=16, half_width=8, dims=1, sampler="jittered | shift"),
-    "weights": Setup(n=16, half_width=4, density="linear(slope=1.0)"),
-    "real frequencies": Setup(n=16, half_width=4, frequency_step=0.25),
-    "techniques": Setup(
+    "two dims": ExplorerSetup(n=16, half_width=4),
+    "one dim": ExplorerSetup(n=16, half_width=8, dims=1, sampler="jittered | shift"),
+    "weights": ExplorerSetup(n=16, half_width=4, density="linear(slope=1.0)"),
+    "real frequencies": ExplorerSetup(n=16, half_width=4, frequency_step=0.25),
+    "techniques": ExplorerSetup(
         n=16, half_width=4, integrand="technique-sum(integrands=['gaussian', 'disk'])"
     ),
 }

@@ -9,12 +9,12 @@ import mcspectra as mcs
 from mcspectra.app.compute import compute, integrand_specs, make_parts
 from mcspectra.app.scene import STRATEGIES, pixel_spec
 from mcspectra.app.specs import techniques
-from mcspectra.app.state import Setup
+from mcspectra.app.state import ExplorerSetup
 from mcspectra.core.errors import McspectraError
 from mcspectra.integrands import base
 from mcspectra.integrands.base import Estimate
 
-SMALL = Setup(n=16, half_width=4, realizations=64)
+SMALL = ExplorerSetup(n=16, half_width=4, realizations=64)
 SUM = "technique-sum(integrands=['gaussian', 'disk'])"
 COLORS = "environment(values=[[[1, 2, 3], [0, 5, 1]]])"
 
@@ -71,7 +71,7 @@ def test_odd_sums_are_refused(spec):
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
 def test_every_strategy_of_a_pixel_is_a_state(strategy):
-    setup = Setup(integrand=pixel_spec(3, 100, strategy))
+    setup = ExplorerSetup(integrand=pixel_spec(3, 100, strategy))
     combined = strategy in ("balance", "power")
     specs = techniques(setup.integrand)
     assert len(specs) == 1 + combined

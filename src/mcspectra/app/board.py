@@ -13,7 +13,7 @@ from bokeh.models.widgets.markups import Div
 
 from mcspectra.app.compute import UPDATE_KINDS, Job, Update, make_parts
 from mcspectra.app.figures import FIGURES, figures_of
-from mcspectra.app.state import Setup
+from mcspectra.app.state import ExplorerSetup
 from mcspectra.core.display import escape_html
 from mcspectra.plots.backend_bokeh import Drawn, draw
 from mcspectra.plots.description import Plot
@@ -78,7 +78,7 @@ class Board:
         self._cancel.on_click(lambda: self.cancel())
         self.header = Row(children=[self._status, self._cancel], sizing_mode="stretch_width")
 
-    def run(self, setup: Setup) -> None:
+    def run(self, setup: ExplorerSetup) -> None:
         """Show another set-up."""
         self.cancel(quiet=True)
         self.latest.clear()

@@ -21,7 +21,7 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.app.specs import UPLOAD, changed, techniques
-from mcspectra.app.state import ANALYSES, MOST_POINTS, Setup
+from mcspectra.app.state import ANALYSES, MOST_POINTS, ExplorerSetup
 from mcspectra.app.uploads import upload_path
 from mcspectra.core import analysis
 from mcspectra.core.analysis import Analysis, Subject
@@ -54,7 +54,7 @@ UPDATE_KINDS = ("points", "integrand", "spectrum", "convergence", "terms", "pred
 """What is computed in each round, in this order; points, integrand and predictions once."""
 
 MOST_AT_ONCE = 2
-"""EstimatorParts that all pages compute at a time: each uses all processors, and a second fills their gaps."""
+"""Parts that all pages compute at a time: each uses all processors, and a second fills their gaps."""
 
 _PATIENCE = 0.2  # seconds between two looks whether a job that waits was canceled
 _INTEGRAND = ("integrand", "density", "dims", "mirror", "channel", "smoothing")
@@ -91,7 +91,7 @@ class Update:
     fraction: float
 
 
-def rounds(setup: Setup) -> Iterator[int]:
+def rounds(setup: ExplorerSetup) -> Iterator[int]:
     """Yield the realizations of each round; the last are those of the set-up."""
     count = _FIRST_ROUND
     while count < setup.realizations:
@@ -100,7 +100,7 @@ def rounds(setup: Setup) -> Iterator[int]:
     yield setup.realizations
 
 
-def compute(kind: str, setup: Setup, realizations: int) -> xr.Dataset:
+def compute(kind: str, setup: ExplorerSetup, realizations: int) -> xr.Dataset:
     """Compute one of `UPDATE_KINDS`; what does not depend on a part of the set-up is kept for all of them.
 
     Raises
@@ -111,13 +111,13 @@ def compute(kind: str, setup: Setup, realizations: int) -> xr.Dataset:
     if kind in ("points", "spectrum"):
         setup = replace(setup, integrand="constant", mirror="none", smoothing=0.0, basis="fourier")
     if kind in _OWN:
-        setup = Setup(**{name: getattr(setup, name) for name in _OWN[kind]})
+        setup = ExplorerSetup(**{name: getattr(setup, name) for name in _OWN[kind]})
     once = kind in ("points", "integrand", "predict")
     return _computed(kind, replace(setup, realizations=2 if once else realizations))
 
 
 @lru_cache(_KEPT)
-def _computed(kind: str, setup: Setup) -> xr.Dataset:
+def _computed(kind: str, setup: ExplorerSetup) -> xr.Dataset:
     parts = make_parts(setup)
     if kind == "integrand":
         # f, p and f/p on the grid of the unit square; of techniques their f/p, where x is primary
@@ -185,7 +185,7 @@ class Job:
 
     def __init__(
         self,
-        setup: Setup,
+        setup: ExplorerSetup,
         on_update: Callable[[Update], object],
         on_end: Callable[[str], object],
     ) -> None:
@@ -280,7 +280,7 @@ class EstimatorParts:
     notes: tuple[str, ...]
 
 
-def integrand_specs(setup: Setup) -> tuple[str, ...]:
+def integrand_specs(setup: ExplorerSetup) -> tuple[str, ...]:
     """Specs of the integrands, one for each technique, as `mcspectra.integrand` reads them.
 
     A file stands in the place of an upload's digest, and those of several channels have the one that
@@ -304,7 +304,7 @@ def integrand_specs(setup: Setup) -> tuple[str, ...]:
     return tuple(found)
 
 
-def make_parts(setup: Setup) -> EstimatorParts:
+def make_parts(setup: ExplorerSetup) -> EstimatorParts:
     """Make density, estimator and sampler; the same ones for all rounds of realizations.
 
     Raises
@@ -316,7 +316,7 @@ def make_parts(setup: Setup) -> EstimatorParts:
 
 
 @lru_cache(_KEPT)
-def _parts(setup: Setup) -> EstimatorParts:
+def _parts(setup: ExplorerSetup) -> EstimatorParts:
     specs = integrand_specs(setup)
     p = _density(setup.density, setup.dims)
     estimator = _estimator(specs, setup.density, setup.mirror, setup.smoothing, setup.dims)
@@ -365,7 +365,7 @@ def _integrand(spec: str, dims: int, width: float = 0.0) -> Integrand:
     return smoothed(_integrand(spec, dims), width) if width else integrand(spec, dims)
 
 
-def analyses_of(setup: Setup) -> dict[str, Analysis]:
+def analyses_of(setup: ExplorerSetup) -> dict[str, Analysis]:
     """The analyses that are shown of a set-up, with its options.
 
     Raises
@@ -385,7 +385,7 @@ def analyses_of(setup: Setup) -> dict[str, Analysis]:
     return made
 
 
-def ladder(setup: Setup) -> list[int]:
+def ladder(setup: ExplorerSetup) -> list[int]:
     """Numbers of points of the convergence plot: ones that the sampler can do, about 4n at most."""
     source = make_parts(setup).sampler
     top = min(4 * setup.n, MOST_POINTS, source.max_count)

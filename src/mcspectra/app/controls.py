@@ -15,7 +15,14 @@ from bokeh.models.widgets.markups import Div
 from bokeh.models.widgets.sliders import CategoricalSlider, Slider
 
 from mcspectra.app.specs import FORMULA, UPLOAD, base_and_steps, chain, changed
-from mcspectra.app.state import CHANNELS, MIRRORS, MOST_HALF_WIDTH, MOST_POINTS, OPTIONS, Setup
+from mcspectra.app.state import (
+    CHANNELS,
+    MIRRORS,
+    MOST_HALF_WIDTH,
+    MOST_POINTS,
+    OPTIONS,
+    ExplorerSetup,
+)
 from mcspectra.app.uploads import keep_upload
 from mcspectra.core.errors import McspectraError
 from mcspectra.core.spec import parse
@@ -78,11 +85,11 @@ class Controls:
 
     def __init__(
         self,
-        setup: Setup,
+        setup: ExplorerSetup,
         side: str,
         sheet: InlineStyleSheet,
         *,
-        on_change: Callable[[Setup], object],
+        on_change: Callable[[ExplorerSetup], object],
         on_error: Callable[[str], object],
         on_scene: Callable[[], None],
         later: Callable[[Callable[[], None]], object],
@@ -154,7 +161,7 @@ class Controls:
             sizing_mode="stretch_width",
         )  # fmt: skip
 
-    def show(self, setup: Setup) -> None:
+    def show(self, setup: ExplorerSetup) -> None:
         """Show another set-up without calling back."""
         self.setup, self._refused = setup, False
         self._fill()
@@ -167,7 +174,9 @@ class Controls:
     def change(self, **values: Any) -> None:
         """Change fields of the set-up as if by hand; texts are read as those of an address."""
         try:
-            read = {k: Setup.read(k, v) if isinstance(v, str) else v for k, v in values.items()}
+            read = {
+                k: ExplorerSetup.read(k, v) if isinstance(v, str) else v for k, v in values.items()
+            }
             setup = replace(self.setup, **read)
         except McspectraError as error:
             self.refuse(str(error))

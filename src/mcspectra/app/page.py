@@ -22,7 +22,7 @@ from mcspectra.app.controls import Controls
 from mcspectra.app.figures import FIGURES
 from mcspectra.app.scene import SceneView, pixel_spec
 from mcspectra.app.specs import UPLOAD, techniques
-from mcspectra.app.state import THEMES, Setup, State
+from mcspectra.app.state import THEMES, ExplorerSetup, ExplorerState
 from mcspectra.core.analysis import Analysis
 from mcspectra.core.display import escape_html
 from mcspectra.core.errors import McspectraError
@@ -80,9 +80,9 @@ class Explorer:
     def __init__(self, document: Any, query: str) -> None:
         refused = ""
         try:
-            self.state = State.from_query(query)
+            self.state = ExplorerState.from_query(query)
         except McspectraError as error:
-            self.state, refused = State(), f"{error} The defaults are shown."
+            self.state, refused = ExplorerState(), f"{error} The defaults are shown."
         self._document, self._loop = document, IOLoop.current(instance=False)
         self._started = self._closed = False
         self._sheet = InlineStyleSheet(css=_WIDGETS)
@@ -198,7 +198,7 @@ class Explorer:
         if self._loop is not None:
             self._loop.add_callback(add)
 
-    def _change(self, side: str, setup: Setup) -> None:
+    def _change(self, side: str, setup: ExplorerSetup) -> None:
         here = self.state
         self.state = replace(here, a=setup) if side == "A" else replace(here, b=setup)
         self._refused.visible = False
@@ -269,7 +269,7 @@ def build_page(document: Any) -> None:
     document.template_variables.update(theme=explorer.state.theme, themes=THEMES)
 
 
-def _row(side: str, setup: Setup, board: Board) -> str:
+def _row(side: str, setup: ExplorerSetup, board: Board) -> str:
     terms, curve = board.latest.get("terms"), board.latest.get("convergence")
     missing = "…" if board.busy else "–"
 
@@ -291,7 +291,7 @@ def _row(side: str, setup: Setup, board: Board) -> str:
     return f'<tr><th scope="row">{side}</th>{inside}</tr>'
 
 
-def as_python(state: State) -> str:
+def as_python(state: ExplorerState) -> str:
     """Return a program that computes, and prints, what the explorer shows at the end of a job.
 
     Raises
@@ -346,7 +346,7 @@ def as_python(state: State) -> str:
     return "\n".join(parts)
 
 
-def _exported(setup: Setup) -> dict[str, Analysis]:
+def _exported(setup: ExplorerSetup) -> dict[str, Analysis]:
     """The analyses with numbers to print; points are drawn by each of them."""
     return {name: each for name, each in analyses_of(setup).items() if name != "points"}
 
@@ -362,7 +362,7 @@ def _chosen(analysis: Analysis) -> dict[str, Any]:
     }
 
 
-def as_toml(state: State) -> str:
+def as_toml(state: ExplorerState) -> str:
     """Return a study file of the same analyses, for ``mcspectra run``.
 
     Raises

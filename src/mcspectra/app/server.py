@@ -239,7 +239,7 @@ def _is_own_error(record: logging.LogRecord) -> bool:
 def _warm_up() -> None:
     """Load and compile what the first page needs while the browser loads it: half of its wait."""
     from mcspectra.app.compute import UPDATE_KINDS, compute
-    from mcspectra.app.state import Setup
+    from mcspectra.app.state import ExplorerSetup
 
     for kind in UPDATE_KINDS:
-        compute(kind, Setup(half_width=4), 2)
+        compute(kind, ExplorerSetup(half_width=4), 2)

@@ -31,8 +31,8 @@ __all__ = [
     "MOST_POINTS",
     "OPTIONS",
     "THEMES",
-    "Setup",
-    "State",
+    "ExplorerSetup",
+    "ExplorerState",
 ]
 
 ANALYSES = {
@@ -81,7 +81,7 @@ def _as_half_width(name: str, given: object, dims: int) -> int:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Setup:
+class ExplorerSetup:
     """An estimator, a sampler, a number of points, and how they are analyzed.
 
     Fields that are named as options of the analyses mean what these say.
@@ -161,16 +161,18 @@ class Setup:
         }
 
     @staticmethod
-    def from_texts(texts: Mapping[str, str]) -> Setup:
+    def from_texts(texts: Mapping[str, str]) -> ExplorerSetup:
         """Read the values that are given; the others are the defaults.
 
         Raises
         ------
         ParameterError
             An unknown key, text that is no number where one is needed, or a value that a
-            `Setup` refuses.
+            `ExplorerSetup` refuses.
         """
-        return Setup(**{name: Setup.read(name, text) for name, text in texts.items()})
+        return ExplorerSetup(
+            **{name: ExplorerSetup.read(name, text) for name, text in texts.items()}
+        )
 
     @staticmethod
     def read(name: str, text: str) -> Any:
@@ -181,7 +183,7 @@ class Setup:
         ParameterError
             No such field, or no number where one is needed.
         """
-        defaults = {each.name: each.default for each in dataclasses.fields(Setup)}
+        defaults = {each.name: each.default for each in dataclasses.fields(ExplorerSetup)}
         if name not in defaults:
             hint, close = close_match_hint(name, defaults)
             known = hint if close else f" Known are {', '.join(defaults)}."
@@ -207,7 +209,7 @@ class Setup:
 
 OPTIONS = {
     name: _KNOWN[name]
-    for name in (each.name for each in dataclasses.fields(Setup))
+    for name in (each.name for each in dataclasses.fields(ExplorerSetup))
     if name in _KNOWN and name not in ("n", "realizations")
 }
 """Options of the analyses that can be chosen here."""
@@ -215,28 +217,31 @@ OPTIONS = {
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class State:
+class ExplorerState:
     """What the explorer shows: set-up A, perhaps B beside it, and the theme, by default the browser's.
 
     Examples
     --------
-    >>> state = State(a=Setup(n=64), b=Setup(sampler="sobol | owen"))
+    >>> state = ExplorerState(a=ExplorerSetup(n=64), b=ExplorerSetup(sampler="sobol | owen"))
     >>> state.query()
     'n=64&b.sampler=sobol+%7C+owen'
-    >>> State.from_query(state.query()) == state
+    >>> ExplorerState.from_query(state.query()) == state
     True
     """
 
-    a: Setup = field(default_factory=Setup)
-    b: Setup | None = None
+    a: ExplorerSetup = field(default_factory=ExplorerSetup)
+    b: ExplorerSetup | None = None
     theme: str = THEMES[0]
 
     def __post_init__(self) -> None:
-        for name, setup, kinds in (("a", self.a, Setup), ("b", self.b, Setup | None)):
-            as_instance(name, setup, kinds, "a Setup")
+        for name, setup, kinds in (
+            ("a", self.a, ExplorerSetup),
+            ("b", self.b, ExplorerSetup | None),
+        ):
+            as_instance(name, setup, kinds, "an ExplorerSetup")
         as_choice("theme", self.theme, THEMES)
 
-    def setups(self) -> Iterator[tuple[str, Setup]]:
+    def setups(self) -> Iterator[tuple[str, ExplorerSetup]]:
         """Yield ``"A"`` and its set-up, and ``"B"`` with its own where there is one."""
         yield "A", self.a
         if self.b is not None:
@@ -253,7 +258,7 @@ class State:
         return urlencode(pairs)
 
     @staticmethod
-    def from_query(query: str) -> State:
+    def from_query(query: str) -> ExplorerState:
         """Read a query string, with or without its question mark.
 
         Raises
@@ -280,5 +285,5 @@ class State:
         theme = given.pop("theme", THEMES[0])
         b = {key[len(_PREFIX) :]: t for key, t in given.items() if key.startswith(_PREFIX)}
         a = {key: text for key, text in given.items() if not key.startswith(_PREFIX)}
-        other = Setup.from_texts(b) if b else None
-        return State(a=Setup.from_texts(a), b=other, theme=theme)
+        other = ExplorerSetup.from_texts(b) if b else None
+        return ExplorerState(a=ExplorerSetup.from_texts(a), b=other, theme=theme)
