@@ -25,13 +25,13 @@ from mcspectra.report.pixel_page import (
     write_pixel,
 )
 from mcspectra.studies import pixel as module
-from mcspectra.studies.pixel import EFFORTS, PIXEL_STRATEGIES, Effort, analyse_pixel
+from mcspectra.studies.pixel import EFFORTS, PIXEL_STRATEGIES, PixelEffort, analyse_pixel
 
 pytestmark = pytest.mark.render
 
 SAMPLERS = ("random", "jittered | shift", "sobol | owen")
 COUNTS = (4, 16, 64)
-SMALL = Effort(
+SMALL = PixelEffort(
     counts={2: COUNTS, 3: (8, 64)},
     realizations=100,
     half_width={2: 6, 3: 2},

@@ -55,7 +55,7 @@ __all__ = [
     "EFFORTS",
     "PIXEL_SAMPLERS",
     "PIXEL_STRATEGIES",
-    "Effort",
+    "PixelEffort",
     "analyse_pixel",
     "check_compared",
     "find_pixel",
@@ -81,7 +81,7 @@ Parts: TypeAlias = "dict[str, xr.Dataset]"
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Effort:
+class PixelEffort:
     """How much is measured.
 
     Attributes
@@ -106,14 +106,14 @@ class Effort:
 
 
 EFFORTS = {
-    "quick": Effort(
+    "quick": PixelEffort(
         counts={2: (16, 64, 256, 1024), 3: (8, 64, 512)},
         realizations=200,
         half_width={2: 32, 3: 8},
         resolution=128,
         remedies=_QUICK_REMEDIES,
     ),
-    "full": Effort(
+    "full": PixelEffort(
         counts={2: (16, 64, 256, 1024, 4096), 3: (8, 64, 512, 4096)},
         realizations=1000,
         half_width={2: 64, 3: 12},
