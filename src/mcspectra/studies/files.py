@@ -91,13 +91,13 @@ _NAME = Meta(description="Name in tables and figures; all names differ.")
 _SAMPLERS = Meta(description="Samplers; those of the study by default.")
 
 
-class _Table(
+class _StudyTable(
     msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True
 ):
     """Common flags of all tables."""
 
 
-class EstimatorConfig(_Table, frozen=True, kw_only=True, omit_defaults=True):
+class EstimatorConfig(_StudyTable, frozen=True, kw_only=True, omit_defaults=True):
     """An estimator: an integrand, how it is importance-sampled, and with which samplers."""
 
     name: Annotated[Text, _NAME]
@@ -165,7 +165,7 @@ class EstimatorConfig(_Table, frozen=True, kw_only=True, omit_defaults=True):
     analyses: dict[str, Analysis] = {}
 
 
-class SceneConfig(_Table, frozen=True, kw_only=True, omit_defaults=True):
+class SceneConfig(_StudyTable, frozen=True, kw_only=True, omit_defaults=True):
     """An analysis of a scene with samplers of its own: an entry of ``[[maps]]``.
 
     `kind` is the name of the analysis; the options of the entry are `analysis`.
@@ -180,7 +180,7 @@ class SceneConfig(_Table, frozen=True, kw_only=True, omit_defaults=True):
     analysis: Analysis = msgspec.field(default_factory=Analysis)
 
 
-class StudyConfig(_Table, frozen=True, kw_only=True, omit_defaults=True):
+class StudyConfig(_StudyTable, frozen=True, kw_only=True, omit_defaults=True):
     """A whole study file.
 
     `analyses` are the tables of analyses by their names, in the order of the file; `scenes` the
@@ -328,7 +328,7 @@ def study_of(table: Mapping[str, Any], source: str = "study") -> StudyConfig:
         It is none; the message names the place.
     """
     try:
-        config = _Reader().study(table)
+        config = _StudyReader().study(table)
 
         # What tables must keep among each other, beyond the types of their keys
         if not config.entries:
@@ -456,7 +456,7 @@ def planned_groups(study: Mapping[str, Any]) -> dict[str, tuple[Names, Names]]:
 
 
 @final
-class _Reader:
+class _StudyReader:
     """Makes structs of the tables of one study."""
 
     def __init__(self) -> None:
@@ -552,7 +552,7 @@ def _struct(table: Any, kind: type[Struct], place: str, beside: tuple[str, ...] 
 @functools.cache
 def _keys_of(kind: type[msgspec.Struct]) -> dict[str, Option]:
     """Options of a table by their keys."""
-    hidden = RESERVED if issubclass(kind, _Table) else ()
+    hidden = RESERVED if issubclass(kind, _StudyTable) else ()
     return {each.name: each for each in options_of(kind) if each.name not in hidden}
 
 
