@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any
 
 import mcspectra as mcs
 from mcspectra.cli.common import (
-    Answer,
     Declaration,
     Read,
     Verb,
+    VerbOutput,
     given_of,
     group,
     option,
@@ -166,7 +166,7 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
         )
     )
 
-    def run(options: argparse.Namespace) -> Answer:
+    def run(options: argparse.Namespace) -> VerbOutput:
         view = as_choice("--show", getattr(options, "show", usual), tuple(views))
 
         # Refuse files that cannot be made before anything is computed
@@ -186,7 +186,7 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
         for file in options.out:
             write_result_file(result, file, f"mcspectra {analysis.command()}")
         shown = views[view](result)
-        return Answer(shown.text, {**data_of(result), **shown.data})
+        return VerbOutput(shown.text, {**data_of(result), **shown.data})
 
     about = inspect.cleandoc(analysis.__doc__ or "").partition("\n\n")[0]
     if len(splits) > 1:

@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from mcspectra.samplers import Sampler
 
 __all__ = [
-    "Answer",
     "Declaration",
     "Read",
     "Verb",
+    "VerbOutput",
     "given_of",
     "group",
     "index_or_name",
@@ -44,7 +44,7 @@ _LONGEST = 2000  # characters of a warning
 _PAGES = frozenset({".html", ".md", ".json", ".csv", ".png", ".svg", ".pdf", ".exr"})
 
 
-class Answer(NamedTuple):
+class VerbOutput(NamedTuple):
     """What a verb says: a text, data for --json, and the exit code.
 
     Without data the text is the result itself, such as a schema, and printed in any case.
@@ -146,10 +146,10 @@ class Verb(NamedTuple):
 
     text: str
     options: tuple[Declaration, ...]
-    run: Callable[[argparse.Namespace], Answer]
+    run: Callable[[argparse.Namespace], VerbOutput]
 
 
-def verb(*options: Declaration) -> Callable[[Callable[[argparse.Namespace], Answer]], Verb]:
+def verb(*options: Declaration) -> Callable[[Callable[[argparse.Namespace], VerbOutput]], Verb]:
     """Make a verb of a function whose docstring is the text of its help."""
     return lambda run: Verb(inspect.cleandoc(run.__doc__ or ""), options, run)
 

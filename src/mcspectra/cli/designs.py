@@ -9,7 +9,17 @@ from pathlib import Path
 from typing import Any, Literal
 
 import mcspectra as mcs
-from mcspectra.cli.common import Answer, given_of, group, option, out, real, text_table, verb, whole
+from mcspectra.cli.common import (
+    VerbOutput,
+    given_of,
+    group,
+    option,
+    out,
+    real,
+    text_table,
+    verb,
+    whole,
+)
 from mcspectra.core.decoding import path_to_write
 from mcspectra.core.errors import ParameterError, writing
 from mcspectra.improve.designs.searches import KINDS
@@ -59,7 +69,7 @@ _OF_SAMPLERS = ("members",)
     ),
     out(".json: the density, or the sampler with its certificate"),
 )
-def design_(options: argparse.Namespace) -> Answer:
+def design_(options: argparse.Namespace) -> VerbOutput:
     """Search for a sampler or a density of small variance, and measure the gain.
 
     A sampler is searched for a class of integrands. The table compares its mean variance with that of usual
@@ -81,7 +91,7 @@ def design_(options: argparse.Namespace) -> Answer:
     for file in copies:
         with writing(file):
             shutil.copyfile(first, file)
-    return Answer(text, data)
+    return VerbOutput(text, data)
 
 
 def _sampler(options: argparse.Namespace, path: str | None) -> tuple[str, dict[str, Any]]:

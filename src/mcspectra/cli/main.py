@@ -2,7 +2,7 @@
 
 Exit codes: 0 done; 1 the run failed; 2 bad input; 130 interrupted. Verbs are bound by name, so that
 ``--help`` imports none of them (docs/decisions/0002): the verb ``run`` is the `Verb` called ``run_`` of
-its module, whose `Answer` is printed here; those of analyses are made by `mcspectra.cli.analysis`.
+its module, whose `VerbOutput` is printed here; those of analyses are made by `mcspectra.cli.analysis`.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ import sys
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
-from mcspectra.cli.common import Answer, option, verb, whole
+from mcspectra.cli.common import VerbOutput, option, verb, whole
 from mcspectra.core.display import counted, printable
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.references import bibtex
@@ -51,7 +51,7 @@ _ITSELF = f"""@software{{mcspectra,
     option("--quick", "fewer realizations: 3 minutes at most"),
     option("-o, --out DIR", "output folder (default out/reproduce)", repeated="once"),
 )
-def reproduce_(options: argparse.Namespace) -> Answer:
+def reproduce_(options: argparse.Namespace) -> VerbOutput:
     """Make the figures and statements of the slides again, and say which of them agree.
 
     Writes DIR/index.html (one page that stands alone), DIR/reproduce.pdf, DIR/findings.json and
@@ -71,7 +71,7 @@ def reproduce_(options: argparse.Namespace) -> Answer:
         shown = {name: slides()[name].summary for name in exhibit_names(options.figures)}
         width = max(map(len, shown))
         lines = [f"{name.ljust(width)}  {text}" for name, text in shown.items()]
-        return Answer(
+        return VerbOutput(
             "\n".join(lines), [{"name": name, "summary": text} for name, text in shown.items()]
         )
 
@@ -112,7 +112,7 @@ def reproduce_(options: argparse.Namespace) -> Answer:
         "judged": len(judged),
         "failed": list(made.failed),
     }
-    return Answer(
+    return VerbOutput(
         f"{tally(made.entries)}\npage: {printable(made.page)}", data, 1 if made.failed else 0
     )
 
@@ -127,7 +127,7 @@ def reproduce_(options: argparse.Namespace) -> Answer:
         default=[],
     ),
 )
-def app_(options: argparse.Namespace) -> Answer:
+def app_(options: argparse.Namespace) -> VerbOutput:
     """Explore in the browser: choose a sampler, a density and an integrand, and see what they make.
 
     Serves a page on this machine alone, without any use of the network.
@@ -138,11 +138,11 @@ def app_(options: argparse.Namespace) -> Answer:
     from mcspectra.app.server import serve
 
     serve(options.port, open_browser=not options.no_browser, quiet=options.quiet)
-    return Answer()
+    return VerbOutput()
 
 
 @verb()
-def doctor_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
+def doctor_(options: argparse.Namespace) -> VerbOutput:  # noqa: ARG001
     """Show what is installed and whether it works: versions, kernels, NUFFT, renderer, extras."""
     import numpy as np
 
@@ -195,14 +195,14 @@ def doctor_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
             texts = {k: ", ".join(v) if isinstance(v, list) else v for k, v in value.items()}
             value = "; ".join(f"{key} {text}" for key, text in texts.items() if text)
         lines.append(f"{name.replace('_', ' ').ljust(width)}  {value}")
-    return Answer(
+    return VerbOutput(
         "\n".join(lines), {**found, "extras": optional, "works": works}, 0 if works else 1
     )
 
 
 @verb()
-def cite_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
+def cite_(options: argparse.Namespace) -> VerbOutput:  # noqa: ARG001
     """Print how to cite the package, the paper it implements and the methods it uses (BibTeX)."""
     cited = {"mcspectra": _ITSELF, **{what: bibtex(key) for what, key in _CITED.items()}}
     listed = [{"for": what, "bibtex": entry} for what, entry in cited.items()]
-    return Answer("\n\n".join(f"% {what}\n{entry}" for what, entry in cited.items()), listed)
+    return VerbOutput("\n\n".join(f"% {what}\n{entry}" for what, entry in cited.items()), listed)

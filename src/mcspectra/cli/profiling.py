@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mcspectra.cli.analysis import analysis_verb
-from mcspectra.cli.common import Answer, Verb, option
+from mcspectra.cli.common import Verb, VerbOutput, option
 from mcspectra.cli.texts import data_of, table_of_anything
 from mcspectra.core.analysis import ANALYSES
 from mcspectra.core.display import QUOTED, printable, shown
@@ -34,7 +34,7 @@ _SUFFIXES = (".npy", ".csv", ".nc", ".zarr")
 _PROFILE = analysis_verb(["profile"])
 
 
-def _profile(options: argparse.Namespace) -> Answer:
+def _profile(options: argparse.Namespace) -> VerbOutput:
     """Profile an integrand, or draws of Markov chains."""
     subjects: list[str] = options.integrand
     files = [text for text in subjects if Path(text).suffix.lower() in _SUFFIXES]
@@ -61,7 +61,7 @@ def _profile(options: argparse.Namespace) -> Answer:
     return _of_draws(options, files)
 
 
-def _of_draws(options: argparse.Namespace, files: list[str]) -> Answer:
+def _of_draws(options: argparse.Namespace, files: list[str]) -> VerbOutput:
     """Error of the means of Markov chains, the frequencies that cause it, and problems of the chains."""
     from mcspectra.measure.chains import chain_error
     from mcspectra.report.result_files import check_result_file, write_result_file
@@ -107,7 +107,7 @@ def _of_draws(options: argparse.Namespace, files: list[str]) -> Answer:
     for k, name in enumerate(names):
         start = f"{result['quantity'].values[k]}: " if several else ""
         lines.append(f"{start}{said[k] or f'cause: {name}'}.")
-    return Answer("\n".join(lines), data_of(result))
+    return VerbOutput("\n".join(lines), data_of(result))
 
 
 profile_ = Verb(

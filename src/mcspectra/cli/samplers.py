@@ -11,7 +11,7 @@ from typing import Any
 
 import mcspectra as mcs
 from mcspectra.cli.common import (
-    Answer,
+    VerbOutput,
     given_of,
     one_sentence_warnings,
     option,
@@ -44,7 +44,7 @@ _REGISTRIES = {
 
 
 @verb(option("KIND", f"one of {', '.join(_REGISTRIES)}"))
-def list_(options: argparse.Namespace) -> Answer:
+def list_(options: argparse.Namespace) -> VerbOutput:
     """List what can be named in specs, and the analyses."""
     kind = as_choice("kind", options.kind, tuple(_REGISTRIES))
     module, attribute = _REGISTRIES[kind]
@@ -87,7 +87,7 @@ def list_(options: argparse.Namespace) -> Answer:
         elif "dims" in row:
             more += [f"dims: {row['dims']}; n: {row['counts']}", row["sources"]]
         lines += [f"{'':{widest}}    {line}" for line in more if line]
-    return Answer("\n".join(lines), rows)
+    return VerbOutput("\n".join(lines), rows)
 
 
 @verb(
@@ -99,7 +99,7 @@ def list_(options: argparse.Namespace) -> Answer:
     out("points or a picture, see above; - is standard output"),
     option("--quality", "print quality figures, not points"),
 )
-def points_(options: argparse.Namespace) -> Answer:
+def points_(options: argparse.Namespace) -> VerbOutput:
     """Draw point sets, and print, write, plot or measure them.
 
     Without -o, points are printed as text in UTK's format: one point per line, '#' between sets.
@@ -184,7 +184,7 @@ def points_(options: argparse.Namespace) -> Answer:
         data["points"] = points
     elif printed:
         parts.insert(0, format_dat(list(points)).rstrip("\n"))
-    return Answer("\n".join(parts), data)
+    return VerbOutput("\n".join(parts), data)
 
 
 @verb(
@@ -203,7 +203,7 @@ def points_(options: argparse.Namespace) -> Answer:
     option("--tolerance W", "half width of the interval at which evaluations end", real(above=0.0)),
     option("--cache FILE", "file of values by point, from which a later run continues"),
 )
-def integrate_(options: argparse.Namespace) -> Answer:
+def integrate_(options: argparse.Namespace) -> VerbOutput:
     """Integrate a function within a budget of evaluations.
 
     Prints the value, its 95 % interval, the evaluations made, and the replicates with their number of points.
@@ -224,7 +224,7 @@ def integrate_(options: argparse.Namespace) -> Answer:
         f"{data['replicates']} replicates of {data['n']} points of {found.attrs['sampler']}"
     )
     note = found.attrs.get("note")
-    return Answer(f"{text}\n{note}" if note else text, data | ({"note": note} if note else {}))
+    return VerbOutput(f"{text}\n{note}" if note else text, data | ({"note": note} if note else {}))
 
 
 @verb(
@@ -241,7 +241,7 @@ def integrate_(options: argparse.Namespace) -> Answer:
         ".html, or a folder: the page; .pdf: its tables and pictures; .csv, .tex: rates; .pgf: convergence"
     ),
 )
-def bench_(options: argparse.Namespace) -> Answer:
+def bench_(options: argparse.Namespace) -> VerbOutput:
     """Measure samplers side by side: rates, ranks, points, spectra, projections, quality, speed.
 
     Prints a table of rates on standard integrands, with ranks in brackets; their 95 % intervals are simultaneous.
@@ -273,4 +273,4 @@ def bench_(options: argparse.Namespace) -> Answer:
     written = [write_bench(bench, file, cards) for file in options.out]
     lines += [f"bench: {path}" for path in written]
     data = data_of(bench) | ({"files": written} if written else {})
-    return Answer("\n".join(filter(None, lines)), data)
+    return VerbOutput("\n".join(filter(None, lines)), data)

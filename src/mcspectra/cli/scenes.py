@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mcspectra.cli.common import (
-    Answer,
+    VerbOutput,
     given_of,
     group,
     index_or_name,
@@ -110,7 +110,7 @@ _WHOLE = ("variant", "sensor", "define")
         option("-D, --define KEY=VALUE", "value of $KEY in the file; repeatable", repeated="all"),
     ),
 )
-def render_(options: argparse.Namespace) -> Answer:
+def render_(options: argparse.Namespace) -> VerbOutput:
     """Render a scene with one of our samplers.
 
     SCENE is the name of a built-in scene, e.g. 'veach' or "veach(lights=['light-3'])", or a Mitsuba XML
@@ -204,7 +204,7 @@ def render_(options: argparse.Namespace) -> Answer:
         f"samples a second       {data['samples_per_second']:.3g}",
         *(f"wrote {file}" for file in files),
     ]
-    return Answer("\n".join(lines), data)
+    return VerbOutput("\n".join(lines), data)
 
 
 def _samples(told: Mapping[Any, Any]) -> int:
@@ -218,7 +218,7 @@ def _colour(values: Any) -> str:
 
 def _compare(
     options: argparse.Namespace, scene: str, settings: Mapping[str, Any], files: list[Path]
-) -> Answer:
+) -> VerbOutput:
     """Render a reference and all strategies, write them side by side, say how far each is off."""
     from mcspectra.plots.backend_matplotlib import draw, encode
     from mcspectra.plots.maps import rms_error, strategy_images
@@ -253,10 +253,12 @@ def _compare(
         table.append([name, _colour(mean), str(data[name]["samples"]), shown])
     header = ["image", "mean radiance (R G B)", "samples a pixel", "rms error"]
     lines = [text_table(header, table), *(f"wrote {file}" for file in files)]
-    return Answer("\n".join(lines), {"scene": scene, "spp": spp, "images": data, "files": files})
+    return VerbOutput(
+        "\n".join(lines), {"scene": scene, "spp": spp, "images": data, "files": files}
+    )
 
 
-def _whole_paths(options: argparse.Namespace, scene: str, files: list[Path]) -> Answer:
+def _whole_paths(options: argparse.Namespace, scene: str, files: list[Path]) -> VerbOutput:
     """Render a scene by one of Mitsuba's integrators, and write the film."""
     from mcspectra.rendering.files import write_png
     from mcspectra.rendering.scenes import render_file
@@ -307,7 +309,7 @@ def _whole_paths(options: argparse.Namespace, scene: str, files: list[Path]) -> 
         "seconds": seconds,
         "files": files,
     }
-    return Answer("\n".join(lines), data)
+    return VerbOutput("\n".join(lines), data)
 
 
 @verb(
@@ -350,7 +352,7 @@ def _whole_paths(options: argparse.Namespace, scene: str, files: list[Path]) -> 
     ),
     option("-o, --out DIR", "folder for report.html, pixel.json and figures", repeated="once"),
 )
-def pixel_(options: argparse.Namespace) -> Answer:
+def pixel_(options: argparse.Namespace) -> VerbOutput:
     """Measure and explain the noise of one pixel of a scene: rates, terms, bottleneck, remedies.
 
     The pixel is X Y, counted from the left and from the top, or its name (figure1 has P and Q).
@@ -432,7 +434,7 @@ def pixel_(options: argparse.Namespace) -> Answer:
     if written is not None:
         data["report"] = written
         parts.append(f"report: {printable(written)}")
-    return Answer("\n\n".join(parts), data)
+    return VerbOutput("\n\n".join(parts), data)
 
 
 def _map_options(parser: argparse.ArgumentParser) -> None:
@@ -458,7 +460,7 @@ def _map_options(parser: argparse.ArgumentParser) -> None:
     option("--workers N", "threads (default: all processors)", whole()),
     _map_options,
 )
-def map_(options: argparse.Namespace) -> Answer:
+def map_(options: argparse.Namespace) -> VerbOutput:
     """Map the variance, its rate and the bottleneck over an image of a scene.
 
     Without --integrator the map compares strategies for direct light. With --integrator it measures whole paths,
@@ -498,7 +500,7 @@ def map_(options: argparse.Namespace) -> Answer:
     page, summary = write_map(result, folder), map_summary(result)
     table = map_table(summary)
     text = f"{page_table(table)}\n{table.caption}\nmap: {printable(page)}"
-    return Answer(text, {**summary, "report": page})
+    return VerbOutput(text, {**summary, "report": page})
 
 
 @verb(
@@ -523,7 +525,7 @@ def map_(options: argparse.Namespace) -> Answer:
         repeated="once",
     ),
 )
-def frames_(options: argparse.Namespace) -> Answer:
+def frames_(options: argparse.Namespace) -> VerbOutput:
     """Measure the noise of independent renders of one view, by any renderer: variance, bias, error spectrum.
 
     Frames with different numbers of samples per pixel give rates. --against compares two sets of frames: bias,
@@ -554,7 +556,7 @@ def frames_(options: argparse.Namespace) -> Answer:
     if options.out:
         data["report"] = frames_page.write_frames(result, options.out)
         lines.append(f"report: {data['report']}")
-    return Answer("\n".join(lines), data)
+    return VerbOutput("\n".join(lines), data)
 
 
 def _show(result: xr.Dataset, address: str) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mcspectra.cli.common import (
-    Answer,
+    VerbOutput,
     group,
     one_sentence_warnings,
     option,
@@ -80,7 +80,7 @@ _LISTED = 10  # paths of cells that are not done
         ),
     ),
 )
-def run_(options: argparse.Namespace) -> Answer:
+def run_(options: argparse.Namespace) -> VerbOutput:
     """Run a study file: measure, predict and explain every estimator with every sampler.
 
     Writes DIR/study.sqlite, DIR/results.zarr, DIR/report.html and DIR/figures/. The page
@@ -125,7 +125,7 @@ def run_(options: argparse.Namespace) -> Answer:
         wall = wall_time(estimates, count)
         cells = [msgspec.to_builtins(each) for each in estimates]
         data = {"seconds": wall, "workers": count, "cells": cells}
-        return Answer(estimate_text(estimates, wall, count), data)
+        return VerbOutput(estimate_text(estimates, wall, count), data)
 
     # Say before the run that it cannot write the report
     reported = True
@@ -162,7 +162,7 @@ def run_(options: argparse.Namespace) -> Answer:
             f"{stored:,} results are in {printable(target)}; a report is for {results.MOST_STORED:,} at most: "
             f"'mcspectra export {printable(target)} --select PATTERN -o FILE' writes a part of them"
         )
-        return Answer(text, {"report": None, "rows": []}, code)
+        return VerbOutput(text, {"report": None, "rows": []}, code)
     with results.showing(target):
         rows = summarize(open_results(target))
     page = write_report(target) if reported else None
@@ -173,7 +173,7 @@ def run_(options: argparse.Namespace) -> Answer:
     if "unresolved" in shown:
         shown += f"\nunresolved: the rate is {UNRESOLVED}"
     place = f"report: {printable(page)}" if page else f"results: {printable(target)}"
-    return Answer(f"{shown}\n\n{place}" if rows else place, data, code)
+    return VerbOutput(f"{shown}\n\n{place}" if rows else place, data, code)
 
 
 def _cluster_engine(options: argparse.Namespace, time_limit: float | None) -> MakeExecutor | None:
@@ -239,7 +239,7 @@ def estimate_text(estimates: Sequence[CellEstimate], wall: float, workers: int) 
     option("--compare DIR2", "output folder of another study"),
     out(".html: the page (default: in the folder)"),
 )
-def report_(options: argparse.Namespace) -> Answer:
+def report_(options: argparse.Namespace) -> VerbOutput:
     """Write the report of a finished (or interrupted) study again, or compare two studies.
 
     Writes DIR/report.html and DIR/figures/. With --compare writes DIR2/comparison.html: ratios of variances,
@@ -257,14 +257,14 @@ def report_(options: argparse.Namespace) -> Answer:
         for file in options.out or [None]
     ]
     data = {"report": pages[0]} | ({"files": pages} if len(pages) > 1 else {})
-    return Answer("\n".join(f"report: {printable(page)}" for page in pages), data)
+    return VerbOutput("\n".join(f"report: {printable(page)}" for page in pages), data)
 
 
 @verb(
     option("DIR", "output folder of a study", dest="folder"),
     option("--verify", "check the digests of all stored results"),
 )
-def status_(options: argparse.Namespace) -> Answer:
+def status_(options: argparse.Namespace) -> VerbOutput:
     """Count the done, failed, missing and damaged cells in the folder of a study.
 
     A cell is one analysis of one estimator with one sampler. The exit code is 1 if a cell failed, is missing
@@ -320,7 +320,7 @@ def status_(options: argparse.Namespace) -> Answer:
         )
     good = status.state in ("running", "finished") and not status.damaged
     data = msgspec.to_builtins(status) | {"analyses": msgspec.to_builtins(status.analyses)}
-    return Answer("\n".join(lines), data, 0 if good else 1)
+    return VerbOutput("\n".join(lines), data, 0 if good else 1)
 
 
 @verb(
@@ -332,7 +332,7 @@ def status_(options: argparse.Namespace) -> Answer:
     ),
     option("--select PATTERN", "cells to export, e.g. 'estimator/*' (default: all)"),
 )
-def export_(options: argparse.Namespace) -> Answer:
+def export_(options: argparse.Namespace) -> VerbOutput:
     """Write the results of a study as files; the extension of each chooses its format.
 
     A table has a row for each number: estimator, sampler, analysis, n, variable, value, 95 % interval
@@ -350,7 +350,7 @@ def export_(options: argparse.Namespace) -> Answer:
         size = sum(each.stat().st_size for each in files if each.is_file())
         written.append({"file": file, "bytes": size})
         lines.append(f"{printable(file)}: {shown_bytes(size)}")
-    return Answer("\n".join(lines), written)
+    return VerbOutput("\n".join(lines), written)
 
 
 @verb(
@@ -358,7 +358,7 @@ def export_(options: argparse.Namespace) -> Answer:
     option("--schema", "print the JSON Schema of study files, for editors, and write no file"),
     option("--markdown", "with --schema: print the keys as the tables of docs/studies.md"),
 )
-def init_(options: argparse.Namespace) -> Answer:
+def init_(options: argparse.Namespace) -> VerbOutput:
     """Write a study file to start from: it is commented, and runs as it is."""
     from mcspectra.studies.schema import key_tables, study_schema, write_template
 
@@ -368,9 +368,9 @@ def init_(options: argparse.Namespace) -> Answer:
         if options.file is not None:
             raise ParameterError(f"--schema writes no file; leave {options.file} out.")
         if options.markdown:
-            return Answer(key_tables())
-        return Answer(json.dumps(study_schema(), indent=2, ensure_ascii=False))
+            return VerbOutput(key_tables())
+        return VerbOutput(json.dumps(study_schema(), indent=2, ensure_ascii=False))
     file = write_template(options.file or "study.toml")
-    return Answer(
+    return VerbOutput(
         f"{printable(file)}: run it with 'mcspectra run {printable(file)}'.", {"file": file}
     )

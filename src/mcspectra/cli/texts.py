@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mcspectra.cli.common import Answer, page_table, text_table
+from mcspectra.cli.common import VerbOutput, page_table, text_table
 from mcspectra.core.errors import NoClosedForm
 from mcspectra.core.fits import UNRESOLVED, is_resolved
 from mcspectra.plots.groups import along, method_of
@@ -31,7 +31,7 @@ _ROUNDING = 1e-14  # of the variance: sums of terms that cancel
 _MANY = 10_000  # numbers of a variable that --json leaves out
 
 
-View = Callable[["xr.Dataset"], Answer]
+View = Callable[["xr.Dataset"], VerbOutput]
 """A text, and entries of the JSON object that `data_of` does not have or has otherwise."""
 
 VIEWS: dict[str, dict[str, View]] = {}
@@ -48,9 +48,9 @@ def _view(analysis: str, name: str = "") -> Callable[[View], View]:
     return register
 
 
-def _shown(*parts: str, **data: Any) -> Answer:
+def _shown(*parts: str, **data: Any) -> VerbOutput:
     """The parts that say something, each on lines of its own."""
-    return Answer("\n".join(filter(None, parts)), data)
+    return VerbOutput("\n".join(filter(None, parts)), data)
 
 
 def _columns(result: xr.Dataset, *names: str) -> Iterator[tuple[Any, ...]]:
@@ -64,7 +64,7 @@ def data_of(result: xr.Dataset) -> dict[str, Any]:
     return {**{str(key): value for key, value in result.attrs.items()}, **small}
 
 
-def table_of_anything(result: xr.Dataset) -> Answer:
+def table_of_anything(result: xr.Dataset) -> VerbOutput:
     """Prints single numbers with their meanings and 95 % intervals, then a table for each dim."""
     partners = {f"{name}{end}" for name in result.data_vars for end in ("_ci", "_se")}
     shown = {str(k): v for k, v in result.data_vars.items() if k not in partners}
@@ -141,7 +141,7 @@ def _error(result: xr.Dataset, name: str, place: tuple[int, ...]) -> str:
 
 
 @_view("convergence")
-def convergence(result: xr.Dataset) -> Answer:
+def convergence(result: xr.Dataset) -> VerbOutput:
     """Prints the variance at each n, the rate ± half its interval, and how well a line fits."""
     header = ["sampler", "", *(f"n = {n}" for n in result["n"].values), "rate", "±"]
     rows, curves, notes, unresolved = [], [], [], ""
@@ -183,7 +183,7 @@ def convergence(result: xr.Dataset) -> Answer:
 
 
 @_view("terms")
-def terms(result: xr.Dataset) -> Answer:
+def terms(result: xr.Dataset) -> VerbOutput:
     """Prints the terms, their sum, the measured variance, the share of it that they capture, and the rest.
 
     Each sampler has a table. The energy share is the part of ∫f² at frequencies up to the half width. The tail
@@ -214,7 +214,7 @@ def terms(result: xr.Dataset) -> Answer:
 
 
 @_view("spectrum", "power")
-def power(result: xr.Dataset) -> Answer:
+def power(result: xr.Dataset) -> VerbOutput:
     """Prints the radial mean of power times n, which is 1 for random points."""
     n, dims = result.attrs["n"], sum(str(d).startswith("m") for d in result["power"].dims)
     rows = [
@@ -225,7 +225,7 @@ def power(result: xr.Dataset) -> Answer:
 
 
 @_view("spectrum", "radial")
-def radial(result: xr.Dataset) -> Answer:
+def radial(result: xr.Dataset) -> VerbOutput:
     """with errors and anisotropy"""
     from mcspectra.spectra.shapes import radial_statistics
 
@@ -240,7 +240,7 @@ def radial(result: xr.Dataset) -> Answer:
 
 
 @_view("spectrum", "slices")
-def slices(result: xr.Dataset) -> Answer:
+def slices(result: xr.Dataset) -> VerbOutput:
     """along the axes and diagonals"""
     from mcspectra.spectra.shapes import slices
 
@@ -255,7 +255,7 @@ def slices(result: xr.Dataset) -> Answer:
 
 
 @_view("spectrum", "wedges")
-def wedges(result: xr.Dataset) -> Answer:
+def wedges(result: xr.Dataset) -> VerbOutput:
     """by direction"""
     from mcspectra.spectra.shapes import wedge_means
 
@@ -268,7 +268,7 @@ def wedges(result: xr.Dataset) -> Answer:
 
 
 @_view("spectrum", "exponent")
-def exponent(result: xr.Dataset) -> Answer:
+def exponent(result: xr.Dataset) -> VerbOutput:
     """b of power ∝ |m|^b"""
     from mcspectra.spectra.shapes import low_frequency_exponent
 
@@ -287,7 +287,7 @@ def exponent(result: xr.Dataset) -> Answer:
 
 
 @_view("pcf")
-def pcf(result: xr.Dataset) -> Answer:
+def pcf(result: xr.Dataset) -> VerbOutput:
     """Prints the distance r, r / n^(-1/d) (the mean spacing), g(r) and its standard error."""
     spacing = result.attrs["n"] ** (-1.0 / result.attrs["dims"])
     rows = [
@@ -299,7 +299,7 @@ def pcf(result: xr.Dataset) -> Answer:
 
 
 @_view("anova")
-def anova(result: xr.Dataset) -> Answer:
+def anova(result: xr.Dataset) -> VerbOutput:
     """Prints the variance of each subset of axes, the rest in larger subsets, and effective dimensions.
 
     Shares and dimensions have 95 % intervals, which may reach beyond 0 and 1 or the number of axes.
@@ -347,14 +347,14 @@ def anova(result: xr.Dataset) -> Answer:
 
 
 @_view("profile")
-def profiled(result: xr.Dataset) -> Answer:
+def profiled(result: xr.Dataset) -> VerbOutput:
     """Prints advice, the causes of the noise with their evidence, and the error and rate of each sampler."""
     plain = {name: json.loads(result.attrs[name]) for name in ("causes", "best")}
-    return Answer(result.attrs["text"], plain)
+    return VerbOutput(result.attrs["text"], plain)
 
 
 @_view("plan")
-def planned(result: xr.Dataset) -> Answer:
+def planned(result: xr.Dataset) -> VerbOutput:
     """Prints the least n for the error, and the predicted errors at other n."""
     if np.isnan(result["planned_n"]).all() and np.isnan(result["predicted_variance"]).all():
         raise NoClosedForm(f"{_note(result)[:1].upper()}{_note(result)[1:]}.")
@@ -378,7 +378,7 @@ def planned(result: xr.Dataset) -> Answer:
 
 
 @_view("predict")
-def prediction(result: xr.Dataset) -> Answer:
+def prediction(result: xr.Dataset) -> VerbOutput:
     """Prints the predicted variance at each n with its interval, its local rate and its method."""
     if np.isnan(result["predicted_variance"]).all():
         raise NoClosedForm(f"{_note(result)[:1].upper()}{_note(result)[1:]}.")
@@ -424,7 +424,7 @@ def prediction(result: xr.Dataset) -> Answer:
 
 
 @_view("remedies")
-def remedies(result: xr.Dataset) -> Answer:
+def remedies(result: xr.Dataset) -> VerbOutput:
     """Prints advice with its reasons, then a table in the order of the variances."""
     known, listed = result.attrs, []
     for name in result["remedy"].values:
@@ -454,7 +454,7 @@ def remedies_table(result: xr.Dataset) -> str:
 
 
 @_view("modes")
-def modes(result: xr.Dataset) -> Answer:
+def modes(result: xr.Dataset) -> VerbOutput:
     """Prints the eigenvalues, their share of the sum, and the variance of each mode."""
     trace, edge = float(result["band_trace"]), float(result["noise_edge"])
     # Eigenvalues of zero come out as 1e-13 of the sum of all
