@@ -401,13 +401,11 @@ from mcspectra.studies.executors import Threads
 def ended(arguments):
     Threads(1).submit(None, lambda: time.sleep(100))
     atexit.register(print, "Python has ended")
-    raise KeyboardInterrupt("what was finished is in out, --resume continues")
+    raise KeyboardInterrupt("finished work is in out; --resume continues")
 
 module._dispatch = ended
 sys.exit(module.main())
 """
     done = python("-c", code)
     assert (done.returncode, done.stdout) == (130, "")
-    assert done.stderr == (
-        "mcspectra: Interrupted; what was finished is in out, --resume continues.\n"
-    )
+    assert done.stderr == ("mcspectra: Interrupted; finished work is in out; --resume continues.\n")

@@ -49,7 +49,7 @@ def test_init_refuses_to_overwrite(run, file):
     file.write_text("mine")
     code, out, err = run("init", file)
     assert (code, out) == (2, "")
-    assert "is there already; give another name" in err
+    assert "already exists; give another name" in err
     assert file.read_text() == "mine"
 
 

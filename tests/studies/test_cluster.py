@@ -161,8 +161,8 @@ def test_a_task_that_kills_every_worker_fails_alone(engine_on, tmp_path):
     failed = found.pop("0")
     assert failed.payload is None
     assert failed.error == (
-        "2 workers died while computing it; it may need more memory than a worker has (the worker's "
-        "log says more)."
+        "2 workers died while computing it; it may need more memory than a worker has (see the worker's "
+        "log)."
     )
     assert {outcome.payload for outcome in found.values()} == {b"done"}  # bystanders too
 
@@ -266,7 +266,7 @@ def test_workers_of_another_version_are_refused_by_name_before_anything_runs(clu
     message = str(caught.value)
     assert message.startswith(f"The study is run by mcspectra {__version__}, but of its workers ")
     assert f"{socket.gethostname()} (tcp://127.0.0.1:" in message
-    assert message.endswith(" has 99.0; install the same version there.")
+    assert message.endswith(" has 99.0; install the same version on every worker.")
     assert message.count("has") == 1  # the two others are not named
 
 
@@ -308,7 +308,7 @@ def test_a_scheduler_that_dies_may_come_back_or_ends_the_run():
         for index in range(5):
             engine.submit(task(index))
         start = time.monotonic()
-        with pytest.raises(ClusterLost, match=f"The dask scheduler at {address} has gone and did"):
+        with pytest.raises(ClusterLost, match=f"The dask scheduler at {address} went away and did"):
             list(engine.outcomes())
         assert time.monotonic() - start < 15
     finally:
@@ -494,7 +494,7 @@ def test_what_answers_is_no_scheduler(answer):
 
 def test_a_worker_is_no_scheduler(cluster):
     options = Cluster(address=next(iter(cluster.scheduler_info["workers"])), patience=5.0)
-    with pytest.raises(ClusterError, match="what answers is no scheduler"):
+    with pytest.raises(ClusterError, match="another program answers, not a scheduler"):
         Dask(TEXT, options, squares())
 
 
@@ -503,7 +503,7 @@ def test_scheduler_files_that_are_none(tmp_path, content):
     file = tmp_path / "scheduler.json"
     if content is not None:
         file.write_text(content)
-    with pytest.raises(ParameterError, match="is not a file that a dask scheduler wrote"):
+    with pytest.raises(ParameterError, match="is not a file written by a dask scheduler"):
         Dask(TEXT, Cluster(address=str(file)), squares())
 
 

@@ -105,7 +105,7 @@ def test_a_thread_that_ends_without_an_outcome_is_no_wait_for_ever(monkeypatch):
     monkeypatch.setattr(executors, "timed", without_memory)
     executor = Threads(1)
     executor.submit(_task(), lambda: None)
-    with pytest.raises(ClusterLost, match="A thread of this run has ended .*--resume continues"):
+    with pytest.raises(ClusterLost, match="A thread of this run ended .*--resume continues"):
         next(executor.outcomes())
     executor.close(cancel=True)
 

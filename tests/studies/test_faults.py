@@ -186,13 +186,13 @@ def test_of_a_ledger_cut_in_half_the_rest_is_kept(half, tmp_path, straight):
     said = study_status(out, verify=True)
     assert said.damaged["file"] == "pages of the file are damaged or missing"
     with pytest.warns(
-        DamagedResultsWarning, match="(is|are) damaged, and what is lost is computed"
+        DamagedResultsWarning, match="(is|are) damaged, and lost results are computed"
     ):
         run_study(CONFIG, out, resume=True, workers=1)
     assert_finished(out, straight)
     os.truncate(out / LEDGER_NAME, 8192)
     for look in (study_status, lambda out, **_: run_study(CONFIG, out, resume=True)):
-        with pytest.raises(StoreError, match="damaged where it says of which study it is"):
+        with pytest.raises(StoreError, match="does not identify its study"):
             look(out, verify=True)
 
 

@@ -172,7 +172,7 @@ def test_the_given_table_is_left_alone():
         ),
         (
             {**_study(integrand="f"), "seed": "{s}", "grid": {"s": [1]}},
-            "seed is '{s}', and a study",
+            "seed is '{s}', but a study",
         ),
         ({**_study(integrand="f"), "terms": {"n": "{n}"}}, "needs a grid"),
         ({"terms": {"n": "{n}"}, "grid": {"n": [1]}}, "nothing uses grid.n"),
@@ -211,5 +211,5 @@ def test_a_grid_that_explodes_is_refused_with_its_number():
 
 def test_a_grid_that_makes_too_much_text_is_refused_before_it_is_made():
     values = {"a": ["x" * 15_000] * 100, "b": list(range(100))}
-    with pytest.raises(ConfigError, match=r"10,000 entries with .* characters; at most"):
+    with pytest.raises(ConfigError, match=r"10,000 entries with .* characters, but at most"):
         expand_grids(_study(integrand="f(a={a}, b={b})", grid=values))

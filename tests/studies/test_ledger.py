@@ -183,7 +183,7 @@ def test_much_is_committed_at_once(tmp_path, monkeypatch):
 
 
 def test_results_are_not_written_over(running):
-    with pytest.raises(StoreError, match="holds results already; give another --out, or --resume"):
+    with pytest.raises(StoreError, match="already holds results; give another --out, or --resume"):
         Ledger.create(running, NOTE, PATHS)
     Ledger.resume(running, NOTE, PATHS).close()  # it has been given free
 
@@ -480,7 +480,7 @@ def test_a_full_disk_is_one_sentence_and_loses_nothing(tmp_path):
         begun = (out / LEDGER_NAME).exists()
         assert begun or limit == 10_000
         assert ("nothing is finished yet" in ended.stdout) == (not begun)
-        assert ("what was finished is kept" in ended.stdout) == (begun and limit < 10**6)
+        assert ("finished work is stored" in ended.stdout) == (begun and limit < 10**6)
         if begun:
             with Ledger.read(out) as ledger:
                 assert ledger.verify().damaged == {}
@@ -502,7 +502,7 @@ def test_what_a_commit_of_the_thread_meets_ends_the_run(tmp_path, monkeypatch):
 
     with (
         pytest.raises(
-            StorageError, match=r"cannot be written: no such table.*is kept, and --resume"
+            StorageError, match=r"cannot be written: no such table.*is stored, and --resume"
         ),
         Ledger.create(tmp_path, NOTE, PATHS) as ledger,
     ):
@@ -622,7 +622,9 @@ def test_a_journal_of_a_stranger_deletes_no_file(running, tmp_path_factory):
     journal = running / f"{LEDGER_NAME}-journal"
     journal.write_bytes(head.ljust(512, b"\0") + lock_page + name + sums + magic)
     for look in (Ledger.read, lambda folder: Ledger.resume(folder, NOTE, PATHS)):
-        with pytest.raises(StoreError, match="-journal' names another file, which no run writes"):
+        with pytest.raises(
+            StoreError, match="-journal' names another file, which a run never writes"
+        ):
             look(running)
     assert key.read_bytes() == b"mine\0"
 
@@ -699,21 +701,21 @@ def test_a_stranger_is_no_ledger(tmp_path):
 
     for content in (b"text", b"", bytes(8192 * 3), random.Random(1).randbytes(8192 * 3)):
         (tmp_path / LEDGER_NAME).write_bytes(content)
-        with pytest.raises(StoreError, match="or it is no ledger: give another folder"):
+        with pytest.raises(StoreError, match="or it is not a ledger; give another folder"):
             Ledger.read(tmp_path)
-        with pytest.raises(StoreError, match="or it is no ledger: give another folder"):
+        with pytest.raises(StoreError, match="or it is not a ledger; give another folder"):
             Ledger.resume(tmp_path, NOTE, PATHS)
     (tmp_path / LEDGER_NAME).unlink()
     with sqlite3.connect(tmp_path / LEDGER_NAME) as connection:
         connection.execute("CREATE VIEW cells AS SELECT 1 AS place, zeroblob(10) AS path")
         connection.execute(f"PRAGMA user_version = {FORMAT}")
     connection.close()
-    with pytest.raises(StoreError, match="or it is no ledger: give another folder"):
+    with pytest.raises(StoreError, match="or it is not a ledger; give another folder"):
         Ledger.read(tmp_path)
     connection = sqlite3.connect(tmp_path / LEDGER_NAME)
     connection.execute("PRAGMA user_version = 3")
     connection.close()
     with pytest.raises(
-        StoreError, match=f"has store format 3; this version reads {FORMAT}: export it"
+        StoreError, match=f"has store format 3, but this version reads {FORMAT}: export it"
     ):
         Ledger.read(tmp_path)

@@ -73,13 +73,13 @@ def test_the_given_table_is_left_alone():
         ("__class__.x=1", "not a place"),
         ("estimators[-1].name='x'", "not a place"),
         ("title=plain", "strings need quotes"),
-        ("title=", "not a value"),
-        ("seed=1\ntitle='two'", "not a value"),
-        ("seed=1\n[terms]\nn=3", "not a value"),
-        ("seed=" + "[" * 5000, "not a value"),
+        ("title=", "not a TOML value"),
+        ("seed=1\ntitle='two'", "not a TOML value"),
+        ("seed=1\n[terms]\nn=3", "not a TOML value"),
+        ("seed=" + "[" * 5000, "not a TOML value"),
         ("seed='x'", "seed is 'x'; give a whole number"),
         ("seed=nan", "seed is nan; give a whole number"),
-        ("convergence.realizations=" + "9" * 5000, "not a value"),
+        ("convergence.realizations=" + "9" * 5000, "not a TOML value"),
     ],
 )
 def test_changes_that_are_none(text, words):

@@ -144,7 +144,9 @@ def test_remedies_are_at_equal_cost_and_say_what_could_not_be_tried(tree):
     assert one["coordinates by share"]["verdict"] == "worse"
     assert "Its pilot takes" in one["coordinates by share"]["reason"].item()
     reasons = json.loads(found.attrs["not_tried"])
-    assert any(r.startswith("heuristic of MIS: PathIntegrator has no property") for r in reasons)
+    assert any(
+        r.startswith("heuristic of MIS: PathIntegrator has no such property") for r in reasons
+    )
     assert any(r.endswith("the scene has 1.") for r in reasons)
     # What is said of padding does not contradict them
     said = dict(path_sentences(tree))["padding"]

@@ -388,17 +388,20 @@ ZSTD = {"name": "zstd", "configuration": {"level": 0, "checksum": True}}
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"shape": [10**13]}, "not one chunk of 80 TB"),
-        ({"shape": [10**13], "chunk_grid": GRID}, "not one chunk of 80 TB"),
-        ({"chunk_grid": GRID}, "damaged|not one chunk"),
-        ({"codecs": [PLAIN, ZSTD]}, "not one chunk of 240 B without compression"),
-        ({"codecs": [PLAIN, {"name": "pickle"}]}, "not one chunk"),
-        ({"codecs": 3}, "not one chunk"),
-        ({"codecs": [{"name": "bytes", "configuration": {"endian": "big"}}]}, "not one chunk"),
-        ({"data_type": "object"}, "damaged|not one chunk"),
-        ({"data_type": "string"}, "damaged|not one chunk"),
-        ({"shape": [-1]}, "damaged|not one chunk"),
-        ({"shape": [31]}, "not one chunk"),
+        ({"shape": [10**13]}, "not one uncompressed chunk of 80 TB"),
+        ({"shape": [10**13], "chunk_grid": GRID}, "not one uncompressed chunk of 80 TB"),
+        ({"chunk_grid": GRID}, "damaged|not one uncompressed chunk"),
+        ({"codecs": [PLAIN, ZSTD]}, "not one uncompressed chunk of 240 B"),
+        ({"codecs": [PLAIN, {"name": "pickle"}]}, "not one uncompressed chunk"),
+        ({"codecs": 3}, "not one uncompressed chunk"),
+        (
+            {"codecs": [{"name": "bytes", "configuration": {"endian": "big"}}]},
+            "not one uncompressed chunk",
+        ),
+        ({"data_type": "object"}, "damaged|not one uncompressed chunk"),
+        ({"data_type": "string"}, "damaged|not one uncompressed chunk"),
+        ({"shape": [-1]}, "damaged|not one uncompressed chunk"),
+        ({"shape": [31]}, "not one uncompressed chunk"),
         ({"dimension_names": 3}, "is damaged"),
     ],
 )
@@ -416,9 +419,11 @@ def test_other_formats_are_refused_and_earlier_ones_told_how_to_read(copy, numbe
     file.write_text(json.dumps(document))
     (copy / LEDGER_NAME).unlink()
     for look in (open_results, study_status, result_paths):
-        with pytest.raises(StoreError, match=f"has store format .*; this version reads {FORMAT}"):
+        with pytest.raises(
+            StoreError, match=f"has store format .*, but this version reads {FORMAT}"
+        ):
             look(copy)
-    with pytest.raises(StoreError, match="of an earlier version, which alone can continue"):
+    with pytest.raises(StoreError, match="only the earlier version that wrote them can continue"):
         Ledger.resume(copy, NOTE, PATHS)
 
 
@@ -579,9 +584,9 @@ def test_other_extensions_are_refused(folder, tmp_path, name):
 
 
 def test_what_cannot_be_written_is_a_sentence_and_leaves_nothing(folder, tmp_path, monkeypatch):
-    with pytest.raises(ParameterError, match="cannot be written: there is no such folder"):
+    with pytest.raises(ParameterError, match="cannot be written: its folder does not exist"):
         export_results(folder, tmp_path / "none" / "out.csv")
-    with pytest.raises(ParameterError, match="cannot be written: there is no such folder"):
+    with pytest.raises(ParameterError, match="cannot be written: its folder does not exist"):
         export_results(folder, "s3://bucket/x.zarr")
     with pytest.raises(StoreError, match="no results"):
         export_results(tmp_path, tmp_path / "out.csv")
@@ -637,7 +642,9 @@ def test_names_that_lead_out_of_a_store_are_not_followed(tmp_path, path):
     with Ledger.create(tmp_path / "out", NOTE, (path,)) as ledger:
         ledger.finish(path, pack(terms()))
     for look in (write_zarr, open_results, lambda out: open_results(out, path)):
-        with pytest.raises(StoreError, match="list of cells: it is not as|none that a run writes"):
+        with pytest.raises(
+            StoreError, match="list of cells: it is not as|was not written by a run"
+        ):
             look(tmp_path / "out")
     assert sorted(file.name for file in tmp_path.rglob("*")) == ["out", "study.lock", LEDGER_NAME]
 

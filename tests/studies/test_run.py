@@ -329,7 +329,7 @@ def test_a_process_that_is_stopped_or_dies_is_replaced(misbehaving, tmp_path, st
         _path(
             "dies"
         ): "4 workers died while computing it; it may need more memory than a worker has "
-        "(the worker's log says more).",
+        "(see the worker's log).",
     }
     assert (misbehaving / "died").exists()
     values = stored_values(tmp_path)

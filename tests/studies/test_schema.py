@@ -136,7 +136,7 @@ def test_placeholders_may_stand_for_lists_and_not_for_what_a_study_has_once():
     for key in ("seed", "time_limit"):
         varied = f'{key} = "{{n}}"\n{text}'
         assert _complaints(varied)
-        with pytest.raises(ConfigError, match=f"{key} is '{{n}}', and a study has one"):
+        with pytest.raises(ConfigError, match=f"{key} is '{{n}}', but a study has a single value"):
             decode_study(varied)
     assert _complaints(f'maps = "{{n}}"\n{text}')
 

@@ -148,7 +148,7 @@ def test_one_of_scenes_is_a_list_of_tables(tmp_path):
     )
     with pytest.raises(ConfigError, match="outside the study's folder"):
         make_plan(decode_study(text.replace("veach", "../x.xml")), tmp_path)
-    with pytest.raises(ConfigError, match=r"list tables \[\[frames\]\]"):
+    with pytest.raises(ConfigError, match=r"add tables \[\[frames\]\]"):
         decode_study(STUDY.replace("centre = { n = 8 }", "frame = { scene = 'veach' }"))
 
 
