@@ -77,7 +77,7 @@ def test_schema_prints_the_schema(run, tmp_path, monkeypatch):
     assert json.loads(run("init", "--schema")[1]) == study_schema()
     assert "| `counts` |" in run("init", "--schema", "--markdown")[1]
     assert list(tmp_path.iterdir()) == []
-    assert "--markdown is for --schema; give that too." in run("init", "--markdown")[2]
+    assert "--markdown is for --schema; also give --schema." in run("init", "--markdown")[2]
     assert "--schema writes no file; leave s.toml out." in run("init", "s.toml", "--schema")[2]
 
 

@@ -107,7 +107,7 @@ def test_its_help_is_derived_from_its_options(run):
     lines = " ".join(out.split())
     assert "-n N points of each technique" in lines
     assert "-m R, --realizations R independent realizations" in lines
-    assert "default 10, or all sets of points that are given" in lines
+    assert "default 10, or all given sets of points" in lines
     assert "--ends ENDS what happens at 100 %: open, wrap; default open" in lines
     assert "--names NAMES names of gaps; repeatable" in lines
     assert "--weights W weights of gaps; default 1,0.5" in lines
@@ -192,13 +192,13 @@ def test_two_analyses_with_one_door_are_named(run, tmp_path, name, door, word, o
 def test_a_verb_of_the_package_itself_is_refused(run, tmp_path):
     module = tmp_path / "their_gaps.py"
     module.write_text(MODULE.replace('verb = "gaps"', 'verb = "run"'), encoding="utf-8")
-    sentence = "The analysis 'gap-widths' has the verb 'run', which is one of mcspectra itself"
+    sentence = "The analysis 'gap-widths' has the verb 'run', which belongs to mcspectra itself"
     code, out, _ = run("--help")
     assert code == 0
     assert f"left out: gap-widths: {sentence}" in out
     code, _, err = run("gap-widths")
     assert (code, sentence in err) == (2, True)
-    assert "all that a study file asks for" in run("--help")[1]
+    assert "every estimator of a study file" in run("--help")[1]
     assert run("run", "--help")[0] == 0
 
 

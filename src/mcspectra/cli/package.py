@@ -1,4 +1,4 @@
-"""The verbs of the package itself: the slides' figures, the explorer, what is installed, how to cite it."""
+"""The verbs of the package itself: the slides' figures, the explorer, a check, and citations."""
 
 from __future__ import annotations
 
@@ -52,11 +52,11 @@ _ITSELF = f"""@software{{mcspectra,
     option("-o, --out DIR", "output folder (default out/reproduce)", repeated="once"),
 )
 def reproduce_(options: argparse.Namespace) -> VerbOutput:
-    """Make the figures and statements of the slides again, and say which of them agree.
+    """Make the figures of the slides again, and report which statements agree.
 
-    Writes DIR/index.html (one page that stands alone), DIR/reproduce.pdf, DIR/findings.json and
-    DIR/figures/*.png. Without a FIGURE, all of them; --list names them. A figure that fails does not stop
-    the others; the exit code is then 1.
+    Writes DIR/index.html (a single self-contained page), DIR/reproduce.pdf, DIR/findings.json and
+    DIR/figures/*.png. Without FIGURE it makes all figures; --list names them. A figure that fails
+    does not stop the others; the exit code is then 1.
     """
     from mcspectra.reproduction.gallery import (
         FINDINGS_NAME,
@@ -82,7 +82,7 @@ def reproduce_(options: argparse.Namespace) -> VerbOutput:
                 why = f": {finding.note}" if finding.note else ""
                 print(f"  does not agree: {finding.statement}{why}", flush=True)
 
-    # The command that makes the same gallery; the folder is the reader's own matter
+    # Store the command that makes the same gallery, without the folder
     seed = options.seed or 0
     words = ["mcspectra", "reproduce", *options.figures, *(["--quick"] if options.quick else [])]
     made = reproduce(
@@ -118,19 +118,19 @@ def reproduce_(options: argparse.Namespace) -> VerbOutput:
 
 
 @verb(
-    option("--port N", "port on this machine; any free one by default", whole(0, 65535), default=0),
-    option("--no-browser", "print the address, open no browser"),
+    option("--port N", "port on this machine (default: any free port)", whole(0, 65535), default=0),
+    option("--no-browser", "print the address and open no browser"),
     option(
         "--allow-path DIR",
-        "a folder that specs may read files from",
+        "a folder that specs may read files from; repeatable",
         repeated="all",
         default=[],
     ),
 )
 def app_(options: argparse.Namespace) -> VerbOutput:
-    """Explore in the browser: choose a sampler, a density and an integrand, and see what they make.
+    """Explore in the browser: choose a sampler, a density and an integrand, and see the results.
 
-    Serves a page on this machine alone, without any use of the network.
+    Serves a page on this machine only, without access to the network.
     """
     if options.json or options.seed is not None:
         raise ParameterError("app takes neither --json nor --seed; choose the seed on the page.")
@@ -152,7 +152,7 @@ def doctor_(options: argparse.Namespace) -> VerbOutput:  # noqa: ARG001
     from mcspectra.rendering.backend import describe
     from mcspectra.spectra.transforms import FrequencyGrid, Transform, direct_sum
 
-    # Compare one NUFFT with the direct sum: the part that is always needed
+    # Compare one NUFFT with the direct sum, because every analysis needs it
     grid = FrequencyGrid(2, 8)
     points = np.random.default_rng(0).random((2, 256, 2))
     try:
@@ -183,8 +183,10 @@ def doctor_(options: argparse.Namespace) -> VerbOutput:  # noqa: ARG001
         "platform": platform.platform(),
         "processors": available_workers(),
         **package_versions(),
-        "cache of point sets": f"{counted(entries, 'set')}, {size / 2**20:.1f} MiB in {cache_folder()}",
-        "numba cache": os.environ.get("NUMBA_CACHE_DIR", "beside the package"),
+        "cache of point sets": (
+            f"{counted(entries, 'set')}, {size / 2**20:.1f} MiB in {cache_folder()}"
+        ),
+        "numba cache": os.environ.get("NUMBA_CACHE_DIR", "next to the package"),
         "transforms": transforms,
         "renderer": describe(),
     }
