@@ -194,7 +194,7 @@ def test_more_pages_than_are_served_are_a_sentence(port, monkeypatch):
     status, _, text = get(port)
     assert status == 503
     assert text == (
-        "1 pages of the explorer are open, as many as it serves; close some and reload this one in "
+        "1 pages of the explorer are open, which is the limit; close some and reload this one in "
         "half a minute.\n"
     )
     assert get(port, "/static/js/bokeh.min.js")[0] == 200

@@ -377,7 +377,7 @@ def test_messages_quote_little_of_what_is_long(run, tmp_path, monkeypatch):
     ("raised", "code", "words"),
     [
         (KeyboardInterrupt, 130, "Interrupted."),
-        (MemoryError, 2, "Not enough memory; ask for fewer"),
+        (MemoryError, 2, "Not enough memory; use fewer"),
     ],
 )
 def test_what_ends_a_command_is_a_code_and_a_line(run, monkeypatch, raised, code, words):

@@ -70,9 +70,11 @@ __all__ = [
 ]
 
 FORMAT = 7
-"""Format number of ledgers and stores. Formats 1 and 2 were zarr stores that grew during a run, 3 had
-no scalars, 4 read the study's text for every query of failures, and 5 stored its notes only
-once."""
+"""Format number of ledgers and stores.
+
+Formats 1 and 2 were zarr stores that grew during a run. Format 3 had no scalars, format 4 read the
+study's text for every query of failures, and format 5 stored its notes only once.
+"""
 
 LEDGER_NAME = "study.sqlite"
 STORE_NAME = "results.zarr"
