@@ -1,4 +1,4 @@
-"""Further analyses in a study are what the functions return, stored without text."""
+"""Cells of a study equal the results of the functions and are stored without text."""
 
 import numpy as np
 import pytest
@@ -112,7 +112,7 @@ def test_no_closed_form_is_a_note_and_no_failure(finished):
 
 
 def test_methods_side_by_side_have_their_labels_again(finished):
-    """Texts along two dims are attributes of a store; plots and tables read them."""
+    """Texts along two dims become attributes of a store; plots and tables read them."""
     stored = open_results(finished)["wave/jittered-shift/predict"].to_dataset()
     again, expected = labelled(stored), _expected()["wave/jittered-shift/predict"]
     assert again["how"].dims == ("method", "n")

@@ -1,4 +1,4 @@
-"""Keys of a study: what they build, and which contradict each other."""
+"""Keys of a study: the estimators they build, and contradictions between them."""
 
 import numpy as np
 import pytest
@@ -140,7 +140,7 @@ def test_keys_that_contradict_or_are_wrong(tmp_path, keys, words):
         (HEAD + STEP + "[[maps]]\nname = 'a'\nscene = 'veach'", "names must differ"),
         ("title = 't'\n[[maps]]\nname = 'm'\nscene = 'x'\nspam = 1", "'spam'"),
         ("title = 't'\nseed = " + "9" * 5000, "number that is too long"),
-        # tomllib took the square of the parts of a key: hours for a megabyte
+        # The time of tomllib grew with the square of the parts of a key: hours for a megabyte
         ("a." * 500_000 + "b = 1", "nested too deeply"),
         ("x = { " + '"a" . ' * 100_000 + "b = 1 }", "nested too deeply"),
         (

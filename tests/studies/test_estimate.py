@@ -1,4 +1,4 @@
-"""What a study would take: checked against what it does take, refused where it is too much."""
+"""Estimates of a study: compared with real costs, and refused if too large."""
 
 import math
 import tracemalloc
@@ -94,7 +94,7 @@ def test_what_will_fail_is_said_and_not_tried(misbehaving, tmp_path):
 
 
 def test_tasks_are_about_a_second_each_where_they_can_be_cut(tmp_path):
-    """10⁹ realizations in tasks of a second; with a time limit of 1 s, in tasks of a fifth of it."""
+    """10⁹ realizations make tasks of 1 s, and of 0.2 s with a time limit of 1 s."""
     text = STUDY.replace("= 2000", "= 1000000000")
     counted = {}
     for limit in ("", "time_limit = 1.0\n"):

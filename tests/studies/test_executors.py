@@ -1,10 +1,10 @@
-"""Executors hand back every task once, hold few, and survive what tasks do."""
+"""Executors return every task once, hold few tasks, and survive failing tasks."""
 
 import threading
 import time
 from pathlib import Path
 
-import distributed  # noqa: F401 - whose configuration must be there before it is changed
+import distributed  # noqa: F401 - its configuration must be loaded before it is changed
 import msgspec
 import pytest
 from tests.processes import python
@@ -47,7 +47,7 @@ def _text(name):
 
 
 def _end_after(seconds, executor):
-    """Take the scheduler from an executor that hangs."""
+    """Remove the scheduler of an executor that hangs."""
     timer = threading.Timer(seconds, executor._client.close)
     timer.daemon = True
     timer.start()
@@ -69,7 +69,7 @@ def test_every_task_comes_back_once(workers):
         executor.submit(_task(str(i)), compute)
     found = []
     for outcome in executor.outcomes():
-        assert outcome.state is threads  # an object, no bytes
+        assert outcome.state is threads  # An object instead of bytes
         assert outcome.payload is None
         found.append(outcome.task)
         if len(found) == 5:
@@ -155,7 +155,7 @@ if __name__ == "__main__":
 
 
 def test_processes_begin_deaf_to_ctrl_c(tmp_path):
-    """The first one too: before it, multiprocessing starts a process, and then unblocks Ctrl-C."""
+    """This includes the first process: multiprocessing starts its tracker and unblocks Ctrl-C."""
     (tmp_path / "masks.py").write_text(MASKS)
     found = python("masks.py", cwd=tmp_path, check=True)
     assert found.stdout.splitlines() == ["True", "True", "False"]
@@ -177,7 +177,7 @@ def test_a_cluster_of_this_machine_that_loses_its_workers_is_lost(monkeypatch):
     monkeypatch.setattr(executors, "_DESERTED", 1.0)
     executor = Dask(_text("good"), Cluster(workers=1))
     _end_after(60.0, executor)
-    executor._client.retire_workers()  # with its nanny, as when that cannot start a process
+    executor._client.retire_workers()  # Also retires the nanny, as if it could not start a process
     executor.submit(_task())
     try:
         with pytest.raises(ClusterLost, match="within 1 s.*--resume"):

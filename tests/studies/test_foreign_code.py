@@ -1,4 +1,4 @@
-"""Code of others fails in words, in time, and in a thread of its own."""
+"""User code runs in its own thread with a time limit, and its failures become sentences."""
 
 import threading
 import time

@@ -1,4 +1,4 @@
-"""Grids: every combination, once, with its values as text or as numbers."""
+"""Grids: every combination occurs once, with values as text or as numbers."""
 
 import itertools
 

@@ -1,4 +1,4 @@
-"""Results of two different inputs are never mixed: files that change are named, and refused or renewed."""
+"""Changed input files: results are never mixed; they are refused or computed again."""
 
 import hashlib
 import os
@@ -41,7 +41,7 @@ class _Stop(Exception):
 
 @pytest.fixture
 def folder(tmp_path):
-    """A study's folder with two images."""
+    """The folder of a study with two images."""
     (tmp_path / "data").mkdir()
     for seed, name in enumerate("ab"):
         _image(tmp_path, name, seed)
@@ -58,7 +58,7 @@ def _run(folder, out="out", text=STUDY, **options):
 
 
 def _stopped(folder, cells):
-    """A run that ended after some cells."""
+    """Run some cells of the study, then stop."""
 
     def report(progress):
         if progress.done == cells:
@@ -86,7 +86,7 @@ def test_a_changed_file_is_refused_by_name_and_nothing_is_touched(folder):
     with pytest.raises(StoreError, match=r"not of the file 'data/b\.npy' as found now.*--retry"):
         _run(folder, resume=True)
     assert _files(folder / "out") == before
-    _image(folder, "b", 1)  # put back, at another time
+    _image(folder, "b", 1)  # Restore the file with another time stamp
     _run(folder, resume=True)
     status = study_status(folder / "out")
     assert (status.state, status.recorded) == ("finished", 0)
@@ -104,13 +104,14 @@ def test_retry_computes_again_what_depends_on_a_changed_file_and_nothing_else(
     assert set(seen) == CELLS - kept
     _run(folder, "straight")
     assert stored_values(folder / "out") == stored_values(folder / "straight")
-    _run(folder, resume=True)  # the new file is the one that is known now
+    _run(folder, resume=True)  # The ledger now has the new file
     assert study_status(folder / "out", verify=True).state == "finished"
 
 
 def test_a_changed_source_of_a_function_is_refused(misbehaving, tmp_path):
     text = STUDY.split("[[estimators]]")[0] + (
-        "[[estimators]]\nname = 'a'\ndims = 1\nintegrand = \"python(function='misbehaving:good')\"\n"
+        "[[estimators]]\nname = 'a'\ndims = 1\nintegrand = "
+        "\"python(function='misbehaving:good')\"\n"
     )
     trust = Trust(("misbehaving:good",))
     _run(tmp_path, text=text, trust=trust)
@@ -205,9 +206,10 @@ def _no_engine(text):
 
 
 def test_a_study_is_not_finished_when_a_changed_function_fails(misbehaving, tmp_path):
-    """Its cell was there once, and has a line in the manifest: it is removed, and fails now."""
+    """The cell was finished once and is listed in the ledger; it is removed and now fails."""
     text = STUDY.split("[[estimators]]")[0] + (
-        "[[estimators]]\nname = 'a'\ndims = 1\nintegrand = \"python(function='misbehaving:good')\"\n"
+        "[[estimators]]\nname = 'a'\ndims = 1\nintegrand = "
+        "\"python(function='misbehaving:good')\"\n"
     )
     trust = Trust(("misbehaving:good",))
     _run(tmp_path, text=text, trust=trust)

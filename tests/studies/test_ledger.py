@@ -1,4 +1,4 @@
-"""The ledger: what is told is kept, whatever ends the process; no damage gives a wrong value."""
+"""The ledger keeps committed data after any interruption; damage never gives a wrong value."""
 
 import contextlib
 import os
@@ -35,23 +35,23 @@ RUN = "0-0-10"
 
 
 def payload(path, size=3000):
-    """Bytes that stand for the result of a cell."""
+    """Return bytes in place of a cell's result."""
     return random.Random(path).randbytes(size)
 
 
 def state_of(block):
-    """Bytes that stand for the state of a task."""
+    """Return bytes in place of a task's state."""
     return payload(str(block), 500)
 
 
 def scalars(path):
-    """Numbers that stand for the scalars of a cell."""
+    """Return numbers in place of a cell's scalars."""
     return {"rate": random.Random(path).random(), "none": float("inf")}
 
 
 @pytest.fixture
 def running(tmp_path):
-    """A ledger of which half is finished, a cell has failed, and tasks are recorded."""
+    """A ledger with half of its cells finished, one failed cell, and recorded tasks."""
     with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
         for path in PATHS[:12]:
             ledger.finish(path, payload(path), scalars(path))
@@ -185,7 +185,7 @@ def test_much_is_committed_at_once(tmp_path, monkeypatch):
 def test_results_are_not_written_over(running):
     with pytest.raises(StoreError, match="already holds results; give another --out, or --resume"):
         Ledger.create(running, NOTE, PATHS)
-    Ledger.resume(running, NOTE, PATHS).close()  # it has been given free
+    Ledger.resume(running, NOTE, PATHS).close()  # The refused run has released the lock
 
 
 def test_another_study_is_refused(running):
@@ -294,7 +294,7 @@ def test_a_commit_while_a_reader_verifies_is_no_damage(tmp_path, monkeypatch):
             if "FROM results" in statement and not committed:
                 committed.append(threading.Thread(target=finish))
                 committed[0].start()
-                committed[0].join(0.3)  # it goes on when the reader is through with this cell
+                committed[0].join(0.3)  # It continues when the reader has finished this cell
             return rows(statement, values)
 
         monkeypatch.setattr(reader, "_rows", between)
@@ -332,7 +332,7 @@ with Ledger.resume(out, NOTE, PATHS) as ledger:
 
 @pytest.mark.parametrize("kills", [6, pytest.param(150, marks=pytest.mark.endurance)])
 def test_killed_at_any_moment_it_is_sound(tmp_path, kills):
-    """And grows."""
+    """Each killed run leaves a sound ledger, and together they finish all cells."""
     folder, killed, done = tmp_path / "out", 0, 0
     while killed < kills:
         ended = python("-c", KILLED, folder, killed, cwd=Path(__file__).parents[2])
@@ -370,7 +370,7 @@ def mutated(file, chosen):
 
 
 def check_mutation(folder, note=NOTE, paths=PATHS, payload=payload, scalars=scalars):
-    """What came of a damaged ledger: each value is right, or is said not to be; both verbs agree."""
+    """Check that each value of a damaged ledger is right or reported, and that both verbs agree."""
     noticed = False
     try:
         with Ledger.read(folder) as ledger:
@@ -442,7 +442,7 @@ def test_no_damage_gives_a_wrong_value(request, tmp_path, kind, number, seed):
         shutil.copy(folder / LEDGER_NAME, work)
         change = mutated(work / LEDGER_NAME, chosen)
         came = check_mutation(work)
-        assert came != "refused" or change == "cut"  # off, both copies of the notes
+        assert came != "refused" or change == "cut"  # This cuts off both copies of the notes
         found[came] += 1
     print(kind, found)
     assert found["noticed"] > 5
@@ -513,7 +513,7 @@ def test_what_a_commit_of_the_thread_meets_ends_the_run(tmp_path, monkeypatch):
 
 
 def test_an_interrupted_commit_is_made_again(tmp_path, monkeypatch):
-    """Ctrl-C while it is being written: nothing of it is there, and closing writes it."""
+    """Ctrl-C during a write rolls the commit back; closing the ledger writes it."""
     monkeypatch.setattr(ledger_module, "_COMMIT_SECONDS", 1000.0)
     write = Ledger._write
 
@@ -559,7 +559,7 @@ for folder in sys.argv[1:]:
 
 
 def test_folders_that_are_shut_are_a_sentence():
-    """Of a user without root's rights, who does not reach pytest's folders."""
+    """Uses a user without root's rights, who has no access to pytest's folders."""
     with tempfile.TemporaryDirectory() as name:
         for part, mode in (("", 0o755), ("closed", 0o000), ("read-only", 0o555)):
             Path(name, part).mkdir(exist_ok=True)
@@ -611,7 +611,7 @@ def test_a_link_where_the_ledger_is_written_anew_is_not_followed(running, tmp_pa
 
 
 def test_a_journal_of_a_stranger_deletes_no_file(running, tmp_path_factory):
-    """SQLite deletes the file that a journal names as that of a transaction over several files."""
+    """SQLite deletes the file that a journal names as part of a transaction over several files."""
     key = tmp_path_factory.mktemp("secret") / "key"
     key.write_bytes(b"mine\0")
     name, magic = str(key).encode(), bytes.fromhex("d9d505f920a163d7")
@@ -630,7 +630,7 @@ def test_a_journal_of_a_stranger_deletes_no_file(running, tmp_path_factory):
 
 
 def test_a_ledger_with_another_kind_of_journal_is_not_opened_by_sqlite(running):
-    """It would make, and write, two files beside it; its rows are read anyway."""
+    """SQLite would write two other files; the rows are read without it."""
     content = bytearray((running / LEDGER_NAME).read_bytes())
     content[18:20] = b"\2\2"
     (running / LEDGER_NAME).write_bytes(content)
@@ -650,7 +650,7 @@ def zeroed(file, page):
 
 @pytest.mark.parametrize("kind", ["running", "finished"])
 def test_with_any_page_zeroed_both_verbs_keep_what_is_not_on_it(request, tmp_path, kind):
-    """Of each result that is not on the page itself; see tests/studies/zeroed_pages.py."""
+    """All results outside of the zeroed page are kept; see tests/studies/trials.py."""
     folder, work = request.getfixturevalue(kind), tmp_path / "work"
     content = (folder / LEDGER_NAME).read_bytes()
     work.mkdir()
@@ -661,7 +661,7 @@ def test_with_any_page_zeroed_both_verbs_keep_what_is_not_on_it(request, tmp_pat
             found = ledger.verify(PATHS)
         on_page = content[8192 * page : 8192 * (page + 1)]
         for path in PATHS[: 12 if kind == "running" else None]:
-            # Bytes that stand for a result have no scalars in them
+            # Bytes in place of a result contain no scalars
             pieces = (payload(path)[:16], payload(path)[-16:], f"scalars{path}".encode())
             assert path in found.done or any(each in on_page for each in pieces), (page, path)
         assert found.damaged
@@ -684,12 +684,12 @@ def test_junk_in_the_place_of_the_lock_is_a_sentence(running, kind):
         Ledger.resume(running, NOTE, PATHS)
     assert not is_held(running)
     shutil.rmtree(lock) if kind == "folder" else lock.unlink()
-    (running / "study.lock-journal").write_text("junk")  # SQLite drops that of an empty file
+    (running / "study.lock-journal").write_text("junk")  # SQLite drops the journal of an empty file
     Ledger.resume(running, NOTE, PATHS).close()
 
 
 def test_what_whoever_runs_it_has_linked_is_fine(running, tmp_path):
-    """The output folder itself, and other files in the folder."""
+    """Links to the output folder itself and to other files in it are allowed."""
     (tmp_path / "scratch").symlink_to(running)
     (running / "notes").symlink_to(tmp_path)
     with Ledger.resume(tmp_path / "scratch", NOTE, PATHS) as ledger:

@@ -1,4 +1,4 @@
-"""``--set``: values as in TOML, at places that are there."""
+"""``--set``: values as in TOML, at existing places."""
 
 import pytest
 

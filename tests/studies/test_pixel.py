@@ -1,4 +1,4 @@
-"""Everything about a pixel: each part is what its own analysis gives, and the words follow the numbers."""
+"""The analysis of a pixel: parts equal single analyses; sentences follow the numbers."""
 
 import re
 from typing import Any
@@ -44,7 +44,7 @@ OPTIONS: dict[str, Any] = {"realizations": 100, "rng": 3}
 
 @pytest.fixture(scope="module", autouse=True)
 def small_effort():
-    """Little work; predictions are those of a bell. What each was asked and has said."""
+    """Reduce the work and predict a bell; record the arguments and output of each call."""
     calls = []
 
     def predicted(estimator, *given, **options):
@@ -54,7 +54,7 @@ def small_effort():
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(EFFORTS, "quick", SMALL)
         patch.setattr(module, "predict", predicted)
-        patch.setattr("mcspectra.rendering.pixel._POINTS", 2**12)  # of means: 2**17 take seconds
+        patch.setattr("mcspectra.rendering.pixel._POINTS", 2**12)  # For means: 2**17 take seconds
         yield calls
 
 
@@ -77,7 +77,7 @@ def same(found, expected, *names):
 
 
 def test_the_cause_is_that_of_the_sampler_that_is_named(monkeypatch):
-    """A shift carries a jump into strata: of plain strata nothing like it is said, whoever else shifts."""
+    """Only a shift carries a jump into strata, so plain strata must not report that cause."""
     monkeypatch.setattr(module, "variance_terms", of_a_bell(mcs.variance_terms))
     found = analyse_pixel(
         "figure1",
@@ -161,7 +161,7 @@ def test_remedies_are_direct_calls(tree):
 
 
 def test_steps_of_float32_are_no_jumps(tree):
-    """From P the light is seen whole, and g of its samples is smooth; from Q it is cut."""
+    """From P the whole light is visible, so g of its samples is smooth; from Q it is cut."""
     assert float(tree["pictures/light"]["primary_jump_length"].sel(kind="interior")) > 0
     x, y = named_pixels("veach")["wall"]
     smooth = mcs.Estimator(Pixel(scene="veach", x=x, y=y, light="light-3"))
@@ -189,7 +189,7 @@ def test_rows_for_all_pairs_and_terms(tree):
     rates = tree["convergence"]["rate"].values.ravel().tolist()
     assert [row.rate for row in rows] == rates
     assert [row.captured is not None for row in rows] == [s == SAMPLERS[1] for _, s in pairs]
-    # The fitting basis of shifted points is Fourier's: one row, not two.
+    # The fitting basis of shifted points is Fourier: one row instead of two.
     assert [row.sampler for row in term_rows(tree)] == [
         f"{name}; Fourier" for name in STRATEGY_NAMES.values()
     ]
@@ -236,7 +236,7 @@ def test_a_bottleneck_says_from_which_n_on(tree):
     found["bottleneck"] = 1
     found["technique_rate"].values[:] = [-2.0, -1.0]
     found["technique_variance"].values[-1] = [0.9, 0.1]
-    n = int(found["n"][-1])  # lines of ratio 9 here, one power of n apart
+    n = int(found["n"][-1])  # The curves have ratio 9 here, and their exponents differ by 1
     expected = rf"half of it beyond n ≈ {number(9.0 * n, 2)} by the fitted lines\.$"
     assert re.search(expected, bottleneck_sentence(changed))
 
@@ -285,7 +285,7 @@ def test_what_a_strategy_did_not_meet_is_said(tree):
 
 
 def test_a_steepest_rate_that_is_not_resolved_is_no_finding(tree):
-    """The page said: the steepest rate is −1.70 ± 2.68."""
+    """The page used to report a steepest rate of −1.70 ± 2.68."""
     wide = tree.copy()
     curves = tree["convergence"].to_dataset()
     ends = curves["rate"] + xr.DataArray([-2.68, 2.68], dims="bound")

@@ -22,7 +22,7 @@ FEW = 5.0  # seconds
 
 
 def _planned(text, folder, **options):
-    """A plan, or the sentence that refuses the study: in time, and in little memory."""
+    """Return a plan or the refusal; check its time and memory."""
     start, before = time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     try:
         return make_plan(decode_study(text), folder, **options)
@@ -52,20 +52,20 @@ def _jitters(number):
                 '"gaussian"', "\"gaussian(width=0.{a}, center=[0.{b}, 0.{c}])\""
             )
             + f"grid = {{ a = {MANY}, b = {MANY}, c = {MANY} }}",
-            "97,336 estimators and 97,336 pairs of estimator and sampler, and planning them takes about",
+            "97,336 estimators and 97,336 pairs of estimator and sampler, which take about",
         ),
         (
             f'title = "t"\nsamplers = [{_jitters(1000)}]\n{POINTS}{_estimators(1000)}',
-            "1,000 estimators and 1,000,000 pairs of estimator and sampler, and planning them takes about",
+            "1,000 estimators and 1,000,000 pairs of estimator and sampler, which take about",
         ),
         (
             f"{HEAD}{POINTS}{ESTIMATOR}".replace("dims = 2", "dims = 1")
             + f"densities = {['uniform'] * 10_000}",
-            "1 estimators and 1 pairs of estimator and sampler, and planning them takes about 20 s",
+            "1 estimators and 1 pairs of estimator and sampler, which take about 20 s",
         ),
         (
             f'title = "t"\nsamplers = [{_jitters(300)}]\n{_estimators(300)}{COUNTS}',
-            "pairs of estimator and sampler, and planning them takes about",
+            "pairs of estimator and sampler, which take about",
         ),
         (
             HEAD + ESTIMATOR + "terms = { n = 16, half_width = 100000 }",
@@ -100,17 +100,19 @@ def test_large_studies_are_planned_within_seconds(tmp_path, text):
 
 
 def test_planning_of_some_seconds_is_announced(tmp_path, monkeypatch):
-    """It needed --force."""
+    """This used to need --force."""
     assert plan_module.NOTED_SECONDS == 5 < plan_module.MOST_SECONDS
     monkeypatch.setattr(plan_module, "NOTED_SECONDS", 1e-9)
-    with pytest.warns(LargeStudyWarning, match=r"has 1 estimators .* s before the first"):
+    with pytest.warns(LargeStudyWarning, match=r"has 1 estimators .* s to plan, before the first"):
         plan = make_plan(decode_study(HEAD + POINTS + ESTIMATOR), tmp_path)
     assert len(plan.cells) == 1
 
 
 def test_force_plans_what_takes_long(tmp_path, monkeypatch):
     text = f'title = "t"\nsamplers = [{_jitters(3000)}]\n{POINTS}{_estimators(3000)}'
-    with pytest.raises(ConfigError, match="s; split it into several studies, or give --force"):
+    with pytest.raises(
+        ConfigError, match="s to plan; split it into several studies, or give --force"
+    ):
         make_plan(decode_study(text), tmp_path)
     monkeypatch.setattr(plan_module, "NOTED_SECONDS", 1e-9)
     monkeypatch.setattr(plan_module, "MOST_SECONDS", 1e-9)
@@ -136,7 +138,7 @@ print(1024 * (many[1] - few[1]) / 160_000)
 
 @pytest.mark.slow
 def test_a_cell_takes_little_memory():
-    """A million take 700 MB with the program: 600 bytes each."""
+    """A million cells take 700 MB with the program: 600 bytes each."""
     command = [sys.executable, "-c", MANY_CELLS]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert float(done.stdout) < 600

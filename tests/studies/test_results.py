@@ -1,4 +1,4 @@
-"""Results as they are opened, counted and exported: the numbers of the ledger, or a sentence."""
+"""Results are opened, counted and exported as in the ledger, or refused with a sentence."""
 
 import csv
 import json
@@ -79,7 +79,7 @@ def terms():
 
 
 def numbers(seed=0):
-    """Numbers of all kinds that results have."""
+    """Return numbers of all types that results have."""
     rng = np.random.default_rng(seed)
     found = dataset({"variance": (("n",), rng.random(3))}, {"n": [4, 16, 64]}, seed=seed)
     return found.assign(
@@ -126,7 +126,7 @@ def declared():
 
 
 def written(folder, cells, paths=()):
-    """A study's folder with these cells, and its store."""
+    """Write a study's folder with these cells, and its store."""
     note = msgspec.structs.replace(NOTE, config=text_of(paths or cells, "t ü"))
     with Ledger.create(folder, note, paths or tuple(cells)) as ledger:
         for path, cell in cells.items():
@@ -143,7 +143,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture
 def copy(folder, tmp_path):
-    """The study's folder, to be damaged."""
+    """A copy of the study's folder, which tests may damage."""
     return Path(shutil.copytree(folder, tmp_path / "out"))
 
 
@@ -174,7 +174,7 @@ def test_numbers_are_read_bit_for_bit_from_the_ledger_and_from_the_store(tmp_pat
             identical(tree[path].to_dataset(), cell)
     assert result_paths(out) == tuple(cells)
     plain = xr.open_datatree(out / "results.zarr", mask_and_scale=False, decode_times=False)
-    for path, cell in cells.items():  # of one form
+    for path, cell in cells.items():  # Each cell has the same form
         xr.testing.assert_identical(plain[path].to_dataset().load(), cell)
 
 
@@ -213,7 +213,7 @@ def test_files_are_those_that_xarray_and_zarr_write(tmp_path):
         chunks = tuple(max(1, size) for size in variable.shape)
         variable.encoding = {"compressors": None, "chunks": chunks, "_FillValue": None}
     theirs: dict[str, Any] = {}
-    with warnings.catch_warnings(action="ignore"):  # of types that Zarr has not specified
+    with warnings.catch_warnings(action="ignore"):  # About types that Zarr does not specify
         store = zarr.storage.MemoryStore(theirs)
         cell.to_zarr(
             store, group="a/b/terms", zarr_format=3, consolidated=False, write_empty_chunks=True
@@ -287,7 +287,7 @@ def test_a_damaged_ledger_is_not_opened_in_silence(copy):
 
 
 def changed(tree, chosen):
-    """Change, remove, add or exchange a file of a store; what was done."""
+    """Change, remove, add or exchange a file of a store; return the kind of change."""
     files = sorted(file for file in tree.rglob("*") if file.is_file())
     file, other = chosen.sample(files, 2)
     content, kind = (
@@ -297,7 +297,7 @@ def changed(tree, chosen):
     if kind == "change":
         at = chosen.randrange(len(content))
         content[at] ^= 1 << chosen.randrange(8)
-        if file == tree / "zarr.json":  # blanks, and the case of \u00fc, say nothing
+        if file == tree / "zarr.json":  # Blanks, and the case of \u00fc, carry no information
             old = json.loads(file.read_bytes())
             try:
                 if json.loads(bytes(content)) == old:
@@ -342,19 +342,19 @@ def test_a_flipped_number_is_noticed_and_written_anew(copy):
         open_results(copy / "results.zarr")
     assert study_status(copy).damaged == {}
     assert list(study_status(copy, verify=True).damaged) == ["the store results.zarr"]
-    write_zarr(copy)  # from the ledger
+    write_zarr(copy)  # Writes the store again from the ledger
     assert chunk.read_bytes() == content
     assert study_status(copy, verify=True).damaged == {}
 
 
 def files_of(folder):
-    """The files of a store by their names in it."""
+    """Return the files of a store by name."""
     inside = (path for path in folder.rglob("*") if path.is_file())
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in inside}
 
 
 def stranger(folder, change):
-    """A store of one array that somebody has made, with a digest, after `change` of its files."""
+    """Return a forged store of one array with a digest, after `change` of its files."""
     cell = xr.Dataset({"x": ("n", np.arange(30.0))})
     results._write_store({"format": FORMAT}, [("a/b/terms", cell)], folder)
     files = files_of(folder)
@@ -453,11 +453,11 @@ def test_what_is_larger_than_memory_is_refused(folder, monkeypatch):
 @pytest.mark.parametrize("link", ["a", "b/random/terms", "b/random/terms/m/c/0", "zarr.json"])
 def test_links_inside_a_store_are_not_read(copy, tmp_path, link):
     inside = copy / "results.zarr" / link
-    inside.rename(tmp_path / "elsewhere")  # the same bytes: nothing but the link can be the reason
+    inside.rename(tmp_path / "elsewhere")  # The bytes are equal: only the link can be the reason
     inside.symlink_to(tmp_path / "elsewhere")
     with pytest.raises(StoreError, match=rf"{link}' is a symbolic link"):
         open_results(copy / "results.zarr")
-    (tmp_path / "some.zarr").symlink_to(copy / "results.zarr")  # whoever opens it has named it
+    (tmp_path / "some.zarr").symlink_to(copy / "results.zarr")  # The user names this link
     with pytest.raises(StoreError, match=rf"{link}' is a symbolic link"):
         open_results(tmp_path / "some.zarr")
 
@@ -540,7 +540,7 @@ def test_texts_that_a_spreadsheet_would_run_are_quoted(tmp_path, first):
         for row in csv.DictReader(stream):
             assert (row["estimator"], row["sampler"]) == (shown, shown)
             assert row["channel"] in (shown, "b", "c", "")
-            assert row["value"] != "'-1.5"  # numbers stay numbers
+            assert row["value"] != "'-1.5"  # Numbers stay numbers
 
 
 def test_results_without_scalars_are_no_table(folder, tmp_path):
@@ -612,7 +612,7 @@ def test_a_store_goes_to_a_folder_and_back(folder, tmp_path):
 
 
 def test_a_store_is_the_same_bytes_each_time(folder, tmp_path):
-    """In processes of other hashes too."""
+    """Also in processes with other hash seeds."""
     write = (
         "import sys, pytest; from tests.studies.made import admit; "
         f"admit(pytest.MonkeyPatch(), *{DECLARED!r}); "
@@ -752,7 +752,7 @@ def test_a_million_cells_are_listed_and_opened_by_one(tmp_path):
     with Ledger.create(tmp_path, NOTE, paths) as ledger:
         for path in paths:
             ledger.finish(path, content)
-    # A process of its own, since the peak of this one includes other tests
+    # Use a new process, because the peak of this one includes other tests
     command = [sys.executable, "-c", _MILLION, str(tmp_path), *DECLARED]
     printed = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     done, opened, listed, peak = map(float, printed.split())

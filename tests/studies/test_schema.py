@@ -1,4 +1,4 @@
-"""The schema says what the reader accepts; the page on study files says what the schema says."""
+"""The schema agrees with the reader, and the page on study files agrees with the schema."""
 
 import re
 import tomllib
@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def _errors(schema, value, root, place="$"):
-    """Complaints of a small validator of those JSON Schema words that msgspec writes."""
+    """Return the errors of a small validator for the JSON Schema keywords that msgspec writes."""
     if "$ref" in schema:
         schema = root["$defs"][schema["$ref"].rpartition("/")[2]]
     if "anyOf" in schema:

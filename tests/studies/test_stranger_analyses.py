@@ -1,4 +1,4 @@
-"""Analyses of other packages: a table of their name, in study files and in all that describes them."""
+"""Analyses of other packages have a table in study files and in all their descriptions."""
 
 import sys
 import textwrap

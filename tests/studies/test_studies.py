@@ -1,4 +1,4 @@
-"""Studies end to end: same bits for any number of workers, resumable, honest about failures."""
+"""Studies end to end: same bits for any number of workers, resumable, failures reported."""
 
 import pytest
 
@@ -70,7 +70,7 @@ def test_resume_computes_only_what_is_missing(finished, tmp_path, stored_values)
     paths = [cell.path for cell in plan.cells]
     note = StudyNote.of(plan.config, plan.inputs)
     Ledger.resume(tmp_path / "copy", note, paths, outdated=["mis/random/terms"]).close()
-    (tmp_path / "copy/.results.zarr.partial").mkdir()  # what a killed run leaves
+    (tmp_path / "copy/.results.zarr.partial").mkdir()  # Left by a killed run
     seen = []
     run_study(
         decode_study(STUDY),
@@ -84,7 +84,7 @@ def test_resume_computes_only_what_is_missing(finished, tmp_path, stored_values)
 
 
 def test_resume_mends_damaged_cells_and_the_store(finished, tmp_path, stored_values):
-    """Garbage in the ledger; a chunk that is gone, which zarr would read as fill values."""
+    """Garbage in the ledger; a missing chunk, which zarr would read as fill values."""
     import shutil
 
     shutil.copytree(finished, tmp_path / "copy")

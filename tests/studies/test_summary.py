@@ -1,4 +1,4 @@
-"""The row of a pair: predicted over measured, and by which method."""
+"""The row of a pair: predicted over measured variance, and the method of the prediction."""
 
 import numpy as np
 import pytest
@@ -78,7 +78,7 @@ def test_predictions_before_all_with_both_errors():
 
 
 def test_of_all_methods_the_most_trusted_one_that_predicts_counts():
-    """Their names are a coordinate, or the labels of a store; the measurement is no prediction."""
+    """Method names are a coordinate or labels of a store; the measurement is not a prediction."""
     names = ["exact", "torus", "measured"]
     value = [[np.nan, np.nan], [0.2, 0.012], [0.1, 0.01]]
     found = xr.Dataset(
@@ -103,7 +103,7 @@ def test_nothing_measured_is_divided_by():
 
 
 def test_ends_that_are_not_known_are_infinite():
-    """A rate whose interval is infinite is no bare number."""
+    """A rate with an infinite interval is not shown without it."""
     variance_ci = CURVE["variance_ci"].copy(data=[[0.9, np.inf], [0.09, np.inf], [0.008, np.inf]])
     blind = CURVE.assign(variance_ci=variance_ci, rate_ci=("bound", [-np.inf, np.inf]))
     found = row(convergence=blind, predict=PREDICTED)

@@ -1,4 +1,4 @@
-"""Tasks are computed from text alone, within their time, and their results are plain numbers."""
+"""Tasks are computed from text alone within a time limit, and return plain numbers."""
 
 import pickle
 import threading
@@ -56,7 +56,7 @@ def test_keys_say_what_the_task_is():
 
 
 def test_a_worker_needs_text_alone():
-    """The text goes to JSON and back, as to another machine; the result is what the function gives."""
+    """The text is converted to JSON and back; the result equals that of the function."""
     text = msgspec.json.decode(msgspec.json.encode(_text()), type=StudyText)
     wanted = mcs.pair_correlation(mcs.sampler("jittered | shift", 1), 4096, realizations=64, rng=5)
     outcome = attempt(text, StudyTask(path=PATH, run=None))
@@ -67,7 +67,7 @@ def test_a_worker_needs_text_alone():
     assert outcome.host
     assert outcome.seconds > 0
 
-    # The same from chunks of its reduction, which the worker knows by its key
+    # The chunks of the reduction, which the worker finds by its key, give the same result
     cell = text.cells()[PATH]
     run = cell.analysis.reduction(cell.subject, Stream.from_rng(5))
     tasks = [StudyTask(path=PATH, run=run.key, chunk=chunk) for chunk in chunks(run.blocks, 1)]

@@ -1,4 +1,4 @@
-"""A study from a stranger: no code, no files elsewhere, no names that lead out of the store."""
+"""An untrusted study runs no code, reads no files elsewhere, and cannot leave the store."""
 
 import hashlib
 import sys
@@ -29,7 +29,7 @@ CODE = "\"python(function='strangers:f')\""
 
 @pytest.fixture
 def module(tmp_path, monkeypatch):
-    """A module that leaves a mark when it is imported."""
+    """A module that writes a mark file when it is imported."""
     folder = tmp_path / "modules"
     folder.mkdir()
     (folder / "strangers.py").write_text(
@@ -111,7 +111,7 @@ def test_samplers_of_code_are_allowed_by_name(tmp_path, monkeypatch):
         with pytest.raises(ConfigError, match="--allow-code"):
             make_plan(config, folder, Trust(code=code))
     plan = make_plan(config, folder, Trust(code=("my_points:draw", "./mine")))
-    # The program lies in the study's folder, wherever the study is run from; both are inputs
+    # The program lies in the study's folder, independent of the working folder; both are inputs
     assert plan.inputs["mine"] == hashlib.sha256(program.read_bytes()).hexdigest()
     assert "module my_points" in plan.inputs
     by_inputs = {cell.inputs: cell.subject.sampler for cell in plan.cells}
@@ -141,7 +141,7 @@ def test_allowances_are_checked(name):
 
 @pytest.fixture
 def places(tmp_path):
-    """A study's folder with a set inside, one outside, and links to the latter."""
+    """A study's folder with a point set inside, one outside, and links to the latter."""
     folder, outside = tmp_path / "study", tmp_path / "outside"
     (folder / "sub").mkdir(parents=True)
     outside.mkdir()

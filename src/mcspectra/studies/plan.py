@@ -209,11 +209,11 @@ def make_plan(
     if seconds > NOTED_SECONDS:
         what = (
             f"The study has {len(config.entries):,} estimators and {pairs:,} pairs of estimator "
-            f"and sampler, and planning them takes about {seconds:.2g} s"
+            f"and sampler, which take about {seconds:.2g} s to plan"
         )
         if seconds > MOST_SECONDS and not force:
             raise ConfigError(f"{what}; split it into several studies, or give --force.")
-        warn(f"{what} before the first analysis begins.", LargeStudyWarning)
+        warn(f"{what}, before the first analysis begins.", LargeStudyWarning)
     planner = _Planner(config, Vetting(Path(folder), trust or Trust()))
     cells = tuple(cell for entry in config.entries for cell in planner.cells(entry))
     if not cells:
