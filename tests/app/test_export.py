@@ -1,4 +1,4 @@
-"""What is copied runs as it is and gives the numbers that the explorer shows."""
+"""Exported programs and studies run unchanged and give the numbers of the explorer."""
 
 import contextlib
 import io
@@ -34,7 +34,7 @@ SETUPS = [
 
 
 def ran(program):
-    """Run a program; return its names and what it printed."""
+    """Run a program; return its names and its output."""
     names: dict[str, object] = {}
     with contextlib.redirect_stdout(io.StringIO()) as printed:
         exec(compile(program, "copied", "exec"), names)  # noqa: S102
@@ -87,7 +87,7 @@ def test_toml_runs_and_gives_the_numbers_shown(tmp_path):
     found = [node["power_term"] for node in tree.subtree if "power_term" in node]
     assert len(found) == 1
     assert found[0].size == 1
-    # The study draws from a stream of its own for each cell: the same law, not the same bits
+    # The study uses another random stream per cell: the same distribution, not the same bits
     assert float(found[0].squeeze()) == pytest.approx(float(shown["power_term"]), rel=1.0)
 
 

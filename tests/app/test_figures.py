@@ -1,4 +1,4 @@
-"""Figures of a set-up: further results change their data only, and words hold what was measured."""
+"""Figures of a set-up: new results change only data, and texts contain the measured values."""
 
 import pytest
 from bokeh.document import Document
@@ -39,7 +39,7 @@ def test_new_results_bring_no_new_models(name):
     assert set(document.models) == before
 
 
-def test_words_hold_what_was_measured():
+def test_texts_contain_the_measured_values():
     setup = SETUPS["two dims"]
     said = {
         plot.kind: plot.words

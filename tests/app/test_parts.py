@@ -103,13 +103,13 @@ def test_one_of_several_channels_is_shown(channel):
     )
     estimator = make_parts(setup).estimator
     assert estimator.channels == 0
-    # Cells are the left and the right half of the square
+    # The two cells are the left and the right half of the square
     u = np.array([[0.25, 0.5], [0.75, 0.5]])
     sines = mcs.integrand("environment(values=[[1, 1]])", dims=2)(u)
     np.testing.assert_allclose(estimator.primary_values(0, u), values @ weights * sines, rtol=1e-3)
 
 
-def test_a_channel_that_was_written_stays():
+def test_an_explicit_channel_is_kept():
     spec = "environment(values=[[[1, 2, 3]]], channel=1)"
     assert integrand_specs(replace(SMALL, integrand=spec, channel="2")) == (spec,)
 

@@ -1,4 +1,4 @@
-"""States to and from query strings, and what they refuse."""
+"""Conversion of states to and from query strings, and refused values."""
 
 import contextlib
 import dataclasses
@@ -72,7 +72,7 @@ def test_a_second_set_up_of_defaults_is_kept():
 
 @settings(max_examples=200, deadline=None)
 @given(st.text(max_size=80))
-def test_any_text_is_a_state_or_an_error_of_ours(query):
+def test_any_query_is_a_state_or_a_package_error(query):
     with contextlib.suppress(ParameterError):
         assert isinstance(ExplorerState.from_query(query), ExplorerState)
 
@@ -145,7 +145,7 @@ def test_addresses_open_no_files(query):
         ExplorerState.from_query(query)
 
 
-def test_code_and_folders_are_allowed_by_who_starts_it(tmp_path):
+def test_the_user_who_starts_it_may_allow_code_and_folders(tmp_path):
     (tmp_path / "in").mkdir()
     inside, outside = tmp_path / "in" / "a.dat", tmp_path / "b.dat"
     for file in (inside, outside):
@@ -172,12 +172,12 @@ def test_code_and_folders_are_allowed_by_who_starts_it(tmp_path):
 @pytest.mark.parametrize("value", [None, [], True, float("nan"), b"x"])
 def test_fields_of_a_wrong_type_are_refused(field, value):
     if value is None and getattr(ExplorerSetup(), field) is None:
-        return  # the explorer's own choice
+        return  # The explorer chooses this value itself
     with pytest.raises(ParameterError):
         ExplorerSetup(**{field: value})
 
 
-def test_what_is_no_set_up_is_refused():
+def test_an_invalid_set_up_is_refused():
     with pytest.raises(ParameterError, match="ExplorerSetup"):
         ExplorerState(a="jittered")
     with pytest.raises(ParameterError, match="ExplorerSetup"):

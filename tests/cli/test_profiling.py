@@ -1,4 +1,4 @@
-"""The verb `profile` of files of draws: their formats, its answer, its figure and its refusals."""
+"""The verb `profile` for files of draws: formats, text, figures and errors."""
 
 import numpy as np
 import pytest

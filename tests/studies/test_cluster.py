@@ -105,7 +105,7 @@ def marking(folder, size):
     return compute
 
 
-def test_workers_run_no_further_ahead_than_two_tasks_a_thread(engine_on, tmp_path):
+def test_at_most_two_tasks_per_thread_are_submitted(engine_on, tmp_path):
     engine = engine_on(marking(tmp_path, 8))
     for index in range(50):
         engine.submit(task(index))
@@ -117,7 +117,7 @@ def test_workers_run_no_further_ahead_than_two_tasks_a_thread(engine_on, tmp_pat
     assert len(list(engine.outcomes())) == 50
 
 
-def test_nothing_is_kept_of_outcomes(engine_on, cluster, tmp_path):
+def test_memory_of_outcomes_is_released(engine_on, cluster, tmp_path):
     engine = engine_on(marking(tmp_path, 500_000))
     sizes = []
     for index in range(100):
@@ -212,7 +212,7 @@ def holding():
     return compute
 
 
-def test_code_that_never_gives_python_back_fails_alone(engine_on):
+def test_code_that_holds_the_interpreter_lock_fails_alone(engine_on):
     """The worker cannot notice its time limit; it ends itself and is replaced."""
     found = all_outcomes(engine_on(holding(), time_limit=0.2), [task(i) for i in range(6)])
     assert found.pop("0").error.startswith("2 workers died while computing it")
@@ -226,7 +226,7 @@ def raising():
     return compute
 
 
-def test_what_escapes_a_task_is_its_error(engine_on):
+def test_an_exception_of_a_task_is_its_error(engine_on):
     found = all_outcomes(engine_on(raising()), [task(0)])
     assert found["0"].error == "It raised ValueError: no number."
 
@@ -366,7 +366,7 @@ def test_a_cluster_of_this_machine_is_on_loopback_encrypted_and_gone_afterwards(
     assert workers_here() == before
 
 
-def test_a_cluster_is_left_with_tasks_under_way(engine_on, cluster):
+def test_a_cluster_can_be_left_while_tasks_run(engine_on, cluster):
     engine = engine_on(slow())
     for index in range(100):
         engine.submit(task(index))
@@ -428,7 +428,7 @@ ADDRESSES += ["tcp://a b:1", "pickle://x:1", "tcp://host:123456", "\x00:1"]
 
 
 @pytest.mark.parametrize("address", ADDRESSES)
-def test_addresses_that_are_none(address):
+def test_invalid_addresses_are_refused(address):
     with pytest.raises(ParameterError, match="give tcp://HOST:PORT"):
         Cluster(address=address)
 
@@ -449,17 +449,17 @@ def test_addresses_that_are_none(address):
         ({"address": "tcp://host:1", "dashboard": 80}, "has its own workers"),
     ],
 )
-def test_options_that_do_not_go(options, match):
+def test_contradicting_options_are_refused(options, match):
     with pytest.raises(ParameterError, match=match):
         Cluster(**options)
 
 
-def test_an_address_with_tls_needs_dasks_configuration_of_it():
+def test_a_tls_address_needs_dasks_tls_configuration():
     with pytest.raises(ClusterError, match="No dask scheduler answers at tls://.*TLS"):
         Dask(TEXT, Cluster(address="tls://127.0.0.1:1", patience=0.5), squares())
 
 
-def test_nobody_answers():
+def test_an_address_without_a_server_is_an_error():
     options = Cluster(address=f"127.0.0.1:{free_port()}", patience=0.5)
     start = time.monotonic()
     with pytest.raises(ClusterError, match="No dask scheduler answers at 127.0.0.1:"):
@@ -468,7 +468,7 @@ def test_nobody_answers():
 
 
 @pytest.mark.parametrize("answer", [None, bytes, lambda data: data])
-def test_what_answers_is_no_scheduler(answer):
+def test_a_server_that_is_not_a_scheduler_is_refused(answer):
     """Servers that send nothing, hang up, or echo, as a port connected to itself does."""
 
     def serve(connection):
@@ -492,14 +492,14 @@ def test_what_answers_is_no_scheduler(answer):
             Dask(TEXT, options, squares())
 
 
-def test_a_worker_is_no_scheduler(cluster):
+def test_the_address_of_a_worker_is_refused(cluster):
     options = Cluster(address=next(iter(cluster.scheduler_info["workers"])), patience=5.0)
     with pytest.raises(ClusterError, match="another program answers, not a scheduler"):
         Dask(TEXT, options, squares())
 
 
 @pytest.mark.parametrize("content", [None, "", "{}", "[1]", "\x00", '{"address": 3}'])
-def test_scheduler_files_that_are_none(tmp_path, content):
+def test_invalid_scheduler_files_are_refused(tmp_path, content):
     file = tmp_path / "scheduler.json"
     if content is not None:
         file.write_text(content)
@@ -507,7 +507,7 @@ def test_scheduler_files_that_are_none(tmp_path, content):
         Dask(TEXT, Cluster(address=str(file)), squares())
 
 
-def test_a_scheduler_file_is_followed(cluster, tmp_path):
+def test_a_scheduler_file_gives_the_address(cluster, tmp_path):
     file = tmp_path / "scheduler.json"
     file.write_text(json.dumps({"address": cluster.scheduler_address}))
     engine = Dask(TEXT, Cluster(address=str(file)), squares())

@@ -165,7 +165,7 @@ def _wait_for_group(group):
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_json_says_nothing_of_dask(cluster, tmp_path, capsys):
+def test_json_output_does_not_mention_dask(cluster, tmp_path, capsys):
     study = tmp_path / "small.toml"
     study.write_text(STUDY)
     arguments = ["run", str(study), "--out", str(tmp_path / "out"), "--json"]

@@ -70,7 +70,7 @@ def colour(tmp_path):
 
 
 @pytest.mark.parametrize("way", ["own", "shared", "combined"])
-def test_channels_are_those_of_channel_estimators(colour, way):
+def test_channels_make_channel_estimators(colour, way):
     specs = [f"image(path='{{folder}}c.png', channel={c})" for c in range(3)]
     listed = ", ".join(f'"{s.format(folder="")}"' for s in specs)
     keys = f'integrand = "image(path=\'c.png\')"\ndensities = [{listed}]\nchannels = "{way}"\n'
@@ -127,7 +127,7 @@ def test_channels_are_those_of_channel_estimators(colour, way):
         ('integrand = "linear"\ndims = 65\nanova = {}\nsamplers = ["random"]', "from 1 to 64"),
     ],
 )  # fmt: skip
-def test_keys_that_contradict_or_are_wrong(tmp_path, keys, words):
+def test_contradicting_or_invalid_keys_are_refused(tmp_path, keys, words):
     with pytest.raises(ConfigError, match=words):
         _estimator(keys, tmp_path)
 
@@ -156,7 +156,7 @@ def test_keys_that_contradict_or_are_wrong(tmp_path, keys, words):
         ("title = 't'\nsamplers = 'random'", "samplers is 'random'; give one flat list"),
     ],
 )
-def test_studies_that_are_none(text, words):
+def test_invalid_studies_are_refused(text, words):
     with pytest.raises(ConfigError, match=words):
         decode_study(text)
 
@@ -187,7 +187,7 @@ def test_long_values_are_shown_in_part(key, value):
         ("counts = [4, 1073741824]", "memory"),
     ],
 )
-def test_maps_that_cannot_be_made(tmp_path, keys, words):
+def test_invalid_maps_are_refused(tmp_path, keys, words):
     scene = "" if "scene" in keys else "scene = 'veach'\n"
     text = f"title = 't'\nsamplers = ['jittered']\n[[maps]]\nname = 'm'\n{scene}{keys}"
     with pytest.raises(ConfigError, match=words):

@@ -98,7 +98,7 @@ def test_cancelled_tasks_do_not_begin():
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_thread_that_ends_without_an_outcome_is_no_wait_for_ever(monkeypatch):
+def test_a_thread_that_ends_without_an_outcome_raises_an_error(monkeypatch):
     def without_memory(*_):
         raise MemoryError
 
@@ -111,7 +111,7 @@ def test_a_thread_that_ends_without_an_outcome_is_no_wait_for_ever(monkeypatch):
 
 
 @pytest.mark.parametrize("value", [0, -1.0, float("nan"), float("inf"), "3", True, 1e10])
-def test_time_limits_that_are_none(value):
+def test_invalid_time_limits_are_refused(value):
     with pytest.raises(ParameterError, match="time_limit"):
         check_time_limit(value)
 
@@ -154,7 +154,7 @@ if __name__ == "__main__":
 """
 
 
-def test_processes_begin_deaf_to_ctrl_c(tmp_path):
+def test_worker_processes_ignore_ctrl_c(tmp_path):
     """This includes the first process: multiprocessing starts its tracker and unblocks Ctrl-C."""
     (tmp_path / "masks.py").write_text(MASKS)
     found = python("masks.py", cwd=tmp_path, check=True)
@@ -173,7 +173,7 @@ def test_processes_do_not_repeat_the_warnings_of_planning(capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_a_cluster_of_this_machine_that_loses_its_workers_is_lost(monkeypatch):
+def test_a_local_cluster_without_workers_raises_cluster_lost(monkeypatch):
     monkeypatch.setattr(executors, "_DESERTED", 1.0)
     executor = Dask(_text("good"), Cluster(workers=1))
     _end_after(60.0, executor)

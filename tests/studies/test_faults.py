@@ -177,7 +177,7 @@ def test_a_damaged_record_is_named_and_computed_again(half, tmp_path, straight):
     assert_finished(out, straight)
 
 
-def test_of_a_ledger_cut_in_half_the_rest_is_kept(half, tmp_path, straight):
+def test_the_sound_half_of_a_truncated_ledger_is_kept(half, tmp_path, straight):
     out = shutil.copytree(half, tmp_path / "out")
     size = (out / LEDGER_NAME).stat().st_size
     os.truncate(out / LEDGER_NAME, size // 2)
@@ -196,7 +196,7 @@ def test_of_a_ledger_cut_in_half_the_rest_is_kept(half, tmp_path, straight):
             look(out, verify=True)
 
 
-def test_damage_of_much_is_named_in_part(half, tmp_path, straight, monkeypatch):
+def test_only_the_first_damaged_parts_are_named(half, tmp_path, straight, monkeypatch):
     monkeypatch.setattr(run_module, "_NAMED", 1)
     out = shutil.copytree(half, tmp_path / "out")
     run_study(CONFIG, out, resume=True, workers=1)
@@ -206,7 +206,7 @@ def test_damage_of_much_is_named_in_part(half, tmp_path, straight, monkeypatch):
     assert_finished(out, straight)
 
 
-def test_clocks_and_names_of_hosts_do_not_matter(tmp_path, straight, monkeypatch):
+def test_results_do_not_depend_on_clocks_and_host_names(tmp_path, straight, monkeypatch):
     """Begin on host a in 2091 and continue on host b in 1999, with clocks that run backwards."""
     clock = {"now": 3.8e9}
 
@@ -250,7 +250,7 @@ def test_the_folder_is_locked_from_the_first_change_to_the_last(tmp_path, straig
     assert_finished(tmp_path, straight)
 
 
-def test_a_refused_run_gives_the_folder_free(half, tmp_path):
+def test_a_refused_run_releases_the_lock(half, tmp_path):
     out = shutil.copytree(half, tmp_path / "out")
     with pytest.raises(StoreError, match="holds results already"):
         run_study(CONFIG, out)

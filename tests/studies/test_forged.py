@@ -275,13 +275,13 @@ def test_paths_of_the_plan_are_those_of_the_study(text):
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_what_is_honest_is_read(place, honest):
+def test_real_results_are_read(place, honest):
     assert set(tried(("honest", honest, None, None), place)) == {"honest read"}
 
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("name", ["../../evil/terms", "e/x/terms", "smooth/random/\x1b[2J", ""])
-def test_a_cell_that_is_none_of_the_study_is_refused(place, honest, name):
+def test_a_cell_outside_the_study_is_refused(place, honest, name):
     forged_ledger(place, honest, {PATHS[1]: name})
     for verb in ("open", "report", ".csv"):
         with pytest.raises(
@@ -295,7 +295,7 @@ def test_a_cell_that_is_none_of_the_study_is_refused(place, honest, name):
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("kind", ["missing", "undeclared", "dims", "numbers", "attribute"])
-def test_a_result_that_no_analysis_gives_is_a_sentence(place, honest, kind):
+def test_an_impossible_result_gives_a_sentence(place, honest, kind):
     path = next(path for path in PATHS if path.endswith("terms"))
     data = honest[path]
     made = {
@@ -314,7 +314,7 @@ def test_a_result_that_no_analysis_gives_is_a_sentence(place, honest, kind):
 
 
 @pytest.mark.parametrize("text", ["", "3", "{", "[" * 10**5, '{"rate": "x"}', '{"rate": []}'])
-def test_texts_that_no_run_writes_are_sentences(place, honest, text, monkeypatch):
+def test_forged_study_texts_give_sentences(place, honest, text, monkeypatch):
     monkeypatch.setattr("mcspectra.studies.ledger.json.dumps", lambda _: text)
     forged_ledger(place, honest)
     monkeypatch.undo()

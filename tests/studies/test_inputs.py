@@ -124,7 +124,7 @@ def test_a_changed_source_of_a_function_is_refused(misbehaving, tmp_path):
         _run(tmp_path, text=text, trust=trust, resume=True)
 
 
-def test_what_a_scene_refers_to_belongs_to_it(tmp_path):
+def test_files_of_a_scene_are_inputs(tmp_path):
     (tmp_path / "scene.xml").write_text(
         '<scene version="3.0.0"><bsdf type="diffuse"><texture type="bitmap" name="reflectance">'
         '<string name="filename" value="wood.png"/></texture></bsdf></scene>'
@@ -168,7 +168,7 @@ def test_a_cell_depends_on_its_own_sampler_and_no_other(folder):
     }
 
 
-def test_files_that_changed_came_or_went():
+def test_changed_added_and_removed_files_are_listed():
     before, now = {"a": "1", "b": "2", "c": "3"}, {"a": "1", "b": "0", "d": "4"}
     assert changed_inputs(before, now) == ("b", "c", "d")
     assert changed_inputs(now, now) == ()

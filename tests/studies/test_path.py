@@ -79,7 +79,7 @@ def test_padding_ends_at_all_coordinates_and_starts_near_random_points(tree):
     assert one["8 good coordinates"]["verdict"] != "worse"
 
 
-def test_a_sampler_with_a_count_it_lacks_is_refused_first():
+def test_an_unsupported_count_is_refused_first():
     with pytest.raises(mcs.McspectraError, match="jittered"):
         analyse_path(SCENE, X, Y, integrator=PATH, samplers=["jittered"], counts=(64, 256))
     with pytest.raises(ParameterError, match="at a time"):
@@ -119,14 +119,14 @@ def test_the_verb_prints_writes_and_refuses(tmp_path, capsys, tree, monkeypatch)
     assert "--light is for direct light" in capsys.readouterr().err
 
 
-def test_remedies_and_rates_are_of_the_same_realisations(tree):
+def test_remedies_and_rates_use_the_same_realizations(tree):
     curves, found = tree["convergence"].to_dataset().isel(n=-1), tree["remedies"].to_dataset()
     for sampler, remedy in (("random", "random"), ("sobol | owen", "as given")):
         variance = float(curves["variance"].sel(sampler=sampler))
         assert float(found["error"].sel(remedy=remedy)) == pytest.approx(variance, rel=1e-9)
 
 
-def test_remedies_are_at_equal_cost_and_say_what_could_not_be_tried(tree):
+def test_remedies_have_equal_cost_and_list_untried_changes(tree):
     found = tree["remedies"].to_dataset()
     kinds = dict(zip(found["remedy"].values, found["kind"].values, strict=True))
     assert {"given", "sampler", "padding", "order", "roulette"} <= set(kinds.values())
@@ -162,7 +162,7 @@ def lamps():
     return scene | {"sensor": scene["sensor"] | {"film": film}}
 
 
-def test_lights_that_are_chosen_better_pay_as_soon_as_it_is_said(lamps):
+def test_the_improved_light_selection_pays_from_the_stated_count(lamps):
     f = path_pixel(lamps, 24, 26, integrator="path(max_depth=3)")
     lights = shares_by_light(f, 2**13, Stream.from_rng(5))
     assert lights is not None

@@ -76,7 +76,7 @@ def same(found, expected, *names):
         assert np.array_equal(found[name].values, expected[name].values, equal_nan=True), name
 
 
-def test_the_cause_is_that_of_the_sampler_that_is_named(monkeypatch):
+def test_the_cause_belongs_to_the_named_sampler(monkeypatch):
     """Only a shift carries a jump into strata, so plain strata must not report that cause."""
     monkeypatch.setattr(module, "variance_terms", of_a_bell(mcs.variance_terms))
     found = analyse_pixel(
@@ -160,7 +160,7 @@ def test_remedies_are_direct_calls(tree):
     assert found.attrs["answer"] == direct.attrs["answer"]
 
 
-def test_steps_of_float32_are_no_jumps(tree):
+def test_steps_of_float32_are_not_jumps(tree):
     """From P the whole light is visible, so g of its samples is smooth; from Q it is cut."""
     assert float(tree["pictures/light"]["primary_jump_length"].sel(kind="interior")) > 0
     x, y = named_pixels("veach")["wall"]
@@ -175,7 +175,7 @@ def test_steps_of_float32_are_no_jumps(tree):
     assert np.array_equal(kept, np.where(raw["face_jump"] > floor, raw["face_jump"], 0.0))
 
 
-def test_a_picture_without_rounding_is_left_as_it_is(tree):
+def test_a_picture_without_rounding_is_unchanged(tree):
     raw = mcs.explain.primary_picture(
         mcs.Estimator(mcs.integrand("step(at=0.3)", dims=2)), resolution=32
     )
@@ -230,7 +230,7 @@ def test_the_bottleneck_in_words(tree, slow, words):
         assert (shown if high - low <= 1 else "a rate that more realizations would resolve") in text
 
 
-def test_a_bottleneck_says_from_which_n_on(tree):
+def test_a_bottleneck_names_the_smallest_n(tree):
     changed = tree.copy(deep=True)
     found = changed["techniques"]
     found["bottleneck"] = 1
@@ -254,7 +254,7 @@ def test_a_bottleneck_that_does_not_show_yet(tree, part, words):
         assert text.endswith("becomes that of the sum.")
 
 
-def test_a_camera_with_a_lens_is_said(tree):
+def test_a_camera_with_a_lens_is_mentioned(tree):
     assert tree.attrs["camera"] == "pinhole"
     assert "camera" not in dict(about_pixel(tree))
     changed = tree.copy()
@@ -274,7 +274,7 @@ def test_sentences_name_jumps_bottleneck_and_remedy(tree):
     assert f": {best[0]} with {best[1]}. The least variance" in said["fastest"]
 
 
-def test_what_a_strategy_did_not_meet_is_said(tree):
+def test_light_missed_by_a_strategy_is_mentioned(tree):
     changed = tree.copy()
     curves = tree["convergence"].to_dataset()
     spec = str(curves["spec"].sel(strategy="bsdf").values)
@@ -284,7 +284,7 @@ def test_what_a_strategy_did_not_meet_is_said(tree):
     assert said["not met"] == "bsdf with random: none of the estimates varies at n = 4"
 
 
-def test_a_steepest_rate_that_is_not_resolved_is_no_finding(tree):
+def test_an_unresolved_steepest_rate_is_not_a_finding(tree):
     """The page used to report a steepest rate of −1.70 ± 2.68."""
     wide = tree.copy()
     curves = tree["convergence"].to_dataset()

@@ -272,7 +272,7 @@ def test_results_of_a_running_study_are_read(tmp_path):
         assert study_status(tmp_path).state == "running"
 
 
-def test_a_damaged_ledger_is_not_opened_in_silence(copy):
+def test_opening_a_damaged_ledger_reports_the_damage(copy):
     content = (copy / LEDGER_NAME).read_bytes()
     at = content.index(np.float64(1 / 3).tobytes())
     (copy / LEDGER_NAME).write_bytes(content[:at] + b"!" + content[at + 1 :])
@@ -320,7 +320,7 @@ def changed(tree, chosen):
 
 
 @pytest.mark.parametrize("number", [30, pytest.param(1000, marks=pytest.mark.endurance)])
-def test_every_change_of_a_store_is_noticed(folder, tmp_path, number):
+def test_every_change_of_a_store_is_detected(folder, tmp_path, number):
     work, chosen = tmp_path / "x.zarr", random.Random(number)
     for _ in range(number):
         shutil.rmtree(work, ignore_errors=True)
@@ -334,7 +334,7 @@ def test_every_change_of_a_store_is_noticed(folder, tmp_path, number):
             pytest.fail(done)
 
 
-def test_a_flipped_number_is_noticed_and_written_anew(copy):
+def test_a_flipped_number_is_detected_and_written_again(copy):
     chunk = copy / "results.zarr" / PATHS[0] / "variance" / "c" / "0" / "0"
     content = chunk.read_bytes()
     chunk.write_bytes(b"!" + content[1:])
@@ -405,14 +405,14 @@ ZSTD = {"name": "zstd", "configuration": {"level": 0, "checksum": True}}
         ({"dimension_names": 3}, "is damaged"),
     ],
 )
-def test_arrays_that_results_never_hold_are_refused(tmp_path, changes, sentence):
+def test_unexpected_arrays_are_refused(tmp_path, changes, sentence):
     open_results(stranger(tmp_path / "sound.zarr", lambda _: None))
     with pytest.raises(StoreError, match=sentence):
         open_results(stranger(tmp_path / "x.zarr", with_metadata(**changes)))
 
 
 @pytest.mark.parametrize("number", [3, "4", None, [2]])
-def test_other_formats_are_refused_and_earlier_ones_told_how_to_read(copy, number):
+def test_other_formats_are_refused_with_advice(copy, number):
     file = copy / "results.zarr" / "zarr.json"
     document = json.loads(file.read_text())
     document["attributes"]["format"] = number
@@ -427,7 +427,7 @@ def test_other_formats_are_refused_and_earlier_ones_told_how_to_read(copy, numbe
         Ledger.resume(copy, NOTE, PATHS)
 
 
-def test_what_is_no_store_is_a_sentence(tmp_path):
+def test_an_invalid_store_gives_a_sentence(tmp_path):
     (tmp_path / "bad.zarr").mkdir()
     (tmp_path / "bad.zarr" / "zarr.json").write_text("[")
     (tmp_path / "x.zip").write_bytes(b"PK")
@@ -442,7 +442,7 @@ def test_what_is_no_store_is_a_sentence(tmp_path):
             open_results(source)
 
 
-def test_what_is_larger_than_memory_is_refused(folder, monkeypatch):
+def test_results_larger_than_memory_are_refused(folder, monkeypatch):
     monkeypatch.setattr(results, "available_memory", lambda: 100)
     for source in (folder, folder / "results.zarr"):
         with pytest.raises(StoreError, match="more than the memory of this machine"):
@@ -543,7 +543,7 @@ def test_texts_that_a_spreadsheet_would_run_are_quoted(tmp_path, first):
             assert row["value"] != "'-1.5"  # Numbers stay numbers
 
 
-def test_results_without_scalars_are_no_table(folder, tmp_path):
+def test_results_without_scalars_make_no_table(folder, tmp_path):
     with pytest.raises(StoreError, match="have no scalars for a table; export to a .zarr store"):
         export_results(folder, tmp_path / "x.csv", PATHS[1])
     assert not (tmp_path / "x.csv").exists()
@@ -557,7 +557,7 @@ def test_a_table_is_the_same_from_the_ledger_and_from_a_store(folder, tmp_path):
 
 @pytest.mark.parametrize("select", ["", 5, b"a/*", ["a/*"]])
 @pytest.mark.parametrize("inside", ["", "results.zarr"])
-def test_what_selects_nothing_is_refused(folder, tmp_path, inside, select):
+def test_a_selection_without_cells_is_refused(folder, tmp_path, inside, select):
     for call in (
         lambda: open_results(folder / inside, select),
         lambda: result_scalars(folder / inside, select),
@@ -583,7 +583,7 @@ def test_other_extensions_are_refused(folder, tmp_path, name):
         export_results(folder, name if "://" in name else tmp_path / name)
 
 
-def test_what_cannot_be_written_is_a_sentence_and_leaves_nothing(folder, tmp_path, monkeypatch):
+def test_a_write_error_gives_a_sentence_and_leaves_nothing(folder, tmp_path, monkeypatch):
     with pytest.raises(ParameterError, match="cannot be written: its folder does not exist"):
         export_results(folder, tmp_path / "none" / "out.csv")
     with pytest.raises(ParameterError, match="cannot be written: its folder does not exist"):
@@ -624,7 +624,7 @@ def test_a_store_is_the_same_bytes_each_time(folder, tmp_path):
         assert files_of(tmp_path / f"{seed}.zarr") == files_of(folder / "results.zarr")
 
 
-def test_a_store_that_is_there_is_not_written_over(folder, tmp_path):
+def test_an_existing_store_is_not_overwritten(folder, tmp_path):
     (tmp_path / "x.zarr").mkdir()
     with pytest.raises(ParameterError, match="exists already"):
         export_results(folder, tmp_path / "x.zarr")
@@ -662,7 +662,7 @@ def test_a_link_in_the_place_of_the_store_is_not_followed(copy, tmp_path):
     assert open_results(copy / "results.zarr").leaves
 
 
-def test_the_status_says_what_is_done_failed_and_missing(tmp_path):
+def test_the_status_lists_done_failed_and_missing_cells(tmp_path):
     with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
         ledger.finish(PATHS[0], pack(convergence()))
         ledger.fail(PATHS[1], "It gave NaN.")
@@ -690,7 +690,7 @@ def test_the_status_says_what_is_done_failed_and_missing(tmp_path):
     assert status.finished is not None
 
 
-def test_damage_is_counted_when_it_is_looked_for(copy):
+def test_damage_is_counted_by_verification(copy):
     content = (copy / LEDGER_NAME).read_bytes()
     at = content.index(np.float64(1 / 3).tobytes())
     (copy / LEDGER_NAME).write_bytes(content[:at] + b"!" + content[at + 1 :])

@@ -105,7 +105,7 @@ def test_the_same_study_and_seed_give_the_same_store(folder, tmp_path):
     assert not other["variance"].equals(open_results(folder)[other.path]["variance"])
 
 
-def test_a_seed_of_128_bits_comes_back(tmp_path):
+def test_a_seed_of_128_bits_is_stored(tmp_path):
     """Such seeds come from numpy's SeedSequence and exceed the numbers of stores and ledgers."""
     seed = 2**127 + 1
     config = msgspec.structs.replace(
@@ -117,7 +117,7 @@ def test_a_seed_of_128_bits_comes_back(tmp_path):
     assert export_results(tmp_path, tmp_path / "x.zarr").is_dir()
 
 
-def test_stored_is_what_the_functions_return(finished):
+def test_stored_results_equal_the_functions(finished):
     smooth, mis = (
         mcs.Estimator("gaussian", dims=2),
         mcs.MultipleImportance("linear", ["uniform", "linear(slope=1)"], dims=1),

@@ -162,7 +162,7 @@ def test_recorded_chunks_of_other_sizes_are_used_and_only_the_rest_is_left(block
 
 
 @pytest.mark.parametrize("blocks", [1, 7, 16, 37])
-def test_what_is_recorded_on_the_way_restores_all_of_it(blocks):
+def test_states_recorded_during_a_run_restore_all_of_it(blocks):
     """Record at random moments: merged chunks are recorded, and nothing is recorded twice."""
     run = reduction("r", blocks)
     chance = random.Random(blocks)
@@ -191,7 +191,7 @@ def test_chunks_that_are_not_nodes_of_the_tree_are_left_out():
     assert asked == [(8, 2)]
 
 
-def test_tasks_are_short_beside_a_time_limit():
+def test_tasks_are_short_compared_with_the_time_limit():
     assert task_seconds(None) == task_seconds(100.0) == 1.0
     assert task_seconds(2.0) == 0.4
 
@@ -266,7 +266,7 @@ def test_a_failing_task_fails_its_cell_and_no_other():
     assert schedule.under_way == 0
 
 
-def test_what_fails_outside_of_tasks_fails_its_cell_too():
+def test_an_error_outside_of_tasks_fails_its_cell():
     one = Words(blocks=(1,))
     words = {
         "a": Words(blocks=(1,), fails="last"),
@@ -287,7 +287,7 @@ def test_what_fails_outside_of_tasks_fails_its_cell_too():
     assert errors["d"] == "It raised SystemExit: 3."
 
 
-def test_what_cannot_be_recorded_ends_the_run_and_fails_no_cell(monkeypatch):
+def test_a_recording_error_ends_the_run_and_fails_no_cell(monkeypatch):
     class Full(Recorded):
         def record(self, *_):
             raise StorageError("The disk is full.")
@@ -299,7 +299,7 @@ def test_what_cannot_be_recorded_ends_the_run_and_fails_no_cell(monkeypatch):
     assert list(schedule.settled()) == []
 
 
-def test_what_is_recorded_is_not_computed_again():
+def test_recorded_chunks_are_not_computed_again():
     words = Words(blocks=(4, 3))
     runs = words.reductions()
     known = [(runs[0], (0, 4)), (runs[1], (0, 2))]
@@ -349,7 +349,7 @@ def test_cells_known_to_be_short_are_one_task():
     assert unpack(xr.Dataset, settled.payload).identical(result)
 
 
-def test_results_of_whole_cells_that_are_damaged_fail_them():
+def test_a_damaged_result_of_a_whole_cell_fails_it():
     schedule = Schedule([cell("m", Words(blocks=(1,)), 9.0), cell("a")], 0, Recorded())
     schedule.take(outcome(schedule.next_work(), 0.1))
     work = schedule.next_work()
@@ -358,7 +358,7 @@ def test_results_of_whole_cells_that_are_damaged_fail_them():
     assert [s.error is None for s in schedule.settled()] == [True, False]
 
 
-def test_of_cells_that_are_all_recorded_one_result_at_a_time_is_held():
+def test_fully_recorded_cells_are_restored_one_at_a_time():
     """A resumed run may find thousands; a cell with tasks and a failing cell come in between."""
     words = Words(blocks=(4,))
     state = pack(compute_chunk(words.reductions()[0], (0, 4)))

@@ -127,7 +127,7 @@ def test_placeholders_may_stand_for_numbers():
     assert _complaints(text.replace('"{d}"', '"d"'))
 
 
-def test_placeholders_may_stand_for_lists_and_not_for_what_a_study_has_once():
+def test_placeholders_may_replace_lists_but_not_single_values():
     text = STUDY.replace("n = 4", 'n = "{n}"\n[predict]\ncounts = "{c}"')
     text = text.replace('["random"]', '"{s}"')
     text += 'grid = { n = [4, 8], c = [[4, 8], [16]], s = [["random"], ["jittered"]] }\n'
@@ -141,7 +141,7 @@ def test_placeholders_may_stand_for_lists_and_not_for_what_a_study_has_once():
     assert _complaints(f'maps = "{{n}}"\n{text}')
 
 
-def test_schema_says_what_it_is_and_what_keys_mean():
+def test_the_schema_describes_itself_and_its_keys():
     schema = study_schema()
     assert schema["$id"] == SCHEMA_ID
     for own in schema["$defs"].values():

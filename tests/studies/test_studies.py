@@ -61,7 +61,7 @@ def finished(tmp_path_factory):
     return folder
 
 
-def test_resume_computes_only_what_is_missing(finished, tmp_path, stored_values):
+def test_resume_computes_only_missing_cells(finished, tmp_path, stored_values):
     import shutil
 
     shutil.copytree(finished, tmp_path / "copy")
@@ -83,7 +83,7 @@ def test_resume_computes_only_what_is_missing(finished, tmp_path, stored_values)
     assert not list((tmp_path / "copy").glob(".*.partial"))
 
 
-def test_resume_mends_damaged_cells_and_the_store(finished, tmp_path, stored_values):
+def test_resume_repairs_damaged_cells_and_the_store(finished, tmp_path, stored_values):
     """Garbage in the ledger; a missing chunk, which zarr would read as fill values."""
     import shutil
 
@@ -118,7 +118,7 @@ def test_summary_has_a_row_for_every_pair(finished):
     assert smooth.captured == pytest.approx(smooth.predicted / smooth.measured)
 
 
-def test_names_that_meet_in_one_group_name_stay_apart(tmp_path):
+def test_names_with_equal_slugs_get_different_groups(tmp_path):
     text = STUDY[: STUDY.index("[[")] + "".join(
         f'[[estimators]]\nname = "{name}"\nintegrand = "gaussian"\n' for name in ("a b", "a-b", "ä")
     )
@@ -126,7 +126,7 @@ def test_names_that_meet_in_one_group_name_stay_apart(tmp_path):
     assert len({cell.path for cell in plan.cells}) == len(plan.cells) == 3 * 2 * 4
 
 
-def test_thousands_of_names_that_begin_alike_are_named_at_once():
+def test_thousands_of_similar_names_are_fast():
     from mcspectra.studies.files import Slugs
 
     slugs = Slugs()

@@ -48,14 +48,14 @@ def _text(study=STUDY, **changes):
     return msgspec.structs.replace(text, **changes)
 
 
-def test_keys_say_what_the_task_is():
+def test_keys_identify_tasks():
     task = StudyTask(path="a/b/convergence", run="2-100-25", chunk=(4, 2))
     assert task.key == "a/b/convergence/2-100-25/4+2"
     assert StudyTask(path="a/b/exact", run=None).key == "a/b/exact"
     assert pickle.loads(pickle.dumps(task)) == task
 
 
-def test_a_worker_needs_text_alone():
+def test_a_worker_needs_only_text():
     """The text is converted to JSON and back; the result equals that of the function."""
     text = msgspec.json.decode(msgspec.json.encode(_text()), type=StudyText)
     wanted = mcs.pair_correlation(mcs.sampler("jittered | shift", 1), 4096, realizations=64, rng=5)
@@ -81,7 +81,7 @@ def test_unknown_cells_are_refused():
     assert "no cell 'a/b'" in attempt(_text(), StudyTask(path="a/b", run=None)).error
 
 
-def test_trust_goes_along():
+def test_trust_is_sent_with_the_text():
     study = STUDY.replace('"linear"', "\"python(function='strangers:f')\"")
     trust = Trust(("a:b",), (Path("elsewhere"),))
     text = StudyText.of(decode_study(study), Path(), trust)
@@ -146,7 +146,7 @@ def test_an_outcome_leaves_the_worker_free(limit):
     assert compute_elsewhere(_done, TEXT, TASK, limit) == (_done(TEXT, TASK), False)
 
 
-def test_what_takes_too_long_is_left_behind():
+def test_a_task_beyond_its_time_limit_is_abandoned():
     gate = threading.Event()
 
     def waits(_, task):

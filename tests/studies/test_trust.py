@@ -59,7 +59,7 @@ def test_code_is_imported_only_if_allowed(module, tmp_path):
     assert estimator.dims == 1
 
 
-def test_a_module_beside_the_study_is_not_found(tmp_path):
+def test_a_module_next_to_the_study_is_not_found(tmp_path):
     (tmp_path / "beside.py").write_text("def f(x): return x[..., 0]\n")
     config = _with('"linear"', "\"python(function='beside:f')\"")
     with pytest.raises(ConfigError, match="cannot be imported"):
@@ -78,13 +78,13 @@ def test_a_module_beside_the_study_is_not_found(tmp_path):
         ("python", "function='module:function'"),
     ],
 )
-def test_functions_that_are_none(module, tmp_path, spec, words):
+def test_invalid_functions_are_refused(module, tmp_path, spec, words):
     trust = Trust(code=("strangers:value", "strangers:none"))
     with pytest.raises(ConfigError, match=words):
         make_plan(_with('"linear"', f'"{spec}"'), tmp_path, trust)
 
 
-def test_densities_and_samplers_are_no_functions(module, tmp_path):
+def test_densities_and_samplers_cannot_be_functions(module, tmp_path):
     trust = Trust(code=("strangers:f",))
     with pytest.raises(ConfigError, match="only integrands"):
         make_plan(_with("dims = 1", f"dims = 1\ndensity = {CODE}"), tmp_path, trust)
@@ -120,7 +120,7 @@ def test_samplers_of_code_are_allowed_by_name(tmp_path, monkeypatch):
     np.testing.assert_allclose(offsets, offsets[:, :1].repeat(4, axis=1))
 
 
-def test_a_program_is_not_looked_for_where_the_study_is_run_from(tmp_path, monkeypatch):
+def test_a_program_is_not_searched_in_the_working_folder(tmp_path, monkeypatch):
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     program = elsewhere / "mine"
@@ -225,7 +225,7 @@ def test_options_that_are_scenes_are_names_or_files(places, scene, expected):
     assert found == _Scene(scene=expected.format(folder=places[0]))
 
 
-def test_options_that_are_specs_are_vetted_as_specs(places):
+def test_options_that_are_specs_are_checked_as_specs(places):
     vetting = Vetting(places[0], Trust())
     given = _Scene(scene="veach", proposals=("uniform", "image(path='sub/in.dat')"))
     found, names = vetting.options(given)
