@@ -146,7 +146,7 @@ def test_modes_without_variance_say_so(run):
     assert out.splitlines()[-1] == "no mode: the coefficients do not vary"
     arguments = ("variance", "linear", "-d", 1, "--sampler", "regular | shift", "-n", 4, "-m", 50)
     _, out, _ = run(*arguments, "--split", "modes", "--half-width", 4, "--modes", 4)
-    assert "2 more of rounding size" in out  # S_4 has a phase, so there are two modes
+    assert "2 more at rounding level" in out  # S_4 has a phase, so there are two modes
     assert "nan" not in out
 
 
@@ -305,7 +305,7 @@ def test_all_methods_are_rows_and_those_without_a_value_say_why(run, run_json):
     options = ("--method", "all", "-m", 50, "--half-width", 4)
     code, out, _ = run(*given, *options)
     assert code == 0
-    rows, reasons = out.split("no value by\n")
+    rows, reasons = out.split("no value from\n")
     for n in (16, 64):
         assert re.search(rf"^{n} .* exact \(quadrature\)$", rows, re.MULTILINE)
         assert re.search(rf"^{n} .* measured \(50 realizations\)$", rows, re.MULTILINE)

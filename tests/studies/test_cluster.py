@@ -264,7 +264,7 @@ def test_workers_of_another_version_are_refused_by_name_before_anything_runs(clu
         process.kill()
         process.wait()
     message = str(caught.value)
-    assert message.startswith(f"The study is run by mcspectra {__version__}, but of its workers ")
+    assert message.startswith(f"The study is run by mcspectra {__version__}, but ")
     assert f"{socket.gethostname()} (tcp://127.0.0.1:" in message
     assert message.endswith(" has 99.0; install the same version on every worker.")
     assert message.count("has") == 1  # The two other workers are not named

@@ -83,7 +83,7 @@ def test_a_changed_file_is_refused_by_name_and_nothing_is_touched(folder):
     _stopped(folder, 3)
     before = _files(folder / "out")
     _image(folder, "b", 7)
-    with pytest.raises(StoreError, match=r"not of the file 'data/b\.npy' as found now.*--retry"):
+    with pytest.raises(StoreError, match=r"another version of the file 'data/b\.npy'.*--retry"):
         _run(folder, resume=True)
     assert _files(folder / "out") == before
     _image(folder, "b", 1)  # Restore the file with another time stamp
@@ -120,7 +120,7 @@ def test_a_changed_source_of_a_function_is_refused(misbehaving, tmp_path):
     with (misbehaving / "misbehaving.py").open("a") as stream:
         stream.write("\n# changed\n")
     sys.modules.pop("misbehaving")
-    with pytest.raises(StoreError, match="'module misbehaving' as found now"):
+    with pytest.raises(StoreError, match="another version of the file 'module misbehaving'"):
         _run(tmp_path, text=text, trust=trust, resume=True)
 
 
@@ -185,7 +185,7 @@ def test_a_worker_with_another_file_refuses(folder):
     text = StudyText.of(config, folder, inputs=plan.inputs)
     assert text.cells().keys() == {cell.path for cell in plan.cells}
     _image(folder, "a", 5)
-    with pytest.raises(StoreError, match=r"not of the file 'data/a\.npy' as found now.*on host"):
+    with pytest.raises(StoreError, match=r"another version of the file 'data/a\.npy'.*on host"):
         text.cells()
     assert StudyText.of(config, folder).cells()
 

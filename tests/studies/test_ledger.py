@@ -207,7 +207,7 @@ def test_another_version_is_refused_and_other_packages_give_a_warning(running):
 
 def test_changed_inputs_are_refused_or_their_cells_forgotten(running):
     other = msgspec.structs.replace(NOTE, inputs={"data/a.npy": "1" * 64})
-    with pytest.raises(StoreError, match=r"not of the file 'data/a.npy' as found now: .*--retry"):
+    with pytest.raises(StoreError, match=r"another version of the file 'data/a.npy': .*--retry"):
         Ledger.resume(running, other, PATHS)
     outdated = {PATHS[0], PATHS[12], PATHS[13]}
     with Ledger.resume(running, other, PATHS, outdated=outdated) as ledger:

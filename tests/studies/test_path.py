@@ -113,7 +113,7 @@ def test_the_verb_prints_writes_and_refuses(tmp_path, capsys, tree, monkeypatch)
     assert "bounce 1 light" in page
     assert main(asked) == 0
     told = capsys.readouterr().out
-    assert "20 random numbers a path" in told
+    assert "20 random numbers per path" in told
     assert "roulette from depth 1" in told
     assert main([*asked, "--light", "lamp"]) == 2
     assert "--light is for direct light" in capsys.readouterr().err

@@ -39,7 +39,7 @@ _NEEDS_MORE = {
     "environment", "formula", "grid", "image", "mixture", "piecewise-constant",
     "piecewise-linear", "pixel", "product",
 }  # fmt: skip
-_OTHER = "as written below"
+_OTHER = "use the spec below"
 _EXPONENTS = range(2, 13)  # Exponents of 2 for the counts on the slider
 _EXAMPLE = "exp(-x**2 - y**2)"
 _PICTURES = ".png,.jpg,.jpeg,.exr,.npy"
@@ -139,7 +139,7 @@ class Controls:
                 ]
                 widget = make(Select, label, self._entered(name), options=choices)
             else:
-                shown = "chosen to fit" if free else str(option.default)
+                shown = "chosen automatically" if free else str(option.default)
                 widget = make(TextInput, label, self._entered(name), placeholder=shown)
             widget.description = option.meaning
             w[name] = widget

@@ -221,9 +221,9 @@ def integrate_(options: argparse.Namespace) -> VerbOutput:
     data: dict[str, Any] = {str(name): found[name].values.tolist() for name in found}
     low, high = data["interval"]
     text = (
-        f"{data['value']:.10g}, 95 %: {low:.10g} to "
-        f"{high:.10g}\n{counted(data['calls'], 'evaluation')} made, of {data['replicates']} "
-        f"replicates of {data['n']} points of {found.attrs['sampler']}"
+        f"{data['value']:.10g}, 95 %: {low:.10g} to {high:.10g}\n"
+        f"{counted(data['calls'], 'evaluation')} for {data['replicates']} replicates of "
+        f"{data['n']} points of {found.attrs['sampler']}"
     )
     note = found.attrs.get("note")
     return VerbOutput(f"{text}\n{note}" if note else text, data | ({"note": note} if note else {}))

@@ -205,7 +205,7 @@ def render_(options: argparse.Namespace) -> VerbOutput:
         f"{told['spp']} samples each" + (f", {told['realizations']} images" if many else ""),
         f"mean radiance (R G B)  {_colour(data['mean'])}",
         *([f"rms standard error     {data['rms_se']:.3g}"] if many else []),
-        f"samples a second       {data['samples_per_second']:.3g}",
+        f"samples per second     {data['samples_per_second']:.3g}",
         *(f"wrote {file}" for file in files),
     ]
     return VerbOutput("\n".join(lines), data)
@@ -255,7 +255,7 @@ def _compare(
         data[name] = {"samples": _samples(image.attrs), "mean": mean, "rms_error": error}
         shown = "" if error is None else f"{error:.3g}"
         table.append([name, _colour(mean), str(data[name]["samples"]), shown])
-    header = ["image", "mean radiance (R G B)", "samples a pixel", "rms error"]
+    header = ["image", "mean radiance (R G B)", "samples per pixel", "rms error"]
     lines = [text_table(header, table), *(f"wrote {file}" for file in files)]
     return VerbOutput(
         "\n".join(lines), {"scene": scene, "spp": spp, "images": data, "files": files}
@@ -415,7 +415,7 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
         known, answer = tree.attrs, textwrap.fill(path_page.path_answer(tree), _WIDTH)
         title = (
             f"pixel ({known['x']}, {known['y']}) of {known['scene']}, integrator "
-            f"{known['integrator']}: {known['dims']} random numbers a path"
+            f"{known['integrator']}: {known['dims']} random numbers per path"
         )
         parts = [f"{title}\n{answer}"]
         parts += map(page_table, path_page.path_tables(tree).values())

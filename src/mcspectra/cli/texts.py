@@ -422,7 +422,7 @@ def prediction(result: xr.Dataset) -> VerbOutput:
             f"\n{sampler}" if "sampler" in result.dims else "",
             text_table(header, rows),
             rates,
-            "no value by" if reasons else "",
+            "no value from" if reasons else "",
             *(textwrap.fill(each, _WIDTH, initial_indent="  ", subsequent_indent="    ")
               for each in dict.fromkeys(reasons)),
         ]  # fmt: skip
@@ -475,7 +475,7 @@ def modes(result: xr.Dataset) -> VerbOutput:
     return _shown(
         _title(result),
         text_table([*header, "part of variance"], rows),
-        f"{more} more of rounding size" if more else "",
+        f"{more} more at rounding level" if more else "",
         _note(result),
         f"largest eigenvalue of a flat spectrum with the same sum (noise edge): {edge:.6g}",
         f"sum of all eigenvalues: {trace:.6g}",

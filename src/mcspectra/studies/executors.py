@@ -455,7 +455,7 @@ class Dask:
             hosts = self._client.run(socket.gethostname, workers=list(others))
             named = ", ".join(f"{hosts[each]} ({each}) has {has}" for each, has in others.items())
             raise ClusterError(
-                f"The study is run by mcspectra {self._text.version}, but of its workers {named}; "
+                f"The study is run by mcspectra {self._text.version}, but {named}; "
                 "install the same version on every worker."
             )
 

@@ -685,13 +685,13 @@ class Ledger:
         if "mcspectra" in others:
             old, new = others["mcspectra"]
             raise StoreError(
-                f"{whose} of mcspectra {old}, and this is {new}, whose numbers may differ: resume "
+                f"{whose} from mcspectra {old}, but this is {new}, whose numbers may differ: resume "
                 "them with the version that began them, or give another --out."
             )
         if others:
             changes = ", ".join(f"{name} {old} (now {new})" for name, (old, new) in others.items())
             warn(
-                f"{whose} begun with {changes}: the last bits of new results may differ from "
+                f"{whose} from {changes}: the last bits of new results may differ from "
                 "those of an uninterrupted run.",
                 OtherVersionsWarning,
             )
@@ -894,7 +894,7 @@ class Ledger:
             finally:
                 self._opened.rollback()
         if not are_paths(paths) or found != (self.tally.digest, self._header.plan):
-            self.damaged["list of cells"] = "it is not as it was written"
+            self.damaged["list of cells"] = "it was changed after it was written"
         return paths, done
 
     def _listed_anyway(self) -> list[str]:
@@ -979,9 +979,7 @@ class Ledger:
                 self.damaged["list of cells"] = "some of its rows cannot be read"
                 yield change
         if made:
-            self.damaged["scalars"] = (
-                f"those of {made} cells, which are recomputed from their results"
-            )
+            self.damaged["scalars"] = f"of {made} cells, recomputed from their results"
 
         # States of tasks, and failures
         states = set[tuple[Any, ...]]()

@@ -378,7 +378,7 @@ def path_remedies(
         candidate = Candidate(kind, name, change, setup, pilot=pilot, effort=cost, note=note)
         tried.append(Measured.of(candidate, errors))
 
-    attempt("given", "as given", "leave everything as it is")
+    attempt("given", "as given", "change nothing")
 
     # Samplers; random numbers in the last coordinates; best coordinates for the largest shares
     for spec in dict.fromkeys(samplers):
@@ -386,14 +386,14 @@ def path_remedies(
             attempt("sampler", spec, f"sample with {spec}", spec=spec)
     for k in ends:
         change = (
-            f"give points of {sampler.spec} to the first {k} coordinates, and random numbers to "
+            f"use points of {sampler.spec} in the first {k} coordinates, and random numbers in "
             "the others"
         )
         attempt("padding", f"{k} good coordinates", change, partial(replace, f, dims=k))
     if axes is not None:
         place = np.argsort(axes[0])  # Coordinate of the points that each coordinate of f receives
         ordered = Integrand.from_function(lambda u: f(u[..., place]), dims=f.dims)
-        change = "give the first coordinates of the points to the largest shares of the variance"
+        change = "assign the first coordinates of the points to the largest shares of the variance"
         attempt("order", "coordinates by share", change, lambda: ordered, pilot=axes[1])
 
     # Roulette, lights, and the integrator's own heuristic
@@ -434,7 +434,7 @@ def path_remedies(
             if high < 0.0 and rate < 0.0:
                 # Break-even n: n + P given paths have this variance, ((n + P)/n)^rate = ratio
                 pays = candidate.pilot / math.expm1(found.log_ratio / rate)
-                note += f": it pays from about {float(f'{pays:.2g}'):.0f} paths on."
+                note += f": it pays above about {float(f'{pays:.2g}'):.0f} paths."
             else:
                 note += ": no gain within the interval, so it does not pay."
             tried[k] = replace(candidate, note=note)
@@ -459,6 +459,6 @@ def _other_roulettes(f: PathPixel) -> Iterator[tuple[str, str, str]]:
     for depth in sorted({*_DEPTHS, last}):
         if depth <= min(last, _ENDLESS) and depth != min(first, last):
             name = f"roulette from depth {depth}" if depth < last else "no roulette"
-            change = f"end paths by roulette from depth {depth} on"
-            change = change if depth < last else "end no path by roulette"
+            change = f"start Russian roulette at depth {depth}"
+            change = change if depth < last else "disable Russian roulette"
             yield name, change, f"{plugin}({', '.join([*properties, f'rr_depth={depth}'])})"

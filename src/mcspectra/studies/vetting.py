@@ -252,4 +252,4 @@ def check_inputs(
         more = f" and {len(changed) - _NAMED} more" if len(changed) > _NAMED else ""
         names = ", ".join(map(repr, changed[:_NAMED])) + more
         what = "the file" if len(changed) == 1 else "the files"
-        raise StoreError(f"{whose} not of {what} {names} as found now: {remedy}.")
+        raise StoreError(f"{whose} from another version of {what} {names}: {remedy}.")
