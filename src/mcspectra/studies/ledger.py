@@ -685,8 +685,8 @@ class Ledger:
         if "mcspectra" in others:
             old, new = others["mcspectra"]
             raise StoreError(
-                f"{whose} from mcspectra {old}, but this is {new}, whose numbers may differ: resume "
-                "them with the version that began them, or give another --out."
+                f"{whose} from mcspectra {old}, but this is {new}, whose numbers may differ: "
+                "resume them with the version that began them, or give another --out."
             )
         if others:
             changes = ", ".join(f"{name} {old} (now {new})" for name, (old, new) in others.items())

@@ -208,7 +208,8 @@ def _opened(
             cells = {path: _read_cell(ledger, path) for path in paths}
     if select is not None and not cells:
         raise StoreError(
-            f"No cell of {str(source)!r} matches {shown(select)}; paths have the form estimator/sampler/analysis."
+            f"No cell of {str(source)!r} matches {shown(select)}; paths have the form "
+            "estimator/sampler/analysis."
         )
     return root, cells
 
@@ -518,8 +519,8 @@ def showing(source: str | Path) -> Iterator[None]:
     except Exception as error:
         raise StoreError(
             f"The results in {str(source)!r} cannot be shown ({type(error).__name__}: "
-            f"{reason_of(error, 200)}): they do not have the form of this version; run the study again "
-            "with another --out."
+            f"{reason_of(error, 200)}): they do not have the form of this version; run the study "
+            "again with another --out."
         ) from error
 
 
