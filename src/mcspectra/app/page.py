@@ -283,7 +283,7 @@ def _row(side: str, setup: ExplorerSetup, board: Board) -> str:
     terms, curve = board.latest.get("terms"), board.latest.get("convergence")
     missing = "…" if board.busy else "–"
 
-    # Measured and predicted at the n of the terms, as in the summary of a report
+    # Show the variance measured and predicted at the n of the terms, as in a report's summary
     parts = {k: v for k, v in board.latest.items() if k in ("terms", "predict")}
     ratio = missing
     if len(parts) == 2:

@@ -38,7 +38,7 @@ def pixel_spec(x: int, y: int, strategy: str = "light") -> str:
 
     ``"balance"`` and ``"power"`` give the sum of light and BSDF sampling, weighted by that
     heuristic.
-    ``"mis-light"`` and ``"mis-bsdf"`` are its terms for the balance heuristic.
+    ``"mis-light"`` and ``"mis-bsdf"`` are the two terms of the sum with the balance heuristic.
 
     Raises
     ------

@@ -33,7 +33,7 @@ ADDRESS = "127.0.0.1"
 """Address where the server listens."""
 
 MOST_SESSIONS = 32
-"""Most open pages: each holds about 50 MB of figures and takes the server 0.2 s to make."""
+"""Maximum number of open pages: each holds about 50 MB of figures and takes the server 0.2 s to make."""
 
 _HEADERS = {
     "Content-Security-Policy": "frame-ancestors 'none'",
@@ -233,7 +233,7 @@ def serve(port: int = 0, *, open_browser: bool = True, quiet: bool = False) -> N
 
 
 def _is_own_error(record: logging.LogRecord) -> bool:
-    """Whether an error is the explorer's own, not a socket's or file's; make it printable."""
+    """Whether an error comes from the explorer, not from a request; make its text printable."""
     text = record.getMessage()
     record.msg, record.args = printable(text, lines=True), ()
     return "GET /ws" not in text and "GET /static" not in text

@@ -41,7 +41,8 @@ TECHNIQUES = "technique-sum"
 """Name of ``technique-sum(integrands=['…', '…'])``, a `mcspectra.estimators.TechniqueSum`."""
 
 _MOST_TECHNIQUES = 8
-_MOST_TEXT = 2000  # Most characters of a spec: browsers and servers cut URLs at about 8000
+# Maximum length of a spec in characters: browsers and servers cut URLs at about 8000
+_MOST_TEXT = 2000
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 _FILE = re.compile(r"[/\\]|\.[A-Za-z]\w*\Z")
 _CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff]")

@@ -56,7 +56,7 @@ CHANNELS = ("luminance", "0", "1", "2")
 THEMES = ("auto", "light", "dark")
 
 MOST_POINTS = 2**16
-"""Most points of a set in the explorer; studies accept more."""
+"""Maximum number of points of a set in the explorer; studies accept more."""
 
 MOST_HALF_WIDTH = {1: 1024, 2: 128}
 """Largest half width of the frequencies by the number of dims."""

@@ -40,7 +40,7 @@ __all__ = [
     "wholes",
 ]
 
-_LONGEST = 2000  # Most characters of a printed warning
+_LONGEST = 2000  # Maximum length in characters of a printed warning
 _PAGES = frozenset({".html", ".md", ".json", ".csv", ".png", ".svg", ".pdf", ".exr"})
 
 

@@ -113,8 +113,8 @@ _NOW = {
 _FAILED_RUNS = ("CellFailed", "ClusterLost", "StorageError")
 """Errors that are not caused by the input."""
 
-_LONGEST = 1000  # Most characters of an unexpected error's message
-_LONGEST_USAGE = 250  # Most characters of an error of the argument parser
+_LONGEST = 1000  # Maximum length in characters of an unexpected error's message
+_LONGEST_USAGE = 250  # Maximum length in characters of an error of the argument parser
 
 _BEFORE = {"--json": 0, "--quiet": 0, "--debug": 0, "--seed": 1, "--allow-code": 1}
 """Options of all verbs that may also precede the verb, and the number of their values."""

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 __all__ = ["estimate_text", "export_", "init_", "report_", "run_", "status_"]
 
-_LISTED = 10  # Most unfinished cells listed per state
+_LISTED = 10  # Maximum number of unfinished cells listed per state
 
 
 @verb(

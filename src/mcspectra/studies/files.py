@@ -63,12 +63,12 @@ BUILT_IN = {file.stem: file for file in sorted((Path(__file__).parent / "builtin
 """Files of the studies in this package, by name."""
 
 MOST_ENTRIES = 100_000
-"""Most estimators, maps or samplers that grids may generate in one table."""
+"""Maximum number of estimators, maps or samplers that grids may generate in one table."""
 
 RESERVED = ("analyses", "scenes", "kind", "analysis")
 """Fields of the structs of studies, estimators and scenes that a file cannot set."""
 
-_MOST_TEXT = 10**8  # Most characters that a grid may generate in one table
+_MOST_TEXT = 10**8  # Maximum number of characters that a grid may generate in one table
 _LARGEST_FILE = 4 * 2**20
 _RESERVED_SLUGS = frozenset({"zarr.json", "c"})
 _SINGLE = ("seed", "time_limit")  # Keys with a single value per study
@@ -198,7 +198,9 @@ class StudyConfig(_StudyTable, frozen=True, kw_only=True, omit_defaults=True):
     ] = ()
     time_limit: Annotated[
         Annotated[float, Meta(ge=0.01, le=1e9)] | None,
-        Meta(description="Most seconds per task; a longer task is stopped and its analysis fails."),
+        Meta(
+            description="Time limit of a task in seconds; a longer task is stopped and its analysis fails."
+        ),
     ] = None
     grid: Annotated[
         Grid | None, Meta(description="Values of {placeholders} anywhere in the study.")

@@ -18,7 +18,7 @@ from mcspectra.integrands import Integrand
 __all__ = ["FunctionFailed", "TookTooLong", "explain", "probed", "within"]
 
 Result = TypeVar("Result")
-_LONGEST = 500  # Most characters quoted from an exception in a message
+_LONGEST = 500  # Maximum number of characters quoted from an exception
 _PATIENCE = 30.0  # Seconds for a function's first values: compiling the function takes several
 
 

@@ -85,8 +85,8 @@ _PAGE = 8192  # Page size in bytes
 _COMMIT_SECONDS = 1.0  # Seconds between commits: a kill or a power failure loses at most these
 _COMMIT_BYTES = 2**25
 _BUSY_SECONDS = 60.0  # Seconds that commits wait for readers, and readers for commits
-_NOTE_SECONDS = 0.5  # Most seconds between taking the lock and noting its holder
-_MOST_SENTENCE = 10_000  # Most characters of a stored error sentence
+_NOTE_SECONDS = 0.5  # Maximum seconds between taking the lock and noting its holder
+_MOST_SENTENCE = 10_000  # Maximum length in characters of a stored error sentence
 _PATH_LETTERS = b"abcdefghijklmnopqrstuvwxyz0123456789.-/"
 _NO_PATH = ("//", "/.", "\n.", "\n/", "/\n", "\n\n")  # Forbidden in paths, written one per line
 

@@ -67,7 +67,7 @@ __all__ = [
 ]
 
 MOST_EVALUATIONS = 10**15
-"""Most evaluations of a study without --force: half a year on a hundred cores."""
+"""Maximum number of evaluations of a study without --force: half a year on a hundred cores."""
 
 # Planning time in seconds: per spec, per estimator with densities, per density in several dims or
 # in one (1-D warps are searched for gaps), per pair of estimator and sampler, per cell, and per
@@ -78,8 +78,10 @@ NOTED_SECONDS = 5.0
 """Planning time in seconds above which it is announced, so that a silent wait alarms nobody."""
 
 MOST_SECONDS = 120.0
-"""Most seconds of planning without --force: five million analyses, whose cells take 3 GB. A grid of
-a few lines exceeds this more often by mistake than by intention."""
+"""Maximum planning time in seconds without --force: five million analyses, whose cells take 3 GB.
+
+A grid of a few lines exceeds this more often by mistake than by intention.
+"""
 
 
 @final

@@ -78,13 +78,14 @@ FORMATS = (".csv", ".zarr")
 """Extensions of the files that results can be exported to."""
 
 MOST_STORED = 2000
-"""Most cells for which a run writes a store and a report: each cell takes 28 files and 8 ms."""
+"""Maximum number of cells with a store and a report: each cell takes 28 files and 8 ms."""
 
 _FIRST = ("estimator", "sampler", "analysis", "n")
 _LAST = ("variable", "value", "low", "high", "se", "unit")
 _DIGEST = "tree_sha256"
 _DOCUMENT = "zarr.json"
-_MOST_DOCUMENTS = 100_000  # Most documents copied into the root, which readers load as a whole
+# Maximum number of documents copied into the root, which readers load as a whole
+_MOST_DOCUMENTS = 100_000
 
 
 class AnalysisCount(msgspec.Struct, frozen=True):

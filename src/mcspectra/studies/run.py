@@ -29,7 +29,7 @@ MakeExecutor = Callable[[StudyText], Executor]
 """A function that makes the executor of a study."""
 
 _AHEAD = 2  # Tasks submitted per worker: one that it computes, one that waits
-_NAMED = 5  # Most damaged parts named in a warning
+_NAMED = 5  # Maximum number of damaged parts named in a warning
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def run_study(
         Number of threads, or of processes with a time limit; all processors by default. Results do
         not depend on it, bit for bit.
     time_limit
-        Most seconds per task; by default the limit of the study. Tasks then run in separate
+        Time limit of a task in seconds; by default that of the study. Tasks then run in separate
         processes; a task that exceeds the limit is stopped, and its cell fails.
     engine
         Makes another executor, such as a cluster's `mcspectra.studies.executors.Dask`.

@@ -18,7 +18,7 @@ Row: TypeAlias = tuple[bool, int, tuple[Any, ...]]
 """In-use flag of the page, rowid, and column values; a column that stores the rowid is None."""
 
 _INNER, _LEAF = 5, 13  # Type bytes of inner and leaf pages of tables
-_LARGEST = 2**20  # Most trunk pages of the free list to follow: enough for a file of 8 GB
+_LARGEST = 2**20  # Maximum number of trunk pages read from the free list: 8 GB
 _SIZES = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8}  # Bytes of an integer, by its serial type
 
 

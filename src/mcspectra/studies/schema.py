@@ -62,7 +62,7 @@ def study_schema() -> dict[str, Any]:
 
 
 def _tables() -> dict[str, tuple[str, dict[str, Any]]]:
-    """Return names and schemas of all tables by key; the key of the top of the file is empty."""
+    """Return names and schemas of all tables by key; the top of the file has an empty key."""
     analyses = analysis_tables()
     own = {"": StudyConfig, "estimators": EstimatorConfig}
     kinds: list[Any] = [*own.values(), *analyses.values(), SceneConfig]

@@ -232,7 +232,7 @@ Compute: TypeAlias = Callable[[StudyText, StudyTask], Outcome]
 
 
 def attempt(text: StudyText, task: StudyTask) -> Outcome:
-    """Compute a task from text alone in this thread; the outcome holds bytes."""
+    """Compute a task in this thread from text alone; return the result as bytes."""
 
     def compute() -> bytes:
         if task.run is None:

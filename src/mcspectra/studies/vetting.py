@@ -37,7 +37,7 @@ __all__ = ["Inputs", "Trust", "Vetting", "changed_inputs", "check_inputs"]
 Inputs: TypeAlias = tuple[str, ...]
 """Names of files, in ascending order."""
 
-_NAMED = 3  # Most files named in a message
+_NAMED = 3  # Maximum number of files named in a message
 
 
 @final
