@@ -143,7 +143,7 @@ def test_invalid_folders_for_a_map_are_refused(made, tmp_path, capsys):
     folder, _ = made
     (tmp_path / "file").write_text("")
     for target, more, sentence in (
-        (folder, (), "holds results already"),
+        (folder, (), "already holds results"),
         (folder, ("--resume", "--seed", 4), "belongs to another study"),
         (tmp_path / "file", (), "is a file"),
     ):

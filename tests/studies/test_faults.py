@@ -252,7 +252,7 @@ def test_the_folder_is_locked_from_the_first_change_to_the_last(tmp_path, straig
 
 def test_a_refused_run_releases_the_lock(half, tmp_path):
     out = shutil.copytree(half, tmp_path / "out")
-    with pytest.raises(StoreError, match="holds results already"):
+    with pytest.raises(StoreError, match="already holds results"):
         run_study(CONFIG, out)
     assert not is_held(out)
 

@@ -680,7 +680,9 @@ def test_an_invalid_lock_file_gives_a_sentence(running, kind):
     else:
         shutil.copy(running / LEDGER_NAME, lock)
     assert "not the empty file that a run locks; remove it" in lock_damage(running)
-    with pytest.raises(StoreError, match=r"study.lock' (cannot be locked: .*|is no file); remove"):
+    with pytest.raises(
+        StoreError, match=r"study.lock' (cannot be locked: .*|is not a file); remove"
+    ):
         Ledger.resume(running, NOTE, PATHS)
     assert not is_held(running)
     shutil.rmtree(lock) if kind == "folder" else lock.unlink()

@@ -626,7 +626,7 @@ def test_a_store_is_the_same_bytes_each_time(folder, tmp_path):
 
 def test_an_existing_store_is_not_overwritten(folder, tmp_path):
     (tmp_path / "x.zarr").mkdir()
-    with pytest.raises(ParameterError, match="exists already"):
+    with pytest.raises(ParameterError, match="already exists"):
         export_results(folder, tmp_path / "x.zarr")
 
 

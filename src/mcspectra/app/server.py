@@ -33,7 +33,7 @@ ADDRESS = "127.0.0.1"
 """Address where the server listens."""
 
 MOST_SESSIONS = 32
-"""Maximum number of open pages: each holds about 50 MB of figures and takes the server 0.2 s to make."""
+"""Maximum number of open pages: each holds 50 MB of figures, and takes 0.2 s to make."""
 
 _HEADERS = {
     "Content-Security-Policy": "frame-ancestors 'none'",

@@ -198,9 +198,7 @@ class StudyConfig(_StudyTable, frozen=True, kw_only=True, omit_defaults=True):
     ] = ()
     time_limit: Annotated[
         Annotated[float, Meta(ge=0.01, le=1e9)] | None,
-        Meta(
-            description="Time limit of a task in seconds; a longer task is stopped and its analysis fails."
-        ),
+        Meta(description="Time limit in seconds; a longer task is stopped and its analysis fails."),
     ] = None
     grid: Annotated[
         Grid | None, Meta(description="Values of {placeholders} anywhere in the study.")
