@@ -220,7 +220,7 @@ def test_two_set_ups_and_the_address_restores_them(page, address):
             card = page.get_by_role("group", name=f"{side}: {title}", exact=True)
             expect(card.get_by_role("heading", name=f"{side}: {title}")).to_be_visible()
             places.append(card.bounding_box())
-        # The sets stand side by side, with A on the left
+        # The figures of A and B are side by side, with A on the left
         assert places[0]["y"] == places[1]["y"]
         assert places[0]["x"] + places[0]["width"] <= places[1]["x"]
     expect(page.get_by_role("group", name=re.compile("^[AB]: "))).to_have_count(18)
@@ -280,7 +280,7 @@ def test_a_tab_that_closes_leaves_no_traceback(page, address, terminal):
     other.goto(f"{address}?n=1024&realizations=4096&half_width=32")
     other.get_by_text("% done.").wait_for()
     other.close()
-    # The explorer reports the closed tab before the next event
+    # The next job ends after the abandoned one, so a traceback would be printed by then
     any_state(page, address)
     field = page.get_by_label("Sampler spec, A", exact=True)
     field.fill("n-rooks")

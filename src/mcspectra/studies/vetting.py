@@ -238,7 +238,7 @@ def check_inputs(
     Parameters
     ----------
     whose
-        Start of the message: the owner of the files of `before`.
+        Start of the message, such as ``The results in 'out' are``.
     remedy
         End of the message: advice to the user.
 
