@@ -64,7 +64,9 @@ def small_effort():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pixel, "predict", predicted_bell)
-        patch.setattr("mcspectra.rendering.pixel._POINTS", 2**12)  # For means: 2**17 take seconds
+        patch.setattr(
+            "mcspectra.rendering.pixel._POINTS", 2**12
+        )  # Points for means; 2**17 would take seconds
         patch.setattr(pixel, "variance_terms", of_a_bell(variance_terms))
         patch.setitem(EFFORTS, "quick", small)
         patch.setattr(pixel, "analyse_pixel", kept)

@@ -57,7 +57,7 @@ def test_bad_input(folders, tmp_path, capsys):
             folders[0],
             "--out",
             str(tmp_path / "x"),
-        ],  # For example a device
+        ],  # Any path, such as a device
         [],
     ):
         assert main(["report", *arguments]) == 2

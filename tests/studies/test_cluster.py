@@ -131,7 +131,9 @@ def test_memory_of_outcomes_is_released(engine_on, cluster, tmp_path):
     while cluster.scheduler.tasks and time.monotonic() < deadline:
         time.sleep(0.02)
     assert not cluster.scheduler.tasks
-    assert len(cluster.scheduler.task_prefixes) == 1  # Dask keeps these: one for all studies
+    assert (
+        len(cluster.scheduler.task_prefixes) == 1
+    )  # Dask keeps prefixes for ever, so all studies share one
     assert not engine._client.futures
 
 

@@ -35,17 +35,17 @@ RUN = "0-0-10"
 
 
 def payload(path, size=3000):
-    """Return bytes in place of a cell's result."""
+    """Return stand-in bytes for a cell's result."""
     return random.Random(path).randbytes(size)
 
 
 def state_of(block):
-    """Return bytes in place of a task's state."""
+    """Return stand-in bytes for a task's state."""
     return payload(str(block), 500)
 
 
 def scalars(path):
-    """Return numbers in place of a cell's scalars."""
+    """Return stand-in numbers for a cell's scalars."""
     return {"rate": random.Random(path).random(), "none": float("inf")}
 
 
@@ -661,7 +661,7 @@ def test_both_verbs_keep_results_outside_a_zeroed_page(request, tmp_path, kind):
             found = ledger.verify(PATHS)
         on_page = content[8192 * page : 8192 * (page + 1)]
         for path in PATHS[: 12 if kind == "running" else None]:
-            # Bytes in place of a result contain no scalars
+            # Stand-in bytes contain no scalars
             pieces = (payload(path)[:16], payload(path)[-16:], f"scalars{path}".encode())
             assert path in found.done or any(each in on_page for each in pieces), (page, path)
         assert found.damaged

@@ -54,7 +54,9 @@ def small_effort():
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(EFFORTS, "quick", SMALL)
         patch.setattr(module, "predict", predicted)
-        patch.setattr("mcspectra.rendering.pixel._POINTS", 2**12)  # For means: 2**17 take seconds
+        patch.setattr(
+            "mcspectra.rendering.pixel._POINTS", 2**12
+        )  # Points for means; 2**17 would take seconds
         yield calls
 
 

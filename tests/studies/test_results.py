@@ -213,7 +213,7 @@ def test_files_are_those_that_xarray_and_zarr_write(tmp_path):
         chunks = tuple(max(1, size) for size in variable.shape)
         variable.encoding = {"compressors": None, "chunks": chunks, "_FillValue": None}
     theirs: dict[str, Any] = {}
-    with warnings.catch_warnings(action="ignore"):  # About types that Zarr does not specify
+    with warnings.catch_warnings(action="ignore"):  # Zarr does not specify some types
         store = zarr.storage.MemoryStore(theirs)
         cell.to_zarr(
             store, group="a/b/terms", zarr_format=3, consolidated=False, write_empty_chunks=True

@@ -40,7 +40,7 @@ from mcspectra.studies.results import open_results
 
 ROOT = Path(__file__).parents[2]
 PAGE, SECTOR = 8192, 4096
-LONGEST = 60  # Most seconds of a run
+LONGEST = 60  # Maximum duration of a run in seconds
 MANY = """
 title = "pages"
 seed = 11

@@ -154,7 +154,7 @@ def points_(options: argparse.Namespace) -> VerbOutput:
 
         source: Any = sampler if density is None else points
         count, n, _ = points.shape
-        with one_sentence_warnings(quiet=True):  # Shown when the points were drawn
+        with one_sentence_warnings(quiet=True):  # Already shown while drawing
             figures = summarize(quality_figures(source, n, realizations=count, rng=seed))
         rows: list[list[str]] = []
         missing: list[str] = []

@@ -1,7 +1,7 @@
 """Estimate the time, memory and storage of every cell of a study from short trial runs.
 
 A cell with repeated realizations is run twice with few of them and once with more; the difference
-gives the time per realization. Cells without a trial run are scaled by their cost from the others.
+gives the time per realization. The other cells are scaled by their cost.
 """
 
 from __future__ import annotations

@@ -1217,7 +1217,7 @@ def _locked(folder: Path) -> sqlite3.Connection:
             lock.close()
             if getattr(error, "sqlite_errorname", "") != "SQLITE_BUSY":
                 raise
-            # Name the process with the lock; it may be about to note itself
+            # Name the process with the lock; wait a moment until it has noted itself
             end, holder = time.monotonic() + _NOTE_SECONDS, None
             while holder is None and time.monotonic() < end:
                 with contextlib.suppress(StoreError), Ledger.read(folder) as ledger:

@@ -302,7 +302,7 @@ def analyse_pixel(
 def find_pixel(scene: Scene, x: int | str, y: int | None) -> tuple[int, int]:
     """Return the pixel (x, y), or the named pixel; raise `ParameterError` for an unknown name."""
     if y is not None and not isinstance(x, str):
-        return x, y  # The caller checks these against the film
+        return x, y  # The caller checks that the film contains the pixel
     if y is not None or not isinstance(x, str):
         raise ParameterError(
             f"The pixel is {shown(x)}, {shown(y)}; give x and y, or the name of a pixel."

@@ -350,7 +350,7 @@ def write_zarr(folder: Path) -> Path | None:
     with Ledger.read(folder) as ledger:
         if len(ledger.done) > MOST_STORED:
             with contextlib.suppress(FileNotFoundError):
-                shutil.rmtree(target)  # It holds fewer cells than the ledger
+                shutil.rmtree(target)  # An old store with fewer cells
             return None
         cells = ((path, _read_cell(ledger, path)) for path in _selected(ledger, None))
         attributes = _root_attributes(ledger)
