@@ -222,8 +222,8 @@ class StudyConfig(_StudyTable, frozen=True, kw_only=True, omit_defaults=True):
 def analysis_tables() -> dict[str, type[Analysis]]:
     """Return the analyses by the keys of their tables.
 
-    The key is the name of the analysis, but ``maps`` for ``map``, which analyzes a scene. An analysis
-    that cannot be loaded is left out.
+    The key is the name of the analysis, but ``maps`` for ``map``, which analyzes a scene. Analyses
+    that cannot be loaded are left out.
     """
     found = {}
     for name in sorted(_names()):
