@@ -174,7 +174,7 @@ def test_changed_added_and_removed_files_are_listed():
     assert changed_inputs(now, now) == ()
     check_inputs(now, dict(now), "It is", "do")
     with pytest.raises(
-        StoreError, match="It is not of the files '0', '1', '2' and 7 more as found"
+        StoreError, match="It is from another version of the files '0', '1', '2' and 7 more"
     ):
         check_inputs({}, {str(i): "" for i in range(10)}, "It is", "do")
 
